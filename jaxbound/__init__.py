@@ -1,0 +1,20 @@
+"""Guaranteed fault detection with JAX: is there any behaviour inside the bounds that explains the data?"""
+
+from jaxbound import sets
+from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.consistency import detect, margins
+from jaxbound.diagnosis.result import Result
+from jaxbound.models.faults import Fault
+from jaxbound.models.simulate import Trajectory, simulate
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.parity import ParityRelation, parity_relations
+from jaxbound.sets.interval import Interval, interval
+from jaxbound.sets.paving import Paving, pave
+from jaxbound.sets.status import Status
+from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
+
+__all__ = [
+    "Alarm", "Fault", "Interval", "LinearSystem", "ParityRelation", "Paving", "Result", "Status", "Trajectory", "Zonotope", "detect", "interval",
+    "margins", "membership", "parity_relations", "pave", "sets", "simulate", "strips", "zonotope",
+]  # fmt: skip
+__version__ = "0.1.0"

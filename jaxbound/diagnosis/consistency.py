@@ -1,0 +1,179 @@
+"""From a recording to a proved verdict for every window.
+
+Windows are tested in blocks of one fixed size by one compiled kernel, so that recordings of any length share a compilation; the
+recordings of a batch are laid end to end, and the windows that would cross a seam are MISSING like any warm-up.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.diagnosis import gridding
+from jaxbound.diagnosis.result import Result
+from jaxbound.models import recording, sensor
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.sets.status import Status
+from jaxbound.sets.strips import UNROLLED, strip_margin, strip_verdict
+
+__all__ = ["detect", "margins"]
+
+METHODS = ("joint", "box", "paving")
+PLANNED = ("linearised",)
+
+
+def detect(relations, u, y, method="joint", budget=None, progress=None):
+    """Decide for every window whether any behaviour inside the bounds explains it.
+
+    Args:
+        relations: from `parity_relations`.
+        u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or DataFrames with the model's columns. NaN marks a missing
+            sample. u is None for a model without inputs. Leading axes are recordings of their own.
+        method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each relation alone:
+            FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's adaptive
+            bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED.
+        budget: for "paving", (q, max_boxes): stop at r > q - 1; default (3, 1_000_000).
+        progress: called with the share of the work done, after each block.
+
+    Returns:
+        A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends at sample k. The
+        first `horizon` entries are MISSING. A window with missing samples is judged by the circuits that do not need them.
+
+    Raises:
+        ValueError: shapes or columns that do not fit, an infinite sample, an unknown method.
+        RuntimeError: on a device where the rounding of this library has not been verified (all but CPU, so far).
+
+    Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
+        >>> jb.detect(jb.parity_relations(m), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]]).status
+        array([0, 3], dtype=int8)
+    """
+    if not isinstance(relations, ParityRelation):
+        raise TypeError(f"detect needs relations, not {type(relations).__name__}: detect(parity_relations(model), u, y)")
+    if method in PLANNED:
+        raise NotImplementedError(f"method {method!r} is not implemented yet; use one of {', '.join(METHODS)}")
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
+    if budget is not None and method != "paving":
+        raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
+    u, y, index = recording.arrays(relations.model, u, y)
+    _refuse_unverified_device()
+    u, y = np.asarray(u), np.asarray(y)
+    if method == "paving":
+        status, margin = gridding.pave_windows(relations, u, y, *(budget or (3, 1_000_000)), progress)
+    else:
+        test = relations.test(method, y.dtype)
+        status, margin = _in_blocks(_verdicts, test, u, y, (np.int8, y.dtype), (Status.MISSING, np.nan), progress)
+        if method == "box" and relations.count > 1:
+            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
+    if (status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
+        recording.refuse_infinite("u", u, relations.model.inputs)
+        recording.refuse_infinite("y", y, relations.model.outputs)
+    return Result(status, margin, method, relations, u, y, index)
+
+
+def margins(relations, u, y):
+    """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window just becomes consistent.
+
+    The fast path: not rounded, no proof claimed. Differentiable in `relations.bounds`, y and u, under jit, vmap and grad.
+
+    Args:
+        relations, u, y: as for `detect`.
+
+    Returns:
+        (..., T): > 0 inside, < 0 outside, NaN where the window has no usable data (the first `horizon` entries).
+
+    Raises:
+        ValueError: as `detect`.
+
+    Example:
+        >>> import jax, jaxbound as jb
+        >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
+        >>> r = jb.parity_relations(m)
+        >>> loss = lambda bounds: jb.margins(r.with_bounds(bounds), None, [[1.0], [0.8]])[1]
+        >>> jax.grad(loss)(r.bounds)["noise"].round(2)
+        Array([20.], dtype=float32...)
+    """
+    u, y, _ = recording.arrays(relations.model, u, y)
+    traced = any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values()))
+    test = relations.test("joint", y.dtype)
+    if traced or jax.default_backend() != "cpu":
+        shape = y.shape[:-1]
+        u, y = jnp.asarray(u).reshape(-1, u.shape[-1]), jnp.asarray(y).reshape(-1, y.shape[-1])
+        margin = jnp.pad(_margins(test, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape)
+        return margin.at[..., : test.horizon].set(jnp.nan)
+    (margin,) = _in_blocks(_margins, test, np.asarray(u), np.asarray(y), (y.dtype,), (np.nan,), None)
+    return jax.device_put(margin)
+
+
+@jax.jit
+def _verdicts(test, u, y):
+    mid, rad, scale, known, known_scale = test.rows(u, y)
+    return strip_verdict(test.strips, mid, rad, scale, known, known_scale, sensor.lift(test.tolerance))
+
+
+@jax.jit
+def _margins(test, u, y):
+    mid, rad, _, known, _ = test.rows(u, y)
+    return strip_margin(test.strips, mid, rad, known)
+
+
+def block_size(test):
+    """Return how many windows a kernel takes at once: a fixed function of the shape of the test, whatever the recording."""
+    return 2**18 if len(test.strips.h) <= UNROLLED else 2**14
+
+
+def _in_blocks(kernel, test, u, y, dtypes, warm_up, progress):
+    """Run a kernel over all windows of (..., T, .) arrays and return one array (..., T) for each of its outputs."""
+    shape, s = y.shape[:-1], test.horizon
+    u, y = u.reshape(-1, u.shape[-1]), y.reshape(-1, y.shape[-1])
+    samples, block = len(y), block_size(test)
+    outs = [_aligned(samples, d) for d in dtypes]
+    for out, first in zip(outs, warm_up, strict=True):
+        out[:s] = first
+    kernel_test = jax.device_put(test)
+    pending = []
+    for start in range(0, max(samples - s, 0), block):
+        stop = min(start + block, samples - s)
+        pending.append((start + s, stop + s, kernel(kernel_test, *(_stretch(x, start, stop + s, block + s) for x in (u, y)))))
+        if len(pending) > 2:
+            _collect(outs, pending.pop(0), progress, samples)
+    for done in pending:
+        _collect(outs, done, progress, samples)
+    outs = [out.reshape(shape) for out in outs]
+    for out, first in zip(outs, warm_up, strict=True):
+        out[..., :s] = first  # windows across the seam of two recordings
+    return outs
+
+
+def _collect(outs, done, progress, samples):
+    start, stop, values = done
+    values = values if isinstance(values, tuple) else (values,)
+    for out, value in zip(outs, values, strict=True):
+        out[start:stop] = np.asarray(value)[: stop - start]
+    if progress is not None:
+        progress(stop / samples)
+
+
+def _stretch(x, start, stop, length):
+    """Return rows start..stop, filled up with NaN to a fixed length."""
+    part = x[start:stop]
+    return part if len(part) == length else np.concatenate([part, np.full((length - len(part), x.shape[1]), np.nan, x.dtype)])
+
+
+def _aligned(count, dtype):
+    """Return an uninitialised array that a CPU device can adopt without a copy."""
+    size = count * np.dtype(dtype).itemsize
+    raw = np.empty(size + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    return raw[start : start + size].view(dtype)
+
+
+def _refuse_unverified_device():
+    if jax.default_backend() != "cpu":
+        raise RuntimeError(
+            f"proved verdicts need a device whose rounding was verified, so far only CPU, not {jax.default_backend()}: "
+            "set JAX_PLATFORMS=cpu, or use margins for unproved values"
+        )

@@ -1,0 +1,1 @@
+"""Plants: models, sensors, recordings, faults, simulation."""

@@ -1,0 +1,42 @@
+"""Faults to put into a simulation."""
+
+from dataclasses import dataclass
+
+__all__ = ["Fault"]
+
+KINDS = ("bias", "drift", "gain", "noise", "tolerance", "stuck", "dropout")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of one sensor or actuator for the samples start <= k < stop.
+
+    Args:
+        signal: the name of an output or input of the model. An actuator's fault changes what the plant receives, not what is recorded.
+        kind: "bias": + size. "drift": + size per sample since the start. "gain": times 1 + size. "noise": + a value uniform in
+            [-size, size] each sample. "tolerance": theta is drawn in [-size, size] instead of the model's tolerance (outputs only).
+            "stuck": keeps its first value. "dropout": an output is missing (NaN), an input is 0.
+        size: in the unit of the signal; relative for "gain" and "tolerance"; unused by "stuck" and "dropout".
+        start, stop: samples; stop None: to the end.
+
+    Raises:
+        ValueError: unknown kind, a size that is not finite, stop <= start.
+
+    Example:
+        >>> Fault("y1", kind="bias", size=0.2, start=140, stop=180)
+        Fault(signal='y1', kind='bias', size=0.2, start=140, stop=180)
+    """
+
+    signal: str
+    kind: str = "bias"
+    size: float = 0.0
+    start: int = 0
+    stop: int | None = None
+
+    def __post_init__(self):
+        if self.kind not in KINDS:
+            raise ValueError(f"kind of fault must be one of {', '.join(KINDS)}, not {self.kind!r}")
+        if not abs(self.size) < float("inf"):
+            raise ValueError(f"size of a fault must be a finite number, not {self.size!r}")
+        if self.start < 0 or (self.stop is not None and self.stop <= self.start):
+            raise ValueError(f"a fault needs 0 <= start < stop: start {self.start}, stop {self.stop}")

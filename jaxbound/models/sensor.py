@@ -1,0 +1,51 @@
+"""What a recorded sample says about the true value: an interval, in closed form.
+
+A sensor reads y = (1 + theta) t + delta with |theta| <= sigma, |delta| <= rho (noise plus resolution). The true values t that explain y
+are [t_lo, t_hi] with t_hi = max((y + rho) / (1 + sigma), (y + rho) / (1 - sigma)) and t_lo = min over the same two of y - rho
+(mu is monotone in theta and affine in delta: Adrot 2000 (9); exact, see the exactness theorem). With e = 1 / (1 - sigma^2) this is
+
+    middle e (y + sigma clip(y, -rho, rho)),    radius e (rho + sigma max(|y|, rho)),
+
+without cancellation, without a case distinction and differentiable.
+"""
+
+import jax.numpy as jnp
+
+from jaxbound.sets import rounding
+
+__all__ = ["RECORDER_ULPS", "true_value"]
+
+RECORDER_ULPS = 4
+"""A recorded sample is known to this many unit roundoffs of its float type, relative to the largest |y| of its signal in the window plus the noise."""
+
+
+def true_value(samples, tolerance, noise, resolution, offset):
+    """Return (mid, rad, scale) of the true values behind the samples of one output in one window, minus the offset.
+
+    Args:
+        samples: the s + 1 recorded values of one output, each a scalar or an array over windows; NaN where absent.
+        tolerance, noise, resolution, offset: of that output, scalars, taken as exact.
+
+    Returns:
+        Three lists of s + 1: middle (NaN where absent), radius, and the magnitude that rounding errors are relative to
+        (`rounding.residual_error`), all of the dtype of the samples. Every radius is > 0 where a sample or the noise is.
+    """
+    e = 1 / ((1 - tolerance) * (1 + tolerance))
+    absent = [jnp.isnan(y) for y in samples]
+    samples = [jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)]  # keeps NaN out of gradients
+    largest = abs(samples[0])
+    for y in samples[1:]:
+        largest = jnp.maximum(largest, abs(y))
+    rho = noise + resolution + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise)
+    mid, rad, scale = [], [], []
+    for gone, y in zip(absent, samples, strict=True):
+        d = y - offset
+        mid.append(jnp.where(gone, jnp.nan, e * (d + tolerance * jnp.clip(d, -rho, rho))))
+        rad.append(e * (rho + tolerance * jnp.maximum(abs(d), rho)))
+        scale.append(jnp.where(gone, jnp.nan, e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]))
+    return mid, rad, scale
+
+
+def lift(tolerance):
+    """Return the largest factor e that multiplies a row: an underflow may be followed by it."""
+    return jnp.max(1 / ((1 - tolerance) * (1 + tolerance)))

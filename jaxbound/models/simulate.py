@@ -1,0 +1,184 @@
+"""Simulate a plant whose unknowns stay within their bounds, in about twice the digits of the recording.
+
+The state is carried in double-word arithmetic and every matrix entry as the sum of two floats, so that a recorded sample is the exact
+trajectory's within its resolution even where it is the difference of large levels (a plain recursion was off by 120 times that).
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.models import recording
+from jaxbound.models.system import LinearSystem
+from jaxbound.sets import rounding
+
+__all__ = ["Trajectory", "simulate"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A simulated recording. x (..., T, n) states (minus nothing: in the model's own deviation units), u (..., T, m) recorded
+    inputs, y (..., T, p) recorded outputs, theta, noise (..., T, p): the unknowns that were drawn.
+    """
+
+    x: jax.Array
+    u: jax.Array
+    y: jax.Array
+    theta: jax.Array
+    noise: jax.Array
+
+
+def simulate(model, u, key, x0=None, at="uniform", faults=()):
+    """Simulate x+ = A x + B u, y = (1 + theta) (C x + D u) + noise with theta and noise within their bounds.
+
+    Args:
+        model: a LinearSystem.
+        u: (..., T, m) inputs as recorded, offset included; leading axes are recordings of their own. A model without inputs
+            needs (..., T, 0). Its float dtype is that of the recording (float32 as it is, anything else the default float).
+        key: a jax.random key.
+        x0: (n,) or (..., n) first state; default 0.
+        at: "uniform" draws theta and noise uniformly; "vertices" at one of their bounds each sample.
+        faults: a sequence of Fault.
+
+    Returns:
+        A Trajectory. Without faults y is within the model's resolution of an exact trajectory with unknowns inside the bounds
+        (half an ulp of y beyond what the noise explains), so `detect` never calls it FAULT.
+
+    Raises:
+        ValueError: shapes that do not fit, a signal that the model does not have, an unknown `at`.
+
+    Example:
+        >>> import jax
+        >>> m = LinearSystem([[0.8]], [[1]], [[1]], noise=0.1)
+        >>> simulate(m, jnp.ones((50, 1)), jax.random.key(0)).y.shape
+        (50, 1)
+    """
+    if not isinstance(model, LinearSystem):
+        raise TypeError(f"simulate needs a LinearSystem, not {type(model).__name__}")
+    if at not in ("uniform", "vertices"):
+        raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
+    u = u if isinstance(u, jax.Array) else np.asarray(u, np.float64 if np.asarray(u).dtype != np.float32 else np.float32)
+    if u.ndim < 2 or u.shape[-1] != model.m:
+        raise ValueError(f"u must have shape (..., T, {model.m}), time first: its shape is {u.shape}")
+    u = jnp.asarray(u, jax.dtypes.canonicalize_dtype(u.dtype if np.issubdtype(u.dtype, np.floating) else np.float64))
+    recording.refuse_infinite("u", u, model.inputs) if not isinstance(u, jax.core.Tracer) else None
+    batch, (T, _) = u.shape[:-2], u.shape[-2:]
+    x0 = jnp.zeros((model.n,), u.dtype) if x0 is None else jnp.asarray(x0, u.dtype)
+    if x0.shape[-1:] != (model.n,) or (x0.ndim > 1 and x0.shape[:-1] != batch):
+        raise ValueError(f"x0 must have shape ({model.n},) or {(*batch, model.n)}: its shape is {x0.shape}")
+    x0 = jnp.broadcast_to(x0, (*batch, model.n))
+    active = _switches(model, faults, T)
+    numbers = {
+        "A": _double(model.A, u.dtype), "B": _double(model.B, u.dtype), "C": _double(model.C, u.dtype), "D": _double(model.D, u.dtype),
+        "tolerance": rounding.round_down(list(model.tolerance), u.dtype), "noise": rounding.round_down(list(model.noise), u.dtype),
+        "offset_u": _double([model.offset["u"]], u.dtype), "offset_y": _double([model.offset["y"]], u.dtype)}  # fmt: skip
+    sizes = np.array([f.size for f in faults], u.dtype)
+    kinds = tuple((f.kind, model.outputs.index(f.signal) if f.signal in model.outputs else None,
+                   model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
+    run = partial(_simulate, at == "vertices", kinds)
+    flat = [v.reshape(-1, *v.shape[len(batch) :]) for v in (u, x0)]
+    keys = jax.random.split(key, flat[0].shape[0])
+    out = run(numbers, sizes, active, keys, *flat)
+    return Trajectory(*(v.reshape(*batch, *v.shape[1:]) for v in out))
+
+
+def _switches(model, faults, T):
+    """Return (faults, T) bool: where each fault acts."""
+    rows = []
+    for f in faults:
+        if f.signal not in model.outputs + model.inputs:
+            raise ValueError(recording.missing_column(f.signal, model.outputs + model.inputs, "the model"))
+        if f.kind == "tolerance" and f.signal not in model.outputs:
+            raise ValueError(f"a tolerance fault needs an output, {f.signal!r} is an input")
+        if f.start >= T:
+            raise ValueError(f"the fault of {f.signal!r} starts at sample {f.start}, but there are {T} samples")
+        k = np.arange(T)
+        rows.append((k >= f.start) & (k < (T if f.stop is None else f.stop)))
+    return np.array(rows, bool).reshape(len(faults), T)
+
+
+def _double(a, dtype):
+    """Return exact numbers as a pair of float arrays whose sum is accurate to twice the digits."""
+    hi = np.array([[float(x) for x in row] for row in a], np.float64).astype(dtype).reshape(len(a), -1)
+    lo = np.array(
+        [[float(x - Fraction(float(h))) for x, h in zip(row, top, strict=True)] for row, top in zip(a, hi, strict=True)], np.float64
+    )
+    return hi, lo.astype(dtype).reshape(len(a), -1)
+
+
+def _apply(matrix, vector):
+    """Multiply a double-word matrix (r, c) with a list of double-word numbers; return a list."""
+    hi, lo = matrix
+    out = []
+    for i in range(hi.shape[0]):
+        total = (jnp.zeros_like(vector[0][0]), jnp.zeros_like(vector[0][0])) if vector else None
+        for j, v in enumerate(vector):
+            total = rounding.dd_add(total, rounding.dd_mul((hi[i, j], lo[i, j]), v))
+        out.append(total)
+    return out
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _simulate(vertices, kinds, numbers, sizes, active, keys, u, x0):
+    return jax.vmap(lambda key, u, x0: _one(vertices, kinds, numbers, sizes, active, key, u, x0))(keys, u, x0)
+
+
+def _one(vertices, kinds, numbers, sizes, active, key, u, x0):
+    T, p = u.shape[0], numbers["C"][0].shape[0]
+    k_theta, k_noise, k_fault = jax.random.split(key, 3)
+    draw = (lambda k, s: jax.random.rademacher(k, s, u.dtype)) if vertices else (lambda k, s: jax.random.uniform(k, s, u.dtype, -1, 1))
+    signs = draw(k_theta, (T, p))
+    tolerance = jnp.broadcast_to(numbers["tolerance"], (T, p))
+    for (kind, output, _), size, on in zip(kinds, sizes, active, strict=True):
+        if kind == "tolerance":
+            tolerance = tolerance.at[:, output].set(jnp.where(on, size, tolerance[:, output]))
+    theta = tolerance * signs
+    noise = numbers["noise"] * draw(k_noise, (T, p))
+    extra = jax.random.uniform(k_fault, (len(kinds), T), u.dtype, -1, 1)
+    applied = _faulty(u, kinds, sizes, active, extra, lambda f: f[2], dropped=0.0)
+
+    def step(x, now):
+        inputs, theta, noise = now
+        deviation = [rounding.two_sum(inputs[i], -numbers["offset_u"][0][0, i]) for i in range(u.shape[1])]
+        deviation = [rounding.dd_add(d, (-numbers["offset_u"][1][0, i], jnp.zeros_like(d[0]))) for i, d in enumerate(deviation)]
+        true = _add(_apply(numbers["C"], x), _apply(numbers["D"], deviation))
+        samples = []
+        for i, t in enumerate(true):
+            y = rounding.dd_mul(rounding.two_sum(jnp.ones_like(theta[i]), theta[i]), t)
+            y = rounding.dd_add(y, (noise[i], jnp.zeros_like(noise[i])))
+            y = rounding.dd_add(y, (numbers["offset_y"][0][0, i], numbers["offset_y"][1][0, i]))
+            samples.append(y[0])
+        return _add(_apply(numbers["A"], x), _apply(numbers["B"], deviation)), (jnp.stack([v[0] for v in x]), jnp.stack(samples))
+
+    first = [(x0[i], jnp.zeros_like(x0[i])) for i in range(x0.shape[0])]
+    _, (x, y) = jax.lax.scan(step, first, (applied, theta, noise))
+    return x, u, _faulty(y, kinds, sizes, active, extra, lambda f: f[1], dropped=jnp.nan), theta, noise
+
+
+def _add(a, b):
+    return a if not b or b[0] is None else [rounding.dd_add(x, y) for x, y in zip(a, b, strict=True)]
+
+
+def _faulty(signals, kinds, sizes, active, extra, channel, dropped):
+    """Apply the faults of one side, in order, to (T, c) signals."""
+    for i, fault in enumerate(kinds):
+        c = channel(fault)
+        if c is None or fault[0] == "tolerance":
+            continue
+        x, size, on = signals[:, c], sizes[i], active[i]
+        since = jnp.cumsum(on) - 1
+        changed = {
+            "bias": lambda x=x, size=size: x + size,
+            "drift": lambda x=x, size=size, since=since: x + size * since,
+            "gain": lambda x=x, size=size: x * (1 + size),
+            "noise": lambda x=x, size=size, i=i: x + size * extra[i],
+            "stuck": lambda x=x, on=on: jnp.broadcast_to(x[jnp.argmax(on)], x.shape),
+            "dropout": lambda x=x: jnp.full_like(x, dropped),
+        }[fault[0]]()
+        signals = signals.at[:, c].set(jnp.where(on, changed, x))
+    return signals

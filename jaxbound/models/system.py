@@ -1,0 +1,171 @@
+"""The linear model and its bounds: what an engineer knows of a plant, kept as exact decimals."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from jaxbound.sets import exact
+
+__all__ = ["LinearSystem"]
+
+PLANNED = {
+    "constant_tolerance": "a tolerance that keeps one value over a window",
+    "E": "a descriptor system",
+    "unknown_inputs": "unknown inputs",
+    "disturbance": "a process disturbance",
+    "uncertainties": "uncertain parameters",
+    "decouple": "decoupling of uncertainties",
+}
+
+
+class LinearSystem:
+    """A discrete-time linear model with imperfect sensors.
+
+        x+ = A x + B u,    y = (1 + theta) (C x + D u) + noise + rounding of the recording
+        |theta_i| <= tolerance_i,  |noise_i| <= noise_i,  |rounding_i| <= resolution_i,  drawn anew each sample
+
+    Every number is kept exactly: a float means its shortest decimal; Fraction, Decimal, int and str ("1/3") are taken as they are.
+
+    Args:
+        A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m); B None: no inputs; D None: zero.
+        dt: sampling period in seconds.
+        tolerance: relative sensor tolerance in [0, 1), one number or one per output.
+        noise: absolute noise bound >= 0, in the unit of the output, one number or one per output.
+        resolution: what the recording itself rounds away (half a step of a quantised sensor), in the unit of the output, one number or one
+            per output. On top of it, every sample is taken to be known to 4 u (largest |y_i| in the window + noise_i), u the unit
+            roundoff of the recording's float type: a sum, a product and a final rounding of a perfect plant are within 3 u of this.
+        inputs, outputs, states: names; default u1.., y1.., x1...
+        units: {name: unit}, for reports.
+        offset: {"u": (m,), "y": (p,)}: operating point; the model speaks of u - offset and y - offset (the tolerance too).
+        columns: {name: column} where a recording calls a signal otherwise; {"time": column} for its time stamps.
+        provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
+        name: of the plant, for reports.
+        constant_tolerance, E, unknown_inputs, disturbance, uncertainties, decouple: reserved; refused until they are implemented.
+
+    Raises:
+        ValueError: shapes that do not fit, a number that is not finite, a negative bound, a tolerance >= 1, a name used twice.
+        NotImplementedError: a reserved field was given.
+
+    Source: Adrot, Maquin, Ragot 2000, (1)-(2).
+
+    Example:
+        >>> m = LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
+        >>> m.n, m.m, m.p, m.outputs
+        (2, 1, 2, ('y1', 'y2'))
+    """
+
+    def __init__(self, A, B, C, D=None, dt=1.0, *, tolerance=0.0, noise=0.0, constant_tolerance=False, resolution=None, E=None, unknown_inputs=None,
+                 disturbance=None, uncertainties=(), decouple=(), inputs=None, outputs=None, states=None, units=None, offset=None, columns=None,
+                 provenance=None, name="model"):  # fmt: skip
+        reserved = {"constant_tolerance": constant_tolerance, "E": E, "unknown_inputs": unknown_inputs, "disturbance": disturbance,
+                    "uncertainties": uncertainties, "decouple": decouple}  # fmt: skip
+        for field, value in reserved.items():
+            if value is not None and value is not False and len(np.atleast_1d(np.asarray(value, object))) > 0:
+                raise NotImplementedError(f"{field}: {PLANNED[field]} is not implemented yet; leave the field out")
+        self.A = _matrix("A", A)
+        n = len(self.A)
+        if n == 0 or len(self.A[0]) != n:
+            raise ValueError(f"A must be square, one row per state: its shape is ({n}, {len(self.A[0]) if n else 0})")
+        self.C = _matrix("C", C)
+        p = len(self.C)
+        if p == 0:
+            raise ValueError("the model has no output: C needs at least one row")
+        self.B = _matrix("B", B) if B is not None and np.size(B) else tuple(() for _ in range(n))
+        m = len(self.B[0])
+        self.D = _matrix("D", D) if D is not None and np.size(D) else tuple((Fraction(0),) * m for _ in range(p))
+        for label, a, shape in (("B", self.B, (n, m)), ("C", self.C, (p, n)), ("D", self.D, (p, m))):
+            if (len(a), len(a[0])) != shape:
+                raise ValueError(f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}")
+        self.n, self.m, self.p = n, m, p
+        self.dt = float(_number("dt", dt))
+        if self.dt <= 0:
+            raise ValueError(f"dt must be a positive number of seconds, not {dt}")
+        self.inputs = _names("inputs", inputs, m, "u")
+        self.outputs = _names("outputs", outputs, p, "y")
+        self.states = _names("states", states, n, "x")
+        everyone = self.inputs + self.outputs
+        twice = sorted({x for x in everyone if everyone.count(x) > 1})
+        if twice:
+            raise ValueError(f"a signal name may stand for one signal only: {', '.join(map(repr, twice))} is used twice")
+        self.tolerance = self._bound("tolerance", tolerance)
+        self.noise = self._bound("noise", noise)
+        self.resolution = self._bound("resolution", 0 if resolution is None else resolution)
+        offset = dict(offset or {})
+        unknown = set(offset) - {"u", "y"}
+        if unknown:
+            raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
+        self.offset = {
+            "u": _vector("offset u", offset.get("u", 0), self.inputs),
+            "y": _vector("offset y", offset.get("y", 0), self.outputs),
+        }
+        self.units = self._about("units", units, everyone + self.states)
+        self.columns = self._about("columns", columns, (*everyone, "time"))
+        self.provenance = self._about("provenance", provenance, ("tolerance", "noise", "resolution", "model"))
+        self.name = str(name)
+
+    def _bound(self, field, value):
+        bounds = _vector(field, value, self.outputs)
+        for output, b in zip(self.outputs, bounds, strict=True):
+            if b < 0:
+                raise ValueError(f"{field} must be >= 0: output {output!r} has {float(b):g}")
+            if field == "tolerance" and b >= 1:
+                raise ValueError(f"tolerance is relative and must be below 1 (2 % is 0.02): output {output!r} has {float(b):g}")
+        return bounds
+
+    @staticmethod
+    def _about(field, table, known):
+        table = {str(k): str(v) for k, v in dict(table or {}).items()}
+        unknown = sorted(set(table) - set(known))
+        if unknown:
+            raise ValueError(f"{field} speaks of {', '.join(map(repr, unknown))}, but the model knows only {', '.join(map(repr, known))}")
+        return table
+
+    @property
+    def has_feedthrough(self):
+        """True if D is not zero: the newest input of a window then matters."""
+        return any(x for row in self.D for x in row)
+
+    def column(self, signal):
+        """Return the column of a recording that holds a signal."""
+        return self.columns.get(signal, signal)
+
+    def unit(self, signal):
+        """Return the unit of a signal, or an empty string."""
+        return self.units.get(signal, "")
+
+    def __repr__(self):
+        return f"LinearSystem({self.name!r}: {self.n} states, inputs {list(self.inputs)}, outputs {list(self.outputs)}, dt={self.dt:g} s)"
+
+
+def _number(field, x):
+    try:
+        return exact.rational(x)
+    except ValueError as e:
+        raise ValueError(f"{field}: {e}") from None
+
+
+def _matrix(field, a):
+    try:
+        return exact.matrix(a)
+    except (ValueError, TypeError) as e:
+        raise ValueError(f"{field}: {e}") from None
+
+
+def _vector(field, value, names):
+    if isinstance(value, (str, Fraction)) or np.ndim(value) == 0:
+        return (_number(field, value),) * len(names)
+    values = list(value)
+    if len(values) != len(names):
+        raise ValueError(f"{field} needs one number, or one for each of {', '.join(names)}: {len(values)} given")
+    return tuple(_number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
+
+
+def _names(field, given, count, letter):
+    if given is None:
+        return tuple(f"{letter}{i + 1}" for i in range(count))
+    names = (given,) if isinstance(given, str) else tuple(map(str, given))
+    if len(names) != count:
+        raise ValueError(f"{field} needs {count} names, one for each: {len(names)} given")
+    if len(set(names)) < count:
+        raise ValueError(f"{field} must have different names: {list(names)}")
+    return names

@@ -1,0 +1,1 @@
+"""Relations: how unknowns are eliminated."""

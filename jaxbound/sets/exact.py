@@ -1,0 +1,189 @@
+"""Exact linear algebra over the rationals: small matrices, Python's own Fractions, no rounding anywhere.
+
+A matrix is a tuple of rows, a row a tuple of Fractions. Costs are those of the host; nothing here runs per window.
+"""
+
+from decimal import Decimal
+from fractions import Fraction
+from itertools import combinations
+from math import comb, gcd, lcm
+
+import numpy as np
+
+__all__ = [
+    "circuits",
+    "inverse",
+    "left_null_space",
+    "matmul",
+    "matrix",
+    "minimal_span",
+    "primitive",
+    "rank",
+    "rational",
+    "row_reduce",
+    "transpose",
+]
+
+
+def rational(x):
+    """Read a number exactly: Fraction, Decimal, int and str ("1/3", "0.2") as they are, a float as its shortest decimal.
+
+    Raises ValueError on NaN, infinity and anything that is not a number.
+
+    Example:
+        >>> rational(0.1), rational("1/3")
+        (Fraction(1, 10), Fraction(1, 3))
+    """
+    if isinstance(x, (Fraction, int, np.integer)) and not isinstance(x, bool):
+        return Fraction(int(x)) if isinstance(x, np.integer) else Fraction(x)
+    try:
+        if isinstance(x, (str, Decimal)):
+            return Fraction(x)
+        if isinstance(x, np.floating):
+            return Fraction(str(x))  # the shortest decimal of its own dtype
+        return Fraction(repr(float(x)))
+    except (ValueError, TypeError, OverflowError) as e:
+        raise ValueError(f"{x!r} is not a finite number") from e
+
+
+def matrix(a):
+    """Read nested sequences or an array as an exact matrix; a vector becomes a column."""
+    rows = a.tolist() if isinstance(a, np.ndarray) and a.dtype != np.float32 else a
+    rows = [list(r) if np.ndim(r) else [r] for r in rows]
+    if len({len(r) for r in rows}) > 1:
+        raise ValueError(f"rows have different lengths: {[len(r) for r in rows]}")
+    return tuple(tuple(rational(x) for x in r) for r in rows)
+
+
+def transpose(a):
+    """Return the transpose."""
+    return tuple(zip(*a, strict=True))
+
+
+def matmul(a, b):
+    """Return a b."""
+    columns = transpose(b)
+    return tuple(tuple(sum((x * y for x, y in zip(r, c, strict=True) if x and y), Fraction(0)) for c in columns) for r in a)
+
+
+def row_reduce(a):
+    """Return the reduced row echelon form of `a` without zero rows, and its pivot columns."""
+    rows = [list(r) for r in a]
+    pivots, top = [], 0
+    for j in range(len(rows[0]) if rows else 0):
+        k = next((i for i in range(top, len(rows)) if rows[i][j]), None)
+        if k is None:
+            continue
+        rows[top], rows[k] = rows[k], rows[top]
+        head = rows[top][j]
+        rows[top] = [x / head for x in rows[top]]
+        for i in range(len(rows)):
+            if i != top and rows[i][j]:
+                f = rows[i][j]
+                rows[i] = [x - f * y for x, y in zip(rows[i], rows[top], strict=True)]
+        pivots.append(j)
+        top += 1
+    return tuple(tuple(r) for r in rows[:top]), tuple(pivots)
+
+
+def rank(a):
+    """Return the rank."""
+    return len(row_reduce(a)[1])
+
+
+def left_null_space(a):
+    """Return a basis W of {w : w a = 0}, one row a basis vector (possibly no rows)."""
+    m = len(a)
+    augmented = [tuple(r) + tuple(Fraction(i == j) for j in range(m)) for i, r in enumerate(a)]
+    n = len(a[0])
+    reduced, pivots = row_reduce(augmented)
+    return tuple(r[n:] for r, p in zip(reduced, pivots, strict=True) if p >= n)
+
+
+def inverse(a):
+    """Return the inverse of a regular matrix."""
+    n = len(a)
+    reduced, pivots = row_reduce([tuple(r) + tuple(Fraction(i == j) for j in range(n)) for i, r in enumerate(a)])
+    if pivots != tuple(range(n)):
+        raise ValueError("the matrix is singular")
+    return tuple(r[n:] for r in reduced)
+
+
+def primitive(row):
+    """Scale a row to coprime integers, the first non-zero entry positive."""
+    scale = lcm(*(x.denominator for x in row))
+    whole = [int(x * scale) for x in row]
+    divisor = gcd(*whole) or 1
+    sign = -1 if next((x for x in whole if x), 1) < 0 else 1
+    return tuple(Fraction(sign * x // divisor) for x in whole)
+
+
+def minimal_span(a):
+    """Return a basis of the row space of `a` whose rows start at different columns and end at different columns, in order.
+
+    Each row then spans as few consecutive columns as it can: with time-major columns, the fewest samples. Rows are primitive.
+    """
+    rows = [list(r) for r in row_reduce(a)[0]]  # different starts, in order
+    while True:
+        ends = [max(j for j, x in enumerate(r) if x) for r in rows]
+        clash = next(((i, k) for i, k in combinations(range(len(rows)), 2) if ends[i] == ends[k]), None)
+        if clash is None:
+            return tuple(primitive(r) for r in rows)
+        i, k = clash  # row i starts earlier: cancelling its last entry with row k keeps its start
+        f = rows[i][ends[i]] / rows[k][ends[k]]
+        rows[i] = [x - f * y for x, y in zip(rows[i], rows[k], strict=True)]
+
+
+def circuits(a, limit=None):
+    """Return every vector of minimal support with h a = 0 (one of each pair h, -h), primitive, by support in lexicographic order.
+
+    They are the strips of any zonotope whose directions have the left null space of `a` as row space
+    (Source: elementary vectors of a subspace; every circuit lies in some set of rank + 1 rows of full rank, so subsets of that size suffice).
+
+    Raises ValueError if more than `limit` subsets would have to be visited.
+    """
+    basis = transpose(row_reduce(transpose(a))[0])  # the same left null space with full column rank
+    m, r = len(a), len(basis[0]) if basis and basis[0] else 0
+    if r == 0:
+        return tuple(tuple(Fraction(i == j) for j in range(m)) for i in range(m))
+    if limit is not None and comb(m, r + 1) > limit:
+        raise ValueError(f"{comb(m, r + 1)} circuits would have to be enumerated, more than {limit}")
+    whole = [primitive_scale(row) for row in basis]
+    found = {}
+    for subset in combinations(range(m), r + 1):
+        h = _cofactors([whole[i][0] for i in subset])
+        if not any(h):
+            continue
+        row = [Fraction(0)] * m
+        for i, x in zip(subset, h, strict=True):
+            row[i] = Fraction(x) * whole[i][1]
+        row = primitive(row)
+        found.setdefault(tuple(i for i, x in enumerate(row) if x), row)
+    return tuple(found[k] for k in sorted(found))
+
+
+def primitive_scale(row):
+    """Return the row as integers and the factor by which it was multiplied."""
+    scale = lcm(*(x.denominator for x in row))
+    return tuple(int(x * scale) for x in row), scale
+
+
+def _cofactors(rows):
+    """Return the signed maximal minors of an (r + 1) x r integer matrix: its left null vector, or zeros if its rank is below r."""
+    return [(-1) ** i * _determinant([r for k, r in enumerate(rows) if k != i]) for i in range(len(rows))]
+
+
+def _determinant(rows):
+    """Return the determinant of an integer matrix (Bareiss: every division is exact)."""
+    a, sign, previous = [list(r) for r in rows], 1, 1
+    for k in range(len(a) - 1):
+        swap = next((i for i in range(k, len(a)) if a[i][k]), None)
+        if swap is None:
+            return 0
+        if swap != k:
+            a[k], a[swap], sign = a[swap], a[k], -sign
+        for i in range(k + 1, len(a)):
+            for j in range(k + 1, len(a)):
+                a[i][j] = (a[i][j] * a[k][k] - a[i][k] * a[k][j]) // previous
+        previous = a[k][k]
+    return sign * a[-1][-1]

@@ -1,0 +1,378 @@
+"""Closed intervals [lo, hi] as PyTrees, rounded outward: every operation encloses the exact range over its arguments.
+
+Empty is lo = +inf, hi = -inf; entire is [-inf, inf]. Operations follow IEEE 1788-2015 (set-based flavour); edges of domains
+give the tightest set, so 1 / [0, 1] is [1, inf] and x / [0, 0] is empty.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets import rounding
+
+__all__ = [
+    "Interval", "abs", "add", "contains", "disjoint", "div", "equal", "hull", "interior", "intersection", "interval", "less", "mag", "matmul",
+    "max", "mid", "mig", "min", "mul", "neg", "pown", "precedes", "rad", "recip", "sqr", "sub", "subset", "sum", "wid",
+]  # fmt: skip
+
+_abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operations of the same name
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`.
+
+    Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the exact results, eagerly and compiled.
+    """
+
+    lo: jax.Array
+    hi: jax.Array
+
+    mid = property(lambda self: mid(self), doc="A float inside, near the middle; NaN if empty.")
+    rad = property(lambda self: rad(self), doc="Half the width, rounded up: [mid - rad, mid + rad] encloses; NaN if empty.")
+    wid = property(lambda self: wid(self), doc="hi - lo, rounded up; NaN if empty.")
+    is_empty = property(lambda self: self.lo > self.hi, doc="True where there is no point.")
+    shape = property(lambda self: jnp.shape(self.lo), doc="Shape of the array of intervals.")
+    dtype = property(lambda self: self.lo.dtype, doc="Float type of the bounds.")
+
+    def __add__(self, other):
+        return add(self, other)
+
+    def __sub__(self, other):
+        return sub(self, other)
+
+    def __mul__(self, other):
+        return mul(self, other)
+
+    def __truediv__(self, other):
+        return div(self, other)
+
+    def __matmul__(self, other):
+        return matmul(self, other)
+
+    def __rsub__(self, other):
+        return sub(other, self)
+
+    def __rtruediv__(self, other):
+        return div(other, self)
+
+    def __rmatmul__(self, other):
+        return matmul(other, self)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self):
+        return neg(self)
+
+    def __abs__(self):
+        return abs(self)
+
+    def __pow__(self, n):
+        return pown(self, n)
+
+    def __getitem__(self, index):
+        return Interval(self.lo[index], self.hi[index])
+
+    def __len__(self):
+        return len(self.lo)
+
+    def __iter__(self):
+        return (self[i] for i in range(len(self)))
+
+    __array_priority__ = 100  # numpy_array * interval comes here
+    __array_ufunc__ = None
+
+
+def interval(lo, hi=None):
+    """Build an Interval from bounds of one shape (broadcast); `interval(x)` is the point x.
+
+    Args:
+        lo, hi: array-likes with lo <= hi. lo = +inf with hi = -inf is the empty interval.
+
+    Returns:
+        An Interval of the wider float dtype of the two. Bounds that the dtype cannot hold (float64 numbers with x64 off,
+        subnormal numbers) are moved outward, never inward.
+
+    Raises:
+        ValueError: NaN, or lo > hi anywhere (unless empty).
+
+    Example:
+        >>> interval(1.0, 2.0) * interval(-1.0, 3.0)
+        Interval(lo=Array(-2., dtype=float32...), hi=Array(6., dtype=float32...))
+    """
+    if isinstance(lo, Interval):
+        return lo
+    hi = lo if hi is None else hi
+    lo, hi = _bound(lo, rounding.round_down), _bound(hi, rounding.round_up)
+    if not isinstance(lo, jax.core.Tracer) and not isinstance(hi, jax.core.Tracer):
+        bad = np.isnan(lo) | np.isnan(hi)
+        if bad.any():
+            raise ValueError(f"bounds must be numbers: {bad.sum()} of {bad.size} are NaN, first at {_first(bad)}")
+        bad = (np.asarray(lo) > np.asarray(hi)) & ~((np.asarray(lo) == np.inf) & (np.asarray(hi) == -np.inf))
+        if bad.any():
+            raise ValueError(f"lo must be <= hi: {bad.sum()} of {bad.size} entries violate it, first at {_first(bad)}")
+    return Interval(*rounding.settle_subnormals(*_match(lo, hi)))
+
+
+def _match(lo, hi):
+    dtype = jnp.result_type(lo, hi)
+    shape = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi))
+    return jnp.broadcast_to(lo, shape).astype(dtype), jnp.broadcast_to(hi, shape).astype(dtype)
+
+
+def _bound(x, directed):
+    """Convert to a float array; a float64 that must become float32 is rounded in the given direction."""
+    if isinstance(x, jax.Array):
+        return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
+    x = np.asarray(x)
+    wanted = jax.dtypes.canonicalize_dtype(x.dtype if np.issubdtype(x.dtype, np.floating) else np.float64)
+    if x.dtype == wanted:
+        return jnp.asarray(x)
+    return jnp.asarray(directed(x, wanted))
+
+
+def _first(bad):
+    return tuple(int(i) for i in np.argwhere(bad)[0])
+
+
+def _pair(x, y):
+    """Return both as Intervals of one dtype; a plain number takes the dtype of its partner, outward."""
+    if not isinstance(x, Interval):
+        x, y = _pair(y, x)[::-1]
+        return x, y
+    if not isinstance(y, Interval):
+        if isinstance(y, (int, float)) and not isinstance(y, bool):
+            y = Interval(jnp.asarray(rounding.round_down(y, x.dtype)), jnp.asarray(rounding.round_up(y, x.dtype)))
+            return x, Interval(*rounding.settle_subnormals(y.lo, y.hi))
+        y = interval(y)
+    return x, y
+
+
+def _close(lo, hi, *arguments):
+    """Round outward; empty if any argument is."""
+    lo, hi = rounding.outward(lo, hi)
+    return _or_empty(lo, hi, *arguments)
+
+
+def _or_empty(lo, hi, *arguments):
+    empty = arguments[0].is_empty
+    for x in arguments[1:]:
+        empty = empty | x.is_empty
+    return Interval(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
+
+
+def add(x, y):
+    """Return the sum. Source: IEEE 1788 add."""
+    x, y = _pair(x, y)
+    return _close(x.lo + y.lo, x.hi + y.hi, x, y)
+
+
+def sub(x, y):
+    """Return the difference. Source: IEEE 1788 sub."""
+    x, y = _pair(x, y)
+    return _close(x.lo - y.hi, x.hi - y.lo, x, y)
+
+
+def neg(x):
+    """Return -x, exactly. Source: IEEE 1788 neg."""
+    return Interval(-x.hi, -x.lo)
+
+
+def mul(x, y):
+    """Return the product; 0 times an infinite bound is 0. Source: IEEE 1788 mul."""
+    x, y = _pair(x, y)
+    products = [jnp.where((a == 0) | (b == 0), 0, a * b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
+    return _close(*_range(products), x, y)
+
+
+def div(x, y):
+    """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE 1788 div."""
+    x, y = _pair(x, y)
+    quotients = [_quotient(a, b, s) for a in (x.lo, x.hi) for b, s in ((y.lo, 1), (y.hi, -1))]
+    lo, hi = _range(quotients)
+    across = (y.lo < 0) & (y.hi > 0) & ~((x.lo == 0) & (x.hi == 0))
+    lo, hi = jnp.where(across, -jnp.inf, lo), jnp.where(across, jnp.inf, hi)
+    nothing = (y.lo == 0) & (y.hi == 0)
+    out = _close(lo, hi, x, y)
+    return Interval(jnp.where(nothing, jnp.inf, out.lo), jnp.where(nothing, -jnp.inf, out.hi))
+
+
+def _quotient(a, b, zero_side):
+    """Return a / b with a / 0 an infinity of the side from which the divisor reaches 0, and 0 / 0 = 0.
+
+    A divisor beyond 2^(emax/2) is scaled first, so that its reciprocal, which the compiler may use, is not flushed to zero. The barrier keeps
+    the compiler from merging this quotient with one that made `a` or `b`.
+    """
+    a, b = jax.lax.optimization_barrier(jnp.broadcast_arrays(a, b))
+    shrink = np.asarray(2.0 ** -(np.finfo(b.dtype).maxexp // 2), b.dtype)[()]
+    big = jnp.abs(b) > 1 / shrink
+    q = jnp.where(big, a * shrink, a) / jnp.where(big, b * shrink, jnp.where(b == 0, 1, b))
+    q = jnp.where(jnp.isinf(b), 0, q)  # also infinity / infinity: the other end carries the infinity
+    return jnp.where(b == 0, jnp.where(a == 0, 0, zero_side * jnp.sign(a) * jnp.inf), q)
+
+
+def _range(values):
+    lo = hi = values[0]
+    for v in values[1:]:
+        lo, hi = jnp.minimum(lo, v), jnp.maximum(hi, v)
+    return lo, hi
+
+
+def recip(x):
+    """Return 1 / x. Source: IEEE 1788 recip."""
+    return div(Interval(jnp.ones_like(x.lo), jnp.ones_like(x.hi)), x)
+
+
+def sqr(x):
+    """Return x^2, never negative. Source: IEEE 1788 sqr."""
+    near, far = mig(x), mag(x)
+    out = _close(near * near, far * far, x)
+    return Interval(jnp.maximum(out.lo, 0), out.hi)
+
+
+def pown(x, n):
+    """Return x^n for a Python integer n; x^0 is 1. Source: IEEE 1788 pown."""
+    if not isinstance(n, (int, np.integer)) or isinstance(n, bool):
+        raise TypeError(f"the exponent must be an integer, not {n!r}")
+    if n < 0:
+        return recip(pown(x, -n))
+    if n == 0:
+        return _or_empty(jnp.ones_like(x.lo), jnp.ones_like(x.hi), x)
+    if n % 2:  # increasing: the ends carry the range
+        return _or_empty(_power(x.lo, n).lo, _power(x.hi, n).hi, x)
+    return _or_empty(jnp.maximum(_power(mig(x), n).lo, 0), _power(mag(x), n).hi, x)
+
+
+def _power(point, n):
+    """Enclose point^n by repeated squaring."""
+    base = Interval(point, point)
+    out = None
+    while n:
+        if n & 1:
+            out = base if out is None else mul(out, base)
+        n >>= 1
+        base = sqr(base) if n else base
+    return out
+
+
+def abs(x):
+    """Return |x|, exactly. Source: IEEE 1788 abs."""
+    return _or_empty(mig(x), mag(x), x)
+
+
+def min(x, y):
+    """Return the range of the smaller, exactly. Source: IEEE 1788 min."""
+    x, y = _pair(x, y)
+    return _or_empty(jnp.minimum(x.lo, y.lo), jnp.minimum(x.hi, y.hi), x, y)
+
+
+def max(x, y):
+    """Return the range of the larger, exactly. Source: IEEE 1788 max."""
+    x, y = _pair(x, y)
+    return _or_empty(jnp.maximum(x.lo, y.lo), jnp.maximum(x.hi, y.hi), x, y)
+
+
+def sum(x, axis=0):
+    """Return the sum along `axis`; the bound holds for any order of addition."""
+    lo, hi = rounding.outward_sum(x.lo, x.hi, axis)
+    return _or_empty(lo, hi, Interval(jnp.max(x.lo - x.hi, axis), jnp.zeros_like(lo)))
+
+
+def matmul(x, y):
+    """Return the matrix product of (..., n, k) or (k,) and (k, m) or (k,): every entry an enclosed sum of products."""
+    x, y = _pair(x, y)
+    if len(y.shape) == 1:
+        return sum(mul(x, y), axis=-1)
+    left, right = x[..., :, None], Interval(y.lo[..., None, :, :], y.hi[..., None, :, :]) if len(x.shape) > 1 else y
+    return sum(mul(left, right), axis=-2)
+
+
+def mid(x):
+    """Return a float inside x near its middle (0 for entire, NaN for empty). Source: IEEE 1788 mid."""
+    top = np.finfo(x.dtype).max
+    lo, hi = jnp.maximum(x.lo, -top), jnp.minimum(x.hi, top)
+    middle = jnp.clip(lo * 0.5 + hi * 0.5, lo, hi)
+    both = jnp.isinf(x.lo) & jnp.isinf(x.hi)
+    return jnp.where(x.is_empty, jnp.nan, jnp.where(both, 0, middle))
+
+
+def rad(x):
+    """Return a radius, rounded up, with x inside [mid - rad, mid + rad]; NaN for empty. Source: IEEE 1788 rad."""
+    m = mid(x)
+    spread = _close(jnp.zeros_like(m), jnp.maximum(m - x.lo, x.hi - m), x).hi
+    return jnp.where(x.is_empty, jnp.nan, jnp.where(x.lo == x.hi, 0, spread))
+
+
+def wid(x):
+    """Return hi - lo, rounded up; NaN for empty. Source: IEEE 1788 wid."""
+    width = _close(jnp.zeros_like(x.lo), x.hi - x.lo, x).hi
+    return jnp.where(x.is_empty, jnp.nan, jnp.where(x.lo == x.hi, 0, width))
+
+
+def mag(x):
+    """Return the largest absolute value; NaN for empty. Source: IEEE 1788 mag."""
+    return jnp.where(x.is_empty, jnp.nan, jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi)))
+
+
+def mig(x):
+    """Return the smallest absolute value; NaN for empty. Source: IEEE 1788 mig."""
+    return jnp.where(x.is_empty, jnp.nan, jnp.maximum(jnp.maximum(x.lo, -x.hi), 0))
+
+
+def hull(x, y):
+    """Return the smallest interval that holds both. Source: IEEE 1788 convexHull."""
+    x, y = _pair(x, y)
+    return Interval(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi))
+
+
+def intersection(x, y):
+    """Return what both share, possibly empty. Source: IEEE 1788 intersection."""
+    x, y = _pair(x, y)
+    lo, hi = jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi)
+    return _or_empty(lo, hi, Interval(lo, hi))
+
+
+def equal(x, y):
+    """True where both are the same set. Source: IEEE 1788 equal."""
+    x, y = _pair(x, y)
+    return (x.is_empty & y.is_empty) | ((x.lo == y.lo) & (x.hi == y.hi))
+
+
+def subset(x, y):
+    """True where x lies in y. Source: IEEE 1788 subset."""
+    x, y = _pair(x, y)
+    return x.is_empty | ((x.lo >= y.lo) & (x.hi <= y.hi))
+
+
+def interior(x, y):
+    """True where x lies in the interior of y. Source: IEEE 1788 interior."""
+    x, y = _pair(x, y)
+    below = (x.lo > y.lo) | (y.lo == -jnp.inf)
+    above = (x.hi < y.hi) | (y.hi == jnp.inf)
+    return x.is_empty | (below & above & ~y.is_empty)
+
+
+def disjoint(x, y):
+    """True where no point is shared. Source: IEEE 1788 disjoint."""
+    x, y = _pair(x, y)
+    return x.is_empty | y.is_empty | (x.hi < y.lo) | (y.hi < x.lo)
+
+
+def less(x, y):
+    """True where x is weakly below y: both ends are. Source: IEEE 1788 less."""
+    x, y = _pair(x, y)
+    return (x.is_empty & y.is_empty) | (~x.is_empty & ~y.is_empty & (x.lo <= y.lo) & (x.hi <= y.hi))
+
+
+def precedes(x, y):
+    """True where every point of x is <= every point of y. Source: IEEE 1788 precedes."""
+    x, y = _pair(x, y)
+    return x.is_empty | y.is_empty | (x.hi <= y.lo)
+
+
+def contains(x, point):
+    """True where the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
+    return (x.lo <= point) & (point <= x.hi) & jnp.isfinite(point)

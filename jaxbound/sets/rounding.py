@@ -1,0 +1,166 @@
+"""The only file that knows about ulps: how far a compiled floating-point result can be from the exact one.
+
+What a compiler may do to `a * b + c` is wide: contract it into one FMA, replace a division by a product with a
+reciprocal, add in any order, flush subnormals to zero on the way in and on the way out. Everything here holds under all of these.
+
+Notation: u is half the spacing of floats at 1, tiny the smallest normal number, both of the working dtype.
+
+**One operation** (`outward`). A compiled +, -, * or / whose exact result is r returns f with
+|f - r| <= 2.84 u |f| + tiny (2.84: a quotient by a reciprocal, 1.42 ulp; tiny: a flushed result). Subtracting
+4 u |f| + 2 tiny and rounding once more costs at most u |f|, and 2.84 + 1 < 4. The claim needs no barrier: contraction into an
+FMA only removes roundings.
+
+**One sum of products** (`residual_error`). See its docstring: a forward error bound that covers a whole residual, once.
+
+**Bounds and coefficients** come from decimals. `fraction_to_float` rounds them to nearest (counted in `residual_error`),
+`round_up` away from zero, so that a float bound is never smaller than the decimal the user wrote.
+"""
+
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+__all__ = [
+    "dd_add",
+    "dd_mul",
+    "fraction_to_float",
+    "outward",
+    "outward_sum",
+    "residual_error",
+    "round_down",
+    "round_up",
+    "settle_subnormals",
+    "tiny",
+    "two_prod",
+    "two_sum",
+    "unit",
+]
+
+
+def unit(dtype):
+    """Return the unit roundoff u (2^-53 in float64) as a scalar of `dtype`."""
+    return np.asarray(np.finfo(dtype).eps / 2, dtype)[()]
+
+
+def tiny(dtype):
+    """Return the smallest normal number of `dtype`: the largest error of a flushed subnormal."""
+    return np.asarray(np.finfo(dtype).tiny, dtype)[()]
+
+
+def outward(lo, hi):
+    """Widen the computed bounds (lo, hi) of one operation so that they enclose the exact ones.
+
+    A bound that overflowed to the wrong infinity falls back to the largest finite number.
+    """
+    u4, t2, top = 4 * unit(lo.dtype), 2 * tiny(lo.dtype), np.finfo(lo.dtype).max
+    lo_out = jnp.where(lo == jnp.inf, top, lo - (u4 * jnp.abs(lo) + t2))
+    hi_out = jnp.where(hi == -jnp.inf, -top, hi + (u4 * jnp.abs(hi) + t2))
+    return lo_out, hi_out
+
+
+def outward_sum(lo, hi, axis):
+    """Enclose the sums of lo and of hi along `axis`, in any order of addition.
+
+    n terms added in any order are off by at most (n - 1) u sum|x| / (1 - n u); the sum of magnitudes is off by as much again.
+    """
+    n = lo.shape[axis]
+    grow, floor = (n + 4) * unit(lo.dtype), (n + 2) * tiny(lo.dtype)
+    below = jnp.sum(lo, axis) - (grow * jnp.sum(jnp.abs(lo), axis) + floor)
+    above = jnp.sum(hi, axis) + (grow * jnp.sum(jnp.abs(hi), axis) + floor)
+    return below, above
+
+
+def residual_error(terms, dtype):
+    """Return (gamma, floor) such that a compiled strip test is safe with the slack gamma * scale + floor.
+
+    The test is |sum_i h_i m_i - sum_j k_j v_j| <= sum_i |h_i| r_i with, per row i,
+
+        d = y - offset,  m = d + sigma clip(d, -rho, rho),  r = rho + sigma max(|d|, rho),
+        scale = sum_i |h_i| ((1 + sigma_i)(|y_i| + |offset_i|) + r_i) + sum_j |k_j| (|v_j| + |offset_j|).
+
+    Proof, counting relative roundings, every one <= u: y and v may have been rounded once to the working dtype and so has each
+    offset, the difference adds one: 2 u (|y| + |offset|) on d. m adds two products and a sum: 5 u (1 + sigma)(|y| + |offset|).
+    h is a rounded rational times a rounded 1 / ((1 - sigma)(1 + sigma)): 8 u. A product adds 1, a sum of N terms N - 1, in any order.
+    Hence (N + 13) u on the left-hand side; likewise (N + 11) u on the right-hand side; comparing the two adds 2.
+    Sum: (2 N + 26) u scale to first order; 2 N + 32 covers second-order terms and the rounding of the slack itself for
+    N u < 1e-3. Each of at most 8 N operations may flush a result below `tiny`, after which a factor |h| may follow: `floor` is
+    to be multiplied by 1 + max|h|.
+    """
+    return np.asarray((2 * terms + 32) * unit(dtype), dtype)[()], np.asarray(8 * terms * tiny(dtype), dtype)[()]
+
+
+def settle_subnormals(lo, hi):
+    """Move subnormal bounds outward to 0 or to the smallest normal number: compiled code would read them as 0."""
+    return _settle(lo, up=False), _settle(hi, up=True)
+
+
+def _settle(x, up):
+    bits, mantissa, exponent = {8: (jnp.int64, 52, 0x7FF), 4: (jnp.int32, 23, 0xFF)}[x.dtype.itemsize]
+    pattern = jax.lax.bitcast_convert_type(x, bits)
+    subnormal = ((pattern >> mantissa) & exponent == 0) & (pattern & ((1 << mantissa) - 1) != 0)
+    edge = tiny(x.dtype)
+    moved = jnp.where(pattern < 0, 0 if up else -edge, edge if up else 0)
+    return jnp.where(subnormal, moved.astype(x.dtype), x)
+
+
+def fraction_to_float(value, dtype=np.float64):
+    """Round an exact rational to the nearest float; refuse one that `dtype` would flush to zero."""
+    out = np.asarray(float(value), dtype)[()]
+    if value != 0 and (abs(out) < tiny(dtype) or not np.isfinite(out)):
+        raise ValueError(
+            f"the coefficient {float(value):.3g} is outside the range of {np.dtype(dtype).name}: rescale the signals or use float64"
+        )
+    return out
+
+
+def round_up(value, dtype=np.float64):
+    """Return the float of `dtype` next above or equal to `value` (Fraction or float arrays), elementwise, on the host."""
+    return _directed(value, dtype, np.inf)
+
+
+def round_down(value, dtype=np.float64):
+    """Return the float of `dtype` next below or equal to `value` (Fraction or float arrays), elementwise, on the host."""
+    return _directed(value, dtype, -np.inf)
+
+
+def _directed(value, dtype, towards):
+    value = np.asarray(value)
+    exact = [Fraction(v) if np.isfinite(float(v)) else v for v in value.ravel().tolist()]
+    out = np.array([float(v) for v in exact], np.float64).astype(dtype)
+    for i, v in enumerate(exact):  # a handful of bounds, never samples
+        if isinstance(v, Fraction) and (out[i] < v if towards > 0 else out[i] > v):
+            out[i] = np.nextafter(out[i], np.asarray(towards, dtype))
+    return out.reshape(value.shape)
+
+
+def two_sum(a, b):
+    """Return (s, e) with s = fl(a + b) and s + e = a + b exactly (Knuth)."""
+    s = a + b
+    z = s - a
+    return s, (a - (s - z)) + (b - z)
+
+
+def two_prod(a, b):
+    """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow (Dekker's splitting)."""
+    split = np.asarray(2 ** -(-(np.finfo(a.dtype).nmant + 1) // 2) + 1, a.dtype)[()]
+    p = a * b
+    a_big, b_big = split * a, split * b
+    a_hi, b_hi = a_big - (a_big - a), b_big - (b_big - b)
+    a_lo, b_lo = a - a_hi, b - b_hi
+    return p, ((a_hi * b_hi - p) + a_hi * b_lo + a_lo * b_hi) + a_lo * b_lo
+
+
+def dd_add(x, y):
+    """Add two double-word numbers (hi, lo): about twice the digits of the dtype."""
+    s, e = two_sum(x[0], y[0])
+    t, f = two_sum(x[1], y[1])
+    s, e = two_sum(s, e + t)
+    return two_sum(s, e + f)
+
+
+def dd_mul(x, y):
+    """Multiply two double-word numbers (hi, lo)."""
+    p, e = two_prod(x[0], y[0])
+    return two_sum(p, e + (x[0] * y[1] + x[1] * y[0]))

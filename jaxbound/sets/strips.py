@@ -1,0 +1,145 @@
+"""Strips with fixed directions: the exact test of whether a known point lies in the image of a box, as one elementwise kernel.
+
+The set {h-combinations of b : b in a box with middle m and radius r} contains the known value k v iff, for every circuit h,
+
+    |sum_i h_i m_i - sum_j k_j v_j| <= sum_i |h_i| r_i                                        (strip)
+
+(Source: a zonotope is the intersection of the strips of its circuits; `golden` exactness theorem for Adrot 2000.) The gauge is the largest
+ratio of the two sides; the margin is 1 - gauge.
+
+m, r and the magnitudes are sequences with one entry a row; an entry is a scalar (one window) or an array over windows, and so is the
+result. A few circuits are unrolled with static supports, so that everything fuses into one pass over memory; many run in a scan over
+circuits, whose compile time does not grow with their number.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets import rounding
+from jaxbound.sets.status import Status
+
+__all__ = ["Strips", "strip_margin", "strip_verdict", "strips_of"]
+
+UNROLLED = 8  # up to here circuits are unrolled: above, compiling takes longer than a scan loses
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Strips:
+    """C circuits h with their action k on the known values, in floats (nearest to the exact rationals).
+
+    Fields: rows (C, w): which rows a circuit uses; h (C, w); k (C, l); supports: the rows once more, static, if there are few.
+    A circuit shorter than w repeats its first row with coefficient 0.
+    """
+
+    rows: jax.Array
+    h: jax.Array
+    k: jax.Array
+    supports: tuple | None = field(metadata={"static": True})
+
+    def astype(self, dtype):
+        """Return the strips in another float dtype; refuse coefficients that it would flush to zero."""
+        low = [np.abs(x[x != 0]).min(initial=1) for x in (self.h, self.k)]
+        high = [np.abs(x).max(initial=0) for x in (self.h, self.k)]
+        if np.min(low) < rounding.tiny(dtype) or np.max(high) > np.finfo(dtype).max:
+            raise ValueError(
+                f"the coefficients span {np.min(low):.1g} to {np.max(high):.1g}, more than {np.dtype(dtype).name} holds: rescale the signals or use float64"
+            )
+        return Strips(self.rows, self.h.astype(dtype), self.k.astype(dtype), self.supports)
+
+
+def strips_of(exact_h, exact_k):
+    """Build Strips from exact rows h (over the box) and k (over the known values).
+
+    Rows whose integers a float32 does not hold exactly are divided by their largest entry.
+    """
+    widest = max(sum(1 for x in h if x) for h in exact_h)
+    rows, coefficients, known = [], [], []
+    for h, k in zip(exact_h, exact_k, strict=True):
+        support = [i for i, x in enumerate(h) if x]
+        scale = max(abs(x) for x in h)
+        scale = 1 if scale.denominator == 1 and scale <= 2**24 else scale
+        padding = widest - len(support)
+        rows.append(support + support[:1] * padding)
+        coefficients.append([rounding.fraction_to_float(h[i] / scale) for i in support] + [0.0] * padding)
+        known.append([rounding.fraction_to_float(x / scale) for x in k])
+    supports = tuple(map(tuple, rows)) if len(rows) <= UNROLLED else None
+    return Strips(np.array(rows, np.int32), np.array(coefficients), np.array(known).reshape(len(rows), -1), supports)
+
+
+def strip_margin(strips, mid, rad, known):
+    """Return 1 - gauge, unrounded and differentiable; NaN where no circuit has all its data.
+
+    Args:
+        strips: C circuits over q rows and l known values.
+        mid, rad: q middles (NaN: absent) and radii of the box.
+        known: l known values.
+    """
+
+    def step(gauge, strip):
+        residual, width, _ = _one(strip, mid, rad, None, known, None)
+        return _larger(gauge, residual, width, jnp.isnan(residual))
+
+    gauge = _fold(step, jnp.full_like(mid[0], -1), strips)
+    return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
+
+
+def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
+    """Return (status int8, margin) with the status proved under any rounding that the compiler may choose.
+
+    FAULT: one circuit is violated by more than its error bound. CONSISTENT: every circuit holds by more than its error bound, and
+    the circuits describe the set exactly. Else UNDECIDED. MISSING: no circuit has all its data.
+
+    Args:
+        scale, known_scale: magnitudes of rows and known values as in `rounding.residual_error`, which has the proof.
+        lift: at least every factor that multiplied a row after its own rounding (scalar).
+    """
+    dtype = mid[0].dtype
+    gamma, floor = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], dtype)
+    floor = floor * (1 + jnp.max(jnp.abs(strips.h))) * lift
+
+    def step(carry, strip):
+        gauge, seen, out, open_ = carry
+        residual, width, magnitude = _one(strip, mid, rad, scale, known, known_scale)
+        error = gamma * magnitude + floor
+        here = ~jnp.isnan(magnitude)  # magnitudes only grow: NaN means absent data, overflow is inf and stays undecided
+        excess = jnp.abs(residual) - width
+        return _larger(gauge, residual, width, ~here), seen | here, out | (excess > error), open_ | (here & ~(excess <= -error))
+
+    no = jnp.zeros_like(mid[0], bool)
+    gauge, seen, out, open_ = _fold(step, (jnp.full_like(mid[0], -1), no, no, no), strips)
+    status = jnp.where(out, Status.FAULT, jnp.where(open_, Status.UNDECIDED, Status.CONSISTENT))
+    return jnp.where(seen, status, Status.MISSING).astype(jnp.int8), jnp.where(seen, 1 - gauge, jnp.nan)
+
+
+def _one(strip, mid, rad, scale, known, known_scale):
+    """Evaluate one strip: the residual, its largest healthy size and the magnitude that its rounding error is relative to."""
+    rows, h, k = strip
+    residual, width, magnitude = 0, 0, 0
+    for a in range(len(rows)):
+        i, size = rows[a], jnp.abs(h[a])
+        residual += h[a] * mid[i]
+        width += size * rad[i]
+        magnitude += size * scale[i] if scale is not None else 0
+    for b in range(k.shape[0]):  # a missing value counts only where it is used
+        residual -= jnp.where(k[b] == 0, 0, k[b] * known[b])
+        magnitude += jnp.where(k[b] == 0, 0, jnp.abs(k[b]) * known_scale[b]) if known_scale is not None else 0
+    return residual, width, magnitude
+
+
+def _larger(gauge, residual, width, absent):
+    """Update the gauge; absent circuits leave it as it is, with zero gradient."""
+    width = jnp.maximum(jnp.where(absent, 1, width), rounding.tiny(residual.dtype))
+    return jnp.maximum(gauge, jnp.where(absent, -1, jnp.abs(jnp.where(absent, 0, residual)) / width))
+
+
+def _fold(step, carry, strips):
+    """Run `step` over all circuits: unrolled if their supports are static, else in a scan."""
+    if strips.supports is not None:
+        for c, support in enumerate(strips.supports):
+            carry = step(carry, (support, strips.h[c], strips.k[c]))
+        return carry
+    return jax.lax.scan(lambda c, s: (step(c, s), None), carry, (strips.rows, strips.h, strips.k))[0]

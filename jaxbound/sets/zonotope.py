@@ -1,0 +1,151 @@
+"""Zonotopes with fixed generators: their strips, exactly, and membership with a guaranteed sign."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets import exact
+from jaxbound.sets.interval import Interval, interval, matmul
+from jaxbound.sets.status import Status
+from jaxbound.sets.strips import strip_verdict, strips_of
+
+__all__ = ["Zonotope", "membership", "strips", "support", "zonotope"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Zonotope:
+    """{center + generators x : every |x_i| <= 1}; center (n,), generators (n, q), columns are generators. Build it with `zonotope`."""
+
+    center: jax.Array
+    generators: jax.Array
+
+    def hull(self):
+        """Return the smallest box around it, rounded outward: an Interval (n,)."""
+        spread = matmul(interval(jnp.abs(self.generators)), interval(jnp.ones(self.generators.shape[1:], self.center.dtype))).hi
+        return interval(self.center) + Interval(-spread, spread)
+
+
+def zonotope(center, generators):
+    """Build a Zonotope from center (n,) and generators (n, q).
+
+    Raises:
+        ValueError: shapes that do not fit, NaN or infinity.
+
+    Example:
+        >>> zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]]).generators.shape
+        (2, 2)
+    """
+    center, generators = np.asarray(center), np.asarray(generators)
+    if center.ndim != 1 or generators.ndim != 2 or len(center) != len(generators) or not len(center):
+        raise ValueError(f"zonotope needs center (n,) and generators (n, q): their shapes are {center.shape} and {generators.shape}")
+    dtype = jnp.result_type(center, generators, np.float32 if center.dtype == np.float32 == generators.dtype else float)
+    for name, x in (("center", center), ("generators", generators)):
+        if not np.isfinite(x.astype(float)).all():
+            raise ValueError(f"{name} must be finite: {(~np.isfinite(x.astype(float))).sum()} of {x.size} entries are not")
+    return Zonotope(jnp.asarray(center, dtype), jnp.asarray(generators, dtype))
+
+
+def strips(Z):
+    """Return the strip representation: p is in Z iff |normal . (p - center)| <= half-width for every strip.
+
+    Computed exactly from the generators' floats, so zero, parallel and dependent generators need no care; directions in which Z is flat
+    come last with half-width 0.
+
+    Args:
+        Z: a Zonotope of concrete numbers (not inside jit).
+
+    Returns:
+        normals (k, n), largest entry 1, and half-widths (k,), as NumPy arrays rounded to nearest.
+
+    Example:
+        >>> normals, widths = strips(zonotope([0.0, 0.0], [[1.0, 1.0], [0.0, 1.0]]))
+        >>> sorted(zip(normals.tolist(), widths.tolist()))
+        [([0.0, 1.0], 1.0), ([1.0, -1.0], 1.0)]
+    """
+    found = _exact_strips(Z)
+    n = Z.center.shape[0]
+    normals = np.array([[float(x) for x in normal] for normal, _ in found]).reshape(-1, n)
+    return normals, np.array([float(w) for _, w in found])
+
+
+def _exact_strips(Z):
+    """Return [(normal, half-width)] as exact numbers."""
+    if isinstance(Z.generators, jax.core.Tracer):
+        raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
+    G = [[Fraction(float(x)) for x in row] for row in np.asarray(Z.generators)]
+    n, q = np.shape(Z.generators)
+    flat = exact.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
+    out = []
+    if q and any(any(row) for row in G):
+        kernel = exact.transpose(exact.left_null_space(exact.transpose(G)))  # G kernel = 0
+        shadows = exact.circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
+        basis, pivots = exact.row_reduce([(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)])
+        for g in shadows:  # normal' G = g: combine the reduced rows with the entries of g at their pivots
+            normal = [sum((g[p] * row[q + j] for row, p in zip(basis, pivots, strict=True) if p < q), Fraction(0)) for j in range(n)]
+            out.append((normal, sum(map(abs, g))))
+    out = [([x / s for x in normal], w / s) for normal, w in out if (s := max(map(abs, normal)))]
+    return out + [([x / max(map(abs, normal)) for x in normal], Fraction(0)) for normal in flat]
+
+
+def membership(Z, points):
+    """Return the margin 1 - gauge of each point: > 0 proved inside, < 0 proved outside, 0 where rounding cannot tell.
+
+    The gauge is the factor on all generators at which the point just belongs to Z; -inf margin outside the plane of a flat Z.
+
+    Args:
+        Z: a Zonotope of concrete numbers.
+        points: (N, n).
+
+    Returns:
+        (N,) margins.
+
+    Raises:
+        ValueError: points of another dimension, NaN or infinity.
+
+    Example:
+        >>> membership(zonotope([0.0], [[2.0]]), [[1.0], [3.0]])
+        array([ 0.5, -0.5]...)
+    """
+    points = np.asarray(points)
+    n = Z.center.shape[0]
+    if points.ndim != 2 or points.shape[1] != n:
+        raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
+    if not np.isfinite(points.astype(float)).all():
+        raise ValueError(f"points must be finite: first not at {tuple(np.argwhere(~np.isfinite(points.astype(float)))[0].tolist())}")
+    found = _exact_strips(Z)
+    dtype = Z.center.dtype
+    table = strips_of([(*normal, width) for normal, width in found], [() for _ in found]).astype(dtype)
+    status, margin = _membership(table, Z.center, jnp.asarray(points, dtype))
+    proved = {Status.FAULT: margin < 0, Status.CONSISTENT: margin > 0}
+    keep = np.logical_or.reduce([(np.asarray(status) == s) & np.asarray(ok) for s, ok in proved.items()])
+    return np.where(keep, margin, np.zeros((), dtype))
+
+
+@jax.jit
+def _membership(table, center, points):
+    zero, one = jnp.zeros_like(points[:, 0]), jnp.ones_like(points[:, 0])
+    mid = [points[:, i] - center[i] for i in range(points.shape[1])] + [zero]
+    scale = [abs(points[:, i]) + abs(center[i]) for i in range(points.shape[1])] + [one]
+    status, margin = strip_verdict(table, mid, [zero] * points.shape[1] + [one], scale, [], [], 1)
+    return status, jnp.where(jnp.isnan(margin), -jnp.inf, margin)
+
+
+def support(Z, direction):
+    """Return an upper bound, tight to rounding, of max direction . p over Z.
+
+    Args:
+        Z: a Zonotope; direction: (n,).
+
+    Example:
+        >>> float(support(zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]), [1.0, 1.0]))
+        13.0000...
+    """
+    d = interval(jnp.asarray(direction, Z.center.dtype))
+    return (
+        matmul(d, interval(Z.center))
+        + matmul(abs(matmul(d, interval(Z.generators))), interval(jnp.ones(Z.generators.shape[1], Z.center.dtype)))
+    ).hi

@@ -1,0 +1,41 @@
+"""One place for what every test needs: float64, strict promotion, the shared golden values and recordings."""
+
+import json
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+SHARED = Path(os.environ.get("JAXBOUND_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+
+
+@pytest.fixture(scope="session")
+def shared():
+    """Return a function that finds a file of the shared folder and skips the test, saying so, where it is absent."""
+
+    def find(name):
+        path = SHARED / name
+        if not path.exists():
+            pytest.skip(f"{name} is not here: the shared folder with golden values and recordings is absent")
+        return path
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def golden(shared):
+    """Return the golden values of Adrot 2000 and Ploix 2006."""
+    return json.loads(shared("golden/adrot2000_ploix2006.json").read_text())
+
+
+@pytest.fixture
+def rng(request):
+    """Return a generator with a fresh seed, printed so that a failure can be repeated with JAXBOUND_SEED."""
+    seed = int(os.environ.get("JAXBOUND_SEED", np.random.SeedSequence().entropy % 2**32))
+    print(f"{request.node.name}: JAXBOUND_SEED={seed}")
+    return np.random.default_rng(seed)
