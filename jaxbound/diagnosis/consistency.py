@@ -13,7 +13,7 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.models import recording, sensor
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.status import Status
-from jaxbound.sets.strips import UNROLLED, strip_margin, strip_verdict
+from jaxbound.sets.strips import UNROLLED, status_of, strip_margin, strip_verdict
 
 __all__ = ["detect", "margins"]
 
@@ -111,7 +111,9 @@ def margins(relations, u, y):
 @jax.jit
 def _verdicts(test, u, y):
     mid, rad, scale, known, known_scale = test.rows(u, y)
-    return strip_verdict(test.strips, mid, rad, scale, known, known_scale, sensor.lift(test.tolerance))
+    margin = strip_verdict(test.strips, mid, rad, scale, known, known_scale, sensor.lift(test.tolerance))
+    margin = jax.lax.optimization_barrier(margin)  # else the compiler works out everything once for each of the two results
+    return status_of(margin), margin
 
 
 @jax.jit

@@ -21,7 +21,7 @@ import numpy as np
 from jaxbound.sets import rounding
 from jaxbound.sets.status import Status
 
-__all__ = ["Strips", "strip_margin", "strip_verdict", "strips_of"]
+__all__ = ["Strips", "status_of", "strip_margin", "strip_verdict", "strips_of"]
 
 UNROLLED = 8  # up to here circuits are unrolled: above, compiling takes longer than a scan loses
 
@@ -88,31 +88,36 @@ def strip_margin(strips, mid, rad, known):
 
 
 def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
-    """Return (status int8, margin) with the status proved under any rounding that the compiler may choose.
+    """Return the margin with a proved sign: > 0 inside, < 0 outside, 0 where rounding cannot tell, NaN where no circuit has its data.
 
-    FAULT: one circuit is violated by more than its error bound. CONSISTENT: every circuit holds by more than its error bound, and
-    the circuits describe the set exactly. Else UNDECIDED. MISSING: no circuit has all its data.
+    Outside: one circuit is violated by more than its error bound. Inside: every circuit with data holds by more than its error bound, and
+    the circuits describe the set exactly. Holds under any rounding that the compiler may choose.
 
     Args:
+        strips, mid, rad, known: as for `strip_margin`.
         scale, known_scale: magnitudes of rows and known values as in `rounding.residual_error`, which has the proof.
         lift: at least every factor that multiplied a row after its own rounding (scalar).
     """
-    dtype = mid[0].dtype
-    gamma, floor = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], dtype)
+    gamma, floor = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
     floor = floor * (1 + jnp.max(jnp.abs(strips.h))) * lift
 
     def step(carry, strip):
-        gauge, seen, out, open_ = carry
+        gauge, out, open_ = carry
         residual, width, magnitude = _one(strip, mid, rad, scale, known, known_scale)
         error = gamma * magnitude + floor
-        here = ~jnp.isnan(magnitude)  # magnitudes only grow: NaN means absent data, overflow is inf and stays undecided
+        absent = jnp.isnan(magnitude)  # magnitudes only grow: NaN means absent data, overflow is inf and stays undecided
         excess = jnp.abs(residual) - width
-        return _larger(gauge, residual, width, ~here), seen | here, out | (excess > error), open_ | (here & ~(excess <= -error))
+        return _larger(gauge, residual, width, ~(magnitude < jnp.inf)), out | (excess > error), open_ | ~(absent | (excess <= -error))
 
     no = jnp.zeros_like(mid[0], bool)
-    gauge, seen, out, open_ = _fold(step, (jnp.full_like(mid[0], -1), no, no, no), strips)
-    status = jnp.where(out, Status.FAULT, jnp.where(open_, Status.UNDECIDED, Status.CONSISTENT))
-    return jnp.where(seen, status, Status.MISSING).astype(jnp.int8), jnp.where(seen, 1 - gauge, jnp.nan)
+    gauge, out, open_ = _fold(step, (jnp.full_like(mid[0], -1), no, no), strips)
+    return jnp.where(open_ & ~out, 0, jnp.where(gauge == -1, jnp.nan, 1 - gauge))
+
+
+def status_of(margin):
+    """Read the proved sign of a margin as a Status (int8)."""
+    status = jnp.where(margin < 0, Status.FAULT, jnp.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
+    return jnp.where(jnp.isnan(margin), Status.MISSING, status).astype(jnp.int8)
 
 
 def _one(strip, mid, rad, scale, known, known_scale):
@@ -130,10 +135,10 @@ def _one(strip, mid, rad, scale, known, known_scale):
     return residual, width, magnitude
 
 
-def _larger(gauge, residual, width, absent):
-    """Update the gauge; absent circuits leave it as it is, with zero gradient."""
-    width = jnp.maximum(jnp.where(absent, 1, width), rounding.tiny(residual.dtype))
-    return jnp.maximum(gauge, jnp.where(absent, -1, jnp.abs(jnp.where(absent, 0, residual)) / width))
+def _larger(gauge, residual, width, skip):
+    """Update the gauge; circuits to skip leave it as it is, with zero gradient. (A maximum stays vectorised, a select by > does not.)"""
+    width = jnp.maximum(jnp.where(skip, 1, width), rounding.tiny(residual.dtype))
+    return jnp.maximum(gauge, jnp.where(skip, -1, jnp.abs(jnp.where(skip, 0, residual)) / width))
 
 
 def _fold(step, carry, strips):
