@@ -14,7 +14,7 @@ from jaxbound.sets.status import Status
 from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
 
 __all__ = [
-    "Alarm", "Fault", "Interval", "LinearSystem", "ParityRelation", "Paving", "Result", "Status", "Trajectory", "Zonotope", "detect", "interval",
-    "margins", "membership", "parity_relations", "pave", "sets", "simulate", "strips", "zonotope",
+    "Alarm", "Fault", "Interval", "LinearSystem", "ParityRelation", "Paving", "Result", "Status", "Trajectory", "Zonotope", "detect",
+    "interval", "margins", "membership", "parity_relations", "pave", "sets", "simulate", "strips", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"

@@ -28,9 +28,9 @@ def detect(relations, u, y, method="joint", budget=None, progress=None):
         relations: from `parity_relations`.
         u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or DataFrames with the model's columns. NaN marks a missing
             sample. u is None for a model without inputs. Leading axes are recordings of their own.
-        method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each relation alone:
-            FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's adaptive
-            bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED.
+        method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each
+            relation alone: FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's
+            adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED.
         budget: for "paving", (q, max_boxes): stop at r > q - 1; default (3, 1_000_000).
         progress: called with the share of the work done, after each block.
 

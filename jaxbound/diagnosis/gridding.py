@@ -17,7 +17,7 @@ __all__ = ["internal_form", "pave_windows"]
 
 
 def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi):
-    """Enclose p_int = W mu, mu = (theta y + rho delta) / (1 + theta), for z = (theta / tolerance, delta) in boxes of [-1, 1]. Source: (9)."""
+    """Enclose p_int = W mu, mu = (theta y + rho delta) / (1 + theta), z = (theta / tolerance, delta) in [-1, 1]. Source: (9)."""
     half = y_lo.shape[0]
     theta, delta = z[:half] * interval(tolerance), z[half:]
     mu = (theta * Interval(y_lo, y_hi) + interval(rho) * delta) / (1 + theta)
@@ -25,7 +25,7 @@ def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi):
 
 
 def pave_windows(relations, u, y, q, max_boxes, progress):
-    """Return (status, margin) of all windows by adaptive paving; windows with a NaN are MISSING; margin is NaN: a paving does not measure."""
+    """Return (status, margin) of all windows by adaptive paving; windows with NaN are MISSING. The margin is NaN: no gauge is measured."""
     model, s, dtype = relations.model, relations.horizon, y.dtype
     status = np.full(y.shape[:-1], Status.MISSING, np.int8)
     if y.shape[-2] > s:

@@ -48,7 +48,8 @@ class Result:
     def alarms(self, k=1, n=1, hold=0, clear=1):
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.
 
-        An alarm starts where k of the last n windows are FAULT, stays on for `hold` samples after that ceases, and ends once `clear` samples in a row are quiet.
+        An alarm starts where k of the last n windows are FAULT, stays on for `hold` samples after that ceases, and ends once `clear`
+        samples in a row are quiet.
 
         Args:
             k, n: 1 <= k <= n. hold: >= 0. clear: >= 1. All in samples.

@@ -52,7 +52,8 @@ def refuse_infinite(name, data, channels):
     if bad.any():
         first = np.argwhere(bad)[0]
         raise ValueError(
-            f"{name} must be finite (NaN marks a missing sample): {bad.sum()} infinite, first in {channels[first[-1]]!r} at sample {first[-2]}"
+            f"{name} must be finite (NaN marks a missing sample): {bad.sum()} of {bad.size} numbers are infinite, "
+            f"first in {channels[first[-1]]!r} at sample {first[-2]}"
         )
 
 
@@ -85,7 +86,8 @@ def _channels(x, name, channels):
         x = x[:, None]
     if x.ndim < 2 or x.shape[-1] != len(channels):
         raise ValueError(
-            f"{name} must have shape (..., T, {len(channels)}), time first, one column for each of {', '.join(channels) or 'no signal'}: its shape is {x.shape}"
+            f"{name} must have shape (..., T, {len(channels)}), time first, one column for each of "
+            f"{', '.join(channels) or 'no signal'}: its shape is {x.shape}"
         )
     return x
 

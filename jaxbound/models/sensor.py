@@ -16,7 +16,7 @@ from jaxbound.sets import rounding
 __all__ = ["RECORDER_ULPS", "true_value"]
 
 RECORDER_ULPS = 4
-"""A recorded sample is known to this many unit roundoffs of its float type, relative to the largest |y| of its signal in the window plus the noise."""
+"""A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the window plus noise."""
 
 
 def true_value(samples, tolerance, noise, resolution, offset):

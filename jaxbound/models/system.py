@@ -54,9 +54,9 @@ class LinearSystem:
         (2, 1, 2, ('y1', 'y2'))
     """
 
-    def __init__(self, A, B, C, D=None, dt=1.0, *, tolerance=0.0, noise=0.0, constant_tolerance=False, resolution=None, E=None, unknown_inputs=None,
-                 disturbance=None, uncertainties=(), decouple=(), inputs=None, outputs=None, states=None, units=None, offset=None, columns=None,
-                 provenance=None, name="model"):  # fmt: skip
+    def __init__(self, A, B, C, D=None, dt=1.0, *, tolerance=0.0, noise=0.0, constant_tolerance=False, resolution=None, E=None,
+                 unknown_inputs=None, disturbance=None, uncertainties=(), decouple=(), inputs=None, outputs=None, states=None,
+                 units=None, offset=None, columns=None, provenance=None, name="model"):  # fmt: skip
         reserved = {"constant_tolerance": constant_tolerance, "E": E, "unknown_inputs": unknown_inputs, "disturbance": disturbance,
                     "uncertainties": uncertainties, "decouple": decouple}  # fmt: skip
         for field, value in reserved.items():

@@ -41,7 +41,7 @@ def first_form(model, horizon):
 
 
 def second_form(model, horizon):
-    """Return (L, M, N, F) with Y = L X + F U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}). Source: (10)-(12), with feedthrough F."""
+    """Return (L, M, N, F) with Y = L X + F U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}). Source: (10)-(12)."""
     n, m, lags = model.n, model.m, input_lags(model, horizon)
     L, F, M, N = [], [], [], []
     for j in range(horizon + 1):

@@ -98,8 +98,15 @@ class ParityRelation:
         model, strips = self.model, self._joint if method == "joint" else self._alone
         nearest = np.vectorize(float, otypes=[np.float64])
         return WindowTest(
-            strips.astype(dtype), *(_cast(self.bounds[k], dtype) for k in ("tolerance", "noise")), rounding.round_up(list(model.resolution), dtype),
-            nearest(model.offset["u"]).astype(dtype), nearest(model.offset["y"]).astype(dtype), self.horizon, window.input_lags(model, self.horizon))  # fmt: skip
+            strips.astype(dtype),
+            _cast(self.bounds["tolerance"], dtype),
+            _cast(self.bounds["noise"], dtype),
+            rounding.round_up(list(model.resolution), dtype),
+            nearest(model.offset["u"]).astype(dtype),
+            nearest(model.offset["y"]).astype(dtype),
+            self.horizon,
+            window.input_lags(model, self.horizon),
+        )
 
     def with_bounds(self, bounds):
         """Return the same relations under other bounds.
@@ -188,20 +195,18 @@ def _cast(bound, dtype):
 
 @jax.jit
 def _forms(test, u, y):
-    s, e = test.horizon, 1 / ((1 - test.tolerance) * (1 + test.tolerance))
+    s, p = test.horizon, y.shape[1]
     mid, rad, _, known, _ = test.rows(u, y)
-    p = y.shape[1]
+    mid, rad = jnp.stack(mid), jnp.stack(rad)
+    samples = jnp.stack([y[j : j + mid.shape[1], i] - test.offset_y[i] for j in range(s + 1) for i in range(p)])
     external, centre, width = [], [], []
     for c in range(test.strips.h.shape[0]):
         rows, h, k = test.strips.rows[c], test.strips.h[c], test.strips.k[c]
-        samples = jnp.stack([y[j : j + mid[0].shape[0], i] - test.offset_y[i] for j in range(s + 1) for i in range(p)])
         external.append(h @ samples[rows] - sum(jnp.where(k[b] == 0, 0, k[b] * known[b]) for b in range(len(known))))
-        centre.append(h @ (samples[rows] - jnp.stack(mid)[rows]))
-        width.append(abs(h) @ jnp.stack(rad)[rows])
-    del e
-    pad = [((s, 0), (0, 0))] * 3
-    out = (jnp.stack(external, 1), jnp.stack(centre, 1) - jnp.stack(width, 1), jnp.stack(centre, 1) + jnp.stack(width, 1))
-    return tuple(jnp.pad(x, w, constant_values=jnp.nan) for x, w in zip(out, pad, strict=True))
+        centre.append(h @ (samples[rows] - mid[rows]))
+        width.append(abs(h) @ rad[rows])
+    external, centre, width = (jnp.stack(x, 1) for x in (external, centre, width))
+    return tuple(jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in (external, centre - width, centre + width))
 
 
 def parity_relations(model, horizon=None, form="first"):
@@ -240,7 +245,8 @@ def parity_relations(model, horizon=None, form="first"):
     null = exact.left_null_space(O)
     if not null:
         raise ValueError(
-            f"horizon {horizon} gives no relation: {len(O)} samples do not outnumber the {model.n} states; the smallest horizon with one is {_first_horizon(model)}"
+            f"horizon {horizon} gives no relation: {len(O)} samples do not outnumber the {model.n} states; "
+            f"the smallest horizon with one is {_first_horizon(model)}"
         )
     try:
         circuits = exact.circuits(O, limit=MAX_CIRCUITS)

@@ -67,9 +67,17 @@ def outward_sum(lo, hi, axis):
     """
     n = lo.shape[axis]
     grow, floor = (n + 4) * unit(lo.dtype), (n + 2) * tiny(lo.dtype)
-    below = jnp.sum(lo, axis) - (grow * jnp.sum(jnp.abs(lo), axis) + floor)
-    above = jnp.sum(hi, axis) + (grow * jnp.sum(jnp.abs(hi), axis) + floor)
+    below = _total(lo, axis) - (grow * _total(jnp.abs(lo), axis) + floor)
+    above = _total(hi, axis) + (grow * _total(jnp.abs(hi), axis) + floor)
     return below, above
+
+
+def _total(x, axis):
+    """Add along a short axis term by term, which fuses with its surroundings; a reduction does not."""
+    if x.shape[axis] > 32:
+        return jnp.sum(x, axis)
+    parts = [jax.lax.index_in_dim(x, i, axis, keepdims=False) for i in range(x.shape[axis])]
+    return sum(parts[1:], parts[0]) if parts else jnp.sum(x, axis)
 
 
 def residual_error(terms, dtype):

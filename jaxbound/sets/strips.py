@@ -46,7 +46,8 @@ class Strips:
         high = [np.abs(x).max(initial=0) for x in (self.h, self.k)]
         if np.min(low) < rounding.tiny(dtype) or np.max(high) > np.finfo(dtype).max:
             raise ValueError(
-                f"the coefficients span {np.min(low):.1g} to {np.max(high):.1g}, more than {np.dtype(dtype).name} holds: rescale the signals or use float64"
+                f"the coefficients span {np.min(low):.1g} to {np.max(high):.1g}, more than {np.dtype(dtype).name} holds: "
+                "rescale the signals or use float64"
             )
         return Strips(self.rows, self.h.astype(dtype), self.k.astype(dtype), self.supports)
 
@@ -79,6 +80,8 @@ def strip_margin(strips, mid, rad, known):
         known: l known values.
     """
 
+    mid, rad = _indexable(strips, mid, rad)
+
     def step(gauge, strip):
         residual, width, _ = _one(strip, mid, rad, None, known, None)
         return _larger(gauge, residual, width, jnp.isnan(residual))
@@ -100,6 +103,8 @@ def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
     """
     gamma, floor = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
     floor = floor * (1 + jnp.max(jnp.abs(strips.h))) * lift
+
+    mid, rad, scale = _indexable(strips, mid, rad, scale)
 
     def step(carry, strip):
         gauge, out, open_ = carry
@@ -139,6 +144,11 @@ def _larger(gauge, residual, width, skip):
     """Update the gauge; circuits to skip leave it as it is, with zero gradient. (A maximum stays vectorised, a select by > does not.)"""
     width = jnp.maximum(jnp.where(skip, 1, width), rounding.tiny(residual.dtype))
     return jnp.maximum(gauge, jnp.where(skip, -1, jnp.abs(jnp.where(skip, 0, residual)) / width))
+
+
+def _indexable(strips, *rows):
+    """Stack the rows for a scan, which picks them by traced numbers."""
+    return rows if strips.supports is not None else tuple(map(jnp.stack, rows))
 
 
 def _fold(step, carry, strips):
