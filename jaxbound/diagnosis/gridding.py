@@ -4,12 +4,14 @@ Sound and slow; the exact joint test replaces it. Kept because it is the method 
 because it converges from outside to what the joint test computes.
 """
 
+import functools
+
 import numpy as np
 
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.window import input_lags
 from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, interval, matmul
+from jaxbound.sets.interval import Interval, add, interval, matmul
 from jaxbound.sets.paving import pave
 from jaxbound.sets.status import Status
 
@@ -18,10 +20,13 @@ __all__ = ["internal_form", "pave_windows"]
 
 def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi):
     """Enclose p_int = W mu, mu = (theta y + rho delta) / (1 + theta), z = (theta / tolerance, delta) in [-1, 1]. Source: (9)."""
-    half = y_lo.shape[0]
-    theta, delta = z[:half] * interval(tolerance), z[half:]
-    mu = (theta * Interval(y_lo, y_hi) + interval(rho) * delta) / (1 + theta)
-    return matmul(Interval(W_lo, W_hi), mu)
+    rows = y_lo.shape[0]
+    y, sigma, rho, W = Interval(y_lo, y_hi), interval(tolerance), interval(rho), Interval(W_lo, W_hi)
+    mu = []
+    for i in range(rows):
+        theta, delta = z[i] * sigma[i], z[rows + i]
+        mu.append((theta * y[i] + rho[i] * delta) / (1 + theta))
+    return [functools.reduce(add, (W[r, i] * mu[i] for i in range(rows))) for r in range(W.shape[0])]
 
 
 def pave_windows(relations, u, y, q, max_boxes, progress):

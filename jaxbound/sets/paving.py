@@ -7,8 +7,9 @@ list is worked off level by level for all targets of a batch at once, which give
 Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded box goes on with step (5), and closed containment.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,6 @@ class Paving:
         status: int8, one a target: FAULT (proved: the target is not in the image) or UNDECIDED; None without a target.
         boxes: Interval (N, n), what is left of the box; owner (N,): the target that each belongs to.
         evaluated: boxes evaluated, one count a target.
-        images: Interval (N, m), the enclosures of f over `boxes`.
         witness: None; a proof of membership by existence tests is not implemented yet.
     """
 
@@ -39,8 +39,13 @@ class Paving:
     boxes: Interval
     owner: np.ndarray
     evaluated: np.ndarray
-    images: Interval
     witness: None = None
+    _again: Callable = None
+
+    @cached_property
+    def images(self):
+        """Interval (N, m): the enclosures of f over `boxes`, evaluated when first asked for."""
+        return self._again()
 
     def area(self):
         """Return the area of the union of the images in the plane (m = 2), to rounding.
@@ -116,13 +121,13 @@ def pave(f, box, target=None, subdivision="adaptive", q=10, cut="alternate", max
         depth = len(lo) * (int(q) - 1) if max_depth is None else max_depth
         found = _adaptive(f, lo, hi, goal, args, depth, cut, max_boxes, progress)
     left_lo, left_hi, owner, evaluated = found
-    images = _images(f, left_lo, left_hi, owner, args)
     status = None
     if goal is not None:
         status = np.where(np.bincount(owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
     if single:
         status, evaluated = None if status is None else status[0], evaluated[0]
-    return Paving(status, Interval(jnp.asarray(left_lo.T), jnp.asarray(left_hi.T)), owner, evaluated, images)
+    return Paving(status, Interval(jnp.asarray(left_lo.T), jnp.asarray(left_hi.T)), owner, evaluated,
+                  _again=partial(_images, f, left_lo, left_hi, owner, args))  # fmt: skip
 
 
 def _goals(target, dtype):
@@ -137,28 +142,27 @@ def _goals(target, dtype):
 
 
 def _evaluate(f, lo, hi, args):
-    """Enclose f over boxes (n, N) with args (N, ...): Interval of (m, N)."""
+    """Enclose f over boxes (n, N) with args (..., N): a list of m Intervals (N,). Stacking them would break the fusion."""
+    return jax.vmap(lambda lo, hi, *a: list(f(Interval(lo, hi), *a)), in_axes=-1)(lo, hi, *args)
 
-    def one(lo, hi, *a):
-        out = f(Interval(lo, hi), *a)
-        return out if isinstance(out, Interval) else Interval(jnp.stack([x.lo for x in out]), jnp.stack([x.hi for x in out]))
 
-    return jax.vmap(one, in_axes=(1, 1) + (0,) * len(args), out_axes=1)(lo, hi, *args)
+def _of_owner(args, owner):
+    """Return args (B, ...) as (..., N), each column that of the box's target."""
+    return tuple(jnp.moveaxis(a, 0, -1)[..., owner] for a in args)
 
 
 @partial(jax.jit, static_argnums=0)
 def _meets(f, lo, hi, owner, goal, args):
     """True for each box (n, N) whose image meets the target of its owner (closed sets)."""
-    image = _evaluate(f, lo, hi, tuple(a[owner] for a in args))
     meet = jnp.ones(lo.shape[1:], bool)
-    for j in range(image.lo.shape[0]):
-        meet &= (image.lo[j] <= goal.hi[:, j][owner]) & (goal.lo[:, j][owner] <= image.hi[j])
+    for j, image in enumerate(_evaluate(f, lo, hi, _of_owner(args, owner))):
+        meet &= (image.lo <= goal.hi[:, j][owner]) & (goal.lo[:, j][owner] <= image.hi)
     return meet
 
 
 @partial(jax.jit, static_argnums=0)
 def _image_block(f, lo, hi, owner, args):
-    return _evaluate(f, lo, hi, tuple(a[owner] for a in args))
+    return _evaluate(f, lo, hi, _of_owner(args, owner))
 
 
 def _in_blocks(kernel, lo, hi, owner):
@@ -181,7 +185,7 @@ def _images(f, lo, hi, owner, args):
     parts = _in_blocks(lambda *b: _image_block(f, *b, args), lo, hi, owner)
     if not parts:
         return Interval(jnp.zeros((0, 0), lo.dtype), jnp.zeros((0, 0), lo.dtype))
-    join = lambda end: jnp.asarray(np.concatenate([np.asarray(getattr(x, end))[:, :count] for x, count in parts], 1).T)
+    join = lambda end: jnp.asarray(np.concatenate([np.stack([getattr(x, end) for x in image], 1)[:count] for image, count in parts]))
     return Interval(join("lo"), join("hi"))
 
 
@@ -239,10 +243,9 @@ def _uniform(f, lo, hi, goal, args, count, q, progress):
 def _meets_uniform(f, lo, hi, goal, args):
     def one(now):
         (goal_lo, goal_hi), a = now
-        image = _evaluate(lambda z: f(z, *a), lo, hi, ())
         meet = jnp.ones(lo.shape[1:], bool)
-        for j in range(image.lo.shape[0]):
-            meet &= (image.lo[j] <= goal_hi[j]) & (goal_lo[j] <= image.hi[j])
+        for j, image in enumerate(_evaluate(lambda z: f(z, *a), lo, hi, ())):
+            meet &= (image.lo <= goal_hi[j]) & (goal_lo[j] <= image.hi)
         return meet
 
     return jax.lax.map(one, ((goal.lo, goal.hi), args))
