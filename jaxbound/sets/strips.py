@@ -84,7 +84,9 @@ def strip_margin(strips, mid, rad, known):
 
     def step(gauge, strip):
         residual, width, _ = _one(strip, mid, rad, None, known, None)
-        return _larger(gauge, residual, width, jnp.isnan(residual))
+        absent = jnp.isnan(residual)  # masked before the quotient too, which keeps NaN out of gradients
+        width = jnp.maximum(jnp.where(absent, 1, width), rounding.tiny(width.dtype))
+        return jnp.maximum(gauge, jnp.where(absent, -1, jnp.abs(jnp.where(absent, 0, residual)) / width))
 
     gauge = _fold(step, jnp.full_like(mid[0], -1), strips)
     return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
@@ -103,20 +105,17 @@ def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
     """
     gamma, floor = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
     floor = floor * (1 + jnp.max(jnp.abs(strips.h))) * lift
-
     mid, rad, scale = _indexable(strips, mid, rad, scale)
 
-    def step(carry, strip):
-        gauge, out, open_ = carry
+    def step(gauge, strip):
         residual, width, magnitude = _one(strip, mid, rad, scale, known, known_scale)
-        error = gamma * magnitude + floor
-        absent = jnp.isnan(magnitude)  # magnitudes only grow: NaN means absent data, overflow is inf and stays undecided
-        excess = jnp.abs(residual) - width
-        return _larger(gauge, residual, width, ~(magnitude < jnp.inf)), out | (excess > error), open_ | ~(absent | (excess <= -error))
+        excess, error = jnp.abs(residual) - width, gamma * magnitude + floor
+        # beyond its error bound a computed ratio is on the right side of 1; a strip that rounding leaves open counts as 1
+        ratio = jnp.where(jnp.abs(excess) > error, jnp.abs(residual) / jnp.maximum(width, rounding.tiny(width.dtype)), 1)
+        return jnp.maximum(gauge, jnp.where(jnp.isnan(magnitude), -1, ratio))  # magnitudes only grow: NaN is absent data, overflow is inf
 
-    no = jnp.zeros_like(mid[0], bool)
-    gauge, out, open_ = _fold(step, (jnp.full_like(mid[0], -1), no, no), strips)
-    return jnp.where(open_ & ~out, 0, jnp.where(gauge == -1, jnp.nan, 1 - gauge))
+    gauge = _fold(step, jnp.full_like(mid[0], -1), strips)
+    return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
 
 
 def status_of(margin):
@@ -138,12 +137,6 @@ def _one(strip, mid, rad, scale, known, known_scale):
         residual -= jnp.where(k[b] == 0, 0, k[b] * known[b])
         magnitude += jnp.where(k[b] == 0, 0, jnp.abs(k[b]) * known_scale[b]) if known_scale is not None else 0
     return residual, width, magnitude
-
-
-def _larger(gauge, residual, width, skip):
-    """Update the gauge; circuits to skip leave it as it is, with zero gradient. (A maximum stays vectorised, a select by > does not.)"""
-    width = jnp.maximum(jnp.where(skip, 1, width), rounding.tiny(residual.dtype))
-    return jnp.maximum(gauge, jnp.where(skip, -1, jnp.abs(jnp.where(skip, 0, residual)) / width))
 
 
 def _indexable(strips, *rows):
