@@ -28,7 +28,7 @@ def true_value(samples, tolerance, noise, resolution, offset):
 
     Returns:
         Three lists of s + 1: middle (NaN where absent), radius, and the magnitude that rounding errors are relative to
-        (`rounding.residual_error`), all of the dtype of the samples. Every radius is > 0 where a sample or the noise is.
+        (`rounding.residual_error`), all of the dtype of the samples. Every radius is > 0.
     """
     e = 1 / ((1 - tolerance) * (1 + tolerance))
     absent = [jnp.isnan(y) for y in samples]
@@ -36,7 +36,7 @@ def true_value(samples, tolerance, noise, resolution, offset):
     largest = abs(samples[0])
     for y in samples[1:]:
         largest = jnp.maximum(largest, abs(y))
-    rho = noise + resolution + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise)
+    rho = noise + resolution + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise) + rounding.tiny(largest.dtype)
     mid, rad, scale = [], [], []
     for gone, y in zip(absent, samples, strict=True):
         d = y - offset

@@ -76,7 +76,7 @@ def strip_margin(strips, mid, rad, known):
 
     Args:
         strips: C circuits over q rows and l known values.
-        mid, rad: q middles (NaN: absent) and radii of the box.
+        mid, rad: q middles (NaN: absent) and radii > 0 of the box.
         known: l known values.
     """
 
@@ -85,7 +85,6 @@ def strip_margin(strips, mid, rad, known):
     def step(gauge, strip):
         residual, width, _ = _one(strip, mid, rad, None, known, None)
         absent = jnp.isnan(residual)  # masked before the quotient too, which keeps NaN out of gradients
-        width = jnp.maximum(jnp.where(absent, 1, width), rounding.tiny(width.dtype))
         return jnp.maximum(gauge, jnp.where(absent, -1, jnp.abs(jnp.where(absent, 0, residual)) / width))
 
     gauge = _fold(step, jnp.full_like(mid[0], -1), strips)
@@ -111,7 +110,7 @@ def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
         residual, width, magnitude = _one(strip, mid, rad, scale, known, known_scale)
         excess, error = jnp.abs(residual) - width, gamma * magnitude + floor
         # beyond its error bound a computed ratio is on the right side of 1; a strip that rounding leaves open counts as 1
-        ratio = jnp.where(jnp.abs(excess) > error, jnp.abs(residual) / jnp.maximum(width, rounding.tiny(width.dtype)), 1)
+        ratio = jnp.where(jnp.abs(excess) > error, jnp.abs(residual) / width, 1)
         return jnp.maximum(gauge, jnp.where(jnp.isnan(magnitude), -1, ratio))  # magnitudes only grow: NaN is absent data, overflow is inf
 
     gauge = _fold(step, jnp.full_like(mid[0], -1), strips)

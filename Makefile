@@ -1,0 +1,35 @@
+# On a machine with nothing but Python 3.11+: `make demo` or `make test`. Without make, run the lines yourself.
+PYTHON ?= python3
+
+.PHONY: demo test slow lint bench clean
+
+demo: .venv/installed
+	.venv/bin/jaxbound demo --out demo-report
+
+test: .venv/tested
+	.venv/bin/python -m pytest
+
+slow: .venv/tested
+	.venv/bin/python -m pytest -m slow
+
+lint: .venv/tested
+	.venv/bin/pip install --quiet ".[dev]"
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+
+bench: .venv/tested
+	.venv/bin/python -m benchmarks.strips
+	.venv/bin/python -m benchmarks.paving
+	.venv/bin/python -m benchmarks.false_alarms
+
+.venv/installed: pyproject.toml
+	$(PYTHON) -m venv .venv
+	.venv/bin/pip install --quiet --editable .
+	touch $@
+
+.venv/tested: .venv/installed
+	.venv/bin/pip install --quiet --editable ".[test]"
+	touch $@
+
+clean:
+	rm -rf .venv build dist *.egg-info demo-report
