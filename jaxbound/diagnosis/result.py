@@ -62,15 +62,15 @@ class Result:
         """
         return group_alarms(self, k, n, hold, clear)
 
-    def violated(self, at):
-        """Return the text of the most violated relation of the window that ends at index `at` (an int, or a tuple for a batch).
+    def explain(self, at):
+        """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in exact rationals.
+
+        For FAULT the violated relation with its coefficients, bounds and excess; for CONSISTENT a state that explains the window.
 
         Raises:
-            ValueError: the window is not FAULT.
+            ValueError: the window is MISSING.
         """
-        if self.status[at] != Status.FAULT:
-            raise ValueError(f"window {at} is {Status(int(self.status[at])).name}, not FAULT: no relation is violated")
-        return certificate.worst_relation(self, at)
+        return certificate.explain(self, at)
 
     def to_pandas(self):
         """Return a DataFrame with the columns status (names), margin and suspect, one row a sample.
