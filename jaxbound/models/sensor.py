@@ -40,8 +40,9 @@ def true_value(samples, tolerance, noise, resolution, offset):
     mid, rad, scale = [], [], []
     for gone, y in zip(absent, samples, strict=True):
         d = y - offset
-        mid.append(jnp.where(gone, jnp.nan, e * (d + tolerance * jnp.clip(d, -rho, rho))))
-        rad.append(e * (rho + tolerance * jnp.maximum(abs(d), rho)))
+        above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
+        mid.append(jnp.where(gone, jnp.nan, e * (d + half * (above - below))))  # above - below = 2 clip(d, -rho, rho)
+        rad.append(e * (rho + half * (above + below)))  # above + below = 2 max(|d|, rho)
         scale.append(jnp.where(gone, jnp.nan, e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]))
     return mid, rad, scale
 
