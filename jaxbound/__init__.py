@@ -2,11 +2,15 @@
 
 from jaxbound import sets
 from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.certificate import Certificate
 from jaxbound.diagnosis.consistency import detect, margins
 from jaxbound.diagnosis.result import Result
+from jaxbound.modelfile import load_model, save_model
+from jaxbound.models.conversion import from_control, from_scipy
 from jaxbound.models.faults import Fault
 from jaxbound.models.simulate import Trajectory, simulate
 from jaxbound.models.system import LinearSystem
+from jaxbound.plots import plot
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.sets.interval import Interval, interval
 from jaxbound.sets.paving import Paving, pave
@@ -14,7 +18,8 @@ from jaxbound.sets.status import Status
 from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
 
 __all__ = [
-    "Alarm", "Fault", "Interval", "LinearSystem", "ParityRelation", "Paving", "Result", "Status", "Trajectory", "Zonotope", "detect",
-    "interval", "margins", "membership", "parity_relations", "pave", "sets", "simulate", "strips", "zonotope",
+    "Alarm", "Certificate", "Fault", "Interval", "LinearSystem", "ParityRelation", "Paving", "Result", "Status", "Trajectory", "Zonotope",
+    "detect", "from_control", "from_scipy", "interval", "load_model", "margins", "membership", "parity_relations", "pave", "plot",
+    "save_model", "sets", "simulate", "strips", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models import recording, sensor, window
+from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets import exact, rounding
 from jaxbound.sets.interval import Interval
@@ -213,7 +214,7 @@ def parity_relations(model, horizon=None, form="first"):
     """Eliminate the unknown state from a window exactly.
 
     Args:
-        model: a LinearSystem.
+        model: a LinearSystem, or a discrete state-space object of python-control or scipy.signal (perfect sensors then).
         horizon: s >= 0, a window has s + 1 samples; None: the smallest at which every output that can be checked is checked.
         form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set; the basis of the
             relations, and with it the box test, differs.
@@ -232,8 +233,7 @@ def parity_relations(model, horizon=None, form="first"):
         >>> r.horizon, r.count, len(r.circuits)
         (1, 2, 4)
     """
-    if not isinstance(model, LinearSystem):
-        raise TypeError(f"parity_relations needs a LinearSystem, not {type(model).__name__}; see from_control and from_scipy")
+    model = as_model(model)
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
     if horizon is None:
