@@ -16,11 +16,13 @@ lint: .venv/tested
 	.venv/bin/pip install --quiet ".[dev]"
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
+	.venv/bin/mypy
 
 bench: .venv/tested
 	.venv/bin/python -m benchmarks.strips
 	.venv/bin/python -m benchmarks.paving
 	.venv/bin/python -m benchmarks.false_alarms
+	.venv/bin/python -m benchmarks.command_line
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv
