@@ -1,5 +1,6 @@
 """Alarms: FAULT windows grouped for people. Separate from the proof, which they never change."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,8 +34,9 @@ def group_alarms(result, k, n, hold, clear):
     if k > n:
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
     shape = result.status.shape
-    fault = (result.status == Status.FAULT).reshape(-1, shape[-1])
-    margin = result.margin.reshape(-1, shape[-1])
+    recordings = math.prod(shape[:-1])
+    fault = (result.status == Status.FAULT).reshape(recordings, shape[-1])
+    margin = result.margin.reshape(recordings, shape[-1])
     alarms = []
     for row in np.flatnonzero(fault.any(1)):
         recording = tuple(int(i) for i in np.unravel_index(row, shape[:-1])) if len(shape) > 1 else ()

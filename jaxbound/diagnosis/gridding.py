@@ -45,7 +45,9 @@ def pave_windows(relations, u, y, q, max_boxes, progress):
 
 
 def _pave(relations, U, Y, q, max_boxes, progress):
-    model, count, dtype = relations.model, len(Y), Y.dtype
+    model, windows, dtype = relations.model, len(Y), Y.dtype
+    count = 2 ** max(windows - 1, 127).bit_length()  # powers of two, so that few sizes compile
+    U, Y = (np.concatenate([x, np.zeros((count - windows, *x.shape[1:]), dtype)]) for x in (U, Y))
     encloses = lambda exact: interval(rounding.round_down(exact, dtype), rounding.round_up(exact, dtype))
     W = encloses(relations.W)
     flat = interval(Y) - encloses(model.offset["y"])[None, None]
@@ -62,4 +64,7 @@ def _pave(relations, U, Y, q, max_boxes, progress):
     each = lambda x: np.broadcast_to(x, (count, *x.shape))
     args = (flat.lo, flat.hi, each(np.tile(bounds["tolerance"], rows)), np.tile(rho, rows), each(W.lo), each(W.hi))
     edge = np.ones(2 * flat.shape[1], dtype)
-    return pave(internal_form, interval(-edge, edge), external, q=q, max_boxes=max_boxes, args=args, progress=progress).status
+    filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
+    target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
+    budget = max_boxes + count - windows
+    return pave(internal_form, interval(-edge, edge), target, q=q, max_boxes=budget, args=args, progress=progress).status[:windows]

@@ -4,6 +4,7 @@ The state is carried in double-word arithmetic and every matrix entry as the sum
 trajectory's within its resolution even where it is the difference of large levels (a plain recursion was off by 120 times that).
 """
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -81,8 +82,9 @@ def simulate(model, u, key, x0=None, at="uniform", faults=()):
     kinds = tuple((f.kind, model.outputs.index(f.signal) if f.signal in model.outputs else None,
                    model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
     run = partial(_simulate, at == "vertices", kinds)
-    flat = [v.reshape(-1, *v.shape[len(batch) :]) for v in (u, x0)]
-    keys = jax.random.split(key, flat[0].shape[0])
+    count = math.prod(batch)
+    flat = [v.reshape(count, *v.shape[len(batch) :]) for v in (u, x0)]
+    keys = jax.random.split(key, count)
     out = run(numbers, sizes, active, keys, *flat)
     return Trajectory(*(v.reshape(*batch, *v.shape[1:]) for v in out))
 
@@ -112,15 +114,12 @@ def _double(a, dtype):
 
 
 def _apply(matrix, vector):
-    """Multiply a double-word matrix (r, c) with a list of double-word numbers; return a list."""
+    """Multiply a double-word matrix (r, c) with a double-word vector (c,)."""
     hi, lo = matrix
-    out = []
-    for i in range(hi.shape[0]):
-        total = (jnp.zeros_like(vector[0][0]), jnp.zeros_like(vector[0][0])) if vector else None
-        for j, v in enumerate(vector):
-            total = rounding.dd_add(total, rounding.dd_mul((hi[i, j], lo[i, j]), v))
-        out.append(total)
-    return out
+    total = (jnp.zeros_like(hi, shape=hi.shape[:1]),) * 2
+    for j in range(hi.shape[1]):
+        total = rounding.dd_add(total, rounding.dd_mul((hi[:, j], lo[:, j]), (vector[0][j], vector[1][j])))
+    return total
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -138,30 +137,23 @@ def _one(vertices, kinds, numbers, sizes, active, key, u, x0):
         if kind == "tolerance":
             tolerance = tolerance.at[:, output].set(jnp.where(on, size, tolerance[:, output]))
     theta = tolerance * signs
-    noise = numbers["noise"] * draw(k_noise, (T, p))
+    noise = numbers["noise"][None] * draw(k_noise, (T, p))
     extra = jax.random.uniform(k_fault, (len(kinds), T), u.dtype, -1, 1)
     applied = _faulty(u, kinds, sizes, active, extra, lambda f: f[2], dropped=0.0)
 
+    single = lambda v: (v, jnp.zeros_like(v))
+    offset_u, offset_y = (tuple(part[0] for part in numbers[name]) for name in ("offset_u", "offset_y"))
+
     def step(x, now):
         inputs, theta, noise = now
-        deviation = [rounding.two_sum(inputs[i], -numbers["offset_u"][0][0, i]) for i in range(u.shape[1])]
-        deviation = [rounding.dd_add(d, (-numbers["offset_u"][1][0, i], jnp.zeros_like(d[0]))) for i, d in enumerate(deviation)]
-        true = _add(_apply(numbers["C"], x), _apply(numbers["D"], deviation))
-        samples = []
-        for i, t in enumerate(true):
-            y = rounding.dd_mul(rounding.two_sum(jnp.ones_like(theta[i]), theta[i]), t)
-            y = rounding.dd_add(y, (noise[i], jnp.zeros_like(noise[i])))
-            y = rounding.dd_add(y, (numbers["offset_y"][0][0, i], numbers["offset_y"][1][0, i]))
-            samples.append(y[0])
-        return _add(_apply(numbers["A"], x), _apply(numbers["B"], deviation)), (jnp.stack([v[0] for v in x]), jnp.stack(samples))
+        deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), single(-offset_u[1]))
+        true = rounding.dd_add(_apply(numbers["C"], x), _apply(numbers["D"], deviation))
+        y = rounding.dd_add(true, rounding.dd_mul(single(theta), true))  # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
+        y = rounding.dd_add(rounding.dd_add(y, single(noise)), offset_y)
+        return rounding.dd_add(_apply(numbers["A"], x), _apply(numbers["B"], deviation)), (x[0], y[0])
 
-    first = [(x0[i], jnp.zeros_like(x0[i])) for i in range(x0.shape[0])]
-    _, (x, y) = jax.lax.scan(step, first, (applied, theta, noise))
+    _, (x, y) = jax.lax.scan(step, single(x0), (applied, theta, noise))
     return x, u, _faulty(y, kinds, sizes, active, extra, lambda f: f[1], dropped=jnp.nan), theta, noise
-
-
-def _add(a, b):
-    return a if not b or b[0] is None else [rounding.dd_add(x, y) for x, y in zip(a, b, strict=True)]
 
 
 def _faulty(signals, kinds, sizes, active, extra, channel, dropped):

@@ -34,22 +34,19 @@ def rational(x):
         >>> rational(0.1), rational("1/3")
         (Fraction(1, 10), Fraction(1, 3))
     """
-    if isinstance(x, (Fraction, int, np.integer)) and not isinstance(x, bool):
-        return Fraction(int(x)) if isinstance(x, np.integer) else Fraction(x)
     try:
-        if isinstance(x, (str, Decimal)):
-            return Fraction(x)
+        x = np.asarray(x)[()] if hasattr(x, "dtype") else x
         if isinstance(x, np.floating):
             return Fraction(str(x))  # the shortest decimal of its own dtype
-        return Fraction(repr(float(x)))
-    except (ValueError, TypeError, OverflowError) as e:
+        x = int(x) if isinstance(x, np.integer) else x
+        return Fraction(x if isinstance(x, (Fraction, int, str, Decimal)) else repr(float(x)))
+    except (ValueError, TypeError, OverflowError, ZeroDivisionError) as e:
         raise ValueError(f"{x!r} is not a finite number") from e
 
 
 def matrix(a):
     """Read nested sequences or an array as an exact matrix; a vector becomes a column."""
-    rows = a.tolist() if isinstance(a, np.ndarray) and a.dtype != np.float32 else a
-    rows = [list(r) if np.ndim(r) else [r] for r in rows]
+    rows = [list(r) if np.ndim(r) else [r] for r in (np.asarray(a) if hasattr(a, "dtype") else a)]
     if len({len(r) for r in rows}) > 1:
         raise ValueError(f"rows have different lengths: {[len(r) for r in rows]}")
     return tuple(tuple(rational(x) for x in r) for r in rows)
@@ -93,9 +90,8 @@ def rank(a):
 
 def left_null_space(a):
     """Return a basis W of {w : w a = 0}, one row a basis vector (possibly no rows)."""
-    m = len(a)
+    m, n = len(a), len(a[0]) if a else 0
     augmented = [tuple(r) + tuple(Fraction(i == j) for j in range(m)) for i, r in enumerate(a)]
-    n = len(a[0])
     reduced, pivots = row_reduce(augmented)
     return tuple(r[n:] for r, p in zip(reduced, pivots, strict=True) if p >= n)
 
@@ -103,6 +99,8 @@ def left_null_space(a):
 def inverse(a):
     """Return the inverse of a regular matrix."""
     n = len(a)
+    if any(len(r) != n for r in a):
+        raise ValueError(f"only a square matrix has an inverse: this one is {n} x {len(a[0])}")
     reduced, pivots = row_reduce([tuple(r) + tuple(Fraction(i == j) for j in range(n)) for i, r in enumerate(a)])
     if pivots != tuple(range(n)):
         raise ValueError("the matrix is singular")
@@ -138,7 +136,8 @@ def circuits(a, limit=None):
     """Return every vector of minimal support with h a = 0 (one of each pair h, -h), primitive, by support in lexicographic order.
 
     They are the strips of any zonotope whose directions have the left null space of `a` as row space
-    (Source: elementary vectors of a subspace; every circuit lies in some set of rank + 1 rows of full rank, so subsets of that size suffice).
+    (Source: elementary vectors of a subspace; every circuit lies in some set of rank + 1 rows of full rank, so subsets of that size
+    suffice).
 
     Raises ValueError if more than `limit` subsets would have to be visited.
     """

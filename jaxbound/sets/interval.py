@@ -13,8 +13,8 @@ import numpy as np
 from jaxbound.sets import rounding
 
 __all__ = [
-    "Interval", "abs", "add", "contains", "disjoint", "div", "equal", "hull", "interior", "intersection", "interval", "less", "mag", "matmul",
-    "max", "mid", "mig", "min", "mul", "neg", "pown", "precedes", "rad", "recip", "sqr", "sub", "subset", "sum", "wid",
+    "Interval", "abs", "add", "contains", "disjoint", "div", "equal", "hull", "interior", "intersection", "interval", "less", "mag",
+    "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown", "precedes", "rad", "recip", "sqr", "sub", "subset", "sum", "wid",
 ]  # fmt: skip
 
 _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operations of the same name
@@ -25,7 +25,8 @@ _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operati
 class Interval:
     """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`.
 
-    Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the exact results, eagerly and compiled.
+    Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the exact results, eagerly
+    and compiled.
     """
 
     lo: jax.Array
@@ -84,6 +85,7 @@ class Interval:
 
     __array_priority__ = 100  # numpy_array * interval comes here
     __array_ufunc__ = None
+    __contains__ = None  # `number in x` would walk the entries: use contains
 
 
 def interval(lo, hi=None):
@@ -93,61 +95,62 @@ def interval(lo, hi=None):
         lo, hi: array-likes with lo <= hi. lo = +inf with hi = -inf is the empty interval.
 
     Returns:
-        An Interval of the wider float dtype of the two. Bounds that the dtype cannot hold (float64 numbers with x64 off,
-        subnormal numbers) are moved outward, never inward.
+        An Interval of the wider float dtype of the two. Bounds that the dtype cannot hold (float64 numbers with x64 off, large
+        integers, exact fractions, subnormal numbers) are moved outward, never inward.
 
     Raises:
-        ValueError: NaN, or lo > hi anywhere (unless empty).
+        ValueError: NaN, lo > hi anywhere (unless empty), or an infinite point.
 
     Example:
-        >>> interval(1.0, 2.0) * interval(-1.0, 3.0)
-        Interval(lo=Array(-2., dtype=float32...), hi=Array(6., dtype=float32...))
+        >>> x = interval(1.0, 2.0) * interval(-1.0, 3.0)
+        >>> print(f"[{x.lo:.3f}, {x.hi:.3f}]")
+        [-2.000, 6.000]
     """
     if isinstance(lo, Interval):
+        if hi is not None:
+            raise ValueError("an Interval already has an upper bound: give numbers as lo and hi, or use hull")
         return lo
     hi = lo if hi is None else hi
     lo, hi = _bound(lo, rounding.round_down), _bound(hi, rounding.round_up)
     if not isinstance(lo, jax.core.Tracer) and not isinstance(hi, jax.core.Tracer):
-        bad = np.isnan(lo) | np.isnan(hi)
-        if bad.any():
-            raise ValueError(f"bounds must be numbers: {bad.sum()} of {bad.size} are NaN, first at {_first(bad)}")
-        bad = (np.asarray(lo) > np.asarray(hi)) & ~((np.asarray(lo) == np.inf) & (np.asarray(hi) == -np.inf))
-        if bad.any():
-            raise ValueError(f"lo must be <= hi: {bad.sum()} of {bad.size} entries violate it, first at {_first(bad)}")
-    return Interval(*rounding.settle_subnormals(*_match(lo, hi)))
+        _check(np.asarray(lo), np.asarray(hi))
+    shape, dtype = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi)), jnp.result_type(lo, hi)
+    return Interval(*rounding.settle_subnormals(*(jnp.broadcast_to(end, shape).astype(dtype) for end in (lo, hi))))
 
 
-def _match(lo, hi):
-    dtype = jnp.result_type(lo, hi)
-    shape = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi))
-    return jnp.broadcast_to(lo, shape).astype(dtype), jnp.broadcast_to(hi, shape).astype(dtype)
+def _check(lo, hi):
+    empty = (lo == np.inf) & (hi == -np.inf)
+    for bad, rule in (
+        (np.isnan(lo) | np.isnan(hi), "bounds must be numbers, not NaN"),
+        ((lo > hi) & ~empty, "lo must be <= hi"),
+        (((lo == np.inf) | (hi == -np.inf)) & ~empty, "a point must be finite"),
+    ):
+        if bad.any():
+            first = tuple(int(i) for i in np.argwhere(bad)[0])
+            raise ValueError(f"{rule}: {bad.sum()} of {bad.size} entries violate it, first at {first}")
 
 
 def _bound(x, directed):
-    """Convert to a float array; a float64 that must become float32 is rounded in the given direction."""
-    if isinstance(x, jax.Array):
-        return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
+    """Convert to a float32 or float64 array; a number that does not fit is rounded in the given direction."""
+    if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
+        return x if x.dtype.itemsize >= 4 else x.astype(jnp.float32)
+    if isinstance(x, jax.core.Tracer):  # integers: one step outward where a float does not hold them all
+        near = x.astype(jnp.result_type(float))
+        step = 2 * rounding.unit(near.dtype) * jnp.abs(near) * (1 if directed is rounding.round_up else -1)
+        return near + jnp.where(jnp.abs(step) < 1, 0, step)
     x = np.asarray(x)
-    wanted = jax.dtypes.canonicalize_dtype(x.dtype if np.issubdtype(x.dtype, np.floating) else np.float64)
-    if x.dtype == wanted:
-        return jnp.asarray(x)
-    return jnp.asarray(directed(x, wanted))
-
-
-def _first(bad):
-    return tuple(int(i) for i in np.argwhere(bad)[0])
+    narrow = jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize <= 4
+    wanted = jax.dtypes.canonicalize_dtype(np.float32 if narrow else np.float64)
+    return x if x.dtype == wanted else directed(x, wanted)
 
 
 def _pair(x, y):
-    """Return both as Intervals of one dtype; a plain number takes the dtype of its partner, outward."""
+    """Return both as Intervals; a plain number takes the dtype of its partner, outward."""
     if not isinstance(x, Interval):
-        x, y = _pair(y, x)[::-1]
-        return x, y
+        x, y = _pair(y, x)[::-1] if isinstance(y, Interval) else (interval(x), y)
     if not isinstance(y, Interval):
-        if isinstance(y, (int, float)) and not isinstance(y, bool):
-            y = Interval(jnp.asarray(rounding.round_down(y, x.dtype)), jnp.asarray(rounding.round_up(y, x.dtype)))
-            return x, Interval(*rounding.settle_subnormals(y.lo, y.hi))
-        y = interval(y)
+        number = isinstance(y, (int, float)) and not isinstance(y, bool)
+        y = interval(rounding.round_down(y, x.dtype), rounding.round_up(y, x.dtype)) if number else interval(y)
     return x, y
 
 
@@ -161,6 +164,10 @@ def _or_empty(lo, hi, *arguments):
     empty = arguments[0].is_empty
     for x in arguments[1:]:
         empty = empty | x.is_empty
+    return _empty_where(empty, lo, hi)
+
+
+def _empty_where(empty, lo, hi):
     return Interval(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
@@ -185,7 +192,7 @@ def mul(x, y):
     """Return the product; 0 times an infinite bound is 0. Source: IEEE 1788 mul."""
     x, y = _pair(x, y)
     products = [jnp.where((a == 0) | (b == 0), 0, a * b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
-    return _close(*_range(products), x, y)
+    return _keep_sign(_close(*_range(products), x, y), x, y)
 
 
 def div(x, y):
@@ -195,16 +202,23 @@ def div(x, y):
     lo, hi = _range(quotients)
     across = (y.lo < 0) & (y.hi > 0) & ~((x.lo == 0) & (x.hi == 0))
     lo, hi = jnp.where(across, -jnp.inf, lo), jnp.where(across, jnp.inf, hi)
-    nothing = (y.lo == 0) & (y.hi == 0)
-    out = _close(lo, hi, x, y)
-    return Interval(jnp.where(nothing, jnp.inf, out.lo), jnp.where(nothing, -jnp.inf, out.hi))
+    out = _keep_sign(_close(lo, hi, x, y), x, y)
+    return _empty_where((y.lo == 0) & (y.hi == 0), out.lo, out.hi)
+
+
+def _keep_sign(out, x, y):
+    """Keep the outward rounding of a product or quotient from crossing 0, so that 1 / (x * y) stays half-bounded."""
+    positive = ((x.lo >= 0) & (y.lo >= 0)) | ((x.hi <= 0) & (y.hi <= 0))
+    negative = ((x.lo >= 0) & (y.hi <= 0)) | ((x.hi <= 0) & (y.lo >= 0))
+    lo, hi = jnp.maximum(out.lo, 0), jnp.minimum(out.hi, 0)
+    return Interval(jnp.where(positive, lo, out.lo), jnp.where(negative, hi, out.hi))
 
 
 def _quotient(a, b, zero_side):
     """Return a / b with a / 0 an infinity of the side from which the divisor reaches 0, and 0 / 0 = 0.
 
-    A divisor beyond 2^(emax/2) is scaled first, so that its reciprocal, which the compiler may use, is not flushed to zero. The barrier keeps
-    the compiler from merging this quotient with one that made `a` or `b`.
+    A divisor beyond 2^(emax/2) is scaled first, so that its reciprocal, which the compiler may use, is not flushed to zero. The
+    barrier keeps the compiler from merging this quotient with one that made `a` or `b`.
     """
     a, b = jax.lax.optimization_barrier(jnp.broadcast_arrays(a, b))
     shrink = np.asarray(2.0 ** -(np.finfo(b.dtype).maxexp // 2), b.dtype)[()]
@@ -227,10 +241,10 @@ def recip(x):
 
 
 def sqr(x):
-    """Return x^2, never negative. Source: IEEE 1788 sqr."""
+    """Return x^2, never negative, and 0 for 0 (so that [0, 0]^-2 is empty). Source: IEEE 1788 sqr."""
     near, far = mig(x), mag(x)
     out = _close(near * near, far * far, x)
-    return Interval(jnp.maximum(out.lo, 0), out.hi)
+    return Interval(jnp.maximum(out.lo, 0), jnp.where(far == 0, 0, out.hi))
 
 
 def pown(x, n):
@@ -277,26 +291,30 @@ def max(x, y):
 
 def sum(x, axis=0):
     """Return the sum along `axis`; the bound holds for any order of addition."""
-    lo, hi = rounding.outward_sum(x.lo, x.hi, axis)
-    return _or_empty(lo, hi, Interval(jnp.max(x.lo - x.hi, axis), jnp.zeros_like(lo)))
+    return _empty_where(jnp.any(x.is_empty, axis), *rounding.outward_sum(x.lo, x.hi, axis))
 
 
 def matmul(x, y):
-    """Return the matrix product of (..., n, k) or (k,) and (k, m) or (k,): every entry an enclosed sum of products."""
+    """Return the matrix product of (..., n, k) or (k,) and (..., k, m) or (k,): every entry an enclosed sum of products."""
     x, y = _pair(x, y)
-    if len(y.shape) == 1:
-        return sum(mul(x, y), axis=-1)
-    left, right = x[..., :, None], Interval(y.lo[..., None, :, :], y.hi[..., None, :, :]) if len(x.shape) > 1 else y
-    return sum(mul(left, right), axis=-2)
+    if not x.shape or not y.shape or x.shape[-1] != y.shape[-2:][0]:
+        raise ValueError(f"matmul needs (..., n, k) or (k,) and (..., k, m) or (k,): the shapes are {x.shape} and {y.shape}")
+    vector = len(y.shape) == 1
+    left = x if vector else x[..., None]
+    right = y if vector or len(x.shape) == 1 else y[..., None, :, :]
+    rank = _max(len(left.shape), len(right.shape))
+    left, right = (v[(None,) * (rank - len(v.shape))] for v in (left, right))
+    return sum(mul(left, right), axis=-1 if vector else -2)
 
 
 def mid(x):
-    """Return a float inside x near its middle (0 for entire, NaN for empty). Source: IEEE 1788 mid."""
+    """Return a float inside x near its middle (half-line: the largest float, entire: 0, empty: NaN). Source: IEEE 1788 mid."""
     top = np.finfo(x.dtype).max
     lo, hi = jnp.maximum(x.lo, -top), jnp.minimum(x.hi, top)
-    middle = jnp.clip(lo * 0.5 + hi * 0.5, lo, hi)
-    both = jnp.isinf(x.lo) & jnp.isinf(x.hi)
-    return jnp.where(x.is_empty, jnp.nan, jnp.where(both, 0, middle))
+    left, right = jax.lax.optimization_barrier((lo * 0.5, hi * 0.5))  # the compiler would make it (lo + hi) * 0.5, which overflows
+    middle = jnp.clip(left + right, lo, hi)
+    ends = jnp.where(x.lo == -jnp.inf, jnp.where(x.hi == jnp.inf, 0, -top), jnp.where(x.hi == jnp.inf, top, middle))
+    return jnp.where(x.is_empty, jnp.nan, ends)
 
 
 def rad(x):
@@ -375,4 +393,7 @@ def precedes(x, y):
 
 def contains(x, point):
     """True where the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
-    return (x.lo <= point) & (point <= x.hi) & jnp.isfinite(point)
+    # a number between two floats lies in x where both do
+    below, above = _bound(point, rounding.round_down), _bound(point, rounding.round_up)
+    below, above = rounding.settle_subnormals(jnp.asarray(below), jnp.asarray(above))
+    return (x.lo <= below) & (above <= x.hi) & (jnp.isfinite(below) | jnp.isfinite(above))

@@ -79,7 +79,7 @@ def pave(f, box, target=None, subdivision="adaptive", q=10, cut="alternate", max
         subdivision: "adaptive" or "uniform".
         q: uniform: the number of pieces per variable. Adaptive: the paper's threshold, stop at r > q - 1, that is after n (q - 1) levels.
         cut: "alternate" (variables in turn) or "widest" (widest edge, the first if equal).
-        max_boxes: no new level is begun once this many boxes were evaluated in total. max_depth: levels instead of n (q - 1).
+        max_boxes: no new level is begun that would evaluate more boxes than this in total. max_depth: levels instead of n (q - 1).
         args: arrays with leading axis B, handed to f one entry a target.
         progress: called with the share of levels (adaptive) or targets (uniform) done.
 
@@ -87,7 +87,8 @@ def pave(f, box, target=None, subdivision="adaptive", q=10, cut="alternate", max
         A Paving. Encloses: the images of `boxes`, together with what was excluded, cover the image of `box`.
 
     Raises:
-        ValueError: unbounded or empty box, a target that does not fit, q < 1, unknown subdivision or cut.
+        ValueError: unbounded or empty box, a target that does not fit, q < 1, unknown subdivision or cut, a uniform subdivision into
+            more than max_boxes boxes.
         NotImplementedError: cut="smear".
 
     Example:
@@ -114,6 +115,10 @@ def pave(f, box, target=None, subdivision="adaptive", q=10, cut="alternate", max
     if any(a.shape[:1] != (count,) for a in args):
         raise ValueError(f"every array of args needs one entry for each of the {count} targets: shapes {[a.shape for a in args]}")
     if subdivision == "uniform":
+        if max_depth is not None:
+            raise ValueError("max_depth belongs to subdivision='adaptive': the depth of a uniform one is q")
+        if int(q) ** len(lo) > max_boxes:
+            raise ValueError(f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = {max_boxes}")
         found = _uniform(f, lo, hi, goal, args, count, int(q), progress)
     else:
         if goal is None:
@@ -127,7 +132,7 @@ def pave(f, box, target=None, subdivision="adaptive", q=10, cut="alternate", max
     if single:
         status, evaluated = None if status is None else status[0], evaluated[0]
     return Paving(status, Interval(jnp.asarray(left_lo.T), jnp.asarray(left_hi.T)), owner, evaluated,
-                  _again=partial(_images, f, left_lo, left_hi, owner, args))  # fmt: skip
+                  _again=partial(_images, f, left_lo, left_hi, owner, args, goal.shape[1] if goal is not None else 0))  # fmt: skip
 
 
 def _goals(target, dtype):
@@ -136,7 +141,7 @@ def _goals(target, dtype):
         return None, True
     goal = target if isinstance(target, Interval) else interval(np.asarray(target, dtype))
     single = len(goal.shape) == 1
-    if len(goal.shape) > 2:
+    if len(goal.shape) not in (1, 2):
         raise ValueError(f"target must have shape (m,) or (B, m): its shape is {goal.shape}")
     return Interval(jnp.atleast_2d(goal.lo), jnp.atleast_2d(goal.hi)), single
 
@@ -154,10 +159,18 @@ def _of_owner(args, owner):
 @partial(jax.jit, static_argnums=0)
 def _meets(f, lo, hi, owner, goal, args):
     """True for each box (n, N) whose image meets the target of its owner (closed sets)."""
-    meet = jnp.ones(lo.shape[1:], bool)
-    for j, image in enumerate(_evaluate(f, lo, hi, _of_owner(args, owner))):
-        meet &= (image.lo <= goal.hi[:, j][owner]) & (goal.lo[:, j][owner] <= image.hi)
-    return meet
+    images = _evaluate(f, lo, hi, _of_owner(args, owner))
+    return _touch(images, [(goal.lo[:, j][owner], goal.hi[:, j][owner]) for j in range(goal.shape[1])])
+
+
+def _touch(images, goals):
+    """True where every component shares a point with its goal (lo, hi); a bound that is NaN excludes nothing."""
+    if len(images) != len(goals):
+        raise ValueError(f"the target has {len(goals)} components, f has {len(images)}")
+    apart = False
+    for image, (lo, hi) in zip(images, goals, strict=True):
+        apart |= (image.lo > hi) | (lo > image.hi)
+    return ~apart
 
 
 @partial(jax.jit, static_argnums=0)
@@ -181,10 +194,10 @@ def _in_blocks(kernel, lo, hi, owner):
     return running
 
 
-def _images(f, lo, hi, owner, args):
+def _images(f, lo, hi, owner, args, width):
     parts = _in_blocks(lambda *b: _image_block(f, *b, args), lo, hi, owner)
     if not parts:
-        return Interval(jnp.zeros((0, 0), lo.dtype), jnp.zeros((0, 0), lo.dtype))
+        return Interval(jnp.zeros((0, width), lo.dtype), jnp.zeros((0, width), lo.dtype))
     join = lambda end: jnp.asarray(np.concatenate([np.stack([getattr(x, end) for x in image], 1)[:count] for image, count in parts]))
     return Interval(join("lo"), join("hi"))
 
@@ -219,7 +232,9 @@ def _cut(lo, hi, owner, axis):
 
 def _uniform(f, lo, hi, goal, args, count, q, progress):
     n = len(lo)
-    edges = np.stack([np.linspace(a, b, q + 1, dtype=lo.dtype) for a, b in zip(lo, hi, strict=True)])
+    share = np.arange(q + 1, dtype=lo.dtype) / q
+    edges = np.clip(lo[:, None] * (1 - share) + hi[:, None] * share, lo[:, None], hi[:, None])  # hi - lo could overflow
+    edges[:, -1] = hi
     digits = np.indices((q,) * n).reshape(n, -1)
     cell_lo, cell_hi = (np.stack([edges[i][digits[i] + k] for i in range(n)]) for k in (0, 1))
     total = digits.shape[1]
@@ -243,9 +258,6 @@ def _uniform(f, lo, hi, goal, args, count, q, progress):
 def _meets_uniform(f, lo, hi, goal, args):
     def one(now):
         (goal_lo, goal_hi), a = now
-        meet = jnp.ones(lo.shape[1:], bool)
-        for j, image in enumerate(_evaluate(lambda z: f(z, *a), lo, hi, ())):
-            meet &= (image.lo <= goal_hi[j]) & (goal_lo[j] <= image.hi)
-        return meet
+        return _touch(_evaluate(lambda z: f(z, *a), lo, hi, ()), list(zip(goal_lo, goal_hi, strict=True)))
 
     return jax.lax.map(one, ((goal.lo, goal.hi), args))

@@ -8,7 +8,7 @@ Notation: u is half the spacing of floats at 1, tiny the smallest normal number,
 **One operation** (`outward`). A compiled +, -, * or / whose exact result is r returns f with
 |f - r| <= 2.84 u |f| + tiny (2.84: a quotient by a reciprocal, 1.42 ulp; tiny: a flushed result). Subtracting
 4 u |f| + 2 tiny and rounding once more costs at most u |f|, and 2.84 + 1 < 4. The claim needs no barrier: contraction into an
-FMA only removes roundings.
+FMA only removes roundings. A quotient needs a divisor whose reciprocal is not flushed: `interval.div` scales it first.
 
 **One sum of products** (`residual_error`). See its docstring: a forward error bound that covers a whole residual, once.
 
@@ -17,6 +17,7 @@ FMA only removes roundings.
 """
 
 from fractions import Fraction
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -60,16 +61,22 @@ def outward(lo, hi):
     return lo_out, hi_out
 
 
+@partial(jax.jit, static_argnums=2)
 def outward_sum(lo, hi, axis):
     """Enclose the sums of lo and of hi along `axis`, in any order of addition.
 
-    n terms added in any order are off by at most (n - 1) u sum|x| / (1 - n u); the sum of magnitudes is off by as much again.
+    n terms added in any order are off by at most (n - 1) u sum|x|, and sum|x| is at most its computed value / (1 - n u).
+    A sum whose magnitudes overflow, or of more than 1 / (2 u) terms, is unbounded.
     """
     n = lo.shape[axis]
-    grow, floor = (n + 4) * unit(lo.dtype), (n + 2) * tiny(lo.dtype)
-    below = _total(lo, axis) - (grow * _total(jnp.abs(lo), axis) + floor)
-    above = _total(hi, axis) + (grow * _total(jnp.abs(hi), axis) + floor)
-    return below, above
+    share = (n + 4) * float(unit(lo.dtype))
+    grow = np.asarray(share / (1 - share) if share < 0.5 else np.inf, lo.dtype)
+    floor = np.asarray((n + 2) * float(tiny(lo.dtype)), lo.dtype)
+    below, above = (grow * _total(jnp.abs(x), axis) + floor for x in (lo, hi))
+    return (
+        jnp.where(below < jnp.inf, _total(lo, axis) - below, -jnp.inf),
+        jnp.where(above < jnp.inf, _total(hi, axis) + above, jnp.inf),
+    )
 
 
 def _total(x, axis):
@@ -89,7 +96,8 @@ def residual_error(terms, dtype):
         scale = sum_i |h_i| ((1 + sigma_i)(|y_i| + |offset_i|) + r_i) + sum_j |k_j| (|v_j| + |offset_j|).
 
     Proof, counting relative roundings, every one <= u: y and v may have been rounded once to the working dtype and so has each
-    offset, the difference adds one: 2 u (|y| + |offset|) on d. m adds two products and a sum: 5 u (1 + sigma)(|y| + |offset|).
+    offset, the difference adds one: 2 u (|y| + |offset|) on d. With clip(d, -rho, rho) and max(|d|, rho) computed as half the difference
+    and half the sum of |d + rho| and |d - rho|, m is off by 5 u (1 + sigma)(|y| + |offset|) + 3 u r.
     h is a rounded rational times a rounded 1 / ((1 - sigma)(1 + sigma)): 8 u. A product adds 1, a sum of N terms N - 1, in any order.
     Hence (N + 13) u on the left-hand side; likewise (N + 11) u on the right-hand side; comparing the two adds 2.
     Sum: (2 N + 26) u scale to first order; 2 N + 32 covers second-order terms and the rounding of the slack itself for
@@ -99,6 +107,7 @@ def residual_error(terms, dtype):
     return np.asarray((2 * terms + 32) * unit(dtype), dtype)[()], np.asarray(8 * terms * tiny(dtype), dtype)[()]
 
 
+@jax.jit
 def settle_subnormals(lo, hi):
     """Move subnormal bounds outward to 0 or to the smallest normal number: compiled code would read them as 0."""
     return _settle(lo, up=False), _settle(hi, up=True)
@@ -115,32 +124,43 @@ def _settle(x, up):
 
 def fraction_to_float(value, dtype=np.float64):
     """Round an exact rational to the nearest float; refuse one that `dtype` would flush to zero."""
-    out = np.asarray(float(value), dtype)[()]
+    with np.errstate(over="ignore"):
+        out = np.asarray(_nearest(value), dtype)[()]
     if value != 0 and (abs(out) < tiny(dtype) or not np.isfinite(out)):
         raise ValueError(
-            f"the coefficient {float(value):.3g} is outside the range of {np.dtype(dtype).name}: rescale the signals or use float64"
+            f"the coefficient {_nearest(value):.3g} is outside the range of {np.dtype(dtype).name}: rescale the signals or use float64"
         )
     return out
 
 
+def _nearest(value):
+    """Return the nearest Python float of any number or numeral; infinity where it overflows."""
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf if value > 0 else -np.inf
+
+
 def round_up(value, dtype=np.float64):
-    """Return the float of `dtype` next above or equal to `value` (Fraction or float arrays), elementwise, on the host."""
+    """Return the float of `dtype` next above or equal to `value` (an array of floats, or of any exact numbers), on the host."""
     return _directed(value, dtype, np.inf)
 
 
 def round_down(value, dtype=np.float64):
-    """Return the float of `dtype` next below or equal to `value` (Fraction or float arrays), elementwise, on the host."""
+    """Return the float of `dtype` next below or equal to `value` (an array of floats, or of any exact numbers), on the host."""
     return _directed(value, dtype, -np.inf)
 
 
 def _directed(value, dtype, towards):
     value = np.asarray(value)
-    exact = [Fraction(v) if np.isfinite(float(v)) else v for v in value.ravel().tolist()]
-    out = np.array([float(v) for v in exact], np.float64).astype(dtype)
-    for i, v in enumerate(exact):  # a handful of bounds, never samples
-        if isinstance(v, Fraction) and (out[i] < v if towards > 0 else out[i] > v):
-            out[i] = np.nextafter(out[i], np.asarray(towards, dtype))
-    return out.reshape(value.shape)
+    if value.dtype.kind != "f":  # Python's comparisons of numbers are exact; numerals become Fractions
+        items = [Fraction(v) if isinstance(v, str) else v for v in value.ravel().tolist()]
+        value = np.array([*items, None], object)[:-1].reshape(value.shape)
+    with np.errstate(all="ignore"):
+        out = np.vectorize(_nearest, otypes=[float])(value) if value.dtype == object and value.size else value
+        out = out.astype(dtype)
+        wrong = (out < value if towards > 0 else out > value).astype(bool)
+        return np.where(wrong, np.nextafter(out, np.asarray(towards, dtype)), out)
 
 
 def two_sum(a, b):
@@ -151,7 +171,7 @@ def two_sum(a, b):
 
 
 def two_prod(a, b):
-    """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow (Dekker's splitting)."""
+    """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow, and overflow of 2^27 a or 2^27 b (Dekker)."""
     split = np.asarray(2 ** -(-(np.finfo(a.dtype).nmant + 1) // 2) + 1, a.dtype)[()]
     p = a * b
     a_big, b_big = split * a, split * b

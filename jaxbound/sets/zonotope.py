@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import exact
+from jaxbound.sets import exact, rounding
 from jaxbound.sets.interval import Interval, interval, matmul
-from jaxbound.sets.strips import strip_verdict, strips_of
+from jaxbound.sets.interval import sum as interval_sum
+from jaxbound.sets.strips import UNROLLED, Strips, strip_verdict
 
 __all__ = ["Zonotope", "membership", "strips", "support", "zonotope"]
 
@@ -24,12 +25,12 @@ class Zonotope:
 
     def hull(self):
         """Return the smallest box around it, rounded outward: an Interval (n,)."""
-        spread = matmul(interval(jnp.abs(self.generators)), interval(jnp.ones(self.generators.shape[1:], self.center.dtype))).hi
+        spread = interval_sum(interval(jnp.abs(self.generators)), axis=1).hi
         return interval(self.center) + Interval(-spread, spread)
 
 
 def zonotope(center, generators):
-    """Build a Zonotope from center (n,) and generators (n, q).
+    """Build a Zonotope from center (n,) and generators (n, q), rounded to nearest where the dtype cannot hold them (x64 off).
 
     Raises:
         ValueError: shapes that do not fit, NaN or infinity.
@@ -93,7 +94,7 @@ def _exact_strips(Z):
 def membership(Z, points):
     """Return the margin 1 - gauge of each point: > 0 proved inside, < 0 proved outside, 0 where rounding cannot tell.
 
-    The gauge is the factor on all generators at which the point just belongs to Z; -inf margin outside the plane of a flat Z.
+    The gauge is the factor on all generators at which the point just belongs to Z. A flat Z: -inf proved outside its plane, never > 0.
 
     Args:
         Z: a Zonotope of concrete numbers.
@@ -115,10 +116,22 @@ def membership(Z, points):
         raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
     if not np.isfinite(points.astype(float)).all():
         raise ValueError(f"points must be finite: first not at {tuple(np.argwhere(~np.isfinite(points.astype(float)))[0].tolist())}")
-    found = _exact_strips(Z)
-    dtype = Z.center.dtype
-    table = strips_of([(*normal, width) for normal, width in found], [() for _ in found]).astype(dtype)
-    return np.asarray(_membership(table, Z.center, jnp.asarray(points, dtype)))
+    found, points = _exact_strips(Z), jnp.asarray(points, Z.center.dtype)
+    margin = np.ones(len(points), points.dtype)
+    for flat in (False, True):
+        part = [(*normal, width) for normal, width in found if (width == 0) == flat]
+        if part:
+            verdict = np.asarray(_membership(_table(part).astype(points.dtype), Z.center, points))
+            margin = np.where(verdict < 0, -np.inf, np.minimum(margin, 0)) if flat else verdict
+    return margin
+
+
+def _table(exact_rows):
+    """Return strips over all of (p, 1), zero coefficients included: zonotopes of one shape then share one compilation."""
+    scaled = [[x / max(map(abs, row)) for x in row] for row in exact_rows]
+    h = np.array([[rounding.fraction_to_float(x) for x in row] for row in scaled])
+    rows = np.tile(np.arange(h.shape[1], dtype=np.int32), (len(h), 1))
+    return Strips(rows, h, np.zeros((len(h), 0)), tuple(map(tuple, rows.tolist())) if len(h) <= UNROLLED else None)
 
 
 @jax.jit
@@ -135,12 +148,14 @@ def support(Z, direction):
     Args:
         Z: a Zonotope; direction: (n,).
 
+    Raises:
+        ValueError: a direction of another dimension, NaN or infinity.
+
     Example:
         >>> float(support(zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]), [1.0, 1.0]))
         13.0000...
     """
-    d = interval(jnp.asarray(direction, Z.center.dtype))
-    return (
-        matmul(d, interval(Z.center))
-        + matmul(abs(matmul(d, interval(Z.generators))), interval(jnp.ones(Z.generators.shape[1], Z.center.dtype)))
-    ).hi
+    d = interval(direction)
+    if d.shape != Z.center.shape:
+        raise ValueError(f"direction must have shape {Z.center.shape}: its shape is {d.shape}")
+    return (matmul(d, interval(Z.center)) + interval_sum(abs(matmul(d, interval(Z.generators))))).hi

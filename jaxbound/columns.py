@@ -1,0 +1,64 @@
+"""Columns between pyarrow and NumPy, by their buffers: pyarrow's own conversions import pandas, which takes longer than parsing a file."""
+
+import numpy as np
+
+__all__ = ["from_arrow", "to_arrow", "valid", "words", "write_columns"]
+
+
+def from_arrow(column):
+    """Return a pyarrow column of doubles or time stamps as NumPy floats or datetime64; null becomes NaN or NaT."""
+    import pyarrow as pa
+
+    stamps = pa.types.is_timestamp(column.type)
+    dtype, missing = (f"datetime64[{column.type.unit}]", np.datetime64("NaT")) if stamps else (np.float64, np.nan)
+    x = np.frombuffer(column.buffers()[1], dtype, len(column), 8 * column.offset)
+    return np.where(valid(column), x, missing) if column.null_count else x
+
+
+def valid(column):
+    """Return (N,) bool: False where a pyarrow column is null."""
+    if not column.null_count:
+        return np.ones(len(column), bool)
+    bits = np.unpackbits(np.frombuffer(column.buffers()[0], np.uint8), bitorder="little")
+    return bits[column.offset : column.offset + len(column)].astype(bool)
+
+
+def to_arrow(x):
+    """Return floats (NaN becomes null), whole numbers or bools as a pyarrow array."""
+    import pyarrow as pa
+
+    x = np.ascontiguousarray(x)
+    bits = lambda mask: pa.py_buffer(np.packbits(mask, bitorder="little"))
+    if x.dtype == bool:
+        return pa.Array.from_buffers(pa.bool_(), len(x), [None, bits(x)])
+    if x.dtype.kind == "f":
+        x = x.astype(np.float64)
+        return pa.Array.from_buffers(pa.float64(), len(x), [bits(~np.isnan(x)), pa.py_buffer(x)])
+    return pa.Array.from_buffers(pa.int64(), len(x), [None, pa.py_buffer(x.astype(np.int64))])
+
+
+def words(names, codes):
+    """Return the pyarrow array of the ASCII names[code].
+
+    Example:
+        >>> words(["no", "yes"], np.array([1, 0])).to_pylist()
+        ['yes', 'no']
+    """
+    import pyarrow as pa
+
+    ends = np.cumsum([0, *map(len, names)]).astype(np.int32)
+    return pa.StringArray.from_buffers(len(names), pa.py_buffer(ends), pa.py_buffer("".join(names).encode())).take(to_arrow(codes))
+
+
+def write_columns(path, columns):
+    """Write {name: pyarrow array} as CSV, with quotes only if a text needs them."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.csv
+
+    texts = [c for c in columns.values() if pa.types.is_string(c.type)]
+    plain = not any(pc.any(pc.match_substring_regex(c, '[",\r\n]')).as_py() for c in texts)
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
+    with open(path, "wb") as f:
+        f.write((",".join(columns) + "\n").encode())
+        pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), f, options)

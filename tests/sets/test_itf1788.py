@@ -1,0 +1,151 @@
+"""Every case of the ITF1788 suite whose operation is implemented. Source: oheim/ITF1788, in the shared folder.
+
+Decorations are ignored, cases on NaI (there is none here) left out. The suite gives the tightest results, some of them with subnormal
+bounds. Compiled code reads a subnormal as 0, so the factory moves such bounds outward, and outward rounding adds two smallest normal
+numbers. What is allowed for subnormals is therefore only this: a bound or number may be off, outward, by three smallest normal numbers.
+Soundness, emptiness and the truth of relations admit no exception, subnormals or not.
+"""
+
+import importlib.util
+import math
+import sys
+from collections import Counter
+from fractions import Fraction
+
+import jax
+import numpy as np
+import pytest
+
+from jaxbound import sets
+from jaxbound.sets import interval
+
+TINY = float(np.finfo(float).tiny)
+SETS = {  # ITF1788's name: (ours, largest distance from the tightest bound in ulps)
+    "neg": ("neg", 0), "abs": ("abs", 0), "min": ("min", 0), "max": ("max", 0), "convexHull": ("hull", 0),
+    "intersection": ("intersection", 0), "add": ("add", 5), "sub": ("sub", 5), "mul": ("mul", 5), "div": ("div", 5),
+    "recip": ("recip", 5), "sqr": ("sqr", 5),
+}  # fmt: skip
+POWERS = "pown"  # at most 4 |n| ulps, and 5 for n = -1
+RELATIONS = ["equal", "subset", "interior", "disjoint", "less", "precedes", "isEmpty", "isEntire"]
+NUMBERS = {"mid": 0, "mag": 0, "mig": 0, "inf": 0, "sup": 0, "rad": 2, "wid": 2}  # largest distance in ulps, upward
+COUNTS = {
+    "abs": 20, "add": 36, "convexHull": 10, "disjoint": 20, "div": 346, "equal": 30, "inf": 28, "interior": 32, "intersection": 10,
+    "isEmpty": 28, "isEntire": 30, "less": 52, "mag": 16, "max": 19, "mid": 24, "midRad": 24, "mig": 22, "min": 19, "mul": 121,
+    "neg": 14, "pown": 174, "precedes": 42, "rad": 18, "recip": 26, "sqr": 16, "sub": 36, "subset": 53, "sup": 28, "wid": 16,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def itl(shared):
+    """Return the suite's own reader."""
+    spec = importlib.util.spec_from_file_location("itl_parse", shared("external/itf1788/itl_parse.py"))
+    module = sys.modules["itl_parse"] = importlib.util.module_from_spec(spec)  # its dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def cases(itl, shared):
+    """Return the cases without NaI, by operation."""
+    is_nai = lambda v: isinstance(v, itl.Interval) and v.nai
+    by_op = {}
+    for case in itl.read_tree(shared("external/itf1788")):
+        if not any(map(is_nai, (*case.inputs, *case.expected))):
+            by_op.setdefault(case.op, []).append(case)
+    return by_op
+
+
+def batch(cases, k):
+    """Return the k-th arguments of cases as one Interval."""
+    lo, hi = zip(*((float(c.inputs[k].lo), float(c.inputs[k].hi)) for c in cases), strict=True)
+    return interval(np.array(lo), np.array(hi))
+
+
+def results(cases, f, arguments):
+    return jax.jit(f)(*(batch(cases, k) for k in range(arguments)))
+
+
+def unsound(cases, z):
+    """Return the cases whose tightest result ours does not contain, or whose emptiness differs."""
+    rows = zip(cases, z.lo.tolist(), z.hi.tolist(), strict=True)
+    return [c for c, lo, hi in rows if (lo > hi) != c.expected[0].empty or not (lo <= c.expected[0].lo and c.expected[0].hi <= hi)]
+
+
+def widest(itl, cases, z):
+    """Return the largest distance in ulps from the tightest bounds, bounds within three smallest normal numbers left out."""
+    worst = 0
+    for c, lo, hi in zip(cases, z.lo.tolist(), z.hi.tolist(), strict=True):
+        if not c.expected[0].empty:
+            for got, want in ((lo, float(c.expected[0].lo)), (hi, float(c.expected[0].hi))):
+                if got != want and abs(got - want) > 3 * TINY:
+                    worst = max(worst, abs(itl.ulps(got, want)))
+    return worst
+
+
+@pytest.mark.parametrize("op", SETS)
+def test_the_tightest_result_is_contained(cases, op):
+    ours, _ = SETS[op]
+    some = cases[op]
+    assert not unsound(some, results(some, getattr(sets, ours), len(some[0].inputs)))
+
+
+@pytest.mark.parametrize("op", SETS)
+def test_results_are_within_the_stated_ulps(itl, cases, op):
+    ours, ulps = SETS[op]
+    some = cases[op]
+    worst = widest(itl, some, results(some, getattr(sets, ours), len(some[0].inputs)))
+    print(f"{op}: {len(some)} cases, at most {worst} ulps wide of the tightest bound")
+    assert worst <= ulps
+
+
+def by_exponent(some):
+    return {n: [c for c in some if c.inputs[1] == n] for n in sorted({int(c.inputs[1]) for c in some})}
+
+
+def test_tightest_powers_are_contained_and_within_four_ulps_a_factor(itl, cases):
+    for n, some in by_exponent(cases[POWERS]).items():
+        z = results(some, lambda x, n=n: sets.pown(x, n), 1)
+        assert not unsound(some, z)
+        worst = widest(itl, some, z)
+        print(f"pown {n}: {len(some)} cases, at most {worst} ulps wide of the tightest bound")
+        assert worst <= max(4 * abs(n), 5 if n == -1 else 0)
+
+
+@pytest.mark.parametrize("op", RELATIONS)
+def test_relations_agree_subnormals_included(cases, op):
+    ours = {"isEmpty": lambda x: x.is_empty, "isEntire": lambda x: sets.equal(x, interval(-np.inf, np.inf))}.get(op) or getattr(sets, op)
+    some = cases[op]
+    got = results(some, ours, len(some[0].inputs)).tolist()
+    assert got == [c.expected[0] for c in some] and {True, False} == set(got)
+
+
+@pytest.mark.parametrize("op", NUMBERS)
+def test_numbers_agree_within_the_stated_ulps_upward(itl, cases, op):
+    ours = {"inf": lambda x: x.lo, "sup": lambda x: x.hi}.get(op) or getattr(sets, op)
+    some = cases[op]
+    for c, got in zip(some, results(some, ours, 1).tolist(), strict=True):
+        want = float(c.expected[0])
+        if math.isnan(want):
+            assert math.isnan(got), c
+        else:
+            outward = {"inf": got <= want, "rad": got >= want, "wid": got >= want, "sup": got >= want}.get(op, True)
+            assert outward and (abs(itl.ulps(want, got)) <= NUMBERS[op] or abs(got - want) <= 3 * TINY), c
+
+
+def test_mid_and_rad_together_cover(cases):
+    some = cases["midRad"]
+    m, r = results(some, lambda x: (x.mid, x.rad), 1)
+    for c, mid, rad in zip(some, m.tolist(), r.tolist(), strict=True):
+        x = c.inputs[0]
+        if x.empty:
+            assert math.isnan(mid) and math.isnan(rad)
+        else:
+            assert abs(mid - float(c.expected[0])) <= 3 * TINY and rad >= float(c.expected[1])
+            assert rad == math.inf or Fraction(mid) - Fraction(rad) <= x.lo and x.hi <= Fraction(mid) + Fraction(rad)
+
+
+def test_no_case_of_an_implemented_operation_is_left_out(cases):
+    tested = [*SETS, POWERS, *RELATIONS, *NUMBERS, "midRad"]
+    counts = Counter({op: len(cases[op]) for op in tested})
+    print(f"{counts.total()} cases of {len(tested)} operations")
+    assert counts == COUNTS

@@ -1,0 +1,283 @@
+"""Pictures and the report: complete, escaped, readable whatever the numbers."""
+
+import re
+from html.parser import HTMLParser
+
+import jax
+import numpy as np
+import pytest
+from systems import paper
+
+import jaxbound as jb
+from jaxbound.diagnosis.result import Result
+from jaxbound.figures import figure_1, figure_2
+from jaxbound.files import Recording
+from jaxbound.plots import distinct_relations, plot, plot_residuals, readable_relation, to_png
+from jaxbound.report import bound_hints, coverage, duration, percent, summary, times, worst_window, write_report
+
+FAULT, MISSING, CONSISTENT, UNDECIDED = jb.Status.FAULT, jb.Status.MISSING, jb.Status.CONSISTENT, jb.Status.UNDECIDED
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Return (result, recording) of the paper's system with a bias."""
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 15), 20)[:, None]
+    t = jb.simulate(paper(), u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 1.0, 100, 150)])
+    u, y = np.asarray(t.u), np.asarray(t.y)
+    return jb.detect(jb.parity_relations(paper()), u, y), Recording(0.01 * np.arange(len(u)), None, u, y, source="run.csv")
+
+
+def synthetic(status, margin=None, model=None, method="joint"):
+    """Return a Result with given verdicts."""
+    r = jb.parity_relations(model or paper())
+    status = np.asarray(status, np.int8)
+    margin = np.where(status == FAULT, -1.0, np.where(status == MISSING, np.nan, 0.5)) if margin is None else np.asarray(margin, float)
+    n = len(status)
+    return Result(status, margin, method, r, np.zeros((n, r.model.m)), np.zeros((n, r.model.p)))
+
+
+def recording_of(res):
+    return Recording(res.relations.model.dt * np.arange(len(res.status)), None, res.u, res.y)
+
+
+class TestPlot:
+    def test_margin_ribbon_and_factor_axes(self, run):
+        fig = plot(run[0], run[1].axis)
+        margin, ribbon, factor = fig.axes
+        line = next(x for x in margin.lines if len(x.get_xdata()) == 300)
+        np.testing.assert_array_equal(line.get_ydata(), run[0].margin)
+        assert [t.get_text() for t in fig.legends[0].texts] == ["MISSING", "CONSISTENT", "FAULT"] and ribbon.get_xlabel() == "time (s)"
+        assert factor.get_ylim() == margin.get_ylim()
+
+    @pytest.mark.parametrize("span, unit", [(10, "s"), (600, "min"), (86400, "h"), (10**6, "days")])
+    def test_time_in_sensible_units(self, span, unit):
+        res = synthetic([MISSING] + [CONSISTENT] * 50)
+        assert plot(res, np.linspace(0, span, 51)).axes[1].get_xlabel() == f"time ({unit})"
+
+    def test_dates(self):
+        res = synthetic([MISSING] + [CONSISTENT] * 20 + [FAULT] * 5 + [CONSISTENT] * 25)
+        days = np.datetime64("2017-09-12") + np.arange(51) * np.timedelta64(1, "h")
+        for draw in (plot, plot_residuals):
+            assert to_png(draw(res, days))[:4] == b"\x89PNG"
+
+    def test_a_single_fault_in_a_million_is_drawn(self):
+        status = np.full(1_000_000, CONSISTENT, np.int8)
+        status[0], status[654_321] = MISSING, FAULT
+        fig = plot(synthetic(status))
+        colours = fig.axes[1].collections[0].get_array().ravel()
+        assert len(colours) == 1200 and list(colours[colours != CONSISTENT]) == [FAULT] and np.argmax(colours) == 654_321 * 1200 // 10**6
+        assert min(x.get_ydata().min() for x in fig.axes[0].lines if len(x.get_ydata()) == 1200) == -1
+
+    def test_thinned_residuals_keep_the_worst_window(self, rng):
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
+        y = np.zeros((20_000, 1))
+        y[12_345] = 7.0
+        res = jb.detect(jb.parity_relations(model), np.zeros((20_000, 1)), y)
+        ax = plot_residuals(res).axes[0]
+        share = next(x.get_ydata() for x in ax.lines if len(x.get_ydata()) == 1200 and x.get_label().startswith("share"))
+        assert abs(share.max() - (1 - np.nanmin(res.margin))) < 1e-6  # one relation: its share is the gauge
+
+    @pytest.mark.parametrize("worst", [-3.0, -50.0, -1e6, -1e15, -np.inf])
+    def test_a_huge_excursion_does_not_flatten_the_rest(self, worst):
+        status, margin = np.full(200, CONSISTENT), np.full(200, 0.5)
+        status[100], margin[100] = FAULT, worst
+        ax = plot(synthetic(status, margin)).axes[0]
+        low, high = (ax.transData.transform((0, y))[1] for y in (0.0, 1.0))
+        assert (high - low) / ax.bbox.height > 0.08  # the healthy band keeps its share of the picture
+
+    def test_a_huge_residual_does_not_flatten_the_rest(self):
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
+        y = np.zeros((200, 1))
+        y[100] = 1e9
+        ax = plot_residuals(jb.detect(jb.parity_relations(model), np.zeros((200, 1)), y)).axes[0]
+        assert ax.get_ylim()[1] < 10 and any("beyond the axis" in t.get_text() for t in ax.texts)
+
+    def test_residuals_show_what_relations_compute(self, run):
+        res = run[0]
+        external, envelope = res.relations.external(res.u, res.y), res.relations.internal(res.u, res.y)
+        for j, ax in enumerate(plot_residuals(res).axes):
+            np.testing.assert_allclose(ax.lines[2].get_ydata(), external[:, j])
+            np.testing.assert_allclose(ax.lines[0].get_ydata(), envelope.lo[:, j])
+            np.testing.assert_allclose(ax.lines[1].get_ydata(), envelope.hi[:, j])
+
+    def test_paving_without_margins_and_all_missing(self):
+        for status in ([MISSING] + [FAULT] * 9 + [UNDECIDED] * 10, [MISSING] * 20):
+            res = synthetic(status, np.full(20, np.nan), method="paving")
+            assert to_png(plot(res)) and to_png(plot_residuals(res))
+
+    def test_shifted_copies_are_drawn_once(self):
+        r = jb.parity_relations(paper(), 4)
+        assert r.count == 8 and len(distinct_relations(r)) == 2
+
+    def test_long_integers_are_scaled_in_text_and_picture(self):
+        m = jb.LinearSystem([["0.123457", "0.5"], ["0.1", "0.765432"]], [[1], [0]], [[1, 0]], noise=0.1)
+        r = jb.parity_relations(m)
+        text, scale = readable_relation(r, 0)
+        y = np.random.default_rng(0).normal(size=(10, 1))
+        value = float(r.external(np.zeros((10, 1)), y)[5, 0]) / scale
+        coefficients = [float(x) / float(max(map(abs, r.W[0]))) for x in r.W[0]]
+        assert abs(value - np.dot(coefficients, y[3:6, 0])) < 1e-9 and not re.search(r"(?<![.\d])\d{5,} ", text)
+
+    def test_batches_and_wrong_times_are_refused(self, run):
+        r = run[0].relations
+        batch = jb.detect(r, np.zeros((2, 9, 1)), np.zeros((2, 9, 2)))
+        for draw in (plot, plot_residuals):
+            with pytest.raises(ValueError, match="a plot shows one recording"):
+                draw(batch)
+            with pytest.raises(ValueError, match="time needs one entry for each of the 300 samples"):
+                draw(run[0], np.arange(5))
+
+    def test_no_global_state_is_touched(self, run):
+        import matplotlib
+
+        before = dict(matplotlib.rcParams)
+        to_png(plot(run[0]))
+        assert dict(matplotlib.rcParams) == before
+
+
+class TestPaper:
+    def test_figure_1_shows_the_paper_and_its_numbers(self):
+        left, right = figure_1().axes
+        assert "261 boxes evaluated" in right.get_title(loc="left") + right.get_title()
+        texts = [t.get_text() for t in left.get_legend().texts]
+        assert "paving, q = 10: area 25.634" in texts and "paving, q = 20: area 23.554" in texts
+        drawn = sum(len(c.get_paths()) for c in right.collections)
+        assert drawn == 261 + 20  # evaluated, and kept once more in colour
+
+    def test_figure_2(self):
+        u = np.zeros((60, 1))
+        faults = [jb.Fault("y1", "bias", 3.0, 20, 40)]
+        t = jb.simulate(paper(), u, jax.random.key(0), faults=faults)
+        axes = figure_2(t, jb.detect(jb.parity_relations(paper()), t.u, t.y), faults).axes
+        assert [t.get_text() for t in axes[1].get_legend().texts] == ["x1 + x2 (true)", "y2 (measured)"]
+        assert axes[0].texts[0].get_text().strip() == "A: bias of y1"
+
+
+class TestSummary:
+    label = staticmethod(lambda k: f"sample {k}")
+
+    def test_no_fault(self):
+        res = synthetic([MISSING] + [CONSISTENT] * 9, [np.nan] + [0.4] * 8 + [0.2])
+        assert summary(res, [], self.label) == (
+            "no fault",
+            "No fault found: the model explains all 9 windows within its bounds; the tightest, at sample 9, uses 80 % of them.",
+        )
+
+    def test_fault(self):
+        res = synthetic([MISSING] + [CONSISTENT] * 8 + [FAULT] * 2, [np.nan] + [0.4] * 8 + [-0.5, -1.9])
+        verdict, sentence = summary(res, res.alarms(), self.label)
+        assert verdict == "fault" and "2 of 10 windows (20 %)" in sentence and "in 1 alarm;" in sentence
+        assert sentence.endswith("the worst, at sample 10, would need bounds 2.9 times as wide.")
+
+    def test_all_fault_says_that_model_or_bounds_do_not_fit(self):
+        res = synthetic([MISSING] + [FAULT] * 9, [np.nan] + [-1.0] * 8 + [-11.0])
+        assert summary(res, [], self.label)[1] == (
+            "Every one of the 9 windows with data is FAULT: the model or its bounds do not fit this recording: "
+            "bounds would have to be up to 12 times as wide."
+        )
+
+    def test_too_little_evidence(self):
+        res = synthetic([MISSING] * 8 + [CONSISTENT] * 3)
+        verdict, sentence = summary(res, [], self.label, 0.5)
+        assert verdict == "too little evidence" and "only 3 of 10 windows (30 %)" in sentence and coverage(res) == 0.3
+        assert summary(res, [], self.label, 0.3)[0] == "no fault"
+
+    def test_a_fault_is_news_whatever_the_coverage(self):
+        assert summary(synthetic([MISSING] * 9 + [FAULT]), [], self.label)[0] == "fault"
+
+    def test_nothing_at_all(self):
+        res = synthetic([MISSING] * 5)
+        assert summary(res, [], self.label)[0] == "too little evidence" and worst_window(res) is None
+
+    def test_numbers_read_well(self):
+        assert [percent(x) for x in (0, 1e-9, 0.1234, 0.99999, 1)] == ["0 %", "<0.1 %", "12.3 %", ">99.9 %", "100 %"]
+        assert [times(x) for x in (1.0004, 2.149, 12345.6, 3e12)] == ["1.0004 times", "2.15 times", "12,346 times", "3e+12 times"]
+        assert [duration(x) for x in (0.01, 90, 600, 9000, 10**6)] == ["0.01 s", "90 s", "10 min", "2.5 h", "11.6 d"]
+
+    def test_bounds_that_nobody_can_mean(self):
+        assert bound_hints(paper()) == []
+        (hint,) = bound_hints(paper(noise=[0.1, 0], tolerance=0))
+        assert "no tolerance, noise or resolution for y2:" in hint
+
+
+class Reader(HTMLParser):
+    """Collects tags, attributes and text; complains about tags that do not match."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.open, self.seen, self.links, self.text = [], [], [], ""
+        self.feed(page)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append(tag)
+        self.links += [v for k, v in attrs if k in ("src", "href")]
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def page(run, tmp_path_factory):
+    """Return the parsed report of the run and its folder."""
+    folder = tmp_path_factory.mktemp("report")
+    files = write_report(folder, run[0], run[1], run[0].alarms(), hints=["mind `this`"], seconds={"read": 0.1})
+    assert sorted(files) == ["margin.png", "report.html", "residuals.png"] and all((folder / f).exists() for f in files)
+    return Reader((folder / "report.html").read_text()), folder
+
+
+class TestReport:
+    def test_is_one_self_contained_file(self, page):
+        reader, folder = page
+        assert all(link.startswith("data:image/png;base64,") for link in reader.links) and len(reader.links) == 2
+        assert not {"script", "link", "iframe", "object"} & set(reader.seen)
+        assert not re.search(r"url\(|@import|https?:", (folder / "report.html").read_text())
+
+    def test_says_what_an_engineer_needs(self, page, run):
+        text, res = page[0].text, run[0]
+        for part in ("Fault proved", "would need bounds", str(res.counts["FAULT"]), "Please check", "mind this", "y1[k-1] - 5 y2[k-1]",
+                     "origin not stated", "mathematical proof", f"jax {jax.__version__}", np.__version__, "float64", "run.csv",
+                     "10 %"):  # fmt: skip
+            assert part in text, part
+
+    def test_every_alarm_has_its_row(self, page, run):
+        assert page[0].seen.count("tr") > len(run[0].alarms()) and f"Alarms ({len(run[0].alarms())})" in page[0].text
+
+    def test_names_are_escaped(self, tmp_path):
+        evil = "<script>alert('1')</script>&\"$x_1$"
+        m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name=evil, inputs=[f"u{evil}"], outputs=[f"y{evil}"], states=[f"x{evil}"],
+                            units={f"y{evil}": evil}, provenance={"noise": evil, "model": evil})  # fmt: skip
+        y = np.zeros((50, 1))
+        y[20] = 9
+        res = jb.detect(jb.parity_relations(m), np.zeros((50, 1)), y)
+        recording = Recording(np.arange(50.0), None, res.u, res.y, source=evil)
+        write_report(tmp_path, res, recording, res.alarms(), hints=[evil], extra=[(evil, None, evil, [(evil,), (evil,)])])
+        text = (tmp_path / "report.html").read_text()
+        assert "<script" not in text and Reader(text).text.count(evil) > 12
+
+    def test_letters_that_the_font_lacks_do_not_disturb(self, tmp_path):
+        m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name="温度 Ω 🔥")
+        res = jb.detect(jb.parity_relations(m), np.zeros((50, 1)), np.zeros((50, 1)))
+        write_report(tmp_path, res, recording_of(res), [])
+        assert "温度 Ω 🔥" in (tmp_path / "report.html").read_text()
+
+    def test_many_alarms_are_cut_with_a_note(self, tmp_path):
+        status = np.tile([CONSISTENT, FAULT], 300)
+        status[0] = MISSING
+        res = synthetic(status, np.where(status == FAULT, -np.arange(600.0), 0.5))
+        object.__setattr__(res, "y", np.random.default_rng(0).normal(size=(600, 2)) * 100)
+        write_report(tmp_path, res, recording_of(res), res.alarms())
+        reader = Reader((tmp_path / "report.html").read_text())
+        assert "The 200 deepest of 300 alarms; alarms.csv has all of them" in reader.text and "× 600" in reader.text
+        assert 200 < reader.seen.count("tr") < 230
+
+    @pytest.mark.parametrize("status", [[MISSING] * 6, [MISSING] + [FAULT] * 5, [MISSING] + [UNDECIDED] * 5])
+    def test_any_mixture_of_verdicts_makes_a_report(self, tmp_path, status):
+        res = synthetic(status)
+        write_report(tmp_path, res, recording_of(res), res.alarms())
+        assert Reader((tmp_path / "report.html").read_text()).text
