@@ -26,7 +26,7 @@ from jaxbound import __version__
 from jaxbound.diagnosis.consistency import METHODS, detect
 from jaxbound.files import read_recording, write_alarms, write_verdicts
 from jaxbound.modelfile import load_model, save_model, template
-from jaxbound.plots import distinct_relations, readable_relation
+from jaxbound.plots import distinct_relations
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints, coverage, percent, summary, times, worst_window, write_report
 
@@ -323,7 +323,7 @@ def _info(args):
     distinct = distinct_relations(r)
     if len(distinct) < r.count:
         rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
-    _show(m.name, "bold", rows, text="\n".join(readable_relation(r, j)[0] for j in distinct))
+    _show(m.name, "bold", rows, text="\n".join(r.text().splitlines()[j] for j in distinct))
     return OK
 
 

@@ -6,7 +6,6 @@ extremes of 1200 bins; a bin with a single FAULT window is drawn as FAULT.
 
 import io
 import warnings
-from fractions import Fraction
 
 import numpy as np
 
@@ -95,8 +94,8 @@ def plot_residuals(res, time=None):
     with style():
         fig, axes = stacked(len(shown), (11, top + BOTTOM + panel * len(shown) + gap * (len(shown) - 1)), [1] * len(shown))
         for j, ax in zip(shown, axes, strict=True):
-            text, scale = readable_relation(relations, j)
-            value, low, high = (np.asarray(z[:, j]) / scale for z in (external, lo, hi))
+            text = f"r{j + 1}: {relation_text(relations.model, relations.horizon, relations.W[j], relations.K[j])}"
+            value, low, high = (np.asarray(z[:, j]) for z in (external, lo, hi))
             if thinned:  # neighbours have nothing to do with each other: the share of the envelope says more than a thicket of lines
                 value, low, high = abs(value - (low + high) / 2) / ((high - low) / 2), np.zeros(len(at)), np.ones(len(at))
             _shade(ax, at, fault)
@@ -126,21 +125,6 @@ def distinct_relations(relations):
         first = min([i // p for i, x in enumerate(h) if x] + [i // m for i, x in enumerate(k) if x])
         last[tuple(tuple((i - first * width, x) for i, x in enumerate(row) if x) for row, width in ((h, p), (k, m)))] = j
     return sorted(last.values())
-
-
-def readable_relation(relations, j):
-    """Return (text, scale) of relation j, with scale such that external / scale is what the text says."""
-    h, k = relations.W[j], relations.K[j]
-    used = relations.test("box", np.float64).strips
-    text, size = readable_text(relations, h, k)
-    return f"r{j + 1}: {text}", float(used.h[j, 0]) / float(h[used.rows[j, 0]] / size)
-
-
-def readable_text(relations, h, k):
-    """Return (text, size) of the relation h Y - k U = 0, divided by its largest coefficient, size, where integers would be long."""
-    size = max(map(abs, h))
-    size = size if size >= 10**4 else Fraction(1)
-    return relation_text(relations.model, relations.horizon, [x / size for x in h], [x / size for x in k]), size
 
 
 def to_png(fig, dpi=130):

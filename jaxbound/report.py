@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxbound.modelfile import number_text
-from jaxbound.plots import distinct_relations, plot, plot_residuals, readable_relation, readable_text, to_png
+from jaxbound.plots import distinct_relations, plot, plot_residuals, to_png
 from jaxbound.sets.status import Status
 
 __all__ = ["bound_hints", "coverage", "summary", "worst_window", "write_report"]
@@ -209,7 +209,7 @@ def _alarms(res, recording, alarms):
     for i in chosen:  # the deepest first, as long as patience lasts
         if clock.perf_counter() < stop:
             certificate = res.explain(alarms[i].worst)
-            violated[i] = readable_text(res.relations, certificate.h, certificate.k)[0]
+            violated[i] = certificate.relation
     rows = []
     for i in sorted(chosen):
         a = alarms[i]
@@ -241,7 +241,8 @@ def _model(res):
         if a[0] and (letter != "D" or model.has_feedthrough)
     )
     distinct = distinct_relations(res.relations)
-    relations = "\n".join(readable_relation(res.relations, j)[0] for j in distinct[:20])
+    lines = res.relations.text().splitlines()
+    relations = "\n".join(lines[j] for j in distinct[:20])
     relations += "\n..." if len(distinct) > 20 else ""
     copies = f", of which {len(distinct)} differ by more than a shift in time" if len(distinct) < res.relations.count else ""
     return (

@@ -4,6 +4,8 @@ Windows are tested in blocks of one fixed size by one compiled kernel, so that r
 recordings of a batch are laid end to end, and the windows that would cross a seam are MISSING like any warm-up.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -101,7 +103,7 @@ def margins(relations, u, y):
     test = relations.test("joint", y.dtype)
     if traced or jax.default_backend() != "cpu":
         shape = y.shape[:-1]
-        u, y = jnp.asarray(u).reshape(-1, u.shape[-1]), jnp.asarray(y).reshape(-1, y.shape[-1])
+        u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
         margin = jnp.pad(_margins(test, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape)
         return margin.at[..., : test.horizon].set(jnp.nan)
     (margin,) = _in_blocks(_margins, test, np.asarray(u), np.asarray(y), (y.dtype,), (np.nan,), None)
@@ -130,7 +132,7 @@ def block_size(test):
 def _in_blocks(kernel, test, u, y, dtypes, warm_up, progress):
     """Run a kernel over all windows of (..., T, .) arrays and return one array (..., T) for each of its outputs."""
     shape, s = y.shape[:-1], test.horizon
-    u, y = u.reshape(-1, u.shape[-1]), y.reshape(-1, y.shape[-1])
+    u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
     samples, block = len(y), block_size(test)
     outs = [_aligned(samples, d) for d in dtypes]
     for out, first in zip(outs, warm_up, strict=True):

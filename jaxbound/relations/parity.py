@@ -9,6 +9,7 @@ values of exact coefficients, whose error `sets.rounding` counts. Source: Adrot,
 """
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -185,7 +186,7 @@ def relation_text(model, horizon, h, k):
         if x:
             sign = ("- " if x < 0 else "") if not out else (" - " if x < 0 else " + ")
             size = abs(x)
-            factor = "" if size == 1 else f"{size} " if size.denominator == 1 and size < 10**6 else f"{float(size):.6g} "
+            factor = "" if size == 1 else f"{size} " if size.denominator == 1 else f"{float(size):.6g} "
             out += sign + factor + signal
     return out + " = 0"
 
@@ -241,6 +242,12 @@ def parity_relations(model, horizon=None, form="first"):
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
         raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
     horizon = int(horizon)
+    state_rank = exact.rank(window.first_form(model, min(horizon, model.n))[0])  # a longer window does not raise it (Cayley-Hamilton)
+    if (count := math.comb((horizon + 1) * model.p, state_rank + 1)) > MAX_CIRCUITS:
+        raise ValueError(
+            f"horizon {horizon} is too long for this model: {count} combinations of {state_rank + 1} samples would have to be tested, "
+            f"more than {MAX_CIRCUITS}; choose a shorter horizon"
+        )
     O, H = window.first_form(model, horizon)
     null = exact.left_null_space(O)
     if not null:
@@ -248,12 +255,9 @@ def parity_relations(model, horizon=None, form="first"):
             f"horizon {horizon} gives no relation: {len(O)} samples do not outnumber the {model.n} states; "
             f"the smallest horizon with one is {_first_horizon(model)}"
         )
-    try:
-        circuits = exact.circuits(O, limit=MAX_CIRCUITS)
-    except ValueError as e:
-        raise ValueError(f"horizon {horizon} is too long for this model: {e}; choose a shorter horizon") from None
+    circuits = tuple(map(exact.presentable, exact.circuits(O)))
     if form == "first":
-        W = exact.minimal_span(null)
+        W = tuple(map(exact.presentable, exact.minimal_span(null)))
         K = exact.matmul(W, H) if H[0] else tuple(() for _ in W)
     else:
         W, K = _second(model, horizon)

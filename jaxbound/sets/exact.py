@@ -17,6 +17,7 @@ __all__ = [
     "matmul",
     "matrix",
     "minimal_span",
+    "presentable",
     "primitive",
     "rank",
     "rational",
@@ -36,11 +37,13 @@ def rational(x):
     """
     try:
         x = np.asarray(x)[()] if hasattr(x, "dtype") else x
+        if isinstance(x, (str, Decimal)) and "/" not in str(x) and not -400 < Decimal(x).adjusted() < 400:
+            raise OverflowError("far outside the range of floats, and its integers would not end")
         if isinstance(x, np.floating):
             return Fraction(str(x))  # the shortest decimal of its own dtype
         x = int(x) if isinstance(x, np.integer) else x
         return Fraction(x if isinstance(x, (Fraction, int, str, Decimal)) else repr(float(x)))
-    except (ValueError, TypeError, OverflowError, ZeroDivisionError) as e:
+    except (ValueError, TypeError, ArithmeticError) as e:
         raise ValueError(f"{x!r} is not a finite number") from e
 
 
@@ -114,6 +117,12 @@ def primitive(row):
     divisor = gcd(*whole) or 1
     sign = -1 if next((x for x in whole if x), 1) < 0 else 1
     return tuple(Fraction(sign * x // divisor) for x in whole)
+
+
+def presentable(row):
+    """Return a primitive row as it is while its integers are short, else divided by its largest entry."""
+    largest = max(map(abs, row))
+    return tuple(row) if largest < 10**4 else tuple(x / largest for x in row)
 
 
 def minimal_span(a):

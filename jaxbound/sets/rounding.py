@@ -128,7 +128,7 @@ def fraction_to_float(value, dtype=np.float64):
         out = np.asarray(_nearest(value), dtype)[()]
     if value != 0 and (abs(out) < tiny(dtype) or not np.isfinite(out)):
         raise ValueError(
-            f"the coefficient {_nearest(value):.3g} is outside the range of {np.dtype(dtype).name}: rescale the signals or use float64"
+            f"the coefficients of a relation span more than {np.dtype(dtype).name} holds: give the signals units of similar size"
         )
     return out
 

@@ -53,20 +53,15 @@ class Strips:
 
 
 def strips_of(exact_h, exact_k):
-    """Build Strips from exact rows h (over the box) and k (over the known values).
-
-    Rows whose integers a float32 does not hold exactly are divided by their largest entry.
-    """
+    """Build Strips from exact rows h (over the box) and k (over the known values)."""
     widest = max(sum(1 for x in h if x) for h in exact_h)
     rows, coefficients, known = [], [], []
     for h, k in zip(exact_h, exact_k, strict=True):
         support = [i for i, x in enumerate(h) if x]
-        scale = max(abs(x) for x in h)
-        scale = 1 if scale.denominator == 1 and scale <= 2**24 else scale
         padding = widest - len(support)
         rows.append(support + support[:1] * padding)
-        coefficients.append([rounding.fraction_to_float(h[i] / scale) for i in support] + [0.0] * padding)
-        known.append([rounding.fraction_to_float(x / scale) for x in k])
+        coefficients.append([rounding.fraction_to_float(h[i]) for i in support] + [0.0] * padding)
+        known.append([rounding.fraction_to_float(x) for x in k])
     supports = tuple(map(tuple, rows)) if len(rows) <= UNROLLED else None
     return Strips(np.array(rows, np.int32), np.array(coefficients), np.array(known).reshape(len(rows), -1), supports)
 
@@ -79,7 +74,6 @@ def strip_margin(strips, mid, rad, known):
         mid, rad: q middles (NaN: absent) and radii > 0 of the box.
         known: l known values.
     """
-
     mid, rad = _indexable(strips, mid, rad)
 
     def step(gauge, strip):
