@@ -96,7 +96,7 @@ def margins(relations, u, y):
         >>> r = jb.parity_relations(m)
         >>> loss = lambda bounds: jb.margins(r.with_bounds(bounds), None, [[1.0], [0.8]])[1]
         >>> jax.grad(loss)(r.bounds)["noise"].round(2)
-        Array([20.], dtype=float32...)
+        Array([20.], dtype=float...)
     """
     u, y, _ = recording.arrays(relations.model, u, y)
     traced = any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values()))

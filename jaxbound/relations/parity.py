@@ -245,7 +245,7 @@ def parity_relations(model, horizon=None, form="first"):
     state_rank = exact.rank(window.first_form(model, min(horizon, model.n))[0])  # a longer window does not raise it (Cayley-Hamilton)
     if (count := math.comb((horizon + 1) * model.p, state_rank + 1)) > MAX_CIRCUITS:
         raise ValueError(
-            f"horizon {horizon} is too long for this model: {count} combinations of {state_rank + 1} samples would have to be tested, "
+            f"horizon {horizon} is too long for this model: {count} circuits of up to {state_rank + 1} samples would have to be tested, "
             f"more than {MAX_CIRCUITS}; choose a shorter horizon"
         )
     O, H = window.first_form(model, horizon)

@@ -164,31 +164,48 @@ def _directed(value, dtype, towards):
 
 
 def two_sum(a, b):
-    """Return (s, e) with s = fl(a + b) and s + e = a + b exactly (Knuth)."""
+    """Return (s, e) with s = fl(a + b) and s + e = a + b exactly (Knuth).
+
+    The barrier keeps the compiler from turning (1 + b) - 1 into b. An inexact product handed in directly may be fused into the sum.
+    """
+    return _two_sum(*jax.lax.optimization_barrier((a, b)))
+
+
+def _two_sum(a, b):
     s = a + b
     z = s - a
     return s, (a - (s - z)) + (b - z)
 
 
 def two_prod(a, b):
-    """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow, and overflow of 2^27 a or 2^27 b (Dekker)."""
-    split = np.asarray(2 ** -(-(np.finfo(a.dtype).nmant + 1) // 2) + 1, a.dtype)[()]
-    p = a * b
-    a_big, b_big = split * a, split * b
-    a_hi, b_hi = a_big - (a_big - a), b_big - (b_big - b)
-    a_lo, b_lo = a - a_hi, b - b_hi
-    return p, ((a_hi * b_hi - p) + a_hi * b_lo + a_lo * b_hi) + a_lo * b_lo
+    """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow of e.
+
+    Every product of halves is exact, so that contraction into an FMA changes nothing (it breaks Dekker's splitting and his a * b).
+    """
+    (a_hi, a_lo), (b_hi, b_lo) = _halves(a), _halves(b)
+    p, first = _two_sum(a_hi * b_hi, a_hi * b_lo)
+    p, second = _two_sum(p, a_lo * b_hi)
+    p, e = _two_sum(p, first + second)  # first + second and the next sum are exact: they fit the digits
+    return _two_sum(p, e + a_lo * b_lo)
+
+
+def _halves(x):
+    """Split floats into two of half the digits, by rounding the bits."""
+    bits, low = {8: (jnp.int64, 27), 4: (jnp.int32, 12)}[x.dtype.itemsize]
+    pattern = jax.lax.bitcast_convert_type(x, bits) + (1 << (low - 1))
+    hi = jax.lax.bitcast_convert_type(pattern & -(1 << low), x.dtype)
+    return hi, x - hi
 
 
 def dd_add(x, y):
     """Add two double-word numbers (hi, lo): about twice the digits of the dtype."""
     s, e = two_sum(x[0], y[0])
     t, f = two_sum(x[1], y[1])
-    s, e = two_sum(s, e + t)
-    return two_sum(s, e + f)
+    s, e = _two_sum(s, e + t)
+    return _two_sum(s, e + f)
 
 
 def dd_mul(x, y):
     """Multiply two double-word numbers (hi, lo)."""
     p, e = two_prod(x[0], y[0])
-    return two_sum(p, e + (x[0] * y[1] + x[1] * y[0]))
+    return _two_sum(p, e + (x[0] * y[1] + x[1] * y[0]))
