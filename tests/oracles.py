@@ -170,7 +170,7 @@ class Windows:
         lo, hi = self.limits(u, y)
         return (abs((lo + hi) / 2 @ self.circuits.T) / ((hi - lo) / 2 @ abs(self.circuits).T)).max(1)
 
-    def crossing(self, u, centre, y, steps=80):
+    def crossing(self, u, centre, y, steps=60):
         """Return factors (N,) f such that the window centre + f (y - centre) lies on the boundary; inf where y - centre never leaves."""
         at = lambda f: self.gauge(u, centre + f[:, None, None] * (y - centre))
         low, high = np.zeros(len(y)), np.ones(len(y))

@@ -180,13 +180,15 @@ def _two_sum(a, b):
 def two_prod(a, b):
     """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow of e.
 
-    Every product of halves is exact, so that contraction into an FMA changes nothing (it breaks Dekker's splitting and his a * b).
+    The products of halves and the sum of the two mixed ones fit the digits, so that contraction into an FMA changes nothing (it
+    breaks Dekker's splitting, and his fl(a * b), in a batched loop).
     """
     (a_hi, a_lo), (b_hi, b_lo) = _halves(a), _halves(b)
-    p, first = _two_sum(a_hi * b_hi, a_hi * b_lo)
-    p, second = _two_sum(p, a_lo * b_hi)
-    p, e = _two_sum(p, first + second)  # first + second and the next sum are exact: they fit the digits
-    return _two_sum(p, e + a_lo * b_lo)
+    mixed = a_hi * b_lo + a_lo * b_hi
+    s = a_hi * b_hi + mixed
+    rest = mixed - (s - a_hi * b_hi) + a_lo * b_lo  # exact as well
+    p = s + rest
+    return p, rest - (p - s)
 
 
 def _halves(x):

@@ -116,37 +116,43 @@ def test_a_recording_shorter_than_a_window_is_missing(samples):
     assert res.status.shape == (samples,) and (res.status == Status.MISSING).all()
 
 
-@pytest.mark.parametrize("horizon", [1, 2])
-def test_gradient_of_margins_is_finite_with_missing_samples(horizon, rng):
-    r, u, y = jb.parity_relations(paper(), horizon=horizon), rng.uniform(-1, 1, (80, 1)), rng.normal(size=(80, 2))
-    y[rng.random(y.shape) < 0.2] = np.nan
-    u[rng.random(u.shape) < 0.1] = np.nan
+@pytest.fixture(scope="module", params=[1, 2])
+def gradients(request):
+    """Return r, u, y with holes, and the compiled sum of margins with its gradients by bounds, y and u."""
+    rng = np.random.default_rng(int(np.random.SeedSequence().entropy % 2**32))
+    r, u, y = jb.parity_relations(paper(), horizon=request.param), rng.uniform(-1, 1, (64, 1)), rng.normal(size=(64, 2))
+    y[rng.random(y.shape) < 0.15] = np.nan
+    u[rng.random(u.shape) < 0.05] = np.nan
     y[20:25] = np.nan
-    total = lambda bounds, y: jax.numpy.nansum(jb.margins(r.with_bounds(bounds), u, y))
-    by_bounds, by_y = jax.grad(total, (0, 1))(r.bounds, jax.numpy.asarray(y))
-    for g in (*by_bounds.values(), by_y):
+    both = jax.jit(jax.value_and_grad(lambda bounds, y, u: jax.numpy.nansum(jb.margins(r.with_bounds(bounds), u, y)), (0, 1, 2)))
+    bounds = {name: jax.numpy.asarray(b) for name, b in r.bounds.items()}
+    return bounds, u, y, lambda bounds, y, u: both(bounds, jax.numpy.asarray(y), jax.numpy.asarray(u))
+
+
+def test_gradient_of_margins_is_finite_with_missing_samples(gradients):
+    bounds, u, y, both = gradients
+    by_bounds, by_y, by_u = both(bounds, y, u)[1]
+    for g in (*by_bounds.values(), by_y, by_u):
         assert np.isfinite(g).all()
     assert all((np.asarray(g) > 0).all() for g in by_bounds.values())  # wider bounds, larger margins
 
 
-@pytest.mark.parametrize("horizon", [1, 2])
-def test_gradient_of_margins_equals_finite_differences(horizon, rng):
-    r, u, y = jb.parity_relations(paper(), horizon=horizon), rng.uniform(-1, 1, (200, 1)), rng.normal(size=(200, 2))
-    y[rng.random(y.shape) < 0.1] = np.nan
-    total = lambda bounds: float(np.nansum(jb.margins(r.with_bounds(bounds), u, y)))
-    got = jax.grad(lambda b: jax.numpy.nansum(jb.margins(r.with_bounds(b), u, y)))(r.bounds)
+def test_gradient_by_the_bounds_equals_finite_differences(gradients):
+    bounds, u, y, both = gradients
+    got, step = both(bounds, y, u)[1][0], 1e-6
     for field, i in [(f, i) for f in ("tolerance", "noise") for i in range(2)]:
-        step = 1e-7
-        moved = [{**r.bounds, field: r.bounds[field] + sign * step * np.eye(2)[i]} for sign in (1, -1)]
-        np.testing.assert_allclose(got[field][i], (total(moved[0]) - total(moved[1])) / (2 * step), rtol=1e-5)
+        up, down = (both({**bounds, field: bounds[field] + sign * step * np.eye(2)[i]}, y, u)[0] for sign in (1, -1))
+        np.testing.assert_allclose(got[field][i], (up - down) / (2 * step), rtol=1e-5)
 
 
-def test_gradient_by_the_outputs_equals_finite_differences(rng):
-    r, u, y = jb.parity_relations(paper(), horizon=1), rng.uniform(-1, 1, (6, 1)), rng.normal(size=(6, 2))
-    got = jax.grad(lambda y: jax.numpy.nansum(jb.margins(r, u, y)))(jax.numpy.asarray(y))
-    for k, i in np.ndindex(6, 2):
-        moved = [np.nansum(jb.margins(r, u, y + sign * 1e-7 * (np.arange(6)[:, None] == k) * (np.arange(2) == i))) for sign in (1, -1)]
-        np.testing.assert_allclose(got[k, i], (moved[0] - moved[1]) / 2e-7, rtol=1e-4, atol=1e-6)
+def test_gradient_by_the_samples_equals_finite_differences(gradients):
+    bounds, u, y, both = gradients
+    _, by_y, by_u = both(bounds, y, u)[1]
+    for k in (5, 10, 30, 40, 50):
+        for got, signal in ((by_y, y), (by_u, u)):
+            moved = [np.where(np.arange(64)[:, None] == k, signal + sign * 1e-6, signal) for sign in (1, -1)]
+            up, down = (both(bounds, v, u)[0] if signal is y else both(bounds, y, v)[0] for v in moved)
+            np.testing.assert_allclose(got[k].sum(), (up - down) / 2e-6, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("rows", list(combinations(range(4), 2)))

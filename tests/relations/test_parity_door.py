@@ -36,7 +36,7 @@ def test_the_smallest_horizon_named_has_a_relation():
 
 
 def test_too_many_circuits_are_refused_at_once():
-    with pytest.raises(ValueError, match=r"horizon 30 is too long .* 37820 circuits .* 20000; choose a shorter horizon"):
+    with pytest.raises(ValueError, match=r"horizon 30 is too long .* 37820 circuits .*more than 20000; choose a shorter horizon"):
         jb.parity_relations(paper(), horizon=30)
 
 
@@ -56,7 +56,7 @@ def test_an_unknown_form_is_refused():
 
 
 def test_something_that_is_no_model_is_refused():
-    with pytest.raises(TypeError, match="needs a LinearSystem, not dict"):
+    with pytest.raises(TypeError, match="a LinearSystem.* not dict"):
         jb.parity_relations(ONE_OUTPUT)
 
 

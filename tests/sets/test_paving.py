@@ -47,7 +47,7 @@ def exact_figure(lo, hi):
 def sequential(f, lo, hi, target, q, widest=False, slack=0):
     """Return (evaluated, boxes left) of the paper's list: take the oldest box, drop it if its image misses the target, else cut it in two.
 
-    r starts at 1 and grows when all boxes of the list are of order 2^r (2 r cuts in the plane); stop at r > q - 1 or when the list is empty.
+    r starts at 1 and grows when all boxes of the list are of order 2^r (2 r cuts in the plane); stop at r > q - 1 or on an empty list.
     """
     queue, evaluated, r = deque([(tuple(map(Fraction, lo)), tuple(map(Fraction, hi)), 0)]), 0, 1
     while queue:
@@ -135,13 +135,15 @@ def test_uniform_pavings_hold_the_target_in_the_golden_number_of_boxes(golden, q
 
 @pytest.mark.parametrize(("cut", "q"), [("alternate", 6), ("widest", 5), ("alternate", 1), ("alternate", 2)])
 def test_a_batch_equals_the_sequential_list_box_for_box(rng, cut, q):
-    targets = np.vstack([rng.uniform([0, -5], [12, 2], (40, 2)), rng.integers(-16, 48, (15, 2)) / 4, [[2, -2], [2, 2], [1, -4]]])
+    z = np.stack([rng.integers(-16, 33, 25) / 16, rng.integers(16, 49, 25) / 16], 1)  # dyadic points: their images are floats
+    images = np.stack([2 * z[:, 0] ** 2 + z[:, 1], z[:, 0] - z[:, 1]], 1)
+    targets = np.vstack([rng.uniform([0, -5], [12, 2], (30, 2)), images, [[2, -2], [2, 2], [1, -4]]])
     found = sets.pave(figure, box(), targets, q=q, cut=cut)
     for k, target in enumerate(targets.tolist()):
         evaluated, left = sequential(exact_figure, LO, HI, list(map(Fraction, target)), q, cut == "widest") if q > 1 else (0, None)
         assert found.status[k] == (Status.UNDECIDED if left or q == 1 else Status.FAULT)
         assert q == 1 or (found.evaluated[k] == evaluated and boxes_of(found, k) == left)
-    assert q < 5 or 10 < (found.status == Status.FAULT).sum() < len(targets) - 10
+    assert q < 5 or 5 < (found.status == Status.FAULT).sum() < len(targets) - 25
 
 
 def test_a_batch_equals_its_targets_one_by_one(rng):

@@ -260,8 +260,8 @@ def integer_gauge(G, p):
 @pytest.mark.parametrize("scale", [1.0, 2.0**300, 0.1])
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_points_on_the_boundary_in_exact_arithmetic_never_get_a_wrong_sign(rng, n, scale):
-    for _ in range(12):
-        G = np.hstack([degenerate(rng, n, rng.integers(n, 5)), np.diag(rng.integers(1, 4, n))])
+    for _ in range(8):
+        G = np.hstack([degenerate(rng, n, 3), np.diag(rng.integers(1, 4, n))])
         signs = np.sign(rng.normal(size=(6, n)) @ G)
         vertices = np.where(signs == 0, 1, signs) @ G.T  # integers: on the boundary, or inside where a sign was free
         gauges = [integer_gauge(G, v) for v in vertices]
@@ -337,7 +337,7 @@ def test_points_beyond_the_range_of_floats_are_never_inside():
 
 
 def test_coefficients_that_a_float_cannot_span_are_refused():
-    with pytest.raises(ValueError, match="rescale the signals"):
+    with pytest.raises(ValueError, match="coefficients .* float64"):
         sets.membership(factory([0.0], [[1e-310]]), [[0.0]])
 
 
