@@ -1,6 +1,6 @@
-"""Seconds of `jaxbound detect` on a CSV of a million rows, from the shell, report included; and what `import jaxbound` adds to `import jax`.
+"""Seconds of `jaxbound detect` on a CSV of a million rows, report included; and what `import jaxbound` adds to `import jax`.
 
-    python -m benchmarks.command_line [--rows 1000000]
+python -m benchmarks.command_line [--rows 1000000]
 """
 
 import os
@@ -23,7 +23,14 @@ from systems import paper  # noqa: E402
 
 def shell(folder, cache):
     """Return the seconds of one run with its compilation cache in `cache`."""
-    command = [shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound", "detect", "model.toml", "run.csv", "--out", "report"]
+    command = [
+        shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound",
+        "detect",
+        "model.toml",
+        "run.csv",
+        "--out",
+        "report",
+    ]
     start = time.perf_counter()
     done = subprocess.run(command, cwd=folder, env={**os.environ, "XDG_CACHE_HOME": str(cache)}, capture_output=True, text=True)
     if done.returncode not in (0, 1):
@@ -50,8 +57,16 @@ def main():
         cold = [shell(folder, folder / f"cache{i}") for i in range(3)]
         warm = [shell(folder, folder / "cache0") for _ in range(5)]
         size = (folder / "run.csv").stat().st_size
-    timing.save("command_line", {"rows": rows, "csv MB": round(size / 1e6, 1), "cold s": [round(float(f(cold)), 2) for f in (np.median, min)],
-                                 "warm s": [round(float(f(warm)), 2) for f in (np.median, min)], "import s": round(importing(), 3)})  # fmt: skip
+    timing.save(
+        "command_line",
+        {
+            "rows": rows,
+            "csv MB": round(size / 1e6, 1),
+            "cold s": [round(float(f(cold)), 2) for f in (np.median, min)],
+            "warm s": [round(float(f(warm)), 2) for f in (np.median, min)],
+            "import s": round(importing(), 3),
+        },
+    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """No false alarm, and sharp: fault-free windows drawn within bounds, half of them with every unknown at a bound.
 
-    python -m benchmarks.false_alarms [--windows 20000000]
+python -m benchmarks.false_alarms [--windows 20000000]
 """
 
 import sys

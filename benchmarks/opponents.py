@@ -23,7 +23,7 @@ def naive(u, y):
 
 
 class Blocked:
-    """The same in blocks that stay in cache, every operation in place, each sample's interval worked out once; proved statuses on request."""
+    """The same in blocks that stay in cache, every operation in place, each sample's interval worked out once; statuses on request."""
 
     def __init__(self, dtype, block=8192):
         self.dtype, self.block = np.dtype(dtype), block

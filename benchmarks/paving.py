@@ -1,6 +1,6 @@
 """Boxes a second: adaptive bisection of Fig. 1 for 5 000 targets, and the paper's own eight variables of section 5.
 
-    python -m benchmarks.paving [--targets 5000] [--windows 1000]
+python -m benchmarks.paving [--targets 5000] [--windows 1000]
 """
 
 import sys
@@ -68,9 +68,12 @@ def main():
     boxes = int(found.evaluated.sum())
     _, numpy_median, *_ = timing.clock(lambda: numpy_adaptive(targets), 5)
     out["adaptive, Fig. 1"] = {
-        "targets": count, "boxes": boxes, "million boxes/s": round(boxes / median / 1e6, 2),
-        "NumPy million boxes/s": round(numpy_adaptive(targets) / numpy_median / 1e6, 2), "false rejections": int((found.status == jb.Status.FAULT).sum()),
-    }  # fmt: skip
+        "targets": count,
+        "boxes": boxes,
+        "million boxes/s": round(boxes / median / 1e6, 2),
+        "NumPy million boxes/s": round(numpy_adaptive(targets) / numpy_median / 1e6, 2),
+        "false rejections": int((found.status == jb.Status.FAULT).sum()),
+    }
     edge = np.ones(8)
     target, args = section_5(windows)
     eight = jb.interval(-edge, edge)
@@ -79,17 +82,22 @@ def main():
         found = jb.pave(internal_form, eight, target, q=q, args=args, max_boxes=10**9)
         spent = time.perf_counter() - start
         out[f"adaptive, section 5, r <= {q - 1}"] = {
-            "windows": len(target), "rejected share": float(np.mean(found.status == jb.Status.FAULT)), "boxes a window": float(found.evaluated.mean()),
-            "largest": int(found.evaluated.max()), "million boxes/s": round(found.evaluated.sum() / spent / 1e6, 2),
-        }  # fmt: skip
+            "windows": len(target),
+            "rejected share": float(np.mean(found.status == jb.Status.FAULT)),
+            "boxes a window": float(found.evaluated.mean()),
+            "largest": int(found.evaluated.max()),
+            "million boxes/s": round(found.evaluated.sum() / spent / 1e6, 2),
+        }
     jb.pave(internal_form, eight, jnp.asarray(target), "uniform", q=4, args=args)
     start = time.perf_counter()
     found = jb.pave(internal_form, eight, jnp.asarray(target), "uniform", q=4, args=args)
     spent = time.perf_counter() - start
     out["uniform q = 4, section 5"] = {
-        "windows": len(target), "boxes": int(found.evaluated.sum()), "million boxes/s": round(found.evaluated.sum() / spent / 1e6, 2),
+        "windows": len(target),
+        "boxes": int(found.evaluated.sum()),
+        "million boxes/s": round(found.evaluated.sum() / spent / 1e6, 2),
         "rejected share": float(np.mean(found.status == jb.Status.FAULT)),
-    }  # fmt: skip
+    }
     timing.save("paving", out)
 
 

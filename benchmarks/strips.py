@@ -1,6 +1,6 @@
 """Windows a second of section 5 (Adrot 2000): jaxbound against blocked NumPy, naive NumPy, HiGHS and the memory bandwidth.
 
-    python -m benchmarks.strips [--windows 10000000]
+python -m benchmarks.strips [--windows 10000000]
 """
 
 import sys
@@ -42,8 +42,11 @@ def figures(windows, dtype):
     for name, run in runs.items():
         first, median, fastest, slowest = timing.clock(run, 3 if "naive" in name else 7)
         rate[name] = windows / median / 1e6
-        table[name] = {"million windows/s": round(rate[name], 1), "spread": [round(windows / t / 1e6, 1) for t in (slowest, fastest)],
-                       "first call s": round(first, 3)}  # fmt: skip
+        table[name] = {
+            "million windows/s": round(rate[name], 1),
+            "spread": [round(windows / t / 1e6, 1) for t in (slowest, fastest)],
+            "first call s": round(first, 3),
+        }
     few = min(windows, 20_000)
     program = opponents.LinearProgram()
     start = time.perf_counter()
@@ -61,8 +64,12 @@ def figures(windows, dtype):
         "detect / blocked NumPy statuses": detect / rate["numpy blocked statuses"],
         "cost of proof (margins / detect)": margins / detect,
     }
-    return {"ratios": {k: round(v, 2) for k, v in ratios.items()}, "rates": table,
-            "agreement with HiGHS": agree, "largest difference to NumPy margins": float(close)}  # fmt: skip
+    return {
+        "ratios": {k: round(v, 2) for k, v in ratios.items()},
+        "rates": table,
+        "agreement with HiGHS": agree,
+        "largest difference to NumPy margins": float(close),
+    }
 
 
 def horizons(windows=200_000):
@@ -73,10 +80,16 @@ def horizons(windows=200_000):
     for s in (1, 2, 3, 4, 6):
         relations = jb.parity_relations(paper(), horizon=s)
         first, median, *_ = timing.clock(lambda r=relations: jb.detect(r, u, y).status, 3)
-        out[s] = {"circuits": len(relations.circuits), "million windows/s": round(windows / median / 1e6, 2), "first call s": round(first, 2)}
+        out[s] = {
+            "circuits": len(relations.circuits),
+            "million windows/s": round(windows / median / 1e6, 2),
+            "first call s": round(first, 2),
+        }
     return out
 
 
 if __name__ == "__main__":
     count = timing.option("--windows", 10_000_000)
-    timing.save("strips", {"windows": count, **{np.dtype(d).name: figures(count, d) for d in (np.float64, np.float32)}, "horizons": horizons()})
+    timing.save(
+        "strips", {"windows": count, **{np.dtype(d).name: figures(count, d) for d in (np.float64, np.float32)}, "horizons": horizons()}
+    )

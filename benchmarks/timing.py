@@ -26,8 +26,14 @@ def machine():
     """Return what the figures were measured on."""
     device = jax.devices()[0]
     name = next((line.split(":")[1].strip() for line in _cpuinfo() if line.startswith("model name")), platform.processor())
-    return {"device": f"{device.platform} {device.device_kind}", "cpu": name, "cores": len(_affinity()), "python": platform.python_version(),
-            "jax": jax.__version__, "numpy": np.__version__}  # fmt: skip
+    return {
+        "device": f"{device.platform} {device.device_kind}",
+        "cpu": name,
+        "cores": len(_affinity()),
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+    }
 
 
 def _cpuinfo():

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models import recording
-from jaxbound.models.system import LinearSystem
+from jaxbound.models.conversion import as_model
 from jaxbound.sets import rounding
 
 __all__ = ["Trajectory", "simulate"]
@@ -54,13 +54,12 @@ def simulate(model, u, key, x0=None, at="uniform", faults=()):
         ValueError: shapes that do not fit, a signal that the model does not have, an unknown `at`.
 
     Example:
-        >>> import jax
-        >>> m = LinearSystem([[0.8]], [[1]], [[1]], noise=0.1)
+        >>> import jax, jaxbound as jb
+        >>> m = jb.LinearSystem([[0.8]], [[1]], [[1]], noise=0.1)
         >>> simulate(m, jnp.ones((50, 1)), jax.random.key(0)).y.shape
         (50, 1)
     """
-    if not isinstance(model, LinearSystem):
-        raise TypeError(f"simulate needs a LinearSystem, not {type(model).__name__}")
+    model = as_model(model)
     if at not in ("uniform", "vertices"):
         raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
     u = u if isinstance(u, jax.Array) else np.asarray(u, np.float64 if np.asarray(u).dtype != np.float32 else np.float32)

@@ -7,9 +7,9 @@ list is worked off level by level for all targets of a batch at once, which give
 Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded box goes on with step (5), and closed containment.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ class Paving:
     owner: np.ndarray
     evaluated: np.ndarray
     witness: None = None
-    _again: Callable = None
+    _again: Any = None  # a function that evaluates the images
 
     @cached_property
     def images(self):

@@ -73,8 +73,7 @@ def test_joint_verdict_of_the_paper_equals_the_linear_program_a_hundred_thousand
     compare("paper", horizon, 30_000, rng)
 
 
-@pytest.mark.parametrize(
-    "name, horizon", [("noise only", 2), ("three states", 2), ("feedthrough", 2), ("offsets", 1), ("no input", 2)])
+@pytest.mark.parametrize("name, horizon", [("noise only", 2), ("three states", 2), ("feedthrough", 2), ("offsets", 1), ("no input", 2)])
 def test_joint_verdict_of_other_models_equals_the_linear_program(name, horizon, rng):
     compare(name, horizon, 1_000, rng)
 
@@ -87,7 +86,8 @@ def test_joint_verdict_of_other_models_equals_the_linear_program_ten_thousand_ti
 
 
 @pytest.mark.parametrize(
-    "name, horizon", [("paper", 1), ("paper", 2), ("paper", 3), ("noise only", 1), ("three states", 2), ("feedthrough", 1), ("offsets", 1)])
+    "name, horizon", [("paper", 1), ("paper", 2), ("paper", 3), ("noise only", 1), ("three states", 2), ("feedthrough", 1), ("offsets", 1)]
+)
 def test_verdicts_down_to_the_last_digits_equal_exact_rationals(name, horizon, rng):
     oracle = windows_of(name, horizon)
     count = 200 if horizon < 3 else 60
@@ -107,7 +107,8 @@ def test_verdicts_down_to_the_last_digits_equal_exact_rationals(name, horizon, r
 
 
 @pytest.mark.parametrize(
-    "name, horizon", [("paper", 1), ("paper", 2), ("paper", 4), ("three states", 2), ("feedthrough", 2), ("offsets", 1)])
+    "name, horizon", [("paper", 1), ("paper", 2), ("paper", 4), ("three states", 2), ("feedthrough", 2), ("offsets", 1)]
+)
 def test_margin_equals_one_minus_the_gauge_of_the_linear_program(name, horizon, rng):
     oracle = windows_of(name, horizon)
     u, _, y = draw(oracle.plant, horizon, 150, rng)

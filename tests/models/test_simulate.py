@@ -200,5 +200,5 @@ def test_what_does_not_fit_is_refused(change, message):
 
 
 def test_something_that_is_no_model_is_refused():
-    with pytest.raises(TypeError, match="needs a LinearSystem, not dict"):
+    with pytest.raises(TypeError, match="a model is a LinearSystem, or .* not dict"):
         jb.simulate({}, np.zeros((5, 1)), jax.random.key(0))
