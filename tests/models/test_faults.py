@@ -21,102 +21,103 @@ EFFECT = {
 }
 
 
-def every(kinds, signal):
-    return [jb.Fault(signal, kind, SIZE, ON[kind].start, ON[kind].stop) for kind in kinds]
-
-
 @pytest.fixture(scope="module")
-def runs():
-    """Simulations with the same draws: healthy, every sensor fault in turn, every actuator fault in turn."""
+def run():
+    """One simulation with every sensor fault of y2 in turn, and every actuator fault at the same times."""
     seed = int(np.random.SeedSequence().entropy % 2**31)
     print(f"seed {seed}")
-    u, key = np.random.default_rng(seed).uniform(-1, 1, (N, T, 1)), jax.random.key(seed)
-    found = {name: jb.simulate(paper(), u, key, faults=f) for name, f in
-             (("healthy", ()), ("sensor", every(SENSOR, "y2")), ("actuator", every(ACTUATOR, "u1")))}  # fmt: skip
-    return {name: jax.tree.map(np.asarray, t) for name, t in found.items()}
+    u = np.random.default_rng(seed).uniform(-1, 1, (N, T, 1))
+    faults = [jb.Fault(signal, kind, SIZE, ON[kind].start, ON[kind].stop) for signal, kinds in (("y2", SENSOR), ("u1", ACTUATOR)) for kind in kinds]
+    t = jax.tree.map(np.asarray, jb.simulate(paper(), u, jax.random.key(seed), faults=faults))
+    np.testing.assert_array_equal(t.u, u)  # an actuator's fault is not recorded
+    return t
+
+
+def healthy(t):
+    """Return what the sensors of the simulated plant would have read, (N, T, 2)."""
+    return (1 + t.theta) * np.stack([t.x[..., 0], t.x.sum(-1)], -1) + t.noise
+
+
+def received(t):
+    """Return what the plant got from its actuator, (N, T - 1): x2+ = 0.2 x2 + u."""
+    return t.x[:, 1:, 1] - 0.2 * t.x[:, :-1, 1]
 
 
 @pytest.mark.parametrize("kind", EFFECT)
-def test_sensor_fault_changes_its_samples_as_described(kind, runs):
-    healthy, faulty = (runs[name].y[:, ON[kind], 1] for name in ("healthy", "sensor"))
-    np.testing.assert_allclose(faulty, EFFECT[kind](healthy), rtol=1e-14, atol=1e-15)
+def test_sensor_fault_changes_its_samples_as_described(kind, run):
+    np.testing.assert_allclose(run.y[:, ON[kind], 1], EFFECT[kind](healthy(run)[:, ON[kind], 1]), rtol=1e-13, atol=1e-14)
 
 
-def test_sensor_dropout_leaves_nan(runs):
-    assert np.isnan(runs["sensor"].y[:, ON["dropout"], 1]).all()
-    assert np.isnan(runs["sensor"].y).sum() == 4 * N
+def test_sensor_dropout_leaves_nan(run):
+    assert np.isnan(run.y[:, ON["dropout"], 1]).all()
+    assert np.isnan(run.y).sum() == 4 * N
 
 
-def test_sensor_noise_adds_a_value_of_its_own_to_each_sample(runs):
-    added = (runs["sensor"].y - runs["healthy"].y)[:, ON["noise"], 1] / SIZE
+def test_sensor_noise_adds_a_value_of_its_own_to_each_sample(run):
+    added = (run.y - healthy(run))[:, ON["noise"], 1] / SIZE
     assert (abs(added) <= 1 + 1e-12).all() and abs(added).max() > 0.99
     assert abs(added.std() - 3**-0.5) < 0.05 and abs(added.mean()) < 0.1
     assert len(np.unique(added.round(12))) == added.size
 
 
-def test_sensor_tolerance_draws_theta_within_its_size(runs):
-    theta = runs["sensor"].theta[:, ON["tolerance"], 1] / SIZE
+def test_sensor_tolerance_draws_theta_within_its_size(run):
+    theta = run.theta[:, ON["tolerance"], 1] / SIZE
     assert (abs(theta) <= 1 + 1e-15).all() and abs(theta).max() > 0.99 and abs(theta.std() - 3**-0.5) < 0.05
-    assert abs(np.delete(runs["sensor"].theta[..., 1], np.r_[ON["tolerance"]], 1)).max() <= 0.1
+    assert abs(np.delete(run.theta[..., 1], np.r_[ON["tolerance"]], 1)).max() <= 0.1
 
 
-def test_sensor_tolerance_acts_on_the_recording(runs):
-    t, on = runs["sensor"], ON["tolerance"]
-    expected = (1 + t.theta[:, on, 1]) * t.x[:, on].sum(-1) + t.noise[:, on, 1]
-    np.testing.assert_allclose(t.y[:, on, 1], expected, rtol=1e-13, atol=1e-14)
+def test_sensor_tolerance_acts_on_the_recording(run):
+    np.testing.assert_allclose(run.y[:, ON["tolerance"], 1], healthy(run)[:, ON["tolerance"], 1], rtol=1e-13, atol=1e-14)
 
 
-def test_sensor_faults_leave_the_other_samples_and_signals_alone(runs):
-    healthy, faulty = runs["healthy"], runs["sensor"]
-    np.testing.assert_array_equal(healthy.y[:, OFF], faulty.y[:, OFF])
-    np.testing.assert_array_equal(healthy.y[..., 0], faulty.y[..., 0])
-    np.testing.assert_array_equal(healthy.x, faulty.x)
+def test_sensor_faults_leave_the_other_samples_and_signals_alone(run):
+    np.testing.assert_allclose(run.y[:, OFF], healthy(run)[:, OFF], rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(run.y[..., 0], healthy(run)[..., 0], rtol=1e-13, atol=1e-14)
 
 
 @pytest.mark.parametrize("kind", ACTUATOR)
-def test_actuator_fault_changes_what_the_plant_receives(kind, runs):
-    x, on = runs["actuator"].x, ON[kind]
-    received = (x[:, 1:, 1] - 0.2 * x[:, :-1, 1])[:, on]  # x2+ = 0.2 x2 + u
-    commanded = runs["healthy"].u[:, on, 0]
+def test_actuator_fault_changes_what_the_plant_receives(kind, run):
+    got, commanded = received(run)[:, ON[kind]], run.u[:, ON[kind], 0]
     if kind == "noise":
-        assert (abs(received - commanded) <= SIZE + 1e-12).all() and abs(received - commanded).max() > 0.9 * SIZE
+        assert (abs(got - commanded) <= SIZE + 1e-12).all() and abs(got - commanded).max() > 0.9 * SIZE
     else:
         expected = np.zeros_like(commanded) if kind == "dropout" else EFFECT[kind](commanded)
-        np.testing.assert_allclose(received, expected, atol=1e-14)
+        np.testing.assert_allclose(got, expected, atol=1e-14)
 
 
-def test_actuator_faults_are_not_recorded(runs):
-    np.testing.assert_array_equal(runs["actuator"].u, runs["healthy"].u)
-
-
-def test_actuator_faults_leave_the_plant_alone_at_other_samples(runs):
-    x = runs["actuator"].x
-    received = x[:, 1:, 1] - 0.2 * x[:, :-1, 1]
+def test_actuator_faults_leave_the_plant_alone_at_other_samples(run):
     quiet = np.setdiff1d(np.arange(T - 1), np.concatenate([np.arange(T)[ON[kind]] for kind in ACTUATOR]))
-    np.testing.assert_allclose(received[:, quiet], runs["healthy"].u[:, quiet, 0], atol=1e-14)
+    np.testing.assert_allclose(received(run)[:, quiet], run.u[:, quiet, 0], atol=1e-14)
 
 
-def test_the_outputs_of_a_plant_with_a_faulty_actuator_are_recorded_without_fault(runs):
-    t = runs["actuator"]
-    np.testing.assert_allclose(t.y, (1 + t.theta) * np.stack([t.x[..., 0], t.x.sum(-1)], -1) + t.noise, rtol=1e-13, atol=1e-14)
-
-
-def test_faults_of_one_signal_act_in_the_order_given(rng):
+@pytest.fixture
+def three(rng):
+    """Return a function of three faults (bias, gain, bias) of y2 and their times that gives y2 (3, T), always with the same draws."""
     u, key = rng.uniform(-1, 1, (3, T, 1)), jax.random.key(int(rng.integers(2**31)))
-    three = lambda first, last: [jb.Fault("y2", "bias", first, 5), jb.Fault("y2", "gain", 1.0, 5), jb.Fault("y2", "bias", last, 5)]
-    before, after, none = (np.asarray(jb.simulate(paper(), u, key, faults=three(*sizes)).y)[:, 5:, 1] for sizes in ((1, 0), (0, 1), (0, 0)))
-    np.testing.assert_allclose(before - none, 2, atol=1e-12)
-    np.testing.assert_allclose(after - none, 1, atol=1e-12)
+
+    def simulate(sizes, when=((5,),) * 3):
+        faults = [jb.Fault("y2", kind, size, *at) for kind, size, at in zip(("bias", "gain", "bias"), sizes, when, strict=True)]
+        return np.asarray(jb.simulate(paper(), u, key, faults=faults).y)[..., 1]
+
+    return simulate
 
 
-def test_a_fault_without_stop_lasts_to_the_end_and_its_size_and_time_do_not_trace(rng):
-    u, key = rng.uniform(-1, 1, (3, T, 1)), jax.random.key(int(rng.integers(2**31)))
-    y = [np.asarray(jb.simulate(paper(), u, key, faults=[jb.Fault("y1", "bias", 0.0)]).y)]
+def test_faults_of_one_signal_act_in_the_order_given(three):
+    none, before, after = three((0, 1, 0)), three((1, 1, 0)), three((0, 1, 1))
+    np.testing.assert_allclose((before - none)[:, 5:], 2, atol=1e-12)
+    np.testing.assert_allclose((after - none)[:, 5:], 1, atol=1e-12)
+
+
+def test_a_fault_lasts_until_its_stop_or_to_the_end(three):
+    k, none = np.arange(T), three((0, 0, 0))
+    np.testing.assert_allclose((three((1, 0, 0), ((12,), (5,), (5,))) - none)[0], k >= 12, atol=1e-12)
+    np.testing.assert_allclose((three((1, 0, 0), ((12, 20), (5,), (5,))) - none)[0], (k >= 12) & (k < 20), atol=1e-12)
+
+
+def test_size_and_time_of_a_fault_do_not_trace_again(three):
+    three((0, 0, 0))
     traced = module._simulate._cache_size()
-    y += [np.asarray(jb.simulate(paper(), u, key, faults=[jb.Fault("y1", "bias", 1.0, *when)]).y) for when in ((12,), (12, 20))]
-    k = np.arange(T)
-    np.testing.assert_allclose((y[1] - y[0])[0, :, 0], k >= 12, atol=1e-12)
-    np.testing.assert_allclose((y[2] - y[0])[0, :, 0], (k >= 12) & (k < 20), atol=1e-12)
+    three((1, 2, 3), ((12, 20), (1, 3), (9,)))
     assert module._simulate._cache_size() == traced
 
 

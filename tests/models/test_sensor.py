@@ -13,10 +13,12 @@ SENSORS = [(0, 0.1, 0, 0), (0.02, 0.1, 0, 0), (0.1, 0.01, 0, 0), (0.1, 0.01, 0.2
            (0, 0, 0, 0), (0.3, 0, 0, 1000)]  # fmt: skip
 
 
+compiled = jax.jit(lambda y, *bounds: sensor.true_value(list(y), *bounds))
+
+
 def interval(samples, sigma, noise, resolution, offset, dtype):
     """Return mid, rad, scale (s + 1, N) of windows samples (s + 1, N), compiled."""
-    arguments = [np.asarray(v, dtype) for v in (sigma, noise, resolution, offset)]
-    return [np.asarray(v) for v in jax.jit(lambda y, *a: sensor.true_value(list(y), *a))(samples.astype(dtype), *arguments)]
+    return [np.asarray(v) for v in compiled(samples.astype(dtype), *(np.asarray(v, dtype) for v in (sigma, noise, resolution, offset)))]
 
 
 def samples_of(noise, offset, rng, count=120):
