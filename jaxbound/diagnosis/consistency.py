@@ -38,7 +38,8 @@ def detect(relations, u, y, method="joint", budget=None, progress=None):
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends at sample k. The
-        first `horizon` entries are MISSING. A window with missing samples is judged by the circuits that do not need them.
+        first `horizon` entries are MISSING. A window with missing samples is judged by the circuits that do not need them;
+        with a missing input these prove FAULT, but not CONSISTENT.
 
     Raises:
         ValueError: shapes or columns that do not fit, an infinite sample, an unknown method.
@@ -101,6 +102,8 @@ def margins(relations, u, y):
     u, y, _ = recording.arrays(relations.model, u, y)
     traced = any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values()))
     test = relations.test("joint", y.dtype)
+    if y.shape[-2] <= test.horizon:
+        return jnp.full(y.shape[:-1], jnp.nan, y.dtype)
     if traced or jax.default_backend() != "cpu":
         shape = y.shape[:-1]
         u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
@@ -115,7 +118,11 @@ def _verdicts(test, u, y):
     mid, rad, scale, known, known_scale = test.rows(u, y)
     margin = strip_verdict(test.strips, mid, rad, scale, known, known_scale, sensor.lift(test.tolerance))
     margin = jax.lax.optimization_barrier(margin)  # else the compiler works out everything once for each of the two results
-    return status_of(margin), margin
+    status = status_of(margin)
+    silenced = jnp.zeros_like(margin, bool)  # some circuit lacks an input: those that are left no longer describe the set exactly
+    for b, value in enumerate(known):
+        silenced |= jnp.isnan(value) & jnp.any(test.strips.k[:, b] != 0)
+    return jnp.where(silenced & (status == Status.CONSISTENT), Status.UNDECIDED, status).astype(jnp.int8), margin
 
 
 @jax.jit

@@ -67,16 +67,25 @@ def _columns(model, data, name, channels):
                 raise ValueError(missing_column(c, present, name))
             if present.count(c) > 1:
                 raise ValueError(f"{name} has {present.count(c)} columns {c!r}: a signal needs exactly one")
-        data = data[wanted].to_numpy()
-    elif hasattr(data, "iloc"):
-        data = data.to_numpy()
+        data = data[wanted]
+    if hasattr(data, "iloc"):
+        plain = data.to_numpy()
+        data = plain if plain.dtype != object else _numbers(lambda: data.to_numpy(dtype=np.float64, na_value=np.nan), name)
     if isinstance(data, jax.Array):
         return data if np.issubdtype(data.dtype, np.floating) else data.astype(float)
     data = np.asarray(data)
-    if np.issubdtype(data.dtype, np.floating) and data.dtype.itemsize >= 4:
+    if data.dtype == np.float16:
+        raise ValueError(f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded away")
+    if np.iscomplexobj(data):
+        raise ValueError(f"{name} must be numbers, not complex ones")
+    if np.issubdtype(data.dtype, np.floating):
         return data if data.dtype.itemsize <= 8 else data.astype(np.float64)
+    return _numbers(lambda: data.astype(np.float64), name)
+
+
+def _numbers(convert, name):
     try:
-        return data.astype(np.float64)
+        return convert()
     except (ValueError, TypeError) as e:
         raise ValueError(f"{name} must be numbers, NaN where a sample is missing: {e}") from None
 

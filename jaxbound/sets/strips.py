@@ -32,7 +32,7 @@ class Strips:
     """C circuits h with their action k on the known values, in floats (nearest to the exact rationals).
 
     Fields: rows (C, w): which rows a circuit uses; h (C, w); k (C, l); supports: the rows once more, static, if there are few.
-    A circuit shorter than w repeats its first row with coefficient 0.
+    A circuit shorter than w repeats its first row, with that row's coefficient split by powers of two.
     """
 
     rows: jax.Array
@@ -58,9 +58,12 @@ def strips_of(exact_h, exact_k):
     rows, coefficients, known = [], [], []
     for h, k in zip(exact_h, exact_k, strict=True):
         support = [i for i, x in enumerate(h) if x]
-        padding = widest - len(support)
+        values, padding = [rounding.fraction_to_float(h[i]) for i in support], widest - len(support)
+        for _ in range(padding):  # halves are exact, and unlike 0 they do not turn an infinite row into NaN
+            values[0] /= 2
+            values.append(values[0])
         rows.append(support + support[:1] * padding)
-        coefficients.append([rounding.fraction_to_float(h[i]) for i in support] + [0.0] * padding)
+        coefficients.append(values)
         known.append([rounding.fraction_to_float(x) for x in k])
     supports = tuple(map(tuple, rows)) if len(rows) <= UNROLLED else None
     return Strips(np.array(rows, np.int32), np.array(coefficients), np.array(known).reshape(len(rows), -1), supports)

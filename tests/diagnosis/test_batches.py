@@ -198,10 +198,6 @@ def test_progress_runs_to_one(rng):
     assert len(seen) == 3 and seen == sorted(seen) and seen[-1] == 1
 
 
-DEFECTS = pytest.mark.xfail(strict=True, reason="known defect outside the files of this test's author; remove the mark with the fix")
-
-
-@DEFECTS
 def test_an_infinite_sample_is_refused_even_where_only_short_circuits_use_it():
     """sets/strips.py pads a short circuit with 0 * scale of its first row: NaN if that is infinite, which passes for absent data."""
     m = jb.LinearSystem([[0.5, 0, 0], [0, 0.8, 1], [0, 0, 0.2]], [[0], [0], [1]], [[1, 0, 0], [0, 1, 0]], noise=0.1)
@@ -211,25 +207,21 @@ def test_an_infinite_sample_is_refused_even_where_only_short_circuits_use_it():
         jb.detect(jb.parity_relations(m, horizon=2), np.zeros((3, 1)), y)
 
 
-@DEFECTS
 def test_a_missing_value_of_a_nullable_column_is_a_missing_sample():
     frame = pd.DataFrame({"y1": pd.array([0.0, None, 0.0, 0.0], dtype="Float64"), "y2": [0.0] * 4})
     status = jb.detect(jb.parity_relations(paper()), np.zeros((4, 1)), frame).status
     assert status[3] == Status.CONSISTENT
 
 
-@DEFECTS
 def test_complex_samples_are_refused():
     with pytest.raises(ValueError, match="y must be numbers"):
         jb.detect(jb.parity_relations(paper()), np.zeros((4, 1)), np.zeros((4, 2)) + 1j)
 
 
-@DEFECTS
 def test_external_has_one_row_a_sample_for_a_recording_shorter_than_a_window():
     assert np.shape(jb.parity_relations(paper(), horizon=3).external(np.zeros((2, 1)), np.zeros((2, 2)))) == (2, 6)
 
 
-@DEFECTS
 def test_traced_margins_of_a_recording_shorter_than_a_window_are_nan():
     r = jb.parity_relations(paper(), horizon=3)
     assert np.isnan(jax.jit(lambda y: jb.margins(r, np.zeros((2, 1)), y))(np.zeros((2, 2)))).all()

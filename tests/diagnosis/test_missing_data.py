@@ -86,7 +86,6 @@ def test_a_fault_with_a_missing_input_is_one_for_every_value_of_that_input(name,
     assert (slack[fault] > -1e-8).all()
 
 
-@pytest.mark.xfail(strict=True, reason="sets/strips.py and diagnosis/consistency.py: with a missing input CONSISTENT is no proof yet")
 @pytest.mark.parametrize("name, horizon", [("paper", 2), ("offsets", 1)])
 def test_consistent_with_a_missing_input_is_so_for_some_value_of_that_input(name, horizon, rng):
     """A combination of circuits that cancels the input can be violated where no single circuit without it is."""

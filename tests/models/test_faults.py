@@ -27,7 +27,8 @@ def run():
     seed = int(np.random.SeedSequence().entropy % 2**31)
     print(f"seed {seed}")
     u = np.random.default_rng(seed).uniform(-1, 1, (N, T, 1))
-    faults = [jb.Fault(signal, kind, SIZE, ON[kind].start, ON[kind].stop) for signal, kinds in (("y2", SENSOR), ("u1", ACTUATOR)) for kind in kinds]
+    each = [("y2", kind) for kind in SENSOR] + [("u1", kind) for kind in ACTUATOR]
+    faults = [jb.Fault(signal, kind, SIZE, ON[kind].start, ON[kind].stop) for signal, kind in each]
     t = jax.tree.map(np.asarray, jb.simulate(paper(), u, jax.random.key(seed), faults=faults))
     np.testing.assert_array_equal(t.u, u)  # an actuator's fault is not recorded
     return t

@@ -3,7 +3,6 @@
 from fractions import Fraction
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import MODELS, Plant
@@ -22,7 +21,7 @@ HARD = {
                    noise="1/3"),
 }  # fmt: skip
 START = {"unstable": [1.5, -2.25], "difference of levels": [1e6, 1e6], "far offset": [0.3, 7.0], "thirds": [1000.1, 999.7]}
-PLAIN, BATCH, LARGE = (40,), (3, 40), (1000, 40)  # few shapes, because each compiles
+BATCH, LARGE = (3, 40), (2500, 201)  # few shapes, because each compiles
 
 
 def build(name):
@@ -48,7 +47,8 @@ def exact_outputs(plant, x0, t):
 
 TWO_STATES = ("paper", "noise only", "feedthrough", "unstable", "difference of levels", "far offset", "thirds")
 CASES = [(name, at, dtype) for name in TWO_STATES for at in ("uniform", "vertices") for dtype in (np.float64, np.float32)]
-CASES += [("offsets", "vertices", np.float64), ("three states", "uniform", np.float32), ("no input", "vertices", np.float64)]
+CASES += [("offsets", "vertices", np.float64), ("no input", "vertices", np.float64)]
+CASES += [pytest.param("three states", "uniform", np.float32, marks=pytest.mark.slow)]
 
 
 def worst_error(plant, x0, t):
@@ -74,14 +74,14 @@ def test_samples_are_an_exact_trajectory_rounded_once(name, at, dtype, rng):
 def test_samples_stay_exact_when_the_model_is_a_constant_of_a_compiled_function(rng):
     """XLA rewrites sums with constants: (theta + 1) - 1 became theta, and samples were off by 476 half ulps."""
     plant, u = Plant(**HARD["offsets"]), inputs("offsets", (40,), rng)
-    t = jax.jit(lambda k: jb.simulate(build("offsets"), u, k, x0=[3.0, -2.0]))(key(rng))
-    assert worst_error(plant, [3.0, -2.0], t) < 1 + 1e-4
+    t = jax.jit(jax.vmap(lambda k: jb.simulate(build("offsets"), u, k, x0=[3.0, -2.0])))(jax.random.split(key(rng), 3))
+    assert max(worst_error(plant, [3.0, -2.0], jax.tree.map(lambda v, i=i: v[i], t)) for i in range(3)) < 1 + 1e-4
 
 
 def test_samples_stay_exact_in_a_large_batch(rng):
     plant, u = Plant(**HARD["far offset"]), inputs("far offset", LARGE, rng)
     t = jb.simulate(build("far offset"), u, key(rng))
-    assert max(worst_error(plant, [0, 0], jax.tree.map(lambda v, i=i: v[i], t)) for i in rng.choice(1000, 5)) < 1 + 1e-4
+    assert max(worst_error(plant, [0, 0], jax.tree.map(lambda v, i=i: v[i], t)) for i in rng.choice(2500, 2)) < 1 + 1e-4
 
 
 @pytest.mark.parametrize("name", ["difference of levels", "unstable"])
@@ -118,8 +118,8 @@ def test_uniform_draws_fill_their_interval(rng):
     for drawn, bound in ((t.theta, [0.02, 0.1]), (t.noise, [0.1, 0.01])):
         scaled = np.asarray(drawn).reshape(-1, 2) / bound
         assert (abs(scaled) <= 1).all() and (abs(scaled).max(0) > 0.999).all()
-        assert (abs(scaled.std(0) - 3**-0.5) < 0.01).all() and (abs(scaled.mean(0)) < 0.02).all()
-        assert abs(np.corrcoef(scaled.T)[0, 1]) < 0.03
+        assert (abs(scaled.std(0) - 3**-0.5) < 0.005).all() and (abs(scaled.mean(0)) < 0.01).all()
+        assert abs(np.corrcoef(scaled.T)[0, 1]) < 0.01
 
 
 def test_unknowns_are_drawn_anew_each_sample_and_recording(rng):
@@ -129,14 +129,14 @@ def test_unknowns_are_drawn_anew_each_sample_and_recording(rng):
 
 
 def test_states_follow_the_plant(rng):
-    t = jb.simulate(paper(), inputs("paper", PLAIN, rng), key(rng), x0=[3.0, -4.0])
+    t = jb.simulate(paper(), inputs("paper", BATCH, rng), key(rng), x0=[3.0, -4.0])
     x, u = np.asarray(t.x), np.asarray(t.u)
-    np.testing.assert_array_equal(x[0], [3, -4])
-    np.testing.assert_allclose(x[1:], x[:-1] @ [[0.8, 0], [1, 0.2]] + u[:-1] * [0, 1], rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(x[:, 0], [[3, -4]] * 3)
+    np.testing.assert_allclose(x[:, 1:], x[:, :-1] @ [[0.8, 0], [1, 0.2]] + u[:, :-1] * [0, 1], rtol=0, atol=1e-14)
 
 
 def test_the_first_state_is_zero_unless_given(rng):
-    assert not np.asarray(jb.simulate(paper(), inputs("paper", PLAIN, rng), key(rng)).x)[0].any()
+    assert not np.asarray(jb.simulate(paper(), inputs("paper", BATCH, rng), key(rng)).x)[:, 0].any()
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (3, 1), (0,)])
@@ -158,27 +158,19 @@ def test_a_model_without_inputs_takes_an_empty_u(rng):
 
 
 def test_one_key_gives_one_recording(rng):
-    u, k = inputs("paper", PLAIN, rng), key(rng)
+    u, k = inputs("paper", BATCH, rng), key(rng)
     first, again, other = (jb.simulate(paper(), u, j).y for j in (k, k, jax.random.fold_in(k, 1)))
     np.testing.assert_array_equal(first, again)
     assert (np.asarray(first) != np.asarray(other)).all()
 
 
-@pytest.mark.parametrize("u", [[[1]] * 40, np.ones((40, 1), int), np.ones((40, 1), np.float16)])
+@pytest.mark.parametrize("u", [[[[1]] * 40] * 3, np.ones((3, 40, 1), int), np.ones((3, 40, 1), np.float16)])
 def test_lists_integers_and_half_floats_become_the_default_float(u, rng):
     assert jb.simulate(paper(), u, key(rng)).y.dtype == np.float64
 
 
-def test_simulation_runs_under_jit_and_vmap(rng):
-    u, m = jnp.asarray(inputs("paper", PLAIN, rng)), paper()
-    keys = jax.random.split(key(rng), 3)
-    whole = jax.jit(jax.vmap(lambda k: jb.simulate(m, u, k).y))(keys)
-    one_by_one = [jb.simulate(m, u, k).y for k in keys]
-    np.testing.assert_allclose(whole, one_by_one, rtol=1e-15)
-
-
 def test_a_second_simulation_of_another_plant_of_the_shape_does_not_trace(rng):
-    u = inputs("paper", PLAIN, rng)
+    u = inputs("paper", BATCH, rng)
     jb.simulate(paper(), u, key(rng))
     traced = module._simulate._cache_size()
     jb.simulate(paper(A=[[0.5, 0.1], [0, 0.3]], noise=0.7, offset={"y": [1, 2]}), u + 1, key(rng), x0=[1.0, 1.0])

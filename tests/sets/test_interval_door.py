@@ -149,6 +149,12 @@ def test_a_plain_number_takes_the_dtype_of_its_partner(dtype):
     assert (interval(dtype(1)) * 0.1).dtype == dtype and (2 - interval(dtype(1))).dtype == dtype
 
 
+@pytest.mark.parametrize("number", [0.1, 0.3, -0.7, 2**24 + 1, 1e300, 1e-300])
+def test_a_plain_number_that_the_dtype_cannot_hold_is_enclosed_by_operations_without_rounding(number):
+    hull = sets.hull(interval(np.float32(0)), number)
+    assert hull.dtype == np.float32 and hull.lo.tolist() <= Fraction(number) <= hull.hi.tolist()
+
+
 def test_operators_are_the_functions():
     x, y = interval([1.0, -2.0], [2.0, 3.0]), interval([0.5, 1.0], [0.75, 4.0])
     by_operators = jax.jit(lambda x, y: [x + y, x - y, x * y, x / y, -x, abs(x), x**3, x @ y])(x, y)
