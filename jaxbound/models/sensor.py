@@ -10,6 +10,7 @@ without cancellation, without a case distinction and differentiable.
 """
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbound.sets import rounding
 
@@ -36,6 +37,7 @@ def true_value(samples, tolerance, noise, resolution, offset):
     largest = abs(samples[0])
     for y in samples[1:]:
         largest = jnp.maximum(largest, abs(y))
+    largest = jnp.minimum(largest, np.finfo(largest.dtype).max)  # an infinite sample stays its own row's matter
     rho = noise + resolution + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise) + rounding.tiny(largest.dtype)
     mid, rad, scale = [], [], []
     for gone, y in zip(absent, samples, strict=True):
