@@ -45,8 +45,8 @@ def true_value(samples, tolerance, noise, resolution, offset):
         above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
         mid.append(jnp.where(gone, jnp.nan, e * (d + half * (above - below))))  # above - below = 2 clip(d, -rho, rho)
         rad.append(e * (rho + half * (above + below)))  # above + below = 2 max(|d|, rho)
-        size = e * (1 + tolerance) * (abs(y) + abs(offset))
-        scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size + rad[-1], jnp.inf)))  # NaN is absence, never overflow
+        size = e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]  # 0 * inf is NaN in every row of a window with an infinite sample
+        scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf)))  # NaN is absence, never overflow
     return mid, rad, scale
 
 
