@@ -1,9 +1,13 @@
 """Rigorous sets and kernels, useful without any plant: intervals, zonotopes, strips, pavings."""
 
+from jaxbound.sets.elementary import *  # noqa: F403
+from jaxbound.sets.elementary import __all__ as _elementary
+from jaxbound.sets.inclusion import Inclusion, inclusion
 from jaxbound.sets.interval import *  # noqa: F403
 from jaxbound.sets.interval import __all__ as _interval
 from jaxbound.sets.paving import Paving, pave
 from jaxbound.sets.status import Status
 from jaxbound.sets.zonotope import Zonotope, membership, strips, support, zonotope
 
-__all__ = [*_interval, "Paving", "Status", "Zonotope", "membership", "pave", "strips", "support", "zonotope"]
+__all__ = [*_interval, *_elementary, "Inclusion", "Paving", "Status", "Zonotope", "inclusion", "membership", "pave", "strips", "support",
+           "zonotope"]  # fmt: skip

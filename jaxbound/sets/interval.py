@@ -4,13 +4,15 @@ Empty is lo = +inf, hi = -inf; entire is [-inf, inf]. Operations follow IEEE 178
 give the tightest set, so 1 / [0, 1] is [1, inf] and x / [0, 0] is empty.
 """
 
+import operator
 from dataclasses import dataclass
+from functools import partial, reduce
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import rounding
+from jaxbound.sets import approximations, rounding
 
 __all__ = [
     "Interval", "abs", "add", "contains", "disjoint", "div", "equal", "hull", "interior", "intersection", "interval", "less", "mag",
@@ -161,10 +163,11 @@ def _close(lo, hi, *arguments):
 
 
 def _or_empty(lo, hi, *arguments):
-    empty = arguments[0].is_empty
-    for x in arguments[1:]:
-        empty = empty | x.is_empty
-    return _empty_where(empty, lo, hi)
+    """Make the result empty where an argument is; only an empty set has lo = inf, or hi = -inf, so that no bound asks for the other."""
+    return Interval(
+        jnp.where(reduce(operator.or_, [x.lo == jnp.inf for x in arguments]), jnp.inf, lo),
+        jnp.where(reduce(operator.or_, [x.hi == -jnp.inf for x in arguments]), -jnp.inf, hi),
+    )
 
 
 def _empty_where(empty, lo, hi):
@@ -180,7 +183,7 @@ def add(x, y):
 def sub(x, y):
     """Return the difference. Source: IEEE 1788 sub."""
     x, y = _pair(x, y)
-    return _close(x.lo - y.hi, x.hi - y.lo, x, y)
+    return _close(x.lo - y.hi, x.hi - y.lo, x, neg(y))
 
 
 def neg(x):
@@ -191,41 +194,40 @@ def neg(x):
 def mul(x, y):
     """Return the product; 0 times an infinite bound is 0. Source: IEEE 1788 mul."""
     x, y = _pair(x, y)
-    products = [jnp.where((a == 0) | (b == 0), 0, a * b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
-    return _keep_sign(_close(*_range(products), x, y), x, y)
+    products = [a * b for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
+    out = _close(*_range([jnp.where(jnp.isnan(p), 0, p) for p in products]), x, y)
+    # outward rounding must not cross 0, so that 1 / (x * y) stays half-bounded
+    (above, below), (up, down) = ((v.lo >= 0, v.hi <= 0) for v in (x, y))
+    zero = (above & below) | (up & down)
+    lo = jnp.where((above & up) | (below & down) | zero, jnp.maximum(out.lo, 0), out.lo)
+    return Interval(lo, jnp.where((above & down) | (below & up) | zero, jnp.minimum(out.hi, 0), out.hi))
 
 
 def div(x, y):
     """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE 1788 div."""
     x, y = _pair(x, y)
-    quotients = [_quotient(a, b, s) for a in (x.lo, x.hi) for b, s in ((y.lo, 1), (y.hi, -1))]
-    lo, hi = _range(quotients)
-    across = (y.lo < 0) & (y.hi > 0) & ~((x.lo == 0) & (x.hi == 0))
-    lo, hi = jnp.where(across, -jnp.inf, lo), jnp.where(across, jnp.inf, hi)
-    out = _keep_sign(_close(lo, hi, x, y), x, y)
-    return _empty_where((y.lo == 0) & (y.hi == 0), out.lo, out.hi)
+    down = y.hi <= 0  # x / y = (-x) / (-y)
+    a, b, c, d = (jnp.where(down, -p, q) for p, q in ((x.hi, x.lo), (x.lo, x.hi), (y.hi, y.lo), (y.lo, y.hi)))
+    nowhere, across = x.is_empty | y.is_empty | ((c == 0) & (d == 0)), (c < 0) & ~((a == 0) & (b == 0))
+    over = lambda n, sign: jnp.where(nowhere, jnp.nan, jnp.where(across, sign * jnp.inf, jnp.where(n == 0, sign * -0.0, n)))
+    low = _quotient(over(a, -1), jnp.where(across, 1, jnp.where(a >= 0, d, c)), -jnp.inf)
+    high = _quotient(over(b, 1), jnp.where(across, 1, jnp.where(b > 0, c, d)), jnp.inf)
+    lo, hi = rounding.outward(low, high)
+    lo, hi = jnp.where(jnp.signbit(low), lo, jnp.maximum(lo, 0)), jnp.where(jnp.signbit(high), jnp.minimum(hi, 0), hi)
+    return Interval(jnp.where(jnp.isnan(low), jnp.inf, lo), jnp.where(jnp.isnan(high), -jnp.inf, hi))
 
 
-def _keep_sign(out, x, y):
-    """Keep the outward rounding of a product or quotient from crossing 0, so that 1 / (x * y) stays half-bounded."""
-    positive = ((x.lo >= 0) & (y.lo >= 0)) | ((x.hi <= 0) & (y.hi <= 0))
-    negative = ((x.lo >= 0) & (y.hi <= 0)) | ((x.hi <= 0) & (y.lo >= 0))
-    lo, hi = jnp.maximum(out.lo, 0), jnp.minimum(out.hi, 0)
-    return Interval(jnp.where(positive, lo, out.lo), jnp.where(negative, hi, out.hi))
-
-
-def _quotient(a, b, zero_side):
-    """Return a / b with a / 0 an infinity of the side from which the divisor reaches 0, and 0 / 0 = 0.
+def _quotient(a, b, over_zero):
+    """Return a / b for b >= 0; a / 0 is `over_zero`. Its sign is that of a, even flushed, so that the caller need not ask a again.
 
     A divisor beyond 2^(emax/2) is scaled first, so that its reciprocal, which the compiler may use, is not flushed to zero. The
     barrier keeps the compiler from merging this quotient with one that made `a` or `b`.
     """
+    zero, shrink = b == 0, 2.0 ** -(np.finfo(b.dtype).maxexp // 2)
+    s = jnp.where(b > 1 / shrink, np.asarray(shrink, b.dtype), np.asarray(1, b.dtype))
+    a, b = jnp.where(zero & ~jnp.isnan(a), over_zero, a * s), jnp.where(zero, 1, b * s)
     a, b = jax.lax.optimization_barrier(jnp.broadcast_arrays(a, b))
-    shrink = np.asarray(2.0 ** -(np.finfo(b.dtype).maxexp // 2), b.dtype)[()]
-    big = jnp.abs(b) > 1 / shrink
-    q = jnp.where(big, a * shrink, a) / jnp.where(big, b * shrink, jnp.where(b == 0, 1, b))
-    q = jnp.where(jnp.isinf(b), 0, q)  # also infinity / infinity: the other end carries the infinity
-    return jnp.where(b == 0, jnp.where(a == 0, 0, zero_side * jnp.sign(a) * jnp.inf), q)
+    return a / b
 
 
 def _range(values):
@@ -255,21 +257,18 @@ def pown(x, n):
         return recip(pown(x, -n))
     if n == 0:
         return _or_empty(jnp.ones_like(x.lo), jnp.ones_like(x.hi), x)
-    if n % 2:  # increasing: the ends carry the range
-        return _or_empty(_power(x.lo, n).lo, _power(x.hi, n).hi, x)
-    return _or_empty(jnp.maximum(_power(mig(x), n).lo, 0), _power(mag(x), n).hi, x)
+    if n < 3:
+        return sqr(x) if n == 2 else x
+    return _power(x, n)
 
 
-def _power(point, n):
-    """Enclose point^n by repeated squaring."""
-    base = Interval(point, point)
-    out = None
-    while n:
-        if n & 1:
-            out = base if out is None else mul(out, base)
-        n >>= 1
-        base = sqr(base) if n else base
-    return out
+@partial(jax.jit, static_argnums=1)
+def _power(x, n):
+    near, far = (x.lo, x.hi) if n % 2 else (mig(x), mag(x))
+    power = lambda v: jnp.where(v < 0, -1, 1) * approximations.power(jnp.abs(v), n)
+    lo, hi = rounding.outward(power(near), power(far), approximations.UNITS["power"] + 16 * n * rounding.unit(x.dtype))
+    lo, hi = jnp.where(near >= 0, jnp.maximum(lo, 0), lo), jnp.where(far <= 0, jnp.minimum(hi, 0), hi)
+    return _or_empty(lo, hi, x)
 
 
 def abs(x):
@@ -350,7 +349,7 @@ def intersection(x, y):
     """Return what both share, possibly empty. Source: IEEE 1788 intersection."""
     x, y = _pair(x, y)
     lo, hi = jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi)
-    return _or_empty(lo, hi, Interval(lo, hi))
+    return _empty_where(lo > hi, lo, hi)
 
 
 def equal(x, y):

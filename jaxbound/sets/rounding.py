@@ -27,11 +27,20 @@ __all__ = [
     "dd_add",
     "dd_mul",
     "fraction_to_float",
+    "mantissa_exponent",
+    "nearest_normal",
     "outward",
     "outward_sum",
+    "product_error",
+    "positive",
+    "power_of_two",
+    "quotient",
     "residual_error",
+    "root",
     "round_down",
     "round_up",
+    "scale",
+    "search_error",
     "settle_subnormals",
     "tiny",
     "two_prod",
@@ -50,12 +59,13 @@ def tiny(dtype):
     return np.asarray(np.finfo(dtype).tiny, dtype)[()]
 
 
-def outward(lo, hi):
+def outward(lo, hi, units=4):
     """Widen the computed bounds (lo, hi) of one operation so that they enclose the exact ones.
 
+    The bounds may be off by (units - 1.16) u |f| + tiny: four units fit one operation; `approximations` states its own.
     A bound that overflowed to the wrong infinity falls back to the largest finite number.
     """
-    u4, t2, top = 4 * unit(lo.dtype), 2 * tiny(lo.dtype), np.finfo(lo.dtype).max
+    u4, t2, top = np.asarray(units, lo.dtype)[()] * unit(lo.dtype), 2 * tiny(lo.dtype), np.finfo(lo.dtype).max
     lo_out = jnp.where(lo == jnp.inf, top, lo - (u4 * jnp.abs(lo) + t2))
     hi_out = jnp.where(hi == -jnp.inf, -top, hi + (u4 * jnp.abs(hi) + t2))
     return lo_out, hi_out
@@ -107,9 +117,29 @@ def residual_error(terms, dtype):
     return np.asarray((2 * terms + 32) * unit(dtype), dtype)[()], np.asarray(8 * terms * tiny(dtype), dtype)[()]
 
 
+def search_error(outer, inner, known, dtype):
+    """Return (gamma, floor) for the two proofs of `sets.separation`, with c outer rows, k inner rows and l known values.
+
+    Per outer row, z_j = m_j - sum_i R_ji m_i - sum_b K_jb v_b is one sum of N = k + l + 1 products as in `residual_error`, whose bound
+    (2 N + 32) u M_j, M_j = scale_j + sum_i |R_ji| scale_i + sum_b |K_jb| (|v_b| + |offset_b|), covers z_j and the radii in its row.
+
+    Inside, |z_j - R_j d| <= r_j with |d_i| <= r_i: rounded R, products and the sum add (k + 3) u (|z_j| + |R_j| r) <= 2 (k + 3) u M_j.
+    Outside, |h z| > sum_j |h_j| r_j + sum_i |h R|_i r_i: the outer sum adds (c + 1) u |h| M on the left; on the right, h R is off by
+    (c + 2) u |h| |R|, the radii by 11 u, their sum by (c + k + 1) u. Together at most (3 c + 3 k + 2 l + 50) u |h| M.
+    Both are below (4 (c + k + l) + 52) u, the bound of `residual_error` for 2 (c + k + l) + 10 terms. h is exact: whatever it is.
+
+    An underflow, in any of the sums of row j or in a coefficient off by that much (`nearest_normal`), costs tiny times at most one
+    coefficient of R or K and one M, inner scale_i or |v_b| + |offset_b| (a column of R can be as small as tiny, and M then says nothing of its
+    scale): `floor` is to be multiplied by 1 + max|R|, 1 + max|K|, and 1 + the sum of all these.
+    """
+    terms = 2 * (outer + inner + known) + 10
+    gamma, floor = residual_error(terms, dtype)
+    return gamma, np.asarray(floor * terms, dtype)[()]
+
+
 @jax.jit
 def settle_subnormals(lo, hi):
-    """Move subnormal bounds outward to 0 or to the smallest normal number: compiled code would read them as 0."""
+    """Move subnormal bounds outward to the smallest normal number where reading them as 0, as compiled code does, would go inward."""
     return _settle(lo, up=False), _settle(hi, up=True)
 
 
@@ -118,8 +148,22 @@ def _settle(x, up):
     pattern = jax.lax.bitcast_convert_type(x, bits)
     subnormal = ((pattern >> mantissa) & exponent == 0) & (pattern & ((1 << mantissa) - 1) != 0)
     edge = tiny(x.dtype)
-    moved = jnp.where(pattern < 0, 0 if up else -edge, edge if up else 0)
-    return jnp.where(subnormal, moved.astype(x.dtype), x)
+    return jnp.where(subnormal & ((pattern >= 0) == up), edge if up else -edge, x)
+
+
+def positive(x):
+    """True where x > 0, subnormal numbers included, which compiled comparisons take for 0."""
+    return jax.lax.bitcast_convert_type(x, _layout(x.dtype)[0]) > 0
+
+
+def product_error(terms, dtype):
+    """Return (gamma, floor): a compiled sum of `terms` products a b is within half of gamma sum|a b| + floor (1 + max|a|)(1 + max|b|).
+
+    Proof: in any order, with or without FMA, the sum is off by terms u sum|a b| to first order. An a that is read as zero costs
+    tiny max|b|, and likewise b; a product or partial sum that is flushed costs tiny. gamma holds twice that and 8 u, floor twice that:
+    the half that is left covers the rounding of this bound itself and of a few operations more on it and the sum.
+    """
+    return np.asarray(2 * (2 * terms + 8) * unit(dtype), dtype)[()], np.asarray(16 * (terms + 1) * tiny(dtype), dtype)[()]
 
 
 def fraction_to_float(value, dtype=np.float64):
@@ -131,6 +175,12 @@ def fraction_to_float(value, dtype=np.float64):
             f"the coefficients of a relation span more than {np.dtype(dtype).name} holds: give the signals units of similar size"
         )
     return out
+
+
+def nearest_normal(value, dtype=np.float64):
+    """Round an exact rational to the nearest float, one below the normal range to the smallest normal number of its sign: never to 0."""
+    out, least = np.asarray(_nearest(value), dtype)[()], tiny(dtype)
+    return out if abs(out) >= least or not value else np.copysign(least, value > 0 or -1)
 
 
 def _nearest(value):
@@ -211,3 +261,53 @@ def dd_mul(x, y):
     """Multiply two double-word numbers (hi, lo)."""
     p, e = two_prod(x[0], y[0])
     return _two_sum(p, e + (x[0] * y[1] + x[1] * y[0]))
+
+
+def quotient(n, d):
+    """Divide with an error of 1.01 u |n / d|, whatever the compiler makes of the division; d normal, n / d far from overflow.
+
+    The remainder n - q d is exact (`two_prod`, and n is within 3 u of the product), so that one correction removes the error of q.
+    A quotient below the square root of the smallest normal number stays as it is, off by 2.84 u: its remainder could be flushed.
+    """
+    q = n / d
+    p, e = two_prod(q, d)
+    return jnp.where(jnp.abs(q) > np.sqrt(tiny(q.dtype)), q + ((n - p) - e) / d, q)
+
+
+def root(x):
+    """Return the square root of x >= 0 with an error of 1.01 u, whatever the compiler's is; sqrt(0) = 0, x far from underflow."""
+    s = jnp.sqrt(x)
+    p, e = two_prod(s, s)
+    return s + ((x - p) - e) / jnp.where(s > 0, 2 * s, 1)
+
+
+def mantissa_exponent(x):
+    """Split x > 0, subnormal or not, exactly into m 2^k with sqrt(1/2) <= m < sqrt(2); k is an integer as a float."""
+    bits, mantissa, bias, magic = _layout(x.dtype)
+    as_bits, as_float = (lambda v: np.asarray(v, x.dtype).view(bits)), (lambda v: jax.lax.bitcast_convert_type(v, x.dtype))
+    pattern = jax.lax.bitcast_convert_type(x, bits)
+    whole = as_float(pattern | as_bits(2.0**mantissa)) - 2.0**mantissa  # a subnormal number's digits count its smallest one
+    small = pattern < 1 << mantissa
+    pattern = jnp.where(small, jax.lax.bitcast_convert_type(whole, bits), pattern)
+    k = (pattern - as_bits(np.sqrt(0.5))) >> mantissa
+    m = as_float(pattern - (k << mantissa))
+    return m, as_float(jnp.where(small, k - (bias + mantissa - 1), k) + as_bits(magic)) - magic
+
+
+def power_of_two(k):
+    """Return 2^k, exactly, for an integer k (as a float) in the normal range."""
+    bits, mantissa, bias, magic = _layout(k.dtype)
+    # the last digits of k + magic are those of k + bias in two's complement; the shift leaves them as an exponent
+    return jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(k + (magic + bias), bits) << mantissa, k.dtype)
+
+
+def scale(x, k):
+    """Return x 2^k, exact barring underflow (flushed) and overflow (infinite), for |k| up to twice the normal range."""
+    half = jnp.floor(k * 0.5)
+    return x * power_of_two(half) * power_of_two(k - half)
+
+
+def _layout(dtype):
+    """Return the integers of one size, the mantissa's digits, the exponent's bias and a float whose last digit counts ones."""
+    bits, mantissa, bias = {8: (np.int64, 52, 1023), 4: (np.int32, 23, 127)}[jnp.dtype(dtype).itemsize]
+    return bits, mantissa, bias, 1.5 * 2.0**mantissa

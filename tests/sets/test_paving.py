@@ -155,7 +155,8 @@ def test_a_batch_equals_its_targets_one_by_one(rng):
 
 
 def test_the_widest_edge_is_cut_and_the_first_of_equal_ones():
-    found = sets.pave(lambda z: [z[0] + z[1]], box(lo=(0, 0), hi=(1, 4)), [1.0], cut="widest", max_depth=3)
+    found = sets.pave(lambda z: [z[0] + z[1]], box(lo=(0, 0), hi=(1, 4)), [1.0], cut="widest", max_depth=3, solutions="none")
+    assert len(found.boxes)
     sizes = np.asarray(found.boxes.hi) - np.asarray(found.boxes.lo)
     assert (sizes == [0.5, 1]).all()  # 1 x 4 -> 1 x 2 -> 1 x 1 -> 1/2 x 1
 
@@ -268,13 +269,13 @@ def test_max_boxes_stops_before_the_level_that_would_exceed_it():
     stopped = sets.pave(figure, box(), [2.0, -2.0], q=10, max_boxes=100)
     assert stopped.evaluated <= 100 < whole.evaluated and stopped.status == Status.UNDECIDED and len(stopped.boxes) > 0
     assert sets.pave(figure, box(), [2.0, -2.0], q=10, max_boxes=261).evaluated == 261
-    assert sets.pave(figure, box(), [[2.0, 2.0]] * 3, q=10, max_boxes=0).status.tolist() == [Status.UNDECIDED] * 3
+    assert sets.pave(figure, box(), [[2.0, -2.0]] * 3, q=10, max_boxes=2).status.tolist() == [Status.UNDECIDED] * 3
 
 
 @pytest.mark.parametrize("depth", [0, 1, 5])
 def test_max_depth_stops_as_undecided(depth):
-    found = sets.pave(figure, box(), [2.0, -2.0], max_depth=depth)
-    assert found.status == Status.UNDECIDED
+    found = sets.pave(figure, box(), [2.0, -2.0], max_depth=depth, solutions="none")
+    assert found.status == Status.UNDECIDED and found.levels == depth
     volume = np.prod(np.asarray(found.boxes.hi) - np.asarray(found.boxes.lo), 1)
     assert (volume == 6 / 2**depth).all()
 
@@ -337,8 +338,9 @@ def test_the_area_of_other_dimensions_is_refused():
         (dict(target=np.zeros((1, 1, 2))), ValueError, "target must have shape"),
         (dict(target=[np.nan, 1.0]), ValueError, "not NaN"),
         (dict(target=None), ValueError, "adaptive subdivision needs a target"),
-        (dict(cut="smear"), NotImplementedError, "not implemented yet"),
-        (dict(cut="longest"), ValueError, "cut must be one of alternate, widest"),
+        (dict(max_boxes=0), ValueError, "max_boxes must be a whole number >= 1, not 0"),
+        (dict(max_depth=-1), ValueError, "max_depth must be a whole number >= 0, not -1"),
+        (dict(cut="longest"), ValueError, "cut must be one of alternate, widest, smear, not 'longest'"),
         (dict(subdivision="both"), ValueError, "subdivision must be"),
         (dict(args=(np.zeros(2),)), ValueError, "one entry for each of the 1 targets"),
         (dict(subdivision="uniform", q=100, max_boxes=9999), ValueError, "10000 boxes, more than max_boxes = 9999"),

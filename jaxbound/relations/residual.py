@@ -1,0 +1,196 @@
+"""A user's own residual: f(z, u_window, y_window) = 0 for some z in a box, f any JAX function.
+
+It puts any model with bounded unknowns into the form of the library: parameters that stay constant over the window, an unknown
+first state, sensor errors and disturbances are all entries of z.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets import rounding
+from jaxbound.sets.interval import Interval, interval, mid
+
+__all__ = ["Channels", "Residual", "residual"]
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Names of the signals that a residual reads; None: those of the recording."""
+
+    inputs: tuple | None
+    outputs: tuple | None
+    dt: float
+    name: str
+
+    m = property(lambda self: len(self.inputs), doc="Number of inputs.")
+    p = property(lambda self: len(self.outputs), doc="Number of outputs.")
+
+    def column(self, signal):
+        """Return the column of a signal: its name."""
+        return signal
+
+    def of(self, u, y):
+        """Return these channels with the names that are missing taken from the columns of u and y, or numbered."""
+        return dataclasses.replace(
+            self,
+            inputs=_names(u, "u") if self.inputs is None else self.inputs,
+            outputs=_names(y, "y") if self.outputs is None else self.outputs,
+        )
+
+
+def _names(data, letter):
+    if data is None:
+        return ()
+    if hasattr(data, "columns"):
+        return tuple(data.columns)
+    return tuple(f"{letter}{i + 1}" for i in range(1 if np.ndim(data) < 2 else np.shape(data)[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """f(z, u_window, y_window) = 0 for some z in a box. Build it with `residual`.
+
+    Fields: f; box: Interval (n,); horizon s: a window has s + 1 samples; model: Channels, the names of the signals.
+    """
+
+    f: object
+    box: Interval
+    horizon: int
+    model: Channels
+
+    @property
+    def bounds(self):
+        """{"parameters": (n, 2)}: lo and hi of every unknown."""
+        return {"parameters": np.stack([np.asarray(self.box.lo), np.asarray(self.box.hi)], 1)}
+
+    def with_bounds(self, bounds):
+        """Return the same residual over another box.
+
+        Args:
+            bounds: {"parameters": (n, 2)}, lo and hi of every unknown.
+
+        Raises:
+            ValueError: another name, a wrong shape, NaN, lo > hi, an infinite bound.
+        """
+        if set(bounds) != {"parameters"}:
+            raise ValueError(f"the bounds of a residual are ['parameters'], not {sorted(bounds)}")
+        wanted, given = (*self.box.shape, 2), np.shape(bounds["parameters"])
+        if given != wanted:
+            raise ValueError(f"parameters needs lo and hi for each unknown, shape {wanted}: its shape is {given}")
+        lo, hi = np.moveaxis(np.asarray(bounds["parameters"]), -1, 0)
+        return dataclasses.replace(self, box=_bounded(interval(lo, hi)))
+
+    def named(self, u, y):
+        """Return the same residual with the names of the signals that it lacks taken from a recording."""
+        return dataclasses.replace(self, model=self.model.of(u, y))
+
+    def shape(self, m, p):
+        """Return the number of residuals for windows of m inputs and p outputs.
+
+        Raises:
+            ValueError: f returns nothing, or something that is not a float.
+        """
+        s, dtype = self.horizon, self.box.dtype
+        window = lambda channels: jax.ShapeDtypeStruct((s + 1, channels), dtype)
+        out = jax.eval_shape(flat(self.f), jax.ShapeDtypeStruct(self.box.shape, dtype), window(m), window(p))
+        if not out.size or not jnp.issubdtype(out.dtype, jnp.floating):
+            raise ValueError(f"f must return at least one float, not {out.size} of type {out.dtype}")
+        return out.size
+
+    @property
+    def count(self):
+        """Number of residuals.
+
+        Raises:
+            ValueError: the signals have no names yet.
+        """
+        if self.model.inputs is None or self.model.outputs is None:
+            raise ValueError("the number of residuals depends on that of the signals: name them, residual(f, box, s, inputs=, outputs=)")
+        return self.shape(self.model.m, self.model.p)
+
+    def external(self, u, y):
+        """Return f at the middle of the box, (..., T, count), NaN where a window is incomplete. Not rounded: for plots and studies.
+
+        Args:
+            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs.
+        """
+        u, y = jnp.asarray(u if u is not None else np.zeros((*np.shape(y)[:-1], 0))), jnp.asarray(y)
+        s, T = self.horizon, y.shape[-2]
+        count = self.shape(u.shape[-1], y.shape[-1])
+        if T <= s:
+            return jnp.full((*y.shape[:-1], count), jnp.nan, y.dtype)
+        rows = np.arange(T - s)[:, None] + np.arange(s + 1)[None]
+        windows = [x[..., rows, :].reshape(-1, s + 1, x.shape[-1]) for x in (u, y)]
+        found = jax.vmap(flat(self.f), (None, 0, 0))(mid(self.box), *windows).reshape(*y.shape[:-2], T - s, count)
+        return jnp.concatenate([jnp.full((*y.shape[:-2], s, count), jnp.nan, found.dtype), found], -2)
+
+    def text(self):
+        """Return the relation as a reader would write it."""
+        name, s = getattr(self.f, "__name__", "f"), self.horizon
+        span = f"[k-{s}..k]" if s else "[k]"
+        lo, hi = (np.asarray(x).tolist() for x in (self.box.lo, self.box.hi))
+        box = " x ".join(f"[{a:g}, {b:g}]" for a, b in zip(lo, hi, strict=True))
+        return f"{'f' if name == '<lambda>' else name}(z, u{span}, y{span}) = 0 for some z in {box}"
+
+
+@dataclass(frozen=True)
+class flat:
+    """f with everything it returns in one array; two of one f are equal, so that they share a compilation."""
+
+    f: object
+
+    def __call__(self, z, u, y):
+        parts = [jnp.ravel(x) for x in jax.tree.leaves(self.f(z, u, y))]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
+
+
+def residual(f, box, horizon=0, inputs=None, outputs=None, dt=1.0, name="residual"):
+    """Describe healthy windows by an equation that must hold for some value of bounded unknowns.
+
+    Args:
+        f: a JAX function of z (n,), u_window (s + 1, m) and y_window (s + 1, p), first sample first; returns a float, an array of r or a
+            list of them, all of which must be 0 for one z. What `inclusion` supports may be used.
+        box: Interval (n,), bounded: where the unknowns are. Errors of the sensors are unknowns like any other.
+        horizon: s >= 0, a window has s + 1 samples.
+        inputs, outputs: names of the signals, for DataFrames with more columns and for reports; None: those of the recording.
+        dt, name: for reports.
+
+    Returns:
+        A Residual for `detect`.
+
+    Raises:
+        ValueError: a box that is empty, unbounded or of another shape, a horizon that is no whole number >= 0, names given twice.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> drift = lambda z, u, y: y[1, 0] - (1 + z[0]) * y[0, 0] ** 2 - z[1]      # the gain is uncertain by 1 %, the sensor by 0.1
+        >>> r = jb.residual(drift, jb.interval([-0.01, -0.1], [0.01, 0.1]), horizon=1)
+        >>> [jb.Status(int(k)).name for k in jb.detect(r, None, [[1.0], [1.05], [1.3], [2.0]]).status]
+        ['MISSING', 'CONSISTENT', 'FAULT', 'FAULT']
+    """
+    if not callable(f):
+        raise TypeError(f"residual needs a function of (z, u_window, y_window), not {type(f).__name__}")
+    if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 0:
+        raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+    for kind, names in (("inputs", inputs), ("outputs", outputs)):
+        if names is not None and (isinstance(names, str) or len(set(names)) != len(names)):
+            raise ValueError(f"{kind} must be different names, not {names!r}")
+    channels = (None if x is None else tuple(x) for x in (inputs, outputs))
+    return Residual(f, _bounded(interval(box)), int(horizon), Channels(*channels, float(dt), str(name)))
+
+
+def _bounded(box):
+    lo, hi = np.asarray(box.lo), np.asarray(box.hi)
+    if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
+        raise ValueError(f"box must be a bounded, non-empty Interval of shape (n,): its shape is {lo.shape}")
+    return box
+
+
+def recorded(y, ulps):
+    """Return (lo, hi) of what was recorded as y (N, s + 1, p): samples are known to so many unit roundoffs of the largest in the window."""
+    spread = ulps * rounding.unit(y.dtype) * np.abs(y).max(1, keepdims=True) + 2 * rounding.tiny(y.dtype)
+    return y - spread, y + spread

@@ -1,0 +1,142 @@
+"""One list of boxes for all targets of a batch, worked off level by level: the host only drives.
+
+A level judges all its boxes in blocks of fixed sizes, by one compiled kernel; what is neither excluded nor settled is cut in two.
+That gives the same boxes and counts as one target at a time, first in, first out.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["Cover", "Verdicts", "explore", "in_blocks"]
+
+BLOCKS = (2**10, 2**14)  # the only sizes that are compiled: for few and for many boxes
+
+
+class Verdicts(NamedTuple):
+    """What a kernel says of N boxes (n, N). None: nothing to say.
+
+    Fields: keep (N,): neither excluded nor settled; proved (N,): `proof` holds a solution of the box's target; proof: (lo, hi) (n, N);
+    rest: (lo, hi) (n, N), the box without parts that hold no solution; axis (N,): along which to cut.
+    """
+
+    keep: np.ndarray
+    proved: np.ndarray | None = None
+    proof: tuple | None = None
+    rest: tuple | None = None
+    axis: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Where an exploration ended. lo, hi (n, N), owner (N,): boxes left; proofs: (lo (n, K), hi, owner (K,)); counts (B,); levels."""
+
+    lo: np.ndarray
+    hi: np.ndarray
+    owner: np.ndarray
+    proofs: tuple
+    evaluated: np.ndarray
+    levels: int
+
+
+def explore(kernel, lo, hi, count, depth, max_boxes, axis="alternate", first=False, progress=None, sizes=BLOCKS):
+    """Judge and cut boxes until none is left or the budget is spent.
+
+    Args:
+        kernel: of (lo, hi, owner) of a block; returns Verdicts of arrays, or keep alone.
+        lo, hi: the first box (n,), the same for all `count` targets.
+        depth, max_boxes: no more levels than this; no level is begun that would bring the total of boxes evaluated above.
+        axis: "alternate", "widest" (the first if equal) or "kernel": where boxes are cut.
+        first: drop all boxes of a target once one solution is proved.
+        progress: called with the share of levels done. sizes: of blocks, the smaller for levels that fit into one.
+
+    Returns:
+        A Cover. A box too narrow to be cut in floats stays as it is.
+    """
+    n = len(lo)
+    lo, hi = (np.repeat(x[:, None], count, 1) for x in (lo, hi))
+    owner = np.arange(count, dtype=np.int32)
+    evaluated, known = np.zeros(count, np.int64), np.zeros(count, bool)
+    aside, proofs, level = [], [], 0
+    while level < depth and len(owner) and evaluated.sum() + len(owner) <= max_boxes:
+        evaluated += np.bincount(owner, minlength=count)
+        said = Verdicts(*in_blocks(kernel, lo, hi, owner, sizes))
+        keep = said.keep
+        if said.proved is not None:
+            which = np.flatnonzero(said.proved)
+            proofs.append((*(end[:, which] for end in said.proof), owner[which]))
+            known[owner[which]] = True
+            keep = keep & ~known[owner] if first else keep
+        lo, hi = (lo, hi) if said.rest is None else said.rest
+        kept = np.flatnonzero(keep)
+        lo, hi, owner = lo[:, kept], hi[:, kept], owner[kept]
+        if axis == "alternate":
+            along = np.full(len(kept), level % n)
+        else:
+            along = np.argmax(hi - lo, 0) if said.axis is None else said.axis[kept]
+            stuck = ~_cuttable(lo, hi, along)
+            if stuck.any():
+                aside.append((lo[:, stuck], hi[:, stuck], owner[stuck]))
+                lo, hi, owner, along = lo[:, ~stuck], hi[:, ~stuck], owner[~stuck], along[~stuck]
+        lo, hi, owner = _cut(lo, hi, owner, along)
+        level += 1
+        if progress is not None:
+            progress(level / depth)
+    lo, hi, owner = _join([(lo, hi, owner), *aside])
+    if first and known.any():
+        open_ = ~known[owner]
+        lo, hi, owner = lo[:, open_], hi[:, open_], owner[open_]
+    return Cover(lo, hi, owner, _join(proofs or [(lo[:, :0], hi[:, :0], owner[:0])]), evaluated, level)
+
+
+def in_blocks(kernel, lo, hi, owner, sizes=BLOCKS):
+    """Return what a kernel says of boxes (n, N), calling it with blocks of fixed sizes only: a tuple, N the last axis of everything."""
+    total = lo.shape[1]
+    size = sizes[0] if total <= sizes[0] else sizes[-1]
+    running = []
+    for start in range(0, total, size):
+        block = [x[..., start : start + size] for x in (lo, hi, owner)]
+        count = len(block[2])
+        if count < size:
+            block = [np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, size - count)], mode="edge") for x in block]
+        running.append((kernel(*block), count))  # runs while the host prepares the next one
+    parts = [_host(said if isinstance(said, tuple) else (said,), count) for said, count in running]
+    return tuple(_concatenated(field) for field in zip(*parts, strict=True))
+
+
+def _host(said, count):
+    """Return the first `count` columns of everything, on the host."""
+    here = lambda x: None if x is None else tuple(map(here, x)) if isinstance(x, tuple) else np.asarray(x)[..., :count]
+    return tuple(map(here, said))
+
+
+def _concatenated(parts):
+    if parts[0] is None:
+        return None
+    if isinstance(parts[0], tuple):
+        return tuple(_concatenated(x) for x in zip(*parts, strict=True))
+    return np.concatenate(parts, -1)
+
+
+def _join(parts):
+    return tuple(np.concatenate(x, -1) for x in zip(*parts, strict=True))
+
+
+def _middle(lo, hi, axis):
+    columns = np.arange(lo.shape[1])
+    return lo[axis, columns] * 0.5 + hi[axis, columns] * 0.5
+
+
+def _cuttable(lo, hi, axis):
+    middle, columns = _middle(lo, hi, axis), np.arange(lo.shape[1])
+    return (lo[axis, columns] < middle) & (middle < hi[axis, columns])
+
+
+def _cut(lo, hi, owner, axis):
+    """Cut boxes (n, N) in two, each along its axis; children follow each other."""
+    columns, middle = np.arange(lo.shape[1]), _middle(lo, hi, axis)
+    lo, hi = np.repeat(lo, 2, 1), np.repeat(hi, 2, 1)
+    hi[axis, 2 * columns] = middle
+    lo[axis, 2 * columns + 1] = middle
+    return lo, hi, np.repeat(owner, 2)
