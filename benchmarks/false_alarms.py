@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from systems import paper  # noqa: E402
 
 RUNS, SAMPLES = 5000, 201
+GUST = dict(disturbance=([[0], [1]], 0.1))
+LONG = {"horizon 20": (paper(), 20), "disturbance, horizon 2": (paper(**GUST), 2), "disturbance, horizon 6": (paper(**GUST), 6)}
 
 
 def inputs(key, dtype):
@@ -70,5 +72,7 @@ if __name__ == "__main__":
     for dtype, steps in ((np.float64, (1e-9, 1e-12)), (np.float32, (1e-2, 1e-3, 1e-4))):
         name = np.dtype(dtype).name
         out[name] = {"horizon 1": healthy(paper(), windows, dtype, 1), "horizon 3": healthy(paper(), windows // 20, dtype, 3)}
+        for case, (model, horizon) in LONG.items():
+            out[name][case] = healthy(model, windows // 10, dtype, horizon)
         out[name]["sharpness"] = [sharpness(dtype, step) for step in steps]
     timing.save("false_alarms", out)

@@ -1,10 +1,12 @@
 """Oracles: plants and windows worked out without any line of jaxbound. Exact numbers by Fraction and python-flint, programs by HiGHS.
 
-A window of s + 1 samples is consistent iff some state x gives t_lo <= O x + H U <= t_hi, [t_lo, t_hi] the true values t with
-y = (1 + theta) t + delta, |theta| <= sigma, |delta| <= noise + resolution + 4 u (max |y| in the window + noise).
+A window of s + 1 samples is consistent iff some state x and some disturbances w within their bounds give
+t_lo <= O x + V w + H U <= t_hi, [t_lo, t_hi] the true values t with y = (1 + theta) t + delta, |theta| <= sigma,
+|delta| <= noise + resolution + 4 u (max |y| in the window + noise).
 """
 
 from fractions import Fraction
+from functools import cached_property
 from itertools import combinations
 from math import lcm
 
@@ -46,7 +48,7 @@ def rational_matrix(a):
 class Plant:
     """A model as exact numbers, and its windows of s + 1 samples: O, H over (time, output) rows and (time, input) columns."""
 
-    def __init__(self, A, B, C, D=None, tolerance=0, noise=0, resolution=0, offset=None):
+    def __init__(self, A, B, C, D=None, tolerance=0, noise=0, resolution=0, offset=None, disturbance=None):
         self.A, self.C = fractions(A), fractions(C)
         self.n, self.p = len(self.A), len(self.C)
         self.B = fractions(B) if B is not None else [[] for _ in self.A]
@@ -57,6 +59,10 @@ class Plant:
         offset = offset or {}
         self.offset_u, self.offset_y = spread(offset.get("u", 0), self.m), spread(offset.get("y", 0), self.p)
         self.feedthrough = any(x for row in self.D for x in row)
+        G, bound = disturbance or ([[] for _ in self.A], [])
+        self.G, self.g = fractions(G), len(G[0])
+        pairs = bound if isinstance(bound, (list, tuple)) else [bound] * self.g
+        self.disturbance = [tuple(map(fraction, b)) if isinstance(b, (list, tuple)) else (-fraction(b), fraction(b)) for b in pairs]
 
     def lags(self, s):
         return s + 1 if self.feedthrough else s
@@ -73,26 +79,39 @@ class Plant:
         rows = [list(row) for row in zip(*flat, strict=True)]
         return [row[: self.n] for row in rows], [row[self.n :] for row in rows]
 
-    def trajectory(self, x, u):
-        """Return the exact outputs (deviations) from a first state under inputs (deviations)."""
+    def equation(self, s):
+        """Return (E, K) with (Y, w) = E (x, w) + K U: the disturbances w_k .. w_{k+s-1} are unknowns, and rows of their own."""
+        O, H = self.window(s)
+        still, count = [[Fraction(0)] * self.m] * (s + 1), self.g * s
+        unit = lambda i: [Fraction(int(i == j)) for j in range(count)]
+        blow = lambda i: [unit(i)[j * self.g : (j + 1) * self.g] for j in range(s)]
+        through = [[x for row in self.trajectory([Fraction(0)] * self.n, still, blow(i)) for x in row] for i in range(count)]
+        V = [list(row) for row in zip(*through, strict=True)] if count else [[] for _ in O]
+        E = [o + v for o, v in zip(O, V, strict=True)] + [[Fraction(0)] * self.n + unit(i) for i in range(count)]
+        return E, H + [[Fraction(0)] * len(H[0]) for _ in range(count)]
+
+    def trajectory(self, x, u, w=()):
+        """Return the exact outputs (deviations) from a first state under inputs (deviations) and disturbances."""
         out, column = [], lambda v: [[e] for e in v]
-        for now in u:
+        for k, now in enumerate(u):
             feed = times(self.D, column(now)) if self.m else [[Fraction(0)]] * self.p
             out.append([a[0] + b[0] for a, b in zip(times(self.C, column(x)), feed, strict=True)])
             drive = times(self.B, column(now)) if self.m else [[Fraction(0)]] * self.n
             x = [a[0] + b[0] for a, b in zip(times(self.A, column(x)), drive, strict=True)]
+            if k < len(w):
+                x = [a + b[0] for a, b in zip(x, times(self.G, column(w[k])), strict=True)]
         return out
 
     def circuits(self, s, rows=None):
-        """Return every h of minimal support with h O = 0, from the null vectors of subsets of rows. Integers, as Fractions."""
-        O, _ = self.window(s)
+        """Return every h of minimal support with h E = 0, from the null vectors of subsets of rows. Integers, as Fractions."""
+        O, _ = self.equation(s)
         scale = lcm(*(x.denominator for row in O for x in row))
         whole = [[int(x * scale) for x in row] for row in O]
         found = []
         present = range(len(O)) if rows is None else rows
-        for size in range(1, self.n + 2):
+        for size in range(1, len(O[0]) + 2):
             for subset in combinations(present, size):
-                null, nullity = flint.fmpz_mat([[whole[i][j] for i in subset] for j in range(self.n)]).nullspace()
+                null, nullity = flint.fmpz_mat([[whole[i][j] for i in subset] for j in range(len(O[0]))]).nullspace()
                 h = [int(null[i, 0]) for i in range(size)]
                 if nullity == 1 and all(h):
                     row = [Fraction(0)] * len(O)
@@ -119,16 +138,20 @@ class Plant:
 
     def gauge(self, s, u, y, dtype=np.float64, circuits=None):
         """Return the exact gauge of one window u (s + 1, m), y (s + 1, p): the largest residual over healthy size of all circuits."""
-        _, H = self.window(s)
-        U = [Fraction(float(v)) - self.offset_u[i] for row in u[: self.lags(s)] for i, v in enumerate(row)]
-        reach = [sum((a * b for a, b in zip(row, U, strict=True)), Fraction(0)) for row in H]
-        ends = self.true_values(y, dtype)
+        ends, reach = self.ends(s, u, y, dtype)
         best = Fraction(0)
         for h in self.circuits(s) if circuits is None else circuits:
             used = [(x, *ends[i], reach[i]) for i, x in enumerate(h) if x]
             size = sum(abs(x) * (hi - lo) / 2 for x, lo, hi, _ in used)
             best = max(best, abs(sum(x * ((lo + hi) / 2 - c) for x, lo, hi, c in used)) / size)
         return best
+
+    def ends(self, s, u, y, dtype=np.float64):
+        """Return what is exactly known of each row of the equation of one window: its [lo, hi] (None where NaN) and its share of K U."""
+        _, K = self.equation(s)
+        U = [Fraction(float(v)) - self.offset_u[i] for row in u[: self.lags(s)] for i, v in enumerate(row)]
+        reach = [sum((a * b for a, b in zip(row, U, strict=True)), Fraction(0)) for row in K]
+        return self.true_values(y, dtype) + self.disturbance * s, reach
 
 
 def floats(a):
@@ -140,21 +163,27 @@ class Windows:
 
     def __init__(self, plant, s, dtype=np.float64):
         self.plant, self.s, self.dtype = plant, s, dtype
-        self.O, self.H = (floats(a) for a in plant.window(s))
-        circuits = plant.circuits(s)
-        self.circuits = floats([[x / max(map(abs, h)) for x in h] for h in circuits])
-        self.exact_circuits = circuits
+        self.O, self.H = (floats(a) for a in plant.equation(s))
         per = lambda v: np.array([float(x) for x in v])
         self.tolerance, self.noise, self.resolution = per(plant.tolerance), per(plant.noise), per(plant.resolution)
         self.offset_u, self.offset_y = per(plant.offset_u), per(plant.offset_y)
+        self.w_lo, self.w_hi = (np.tile(per(v), s) for v in (zip(*plant.disturbance, strict=True) if plant.g else ((), ())))
+
+    @cached_property
+    def exact_circuits(self):
+        return self.plant.circuits(self.s)
+
+    @cached_property
+    def circuits(self):
+        return floats([[x / max(map(abs, h)) for x in h] for h in self.exact_circuits])
 
     def reach(self, u):
-        """Return H U (N, (s+1) p) for inputs (N, s + 1, m)."""
+        """Return K U (N, rows) for inputs (N, s + 1, m)."""
         known = (np.asarray(u, np.float64) - self.offset_u)[:, : self.plant.lags(self.s)]
         return known.reshape(len(known), -1) @ self.H.T if self.H.shape[1] else np.zeros((len(known), len(self.O)))
 
     def limits(self, u, y):
-        """Return (lo, hi), each (N, (s+1) p): bounds of O x. NaN samples give -inf, inf."""
+        """Return (lo, hi), each (N, rows): bounds of O (x, w). NaN samples give -inf, inf."""
         y = np.asarray(y, np.float64)
         largest = np.nanmax(np.where(np.isnan(y), 0, np.abs(y)), 1, keepdims=True)
         rho = self.noise + self.resolution + 2 * float(np.finfo(self.dtype).eps) * (largest + self.noise)
@@ -162,8 +191,9 @@ class Windows:
         ends = [(d + a * rho) / (1 + b * self.tolerance) for a in (-1, 1) for b in (-1, 1)]
         lo, hi = np.minimum.reduce(ends), np.maximum.reduce(ends)
         lo, hi = np.where(np.isnan(y), -np.inf, lo), np.where(np.isnan(y), np.inf, hi)
-        reach = self.reach(u)
-        return lo.reshape(len(y), -1) - reach, hi.reshape(len(y), -1) - reach
+        reach, still = self.reach(u), np.ones((len(y), 1))
+        whole = lambda side, w: np.hstack([side.reshape(len(y), -1), w * still]) - reach
+        return whole(lo, self.w_lo), whole(hi, self.w_hi)
 
     def gauge(self, u, y):
         """Return the gauge (N,) of complete windows by all circuits, in plain floats."""
@@ -187,11 +217,12 @@ class Windows:
         return np.where(never, np.inf, low)
 
     def slack(self, u, y, free=()):
-        """Return min e such that lo - e w <= O x <= hi + e w for some x (N,), w the noise of each row: e <= 0 iff consistent. HiGHS.
+        """Return min e with lo - e c <= O (x, w) <= hi + e c for some x, w (N,), c the noise of each row: e <= 0 iff consistent. HiGHS.
 
         Columns `free` of H stand for missing inputs: unknown like the state.
         """
-        weight = np.tile(np.maximum(self.noise + self.resolution, 1e-3), self.s + 1)
+        weight = np.r_[np.tile(self.noise + self.resolution, self.s + 1), (self.w_hi - self.w_lo) / 2]
+        weight = np.maximum(weight, 1e-3)
         unknown = np.hstack([self.O, self.H[:, list(free)]])
         rows, n = unknown.shape
         up = np.hstack([unknown / weight[:, None], np.ones((rows, 1))])
@@ -210,7 +241,7 @@ class Windows:
             middle, half = (a[rows] + b[rows]) / 2, (b[rows] - a[rows]) / 2
             scaled = self.O[rows] / half[:, None]
             one = np.ones((rows.sum(), 1))
-            program = Program(np.vstack([np.hstack([scaled, one]), np.hstack([scaled, -one])]), np.r_[np.zeros(self.plant.n), 1.0])
+            program = Program(np.vstack([np.hstack([scaled, one]), np.hstack([scaled, -one])]), np.r_[np.zeros(self.O.shape[1]), 1.0])
             target, free = middle / half, np.full(rows.sum(), np.inf)
             out.append(program.solve(np.r_[target, -free][None], np.r_[free, target][None])[0])
         return np.array(out)
@@ -243,27 +274,34 @@ class Program:
         for i, (a, b) in enumerate(zip(lower, upper, strict=True)):
             self.solver.changeRowsBounds(len(self.rows), self.rows, a, b)
             self.solver.run()
+            if self.solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:  # a basis of another case can lead it astray
+                self.solver.clearSolver()
+                self.solver.run()
             assert self.solver.getModelStatus() == highspy.HighsModelStatus.kOptimal, self.solver.getModelStatus()
             out[i] = self.solver.getObjectiveValue()
         return out
 
 
 def draw(plant, s, count, rng, spread=3.0, level=None):
-    """Return (u (N, s + 1, m), centre, y (N, s + 1, p)): exact behaviours around the operating point, and the same
-    with errors of a few noises.
+    """Return (u (N, s + 1, m), centre, y (N, s + 1, p)): exact behaviours around the operating point with disturbances in the
+    middle of their bounds, and the same with errors of a few noises and disturbances of a few bounds.
 
     The size of the state of a window is 10 ** uniform(-2, 2), unless a level is given.
     """
-    O, H = (floats(a) for a in plant.window(s))
+    (E, K), rows = (floats(a) for a in plant.equation(s)), (s + 1) * plant.p
     size = 10 ** rng.uniform(-2, 2, (count, 1)) if level is None else level
     u = rng.uniform(-1, 1, (count, s + 1, plant.m))
     known = u[:, : plant.lags(s)].reshape(count, -1)
-    true = (rng.normal(size=(count, plant.n)) * size) @ O.T + (known @ H.T if H.shape[1] else 0)
+    ends = np.array([[float(x) for x in pair] for pair in plant.disturbance] * s).reshape(-1, 2)
+    unknown = np.hstack([rng.normal(size=(count, plant.n)) * size, np.tile(ends.mean(1), (count, 1))])
+    true = unknown @ E[:rows].T + (known @ K[:rows].T if K.shape[1] else 0)
     centre = true.reshape(count, s + 1, plant.p)
     noise, tolerance = (np.array([float(x) for x in v]) for v in (plant.noise, plant.tolerance))
-    error = rng.uniform(-1, 1, centre.shape) * spread * rng.uniform(0, 1, (count, 1, 1)) * (noise + tolerance * abs(centre))
+    share = spread * rng.uniform(0, 1, (count, 1, 1))
+    error = rng.uniform(-1, 1, centre.shape) * share * (noise + tolerance * abs(centre))
+    blown = rng.uniform(-1, 1, (count, len(ends))) * share[:, 0] * (ends[:, 1] - ends[:, 0]) / 2 @ E[:rows, plant.n :].T
     offset_u, offset_y = (np.array([float(x) for x in v]) for v in (plant.offset_u, plant.offset_y))
-    return u + offset_u, centre + offset_y, centre + error + offset_y
+    return u + offset_u, centre + offset_y, centre + error + blown.reshape(centre.shape) + offset_y
 
 
 def as_recording(windows):

@@ -1,13 +1,14 @@
 """Alarms: FAULT windows grouped for people. Separate from the proof, which they never change."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from jaxbound.sets.status import Status
 
-__all__ = ["Alarm", "group_alarms"]
+__all__ = ["Alarm", "check_rule", "group_alarms", "stretches"]
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,7 @@ class Alarm:
     """A stretch of FAULT windows.
 
     Fields: start, end: first and last sample (inclusive); windows: how many are FAULT; depth: the worst margin (< 0), reached
-    at sample `worst`; recording: index of the recording in a batch, () for a single one.
+    at sample `worst`; recording: index of the recording in a batch, () for a single one; result: what the alarm was found in.
     """
 
     start: int
@@ -24,15 +25,41 @@ class Alarm:
     depth: float
     worst: int
     recording: tuple = ()
+    result: object = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def certificate(self):
+        """The Certificate of the worst window, worked out at the first call."""
+        if self.result is None:
+            raise ValueError("this alarm came without the result it was found in: ask that to explain its worst window")
+        return self.result.explain((*self.recording, self.worst) if self.recording else self.worst)
+
+    @property
+    def errors(self):
+        """{output: the smallest error of that sensor alone that would explain the worst window}, exact; see `Certificate.errors`."""
+        return self.certificate.errors
+
+    @property
+    def candidates(self):
+        """The outputs whose sensor alone could be wrong in the worst window, the most plausible first.
+
+        Of any other sensor it is proved that no error of it alone explains the alarm.
+        """
+        return self.certificate.candidates
 
 
-def group_alarms(result, k, n, hold, clear):
-    """See `Result.alarms`. Array operations over time; the loop is over alarms."""
+def check_rule(k, n, hold=0, clear=1):
+    """Raise ValueError if an alarm rule is none; see `Result.alarms`."""
     for name, value, low in (("k", k, 1), ("n", n, 1), ("hold", hold, 0), ("clear", clear, 1)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
             raise ValueError(f"{name} must be a whole number >= {low}, not {value!r}")
     if k > n:
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
+
+
+def group_alarms(result, k, n, hold, clear):
+    """See `Result.alarms`. Array operations over time; the loop is over alarms."""
+    check_rule(k, n, hold, clear)
     shape = result.status.shape
     recordings = math.prod(shape[:-1])
     fault = (result.status == Status.FAULT).reshape(recordings, shape[-1])
@@ -40,21 +67,30 @@ def group_alarms(result, k, n, hold, clear):
     alarms = []
     for row in np.flatnonzero(fault.any(1)):
         recording = tuple(int(i) for i in np.unravel_index(row, shape[:-1])) if len(shape) > 1 else ()
-        alarms += [Alarm(*a, recording) for a in _stretches(fault[row], margin[row], k, n, hold, clear)]
+        columns = (x.tolist() for x in stretches(fault[row], margin[row], k, n, hold, clear))
+        alarms += [Alarm(*a, recording, result) for a in zip(*columns, strict=True)]
     return alarms
 
 
-def _stretches(fault, margin, k, n, hold, clear):
-    count = np.cumsum(np.concatenate([np.zeros(n, int), fault]))
+def stretches(fault, margin, k, n, hold, clear, before=()):
+    """Return (start, end, windows, depth, worst) of the alarms of one recording, an array each, as in `Alarm`.
+
+    Args:
+        fault: (T,) bool. margin: (T,). k, n, hold, clear: see `Result.alarms`.
+        before: the entries of `fault` that came before, n - 1 at most.
+    """
+    count = np.cumsum(np.concatenate([np.zeros(n - len(before), int), before, fault]).astype(int))
     on = np.flatnonzero(count[n:] - count[:-n] >= k)
     if not len(on):
-        return []
+        return on, on, on, margin[on], on
     breaks = np.flatnonzero(np.diff(on) > hold + clear)  # the quiet samples between two on-samples: their distance - 1
     starts = on[np.concatenate([[0], breaks + 1])]
     ends = np.minimum(on[np.concatenate([breaks, [len(on) - 1]])] + hold, len(fault) - 1)
-    depth = np.where(fault, margin, np.inf)
-    edges = np.column_stack([starts, ends + 1]).ravel()
-    edges = edges[:-1] if edges[-1] == len(fault) else edges
-    windows = np.add.reduceat(fault.astype(int), edges)[::2]
-    worst = [int(a + np.argmin(depth[a : b + 1])) for a, b in zip(starts, ends, strict=True)]
-    return [(int(a), int(b), int(w), float(margin[i]), i) for a, b, w, i in zip(starts, ends, windows, worst, strict=True)]
+    lengths = ends - starts + 1
+    alarm = np.repeat(np.arange(len(starts)), lengths)
+    rows = np.arange(len(alarm)) + np.repeat(starts - np.cumsum(lengths) + lengths, lengths)
+    depth = np.where(fault, np.where(np.isnan(margin), -np.inf, margin), np.inf)[rows]
+    first = np.cumsum(lengths) - lengths
+    deepest = np.flatnonzero(depth == np.minimum.reduceat(depth, first)[alarm])
+    worst = rows[deepest[np.searchsorted(alarm[deepest], np.arange(len(starts)))]]
+    return starts, ends, np.add.reduceat(fault[rows].astype(int), first), margin[worst], worst

@@ -1,16 +1,24 @@
-"""The certificate of one verdict, in exact rational arithmetic: the violated relation, or a state that explains the window."""
+"""The certificate of one verdict, in exact rational arithmetic: the violated relation, or a behaviour that explains the window.
 
-from dataclasses import dataclass
+No float takes part in what a certificate states: samples and bounds are taken as the rationals they are, and a verdict is proved again from
+scratch (`exact_window`), by whichever route it was found. As JSON a certificate is complete in itself: whoever checks it needs fractions,
+but neither jaxbound nor the recording.
+"""
+
+import json
+import math
+from dataclasses import dataclass, replace
+from decimal import Decimal, localcontext
 from fractions import Fraction
+from functools import cached_property
 
-import numpy as np
-
-from jaxbound.models import window
+from jaxbound.diagnosis.blame import rounded_witness, smallest_error
+from jaxbound.diagnosis.exact_window import ExactWindow, Explanation, dot, exact_window
 from jaxbound.models.sensor import RECORDER_ULPS
-from jaxbound.relations.parity import relation_text
+from jaxbound.relations.parity import ParityRelation, relation_text
 from jaxbound.sets.status import Status
 
-__all__ = ["Certificate", "explain"]
+__all__ = ["Certificate", "certify", "explain"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,31 +26,159 @@ class Certificate:
     """Why a window has its verdict; every number is an exact Fraction, so that anybody can check it.
 
     Fields:
-        status: of the window.
+        status: of the window, as detected. at: the index at which it ends, a tuple.
         relation: the tightest relation of the window, as text.
-        h, k: its coefficients on the (s+1)p recorded samples (time-major) and on the inputs: h Y - k U = 0 for an exact plant.
-        residual, width: the value of the relation at the middles of the samples' intervals and the largest that the bounds allow; FAULT
-            because |residual| > width.
-        factor: |residual| / width, the factor on all bounds at which the window just becomes consistent.
-        state: for CONSISTENT, a first state of the window that keeps every sample within its bounds (the witness); else None.
+        h, k: its coefficients on the (s+1)p true outputs (time-major) followed by the gs disturbances, and on the inputs: h (Y, w) = k U
+            for an exact plant.
+        residual, width: the value of the relation at the middles of the intervals of samples and disturbances, and the largest that the
+            bounds allow; a FAULT, because |residual| > width.
+        factor: |residual| / width, the factor on all bounds at which the window just becomes consistent (for method "box": that relation).
+        state: where the window can be explained, the first state of a behaviour that does (the witness), in deviations; else None.
+        outputs, disturbances, inputs: that behaviour's true outputs (s+1, p), disturbances (s, g) and inputs in the unit of the recording,
+            the missing ones filled in; else None.
+        window: the samples and bounds. explanation: what they come to.
     """
 
     status: Status
+    at: tuple
     relation: str
     h: tuple
     k: tuple
     residual: Fraction
     width: Fraction
     factor: Fraction
-    state: tuple | None
+    window: ExactWindow
+    explanation: Explanation
+    z: tuple | None
+
+    @property
+    def proves(self):
+        """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it UNDECIDED."""
+        return Status.FAULT if self.explanation.factor > 1 else Status.CONSISTENT
+
+    @property
+    def state(self):
+        """The first state of the witness, or None."""
+        return None if self.z is None else self.z[: self.window.model.n]
+
+    @property
+    def outputs(self):
+        """The true outputs of the witness, a tuple of s + 1 rows, or None."""
+        if self.z is None:
+            return None
+        p, offset = self.window.model.p, self.window.model.offset["y"]
+        return _rows([v + offset[i % p] for i, v in enumerate(self.window.rows_at(self.z)[: len(self.window.y)])], p)
+
+    @property
+    def disturbances(self):
+        """The disturbances of the witness, a tuple of s rows, or None."""
+        w = self.window
+        return None if self.z is None else _rows(self.z[w.model.n : w.model.n + w.model.g * w.horizon], w.model.g) or ((),) * w.horizon
+
+    @property
+    def inputs(self):
+        """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
+        if self.z is None:
+            return None
+        w = self.window
+        found = dict(zip(w.missing_inputs, self.z[w.model.n + w.model.g * w.horizon :], strict=True))
+        offset = w.model.offset["u"]
+        filled = [found.get(j, Fraction(0)) + offset[j % w.model.m] if v is None else v for j, v in enumerate(w.u)]
+        return _rows(filled, w.model.m)
+
+    @cached_property
+    def sensor_errors(self):
+        """A SensorError for each output: the smallest error of that sensor alone that would explain the window."""
+        outputs = range(0 if self.window.constant else self.window.model.p)
+        return tuple(smallest_error(self.window, i, self.explanation) for i in outputs)
+
+    @property
+    def errors(self):
+        """{output: the smallest error of that sensor alone that would explain the window}, in its unit.
+
+        inf where no error of it would, 0 for a window that needs none; empty for a model with constant_tolerance. Worked out at the first
+        call.
+        """
+        return {self.window.model.outputs[e.output]: math.inf if e.size is None else e.size for e in self.sensor_errors}
+
+    @property
+    def candidates(self):
+        """The outputs whose sensor alone could explain a FAULT window, the smallest error relative to what its bounds allow first."""
+        p, limits = self.window.model.p, self.window.limits
+        size = lambda i: max(x[1] - x[0] for x in limits[i : len(self.window.y) : p] if x is not None)
+        found = [(e.size / size(e.output), self.window.model.outputs[e.output]) for e in self.sensor_errors if e.size]
+        return tuple(name for _, name in sorted(found))
 
     def __str__(self):
         """Return one sentence."""
-        if self.status == Status.FAULT:
-            return f"{self.relation} cannot hold: it would need bounds {float(self.factor):.4g} times as wide"
-        if self.state is not None:
-            return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state)})"
-        return f"{self.relation} holds to {float(self.factor):.4g} of its bounds"
+        if self.proves == Status.FAULT:
+            need = f"{'at least ' if self.window.constant else ''}{float(self.factor):.4g} times as wide"
+            return f"{self.relation} cannot hold: it would need bounds {need}"
+        return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state)})"
+
+    def to_dict(self, times=None, sample=None, errors=True):
+        """Return everything that a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names apart from them.
+
+        Args:
+            times: text of the time of each of the s + 1 samples; None leaves them out. sample: what to call the last one; None: `at`.
+            errors: False leaves out the smallest single-sensor errors of a FAULT, which take most of the time.
+        """
+        w, model = self.window, self.window.model
+        fault = self.proves == Status.FAULT
+        numbers = {
+            "A": model.A, "B": model.B, "C": model.C, "D": model.D, "G": model.G, "offset_u": model.offset["u"],
+            "offset_y": model.offset["y"], "tolerance": w.tolerance, "noise": w.noise, "resolution": w.resolution,
+            "disturbance": w.disturbance, "recorder": RECORDER_ULPS * w.unit, "floor": w.floor,
+            "u": self._every_sample(w.u, [None] * model.m), "y": _rows(w.y, model.p),
+            "relation": self._relation_dict(self.h) if any(self.h) else None,
+            "witness": None if self.z is None else self._witness_dict(self.z),
+            "errors": [
+                {"output": Fraction(e.output), "smallest": e.size, "relation": self._relation_dict(e.h, e.output, e.size or Fraction(0)),
+                 "enough": e.enough, "witness": None if e.z is None else self._witness_dict(e.z)}
+                for e in self.sensor_errors
+            ] if fault and errors else [],
+        }  # fmt: skip
+        everything = list(_all_numbers(numbers))
+        numbers["sum"] = dot(everything, [Fraction(1)] * len(everything))
+        return {
+            "certificate": self.proves.name,
+            "statement": str(self),
+            "status": self.status.name,
+            "names": {"model": model.name, "states": model.states, "inputs": model.inputs, "outputs": model.outputs, "units": model.units,
+                      "sample": list(self.at) if sample is None else sample, "times": None if times is None else list(times)},
+            "numbers": _texts(numbers),
+        }  # fmt: skip
+
+    def to_json(self, times=None, sample=None, errors=True):
+        """Return `to_dict` as text.
+
+        Example:
+            >>> import jaxbound as jb
+            >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise="1/10")
+            >>> c = jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1)
+            >>> json.loads(c.to_json())["numbers"]["relation"]["h"]
+            [['1'], ['-2']]
+        """
+        return json.dumps(self.to_dict(times, sample, errors), indent=1, ensure_ascii=False)
+
+    def _relation_dict(self, h, output=0, error=None):
+        w, model = self.window, self.window.model
+        k, residual, width = (w if error is None else w.with_error(output, error)).relation(h)
+        count, none = len(w.y), [Fraction(0)] * max(model.g, model.m)
+        return {"h": _rows(h[:count], model.p), "g": self._every_sample(h[count:], none[: model.g]),
+                "k": self._every_sample(k, none[: model.m]),
+                "residual": residual, "width": width, "factor": abs(residual) / width}  # fmt: skip
+
+    def _witness_dict(self, z):
+        flat = lambda rows: [x for row in rows for x in row]
+        w, other = self.window, replace(self, z=z)
+        return {"state": other.state, "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
+                "inputs": self._every_sample(flat(other.inputs), w.model.offset["u"]), "outputs": other.outputs}  # fmt: skip
+
+    def _every_sample(self, values, last):
+        """Return flat values as s + 1 rows; the last sample's, where the window does not depend on them, are `last`."""
+        rows = _rows(values, len(last)) if last else ((),) * (self.window.horizon + 1)
+        return (*rows, tuple(last)) if len(rows) == self.window.horizon else rows
 
 
 def explain(result, at):
@@ -50,65 +186,82 @@ def explain(result, at):
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
         raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-    r = result.relations
-    mid, rad, known = _exact_window(result, at if isinstance(at, tuple) else (at,))
-    best = None
-    for h, k in zip(*((r.W, r.K) if result.method == "box" else (r.circuits, r.circuits_known)), strict=True):
-        used = [i for i, x in enumerate(h) if x]
-        if any(mid[i] is None for i in used) or any(x and v is None for x, v in zip(k, known, strict=True)):
-            continue
-        residual = sum(h[i] * mid[i] for i in used) - sum((x * v for x, v in zip(k, known, strict=True) if x), Fraction(0))
-        width = sum(abs(h[i]) * rad[i] for i in used)
-        if best is None or abs(residual) / width > best[0]:
-            best = abs(residual) / width, h, k, residual, width
-    factor, h, k, residual, width = best
-    state = _witness(r, mid, rad, known) if status == Status.CONSISTENT else None
-    return Certificate(status, relation_text(r.model, r.horizon, h, k), h, k, residual, width, factor, state)
+    at = tuple(int(i) % n for i, n in zip(at if isinstance(at, tuple) else (at,), result.status.shape, strict=True))
+    s = result.relations.horizon
+    u, y = (x[at[:-1]][at[-1] - s : at[-1] + 1] for x in (result.u, result.y))
+    return certify(result.relations, u, y, result.method, status, at)
 
 
-def _exact_window(result, at):
-    """Return (mid, rad, known) of a window as in `models.sensor`, None where a sample is missing."""
-    r = result.relations
-    model, s, k = r.model, r.horizon, at[-1]
-    y, u = (x[at[:-1]][k - s : k + 1] for x in (result.y, result.u))
-    roundoff = Fraction(float(np.finfo(y.dtype).eps)) / 2
-    exactly = lambda v: None if np.isnan(v) else Fraction(float(v))
-    mid, rad = [None] * y.size, [None] * y.size
-    for i in range(model.p):
-        sigma, noise = (Fraction(float(r.bounds[name][i])) for name in ("tolerance", "noise"))
-        samples = [exactly(v) for v in y[:, i]]
-        largest = max((abs(v) for v in samples if v is not None), default=Fraction(0))
-        rho = noise + model.resolution[i] + RECORDER_ULPS * roundoff * (largest + noise) + Fraction(float(np.finfo(y.dtype).tiny))
-        e = 1 / (1 - sigma**2)
-        for j, v in enumerate(samples):
-            if v is not None:
-                d = v - model.offset["y"][i]
-                mid[j * model.p + i] = e * (d + sigma * max(-rho, min(d, rho)))
-                rad[j * model.p + i] = e * (rho + sigma * max(abs(d), rho))
-    lags = window.input_lags(model, s)
-    known = [None if (x := exactly(v)) is None else x - model.offset["u"][i] for row in u[:lags] for i, v in enumerate(row)]
-    return mid, rad, known
+def certify(relations, u, y, method="joint", status=None, at=None):
+    """Prove the verdict of one window.
 
+    Args:
+        relations: from `parity_relations`. u (s+1, m), y (s+1, p): the samples, arrays of floats. method: of the detection.
+        status: what the detection said; None: what exact numbers say. at: what to call the window, a tuple; default (s,).
 
-def _witness(relations, mid, rad, known):
-    """Return a state with |mid - O x - H u| <= rad in every row that has its data, checked exactly, or None if the search found none.
+    Returns:
+        A Certificate.
 
-    Lawson's iteration for the Chebyshev problem min over x of max |b - O x| / rad: weighted least squares, weights times residuals.
+    Raises:
+        ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one behaviour cannot prove.
     """
-    O, H = window.first_form(relations.model, relations.horizon)
-    rows = [i for i, m in enumerate(mid) if m is not None and not any(x and v is None for x, v in zip(H[i], known, strict=True))]
-    b = [mid[i] - sum((x * v for x, v in zip(H[i], known, strict=True) if x), Fraction(0)) for i in rows]
-    matrix = np.array([[float(x / rad[i]) for x in O[i]] for i in rows])
-    target = np.array([float(v / rad[i]) for v, i in zip(b, rows, strict=True)])
-    weights = np.full(len(rows), 1 / len(rows))
-    for _ in range(2000):
-        root = np.sqrt(weights)
-        x = np.linalg.lstsq(matrix * root[:, None], target * root, rcond=None)[0]
-        size = np.abs(target - matrix @ x)
-        if size.max() <= 1:
-            state = tuple(Fraction(float(v)) for v in x)
-            if all(abs(v - sum(a * c for a, c in zip(O[i], state, strict=True))) <= rad[i] for v, i in zip(b, rows, strict=True)):
-                return state
-        weights = weights * size
-        weights /= weights.sum() or 1
-    return None
+    if not isinstance(relations, ParityRelation):
+        raise NotImplementedError(f"certificates of {type(relations).__name__} are not implemented yet, only those of parity_relations")
+    at = (relations.horizon,) if at is None else at
+    window = exact_window(relations, u, y)
+    nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
+    if all(v is None for v in window.y):
+        raise nothing
+    found = window.solve()
+    alone = [(x, *window.relation(x)) for x in relations.W if _has_its_data(window, x)] if method == "box" else []
+    if not any(found.h) or (method == "box" and not alone):
+        raise nothing
+    h, k, residual, width = found.h, found.k, found.residual, found.width
+    if method == "box":
+        worst = max(alone, key=lambda c: abs(c[2]) / c[3])
+        if violated := abs(worst[2]) > worst[3]:
+            h, k, residual, width = worst
+        if status is None:
+            status = Status.FAULT if violated else Status.CONSISTENT if relations.count == 1 else Status.UNDECIDED
+    proved = Status.FAULT if found.factor > 1 else Status.CONSISTENT
+    if (window.constant and proved != Status.FAULT) or status not in (None, Status.UNDECIDED, proved):
+        why = "a tolerance that is constant over the window" if window.constant else "more than its samples and bounds"
+        raise NotImplementedError(f"the verdict of window {at[-1]} rests on {why}: certificates of such verdicts are not implemented yet")
+    z = rounded_witness(window, found.z) if found.factor <= 1 else None
+    text = relation_text(window.model, window.horizon, h, k)
+    return Certificate(proved if status is None else status, at, text, h, k, residual, width, abs(residual) / width, window, found, z)
+
+
+def _has_its_data(window, h):
+    if any(x and v is None for x, v in zip(h[: len(window.y)], window.y, strict=True)):
+        return False
+    return not any(x and v is None for x, v in zip(window.action(h), window.u, strict=True))
+
+
+def _rows(values, width):
+    """Return flat values as rows of that width."""
+    return tuple(tuple(values[j : j + width]) for j in range(0, len(values), width)) if width else ()
+
+
+def _all_numbers(tree):
+    if isinstance(tree, Fraction):
+        yield tree
+    elif isinstance(tree, (dict, list, tuple)):
+        for branch in tree.values() if isinstance(tree, dict) else tree:
+            yield from _all_numbers(branch)
+
+
+def _texts(tree):
+    if isinstance(tree, dict):
+        return {k: _texts(v) for k, v in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [_texts(v) for v in tree]
+    return _text(tree) if isinstance(tree, Fraction) else tree
+
+
+def _text(x):
+    """Return an exact number as text that Fraction reads: a decimal where a short one is exact, else "p/q"."""
+    with localcontext() as context:
+        context.prec = 60
+        short = Decimal(x.numerator) / Decimal(x.denominator)
+    return str(short) if Fraction(short) == x else str(x)

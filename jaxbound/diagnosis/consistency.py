@@ -10,10 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.diagnosis import gridding
+from jaxbound.diagnosis import constant, gridding
+from jaxbound.diagnosis.exchange import exchange_margins, exchange_windows
+from jaxbound.diagnosis.residual_windows import residual_windows
 from jaxbound.diagnosis.result import Result
-from jaxbound.models import recording, sensor
+from jaxbound.models import recording
+from jaxbound.models.seams import all_starts, crossing
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.residual import Residual
+from jaxbound.sets.separation import Frame
 from jaxbound.sets.status import Status
 from jaxbound.sets.strips import UNROLLED, status_of, strip_margin, strip_verdict
 
@@ -23,18 +28,21 @@ METHODS = ("joint", "box", "paving")
 PLANNED = ("linearised",)
 
 
-def detect(relations, u, y, method="joint", budget=None, progress=None):
+def detect(relations, u, y, method="joint", budget=None, progress=None, starts=()):
     """Decide for every window whether any behaviour inside the bounds explains it.
 
     Args:
-        relations: from `parity_relations`.
+        relations: from `parity_relations` or `residual`.
         u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or DataFrames with the model's columns. NaN marks a missing
             sample. u is None for a model without inputs. Leading axes are recordings of their own.
         method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each
             relation alone: FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's
             adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED.
-        budget: for "paving", (q, max_boxes): stop at r > q - 1; default (3, 1_000_000).
+            A residual is always decided by bisection of its unknowns: FAULT and CONSISTENT are proofs.
+        budget: for "paving", (q, max_boxes): stop at r > q - 1; default (3, 1_000_000). For a residual, boxes a window; default 1000.
         progress: called with the share of the work done, after each block.
+        starts: numbers of the samples that do not follow the one before, after a gap for example: windows across are MISSING. Where the
+            steps of a DataFrame's index of dates or time spans are not the same, this is found from the index.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends at sample k. The
@@ -42,7 +50,7 @@ def detect(relations, u, y, method="joint", budget=None, progress=None):
         with a missing input these prove FAULT, but not CONSISTENT.
 
     Raises:
-        ValueError: shapes or columns that do not fit, an infinite sample, an unknown method.
+        ValueError: shapes or columns that do not fit, an infinite sample, an unknown method, starts that are no sample numbers.
         RuntimeError: on a device where the rounding of this library has not been verified (all but CPU, so far).
 
     Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
@@ -53,19 +61,29 @@ def detect(relations, u, y, method="joint", budget=None, progress=None):
         >>> jb.detect(jb.parity_relations(m), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]]).status
         array([0, 3], dtype=int8)
     """
-    if not isinstance(relations, ParityRelation):
+    own = isinstance(relations, Residual)
+    if not own and not isinstance(relations, ParityRelation):
         raise TypeError(f"detect needs relations, not {type(relations).__name__}: detect(parity_relations(model), u, y)")
     if method in PLANNED:
         raise NotImplementedError(f"method {method!r} is not implemented yet; use one of {', '.join(METHODS)}")
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
-    if budget is not None and method != "paving":
+    if own and method == "box":
+        raise ValueError("method 'box' is for parity relations: a residual is decided as a whole")
+    if budget is not None and method != "paving" and not own:
         raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
+    relations = relations.named(u, y) if own else relations
     u, y, index = recording.arrays(relations.model, u, y)
     _refuse_unverified_device()
     u, y = np.asarray(u), np.asarray(y)
-    if method == "paving":
+    if own:
+        status, margin = residual_windows(relations, u, y, budget, progress)
+    elif method == "paving":
         status, margin = gridding.pave_windows(relations, u, y, *(budget or (3, 1_000_000)), progress)
+    elif relations.model.constant_tolerance:
+        status, margin = constant.constant_windows(relations, method, u, y, progress)
+    elif method == "joint" and relations.frame is not None:
+        status, margin = exchange_windows(relations, u, y, progress)
     else:
         test = relations.test(method, y.dtype)
         status, margin = _in_blocks(_verdicts, test, u, y, (np.int8, y.dtype), (Status.MISSING, np.nan), progress)
@@ -74,7 +92,10 @@ def detect(relations, u, y, method="joint", budget=None, progress=None):
     if (status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.refuse_infinite("u", u, relations.model.inputs)
         recording.refuse_infinite("y", y, relations.model.outputs)
-    return Result(status, margin, method, relations, u, y, index)
+    if len(starts := all_starts(starts, index, y.shape[-2])):
+        across = crossing(starts, relations.horizon, 0, y.shape[-2])
+        status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, np.nan, margin)
+    return Result(status, margin, method, relations, u, y, index, tuple(starts.tolist()))
 
 
 def margins(relations, u, y):
@@ -99,41 +120,49 @@ def margins(relations, u, y):
         >>> jax.grad(loss)(r.bounds)["noise"].round(2)
         Array([20.], dtype=float...)
     """
-    u, y, _ = recording.arrays(relations.model, u, y)
+    if relations.model.constant_tolerance:
+        raise NotImplementedError("margins has no fast path for constant_tolerance yet; detect(...).margin has them")
+    u, y, index = recording.arrays(relations.model, u, y)
     traced = any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values()))
     test = relations.test("joint", y.dtype)
     if y.shape[-2] <= test.horizon:
         return jnp.full(y.shape[:-1], jnp.nan, y.dtype)
+    across = crossing([*all_starts((), index, y.shape[-2]), 0], test.horizon, 0, y.shape[-2])  # and the warm-up
     if traced or jax.default_backend() != "cpu":
         shape = y.shape[:-1]
         u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
         margin = jnp.pad(_margins(test, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape)
-        return margin.at[..., : test.horizon].set(jnp.nan)
+        return margin.at[..., np.flatnonzero(across)].set(jnp.nan)
     (margin,) = _in_blocks(_margins, test, np.asarray(u), np.asarray(y), (y.dtype,), (np.nan,), None)
+    margin[..., across] = np.nan
     return jax.device_put(margin)
 
 
 @jax.jit
 def _verdicts(test, u, y):
-    mid, rad, scale, known, known_scale = test.rows(u, y)
-    margin = strip_verdict(test.strips, mid, rad, scale, known, known_scale, sensor.lift(test.tolerance))
+    mid, rad, scale, known, known_scale = test.stretch(u, y)
+    margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)
     margin = jax.lax.optimization_barrier(margin)  # else the compiler works out everything once for each of the two results
     status = status_of(margin)
     silenced = jnp.zeros_like(margin, bool)  # some circuit lacks an input: those that are left no longer describe the set exactly
     for b, value in enumerate(known):
-        silenced |= jnp.isnan(value) & jnp.any(test.strips.k[:, b] != 0)
+        silenced |= jnp.isnan(value) & jnp.any(test.shape.k[:, b] != 0)
     return jnp.where(silenced & (status == Status.CONSISTENT), Status.UNDECIDED, status).astype(jnp.int8), margin
 
 
 @jax.jit
 def _margins(test, u, y):
-    mid, rad, _, known, _ = test.rows(u, y)
-    return strip_margin(test.strips, mid, rad, known)
+    if isinstance(test.shape, Frame):
+        return exchange_margins(test, u, y)
+    mid, rad, _, known, _ = test.stretch(u, y)
+    return strip_margin(test.shape, mid, rad, known)
 
 
 def block_size(test):
     """Return how many windows a kernel takes at once: a fixed function of the shape of the test, whatever the recording."""
-    return 2**18 if len(test.strips.h) <= UNROLLED else 2**14
+    if isinstance(test.shape, Frame):
+        return 2**14
+    return 2**16 if len(test.shape.h) <= UNROLLED else 2**14
 
 
 def _in_blocks(kernel, test, u, y, dtypes, warm_up, progress):

@@ -18,15 +18,22 @@ from jaxbound.sets.status import Status
 __all__ = ["internal_form", "pave_windows"]
 
 
-def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi):
-    """Enclose p_int = W mu, mu = (theta y + rho delta) / (1 + theta), z = (theta / tolerance, delta) in [-1, 1]. Source: (9)."""
-    rows = y_lo.shape[0]
+def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi, w_lo=(), w_hi=()):
+    """Enclose p_int = W (mu, -w), mu = (theta y + rho delta) / (1 + theta), w = (w_hi + w_lo + (w_hi - w_lo) omega) / 2.
+
+    z = (theta / tolerance, delta, omega) in [-1, 1]; `tolerance` has an entry a row, or one an output if theta is the same in all its
+    rows. Source: (9); a disturbance w enters the relations as it is.
+    """
+    rows, shared = y_lo.shape[0], tolerance.shape[0]
     y, sigma, rho, W = Interval(y_lo, y_hi), interval(tolerance), interval(rho), Interval(W_lo, W_hi)
     mu = []
     for i in range(rows):
-        theta, delta = z[i] * sigma[i], z[rows + i]
+        theta, delta = z[i % shared] * sigma[i % shared], z[shared + i]
         mu.append((theta * y[i] + rho[i] * delta) / (1 + theta))
-    return [functools.reduce(add, (W[r, i] * mu[i] for i in range(rows))) for r in range(W.shape[0])]
+    for j in range(len(w_lo)):
+        lo, hi = interval(w_lo[j]), interval(w_hi[j])
+        mu.append(-0.5 * (hi + lo + (hi - lo) * z[shared + rows + j]))
+    return [functools.reduce(add, (W[r, i] * mu[i] for i in range(len(mu)))) for r in range(W.shape[0])]
 
 
 def pave_windows(relations, u, y, q, max_boxes, progress):
@@ -45,6 +52,8 @@ def pave_windows(relations, u, y, q, max_boxes, progress):
 
 
 def _pave(relations, U, Y, q, max_boxes, progress):
+    if max_boxes < 1:
+        raise ValueError(f"the budget of the paving needs at least one box, not {max_boxes}")
     model, windows, dtype = relations.model, len(Y), Y.dtype
     count = 2 ** max(windows - 1, 127).bit_length()  # powers of two, so that few sizes compile
     U, Y = (np.concatenate([x, np.zeros((count - windows, *x.shape[1:]), dtype)]) for x in (U, Y))
@@ -52,18 +61,22 @@ def _pave(relations, U, Y, q, max_boxes, progress):
     W = encloses(relations.W)
     flat = interval(Y) - encloses(model.offset["y"])[None, None]
     flat = Interval(flat.lo.reshape(count, -1), flat.hi.reshape(count, -1))
-    external = matmul(flat, Interval(W.lo.T, W.hi.T))
+    measured = flat.shape[1]
+    external = matmul(flat, Interval(W.lo[:, :measured].T, W.hi[:, :measured].T))
     if model.m and U.shape[1]:
         known = interval(U) - encloses(model.offset["u"])[None, None]
         K = encloses(relations.K)
         external = external - matmul(Interval(known.lo.reshape(count, -1), known.hi.reshape(count, -1)), Interval(K.lo.T, K.hi.T))
-    bounds = {k: rounding.round_up(v, dtype) for k, v in relations.bounds.items()}
+    bounds = {k: rounding.round_up(relations.bounds[k], dtype) for k in ("tolerance", "noise")}
     largest = abs(Y).max(1) + bounds["noise"]
     rho = bounds["noise"] + rounding.round_up(list(model.resolution), dtype) + (RECORDER_ULPS + 4) * rounding.unit(dtype) * largest
+    lo, hi = relations.bounds.get("disturbance", np.zeros((0, 2))).T
+    w_lo, w_hi = (np.tile(x, relations.horizon) for x in (rounding.round_down(lo, dtype), rounding.round_up(hi, dtype)))
     rows = Y.shape[1]
     each = lambda x: np.broadcast_to(x, (count, *x.shape))
-    args = (flat.lo, flat.hi, each(np.tile(bounds["tolerance"], rows)), np.tile(rho, rows), each(W.lo), each(W.hi))
-    edge = np.ones(2 * flat.shape[1], dtype)
+    tolerance = bounds["tolerance"] if model.constant_tolerance else np.tile(bounds["tolerance"], rows)
+    args = (flat.lo, flat.hi, each(tolerance), np.tile(rho, rows), each(W.lo), each(W.hi), each(w_lo), each(w_hi))
+    edge = np.ones(len(tolerance) + measured + len(w_lo), dtype)
     filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
     target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
     budget = max_boxes + count - windows

@@ -4,9 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxbound.diagnosis import certificate
+from jaxbound.diagnosis import certificate, residual_windows
 from jaxbound.diagnosis.alarms import group_alarms
+from jaxbound.models.stillness import still_hints
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.residual import Residual
 from jaxbound.sets.status import Status
 
 __all__ = ["Result"]
@@ -23,15 +25,17 @@ class Result:
         method, relations: as given to `detect`.
         u, y: the recording as it was tested.
         index: the index of the DataFrame that y came from, or None.
+        starts: numbers of the samples that do not follow the one before: windows across are MISSING.
     """
 
     status: np.ndarray
     margin: np.ndarray
     method: str
-    relations: ParityRelation
+    relations: ParityRelation | Residual
     u: np.ndarray
     y: np.ndarray
     index: object = None
+    starts: tuple = ()
 
     @property
     def suspect(self):
@@ -44,6 +48,22 @@ class Result:
         """{status name: number of windows}."""
         found = np.bincount(self.status.ravel(), minlength=4)
         return {s.name: int(found[s]) for s in Status}
+
+    @property
+    def hints(self):
+        """Sentences for whoever acts on the verdicts: where the recording was split, and which signal stands still, when and how long.
+
+        A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for each of its recordings.
+        """
+        label = lambda k: f"sample {k}" if self.index is None else str(self.index[k])
+        out = []
+        if len(self.starts):
+            first = label(int(self.starts[0]))
+            out.append(f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are MISSING")
+        for at in np.ndindex(self.status.shape[:-1]):
+            which = f"recording {', '.join(map(str, at))}: " if at else ""
+            out += [which + hint for hint in still_hints(self.relations.model, self.u[at], self.y[at], label)]
+        return tuple(out)
 
     def alarms(self, k=1, n=1, hold=0, clear=1):
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.
@@ -65,12 +85,21 @@ class Result:
     def explain(self, at):
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in exact rationals.
 
-        For FAULT the violated relation with its coefficients, bounds and excess; for CONSISTENT a state that explains the window.
+        For FAULT the violated relation with its coefficients, bounds and excess, and .errors, the smallest error of each sensor alone that
+        would explain the window; for CONSISTENT a behaviour that explains it. .to_json() is complete in itself. Of a residual: an
+        Explanation, with an Interval of unknowns that explains a CONSISTENT window.
 
         Raises:
-            ValueError: the window is MISSING.
+            ValueError: the window is MISSING. NotImplementedError: a verdict that rests on a tolerance constant over the window.
+
+        Example:
+            >>> import jaxbound as jb
+            >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
+            >>> print(jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1))
+            y1[k-1] - 2 y1[k] = 0 cannot hold: it would need bounds 2 times as wide
         """
-        return certificate.explain(self, at)
+        explain = residual_windows.explain_residual if isinstance(self.relations, Residual) else certificate.explain
+        return explain(self, at)
 
     def to_pandas(self):
         """Return a DataFrame with the columns status (names), margin and suspect, one row a sample.

@@ -20,12 +20,13 @@ RECORDER_ULPS = 4
 """A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the window plus noise."""
 
 
-def true_value(samples, tolerance, noise, resolution, offset):
+def true_value(samples, tolerance, noise, resolution, offset, largest=None):
     """Return (mid, rad, scale) of the true values behind the samples of one output in one window, minus the offset.
 
     Args:
         samples: the s + 1 recorded values of one output, each a scalar or an array over windows; NaN where absent.
         tolerance, noise, resolution, offset: of that output, scalars, taken as exact.
+        largest: the largest magnitude among the samples, if the caller has it (else the samples must be all of the window's).
 
     Returns:
         Three lists of s + 1: middle (NaN where absent), radius, and the magnitude that rounding errors are relative to
@@ -34,9 +35,10 @@ def true_value(samples, tolerance, noise, resolution, offset):
     e = 1 / ((1 - tolerance) * (1 + tolerance))
     absent = [jnp.isnan(y) for y in samples]
     samples = [jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)]  # keeps NaN out of gradients
-    largest = abs(samples[0])
-    for y in samples[1:]:
-        largest = jnp.maximum(largest, abs(y))
+    if largest is None:
+        largest = abs(samples[0])
+        for y in samples[1:]:
+            largest = jnp.maximum(largest, abs(y))
     largest = jnp.minimum(largest, np.finfo(largest.dtype).max)  # an infinite sample stays its own row's matter
     rho = noise + resolution + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise) + rounding.tiny(largest.dtype)
     mid, rad, scale = [], [], []

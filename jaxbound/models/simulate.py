@@ -24,7 +24,7 @@ __all__ = ["Trajectory", "simulate"]
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A simulated recording. x (..., T, n) states (minus nothing: in the model's own deviation units), u (..., T, m) recorded
-    inputs, y (..., T, p) recorded outputs, theta, noise (..., T, p): the unknowns that were drawn.
+    inputs, y (..., T, p) recorded outputs, theta, noise (..., T, p) and disturbance (..., T, g): the unknowns that were drawn.
     """
 
     x: jax.Array
@@ -32,10 +32,11 @@ class Trajectory:
     y: jax.Array
     theta: jax.Array
     noise: jax.Array
+    disturbance: jax.Array
 
 
 def simulate(model, u, key, x0=None, at="uniform", faults=()):
-    """Simulate x+ = A x + B u, y = (1 + theta) (C x + D u) + noise with theta and noise within their bounds.
+    """Simulate x+ = A x + B u + G w, y = (1 + theta) (C x + D u) + noise with w, theta and noise within their bounds.
 
     Args:
         model: a LinearSystem.
@@ -43,7 +44,8 @@ def simulate(model, u, key, x0=None, at="uniform", faults=()):
             needs (..., T, 0). Its float dtype is that of the recording (float32 as it is, anything else the default float).
         key: a jax.random key.
         x0: (n,) or (..., n) first state; default 0.
-        at: "uniform" draws theta and noise uniformly; "vertices" at one of their bounds each sample.
+        at: "uniform" draws w, theta and noise uniformly; "vertices" at one of their bounds each sample.
+            With constant_tolerance a recording has one theta an output.
         faults: a sequence of Fault.
 
     Returns:
@@ -73,14 +75,16 @@ def simulate(model, u, key, x0=None, at="uniform", faults=()):
         raise ValueError(f"x0 must have shape ({model.n},) or {(*batch, model.n)}: its shape is {x0.shape}")
     x0 = jnp.broadcast_to(x0, (*batch, model.n))
     active = _switches(model, faults, T)
+    lo, hi = zip(*model.disturbance, strict=True) if model.g else ((), ())
     numbers = {
+        "G": _double(model.G, u.dtype), "lo": rounding.round_up(list(lo), u.dtype), "hi": rounding.round_down(list(hi), u.dtype),
         "A": _double(model.A, u.dtype), "B": _double(model.B, u.dtype), "C": _double(model.C, u.dtype), "D": _double(model.D, u.dtype),
         "tolerance": rounding.round_down(list(model.tolerance), u.dtype), "noise": rounding.round_down(list(model.noise), u.dtype),
         "offset_u": _double([model.offset["u"]], u.dtype), "offset_y": _double([model.offset["y"]], u.dtype)}  # fmt: skip
     sizes = np.array([f.size for f in faults], u.dtype)
     kinds = tuple((f.kind, model.outputs.index(f.signal) if f.signal in model.outputs else None,
                    model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
-    run = partial(_simulate, at == "vertices", kinds)
+    run = partial(_simulate, at == "vertices", model.constant_tolerance, kinds)
     count = math.prod(batch)
     flat = [v.reshape(count, *v.shape[len(batch) :]) for v in (u, x0)]
     keys = jax.random.split(key, count)
@@ -121,22 +125,26 @@ def _apply(matrix, vector):
     return total
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _simulate(vertices, kinds, numbers, sizes, active, keys, u, x0):
-    return jax.vmap(lambda key, u, x0: _one(vertices, kinds, numbers, sizes, active, key, u, x0))(keys, u, x0)
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _simulate(vertices, constant, kinds, numbers, sizes, active, keys, u, x0):
+    return jax.vmap(lambda key, u, x0: _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0))(keys, u, x0)
 
 
-def _one(vertices, kinds, numbers, sizes, active, key, u, x0):
+def _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0):
     T, p = u.shape[0], numbers["C"][0].shape[0]
     k_theta, k_noise, k_fault = jax.random.split(key, 3)
+    k_w = jax.random.fold_in(key, 3)
     draw = (lambda k, s: jax.random.rademacher(k, s, u.dtype)) if vertices else (lambda k, s: jax.random.uniform(k, s, u.dtype, -1, 1))
-    signs = draw(k_theta, (T, p))
+    signs = jnp.broadcast_to(draw(k_theta, (1, p)), (T, p)) if constant else draw(k_theta, (T, p))
     tolerance = jnp.broadcast_to(numbers["tolerance"], (T, p))
     for (kind, output, _), size, on in zip(kinds, sizes, active, strict=True):
         if kind == "tolerance":
             tolerance = tolerance.at[:, output].set(jnp.where(on, size, tolerance[:, output]))
     theta = tolerance * signs
     noise = numbers["noise"][None] * draw(k_noise, (T, p))
+    lo, hi = numbers["lo"][None], jnp.maximum(numbers["lo"], numbers["hi"])[None]
+    share = draw(k_w, (T, lo.shape[1]))
+    w = jnp.where(share == 1, hi, jnp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
     extra = jax.random.uniform(k_fault, (len(kinds), T), u.dtype, -1, 1)
     applied = _faulty(u, kinds, sizes, active, extra, lambda f: f[2], dropped=0.0)
 
@@ -144,15 +152,16 @@ def _one(vertices, kinds, numbers, sizes, active, key, u, x0):
     offset_u, offset_y = (tuple(part[0] for part in numbers[name]) for name in ("offset_u", "offset_y"))
 
     def step(x, now):
-        inputs, theta, noise = now
+        inputs, w, theta, noise = now
         deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), single(-offset_u[1]))
         true = rounding.dd_add(_apply(numbers["C"], x), _apply(numbers["D"], deviation))
         y = rounding.dd_add(true, rounding.dd_mul(single(theta), true))  # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
         y = rounding.dd_add(rounding.dd_add(y, single(noise)), offset_y)
-        return rounding.dd_add(_apply(numbers["A"], x), _apply(numbers["B"], deviation)), (x[0], y[0])
+        after = rounding.dd_add(_apply(numbers["A"], x), _apply(numbers["B"], deviation))
+        return rounding.dd_add(after, _apply(numbers["G"], single(w))) if len(lo) else after, (x[0], y[0])
 
-    _, (x, y) = jax.lax.scan(step, single(x0), (applied, theta, noise))
-    return x, u, _faulty(y, kinds, sizes, active, extra, lambda f: f[1], dropped=jnp.nan), theta, noise
+    _, (x, y) = jax.lax.scan(step, single(x0), (applied, w, theta, noise))
+    return x, u, _faulty(y, kinds, sizes, active, extra, lambda f: f[1], dropped=jnp.nan), theta, noise, w
 
 
 def _faulty(signals, kinds, sizes, active, extra, channel, dropped):

@@ -9,10 +9,8 @@ from jaxbound.sets import exact
 __all__ = ["LinearSystem"]
 
 PLANNED = {
-    "constant_tolerance": "a tolerance that keeps one value over a window",
     "E": "a descriptor system",
     "unknown_inputs": "unknown inputs",
-    "disturbance": "a process disturbance",
     "uncertainties": "uncertain parameters",
     "decouple": "decoupling of uncertainties",
 }
@@ -21,8 +19,8 @@ PLANNED = {
 class LinearSystem:
     """A discrete-time linear model with imperfect sensors.
 
-        x+ = A x + B u,    y = (1 + theta) (C x + D u) + noise + rounding of the recording
-        |theta_i| <= tolerance_i,  |noise_i| <= noise_i,  |rounding_i| <= resolution_i,  drawn anew each sample
+        x+ = A x + B u + G w,    y = (1 + theta) (C x + D u) + noise + rounding of the recording
+        lo_j <= w_j <= hi_j,  |theta_i| <= tolerance_i,  |noise_i| <= noise_i,  |rounding_i| <= resolution_i,  drawn anew each sample
 
     Every number is kept exactly: a float means its shortest decimal; Fraction, Decimal, int and str ("1/3") are taken as they are.
 
@@ -30,17 +28,20 @@ class LinearSystem:
         A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m); B None: no inputs; D None: zero.
         dt: sampling period in seconds.
         tolerance: relative sensor tolerance in [0, 1), one number or one per output.
+        constant_tolerance: True if each theta keeps one value over a window (the gain error of a sensor), False if it is drawn anew.
         noise: absolute noise bound >= 0, in the unit of the output, one number or one per output.
         resolution: what the recording itself rounds away (half a step of a quantised sensor), in the unit of the output, one number or one
             per output. On top of it, every sample is taken to be known to 4 u (largest |y_i| in the window + noise_i), u the unit
             roundoff of the recording's float type: a sum, a product and a final rounding of a perfect plant are within 3 u of this.
+        disturbance: (G, bound): G (n, g) says how unmeasured, bounded inputs w act on the states; bound (g,) or one number means
+            |w| <= bound, bound (g, 2) means lo <= w <= hi (a leak is [0, w]). Kept as .G and .disturbance, g pairs (lo, hi).
         inputs, outputs, states: names; default u1.., y1.., x1...
         units: {name: unit}, for reports.
         offset: {"u": (m,), "y": (p,)}: operating point; the model speaks of u - offset and y - offset (the tolerance too).
         columns: {name: column} where a recording calls a signal otherwise; {"time": column} for its time stamps.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
         name: of the plant, for reports.
-        constant_tolerance, E, unknown_inputs, disturbance, uncertainties, decouple: reserved; refused until they are implemented.
+        E, unknown_inputs, uncertainties, decouple: reserved; refused until they are implemented.
 
     Raises:
         ValueError: shapes that do not fit, a number that is not finite, a negative bound, a tolerance >= 1, a name used twice.
@@ -57,7 +58,7 @@ class LinearSystem:
     def __init__(self, A, B, C, D=None, dt=1.0, *, tolerance=0.0, noise=0.0, constant_tolerance=False, resolution=None, E=None,
                  unknown_inputs=None, disturbance=None, uncertainties=(), decouple=(), inputs=None, outputs=None, states=None,
                  units=None, offset=None, columns=None, provenance=None, name="model"):  # fmt: skip
-        reserved = {"constant_tolerance": constant_tolerance, "E": E, "unknown_inputs": unknown_inputs, "disturbance": disturbance,
+        reserved = {"E": E, "unknown_inputs": unknown_inputs,
                     "uncertainties": uncertainties, "decouple": decouple}  # fmt: skip
         for field, value in reserved.items():
             if value is not None and value is not False and len(np.atleast_1d(np.asarray(value, object))) > 0:
@@ -77,6 +78,8 @@ class LinearSystem:
             if (len(a), len(a[0])) != shape:
                 raise ValueError(f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}")
         self.n, self.m, self.p = n, m, p
+        self.G, self.disturbance = _disturbance(disturbance, n)
+        self.g = len(self.disturbance)
         self.dt = float(_number("dt", dt))
         if self.dt <= 0:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}")
@@ -88,6 +91,9 @@ class LinearSystem:
         if twice:
             raise ValueError(f"a signal name may stand for one signal only: {', '.join(map(repr, twice))} is used twice")
         self.tolerance = self._bound("tolerance", tolerance)
+        if not isinstance(constant_tolerance, (bool, np.bool_)):
+            raise ValueError(f"constant_tolerance must be True or False, not {constant_tolerance!r}")
+        self.constant_tolerance = bool(constant_tolerance)
         self.noise = self._bound("noise", noise)
         self.resolution = self._bound("resolution", 0 if resolution is None else resolution)
         offset = dict(offset or {})
@@ -100,7 +106,7 @@ class LinearSystem:
         }
         self.units = self._about("units", units, everyone + self.states)
         self.columns = self._about("columns", columns, (*everyone, "time"))
-        self.provenance = self._about("provenance", provenance, ("tolerance", "noise", "resolution", "model"))
+        self.provenance = self._about("provenance", provenance, ("tolerance", "noise", "resolution", "disturbance", "model"))
         self.name = str(name)
 
     def _bound(self, field, value):
@@ -158,6 +164,42 @@ def _vector(field, value, names):
     if len(values) != len(names):
         raise ValueError(f"{field} needs one number, or one for each of {', '.join(names)}: {len(values)} given")
     return tuple(_number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
+
+
+def _disturbance(given, n):
+    """Return G (n, g) and g pairs (lo, hi)."""
+    if given is None:
+        return tuple(() for _ in range(n)), ()
+    try:
+        G, bound = given
+    except (TypeError, ValueError):
+        raise ValueError("disturbance needs a pair (G, bound): how it acts on the states, and how large it can be") from None
+    G = _matrix("G of the disturbance", G)
+    if len(G) != n:
+        raise ValueError(f"G of the disturbance needs one row per state ({n}): it has {len(G)}")
+    g = len(G[0])
+    if isinstance(bound, str) or not np.iterable(bound):
+        bound = [bound] * g
+    if len(bound) != g:
+        raise ValueError(
+            f"the bound of the disturbance needs one number, or one (or a pair [lo, hi]) for each of {g} columns of G, not {len(bound)}"
+        )
+    pairs = []
+    for j, b in enumerate(bound):
+        where = f"disturbance {j + 1}"
+        if not isinstance(b, str) and np.iterable(b):
+            if len(b) != 2:
+                raise ValueError(f"{where}: a bound is one number or a pair [lo, hi], not {len(b)} numbers")
+            lo, hi = (_number(where, x) for x in b)
+            if lo > hi:
+                raise ValueError(f"{where}: lo must be <= hi, not [{float(lo):g}, {float(hi):g}]")
+        else:
+            hi = _number(where, b)
+            lo = -hi
+            if hi < 0:
+                raise ValueError(f"{where}: the bound must be >= 0, not {float(hi):g}")
+        pairs.append((lo, hi))
+    return G, tuple(pairs)
 
 
 def _names(field, given, count, letter):

@@ -2,8 +2,9 @@
 
     external form  p_ext = W (Y - H U)                      numbers
     internal form  p_int = W mu,  mu_i in [y - t_hi, y - t_lo] for each sample    a zonotope
-    circuits       every minimal-support combination of the relations: the strips of that zonotope
+    circuits       every minimal-support combination of the relations: the strips of that zonotope, as long as they can be counted
 
+A disturbance w counts as rows of its own: relations and circuits have the coefficients of Y first, then those of w_k .. w_{k+s-1}.
 W is a rational left null space, so W O = 0 exactly for the decimals of the model; floats appear only as nearest
 values of exact coefficients, whose error `sets.rounding` counts. Source: Adrot, Maquin, Ragot 2000, (6)-(9), (13)-(15).
 """
@@ -18,50 +19,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording, sensor, window
+from jaxbound.models import recording, window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.relations.window_test import WindowTest
 from jaxbound.sets import exact, rounding
 from jaxbound.sets.interval import Interval
-from jaxbound.sets.strips import Strips, strips_of
+from jaxbound.sets.separation import frame_of
+from jaxbound.sets.strips import strips_of
 
-__all__ = ["ParityRelation", "WindowTest", "parity_relations"]
+__all__ = ["ParityRelation", "parity_relations"]
 
-MAX_CIRCUITS = 20_000
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class WindowTest:
-    """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation."""
-
-    strips: Strips
-    tolerance: jax.Array
-    noise: jax.Array
-    resolution: jax.Array
-    offset_u: jax.Array
-    offset_y: jax.Array
-    horizon: int = field(metadata={"static": True})
-    lags: int = field(metadata={"static": True})
-
-    def rows(self, u, y):
-        """Return (mid, rad, scale, known, known_scale) for all windows of a stretch: u (N + s, m), y (N + s, p) give lists of (N,)."""
-        count = y.shape[0] - self.horizon
-        mid, rad, scale = [], [], []
-        per_output = []
-        for i in range(y.shape[1]):
-            samples = [y[j : j + count, i] for j in range(self.horizon + 1)]
-            per_output.append(sensor.true_value(samples, self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]))
-        for j in range(self.horizon + 1):
-            for m, r, s in per_output:
-                mid.append(m[j]), rad.append(r[j]), scale.append(s[j])
-        known, known_scale = [], []
-        for j in range(self.lags):
-            for i in range(u.shape[1]):
-                v = u[j : j + count, i]
-                known.append(v - self.offset_u[i])
-                known_scale.append(abs(v) + abs(self.offset_u[i]))
-        return mid, rad, scale, known, known_scale
+ZERO = Fraction(0)
+SUBSETS, TESTED = 4_000, 400
+"""Subsets of rows among which circuits are looked for, and circuits up to which they are tested one by one; beyond, an exchange search
+is faster."""
 
 
 @jax.tree_util.register_dataclass
@@ -69,8 +41,10 @@ class WindowTest:
 class ParityRelation:
     """Independent parity relations over a window of horizon + 1 samples. Build it with `parity_relations`.
 
-    Fields: bounds {"tolerance": (p,), "noise": (p,)} (floats, never smaller than the model's decimals), model, horizon, form,
-    W (count, (s+1)p) and K (count, l): p_ext = W Y - K U with exact entries, rows time-major.
+    Fields: bounds {"tolerance": (p,), "noise": (p,)}, and "disturbance": (g, 2) if the model has one (floats, never tighter than the
+    model's decimals), model, horizon, form, W (count, (s+1)p + gs) and K (count, l): W (Y, w) = K U for an exact plant, with exact
+    entries; p_ext = W (Y, 0) - K U. circuits, circuits_known: the strips, none where they are too many; frame: then what the exchange
+    search needs (`sets.separation`), else None.
     """
 
     bounds: dict
@@ -81,6 +55,7 @@ class ParityRelation:
     K: tuple = field(metadata={"static": True})
     circuits: tuple = field(metadata={"static": True})
     circuits_known: tuple = field(metadata={"static": True})
+    frame: exact.Frame | None = field(default=None, metadata={"static": True})
 
     @property
     def count(self):
@@ -97,13 +72,20 @@ class ParityRelation:
 
     def test(self, method, dtype):
         """Return the WindowTest of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
-        model, strips = self.model, self._joint if method == "joint" else self._alone
+        model, lo_hi = self.model, self.bounds.get("disturbance", np.zeros((0, 2)))
+        if method == "box":
+            shape = self._alone.astype(dtype)
+        else:
+            shape = self._joint.astype(dtype) if self.frame is None else frame_of(self.frame, dtype)
+        if not isinstance(lo_hi, jax.core.Tracer):
+            lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
         nearest = np.vectorize(float, otypes=[np.float64])
         return WindowTest(
-            strips.astype(dtype),
+            shape,
             _cast(self.bounds["tolerance"], dtype),
             _cast(self.bounds["noise"], dtype),
             rounding.round_up(list(model.resolution), dtype),
+            lo_hi.astype(dtype),
             nearest(model.offset["u"]).astype(dtype),
             nearest(model.offset["y"]).astype(dtype),
             self.horizon,
@@ -114,26 +96,15 @@ class ParityRelation:
         """Return the same relations under other bounds.
 
         Args:
-            bounds: {"tolerance": (p,), "noise": (p,)}, both or one; arrays, numbers or tracers.
+            bounds: {"tolerance": (p,), "noise": (p,), "disturbance": (g,) or (g, 2)}, or some of them; arrays, numbers or tracers.
 
         Raises:
-            ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, NaN or infinity.
+            ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
         """
         unknown = sorted(set(bounds) - set(self.bounds))
         if unknown:
             raise ValueError(f"bounds are {sorted(self.bounds)}, not {unknown}")
-        fresh = dict(self.bounds)
-        for name, value in bounds.items():
-            if np.shape(value) not in ((), (self.model.p,)):
-                raise ValueError(f"{name} needs one number or one per output ({self.model.p}): its shape is {np.shape(value)}")
-            if not isinstance(value, jax.core.Tracer):
-                flat = np.broadcast_to(np.asarray(value, np.float64), (self.model.p,))
-                top = 1 if name == "tolerance" else np.inf
-                for output, b in zip(self.model.outputs, flat, strict=True):
-                    if not 0 <= b < top:
-                        raise ValueError(f"{name} must be in [0, {top}): output {output!r} has {b:g}")
-                value = flat
-            fresh[name] = value if np.ndim(value) else jnp.broadcast_to(value, (self.model.p,))
+        fresh = {name: _bound(self.model, name, bounds.get(name, old)) for name, old in self.bounds.items()}
         return dataclasses.replace(self, bounds=fresh)
 
     def external(self, u, y):
@@ -181,7 +152,9 @@ class ParityRelation:
 def relation_text(model, horizon, h, k):
     """Return one relation h Y - k U = 0 as text."""
     at = [f"[k-{horizon - j}]" if j < horizon else "[k]" for j in range(horizon + 1)]
-    terms = [(x, model.outputs[i % model.p] + at[i // model.p]) for i, x in enumerate(h)]
+    count = (horizon + 1) * model.p
+    terms = [(x, model.outputs[i % model.p] + at[i // model.p]) for i, x in enumerate(h[:count])]
+    terms += [(x, f"w{i % model.g + 1}" + at[i // model.g]) for i, x in enumerate(h[count:])]
     terms += [(-x, model.inputs[i % model.m] + at[i // model.m]) for i, x in enumerate(k)]
     out = ""
     for x, signal in terms:
@@ -193,6 +166,27 @@ def relation_text(model, horizon, h, k):
     return out + " = 0"
 
 
+def _bound(model, name, value):
+    """Check one entry of `bounds` and give it its shape."""
+    names = model.outputs if name != "disturbance" else tuple(f"w{j + 1}" for j in range(model.g))
+    kind = "output" if name != "disturbance" else "disturbance"
+    shape, traced = np.shape(value), isinstance(value, jax.core.Tracer)
+    allowed = ((), (len(names),), (len(names), 2))[: 3 if kind == "disturbance" else 2]
+    if shape not in allowed:
+        raise ValueError(f"{name} needs one number or one per {kind} ({len(names)}): its shape is {shape}")
+    if not traced:
+        value = np.asarray(value, np.float64)
+    spread = (jnp if traced else np).broadcast_to(value, (len(names),)) if len(shape) < 2 else value
+    if not traced:
+        top = 1 if name == "tolerance" else np.inf
+        for who, b in zip(names, spread, strict=True):
+            if len(shape) == 2 and not -np.inf < b[0] <= b[1] < np.inf:
+                raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{b[0]:g}, {b[1]:g}]")
+            if len(shape) < 2 and not 0 <= b < top:
+                raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {b:g}")
+    return spread if kind == "output" or len(shape) == 2 else (jnp if traced else np).stack([-spread, spread], 1)
+
+
 def _cast(bound, dtype):
     return bound.astype(dtype) if isinstance(bound, jax.core.Tracer) else rounding.round_up(np.asarray(bound, np.float64), dtype)
 
@@ -200,12 +194,13 @@ def _cast(bound, dtype):
 @jax.jit
 def _forms(test, u, y):
     s, p = test.horizon, y.shape[1]
-    mid, rad, _, known, _ = test.rows(u, y)
+    mid, rad, _, known, _ = test.stretch(u, y)
     mid, rad = jnp.stack(mid), jnp.stack(rad)
     samples = jnp.stack([y[j : j + mid.shape[1], i] - test.offset_y[i] for j in range(s + 1) for i in range(p)])
+    samples = jnp.concatenate([samples, jnp.zeros_like(mid[len(samples) :])])  # nobody measures a disturbance
     external, centre, width = [], [], []
-    for c in range(test.strips.h.shape[0]):
-        rows, h, k = test.strips.rows[c], test.strips.h[c], test.strips.k[c]
+    for c in range(test.shape.h.shape[0]):
+        rows, h, k = test.shape.rows[c], test.shape.h[c], test.shape.k[c]
         external.append(h @ samples[rows] - sum(jnp.where(k[b] == 0, 0, k[b] * known[b]) for b in range(len(known))))
         centre.append(h @ (samples[rows] - mid[rows]))
         width.append(abs(h) @ rad[rows])
@@ -226,7 +221,7 @@ def parity_relations(model, horizon=None, form="first"):
         A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers.
 
     Raises:
-        ValueError: no relation at this horizon, or more than 20 000 circuits.
+        ValueError: no relation at this horizon.
 
     Source: Adrot, Maquin, Ragot 2000, (6), (13).
 
@@ -244,28 +239,54 @@ def parity_relations(model, horizon=None, form="first"):
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
         raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
     horizon = int(horizon)
-    state_rank = exact.rank(window.first_form(model, min(horizon, model.n))[0])  # a longer window does not raise it (Cayley-Hamilton)
-    if (count := math.comb((horizon + 1) * model.p, state_rank + 1)) > MAX_CIRCUITS:
+    if not _checked_outputs(model, window.observability(model, min(horizon, model.n))):
         raise ValueError(
-            f"horizon {horizon} is too long for this model: {count} circuits of up to {state_rank + 1} samples would have to be tested, "
-            f"more than {MAX_CIRCUITS}; choose a shorter horizon"
-        )
-    O, H = window.first_form(model, horizon)
-    null = exact.left_null_space(O)
-    if not null:
-        raise ValueError(
-            f"horizon {horizon} gives no relation: {len(O)} samples do not outnumber the {model.n} states; "
+            f"horizon {horizon} gives no relation: {(horizon + 1) * model.p} samples do not outnumber the {model.n} states; "
             f"the smallest horizon with one is {_first_horizon(model)}"
         )
-    circuits = tuple(map(exact.presentable, exact.circuits(O)))
     if form == "first":
-        W = tuple(map(exact.presentable, exact.minimal_span(null)))
-        K = exact.matmul(W, H) if H[0] else tuple(() for _ in W)
+        samples = _first(model, horizon)
+        H = window.first_form(model, horizon)[1]
+        K = exact.matmul(samples, H) if H[0] else tuple(() for _ in samples)
     else:
-        W, K = _second(model, horizon)
+        samples, K = _second(model, horizon)
     bounds = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
-    known = exact.matmul(circuits, H) if H[0] else tuple(() for _ in circuits)
-    return ParityRelation(bounds, model, horizon, form, W, K, circuits, known)
+    if model.g:
+        lo, hi = zip(*model.disturbance, strict=True)
+        bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
+    W = _with_disturbance(model, horizon, samples)
+    E, known = window.unknowns(model, horizon)
+    circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
+    if not circuits:
+        return ParityRelation(bounds, model, horizon, form, W, K, (), (), exact.frame(E, known))
+    circuits_known = exact.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
+    return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known)
+
+
+def _few_circuits(E, most):
+    """Return the circuits of the rows E, or none if they are more than `most`."""
+    rank = exact.rank(E)
+    if rank and math.comb(len(E), rank + 1) > SUBSETS:
+        return ()
+    circuits = exact.circuits(E)
+    return tuple(map(exact.presentable, circuits)) if not rank or len(circuits) <= most else ()
+
+
+def _with_disturbance(model, horizon, relations):
+    """Append to relations h Y = k U the coefficients of the disturbances: Y = .. + V w."""
+    if not model.g or not horizon:
+        return relations
+    through = exact.matmul(relations, window.disturbance_form(model, horizon))
+    return tuple(h + tuple(-x for x in v) for h, v in zip(relations, through, strict=True))
+
+
+def _first(model, horizon):
+    """Return W, of minimal span: beyond n samples every further one brings p relations, the last ones once more, later."""
+    short = min(horizon, model.n)
+    W = tuple(map(exact.presentable, exact.minimal_span(exact.left_null_space(window.observability(model, short)))))
+    newest = [row for row in W if any(row[short * model.p :])]
+    pad = lambda row, shift: (ZERO,) * (shift * model.p) + row + (ZERO,) * ((horizon - short - shift) * model.p)
+    return tuple(pad(row, 0) for row in W) + tuple(pad(row, shift) for shift in range(1, horizon - short + 1) for row in newest)
 
 
 def _second(model, horizon):
@@ -283,15 +304,15 @@ def _second(model, horizon):
     return W, tuple(tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True))
 
 
-def _checked_outputs(model, horizon):
-    null = exact.left_null_space(window.first_form(model, horizon)[0])
-    return {i % model.p for row in null for i, x in enumerate(row) if x != Fraction(0)}
+def _checked_outputs(model, O):
+    return {i % model.p for row in exact.left_null_space(O) for i, x in enumerate(row) if x}
 
 
 def _smallest_useful_horizon(model):
-    best = _checked_outputs(model, model.n)  # a longer window involves no further output (Cayley-Hamilton)
-    return next(s for s in range(model.n + 1) if _checked_outputs(model, s) == best)
+    O = window.observability(model, model.n)
+    best = _checked_outputs(model, O)  # a longer window involves no further output (Cayley-Hamilton)
+    return next(s for s in range(model.n + 1) if _checked_outputs(model, O[: (s + 1) * model.p]) == best)
 
 
 def _first_horizon(model):
-    return next(s for s in range(model.n + 1) if _checked_outputs(model, s))
+    return next((s for s in range(model.n + 1) if _checked_outputs(model, window.observability(model, s))), None)

@@ -65,6 +65,21 @@ def test_detection_rate_is_the_golden_one(name, hold, method, found, golden):
     check(found(1, hold, method), name, 1, expected[name][f"rate_{method}"], expected["runs"])
 
 
+@pytest.mark.parametrize("row", [1, 3])
+@pytest.mark.parametrize("name", FAULTS)
+def test_without_a_sample_of_y2_the_surviving_circuit_finds_as_much_as_golden(name, row, scenario, golden):
+    """Row 1 is y2 of the older sample of a window (the paper's y2(k)), row 3 that of the newer one."""
+    u, y = scenario(20)
+    holes = y.copy()
+    holes[:, ::2, 1] = np.nan  # windows that end at an even sample lack the newer one, the others the older
+    seen = jb.detect(jb.parity_relations(paper(), horizon=1), u, holes).status == Status.FAULT
+    inside = np.arange(FAULTS[name].start + 1, FAULTS[name].stop)
+    those = inside[inside % 2 == (row == 1)]
+    seen[:, inside] = seen[:, np.resize(those, len(inside))]
+    expected = golden["p0"]["scenario_mc"]["hold20"]
+    check(seen, name, 1, expected[name]["rate_per_circuit_drop_col"][row], expected["runs"])
+
+
 @pytest.mark.parametrize("horizon", [1, 2, 3, 4, 6])
 def test_detection_rate_grows_with_the_horizon_as_golden(horizon, found, golden):
     fault = found(horizon)

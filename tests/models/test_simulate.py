@@ -93,7 +93,7 @@ def test_a_plain_recursion_is_not_an_exact_trajectory(name, rng):
     for now in u:
         y.append(C @ x)
         x = A @ x + B @ now
-    assert worst_error(plant, START[name], jb.Trajectory(None, u, np.array(y), zero, zero)) > 3
+    assert worst_error(plant, START[name], jb.Trajectory(None, u, np.array(y), zero, zero, None)) > 3
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

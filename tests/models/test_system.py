@@ -73,12 +73,36 @@ def test_a_model_that_does_not_fit_is_refused(change, message):
 
 
 @pytest.mark.parametrize("field, value", [
-    ("constant_tolerance", True), ("E", [[1, 0], [0, 1]]), ("unknown_inputs", [[1], [0]]), ("disturbance", ([[1], [0]], [0.1])),
-    ("uncertainties", ("a",)), ("decouple", ("a",)),
+    ("E", [[1, 0], [0, 1]]), ("unknown_inputs", [[1], [0]]), ("uncertainties", ("a",)), ("decouple", ("a",)),
 ])  # fmt: skip
 def test_a_field_that_is_not_implemented_is_refused(field, value):
     with pytest.raises(NotImplementedError, match=f"{field}: .* is not implemented yet; leave the field out"):
         paper(**{field: value})
+
+
+@pytest.mark.parametrize("bound, pairs", [
+    (0.1, [("-1/10", "1/10")] * 2), ([0.1, "1/3"], [("-1/10", "1/10"), ("-1/3", "1/3")]),
+    ([[0, 0.2], [-1, 0]], [("0", "1/5"), ("-1", "0")]),
+])  # fmt: skip
+def test_a_disturbance_has_a_pair_of_exact_bounds_a_column(bound, pairs):
+    m = paper(disturbance=([[1, 0], [0.5, 2]], bound))
+    assert [tuple(map(str, pair)) for pair in m.disturbance] == pairs
+    assert (m.g, m.G) == (2, ((1, 0), (Fraction(1, 2), 2)))
+
+
+@pytest.mark.parametrize("disturbance, message", [
+    ([[1], [0]], "G of the disturbance needs one row per state"),
+    (3, "disturbance needs a pair"),
+    (([[1]], 0.1), "G of the disturbance needs one row per state"),
+    (([[1], [0]], [0.1, 0.2]), "needs one number, or one .* for each of 1 columns of G, not 2"),
+    (([[1], [0]], -0.1), "disturbance 1: the bound must be >= 0, not -0.1"),
+    (([[1], [0]], [[0.2, 0.1]]), r"disturbance 1: lo must be <= hi, not \[0.2, 0.1\]"),
+    (([[1], [0]], [[0, 1, 2]]), "disturbance 1: a bound is one number or a pair"),
+    (([[1], [0]], float("inf")), "disturbance 1: .*not a finite number"),
+])  # fmt: skip
+def test_a_disturbance_that_does_not_fit_is_refused(disturbance, message):
+    with pytest.raises(ValueError, match=message):
+        paper(disturbance=disturbance)
 
 
 def test_units_and_columns_are_found_by_name():

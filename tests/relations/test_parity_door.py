@@ -35,9 +35,10 @@ def test_the_smallest_horizon_named_has_a_relation():
     assert jb.parity_relations(jb.LinearSystem(**ONE_OUTPUT), horizon=2).count == 1
 
 
-def test_too_many_circuits_are_refused_at_once():
-    with pytest.raises(ValueError, match=r"horizon 30 is too long .* 37820 circuits .*more than 20000; choose a shorter horizon"):
-        jb.parity_relations(paper(), horizon=30)
+def test_where_circuits_are_too_many_a_frame_takes_their_place():
+    few, many = jb.parity_relations(paper(), horizon=6), jb.parity_relations(paper(), horizon=30)
+    assert len(few.circuits) == len(few.circuits_known) == 14 * 13 * 12 // 6 and few.frame is None
+    assert many.circuits == many.circuits_known == () and many.count == len(many.frame.outer) == 60
 
 
 @pytest.mark.parametrize("horizon", [-1, 1.5, True, "2", np.float64(1)])

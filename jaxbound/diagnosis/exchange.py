@@ -1,0 +1,133 @@
+"""Verdicts for relations whose circuits are too many to enumerate: the exchange search of `sets.separation` over blocks of windows.
+
+Windows are gathered into blocks of one fixed size. Those that a first, short search leaves open are gathered again and searched on; those
+that lack a sample on which the search is built get an exact frame without it, shared by all windows that it fits.
+"""
+
+import dataclasses
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets import exact, separation
+from jaxbound.sets.strips import status_of
+
+__all__ = ["exchange_margins", "exchange_windows"]
+
+SLAB = 2**16
+PATIENCE = 10
+"""Exchanges per inner row after which a search is given up; it takes 2 to 4."""
+FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0)
+"""Searches after which a window stays undecided, see `separation_search`: one in some thousands needs the second."""
+
+
+def exchange_windows(relations, u, y, progress):
+    """Return (status, margin), each (..., T), of NumPy recordings. See `consistency.detect`."""
+    test, s = relations.test("joint", y.dtype), relations.horizon
+    shape, k = y.shape[:-1], len(test.shape.inner)
+    u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
+    margin = np.full(shape, np.nan, y.dtype)
+    flat, left_open = margin.reshape(-1), []
+    for first in range(0, len(y), SLAB):
+        starts = np.arange(first, min(first + SLAB, len(y)))
+        starts = starts[starts % shape[-1] < shape[-1] - s] if shape[-1] else starts
+        left_open.append(_run(test, u, y, starts, flat, 2 * k + 6))
+        if progress is not None:
+            progress(0.95 * min(first + SLAB, len(y)) / len(y))
+    starts = np.concatenate([*left_open, np.zeros(0, np.int64)])
+    for frame, chosen in _frames(relations, test, u, y, starts):
+        again = starts[chosen]
+        for finer in FINER:
+            again = _run(dataclasses.replace(test, shape=frame), u, y, again, flat, PATIENCE * (k + 10), finer)
+            again = again[flat[again + s] == 0]  # what is proved needs no other search
+    if progress is not None:
+        progress(1.0)
+    return np.asarray(status_of(margin)), margin
+
+
+def exchange_margins(test, u, y):
+    """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): differentiable, NaN where data are missing."""
+    count, size = y.shape[0] - test.horizon, _block_size(test)
+    blocks = -(-count // size)
+    fill = lambda x: jnp.pad(x, ((0, blocks * size - count), (0, 0)), mode="edge")
+    u, y = fill(u), fill(y)
+
+    def one_block(first):
+        take = lambda x, lags: jnp.moveaxis(x[first + jnp.arange(lags)[:, None] + jnp.arange(size)[None]], 1, 2)
+        mid, rad, _, known, _ = test.block(take(u, test.lags), take(y, test.horizon + 1))
+        return separation.separation_margin(test.shape, mid, rad, known)
+
+    return jax.lax.map(one_block, size * jnp.arange(blocks)).reshape(-1)[:count]
+
+
+@jax.jit
+def _candidates(test, one, u, y, steps, finer):
+    mid, rad, _, known, _ = (x / one[None] for x in test.block(u, y))
+    return separation.separation_search(test.shape, mid, rad, known, one, steps, finer)
+
+
+@jax.jit
+def _verdicts(test, one, u, y, h, d, done):
+    mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
+    return separation.separation_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift, one, h, d, done)
+
+
+def _run(test, u, y, starts, margin, steps, finer=1.0):
+    """Search the windows that start at the samples `starts`, write their margins, and return the starts of those left open."""
+    size = _block_size(test)
+    one, device_test = np.ones(size, y.dtype), jax.device_put(test)
+
+    def block(first):
+        chosen = starts[first : first + size]
+        full = np.concatenate([chosen, np.repeat(chosen[:1], size - len(chosen))])
+        given = device_test, one, _windows(u, full, test.lags), _windows(y, full, test.horizon + 1)
+        found, settled = _verdicts(*given, *_candidates(*given, steps, finer))
+        before, found = margin[chosen + test.horizon], np.asarray(found)[: len(chosen)]
+        margin[chosen + test.horizon] = np.where((found == 0) & (abs(before) > 0), before, found)  # a proof stays one
+        return chosen[~np.asarray(settled)[: len(chosen)]]
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
+        return np.concatenate([*threads.map(block, range(0, len(starts), size)), np.zeros(0, starts.dtype)])
+
+
+def _block_size(test):
+    """Return how many windows a kernel takes at once, a function of the shape of the test: their inverses should stay in the cache."""
+    return 1024 if len(test.shape.inner) <= 8 else 256
+
+
+def _windows(x, starts, lags):
+    """Return the samples of windows, (lags, channels, N)."""
+    return np.ascontiguousarray(np.moveaxis(x[starts + np.arange(lags)[:, None]], 1, 2))
+
+
+def _frames(relations, test, u, y, starts):
+    """Return [(frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
+    if not len(starts):
+        return []
+    absent = np.isnan(_windows(y, starts, test.horizon + 1)).reshape(-1, len(starts)).T
+    missing = np.isnan(_windows(u, starts, test.lags)).reshape(-1, len(starts)).T
+    patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
+    rows = absent.shape[1]
+    frames, numbers, by_inputs = [relations.frame], [], {(): [0]}
+    for pattern in patterns:
+        gone, inputs = set(np.flatnonzero(pattern[:rows]).tolist()), tuple(np.flatnonzero(pattern[rows:]).tolist())
+        number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
+        if number is None:
+            number = len(frames)
+            frames.append(exact.reframe(relations.frame, gone, inputs))
+            by_inputs.setdefault(inputs, []).append(number)
+        numbers.append(number)
+    chosen = np.array(numbers)[which.ravel()]
+    k = len(relations.frame.inner)
+    width = lambda f: k + (1 << (len(f.inner) - k - 1).bit_length() if len(f.inner) > k else 0)  # few widths, few compilations
+    return [(separation.frame_of(frames[i], y.dtype, width(frames[i])), np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
+
+
+def _fits(frame, gone, inputs):
+    """Say whether a frame serves windows without the rows `gone` and the inputs `inputs`, which it was made without."""
+    relations = zip(frame.used, frame.outer, frame.K, strict=True)
+    return gone.isdisjoint(frame.inner) and not any(row[b] for used, j, row in relations if used and j not in gone for b in inputs)

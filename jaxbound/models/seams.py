@@ -1,0 +1,176 @@
+"""Seams of a recording: where a sample does not come one sampling period after the one before.
+
+A window is a statement about samples that are dt apart. One that lies across a seam is MISSING: neither healthy nor a fault. Time is taken
+in chunks, with a `Clock` that is carried from one to the next, so that a recording larger than memory is cut exactly as one in memory.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ["Clock", "Seam", "all_starts", "check_period", "crossing", "irregular", "seam_hints", "tick"]
+
+TOLERATED_DT = 0.05  # median step against the model's dt
+TOLERATED_STEP = 0.20  # one step against the model's dt: logger jitter is far below, a missing row far above
+KINDS = ("gap", "early", "repeated", "backward")
+UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns"}
+
+
+@dataclass(frozen=True)
+class Seam:
+    """One seam, and how many there are of its kind.
+
+    Fields: kind: "gap", "early" (sooner than dt), "repeated" (the same time again) or "backward"; count; sample: number of the first sample
+    behind the longest jump (early, repeated: behind the first); step: seconds from the sample before it.
+    """
+
+    kind: str
+    count: int
+    sample: int
+    step: float
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What the time of a recording has shown so far.
+
+    Fields: dt: the model's sampling period in s; samples: how many there were; last: time of the last one in s; seams: one Seam a kind.
+
+    Example:
+        >>> clock, starts = tick(Clock(dt=1.0), np.array([0.0, 1.0, 2.02]))
+        >>> clock, starts = tick(clock, np.array([3.0, 60.0, 61.0]))
+        >>> starts, clock.seams[0].kind, clock.seams[0].step
+        (array([4]), 'gap', 57.0)
+    """
+
+    dt: float
+    samples: int = 0
+    last: float = math.nan
+    seams: tuple = ()
+
+
+def tick(clock, time):
+    """Take the next chunk of time stamps.
+
+    Args:
+        clock: the Clock after all chunks before, `Clock(dt)` at first. time: (N,) seconds, counted from the same instant in every chunk.
+
+    Returns:
+        (clock, starts): the Clock after this chunk; the numbers of its samples, counted over all chunks, that do not follow the one before.
+        A step that is off by up to 20 % of dt is jitter, and no seam.
+    """
+    time = np.asarray(time, np.float64)
+    if not len(time):
+        return clock, np.zeros(0, np.int64)
+    follows = clock.samples > 0
+    steps = np.diff(time, prepend=clock.last) if follows else np.diff(time)
+    odd = np.flatnonzero(~(np.abs(steps - clock.dt) <= TOLERATED_STEP * clock.dt))
+    starts = odd + clock.samples + (not follows)
+    found = {seam.kind: seam for seam in clock.seams}
+    step = steps[odd]
+    early = (step > 0) & (step < clock.dt)
+    for kind, which in (("gap", step > clock.dt), ("early", early), ("repeated", step == 0), ("backward", step < 0)):
+        if which.any():
+            extreme = np.argmax(np.abs(np.where(which, step, 0))) if kind in ("gap", "backward") else np.argmax(which)
+            fresh = Seam(kind, int(which.sum()), int(starts[extreme]), float(step[extreme]))
+            old = found.get(kind)
+            worse = old is None or (kind in ("gap", "backward") and abs(fresh.step) > abs(old.step))
+            found[kind] = replace(fresh if worse else old, count=fresh.count + (old.count if old else 0))
+    return Clock(clock.dt, clock.samples + len(time), float(time[-1]), tuple(found.values())), starts
+
+
+def crossing(starts, horizon, first, stop):
+    """Return (stop - first,) bool: True where the window that ends at sample first, first + 1, ... lies across a seam.
+
+    Args:
+        starts: numbers of samples that do not follow the one before, in any order; those before first - horizon do not matter.
+        horizon: s, a window has s + 1 samples. first, stop: the samples asked for.
+
+    Example:
+        >>> crossing(np.array([2]), 2, 0, 6)
+        array([False, False,  True,  True, False, False])
+    """
+    across = np.zeros(max(stop - first, 0), bool)
+    starts = np.asarray(starts, np.int64).reshape(-1)
+    starts = starts[(starts > first - horizon) & (starts < stop)]
+    ends = (starts[:, None] + np.arange(horizon)).ravel() - first
+    across[ends[(ends >= 0) & (ends < len(across))]] = True
+    return across
+
+
+def all_starts(given, index, samples):
+    """Return the numbers of all samples that do not follow the one before: those given and those that a DataFrame's index shows.
+
+    Args:
+        given: whole numbers. index: of a DataFrame, or None; dates and time spans are looked at, with their median step for dt: an index of
+            any other kind says nothing about time. samples: how many there are.
+
+    Raises:
+        ValueError: something else than numbers of samples; dates that do not increase.
+    """
+    given = np.asarray(given)
+    if given.size and (given.dtype.kind not in "iu" or given.ndim != 1):
+        raise ValueError(f"starts needs the numbers of samples, like [120, 4711]: it holds {given.dtype} of shape {given.shape}")
+    starts = np.unique(given.astype(np.int64))
+    if len(starts) and not 0 <= starts[0] <= starts[-1] < samples:
+        wrong = starts[0] if starts[0] < 0 else starts[-1]
+        raise ValueError(f"starts needs the numbers of samples, 0 to {samples - 1} here: it holds {wrong}")
+    if getattr(getattr(index, "dtype", None), "kind", None) in ("m", "M") and len(index) > 1:
+        time = np.asarray(index - index[0]) / np.timedelta64(1, "s")
+        step = float(np.median(np.diff(time)))
+        if not step > 0:
+            raise ValueError("the dates in the index must increase from row to row: sort the rows by time, or give arrays")
+        starts = np.union1d(starts, tick(Clock(step), time)[1])
+    return starts
+
+
+def check_period(time, dt):
+    """Refuse a time axis with another sampling period than the model.
+
+    Args:
+        time: (N,) seconds, a whole recording or its first chunk. dt: of the model, in s.
+
+    Raises:
+        ValueError: the median step is off by more than 5 % of dt, or the rows run backwards.
+    """
+    if len(time) < 2:
+        return
+    median = float(np.median(np.diff(time)))
+    if median < 0:
+        raise ValueError("the rows run backwards in time, the newest first: sort them by time")
+    if abs(median - dt) > TOLERATED_DT * dt:
+        near = next((f": is its time in {unit}?" for f, unit in UNITS.items() if abs(median / f - dt) <= TOLERATED_DT * dt), "")
+        same = ": more than half of the rows repeat the time of the row before" if median == 0 else ""
+        raise ValueError(f"the model has dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart{near}{same}")
+
+
+def irregular(clock, label, where):
+    """Return a sentence if more than half of all steps are seams, else "": such a recording is no sequence of samples dt apart.
+
+    Args:
+        clock: the Clock after all samples. label: number of a sample -> text of its time. where: number of a sample -> "row 7".
+    """
+    count = sum(seam.count for seam in clock.seams)
+    if count <= (clock.samples - 1) / 2:
+        return ""
+    seam = min(clock.seams, key=lambda s: s.sample)
+    return (
+        f"the recording is not regular: {count} of {clock.samples - 1} steps differ from dt = {clock.dt:g} s by more than "
+        f"{TOLERATED_STEP:.0%}; {where(seam.sample)} ({label(seam.sample)}), for one, comes {seam.step:.6g} s after the row before it"
+    )
+
+
+def seam_hints(clock, label, where):
+    """Return one sentence a kind of seam: how many, the worst or the first, and what became of it. Arguments as for `irregular`."""
+    out = []
+    for seam in sorted(clock.seams, key=lambda s: KINDS.index(s.kind)):
+        n, at, size = seam.count, f"{where(seam.sample)} ({label(seam.sample)})", f"{abs(seam.step):.6g} s"
+        what = {
+            "gap": (f"the recording has a gap of {size} before {at}", f"the recording has {n} gaps, the longest, {size}, before {at}"),
+            "early": (f"{at} comes only {size} after the row before it", f"{n} rows come too soon, the first, {at}, after {size}"),
+            "repeated": (f"{at} repeats the time of the row before it", f"{n} rows repeat the time of the row before, the first is {at}"),
+            "backward": (f"the clock goes back by {size} before {at}", f"the clock goes back {n} times, the farthest, {size}, before {at}"),
+        }[seam.kind][n > 1]
+        out.append(f"{what}: the recording is split there, and windows across are MISSING")
+    return out

@@ -1,0 +1,175 @@
+"""Stretches in which a signal stands still: a sensor that is frozen or at the end of its range.
+
+Such a sensor can look consistent, so a verdict says little about it there. These are hints: no proof uses them and they change no verdict.
+A signal is followed in chunks, with a `Runs` that is carried from one to the next.
+
+A run is a stretch of equal numbers. What is usual differs: full floats hardly ever repeat, a temperature rounded to 0.1 K does for minutes.
+So a run is called frozen if it is 20 times as long as those that a quarter of all other samples lie in (and has 20 samples or more),
+and an output saturated if it comes to rest at its largest or smallest number again and again. An input stands still where it is told to,
+so it counts as frozen only if it changes from sample to sample everywhere else.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["Run", "Runs", "Stretch", "follow", "signal_hints", "still_hints", "stretches"]
+
+FROZEN = 20  # samples, and times the usual length of a run
+SATURATED = 5  # samples, and times the usual length of a run
+AGAIN = 3  # so often
+USUAL = 0.25  # this share of all other samples lies in runs of the usual length or shorter
+CAP = 1000  # run lengths are counted one by one up to here
+LIVELY = 0.01  # share of repeated numbers in an input that is measured, not set
+KEPT = 100  # longest runs that are remembered
+
+
+class Run(NamedTuple):
+    """Samples start .. start + length - 1 all have this value."""
+
+    length: int
+    start: int
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """The runs of one signal so far.
+
+    Fields: samples: how many there were; present: how many of them are there; counts (CAP + 1,): finished runs of each length, the last for
+    all that are longer; longest: the longest finished runs; low, high: smallest and largest value; last: the run that may go on, or None.
+    """
+
+    samples: int = 0
+    counts: np.ndarray | None = None
+    present: int = 0
+    longest: tuple = ()
+    low: float = math.inf
+    high: float = -math.inf
+    last: Run | None = None
+
+
+class Stretch(NamedTuple):
+    """One kind of stillness of a signal: "constant", "frozen" or "saturated", the longest run of it and how many times there is one."""
+
+    kind: str
+    longest: Run
+    times: int
+    extreme: str  # "largest", "smallest", or "" if the run is at neither
+
+
+def follow(runs, x):
+    """Take the next chunk of one signal.
+
+    Args:
+        runs: the Runs after all chunks before, `Runs()` at first. x: (N,) its samples, NaN where one is missing, which ends a run.
+
+    Returns:
+        The Runs after this chunk.
+    """
+    x = np.asarray(x)
+    if not len(x):
+        return runs
+    edges = np.flatnonzero(np.diff(x[1:] == x[:-1], prepend=False, append=False))
+    starts, lengths = edges[::2], edges[1::2] - edges[::2] + 1  # of two samples or more
+    if not len(starts) or starts[0] > 0:
+        starts, lengths = np.append(0, starts), np.append(1, lengths)
+    if starts[-1] + lengths[-1] < len(x):
+        starts, lengths = np.append(starts, len(x) - 1), np.append(lengths, 1)
+    values, first = x[starts], starts + runs.samples
+    there = ~np.isnan(values)
+    present = int(np.count_nonzero(x == x))
+    singles = present - int(lengths[there].sum())
+    counts = np.zeros(CAP + 1, np.int64) if runs.counts is None else runs.counts.copy()
+    counts[1] += singles
+    finished = list(runs.longest)
+    if runs.last is not None and values[0] == runs.last.value:
+        lengths[0] += runs.last.length
+        first[0] = runs.last.start
+    elif runs.last is not None:
+        counts[min(runs.last.length, CAP)] += 1
+        finished += [runs.last] if runs.last.length >= SATURATED else []
+    done = there.copy()
+    done[-1] = False
+    counts += np.bincount(np.minimum(lengths[done], CAP), minlength=CAP + 1)
+    long = np.flatnonzero(done & (lengths >= SATURATED))
+    long = long[np.argsort(-lengths[long], kind="stable")[:KEPT]]
+    finished += [Run(int(lengths[i]), int(first[i]), float(values[i])) for i in long]
+    finished.sort(key=lambda r: (-r.length, r.start))
+    last = Run(int(lengths[-1]), int(first[-1]), float(values[-1])) if there[-1] else None
+    low, high = float(np.fmin.reduce(x, initial=runs.low)), float(np.fmax.reduce(x, initial=runs.high))
+    return Runs(runs.samples + len(x), counts, runs.present + present, tuple(finished[:KEPT]), low, high, last)
+
+
+def stretches(runs, driven=False):
+    """Return what stood still, as a tuple of Stretch; driven: the signal is an input.
+
+    Example:
+        >>> x = np.sin(np.arange(500.0))
+        >>> x[300:400] = x[300]
+        >>> stretches(follow(Runs(), x))
+        (Stretch(kind='frozen', longest=Run(length=100, start=300, value=-0.99975...), times=1, extreme=''),)
+    """
+    if runs.counts is None or not runs.present:
+        return ()
+    everything = sorted((*runs.longest, *([runs.last] if runs.last else [])), key=lambda r: (-r.length, r.start))
+    if everything and everything[0].length == runs.present >= FROZEN:
+        return () if driven else (Stretch("constant", everything[0], 1, ""),)
+    counts = runs.counts + (np.bincount([min(runs.last.length, CAP)], minlength=CAP + 1) if runs.last else 0)
+    least = {r: _least(counts, runs.present, r, driven) for r in everything}
+    frozen = [r for r in everything if r.length >= FROZEN * least[r]]
+    out = [Stretch("frozen", frozen[0], len(frozen), _extreme(runs, frozen[0].value))] if frozen else []
+    for end in () if driven else {"largest", "smallest"} - {_extreme(runs, r.value) for r in frozen}:
+        resting = [r for r in everything if _extreme(runs, r.value) == end and r.length >= SATURATED * least[r]]
+        if len(resting) >= AGAIN:
+            out.append(Stretch("saturated", resting[0], len(resting), end))
+    return tuple(out)
+
+
+def _least(counts, present, run, driven):
+    """Return a run length that is usual in all samples outside a run, or that chance makes likely there, whichever is more."""
+    rest, finished = present - run.length, counts.sum() - 1
+    below = np.cumsum(counts[:CAP] * np.arange(CAP))
+    below[run.length :] -= run.length
+    usual = int(np.searchsorted(below, USUAL * rest))
+    repeats = 1 - finished / rest if rest > finished > 0 else 0.0
+    if driven and repeats > LIVELY:
+        return math.inf
+    likely = math.log(1e6 * present) / -math.log(repeats) if repeats > 0 else 0.0
+    return max(usual, 1, likely / FROZEN)
+
+
+def _extreme(runs, value):
+    return "largest" if value == runs.high else "smallest" if value == runs.low else ""
+
+
+def still_hints(model, u, y, label):
+    """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other arguments as for `signal_hints`."""
+    out = []
+    for names, x, driven in ((model.outputs, y, False), (model.inputs, u, True)):
+        for i, name in enumerate(names):
+            out += signal_hints(name, follow(Runs(), np.ascontiguousarray(x[:, i])), label, driven)
+    return out
+
+
+def signal_hints(name, runs, label, driven=False):
+    """Return sentences on where a signal stands still: which, when, how long.
+
+    Args:
+        name: of the signal. runs: its Runs after all samples. label: number of a sample -> text of its time. driven: it is an input.
+    """
+    out = []
+    for kind, run, count, extreme in stretches(runs, driven):
+        from_to = f"{run.length} samples from {label(run.start)} to {label(run.start + run.length - 1)}"
+        at = f", its {extreme} value," if extreme else ""
+        out.append({
+            "constant": f"{name} is {run.value:.6g} in every sample: if its sensor is frozen, it can still look consistent",
+            "frozen": f"{name} stays at exactly {run.value:.6g}{at} for {from_to}"
+            + (f" ({count} such stretches in all)" if count > 1 else "")
+            + f": a {'saturated or ' if extreme else ''}frozen sensor can look consistent, so no FAULT there does not mean that it works",
+            "saturated": f"{name} rests at exactly {run.value:.6g}{at} in {count} stretches, the longest of {from_to}: "
+            "a saturated sensor can look consistent, so no FAULT there does not mean that it works",
+        }[kind])  # fmt: skip
+    return out
