@@ -23,6 +23,7 @@ bench: .venv/tested
 	.venv/bin/python -m benchmarks.paving
 	.venv/bin/python -m benchmarks.false_alarms
 	.venv/bin/python -m benchmarks.command_line
+	.venv/bin/python -m benchmarks.fleet
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv

@@ -131,3 +131,38 @@ class LinearProgram:
             self.solver.run()
             out[k] = self.solver.getModelStatus() == self.infeasible
         return out
+
+
+class Feasibility:
+    """HiGHS with one reused model: is there x with lower <= M x <= upper?"""
+
+    def __init__(self, M):
+        import highspy
+
+        rows, columns = M.shape
+        self.solver, self.status = highspy.Highs(), highspy.HighsModelStatus
+        for option, value in dict(output_flag=False, presolve="off", solver="simplex", threads=1).items():
+            self.solver.setOptionValue(option, value)
+        model = highspy.HighsLp()
+        model.num_col_, model.num_row_ = columns, rows
+        model.col_cost_ = np.zeros(columns)
+        model.col_lower_, model.col_upper_ = np.full(columns, -np.inf), np.full(columns, np.inf)
+        model.row_lower_, model.row_upper_ = np.zeros(rows), np.zeros(rows)
+        where = [np.flatnonzero(M[:, j]) for j in range(columns)]
+        model.a_matrix_.start_ = np.r_[0, np.cumsum([len(i) for i in where])]
+        model.a_matrix_.index_ = np.concatenate(where)
+        model.a_matrix_.value_ = np.concatenate([M[i, j] for j, i in enumerate(where)])
+        self.solver.passModel(model)
+        self.rows = np.arange(rows, dtype=np.int32)
+
+    def run(self, lower, upper):
+        """Return True where a case is infeasible, (N,)."""
+        out = np.empty(len(lower), bool)
+        for k in range(len(lower)):
+            self.solver.changeRowsBounds(len(self.rows), self.rows, lower[k], upper[k])
+            self.solver.run()
+            if self.solver.getModelStatus() not in (self.status.kInfeasible, self.status.kOptimal):
+                self.solver.clearSolver()  # a basis of another case can lead it astray
+                self.solver.run()
+            out[k] = self.solver.getModelStatus() == self.status.kInfeasible
+        return out

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-__all__ = ["from_arrow", "to_arrow", "valid", "words", "write_columns"]
+__all__ = ["categories", "from_arrow", "to_arrow", "valid", "words", "write_columns"]
 
 
 def from_arrow(column):
-    """Return a pyarrow column of doubles or time stamps as NumPy floats or datetime64; null becomes NaN or NaT."""
+    """Return a pyarrow column of floats or time stamps as NumPy floats or datetime64; null becomes NaN or NaT."""
     import pyarrow as pa
 
     stamps = pa.types.is_timestamp(column.type)
-    dtype, missing = (f"datetime64[{column.type.unit}]", np.datetime64("NaT")) if stamps else (np.float64, np.nan)
-    x = np.frombuffer(column.buffers()[1], dtype, len(column), 8 * column.offset)
-    return np.where(valid(column), x, missing) if column.null_count else x
+    dtype = np.dtype(f"datetime64[{column.type.unit}]" if stamps else np.float32 if pa.types.is_float32(column.type) else np.float64)
+    x = np.frombuffer(column.buffers()[1], dtype, len(column), dtype.itemsize * column.offset)
+    return np.where(valid(column), x, np.array("NaT" if stamps else np.nan, dtype)) if column.null_count else x
 
 
 def valid(column):
@@ -50,8 +50,21 @@ def words(names, codes):
     return pa.StringArray.from_buffers(len(names), pa.py_buffer(ends), pa.py_buffer("".join(names).encode())).take(to_arrow(codes))
 
 
-def write_columns(path, columns):
-    """Write {name: pyarrow array} as CSV, with quotes only if a text needs them."""
+def categories(names, codes):
+    """Return names[code] for int8 codes as a pyarrow array that holds every name once.
+
+    Example:
+        >>> categories(["no", "yes"], np.array([1, 0], np.int8)).to_pylist()
+        ['yes', 'no']
+    """
+    import pyarrow as pa
+
+    indices = pa.Array.from_buffers(pa.int8(), len(codes), [None, pa.py_buffer(np.ascontiguousarray(codes, np.int8))])
+    return pa.DictionaryArray.from_arrays(indices, words(names, np.arange(len(names))))
+
+
+def write_columns(path, columns, append=False):
+    """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has its header already."""
     import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.csv
@@ -59,6 +72,7 @@ def write_columns(path, columns):
     texts = [c for c in columns.values() if pa.types.is_string(c.type)]
     plain = not any(pc.any(pc.match_substring_regex(c, '[",\r\n]')).as_py() for c in texts)
     options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
-    with open(path, "wb") as f:
-        f.write((",".join(columns) + "\n").encode())
+    with open(path, "ab" if append else "wb") as f:
+        if not append:
+            f.write((",".join(columns) + "\n").encode())
         pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), f, options)

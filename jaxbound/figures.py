@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxbound.plots import ENVELOPE, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis
+from jaxbound.plots import ENVELOPE, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
 from jaxbound.sets.interval import interval
 from jaxbound.sets.paving import pave
 from jaxbound.sets.status import Status
@@ -25,10 +25,10 @@ def figure_1():
         A matplotlib Figure.
     """
     box, target = interval([-1.0, 1.0], [2.0, 3.0]), [2.0, -2.0]
-    whole = pave(paper_example, box, target, max_depth=0)
+    whole = pave(paper_example, box, subdivision="uniform", q=1)
     pavings = [pave(paper_example, box, subdivision="uniform", q=q) for q in (10, 20)]
-    final = pave(paper_example, box, target)
-    levels = [pave(paper_example, box, target, max_depth=d).boxes for d in range(18)]
+    final = pave(paper_example, box, target, q=10)
+    levels = [pave(paper_example, box, target, q=10, max_depth=d).boxes for d in range(18)]
     with style():
         fig = canvas((11, 4.9))
         left, right = fig.subplots(1, 2)
@@ -63,7 +63,7 @@ def figure_2(trajectory, res, faults=()):
     Returns:
         A matplotlib Figure.
     """
-    model, (x, label, _) = res.relations.model, time_axis(res, None)
+    model, (x, label, _) = res.relations.model, time_axis(time_of(res, None))
     y, state = np.asarray(trajectory.y), np.asarray(trajectory.x)
     C = np.array([[float(c) for c in row] for row in model.C])
     with style():

@@ -12,15 +12,16 @@ from pathlib import Path
 
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["load_model", "number_text", "save_model", "template"]
+__all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 
-TOP = ("name", "dt", "time", "states", "inputs", "outputs", "matrices", "provenance")
+TOP = ("name", "dt", "time", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "matrices", "provenance")
 STATE = ("name", "unit")
 INPUT = ("name", "unit", "column", "offset")
 OUTPUT = ("name", "unit", "column", "offset", "tolerance", "noise", "resolution")
-MATRICES = ("A", "B", "C", "D")
-PROVENANCE = ("model", "tolerance", "noise", "resolution")
-PLANNED = ("constant_tolerance", "E", "unknown_inputs", "F", "disturbance", "uncertainties", "uncertainty", "decouple")
+DISTURBANCE = ("bound",)
+MATRICES = ("A", "B", "C", "D", "G")
+PROVENANCE = ("model", "tolerance", "noise", "resolution", "disturbance")
+PLANNED = ("E", "unknown_inputs", "F", "uncertainties", "uncertainty", "decouple")
 
 
 def load_model(path):
@@ -69,7 +70,7 @@ def save_model(model, path):
     """
     if not isinstance(model, LinearSystem):
         raise TypeError(f"save_model needs a LinearSystem, not {type(model).__name__}")
-    Path(path).write_text(_text(model), encoding="utf-8")
+    Path(path).write_text(model_text(model), encoding="utf-8")
 
 
 def number_text(x):
@@ -134,6 +135,10 @@ def _model(table):
     states = [_signal("states", i, s, STATE) for i, s in enumerate(states)]
     inputs = [_signal("inputs", i, s, INPUT) for i, s in enumerate(_list("inputs", table.get("inputs", [])))]
     outputs = [_signal("outputs", i, s, OUTPUT) for i, s in enumerate(_list("outputs", table.get("outputs", [])))]
+    disturbances = [_disturbance(i, d) for i, d in enumerate(_list("disturbances", table.get("disturbances", [])))]
+    if ("G" in matrices) != bool(disturbances):
+        raise ValueError("a disturbance needs both G in [matrices] and, for each column of G, a [[disturbances]] block with its bound: "
+                         f"{'the blocks are' if 'G' in matrices else 'G is'} missing")  # fmt: skip
     columns = {s["name"]: s["column"] for s in inputs + outputs if "column" in s}
     if "time" in table:
         columns["time"] = _string("time", table["time"])
@@ -144,6 +149,8 @@ def _model(table):
         matrices["A"], matrices.get("B"), matrices["C"], matrices.get("D"), _number("dt", table["dt"]),
         inputs=names(inputs), outputs=names(outputs), states=names(states),
         units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}, offset=offset, columns=columns, **bounds,
+        disturbance=(matrices["G"], disturbances) if disturbances else None,
+        constant_tolerance=_truth("constant_tolerance", table.get("constant_tolerance", False)),
         provenance=_known("[provenance]", _table("[provenance]", table.get("provenance", {})), PROVENANCE),
         name=_string("name", table.get("name", "model")))  # fmt: skip
 
@@ -195,6 +202,12 @@ def _number(field, value):
     return value
 
 
+def _truth(field, value):
+    if not isinstance(value, bool):
+        raise ValueError(f"{field} must be true or false, not {value!r}")
+    return value
+
+
 def _signal(field, index, table, fields):
     """Check one [[inputs]], [[outputs]] or states entry."""
     where = f"number {index + 1} of {field}" + (f", {table['name']!r}," if isinstance(table, dict) and "name" in table else "")
@@ -206,14 +219,26 @@ def _signal(field, index, table, fields):
     return table
 
 
-def _text(model):
-    """Return the TOML text of a model."""
+def _disturbance(index, table):
+    """Return the bound of one [[disturbances]] entry: a number, or a pair of them."""
+    where = f"number {index + 1} of disturbances"
+    table = _known(where, _table(where, table), DISTURBANCE)
+    if "bound" not in table:
+        raise ValueError(f"{where} needs a bound: a number for |w| <= bound, or [lowest, highest]")
+    bound = table["bound"]
+    return [_number(f"bound of {where}", x) for x in bound] if isinstance(bound, list) else _number(f"bound of {where}", bound)
+
+
+def model_text(model):
+    """Return the TOML text of a model, from which `load_model` reads the very same model."""
     quote = lambda s: json.dumps(s, ensure_ascii=False).replace("\x7f", "\\u007f")
     number = lambda x: f'"{t}"' if "/" in (t := number_text(x)) else t
     rows = lambda a: "[\n" + "".join(f"    [{', '.join(map(number, row))}],\n" for row in a) + "]"
     out = [f"name = {quote(model.name)}", f"dt = {number(Fraction(repr(model.dt)))}  # s"]
     if "time" in model.columns:
         out.append(f"time = {quote(model.columns['time'])}")
+    if model.constant_tolerance:
+        out.append("constant_tolerance = true")
     states = [f"{{name = {quote(s)}, unit = {quote(model.units[s])}}}" if s in model.units else quote(s) for s in model.states]
     out.append(f"states = [{', '.join(states)}]")
     for side, field, names in (("u", "inputs", model.inputs), ("y", "outputs", model.outputs)):
@@ -225,12 +250,16 @@ def _text(model):
             if side == "y":
                 bounds = (("tolerance", model.tolerance), ("noise", model.noise), ("resolution", model.resolution))
                 out += [f"{key} = {number(bound[i])}" for key, bound in bounds if bound[i]]
+    for lo, hi in model.disturbance:
+        out += ["", "[[disturbances]]", f"bound = {number(hi) if lo == -hi else f'[{number(lo)}, {number(hi)}]'}"]
     out += ["", "[matrices]", f"A = {rows(model.A)}"]
     if model.m:
         out.append(f"B = {rows(model.B)}")
     out.append(f"C = {rows(model.C)}")
     if model.has_feedthrough:
         out.append(f"D = {rows(model.D)}")
+    if model.g:
+        out.append(f"G = {rows(model.G)}")
     if model.provenance:
         out += ["", "[provenance]", *(f"{key} = {quote(value)}" for key, value in model.provenance.items())]
     return "\n".join(out) + "\n"
@@ -243,10 +272,12 @@ TEMPLATE = """\
 name = "tank"
 dt = 1.0             # sampling period of model and recording, in seconds
 # time = "Time"      # column of the time stamps; without it, a column that looks like time is taken
+# constant_tolerance = true   # theta below keeps one value over a window (a gain error), instead of being drawn anew each sample
 states = ["level", "flow"]
 
-# x+ = A x + B u,   y = C x + D u.   One row per state (A, B) or output (C, D).
-# Numbers, or fractions in quotes: "1/3". Leave B and [[inputs]] out if nothing drives the plant, D if it is zero.
+# x+ = A x + B u + G w,   y = C x + D u.   One row per state (A, B, G) or output (C, D).
+# Numbers, or fractions in quotes: "1/3". Leave B and [[inputs]] out if nothing drives the plant, D if it is zero, G and [[disturbances]]
+# if nothing else acts on it.
 [matrices]
 A = [
     [0.98, 0.05],
@@ -259,6 +290,10 @@ B = [
 C = [
     [1.0, 0.0],
     [0.0, 1.0],
+]
+G = [
+    [-1.0],
+    [0.0],
 ]
 
 # One [[inputs]] block per column of B, in order.
@@ -282,10 +317,15 @@ name = "flow"
 unit = "m3/s"
 noise = 0.05
 
+# One [[disturbances]] block per column of G, in order: what acts on the states unmeasured, drawn anew each sample within its bound.
+[[disturbances]]
+bound = [0, 0.001]   # lowest and highest, here a leak; one number, bound = 0.001, means |w| <= 0.001
+
 # Where the bounds come from, for the report: a proof is as good as its bounds.
 [provenance]
 model = "assumed"
 tolerance = "datasheet"
 noise = "datasheet"
 resolution = "assumed"
+disturbance = "assumed"
 """

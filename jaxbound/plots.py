@@ -12,7 +12,7 @@ import numpy as np
 from jaxbound.relations.parity import relation_text
 from jaxbound.sets.status import Status
 
-__all__ = ["plot", "plot_residuals", "to_png"]
+__all__ = ["Timeline", "plot", "plot_residuals", "plot_timeline", "to_png"]
 
 COLOURS = {Status.MISSING: "#c9ccd1", Status.CONSISTENT: "#009e73", Status.UNDECIDED: "#e69f00", Status.FAULT: "#d55e00"}
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
@@ -46,23 +46,62 @@ def plot(res, time=None, alarms=None):
         >>> len(fig.axes)
         3
     """
-    x, label, dates = time_axis(res, time)
-    bins = _bins(len(x))
-    at, status = x[bins], np.maximum.reduceat(res.status, bins)
-    with np.errstate(invalid="ignore"):
-        margin = np.where(np.isfinite(res.margin) | np.isnan(res.margin), res.margin, -1e15)
-        low, high = np.fmin.reduceat(margin, bins), np.fmax.reduceat(margin, bins)
+    x = time_of(res, time)
+    alarms = res.alarms() if alarms is None else alarms
+    line = Timeline(len(x))
+    line.add(0, x, res.status, res.margin)
+    line.mark([a.worst for a in alarms])
+    return plot_timeline(line, res, len(alarms))
+
+
+class Timeline:
+    """The extremes of a recording of any length, given piece by piece: what a picture of it can show.
+
+    Fields: samples; bins: where each bin starts, one sample each up to 5000; x: its time; status: the worst of each bin; low, high: the
+    extremes of its margin, NaN where there is none; marked: whether the deepest window of an alarm lies in it.
+    """
+
+    def __init__(self, samples):
+        """Begin a recording of so many samples."""
+        self.samples, self.bins = samples, _bins(samples)
+        self.x = None
+        self.status = np.zeros(len(self.bins), np.int8)
+        self.low, self.high = np.full((2, len(self.bins)), np.nan)
+        self.marked = np.zeros(len(self.bins), bool)
+
+    def add(self, start, x, status, margin):
+        """Take the samples from number `start` on: their time (seconds or datetime64), status and margin."""
+        first, stop = np.searchsorted(self.bins, (start, start + len(x)), "left")
+        begun = int(first) - (first == len(self.bins) or self.bins[first] > start)  # a bin that begins in an earlier piece
+        edges, put = np.maximum(self.bins[begun:stop] - start, 0), slice(begun, stop)
+        margin = np.where(np.isneginf(margin), -1e15, margin)
+        self.x = np.empty(len(self.bins), x.dtype) if self.x is None else self.x
+        self.x[first:stop] = x[self.bins[first:stop] - start]
+        self.status[put] = np.maximum(self.status[put], np.maximum.reduceat(status, edges))
+        self.low[put] = np.fmin(self.low[put], np.fmin.reduceat(margin, edges))
+        self.high[put] = np.fmax(self.high[put], np.fmax.reduceat(margin, edges))
+
+    def mark(self, samples):
+        """Mark the bins in which these samples lie."""
+        self.marked[np.searchsorted(self.bins, np.asarray(samples, np.int64), "right") - 1] = True
+
+
+def plot_timeline(line, res, alarms):
+    """Draw a complete Timeline as `plot` does; `alarms` is how many there are, res has .relations and .method."""
+    at, label, dates = time_axis(line.x)
     with style():
         fig, (ax, ribbon) = stacked(2, (11, 4.3), [12, 1])
-        _shade(ax, at, status == Status.FAULT)
-        if np.isnan(low).all():
+        _shade(ax, at, line.status == Status.FAULT)
+        if np.isnan(line.low).all():
             ax.text(0.5, 0.5, _no_margin(res), ha="center", va="center", transform=ax.transAxes, color="#57606a")
             ax.set_yticks([])
         else:
-            _margin(ax, at, low, high, len(x) > SAMPLES)
-        _mark_alarms(ax, x, res.alarms() if alarms is None else alarms)
-        _ribbon(ribbon, at, status)
-        ax.set_title(f"Margin of {res.relations.model.name}" + _thinned(len(x), len(bins), "extremes"), pad=16, parse_math=False)
+            _margin(ax, at, line.low, line.high, line.samples > SAMPLES)
+        if alarms:
+            _mark_alarms(ax, at[line.marked], alarms)
+        _ribbon(ribbon, at, line.status)
+        title = f"Margin of {res.relations.model.name}" + _thinned(line.samples, len(at), "extremes")
+        ax.set_title(title, pad=16, parse_math=False)
         finish(fig, [ax, ribbon], at, label, dates)
     return fig
 
@@ -82,7 +121,7 @@ def plot_residuals(res, time=None):
     Raises:
         ValueError: as `plot`.
     """
-    x, label, dates = time_axis(res, time)
+    x, label, dates = time_axis(time_of(res, time))
     relations = res.relations
     picked = _worst(res) if len(x) > SAMPLES else np.arange(len(x))
     thinned = len(picked) < len(x)
@@ -120,10 +159,12 @@ def plot_residuals(res, time=None):
 
 def distinct_relations(relations):
     """Return the indices of the relations that are not merely an earlier copy of another one."""
-    p, m, last = relations.model.p, relations.model.m, {}
+    model, last = relations.model, {}
+    count = (relations.horizon + 1) * model.p
     for j, (h, k) in enumerate(zip(relations.W, relations.K, strict=True)):
-        first = min([i // p for i, x in enumerate(h) if x] + [i // m for i, x in enumerate(k) if x])
-        last[tuple(tuple((i - first * width, x) for i, x in enumerate(row) if x) for row, width in ((h, p), (k, m)))] = j
+        parts = ((h[:count], model.p), (h[count:], model.g), (k, model.m))  # outputs, disturbances, inputs
+        first = min(i // width for row, width in parts for i, x in enumerate(row) if x)
+        last[tuple(tuple((i - first * width, x) for i, x in enumerate(row) if x) for row, width in parts)] = j
     return sorted(last.values())
 
 
@@ -160,8 +201,8 @@ def stacked(rows, size, heights):
     return fig, list(axes[:, 0])
 
 
-def time_axis(res, time):
-    """Return (x, label, dates): the time axis in units that read well."""
+def time_of(res, time):
+    """Return the time axis of a Result: as given, of its DataFrame, or sample numbers times dt."""
     if res.status.ndim != 1:
         raise ValueError(f"a plot shows one recording, this result has the shape {res.status.shape}: detect and plot one of them")
     if time is None and np.issubdtype(getattr(res.index, "dtype", int), np.datetime64):
@@ -169,6 +210,11 @@ def time_axis(res, time):
     x = np.arange(len(res.status)) * res.relations.model.dt if time is None else np.asarray(time)
     if x.shape != res.status.shape:
         raise ValueError(f"time needs one entry for each of the {len(res.status)} samples: its shape is {x.shape}")
+    return x
+
+
+def time_axis(x):
+    """Return (x, label, dates): a time axis in units that read well."""
     if np.issubdtype(x.dtype, np.datetime64):
         return x, "", True
     span = float(x[-1] - x[0]) if len(x) > 1 else 0.0
@@ -248,13 +294,9 @@ def _margin(ax, x, low, high, thinned):
     ax.grid(color=GRID, lw=0.7, axis="y")
 
 
-def _mark_alarms(ax, x, alarms):
-    if not alarms:
-        return
-    worst = np.array([a.worst for a in alarms])
-    seen = np.unique(_bins(len(x))[np.searchsorted(_bins(len(x)), worst, "right") - 1])  # one mark a bin
-    ax.plot(x[seen], np.full(len(seen), 1.02), ls="", marker="v", ms=4, color=FAULTY, transform=ax.get_xaxis_transform(), clip_on=False)
-    text = f"{len(alarms)} alarm" + "s" * (len(alarms) != 1)
+def _mark_alarms(ax, x, count):
+    ax.plot(x, np.full(len(x), 1.02), ls="", marker="v", ms=4, color=FAULTY, transform=ax.get_xaxis_transform(), clip_on=False)
+    text = f"{count} alarm" + "s" * (count != 1)
     ax.text(1.0, 1.055, text, ha="right", transform=ax.transAxes, fontsize=9.5, color=FAULTY)
 
 

@@ -1,6 +1,7 @@
 """The report: one self-contained HTML file that a plant engineer can read, mail and print."""
 
 import base64
+import contextlib
 import platform
 import re
 import time as clock
@@ -9,19 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxbound.digest import Digest
 from jaxbound.modelfile import number_text
-from jaxbound.plots import distinct_relations, plot, plot_residuals, to_png
+from jaxbound.plots import distinct_relations, plot, plot_residuals, plot_timeline, to_png
 from jaxbound.sets.status import Status
 
 __all__ = ["bound_hints", "coverage", "summary", "worst_window", "write_report"]
 
 ROWS = 200  # alarms in the table
-PATIENCE = 0.5  # seconds for the exact certificates of the table
+PATIENCE = 1.0  # seconds for the exact certificates of the table
 MEANING = {
     Status.FAULT: "proved: no state and no sensor error inside the stated bounds explains the samples of this window",
     Status.CONSISTENT: "proved: the model explains the samples with every error inside its bounds",
     Status.UNDECIDED: "not settled by the method that was chosen, or on the boundary within rounding",
-    Status.MISSING: "no usable data: the first samples of a recording, or missing values",
+    Status.MISSING: "no usable data: the first samples of a recording or after a gap in time, or missing values",
 }
 TITLE = {"fault": "Fault proved", "no fault": "No fault found", "too little evidence": "Too little evidence"}
 GUARANTEE = (
@@ -33,45 +35,64 @@ GUARANTEE = (
 
 def coverage(res):
     """Return the share of windows, warm-up left out, that are proved one way or the other."""
-    counts, windows = res.counts, res.status.size - res.relations.horizon
+    counts, windows = res.counts, samples(res) - res.relations.horizon
     return (counts["CONSISTENT"] + counts["FAULT"]) / windows if windows > 0 else 0.0
 
 
-def worst_window(res):
-    """Return the index of the FAULT window with the smallest margin (without FAULT: of any window), or None."""
+def samples(res):
+    """Return how many samples were tested."""
+    return sum(res.counts.values())
+
+
+def worst(res):
+    """Return (index, margin) of the FAULT window with the smallest margin (without FAULT: of any window), (None, NaN) if there is none."""
+    if isinstance(res, Digest):
+        return res.worst or (None, np.nan)
     fault = res.status == Status.FAULT
     margin = np.where(fault if fault.any() else True, res.margin, np.nan)
     if not np.isnan(margin).all():
-        return int(np.nanargmin(margin))
-    return int(np.argmax(fault)) if fault.any() else None
+        k = int(np.nanargmin(margin))
+        return k, float(res.margin[k])
+    return (int(np.argmax(fault)) if fault.any() else None), np.nan
+
+
+def worst_window(res):
+    """Return the index of the worst window, or None. See `worst`."""
+    return worst(res)[0]
+
+
+def alarm_total(res, alarms):
+    """Return how many alarms there are; a Digest keeps the deepest only."""
+    return res.alarm_count if isinstance(res, Digest) else len(alarms)
 
 
 def summary(res, alarms, label, min_coverage=0.5):
     """Return (verdict, sentence): "fault", "too little evidence" or "no fault", and what a plant engineer should know in a sentence.
 
     Args:
-        res: a Result of one recording. alarms: its alarms. label: index -> text of its time. min_coverage: below it, no fault is no news.
+        res: a Result of one recording, or a Digest. alarms: its alarms. label: index -> text of its time.
+        min_coverage: below it, no fault is no news.
     """
-    counts, share, worst = res.counts, coverage(res), worst_window(res)
-    windows, faults = res.status.size - res.relations.horizon, counts["FAULT"]
+    counts, share, (at, margin) = res.counts, coverage(res), worst(res)
+    windows, faults, alarm_count = samples(res) - res.relations.horizon, counts["FAULT"], alarm_total(res, alarms)
     decided = counts["CONSISTENT"] + faults
-    factor = None if worst is None or np.isnan(res.margin[worst]) else 1 - float(res.margin[worst])
+    factor = None if np.isnan(margin) else 1 - margin
     if faults > 1 and faults == decided + counts["UNDECIDED"]:
-        by = f": bounds would have to be up to {times(factor)} as wide" if factor else ""
+        by = f": all bounds times about {times(factor).removesuffix(' times')} would make every window consistent" if factor else ""
         return "fault", f"Every one of the {faults} windows with data is FAULT: the model or its bounds do not fit this recording{by}."
     if faults:
         many = f"{faults} of {windows} windows ({percent(faults / windows)}) cannot be explained by any behaviour inside the bounds"
-        need = f"; the first is at {label(worst)}"
+        need = f"; the first is at {label(at)}"
         if factor:
-            need = f"; the worst, at {label(worst)}, would need bounds {times(factor)} as wide"
-        grouped = f", in {len(alarms)} alarm{'s' * (len(alarms) != 1)}" if alarms else ", too scattered for an alarm"
+            need = f"; the worst, at {label(at)}, would need bounds {times(factor)} as wide"
+        grouped = f", in {alarm_count} alarm{'s' * (alarm_count != 1)}" if alarm_count else ", too scattered for an alarm"
         return "fault", f"Fault proved: {many}{grouped}{need}."
     if share < min_coverage:
         return "too little evidence", (
             f"Too little evidence: only {decided} of {windows} windows ({percent(share)}) could be decided, "
             f"at least {percent(min_coverage)} are asked for."
         )
-    used = f"; the tightest, at {label(worst)}, uses {percent(factor)} of them" if factor is not None else ""
+    used = f"; the tightest, at {label(at)}, uses {percent(factor)} of them" if factor is not None else ""
     every = f"all {windows} windows" if decided == windows else f"{decided} of {windows} windows ({percent(share)})"
     return "no fault", f"No fault found: the model explains {every} within its bounds{used}."
 
@@ -87,8 +108,8 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
     """Write report.html, margin.png and residuals.png.
 
     Args:
-        directory: an existing folder. res: a Result of one recording. alarms: its alarms.
-        recording: with .label(k), .axis and .time, as `read_recording` returns it.
+        directory: an existing folder. res: a Result of one recording, or a Digest. alarms: its alarms.
+        recording: with .label(k), .axis and .time, as `read_recording` returns it; for a Digest itself.
         hints: sentences for the reader. seconds: {stage: seconds}. min_coverage: as for `summary`.
         extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections of one's own.
         progress: called with the share of the work done.
@@ -97,9 +118,13 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
         The names of the files written.
     """
     directory, report = Path(directory), progress or (lambda share: None)
-    pictures = {"margin.png": to_png(plot(res, recording.axis, alarms))}
+    if isinstance(res, Digest):
+        margin, (part, near) = plot_timeline(res.line, res, res.alarm_count), res.around(worst_window(res) or 0)
+    else:
+        margin, part, near = plot(res, recording.axis, alarms), res, recording
+    pictures = {"margin.png": to_png(margin)}
     report(0.35)
-    pictures["residuals.png"] = to_png(plot_residuals(res, recording.axis))
+    pictures["residuals.png"] = to_png(plot_residuals(part, near.axis))
     report(0.7)
     for name, data in pictures.items():
         (directory / name).write_bytes(data)
@@ -137,10 +162,10 @@ def _page(res, recording, alarms, hints, seconds, min_coverage, pictures, extra)
     verdict, sentence = summary(res, alarms, recording.label, min_coverage)
     plain = sentence.removeprefix(f"{TITLE[verdict]}: ")
     plain = plain[0].upper() + plain[1:]
-    first, last = recording.label(0), recording.label(len(res.status) - 1)
+    first, last = recording.label(0), recording.label(samples(res) - 1)
     sections = [
         f'<header><p class="kind">jaxbound report</p><h1>{escape(model.name)}</h1>'
-        f"<p>{escape(recording.source or 'recording')}: {len(res.status)} samples from {escape(first)} to {escape(last)}</p></header>",
+        f"<p>{escape(recording.source or 'recording')}: {samples(res)} samples from {escape(first)} to {escape(last)}</p></header>",
         f'<section class="verdict {verdict.split()[0]}"><h2>{escape(TITLE[verdict])}</h2><p>{escape(plain)}</p></section>',
         _counts(res),
     ]
@@ -154,8 +179,9 @@ def _page(res, recording, alarms, hints, seconds, min_coverage, pictures, extra)
         _section("Margin", _figure(pictures["margin.png"], "margin over time",
             "How far each window is inside (above 0) or outside (below 0) of what the bounds allow. At a margin of -1, all bounds would "
             "have to be twice as wide to explain the samples.")),
-        _section(f"Alarms ({len(alarms)})", _alarms(res, recording, alarms)),
-        _section("Residuals", _figure(pictures["residuals.png"], "residuals and their envelopes",
+        _section(f"Alarms ({alarm_total(res, alarms)})", _alarms(res, recording, alarms)),
+        _section("Residuals" + ", around the worst window" * isinstance(res, Digest),
+                 _figure(pictures["residuals.png"], "residuals and their envelopes",
             "Each residual is computed from measurements alone; the blue band is what healthy sensors inside their bounds can make of it. "
             + ("All residuals are tested together, so a window can be FAULT with every residual inside its band."
                if res.method != "box" else "Each residual is tested alone."))),
@@ -187,13 +213,13 @@ def _table(head, rows, kind=""):
 
 
 def _counts(res):
-    counts, total, s = res.counts, res.status.size, res.relations.horizon
+    counts, total, s = res.counts, samples(res), res.relations.horizon
     order = (Status.FAULT, Status.CONSISTENT, Status.UNDECIDED, Status.MISSING)
     bar = "".join(f'<i class="{x.name}" style="width:{100 * counts[x.name] / total:.4f}%"></i>' for x in order)
     tiles = []
     for x in order:
         share = f" <small>{percent(counts[x.name] / (total - s))}</small>" if x else ""  # of the full windows, as in the summary
-        note = f" (here the first {s})" if x is Status.MISSING and s else ""
+        note = f" (here the first {s})" if x is Status.MISSING and counts[x.name] == s > 0 else ""
         number = f'<b class="{x.name}">{counts[x.name]}</b>'
         tiles.append(f'<div class="tile">{number}<span>{x.name}{share}</span><p>{MEANING[x]}{note}</p></div>')
     decided = f"<p>{percent(coverage(res))} of all full windows are decided by proof.</p>"
@@ -205,22 +231,40 @@ def _alarms(res, recording, alarms):
         return "<p>None.</p>"
     depth = [a.depth if a.depth == a.depth else 0.0 for a in alarms]
     chosen = sorted(range(len(alarms)), key=lambda i: depth[i])[:ROWS]
-    stop, violated = clock.perf_counter() + PATIENCE, {}
+    stop, why = clock.perf_counter() + PATIENCE, {}
     for i in chosen:  # the deepest first, as long as patience lasts
         if clock.perf_counter() < stop:
-            certificate = res.explain(alarms[i].worst)
-            violated[i] = certificate.relation
+            with contextlib.suppress(NotImplementedError):
+                certificate = res.explain(alarms[i].worst)
+                why[i] = _sensor_errors(certificate), certificate.relation
     rows = []
     for i in sorted(chosen):
         a = alarms[i]
         factor = "" if a.depth != a.depth else f"× {times(1 - a.depth).removesuffix(' times')}"
         lasts = duration(float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt)
-        rows.append((i + 1, recording.label(a.start), recording.label(a.end), lasts, a.windows, factor, violated.get(i, "")))
-    note = f"<p>The {ROWS} deepest of {len(alarms)} alarms; alarms.csv has all of them, and a larger n in --alarm k/n joins neighbours.</p>"
-    note = note if len(alarms) > ROWS else ""
-    text = ("<p>Bounds needed: by how much all bounds would have to be widened to explain the worst window of the alarm. "
-            "Violated relation: what those samples contradict most; it must hold for some true values inside the bounds.</p>")  # fmt: skip
-    return note + _table(("", "from", "to", "lasts", "FAULT windows", "bounds needed", "violated relation"), rows, "alarms") + text
+        rows.append((i + 1, recording.label(a.start), recording.label(a.end), lasts, a.windows, factor, *why.get(i, ("", ""))))
+    total = alarm_total(res, alarms)
+    note = f"<p>The {ROWS} deepest of {total} alarms; alarms.csv has all of them, and a larger n in --alarm k/n joins neighbours.</p>"
+    note = note if total > ROWS else ""
+    text = ("<p>Bounds needed: by how much all bounds would have to be widened to explain the worst window of the alarm. One sensor wrong: "
+            "the smallest error of that sensor alone that would explain it too; a sensor that is not named cannot, whatever its error. "
+            "Violated relation: what those samples contradict most; it must hold for some true values inside the bounds. The whole proof "
+            "of a window: <code>jaxbound explain DIR --at TIME</code>, with the folder of this report.</p>")  # fmt: skip
+    return (
+        note
+        + _table(("", "from", "to", "lasts", "FAULT windows", "bounds needed", "one sensor wrong by", "violated relation"), rows, "alarms")
+        + text
+    )
+
+
+def _sensor_errors(certificate):
+    """Return the smallest single-sensor errors as text, the most plausible first; nothing where they are not known."""
+    unit = certificate.window.model.unit
+    if not certificate.errors:
+        return ""
+    return (
+        ", ".join(f"{name} {float(certificate.errors[name]):.3g} {unit(name)}".strip() for name in certificate.candidates) or "none alone"
+    )
 
 
 def _model(res):
@@ -235,9 +279,12 @@ def _model(res):
     ]  # fmt: skip
     inputs = [(name, model.column(name), model.unit(name), text(model.offset["u"][i])) for i, name in enumerate(model.inputs)]
     row = lambda numbers: f"<tr>{''.join(f'<td>{text(x)}</td>' for x in numbers)}</tr>"
+    disturbances = [
+        (f"w{j + 1}", f"{float(lo):g}", f"{float(hi):g}", origin("disturbance")) for j, (lo, hi) in enumerate(model.disturbance)
+    ]
     matrices = "".join(
         f'<div class="matrix"><span>{letter} =</span><table>{"".join(map(row, a))}</table></div>'
-        for letter, a in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D))
+        for letter, a in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D), ("G", model.G))
         if a[0] and (letter != "D" or model.has_feedthrough)
     )
     distinct = distinct_relations(res.relations)
@@ -246,14 +293,23 @@ def _model(res):
     relations += "\n..." if len(distinct) > 20 else ""
     copies = f", of which {len(distinct)} differ by more than a shift in time" if len(distinct) < res.relations.count else ""
     return (
-        "<p>x<sub>k+1</sub> = A x<sub>k</sub> + B u<sub>k</sub>, y<sub>k</sub> = C x<sub>k</sub> + D u<sub>k</sub>, "
+        f"<p>x<sub>k+1</sub> = A x<sub>k</sub> + B u<sub>k</sub>{' + G w<sub>k</sub>' if model.g else ''}, "
+        "y<sub>k</sub> = C x<sub>k</sub> + D u<sub>k</sub>, "
         f"one sample every {model.dt:g} s; states {escape(', '.join(model.states))}; numbers: {escape(origin('model'))}.</p>"
         + _table(head, rows)
         + (_table(("input", "column", "unit", "offset"), inputs) if inputs else "")
+        + (_table(("disturbance", "from", "to", "origin"), disturbances) if disturbances else "")
         + f'<div class="matrices">{matrices}</div>'
         f"<p>{res.relations.count} independent relations over {res.relations.horizon + 1} samples{copies}; "
-        f"{len(res.relations.circuits)} combinations are tested.</p><pre>{escape(relations)}</pre>"
+        f"{_tested(res.relations)}.</p><pre>{escape(relations)}</pre>"
     )
+
+
+def _tested(relations):
+    """Say how their combinations are tested."""
+    if relations.frame is None:
+        return f"{len(relations.circuits)} combinations are tested"
+    return "the combination that speaks most against a window is searched for, there are too many to test one by one"
 
 
 def _about(res, seconds):
@@ -261,11 +317,11 @@ def _about(res, seconds):
 
     from jaxbound import __version__
 
-    device = jax.devices()[0]
+    device, dtype = jax.devices()[0], (res.data if isinstance(res, Digest) else res.y).dtype
     rows = [
         ("method", f"{res.method}, windows of {res.relations.horizon + 1} samples"),
         ("versions", f"jaxbound {__version__}, jax {jax.__version__}, numpy {np.__version__}, Python {platform.python_version()}"),
-        ("device and numbers", f"{' '.join(dict.fromkeys((device.platform, device.device_kind)))}, {res.y.dtype.name}"),
+        ("device and numbers", f"{' '.join(dict.fromkeys((device.platform, device.device_kind)))}, {dtype.name}"),
         ("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items()) or "not measured"),
         ("written", clock.strftime("%Y-%m-%d %H:%M:%S %z")),
     ]
@@ -307,7 +363,7 @@ figcaption { color: var(--soft); font-size: 13.5px; margin-top: 6px }
 table { border-collapse: collapse; margin: 8px 0; font-size: 13.5px; font-variant-numeric: tabular-nums }
 th { text-align: left; color: var(--soft); font-weight: 600 }
 th, td { padding: 4px 18px 4px 0; border-bottom: 1px solid var(--line); vertical-align: top }
-.alarms { width: 100% } .alarms td:nth-child(-n+6) { white-space: nowrap }
+.alarms { width: 100% } .alarms td:nth-child(-n+7) { white-space: nowrap }
 .alarms td:last-child { font: 12px/1.45 ui-monospace, "DejaVu Sans Mono", monospace }
 .about td:first-child { color: var(--soft); white-space: nowrap } .about thead { display: none }
 .matrices { display: flex; flex-wrap: wrap; gap: 10px 34px; margin: 12px 0 }

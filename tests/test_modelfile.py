@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from systems import paper
 
 import jaxbound as jb
+from jaxbound import cli
 from jaxbound.modelfile import load_model, number_text, save_model, template
 
-FIELDS = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states", "tolerance", "noise", "resolution", "offset", "units", "columns",
-          "provenance", "name")  # fmt: skip
+FIELDS = ("A", "B", "C", "D", "G", "disturbance", "constant_tolerance", "dt", "inputs", "outputs", "states", "tolerance",
+          "noise", "resolution", "offset", "units", "columns", "provenance", "name")  # fmt: skip
 GOOD = """
 name = "tank"
 dt = 0.5
@@ -61,7 +62,8 @@ class TestRoundTrip:
     @settings(deadline=None, max_examples=60)
     @given(st.data())
     def test_any_model_reads_back_exactly(self, tmp_path_factory, data):
-        n, m, p = (data.draw(st.integers(low, 3)) for low in (1, 0, 1))
+        n, m, p, g = (data.draw(st.integers(low, 3)) for low in (1, 0, 1, 0))
+        bound = lambda: data.draw(st.one_of(st.tuples(numbers, numbers).map(lambda b: sorted(b, key=jb.sets.exact.rational)), small))
         matrix = lambda rows, columns: [[data.draw(numbers) for _ in range(columns)] for _ in range(rows)]
         names = data.draw(st.lists(words, min_size=n + m + p, max_size=n + m + p, unique=True))
         inputs, outputs, states = names[:m], names[m : m + p], names[m + p :]
@@ -72,7 +74,9 @@ class TestRoundTrip:
             tolerance=[data.draw(small) for _ in range(p)], noise=[abs(data.draw(numbers)) for _ in range(p)],
             resolution=[data.draw(small) for _ in range(p)],
             offset={"u": [data.draw(numbers) for _ in range(m)], "y": [data.draw(numbers) for _ in range(p)]}, units=about(names),
-            columns=about([*inputs, *outputs, "time"]), provenance=about(["model", "noise", "tolerance", "resolution"]))  # fmt: skip
+            columns=about([*inputs, *outputs, "time"]), provenance=about(["model", "noise", "tolerance", "resolution", "disturbance"]),
+            constant_tolerance=data.draw(st.booleans()),
+            disturbance=(matrix(n, g), [bound() for _ in range(g)]) if g else None)  # fmt: skip
         path = tmp_path_factory.mktemp("model") / "m.toml"
         save_model(model, path)
         assert same(load_model(path), model)
@@ -93,8 +97,15 @@ class TestTemplate:
 
     def test_mentions_every_field(self):
         for field in ("name", "dt", "time", "states", "unit", "column", "offset", "tolerance", "noise", "resolution", "[matrices]", "D",
-                      "[provenance]"):  # fmt: skip
+                      "G", "[[disturbances]]", "bound", "[provenance]"):  # fmt: skip
             assert field in template()
+
+    def test_info_shows_its_disturbance_and_each_relation_once(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr(cli, "_configure", lambda: None)
+        (tmp_path / "m.toml").write_text(template())
+        assert cli.main(["info", str(tmp_path / "m.toml"), "--horizon", "6"]) == 0
+        out = " ".join(capsys.readouterr().out.split())
+        assert "disturbance w1 in [0, 0.001] (assumed)" in out and out.count("w1[") == 1 and "the 2 below" in out
 
     def test_gives_relations(self, load):
         assert jb.parity_relations(load(template())).count > 0
@@ -116,6 +127,11 @@ class TestReading:
     def test_no_inputs(self, load):
         assert load("dt = 1\n[matrices]\nA = [[0.9]]\nC = [[1]]\n").m == 0
 
+    def test_disturbances(self, load):
+        text = GOOD.replace("A = [[0.9]]", 'A = [[0.9]]\nG = [[1, "1/3"]]')
+        m = load(f"{text}\n[[disturbances]]\nbound = 0.1\n[[disturbances]]\nbound = [0, 0.25]\n")
+        assert m.G == ((1, Fraction(1, 3)),) and m.disturbance == ((Fraction(-1, 10), Fraction(1, 10)), (0, Fraction(1, 4)))
+
     def test_byte_order_mark_and_windows_lines(self, load):
         assert load("", b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode()).outputs == ("height",)
 
@@ -125,9 +141,23 @@ class TestReading:
 
 @pytest.mark.parametrize("old, new, message", [
     ('name = "tank"', 'nmae = "tank"', "the model has the unknown field 'nmae'; did you mean 'name'?"),
+    ("noise = 0.1", "constant_tolerance = true", "number 1 of outputs, 'height', has the unknown field 'constant_tolerance'"),
     ("noise = 0.1", "nose = 0.1", "number 1 of outputs, 'height', has the unknown field 'nose'; did you mean 'noise'?"),
     ('name = "pump"', 'name = "pump"\ntolerance = 0.1', "number 1 of inputs, 'pump', has the unknown field 'tolerance'"),
-    ("C = [[1]]", "C = [[1]]\nG = [[1]]", r"\[matrices\] has the unknown field 'G'"),
+    ("C = [[1]]", "C = [[1]]\nH = [[1]]", r"\[matrices\] has the unknown field 'H'"),
+    ("C = [[1]]", "C = [[1]]\nG = [[1]]", r"a disturbance needs both G .* the blocks are missing"),
+    ("[matrices]", "[[disturbances]]\nbound = 1\n[matrices]", r"a disturbance needs both G .*: G is missing"),
+    ("[matrices]", "[[disturbances]]\n[matrices]\nG = [[1]]", "number 1 of disturbances needs a bound"),
+    ("[matrices]", "[[disturbances]]\nbond = 1\n[matrices]\nG = [[1]]", "unknown field 'bond'; did you mean 'bound'"),
+    ("[matrices]", "[[disturbances]]\nbound = -1\n[matrices]\nG = [[1]]", "disturbance 1: the bound must be >= 0, not -1"),
+    ("[matrices]", "[[disturbances]]\nbound = [2, 1]\n[matrices]\nG = [[1]]", r"disturbance 1: lo must be <= hi, not \[2, 1\]"),
+    ("[matrices]", "[[disturbances]]\nbound = [1, 2, 3]\n[matrices]\nG = [[1]]", "disturbance 1: a bound is one number or a pair"),
+    ("[matrices]", "[[disturbances]]\nbound = nan\n[matrices]\nG = [[1]]", "disturbance 1: 'nan' is not a finite number"),
+    ("[matrices]", "[[disturbances]]\nbound = true\n[matrices]\nG = [[1]]", "bound of number 1 of disturbances must be a number"),
+    ("[matrices]", "[[disturbances]]\nbound = 1\n[matrices]\nG = [[1, 2]]", "one .* for each of 2 columns of G, not 1"),
+    ("[matrices]", "[[disturbances]]\nbound = 1\n[matrices]\nG = [[1], [2]]", r"G of the disturbance needs one row per state \(1\)"),
+    ("[matrices]", "[[disturbances]]\nbound = 1\n[matrices]\nG = [1]", "G must be a list of rows"),
+    ("[matrices]", "[disturbances]\nbound = 1\n[matrices]\nG = [[1]]", r"disturbances must be a list: write \[\[disturbances\]\]"),
     ("[matrices]", '[provenance]\nnoises = "x"\n[matrices]', r"\[provenance\] has the unknown field 'noises'; did you mean 'noise'"),
     ("[matrices]", "[matrix]", r"unknown field 'matrix'; did you mean 'matrices'\?"),
     ("A = [[0.9]]", "A = [[0.9, 1]]", r"A must be square, one row per state: its shape is \(1, 2\)"),
@@ -169,8 +199,8 @@ def test_what_is_wrong_is_said(load, old, new, message):
 
 
 @pytest.mark.parametrize("line, place", [
-    ("constant_tolerance = true", "top"), ("unknown_inputs = [[1]]", "top"), ("decouple = ['a']", "top"), ("E = [[1]]", "matrices"),
-    ("[[uncertainty]]\nname = 'R'", "end"), ("[disturbance]\nbound = 1", "end"), ("constant_tolerance = true", "outputs"),
+    ("unknown_inputs = [[1]]", "top"), ("decouple = ['a']", "top"), ("E = [[1]]", "matrices"),
+    ("[[uncertainty]]\nname = 'R'", "end"),
 ])  # fmt: skip
 def test_planned_fields_are_refused(load, line, place):
     text = {

@@ -173,8 +173,19 @@ class TestSummary:
         res = synthetic([MISSING] + [FAULT] * 9, [np.nan] + [-1.0] * 8 + [-11.0])
         assert summary(res, [], self.label)[1] == (
             "Every one of the 9 windows with data is FAULT: the model or its bounds do not fit this recording: "
-            "bounds would have to be up to 12 times as wide."
+            "all bounds times about 12 would make every window consistent."
         )
+
+    def test_the_common_factor_would_make_every_window_consistent(self, rng):
+        """With noise alone, the bounds times this factor are the intervals times it."""
+        y = np.cumprod(np.full(30, 0.5))[:, None] + 10.0 + rng.uniform(0, 3, (30, 1))
+        r = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
+        res = jb.detect(r, None, y)
+        assert res.counts["FAULT"] == 29
+        said = re.search("all bounds times about ([0-9.]+) would make every window consistent", summary(res, [], self.label)[1])
+        for share, left in ((0.99, True), (1.01, False)):
+            wider = jb.detect(r.with_bounds({"noise": 0.1 * share * float(said[1])}), None, y)
+            assert (wider.counts["FAULT"] > 0) == left
 
     def test_too_little_evidence(self):
         res = synthetic([MISSING] * 8 + [CONSISTENT] * 3)
@@ -229,6 +240,22 @@ def page(run, tmp_path_factory):
     files = write_report(folder, run[0], run[1], run[0].alarms(), hints=["mind `this`"], seconds={"read": 0.1})
     assert sorted(files) == ["margin.png", "report.html", "residuals.png"] and all((folder / f).exists() for f in files)
     return Reader((folder / "report.html").read_text()), folder
+
+
+class TestAlarmsTable:
+    def test_names_the_smallest_error_of_each_sensor_that_would_explain_it(self, page, run):
+        deepest = min(run[0].alarms(), key=lambda a: a.depth)
+        first, *rest = deepest.candidates
+        assert f"{first} {float(deepest.errors[first]):.3g}" in page[0].text and "one sensor wrong by" in page[0].text
+
+    def test_says_where_no_single_sensor_explains_it(self, tmp_path):
+        m = jb.LinearSystem([[1]], None, [[1], [1], [1], [1]], noise=0.1, units={"y2": "bar"})
+        y = np.zeros((9, 4))
+        y[3], y[6, 1] = [0, 0, 5, 5], 2
+        res = jb.detect(jb.parity_relations(m, 0), None, y)
+        write_report(tmp_path, res, recording_of(res), res.alarms())
+        text = Reader((tmp_path / "report.html").read_text()).text
+        assert "none alone" in text and "y2 1.8 bar" in text
 
 
 class TestReport:

@@ -1,0 +1,235 @@
+"""The commands `jaxbound detect` and `jaxbound demo`: from files to verdicts, a report and an exit code.
+
+A report is written completely or not at all: its files are made in a folder of their own and moved at the end.
+"""
+
+import argparse
+import json
+import os
+import shlex
+import shutil
+import tempfile
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxbound.diagnosis.consistency import METHODS, detect
+from jaxbound.digest import digest
+from jaxbound.files import read_recording, write_alarms, write_verdicts
+from jaxbound.modelfile import load_model, save_model
+from jaxbound.parquet import is_parquet, open_parquet
+from jaxbound.relations.parity import parity_relations
+from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, worst, write_report
+from jaxbound.runfile import save_run
+from jaxbound.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
+from jaxbound.terminal import Interrupted, Refused, door, progress_bars, show, write
+
+__all__ = ["CODES", "conclude", "run_demo", "run_detect", "usable_device", "workplace"]
+
+CODES = {"no fault": 0, "fault": 1, "too little evidence": 3}
+COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
+
+
+def run_detect(args):
+    """Run `jaxbound detect`; return the exit code."""
+    if args.method not in METHODS and args.method != "linearised":
+        raise Refused(f"--method must be one of {', '.join(METHODS)}, not {args.method!r}")
+    threading.Thread(target=_load_plotting, daemon=True).start()
+    data = Path(args.data)
+    if data.exists() and is_parquet(data):
+        with made(args.out), progress_bars(("test", "report")) as step:
+            found = _stream(args, step)
+    elif data.exists() and args.chunk is not None:
+        raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
+    else:
+        with workplace(args.out) as work, progress_bars(("read", "test", "report")) as step:
+            found = _evaluate(args, work, step)
+        _remove(args.out / VERDICTS)
+    return conclude(args, *found)
+
+
+def _stream(args, step):
+    """Test a Parquet recording chunk by chunk and write everything into --out; return what the conclusion needs."""
+    with door():
+        model = load_model(args.model)
+        relations = parity_relations(model, args.horizon)
+        usable_device()
+        source = open_parquet(args.data, model)
+        try:
+            chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
+            parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress)
+            start = time.perf_counter()
+            with workplace(args.out) as work:
+                progress = lambda share: step("report", 0.4 * share)
+                found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
+                save_run(work, args.model, args.data, args.method, relations.horizon)
+                write_report(work, found, found, found.alarms, hints=found.hints, seconds=seconds, min_coverage=args.min_coverage,
+                             progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
+        except KeyboardInterrupt:
+            if done := kept(args.out / PARTIAL, source.samples):
+                share, where = percent(done / source.samples), args.out / PARTIAL
+                raise Interrupted(
+                    f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from there"
+                ) from None
+            raise
+        publish(args.out)
+        _remove(args.out / "verdicts.csv")
+    seconds["report"] = time.perf_counter() - start
+    return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds
+
+
+def _evaluate(args, work, step, extra=lambda res: ()):
+    """Read, test and write everything into the folder `work`; return what the conclusion needs."""
+    seconds, start = {}, time.perf_counter()
+    with door():
+        model = load_model(args.model)
+        relations = parity_relations(model, args.horizon)
+        recording = read_recording(args.data, model, lambda share: step("read", share))
+        if len(recording.time) <= relations.horizon:
+            raise ValueError(f"{args.data}: the recording has {len(recording.time)} samples, one window needs {relations.horizon + 1}")
+        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
+        usable_device()
+        res = detect(relations, recording.u, recording.y, method=args.method, progress=lambda share: step("test", share),
+                     starts=recording.starts)  # fmt: skip
+    step("test", 1.0)
+    alarms = res.alarms(*args.alarm)
+    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    hints = [*recording.hints, *bound_hints(model)]
+    with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
+        table = beside.submit(write_verdicts, work / "verdicts.csv", res, recording)
+        write_alarms(work / "alarms.csv", alarms, recording, model.dt)
+        save_run(work, args.model, args.data, args.method, relations.horizon)
+        step("report", 0.1)
+        write_report(work, res, recording, alarms, hints=recording.hints, seconds=seconds, min_coverage=args.min_coverage, extra=extra(res),
+                     progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
+        table.result()
+    step("report", 1.0)
+    seconds["report"] = time.perf_counter() - start
+    return res, recording, alarms, hints, seconds
+
+
+def conclude(args, res, recording, alarms, hints, seconds):
+    """Print what was found and return the exit code."""
+    verdict, sentence = summary(res, alarms, recording.label, args.min_coverage)
+    (at, margin), code, counts, alarm_count = worst(res), CODES[verdict], res.counts, alarm_total(res, alarms)
+    margin = margin if np.isfinite(margin) else None
+    if args.json:
+        deepest = None if at is None else {"sample": at, "time": recording.label(at), "margin": margin,
+                                           "factor": None if margin is None else 1 - margin}  # fmt: skip
+        found = {
+            "verdict": verdict, "exit_code": code, "summary": sentence, "model": res.relations.model.name, "data": str(args.data),
+            "method": res.method, "horizon": res.relations.horizon, "samples": samples(res), "counts": counts,
+            "decided": coverage(res), "worst": deepest, "alarms": alarm_count, "hints": hints,
+            "seconds": {k: round(v, 3) for k, v in seconds.items()}, "out": str(args.out)}  # fmt: skip
+        write(json.dumps(found, indent=2, allow_nan=False) + "\n")
+        return code
+    total = samples(res) - res.relations.horizon
+    rows = [
+        ("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s])),
+        ("decided", f"{percent(coverage(res))} of {total} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"),
+        ("alarms", f"{alarm_count}" + (f", the first at {recording.label(alarms[0].start)}" if alarms else "")),
+    ]
+    if margin is not None:
+        what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
+        rows.append(("worst window" if margin < 0 else "tightest", f"{recording.label(at)}: margin {margin:.3g}, {what}"))
+    if verdict == "fault" and at is not None:
+        rows.append(("proof", f"jaxbound explain {shlex.quote(str(args.out))} --at {at}"))
+    rows += [("hint", h) for h in hints]
+    rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]
+    show(sentence, COLOUR[verdict], rows)
+    return code
+
+
+def usable_device():
+    """Raise ValueError if JAX runs where no proof is verified."""
+    try:
+        platform = jax.default_backend()
+    except RuntimeError:
+        raise ValueError(f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS')} names no device of this machine: unset it, or use cpu") from None
+    if platform != "cpu":
+        raise ValueError(f"proofs are verified on the CPU only, so far, not on {platform}: set JAX_PLATFORMS=cpu")
+
+
+def _remove(path):
+    """Remove what an earlier run wrote in another format."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def made(out):
+    """Make a folder; remove it, and those above that are new too, if they are empty at the end."""
+    missing = [p for p in (out, *out.parents) if not p.exists()]
+    try:
+        with door(OSError):
+            if out.exists() and not out.is_dir():
+                raise Refused(f"--out {out} is a file: a folder is needed")
+            try:
+                out.mkdir(parents=True, exist_ok=True)
+                if not os.access(out, os.W_OK | os.X_OK):
+                    raise PermissionError(13, "Permission denied")
+            except OSError as e:
+                raise Refused(f"cannot write to --out {out}: {e.strerror.lower()}") from e
+            yield
+    finally:
+        for folder in missing:
+            try:
+                folder.rmdir()
+            except OSError:
+                break
+
+
+@contextmanager
+def workplace(out):
+    """Give a folder to write into; move its files to `out` at the end, one by one; leave nothing behind if that end is not reached."""
+    work = None
+    with made(out):
+        try:
+            try:
+                work = Path(tempfile.mkdtemp(prefix=f".{out.resolve().name}-", dir=out.resolve().parent))
+            except OSError:  # a folder of ours in one that is not
+                work = Path(tempfile.mkdtemp(prefix=".partial-", dir=out))
+            yield work
+            for file in sorted(work.iterdir()):
+                shutil.move(file, out / file.name)
+        finally:
+            if work is not None:
+                shutil.rmtree(work, ignore_errors=True)
+
+
+def _load_plotting():
+    """Import matplotlib while the data are read: it takes as long as testing a million windows."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # noqa: F401
+
+
+def run_demo(args):
+    """Run `jaxbound demo`; return the exit code."""
+    from jaxbound import demo
+
+    threading.Thread(target=_load_plotting, daemon=True).start()
+    with workplace(args.out) as work, progress_bars(("simulate", "read", "test", "report")) as step:
+        with door():
+            usable_device()
+        run = demo.demo_run(jax.random.key(2000))
+        rates, (false_alarms, clean) = demo.detection_rates(args.runs, jax.random.key(5), lambda share: step("simulate", share))
+        save_model(demo.demo_model(), work / "model.toml")
+        demo.write_run(work / "run.csv", run)
+
+        detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, method="joint", alarm=(1, 1),
+                                       min_coverage=0.5)  # fmt: skip
+        extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
+        res, recording, alarms, hints, seconds = _evaluate(detecting, work, step, extra)
+    verdict, sentence = summary(res, alarms, recording.label)
+    again = ["jaxbound", "detect", *(str(args.out / f) for f in ("model.toml", "run.csv")), "--out", str(args.out)]
+    rows = [("false alarms", f"{false_alarms} in {clean} windows without a fault ({args.runs} runs)"),
+            ("report", str(args.out / "report.html")), ("try it", shlex.join(again))]  # fmt: skip
+    show(f"Section 5 of Adrot, Maquin, Ragot 2000. {sentence}", "bold", rows, demo.rate_table(rates))
+    return 0

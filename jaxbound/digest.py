@@ -1,0 +1,265 @@
+"""Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
+
+import shutil
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxbound.columns import from_arrow, to_arrow, write_columns
+from jaxbound.diagnosis.alarms import Alarm, check_rule, stretches
+from jaxbound.diagnosis.consistency import detect
+from jaxbound.files import alarm_columns
+from jaxbound.models.seams import Clock, irregular, seam_hints, tick
+from jaxbound.models.stillness import signal_hints
+from jaxbound.parquet import ParquetSource, open_parquet
+from jaxbound.plots import Timeline
+from jaxbound.recordings import missing_sentences, rounding_hints, time_label
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.sets.status import Status
+from jaxbound.streaming import CHUNK, part_files, publish, read_runs, write_parts
+
+__all__ = ["Digest", "detect_dataset", "digest"]
+
+DEEPEST = 200  # alarms kept in memory
+FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at")  # of an Alarm, and their seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Digest:
+    """What was found in a recording larger than memory; the verdicts themselves are in files.
+
+    Fields:
+        relations, method: as tested. data: the ParquetSource. samples: their number. counts: {status name: number of windows}.
+        worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window), or None.
+        alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints: sentences for the user.
+        line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when asked for.
+    """
+
+    relations: ParityRelation
+    method: str
+    data: ParquetSource
+    samples: int
+    counts: dict
+    worst: tuple | None
+    alarms: list
+    alarm_count: int
+    hints: tuple
+    line: Timeline
+    time: dict
+
+    def label(self, k):
+        """Return the time of sample k as text."""
+        return time_label(self.time[k], self.data.stamp(self.time[k]), self.relations.model.dt)
+
+    @property
+    def source(self):
+        """The name of the file or folder that was tested."""
+        return self.data.path.name
+
+    def around(self, k, samples=600):
+        """Return (Result, Recording) of so many samples around sample k, read and tested anew."""
+        s = self.relations.horizon
+        first = max(min(k - samples // 2, self.samples - samples), 0)
+        r = self.data.read(max(first - s, 0), min(first + samples, self.samples))
+        return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts), r
+
+    def explain(self, k):
+        """Return the Certificate of the window that ends at sample k. See `Result.explain`."""
+        s = self.relations.horizon
+        first = max(k - s, 0)
+        r = self.data.read(first, k + 1)
+        return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
+
+
+def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 1), progress=None):
+    """Test a Parquet recording of any size and write its verdicts as Parquet.
+
+    Args:
+        relations: from `parity_relations`. path: a Parquet file, or a folder of them that follow each other by name.
+        out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
+            A call that was stopped is continued by the same call.
+        method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 262 144; verdicts do not
+            depend on it.
+        alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
+
+    Returns:
+        A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in time are MISSING.
+
+    Raises:
+        TypeError: other relations. OSError, ValueError: data that cannot be read; an unfinished run of other data, another model or other
+        options in `out`; no alarm rule.
+
+    Example:
+        >>> import tempfile, pandas as pd, jaxbound as jb
+        >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     pd.DataFrame({"y1": [1.0, 0.5, 0.9, 0.45]}).to_parquet(f"{folder}/run.parquet")
+        ...     found = detect_dataset(jb.parity_relations(m), f"{folder}/run.parquet", f"{folder}/out")
+        >>> found.counts["FAULT"], found.worst[0]
+        (1, 2)
+    """
+    if not isinstance(relations, ParityRelation):
+        raise TypeError(f"detect_dataset needs parity relations, not {type(relations).__name__}")
+    check_rule(*alarm)
+    report = progress or (lambda share: None)
+    source = open_parquet(path, relations.model)
+    partial, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share))
+    found = digest(relations, source, partial, method, alarm)
+    publish(out)
+    report(1.0)
+    return found
+
+
+def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=None, progress=None):
+    """Read the verdicts of a ParquetSource once.
+
+    Args:
+        relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as `write_parts` left it.
+        alarm: (k, n), an alarm needs k FAULT among n windows. alarms_csv: where to write all alarms, or None.
+        progress: called with the share of the work done.
+
+    Returns:
+        A Digest.
+    """
+    report, first = progress or (lambda share: None), 0
+    counts, times, worst = np.zeros(len(Status), np.int64), _Times(source), None
+    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), _AlarmBook(*alarm, relations.model.dt, alarms_csv)
+    for part in part_files(folder):
+        written, status, margin = _read(part)
+        time, stamps = source.times(first, written)
+        counts += np.bincount(status, minlength=len(Status))
+        here = _worst(status, margin, first)
+        worst = here if worst is None or (here is not None and here[:2] > worst[:2]) else worst
+        clock, _ = tick(clock, time)
+        named = {0, source.samples - 1, *(worst[2:3] if worst else ()), *(seam.sample for seam in clock.seams)}
+        times |= {k: float(time[k - first]) for k in named if first <= k < first + len(status)}
+        line.add(first, time if stamps is None else stamps, status, margin)
+        line.mark(book.add(first, written, time, status == Status.FAULT, margin))
+        first += len(status)
+        report(first / source.samples)
+    line.mark(book.close())
+    alarms, named = book.alarms()
+    times |= named
+    found = Digest(relations, method, source, first, {s.name: int(counts[s]) for s in Status}, worst and worst[2:], alarms, book.count, (),
+                   line, times)  # fmt: skip
+    if sentence := irregular(clock, found.label, source.row):
+        shutil.rmtree(folder)  # verdicts on such data are of no use
+        raise ValueError(f"{source.path}: {sentence}")
+    found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *_signal_hints(found, part)))
+    found.alarms[:] = [replace(a, result=found) for a in found.alarms]
+    return found
+
+
+class _Times(dict):
+    """{sample: seconds}; what is not there is read."""
+
+    def __init__(self, source):
+        self.source = source
+
+    def __missing__(self, k):
+        self[k] = self.source.time(k) if self.source.time_name else k * self.source.model.dt
+        return self[k]
+
+
+def _signal_hints(found, last_part):
+    """Return sentences on missing samples, on what the recorder seems to round and on signals that stand still."""
+    model, out = found.relations.model, []
+    runs = dict(zip(model.inputs + model.outputs, read_runs(last_part), strict=True))
+    out += missing_sentences({name: found.samples - r.present for name, r in runs.items()}, found.samples)
+    out += rounding_hints(model, found.data.probe().y)
+    for name in model.outputs + model.inputs:
+        out += signal_hints(name, runs[name], found.label, driven=name in model.inputs)
+    return out
+
+
+def _read(part):
+    """Return (time column, status, margin) of a part."""
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(part) as f:  # read_table would import pandas, which takes longer than to read a part
+        table = f.read()
+    column = lambda name: table.column(name).combine_chunks()
+    status = column("status")
+    codes = np.array([Status[name] for name in status.dictionary.to_pylist()], np.int8)
+    indices = status.indices.cast("int32")
+    picked = codes[np.frombuffer(indices.buffers()[1], np.int32, len(indices), 4 * indices.offset)]
+    return column("time"), picked, from_arrow(column("margin"))
+
+
+def _worst(status, margin, first):
+    """Return (FAULT or not, -margin, sample, margin) of the worst window of a part, or None."""
+    fault = status == Status.FAULT
+    among = np.where(fault if fault.any() else True, margin, np.nan)
+    if not np.isnan(among).all():
+        k = int(np.nanargmin(among))
+        return bool(fault.any()), -float(margin[k]), first + k, float(margin[k])
+    return (True, -np.inf, first + int(np.argmax(fault)), np.nan) if fault.any() else None
+
+
+class _AlarmBook:
+    """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next shows how it goes on."""
+
+    def __init__(self, k, n, dt, path):
+        self.rule, self.dt, self.path = (k, n), dt, path
+        self.before, self.held, self.count, self.kept, self.first = np.zeros(0, bool), None, 0, [], []
+
+    def add(self, first, written, time, fault, margin):
+        """Take the next part, which begins at sample `first`; return the samples at which alarms that ended are deepest."""
+        k, n = self.rule
+        start, end, windows, depth, worst = stretches(fault, margin, k, n, 0, 1, self.before)
+        self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
+        take = lambda at: written.take(to_arrow(at))
+        found = {"start": take(start), "end": take(end), "worst": take(worst), "from": time[start], "to": time[end], "at": time[worst],
+                 "first_sample": start + first, "last_sample": end + first, "worst_sample": worst + first, "windows": windows,
+                 "depth": depth}  # fmt: skip
+        closed = []
+        if self.held is not None:
+            if len(start) and start[0] == 0:
+                found = _joined(self.held, found)
+            else:
+                closed = [self.held]
+            self.held = None
+        if len(end) and end[-1] == len(fault) - 1:
+            found, self.held = ({name: x[part] for name, x in found.items()} for part in (slice(0, -1), slice(-1, None)))
+        return np.concatenate([self._close(x) for x in (*closed, found)])
+
+    def close(self):
+        """Close what is open; return the sample at which it is deepest, if any."""
+        return self._close(self.held) if self.held is not None else np.zeros(0, int)
+
+    def _close(self, alarms):
+        if self.path is not None:
+            write_columns(self.path, alarm_columns(alarms, self.dt), append=self.count > 0)
+        self.count += len(alarms["windows"])
+        deepest = np.argsort(alarms["depth"])[:DEEPEST]
+        picked = np.unique([*deepest, *range(min(1, len(alarms["windows"])))]).astype(int)
+        rows = zip(*(alarms[f][picked].tolist() for f in FIELDS), strict=True)
+        fresh = [(Alarm(*row[:5]), row[5:]) for row in rows]
+        self.first = self.first or fresh[:1]
+        self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
+        return alarms["worst_sample"]
+
+    def alarms(self):
+        """Return ([Alarm], {sample: seconds}) of the first and the deepest in order of time."""
+        pairs = {alarm.start: (alarm, times) for alarm, times in (*self.first, *self.kept)}
+        named = {}
+        for a, times in pairs.values():
+            named |= dict(zip((a.start, a.end, a.worst), times, strict=True))
+        return [pairs[start][0] for start in sorted(pairs)], named
+
+
+def _joined(held, found):
+    """Return alarms, the first of them joined with the one that was held."""
+    import pyarrow as pa
+
+    deeper = not held["windows"][0] or (found["windows"][0] and found["depth"][0] < held["depth"][0])
+    keep = ("start", "from", "first_sample", *(() if deeper else ("worst", "at", "worst_sample", "depth")))
+    out = {}
+    for name, x in found.items():
+        if name == "windows":
+            out[name] = np.concatenate([held[name] + x[:1], x[1:]])
+        elif name in keep:
+            out[name] = (np.concatenate if isinstance(x, np.ndarray) else pa.concat_arrays)([held[name], x[1:]])
+        else:
+            out[name] = x
+    return out

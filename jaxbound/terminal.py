@@ -1,0 +1,83 @@
+"""What every command does at the terminal: refuse in one sentence, show a bar for each stage, print what was found."""
+
+import os
+import sys
+from contextlib import contextmanager
+
+__all__ = ["Interrupted", "Refused", "door", "progress_bars", "say", "show", "write"]
+
+
+class Refused(Exception):
+    """What the user gave cannot be used; the message says why."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user stopped it; the message says what is left and how to go on."""
+
+
+@contextmanager
+def door(*kinds):
+    """Turn what the library or the file system refuses into a sentence for the user."""
+    kinds = kinds or (OSError, ValueError, NotImplementedError, TypeError)
+    try:
+        yield
+    except kinds as e:
+        system = isinstance(e, OSError) and e.filename and e.strerror
+        raise Refused(f"{e.filename}: {e.strerror.lower()}" if system else str(e)) from e
+
+
+@contextmanager
+def progress_bars(stages):
+    """Show a bar for each stage on a terminal's stderr; yields a function of (stage, share)."""
+    if not sys.stderr.isatty():
+        yield lambda stage, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:>8}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        tasks = {stage: bars.add_task(stage, total=1.0) for stage in stages}
+        yield lambda stage, share: bars.update(tasks[stage], completed=share)
+
+
+def write(text):
+    """Write to stdout; a reader that has gone away is no trouble."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def show(headline, style, rows, table=None, text=""):
+    """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names are not markup."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    console = console if console.is_terminal else Console(width=160)
+    grid = Table.grid(padding=(0, 2))
+    for name, value in rows:
+        grid.add_row(Text(name, "dim"), Text(value, overflow="fold"))
+    with console.capture() as page:
+        console.print(Text(headline, style), soft_wrap=not console.is_terminal)
+        if table:
+            rates = Table(box=None, padding=(0, 2), pad_edge=False)
+            for i, name in enumerate(table[0]):
+                rates.add_column(name, justify="right" if i else "left")
+            for row in table[1:]:
+                rates.add_row(*map(Text, row))
+            console.print(rates)
+        console.print(grid)
+        if text:
+            console.print(Text(text), soft_wrap=True)
+    write(page.get() if console.is_terminal else "\n".join(line.rstrip() for line in page.get().split("\n")))
+
+
+def say(sentence):
+    """Print a sentence to stderr."""
+    from rich.console import Console
+
+    Console(stderr=True).print(f"jaxbound: {sentence}", soft_wrap=True, markup=False, highlight=False)
