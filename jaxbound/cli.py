@@ -86,7 +86,7 @@ def _parse(argv):
     c.add_argument("model", type=Path, metavar="MODEL.toml")
     c.add_argument("data", metavar="DATA", help="a CSV file, a Parquet file, or a folder of Parquet files, which follow each other by name")
     c.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures")
-    c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 262144 at least (default: 1000000)")
+    c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 65536 at least (default: 1000000)")
     _testing(c)
     c.set_defaults(run=run_detect)
     c = commands.add_parser("explain", help="print the certificate of one window", epilog="exit codes: 0, or 2 bad input")

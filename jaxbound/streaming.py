@@ -27,7 +27,7 @@ from jaxbound.sets.status import Status
 __all__ = ["CHUNK", "PARTIAL", "VERDICTS", "kept", "part_files", "publish", "read_runs", "write_parts"]
 
 CHUNK = 1_000_000  # samples in memory at once
-LEAST = 2**18  # and at least so many: a call of the kernel takes them anyway
+LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
 NOTE, RUNS = "_run.json", "runs"
 STREAMED = ("joint", "box")

@@ -129,8 +129,8 @@ def search_error(outer, inner, known, dtype):
     Both are below (4 (c + k + l) + 52) u, the bound of `residual_error` for 2 (c + k + l) + 10 terms. h is exact: whatever it is.
 
     An underflow, in any of the sums of row j or in a coefficient off by that much (`nearest_normal`), costs tiny times at most one
-    coefficient of R or K and one M, inner scale_i or |v_b| + |offset_b| (a column of R can be as small as tiny, and M then says nothing of its
-    scale): `floor` is to be multiplied by 1 + max|R|, 1 + max|K|, and 1 + the sum of all these.
+    coefficient of R or K and one M, inner scale_i or |v_b| + |offset_b| (a column of R can be as small as tiny, and M then says nothing
+    of its scale): `floor` is to be multiplied by 1 + max|R|, 1 + max|K|, and 1 + the sum of all these.
     """
     terms = 2 * (outer + inner + known) + 10
     gamma, floor = residual_error(terms, dtype)
@@ -267,11 +267,13 @@ def quotient(n, d):
     """Divide with an error of 1.01 u |n / d|, whatever the compiler makes of the division; d normal, n / d far from overflow.
 
     The remainder n - q d is exact (`two_prod`, and n is within 3 u of the product), so that one correction removes the error of q.
-    A quotient below the square root of the smallest normal number stays as it is, off by 2.84 u: its remainder could be flushed.
+    Where n, d or q is so small that digits of the remainder could be flushed, q stays as it is, off by 2.84 u.
     """
     q = n / d
     p, e = two_prod(q, d)
-    return jnp.where(jnp.abs(q) > np.sqrt(tiny(q.dtype)), q + ((n - p) - e) / d, q)
+    floor = np.asarray(float(tiny(q.dtype)) / float(unit(q.dtype)) ** 2 * 4, q.dtype)
+    keeps = (jnp.abs(n) > floor) & (jnp.abs(d) > floor) & (jnp.abs(q) > floor)
+    return jnp.where(keeps, q + ((n - p) - e) / d, q)
 
 
 def root(x):

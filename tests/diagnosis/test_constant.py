@@ -99,6 +99,7 @@ def test_a_healthy_recording_with_one_theta_an_output_is_never_a_fault(rng, s, a
     assert res.counts["FAULT"] == 0 and res.counts["MISSING"] == s and res.counts["CONSISTENT"] > 0.99 * (len(u) - s)
 
 
+@pytest.mark.slow
 def test_a_constant_theta_explains_less_than_one_drawn_anew(rng):
     u, y = draw(rng, 1, 500, 30.0)
     anew, _ = verdicts(u, y, paper())
@@ -152,6 +153,7 @@ def test_missing_samples_are_left_out_and_a_missing_input_proves_no_consistency(
     assert (nothing == Status.MISSING).all() and np.isnan(margin).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 def test_readings_exactly_at_their_bounds_are_never_a_fault(rng, dtype):
     s, count = 1, 2000

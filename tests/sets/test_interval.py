@@ -67,7 +67,12 @@ def test_binary_operations_enclose_on_every_pair_of_corners(dtype):
         assert not misses(z.lo, z.hi, ranges(BINARY[op], x, y)), op
 
 
-@pytest.mark.parametrize(("mode", "dtype"), [("eager", np.float64), ("jit", np.float32), ("jit", np.float64), ("vmap", np.float64)])
+SLOWER = [
+    pytest.param(mode, dtype, marks=pytest.mark.slow) for mode, dtype in (("eager", np.float64), ("jit", np.float32), ("vmap", np.float64))
+]
+
+
+@pytest.mark.parametrize(("mode", "dtype"), [("jit", np.float64), *SLOWER])
 def test_pown_encloses_the_exact_power(rng, mode, dtype):
     x = draw(rng, dtype)
     for n, z in MODES[mode](powers)(x).items():

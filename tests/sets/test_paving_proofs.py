@@ -125,6 +125,7 @@ def quadratic(z, c, A, B):
     return c + A @ z + jnp.einsum("mij,i,j->m", B, z, z)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("m", "n", "dtype"), [
     (1, 2, np.float32), *(pytest.param(m, n, np.float64, marks=pytest.mark.slow) for m, n in ((1, 2), (2, 2), (2, 3))),
 ])  # fmt: skip
@@ -139,6 +140,7 @@ def test_what_a_point_of_the_box_gives_is_never_a_fault_and_mostly_proved(rng, m
     assert not (found.status == Status.FAULT).any() and (found.status == Status.CONSISTENT).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_a_surplus_variable_leaves_a_witness_over_which_the_equation_changes_sign(rng):
     f = lambda z: z[0] * z[1] + z[2] ** 2
     targets = np.r_[rng.uniform(-0.9, 1.8, 40), [2.01, 3.0, -1.01]][:, None]
@@ -150,6 +152,7 @@ def test_a_surplus_variable_leaves_a_witness_over_which_the_equation_changes_sig
         assert min(corners) <= Fraction(targets[k, 0]) <= max(corners) and (abs(lo) <= 1).all() and (abs(hi) <= 1).all()
 
 
+@pytest.mark.slow
 def test_a_jump_that_skips_the_target_proves_nothing():
     f = lambda z: jnp.where(z[0] > 0.1, z[0] + 1, z[0] - 1)
     found = jb.pave(f, interval([-1.0], [1.0]), [[0.1], [-1.5], [1.5], [3.0]])
@@ -162,6 +165,7 @@ def test_where_the_function_has_no_value_there_is_no_solution():
     assert found.status.tolist() == [Status.CONSISTENT, Status.CONSISTENT, Status.FAULT]  # the last needs z2 > 1, or z1 < 0
 
 
+@pytest.mark.slow
 def test_more_equations_than_unknowns_are_only_excluded():
     f = lambda z: [z[0] + z[1], z[0] - z[1], z[0] * z[1]]
     found = jb.pave(f, interval([0.0, 0.0], [1.0, 1.0]), [[0.75, 0.25, 0.125], [0.75, 0.25, 0.126]])

@@ -159,6 +159,11 @@ def test_corrected_quotients_and_roots_are_off_by_at_most_1_01_units(rng, dtype)
     for divisor in (d, d[:1]):
         want = [a / b for a, b in zip(exact(n), exact(np.broadcast_to(divisor, n.shape)), strict=True)]
         assert max(errors(jax.jit(rounding.quotient)(n, divisor), want, dtype)) <= 1.01
+    small = numbers(rng, dtype, np.finfo(dtype).minexp + 1, -60), abs(numbers(rng, dtype, -64, 0))
+    found = np.asarray(jax.jit(rounding.quotient)(*small))
+    normal = abs(found) > np.finfo(dtype).tiny
+    want = [a / b for a, b in zip(*(exact(v[normal]) for v in small), strict=True)]
+    assert normal.sum() > COUNT / 4 and max(errors(found[normal], want, dtype)) <= 2.84
     limit = Fraction(101, 100) * Fraction(float(np.finfo(dtype).eps)) / 2
     for s, v in zip(exact(jax.jit(rounding.root)(abs(n))), exact(abs(n)), strict=True):
         assert (s * (1 - limit)) ** 2 <= v <= (s * (1 + limit)) ** 2
