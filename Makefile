@@ -7,10 +7,10 @@ demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
 
 test: .venv/tested
-	.venv/bin/python -m pytest
+	.venv/bin/python -m pytest -n auto
 
 slow: .venv/tested
-	.venv/bin/python -m pytest -m slow
+	.venv/bin/python -m pytest -n auto -m slow
 
 lint: .venv/tested
 	.venv/bin/pip install --quiet ".[dev]"
@@ -24,6 +24,10 @@ bench: .venv/tested
 	.venv/bin/python -m benchmarks.false_alarms
 	.venv/bin/python -m benchmarks.command_line
 	.venv/bin/python -m benchmarks.fleet
+	.venv/bin/python -m benchmarks.long_windows
+	.venv/bin/python -m benchmarks.parquet
+	.venv/bin/python -m benchmarks.intervals
+	.venv/bin/python -m benchmarks.inclusion
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv

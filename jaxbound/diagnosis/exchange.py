@@ -96,7 +96,7 @@ def _run(test, u, y, starts, margin, steps, finer=1.0):
 
 def _block_size(test):
     """Return how many windows a kernel takes at once, a function of the shape of the test: their inverses should stay in the cache."""
-    return 1024 if len(test.shape.inner) <= 8 else 256
+    return 1024 if len(test.shape.inner) <= 8 else 64
 
 
 def _windows(x, starts, lags):

@@ -263,7 +263,6 @@ def only_intervals(z):
         (dict(f=lambda z: jax.lax.lgamma(z)), NotImplementedError, "lgamma"),
         (dict(f=lambda z: z @ jnp.ones(3)), TypeError, "dot_general|matmul|contract"),
     ],
-    ids=str,
 )
 def test_what_cannot_be_paved_is_refused(change, error, message):
     with pytest.raises(error, match=message):
