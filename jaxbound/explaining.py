@@ -180,5 +180,5 @@ def _samples(c, labels):
 
 
 def number(x):
-    """Return an exact number as a reader wants it."""
-    return f"{float(x):.6g}"
+    """Return an exact number as a reader wants it: the smallest normal number, which widens every radius, is nothing."""
+    return f"{float(x) if abs(x) > 1e-300 else 0.0:.6g}"

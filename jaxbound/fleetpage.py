@@ -78,7 +78,7 @@ def _row(r):
 OWN = """
 .verdict.not { border-color: var(--none) } .verdict.not h2, b.untested { color: var(--none) }
 .units { width: 100% } .units td { padding-right: 14px } .units td:nth-child(-n+3), .units td:nth-child(6) { white-space: nowrap }
-.units .bar { width: 150px; height: 9px; margin: 5px 0 1px } .units small { color: var(--soft); white-space: nowrap }
-.units td:last-child { min-width: 300px; overflow-wrap: anywhere } details { color: var(--soft); font-size: 12.5px }
+.units .bar { width: 150px; height: 9px; margin: 5px 0 1px } .units small { color: var(--soft) }
+.units td:last-child { min-width: 240px; overflow-wrap: anywhere } details { color: var(--soft); font-size: 12.5px }
 details ul { margin: 2px 0; padding-left: 18px }
 """

@@ -125,7 +125,8 @@ def plot_residuals(res, time=None):
     relations = res.relations
     picked = _worst(res) if len(x) > SAMPLES else np.arange(len(x))
     thinned = len(picked) < len(x)
-    external, lo, hi = _forms(res, picked)
+    missing = (res.status[picked] == Status.MISSING)[:, None]  # a window across a gap has a residual, but it says nothing
+    external, lo, hi = (np.where(missing, np.nan, x) for x in _forms(res, picked))
     fault = np.maximum.reduceat(res.status, _bins(len(x))) == Status.FAULT
     distinct = distinct_relations(relations)
     shown, at = distinct[:PANELS], x[picked]
