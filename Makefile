@@ -1,7 +1,7 @@
 # On a machine with nothing but Python 3.11+: `make demo` or `make test`. Without make, run the lines yourself.
 PYTHON ?= python3
 
-.PHONY: demo test slow lint bench clean
+.PHONY: demo test slow long lint bench clean
 
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
@@ -11,6 +11,9 @@ test: .venv/tested
 
 slow: .venv/tested
 	.venv/bin/python -m pytest -n auto -m slow
+
+long: .venv/tested
+	.venv/bin/python -m pytest -n auto -m long
 
 lint: .venv/tested
 	.venv/bin/pip install --quiet ".[dev]"

@@ -21,8 +21,8 @@ __all__ = ["exchange_margins", "exchange_windows"]
 SLAB = 2**16
 PATIENCE = 10
 """Exchanges per inner row after which a search is given up; it takes 2 to 4."""
-FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0)
-"""Searches after which a window stays undecided, see `separation_search`: one in some thousands needs the second."""
+FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
+"""Searches after which a window stays undecided, see `separation_search`: one in some thousands needs more than the first."""
 
 
 def exchange_windows(relations, u, y, progress):

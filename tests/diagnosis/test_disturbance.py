@@ -116,7 +116,7 @@ def test_fault_free_windows_raise_no_fault(name, horizon, dtype, at, shared, rng
 
 @pytest.mark.parametrize("name, horizon, dtype, step", [
     ("gust", 2, np.float64, 1e-9), ("gust", 6, np.float64, 1e-9), ("gust", 2, np.float32, 1e-3),
-    pytest.param("gust", 6, np.float32, 1e-3, marks=pytest.mark.slow),
+    pytest.param("gust", 6, np.float32, 1e-2, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_verdicts_are_sharp(name, horizon, dtype, step, shared, rng):
     spec = numbers(name, shared)

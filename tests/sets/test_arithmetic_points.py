@@ -71,7 +71,7 @@ def at_least_square(hi, x):
     return (p > x) | ((p == x) & (e >= 0))
 
 
-@pytest.mark.parametrize("count", [20_000, pytest.param(MILLION, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [20_000, pytest.param(MILLION, marks=pytest.mark.long)])
 @pytest.mark.parametrize("form", ["array", "scalar"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64], ids=["float32", "float64"])
 def test_exact_results_at_points_are_enclosed(rng, dtype, form, count):

@@ -37,7 +37,7 @@ def test_the_value_at_a_point_is_enclosed_within_eight_ulps(rng, op, dtype):
     assert len(ulps) > COUNT / 3 and np.quantile(ulps, 0.99) <= 8 and max(ulps) <= 9.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @each_op
 @each_dtype
 def test_a_million_points_are_enclosed(rng, op, dtype):
@@ -116,7 +116,7 @@ def test_angles_of_boxes_are_enclosed(rng, dtype):
         assert not ball_misses(np.asarray(z.lo)[at], np.asarray(z.hi)[at], balls)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @each_dtype
 def test_angles_of_a_million_points_are_enclosed(rng, dtype):
     longer, digits = LONGER[dtype]
@@ -131,7 +131,7 @@ def test_angles_of_a_million_points_are_enclosed(rng, dtype):
     assert not ball_misses(lo[chosen], hi[chosen], balls)
 
 
-@pytest.mark.parametrize("op", ["log", "tan", *(pytest.param(op, marks=pytest.mark.slow) for op in ARB if op not in ("log", "tan"))])
+@pytest.mark.parametrize("op", ["log", "tan", *(pytest.param(op, marks=pytest.mark.long) for op in ARB if op not in ("log", "tan"))])
 def test_a_batch_under_jit_and_vmap_encloses_as_well(rng, op):
     x = points(rng, op, np.float64, 300)
     for run in (jax.jit(getattr(sets, op)), jax.jit(jax.vmap(getattr(sets, op)))):

@@ -118,7 +118,7 @@ def test_a_second_call_does_not_trace():
     assert f.count == 1
 
 
-@pytest.mark.parametrize("op", ["exp", "acosh", *(pytest.param(op, marks=pytest.mark.slow) for op in ARB if op not in ("exp", "acosh"))])
+@pytest.mark.parametrize("op", ["exp", "acosh", *(pytest.param(op, marks=pytest.mark.long) for op in ARB if op not in ("exp", "acosh"))])
 def test_gradients_of_the_bounds_are_those_of_the_function(op):
     at, step = 1.5 if op == "acosh" else 0.4, 1e-5
     width = lambda a: getattr(sets, op)(Interval(a * jnp.ones(4), a * jnp.ones(4))).hi[0]
@@ -139,7 +139,7 @@ AT_EDGES = [
 
 @pytest.mark.parametrize(
     ("op", "bounds"),
-    [("sqrt", (-1, 4)), ("log", (0, 2)), ("asin", (-3, 3)), *(pytest.param(*c, marks=pytest.mark.slow) for c in AT_EDGES)],
+    [("sqrt", (-1, 4)), ("log", (0, 2)), ("asin", (-3, 3)), *(pytest.param(*c, marks=pytest.mark.long) for c in AT_EDGES)],
     ids=str,
 )
 def test_gradients_at_edges_of_domains_are_numbers(op, bounds):

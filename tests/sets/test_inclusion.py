@@ -46,7 +46,7 @@ def check(case, enclosed, rng, count=30):
 
 
 HEAVY = ("tanh network", "small differences", "log sum exp", "angle", "remainder", "saturation", "sigmoid", "sine cosine", "norm", "power")
-LIGHT = [pytest.param(c, marks=pytest.mark.slow) if c.name in HEAVY else c for c in CASES]
+LIGHT = [pytest.param(c, marks=pytest.mark.long) if c.name in HEAVY else c for c in CASES]
 
 
 @pytest.mark.parametrize("case", LIGHT, ids=str)
@@ -61,7 +61,7 @@ def test_best_holds_the_range_and_is_never_wider_than_natural(case, rng):
     assert (sharp.lo >= natural.lo).all() and (sharp.hi <= natural.hi).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_every_method_holds_the_range_and_best_is_never_wider(case, dtype, rng):
@@ -79,7 +79,7 @@ def test_ranges_hold_under_jit_and_vmap(case, mode, rng):
 
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.name in ("figure 1", "two double tanks")], ids=str)
-@pytest.mark.slow
+@pytest.mark.long
 def test_best_is_exact_to_rounding_where_every_variable_is_monotone(case):
     found = ends(inclusion(case.f, "best")(box_of(case)))
     least, greatest = (values_at(case, points) for points in (case.least, case.greatest))
@@ -126,7 +126,7 @@ def test_jacobian_holds_the_slopes_and_the_kinks():
     ],
     ids=["floor", "where", "sign", "division", "predicate", "integer", "remainder", "cond", "root", "stopped"],
 )
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_continuity_is_not_proved_derivatives_are_not_used(f):
     box = interval([-0.75], [0.875])
     F = inclusion(f, "best")
@@ -155,7 +155,7 @@ other_liar.defvjp(lambda x: (x**2, None), lambda _, g: (0.0 * g,))
 @pytest.mark.parametrize(
     "f", [liar, other_liar, lambda x: jax.lax.stop_gradient(x) ** 2], ids=["custom_jvp", "custom_vjp", "stop_gradient"]
 )
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_derivative_that_is_not_that_of_the_function_is_not_believed(f):
     box = interval([1.0], [2.0])
     found = inclusion(lambda z: f(z[0]), "mean_value")(box)
@@ -164,7 +164,7 @@ def test_a_derivative_that_is_not_that_of_the_function_is_not_believed(f):
     assert inside.lo <= 3 and inside.hi >= 12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_square_root_of_a_square_has_a_slope_even_where_its_formula_has_none():
     f = lambda z: jnp.sqrt(z[0] ** 2) + z[1]
     found = inclusion(f, "best")(interval([0.0, 0.0], [0.0, 1.0]))

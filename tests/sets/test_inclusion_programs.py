@@ -77,7 +77,7 @@ PROGRAMS = {
 HEAVY = ("hyperbolic", "softplus", "powers", "power of an index", "reductions", "angle wrapped", "associative scan", "rounding")
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in HEAVY else n for n in PROGRAMS])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in HEAVY else n for n in PROGRAMS])
 def test_a_program_is_enclosed(name, rng):
     f = PROGRAMS[name]
     found = inclusion(f)(X)
@@ -107,14 +107,14 @@ def test_points_and_boxes_mix_and_options_are_passed_on():
     assert (abs(np.asarray(found.lo) - [3, 4]) < 1e-12).all() and (abs(np.asarray(found.hi) - [6, 7]) < 1e-12).all()
 
 
-@pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.long)])
 def test_an_empty_box_has_an_empty_image(method):
     nothing = interval([np.inf, 1.0], [-np.inf, 2.0])
     assert bool(inclusion(lambda z: z[0] * 2 + jnp.exp(z[1]), method)(nothing).is_empty)
 
 
 @pytest.mark.parametrize(
-    "method", ["natural", pytest.param("mean_value", marks=pytest.mark.slow), pytest.param("best", marks=pytest.mark.slow)]
+    "method", ["natural", pytest.param("mean_value", marks=pytest.mark.long), pytest.param("best", marks=pytest.mark.long)]
 )
 def test_unbounded_boxes_are_enclosed(method):
     half = interval([0.0, 0.0], [np.inf, 1.0])
@@ -124,7 +124,7 @@ def test_unbounded_boxes_are_enclosed(method):
         assert found.lo[0] > 0.9 and found.hi[1] < 1.1
 
 
-@pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.long)])
 def test_a_second_box_does_not_trace(method):
     f = Counted(lambda z: z[0] * z[1] - jnp.cos(z[0]))
     inclusion(f, method)(interval([0.0, 1.0], [1.0, 2.0]))
@@ -133,7 +133,7 @@ def test_a_second_box_does_not_trace(method):
     assert traced > 0 and f.count == traced
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gradients_of_an_enclosure_flow():
     width = lambda r: (lambda y: y.hi - y.lo)(
         inclusion(lambda z: z[0] * z[1] ** 2)(Interval(jnp.array([1 - r, 2 - r]), jnp.array([1 + r, 2 + r])))

@@ -30,7 +30,7 @@ SETS = {  # ITF1788's name: (ours, largest distance from the tightest bound in u
     **{op: (op, 8) for op in ELEMENTARY},
 }  # fmt: skip
 RUNS = [
-    pytest.param(op, mode, marks=[pytest.mark.slow] if mode == "vmap" or (mode == "jit" and op in ELEMENTARY) else [])
+    pytest.param(op, mode, marks=[pytest.mark.long] if mode == "vmap" or (mode == "jit" and op in ELEMENTARY) else [])
     for mode in ("eager", "jit", "vmap")
     for op in SETS
 ]
@@ -108,7 +108,7 @@ def by_exponent(some):
     return {n: [c for c in some if c.inputs[1] == n] for n in sorted({int(c.inputs[1]) for c in some})}
 
 
-@pytest.mark.parametrize("mode", ["eager", *(pytest.param(mode, marks=pytest.mark.slow) for mode in ("jit", "vmap"))])
+@pytest.mark.parametrize("mode", ["eager", *(pytest.param(mode, marks=pytest.mark.long) for mode in ("jit", "vmap"))])
 def test_tightest_powers_are_contained_and_within_eight_ulps(itl, cases, mode):
     for n, some in by_exponent(cases[POWERS]).items():
         z = results(some, lambda x, n=n: sets.pown(x, n), 1, mode)
