@@ -82,10 +82,16 @@ def figures(spec, s, windows, programs):
         "FAULT": float(np.mean(status == jb.Status.FAULT)),
         "UNDECIDED": int((status == jb.Status.UNDECIDED).sum()),
         "disagreements with HiGHS": len(differ),
-        "disagreements where a strict program is clear": int(
-            (abs(slack := oracle.slack(u[differ], y[differ])) > 1e-9)[(slack > 0) != (status[differ] == jb.Status.FAULT)].sum()
-        ),
+        "disagreements where a strict program is clear": _clear(oracle, u[differ], y[differ], status[differ] == jb.Status.FAULT),
     }
+
+
+def _clear(oracle, u, y, fault):
+    """Return how many windows a program with strict tolerances decides the other way."""
+    if not len(y):
+        return 0
+    slack = oracle.slack(u, y)
+    return int(((abs(slack) > 1e-9) & ((slack > 0) != fault)).sum())
 
 
 if __name__ == "__main__":
