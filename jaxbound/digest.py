@@ -78,7 +78,7 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
         relations: from `parity_relations`. path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
             A call that was stopped is continued by the same call.
-        method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 262 144; verdicts do not
+        method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
             depend on it.
         alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
 

@@ -144,10 +144,8 @@ def _verdicts(test, u, y):
     margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)
     margin = jax.lax.optimization_barrier(margin)  # else the compiler works out everything once for each of the two results
     status = status_of(margin)
-    silenced = jnp.zeros_like(margin, bool)  # some circuit lacks an input: those that are left no longer describe the set exactly
-    for b, value in enumerate(known):
-        silenced |= jnp.isnan(value) & jnp.any(test.shape.k[:, b] != 0)
-    return jnp.where(silenced & (status == Status.CONSISTENT), Status.UNDECIDED, status).astype(jnp.int8), margin
+    unsure = test.silenced(known) & (status == Status.CONSISTENT)
+    return jnp.where(unsure, Status.UNDECIDED, status).astype(jnp.int8), margin
 
 
 @jax.jit

@@ -45,12 +45,11 @@ def constant_windows(relations, method, u, y, progress):
     shape = y.shape[:-1]
     u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
     status, margin = np.zeros(len(y), np.int8), np.full(len(y), np.nan, y.dtype)
-    starts = np.arange(len(y))
-    starts = starts[starts % shape[-1] < shape[-1] - s] if shape[-1] else starts
+    starts = test.starts(0, len(y), shape[-1])
     on_device = jax.device_put(test)
     for first in range(0, len(starts), BLOCK):
         chosen = starts[first : first + BLOCK]
-        windows = _windows(test, u, y, np.concatenate([chosen, np.repeat(chosen[:1], BLOCK - len(chosen))]))
+        windows = test.gather(u, y, np.concatenate([chosen, np.repeat(chosen[:1], BLOCK - len(chosen))]))
         for out, found in zip((status, margin), _first(on_device, *windows), strict=True):
             out[chosen + s] = np.asarray(found)[: len(chosen)]
         if progress is not None:
@@ -69,7 +68,7 @@ def constant_windows(relations, method, u, y, progress):
 def _search(test, on_device, u, y, starts):
     """Return the status of windows that one box of gains does not decide."""
     count = 2 ** max(len(starts) - 1, 127).bit_length()  # powers of two, so that few sizes compile
-    windows = jax.device_put(_windows(test, u, y, np.concatenate([starts, np.repeat(starts[:1], count - len(starts))])))
+    windows = jax.device_put(test.gather(u, y, np.concatenate([starts, np.repeat(starts[:1], count - len(starts))])))
     lo, hi = (np.asarray(x) for x in _gains(test, np)[:2])
     judge = partial(_boxes, on_device, *windows)
     found = explore(judge, lo, hi, len(starts), DEPTH, BOXES * len(starts), "kernel", first=True, sizes=(2**10,))
@@ -77,12 +76,6 @@ def _search(test, on_device, u, y, starts):
     status[found.proofs[2]] = Status.CONSISTENT
     missing = np.isnan(windows[0]).any((0, 1))[: len(starts)] if windows[0].size else np.zeros(len(starts), bool)
     return np.where((status == Status.CONSISTENT) & missing, np.int8(Status.UNDECIDED), status)
-
-
-def _windows(test, u, y, starts):
-    """Return the samples (lags, m, N) and (s + 1, p, N) of windows."""
-    take = lambda x, lags: np.ascontiguousarray(np.moveaxis(x[starts + np.arange(lags)[:, None]], 1, 2))
-    return take(u, test.lags), take(y, test.horizon + 1)
 
 
 def _gains(test, xp):
@@ -127,10 +120,7 @@ def _rows(test, u, y):
     """Return (d, rho and their magnitudes, a row each; whether a missing input silences a circuit)."""
     readings = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance))
     rows = readings.rows(list(map(list, u)), list(map(list, y)))
-    silent = jnp.zeros(y.shape[2:], bool)
-    for b, value in enumerate(rows[3]):
-        silent |= jnp.isnan(value) & jnp.any(test.shape.k[:, b] != 0)
-    return tuple(jnp.stack(x) if x else x for x in rows), silent
+    return tuple(jnp.stack(x) if x else x for x in rows), test.silenced(rows[3])
 
 
 def _fold(test, rows, step, carry, times=1):

@@ -33,8 +33,7 @@ def exchange_windows(relations, u, y, progress):
     margin = np.full(shape, np.nan, y.dtype)
     flat, left_open = margin.reshape(-1), []
     for first in range(0, len(y), SLAB):
-        starts = np.arange(first, min(first + SLAB, len(y)))
-        starts = starts[starts % shape[-1] < shape[-1] - s] if shape[-1] else starts
+        starts = test.starts(first, min(first + SLAB, len(y)), shape[-1])
         left_open.append(_run(test, u, y, starts, flat, 2 * k + 6))
         if progress is not None:
             progress(0.95 * min(first + SLAB, len(y)) / len(y))
@@ -84,7 +83,7 @@ def _run(test, u, y, starts, margin, steps, finer=1.0):
     def block(first):
         chosen = starts[first : first + size]
         full = np.concatenate([chosen, np.repeat(chosen[:1], size - len(chosen))])
-        given = device_test, one, _windows(u, full, test.lags), _windows(y, full, test.horizon + 1)
+        given = device_test, one, *test.gather(u, y, full)
         found, settled = _verdicts(*given, *_candidates(*given, steps, finer))
         before, found = margin[chosen + test.horizon], np.asarray(found)[: len(chosen)]
         margin[chosen + test.horizon] = np.where((found == 0) & (abs(before) > 0), before, found)  # a proof stays one
@@ -99,17 +98,11 @@ def _block_size(test):
     return 1024 if len(test.shape.inner) <= 8 else 64
 
 
-def _windows(x, starts, lags):
-    """Return the samples of windows, (lags, channels, N)."""
-    return np.ascontiguousarray(np.moveaxis(x[starts + np.arange(lags)[:, None]], 1, 2))
-
-
 def _frames(relations, test, u, y, starts):
     """Return [(frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
     if not len(starts):
         return []
-    absent = np.isnan(_windows(y, starts, test.horizon + 1)).reshape(-1, len(starts)).T
-    missing = np.isnan(_windows(u, starts, test.lags)).reshape(-1, len(starts)).T
+    missing, absent = (np.isnan(x).reshape(-1, len(starts)).T for x in test.gather(u, y, starts))
     patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
     rows = absent.shape[1]
     frames, numbers, by_inputs = [relations.frame], [], {(): [0]}

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbound.models import sensor
 from jaxbound.sets import rounding
@@ -36,6 +37,23 @@ class WindowTest:
     def lift(self):
         """At least every factor that multiplies a row after its own rounding."""
         return sensor.lift(self.tolerance)
+
+    def starts(self, first, stop, length):
+        """Return the samples first..stop-1 of recordings of one length, laid end to end, at which a whole window starts."""
+        samples = np.arange(first, stop)
+        return samples[samples % length < length - self.horizon] if length else samples
+
+    def gather(self, u, y, starts):
+        """Return the samples u (lags, m, N), y (s + 1, p, N) of N windows of NumPy recordings."""
+        take = lambda x, lags: np.ascontiguousarray(np.moveaxis(x[starts + np.arange(lags)[:, None]], 1, 2))
+        return take(u, self.lags), take(y, self.horizon + 1)
+
+    def silenced(self, known):
+        """Say which windows lack a known value that some circuit needs: the circuits that are left do not describe their set exactly."""
+        silenced = jnp.zeros_like(known[0], bool) if len(known) else jnp.zeros((), bool)
+        for b, value in enumerate(known):
+            silenced |= jnp.isnan(value) & jnp.any(self.shape.k[:, b] != 0)
+        return silenced
 
     def stretch(self, u, y):
         """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`."""

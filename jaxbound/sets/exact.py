@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from itertools import combinations
-from math import comb, gcd, lcm
+from math import gcd, lcm
 from operator import mul
 
 import numpy as np
@@ -149,21 +149,17 @@ def minimal_span(a):
         rows[i] = [x - f * y for x, y in zip(rows[i], rows[k], strict=True)]
 
 
-def circuits(a, limit=None):
+def circuits(a):
     """Return every vector of minimal support with h a = 0 (one of each pair h, -h), primitive, by support in lexicographic order.
 
     They are the strips of any zonotope whose directions have the left null space of `a` as row space
     (Source: elementary vectors of a subspace; every circuit lies in some set of rank + 1 rows of full rank, so subsets of that size
     suffice).
-
-    Raises ValueError if more than `limit` subsets would have to be visited.
     """
     basis = transpose(row_reduce(transpose(a))[0])  # the same left null space with full column rank
     m, r = len(a), len(basis[0]) if basis and basis[0] else 0
     if r == 0:
         return tuple(tuple(Fraction(i == j) for j in range(m)) for i in range(m))
-    if limit is not None and comb(m, r + 1) > limit:
-        raise ValueError(f"{comb(m, r + 1)} circuits would have to be enumerated, more than {limit}")
     whole = [primitive_scale(row) for row in basis]
     found = {}
     for subset in combinations(range(m), r + 1):

@@ -10,8 +10,9 @@ and the factor t on all r at which they just become so is a Chebyshev problem in
     t = max over h of |h z| / (sum_j |h_j| r_j + sum_i |h R|_i r_i).                                                (dual)
 
 **Search** (single exchange; Source: Stiefel 1959, the dual simplex method on references of k + 1 rows). A reference is k rows S, of which
-P is the inverse, and a row e: with the other rows given, a_e = T_e a_S. It determines t and d; the row that d violates most enters, the one
-whose multiplier first falls to zero leaves. Plain floats, no claim.
+P is the inverse, and a row e: with the other rows given, a_e = T_e a_S. It determines t and d; the row that d violates most enters. While
+its multiplier grows, those of S cross zero one after the other; the row at whose crossing t is largest leaves (a long step: to stop at the
+first crossing takes nearly twice as many exchanges), of several the one with the largest pivot. Plain floats, no claim.
 
 **Proof** (`separation_verdict`). ANY h with a strict (dual) inequality proves the window inconsistent, any d that passes (primal) proves it
 consistent; both are evaluated with the error bound of `rounding.search_error`. Since R and K are rationals rounded once, the
@@ -161,10 +162,11 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
     rows = jnp.concatenate([R, jnp.eye(k, dtype=dtype)])
     value = jnp.concatenate([z, jnp.zeros_like(r_inner)])
     radius = jnp.concatenate([r_outer, r_inner])
-    ones = one[None]
-    weight = jnp.where(jnp.concatenate([present, jnp.ones_like(r_inner, bool)]), 1 / radius, 0) / ones
+    ones = jnp.where(r_inner == r_inner, one[None], 0)  # not a broadcast: by one, a division becomes a product
+    weight = jnp.where(jnp.concatenate([present, jnp.ones_like(r_inner, bool)]), 1 / radius, 0) / one[None]
     slots = jnp.arange(k, dtype=jnp.int32)[:, None]
     close = 10 * rounding.unit(dtype) ** 0.75  # 1e-11 in float64
+    alike = 64 * rounding.unit(dtype)
     dot = lambda x, y: _total(x[i] * y[i] for i in range(k))
 
     def reference(P, signs, S_value, S_radius, T, own, radius_e):
@@ -180,8 +182,8 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
         P = P - column[:, None] * row[None]  # of the exchange before: P is then read from memory by all its uses
         radius_e = _pick(radius, e) / one
         t, shares, signs, d = reference(P, signs, S_value, S_radius, T, own, radius_e)
-        error = jnp.concatenate([z - _product(R, d), -d]) / ones
-        worst, w = _largest(jnp.abs(error) * weight / ones, one)
+        error = jnp.concatenate([z - _product(R, d), -d]) / one[None]
+        worst, w = _largest(jnp.abs(error) * weight / one[None], one)
         done = done | (worst <= t + close * (1 + t))
         enters = jnp.take(rows, w, 0, mode="clip").T / ones
         T_w = _total(enters[i][None] * P[i] for i in range(k)) / ones
@@ -189,9 +191,15 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
         radius_w = _pick(radius, w) / one
         change = sign_w[None] * T_w * signs * S_radius / radius_w[None]
         worth = finer * close**0.5 * _most(jnp.abs(change)) / one  # a smaller pivot would ruin P; such a row may as well change its sign
-        ratio = jnp.where(change > worth[None], change, 0) / jnp.maximum(shares, close) / ones
-        first, q = _largest(ratio, one)
-        swap = (first > 0) & ~done  # else e itself leaves
+        rate = jnp.where(change > worth[None], change, 0) / ones
+        step = shares / jnp.where(rate > 0, rate, 1) / ones  # of the multiplier of w, up to where that of a row of S is 0
+        after = 1 + step + _total(jnp.abs(shares[s][None] - step * change[s][None]) for s in range(k))
+        slope = worst - t * _total(change)
+        gained = (t * (1 + _total(shares)) / one)[None] + step * (slope / one)[None]
+        factor = jnp.where(rate > 0, gained / after, -1) / ones  # t once that row has left: rises up to its maximum, then falls
+        best = _most(factor) / one
+        _, q = _largest(jnp.where(factor >= (best * (1 - alike))[None], jnp.abs(T_w), -1) / ones, one)
+        swap = (best >= slope / (1 + _total(jnp.abs(change)))) & ~done  # else e itself leaves
         T_q, T_wq = _pick(T, q) / one, _pick(T_w, q) / one
         by_w = jnp.abs(T_wq) * radius_e >= jnp.abs(T_q) * radius_w  # w and e stay, q leaves; the one with the larger pivot joins S
         joins, stays = jnp.where(by_w[None], T_w, T), jnp.where(by_w[None], T, T_w)
@@ -211,7 +219,7 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
         return P, row, column, ids, signs, S_value, S_radius, T, own, e, done, count + 1
 
     alone = z / (r_outer + _product(jnp.abs(R), r_inner))
-    _, e = _largest(jnp.where(present, jnp.abs(alone), -1) / ones, one)
+    _, e = _largest(jnp.where(present, jnp.abs(alone), -1) / one[None], one)
     P = jnp.broadcast_to(jnp.eye(k, dtype=dtype)[:, :, None], (k, k, N))
     nothing = jnp.zeros_like(r_inner)
     ids = jnp.broadcast_to(c + slots, (k, N))
@@ -223,7 +231,7 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
     _, _, _, d = reference(P, signs, S_value, S_radius, T, own, _pick(radius, e))
     outer = jnp.arange(c)[:, None]
     on_S = _total(jnp.where(ids[s][None] == outer, T[s][None], 0) for s in range(k))
-    h = jnp.where(present, jnp.where(e[None] == outer, 1, 0) - on_S, 0) / ones  # multipliers: 1 on e, -T on S
+    h = jnp.where(present, jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]  # multipliers: 1 on e, -T on S
     top = _most(jnp.abs(h))
     h = h / jnp.where(top > 0, top, 1)[None]
     return jnp.where(jnp.abs(h) > rounding.unit(dtype) ** 2, h, 0), d, done

@@ -284,13 +284,6 @@ def test_circuits_of_degenerate_matrices(a, count):
     assert len(exact.circuits(exact.matrix(a))) == count
 
 
-def test_circuits_refuse_more_subsets_than_the_limit():
-    a = exact.matrix([[i, i * i] for i in range(1, 9)])
-    with pytest.raises(ValueError, match="56 circuits would have to be enumerated, more than 55"):
-        exact.circuits(a, limit=55)
-    assert len(exact.circuits(a, limit=56)) == 56
-
-
 def test_numbers_do_not_depend_on_the_precision_of_jax():
     with jax.enable_x64(False):
         assert exact.matrix(np.array([[0.1]])) == ((Fraction(1, 10),),)
