@@ -40,7 +40,10 @@ def constant_windows(relations, method, u, y, progress):
     factor, but seldom 30 % above it.
     """
     if method == "joint" and relations.frame is not None:
-        raise NotImplementedError(f"horizon {relations.horizon} is too long for constant_tolerance with this model: choose a shorter one")
+        raise NotImplementedError(
+            f"horizon {relations.horizon} is too long for constant_tolerance, whose relations are tested one by one: choose a shorter one, "
+            "or leave constant_tolerance out (wider bounds, that still give no false alarm)"
+        )
     test, s = relations.test(method, y.dtype), relations.horizon
     shape = y.shape[:-1]
     u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))

@@ -4,7 +4,7 @@
 |---|---|---|
 | sin, cos | x = k pi/2 + r, pi/2 in parts so short that k times each is exact | 1.7: polynomials on |r| < 0.79 |
 | tan | sin / cos, a corrected quotient | 4.4 |
-| atan2 | t = (a - c b) / (b + c a), c in 0, 1/4, 1/2, 1; |t| < 0.163 | 4.2: t 2.1, two sums |
+| atan, atan2 | t = (a - c b) / (b + c a), c in 0, 1/4, 1/2, 1; |t| < 0.163 | 4.2: t 2.1, two sums |
 | asin, acos | near 0 a polynomial, elsewhere atan2 with sqrt((1 - x)(1 + x)) | 4.2: the root 2.4, t 0.7, two sums |
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from jaxbound.sets import rounding
 from jaxbound.sets.approximations import ODD, parts, series, two_parts, with_derivative
 
-__all__ = ["LARGEST_ANGLE", "PI", "acos", "asin", "atan2", "sin_cos_quadrant", "tan"]
+__all__ = ["LARGEST_ANGLE", "PI", "acos", "asin", "atan", "atan2", "sin_cos_quadrant", "tan"]
 
 LARGEST_ANGLE = {8: 2.0**20, 4: 2.0**11}  # by itemsize: multiples of the parts of pi/2 are exact up to here
 PI = Fraction("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899")
@@ -112,6 +112,12 @@ def atan2(y, x):
     x_near = jnp.where((x_near == 0) & (y_near == 0), 1, x_near)
     angle = _direction(jnp.abs(y_near), x_near)
     return jnp.where(y < 0, -angle, angle)
+
+
+@with_derivative(lambda x, y: 1 / (1 + x * x))
+def atan(x):
+    """Return the inverse tangent; from 2^100 on pi / 2."""
+    return jnp.copysign(_direction(jnp.minimum(jnp.abs(x), 2.0**100), jnp.ones_like(x)), x)
 
 
 @atan2.defjvp

@@ -6,17 +6,18 @@ in units of the result. `UNITS` is what `rounding.outward` needs: the bound of t
 
 | function | reduction | bound of the error in u |
 |---|---|---|
-| exp, exp2, exp10 | x = k log 2 + r, e^x = 2^k (1 + r + ...) | 2.4: r 0.25, the polynomial 0.55, 1 + s 0.5, relative to 0.7 or more |
+| exp, exp2, exp10 | x = k log 2 + r, e^x = 2^k (1 + r + ...) | 2.5: r 0.25, the polynomial 0.65, 1 + s 0.5, relative to 0.7 or more |
 | log | x = 2^k m, f = m - 1, log m = f - (f^2/2 - s (f^2/2 + R)), s = f / (2 + f) | 2.4: terms 0.45, relative to 0.34 or more, a sum |
 | log2, log10 | the same, times 1 / log 2 or 1 / log 10 | 3.9: two more roundings |
-| sinh, cosh | below 1 polynomials, from 1 on 2^k (1 + s), s as in exp | 3.6 |
-| tanh | n / (n + 2), n = 2^k (1 + s) - 1, at 2 x | 4.8: n 3.3 of which 2.7 remain, n + 2 and the quotient |
+| sinh, cosh | below 1 polynomials, from 1 on 2^k (1 + s), s as in exp | 3.7 |
+| tanh | x (1 - q), beyond 1: 1 - q, 2 / q = 2^k e^r + 1; q by a continued fraction | 4.1: q 10.3 of which 0.32 remain, a difference |
 | asinh, acosh, atanh | log(1 + a), a a corrected root or quotient | 4.6, acosh 5.1 |
 | power | x^n by squaring in double-word arithmetic | 1.1 + 16 n u |
 
 Every product of a reduction is exact, so that contraction into an FMA changes nothing. A flushed subnormal costs `tiny` at most.
 Derivatives are the analytic ones (0 where they are infinite), so that bounds can be tuned by gradient.
-Source: the reductions are those of Muller, Elementary Functions (2016), chapters 10 and 11; the polynomials are Taylor's.
+Source: the reductions are those of Muller, Elementary Functions (2016), chapters 10 and 11; the polynomials are Taylor's, two of them
+shortened (`economized`).
 """
 
 import math
@@ -36,7 +37,7 @@ __all__ = [
 
 UNITS = {
     "sqrt": 4, "exp": 4, "exp2": 4, "exp10": 4, "log": 4, "log2": 5.2, "log10": 5.2, "sin": 4, "cos": 4, "tan": 6, "asin": 6, "acos": 6,
-    "atan": 6, "atan2": 6, "sinh": 6, "cosh": 6, "tanh": 6.5, "asinh": 6, "acosh": 7, "atanh": 6, "power": 4,
+    "atan": 6, "atan2": 6, "sinh": 6, "cosh": 6, "tanh": 5.4, "asinh": 6, "acosh": 7, "atanh": 6, "power": 4,
 }  # fmt: skip
 
 LOG_2 = Fraction("0.69314718055994530941723212145817656807550013436025525412068000949339362196969472")
@@ -66,11 +67,31 @@ BASES = {  # base b: log_b 2 in two parts, 1 / log_b 2, log b
     "10": (two_parts(LOG_2 / LOG_10, GRID), float(LOG_10 / LOG_2), float(LOG_10)),
 }
 
-# Taylor coefficients, from the first one left out of the leading terms; the last term dropped is below 0.1 u
+
+def economized(coefficients, lo, hi, count):
+    """Shorten a polynomial on [lo, hi] to `count` terms: from the top, each term gives way to its best approximation (Chebyshev's)."""
+    out, mid, rad = list(coefficients), (hi + lo) / 2, (hi - lo) / 2
+    while len(out) > count:
+        before, wave = [Fraction(1)], [-mid / rad, 1 / rad]  # T_n((x - mid) / rad) of growing n
+        while len(wave) < len(out):
+            up = [2 * (b - mid * a) / rad for a, b in zip([*wave, 0], [0, *wave], strict=True)]
+            before, wave = wave, [a - b for a, b in zip(up, [*before, 0, 0], strict=True)]
+        out = [a - b * out[-1] / wave[-1] for a, b in zip(out, wave, strict=True)][:-1]
+    return [float(c) for c in out]
+
+
+# Taylor coefficients, from the first one left out of the leading terms; the last term dropped is below 0.1 u.
+# Those of exp and log are shortened on their range of r and of s^2, which costs less than 0.2 u of e^r and 0.1 u of log m
 FACTORIALS = [1 / math.factorial(n) for n in range(22)]
-EXP = {8: FACTORIALS[2:14], 4: FACTORIALS[2:9]}
+EXP_TERMS = [Fraction(1, math.factorial(n)) for n in range(2, 15)]
+EXP = {size: economized(EXP_TERMS, Fraction(-26, 75), Fraction(26, 75), count) for size, count in ((8, 10), (4, 5))}
 SINH = {8: FACTORIALS[3:20:2], 4: FACTORIALS[3:12:2]}
 COSH = {8: FACTORIALS[4:21:2], 4: FACTORIALS[4:13:2]}
+# tanh y = y (B - w N) / B, w = y^2: the continued fraction 1 / (1 + w / (3 + w / (5 + ...))) cut after 9 terms, or 6; exact integers
+TANH_B = {8: [34459425.0, 16216200.0, 945945.0, 13860.0, 45.0], 4: [10395.0, 4725.0, 210.0, 1.0]}
+TANH_N = {8: [11486475.0, 810810.0, 12870.0, 44.0], 4: [3465.0, 189.0, 1.0]}
+LOG_TERMS = [Fraction(1, 2 * n + 1) for n in range(1, 12)]
+LOG = {size: economized(LOG_TERMS, Fraction(0), Fraction(1, 33), count) for size, count in ((8, 7), (4, 3))}
 ODD = {8: [1 / (2 * n + 1) for n in range(1, 11)], 4: [1 / (2 * n + 1) for n in range(1, 5)]}
 
 
@@ -104,20 +125,28 @@ def with_derivative(derivative):
 # exponentials
 
 
-def _exp_parts(x, base="e"):
-    """Return (s, k) with base^x = 2^k (1 + s), |s| < 0.42."""
+def _exp_reduced(x, base="e"):
+    """Return (r, k) with base^x = 2^k e^r, |r| < 0.35."""
     digits, per_unit, log_base = BASES[base]
     high, low = digits[x.dtype.itemsize]
-    limit = 1.1 * np.finfo(x.dtype).maxexp / per_unit
-    x = jnp.clip(x, -limit, limit)
     k = jnp.round(x * per_unit)
-    r = ((x - k * high) - k * low) * log_base
+    return ((x - k * high) - k * low) * log_base, k
+
+
+def _exp_parts(x, base="e"):
+    """Return (s, k) with base^x = 2^k (1 + s), |s| < 0.42."""
+    r, k = _exp_reduced(x, base)
     return r + r * r * series(r, EXP), k
 
 
 def _exponential(x, base):
-    s, k = _exp_parts(x, base)
-    return rounding.scale(1 + s, k)
+    """Return base^x: 0 where it is below 1.42 times the smallest normal number, twice which `rounding.outward` adds."""
+    top, per_unit = np.finfo(x.dtype).maxexp, BASES[base][1]
+    if base == "2":  # its smallest value is exact
+        s, k = _exp_parts(jnp.clip(x, -1.1 * top, 1.1 * top), base)
+        return rounding.scale(1 + s, k)
+    s, k = _exp_parts(jnp.clip(x, (2 - top) / per_unit, (top + 1) / per_unit), base)
+    return (2 + 2 * s) * rounding.power_of_two(k - 1)
 
 
 @with_derivative(lambda x, y: y)
@@ -145,7 +174,7 @@ def _log1p_near(f):
     """Return log(1 + f) for 1 + f between sqrt(1/2) and sqrt(2)."""
     s, half_square = f / (2 + f), 0.5 * f * f
     z = s * s
-    return f - (half_square - s * (half_square + 2 * z * series(z, ODD)))
+    return f - (half_square - s * (half_square + 2 * z * series(z, LOG)))
 
 
 def _logarithm(x, base):
@@ -226,7 +255,7 @@ def _small_sinh_cosh(x):
 
 def _large_sinh_cosh(x):
     """Return both for x >= 1: 2^(k-1) (1 + (s -+ h)), h = 2^-2k / (1 + s)."""
-    s, k = _exp_parts(x)
+    s, k = _exp_parts(jnp.minimum(x, 0.8 * np.finfo(x.dtype).maxexp))
     h = rounding.power_of_two(-2 * jnp.clip(k, 0, 60)) / (1 + s)
     return rounding.scale(1 + (s - h), k - 1), rounding.scale(1 + (s + h), k - 1)
 
@@ -247,10 +276,20 @@ def cosh(x):
 
 @with_derivative(lambda x, y: (1 - y) * (1 + y))
 def tanh(x):
-    """Return the hyperbolic tangent: n / (n + 2), n = e^2|x| - 1 = 2^k s + (2^k - 1); 1 beyond 30."""
-    s, k = _exp_parts(jnp.minimum(2 * jnp.abs(x), 60))
-    unit = rounding.power_of_two(k)
-    return jnp.copysign(rounding.quotient(unit * s + (unit - 1), unit * s + (unit + 1)), x)
+    """Return the hyperbolic tangent: |x| (1 - q), q = w N / B, up to 1; from there 1 - q, q = 2 / (e^2|x| + 1); 1 beyond 30.
+
+    With tanh y = y A / B, A = B - w N, e^r is (B + y A) / (B - y A), y = r / 2: one division serves both.
+    """
+    size = jnp.abs(x)
+    far = size > 1
+    r, k = _exp_reduced(jnp.minimum(2 * size, 60))
+    y, unit = jnp.where(far, 0.5 * r, size), rounding.power_of_two(k)
+    w = y * y
+    B, wN = series(w, TANH_B), w * series(w, TANH_N)
+    yA = y * (B - wN)
+    q = jnp.where(far, 2 * (B - yA), wN) / jnp.where(far, (unit + 1) * B + (unit - 1) * yA, B)
+    whole = jnp.where(far, jnp.copysign(1, x), x)
+    return whole - whole * q
 
 
 # powers

@@ -5,7 +5,8 @@ shape, or numbers, taken as points; two or three are broadcast. The bounds can b
 
 Encloses: f(v) for every v of the argument at which f is defined, eagerly and compiled, in float32 and float64: the floats at the ends
 come from `approximations` and `angles`, whose errors are known, and are widened by `rounding.outward`. They lie within 8 ulps of the
-tightest bounds, results near the smallest normal number apart. Beyond 2^20 (float32: 2^11) sin and cos are [-1, 1], tan is entire.
+tightest bounds (acosh: 9), results near the smallest normal number apart.
+Beyond 2^20 (float32: 2^11) sin and cos are [-1, 1], tan is entire.
 
 Example:
     >>> from jaxbound import sets
@@ -106,8 +107,10 @@ def _exponential(name, x):
     f = getattr(approximations, name)
     low, high = f(x.lo), f(x.hi)
     lo, hi = _widen(name, low, high, least=0)
-    whole = jnp.round if name == "exp2" else jnp.zeros_like
-    exact = lambda bound, value: (bound == whole(bound)) & (value >= rounding.tiny(x.dtype)) & jnp.isfinite(value)
+    if name == "exp2":
+        exact = lambda bound, value: (bound == jnp.round(bound)) & (value >= rounding.tiny(x.dtype)) & jnp.isfinite(value)
+    else:
+        exact = lambda bound, value: bound == 0
     return Interval(jnp.where(exact(x.lo, low), low, lo), jnp.where(exact(x.hi, high), high, hi))
 
 
@@ -221,8 +224,8 @@ def acos(x):
 @_elementary
 def atan(x):
     """Return the inverse tangent. Source: IEEE 1788 atan."""
-    one, top = jnp.ones_like(x.lo), _up(angles.PI / 2, x.dtype)
-    return _odd(x, *_widen("atan", angles.atan2(x.lo, one), angles.atan2(x.hi, one), -top, top))
+    top = _up(angles.PI / 2, x.dtype)
+    return _odd(x, *_widen("atan", angles.atan(x.lo), angles.atan(x.hi), -top, top))
 
 
 @_elementary

@@ -224,13 +224,13 @@ def _sharpened(traced, best):
     One batched evaluation of f serves the whole box, its middle and the faces to which derivatives with a sign pin the bounds.
     """
     z = traced.vector()
-    J, c = _apart((traced.jacobian(), mid(z)))
+    J, c = _once(traced.jacobian()), mid(z)
     m = J.shape[0]
     boxes = [jax.tree.map(lambda v: v[None], x) for x in (z, Interval(c, c))]
     if best:
         boxes += _faces(z, J)
-    boxes = _apart(jax.tree.map(lambda *v: jnp.concatenate(v), *boxes))
-    outs, continuous = _apart(jax.vmap(lambda box: traced.outputs(traced.spread(box)))(boxes))
+    boxes = jax.tree.map(lambda *v: jnp.concatenate(v), *boxes)
+    outs, continuous = jax.vmap(lambda box: traced.outputs(traced.spread(box)))(boxes)
     images = jax.vmap(lambda *parts: _joined(parts))(*(outs[i] for i in traced.real))
     fixed = z.lo == z.hi
     away = sub(z, Interval(c, c))
@@ -247,9 +247,10 @@ def _sharpened(traced, best):
     return outs
 
 
-def _apart(values):
-    """Keep the compiler from fusing what made these values into what uses them, where it would be worked out once for each use."""
-    return jax.lax.optimization_barrier(values)
+def _once(J):
+    """Return J, worked out once: the compiler repeats what made it for each of its uses, but never a division, even one by 1."""
+    one = jnp.where(J.lo > J.hi, 2, 1).astype(J.dtype)  # J is not empty, which the compiler does not know
+    return Interval(J.lo / one, J.hi / one)
 
 
 def _faces(z, J):

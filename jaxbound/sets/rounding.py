@@ -264,16 +264,18 @@ def dd_mul(x, y):
 
 
 def quotient(n, d):
-    """Divide with an error of 1.01 u |n / d|, whatever the compiler makes of the division; d normal, n / d far from overflow.
+    """Divide with an error of 1.01 u |n / d|, whatever the compiler makes of the division; d and 1 / d normal, n / d far from overflow.
 
-    The remainder n - q d is exact (`two_prod`, and n is within 3 u of the product), so that one correction removes the error of q.
-    Where n, d or q is so small that digits of the remainder could be flushed, q stays as it is, off by 2.84 u.
+    Half the digits of n / d leave a remainder n - q d that is exact (its products fit the digits, its digits start where those of q
+    end), so that one more step gives the other half. Where n, d or q is so small that digits of the remainder could be flushed, it is
+    n (1 / d), off by 2.84 u.
     """
-    q = n / d
-    p, e = two_prod(q, d)
+    inverse = 1 / d
+    rough = n * inverse
+    q, (high, low) = _halves(rough)[0], _halves(d)
     floor = np.asarray(float(tiny(q.dtype)) / float(unit(q.dtype)) ** 2 * 4, q.dtype)
-    keeps = (jnp.abs(n) > floor) & (jnp.abs(d) > floor) & (jnp.abs(q) > floor)
-    return jnp.where(keeps, q + ((n - p) - e) / d, q)
+    keeps = (jnp.abs(n) > floor) & (jnp.abs(d) > floor) & (jnp.abs(rough) > floor)
+    return jnp.where(keeps, q + ((n - q * high) - q * low) * inverse, rough)
 
 
 def root(x):

@@ -1,5 +1,7 @@
 """A million points an arithmetic operation, decided exactly: sums and products of floats are split without error on the host."""
 
+from fractions import Fraction
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -89,3 +91,44 @@ def test_exact_results_at_points_are_enclosed(rng, dtype, form, count):
         lo, hi = (np.broadcast_to(np.asarray(v), a.shape) for v in (z.lo, z.hi))
         held = CHECKS[op](lo, hi, a, np.broadcast_to(other, a.shape))
         assert held.all(), (op, (~held).sum())
+
+
+def encloses(lo, hi, fast, error, exactly):
+    """True where lo <= value <= hi: by a longer float and a bound of its error, else by rationals."""
+    lo, hi = (np.asarray(v).astype(np.longdouble) for v in (lo, hi))
+    held = (lo <= fast - error) & (fast + error <= hi)
+    for i in np.flatnonzero(~held):
+        held[i] = Fraction(float(lo[i])) <= exactly(i) <= Fraction(float(hi[i]))
+    return held
+
+
+@pytest.mark.parametrize("count", [20_000, pytest.param(MILLION, marks=pytest.mark.long)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64], ids=["float32", "float64"])
+def test_products_plus_a_number_are_enclosed(rng, dtype, count):
+    reach = np.finfo(dtype).maxexp // 6
+    draw = lambda: (np.exp2(rng.uniform(-reach, reach, count)) * rng.choice([-1, 1], count)).astype(dtype)
+    a, b = draw(), draw()
+    near = (-(a * b) * (1 + rng.integers(-9, 10, count) * np.finfo(dtype).eps)).astype(dtype)  # cancellation
+    c = np.choose(rng.integers(0, 3, count), [near, draw(), (near * np.exp2(rng.integers(-60, 60, count))).astype(dtype)])
+    z = jax.jit(sets.fma)(*(Interval(jnp.asarray(v), jnp.asarray(v)) for v in (a, b, c)))
+    p, e = split_product(*(v.astype(np.longdouble) if dtype == np.float32 else v for v in (a, b)))
+    fast = p.astype(np.longdouble) + c + e
+    error = (abs(fast) + abs(e.astype(np.longdouble)) + abs(p.astype(np.longdouble) + c)) * np.longdouble(2.0**-61)
+    held = encloses(z.lo, z.hi, fast, error, lambda i: Fraction(float(a[i])) * Fraction(float(b[i])) + Fraction(float(c[i])))
+    assert held.all(), (a[~held][:3], b[~held][:3], c[~held][:3])
+
+
+@pytest.mark.parametrize("n", [3, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 4, 7, 16, -1, -2, -5))])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64], ids=["float32", "float64"])
+def test_powers_of_points_are_enclosed(rng, dtype, n, request):
+    count = 200_000 if "long" in {m.name for m in request.node.iter_markers()} else 20_000
+    reach = np.finfo(dtype).maxexp / abs(n) * 0.95
+    x = (np.exp2(rng.uniform(-reach, reach, count)) * rng.choice([-1, 1], count)).astype(dtype)
+    x[: count // 4] = (1 + rng.integers(-9999, 9999, count // 4) * np.finfo(dtype).eps).astype(dtype)
+    z = jax.jit(lambda v: sets.pown(v, n))(Interval(jnp.asarray(x), jnp.asarray(x)))
+    fast = np.ones(count, np.longdouble)
+    for _ in range(abs(n)):
+        fast = fast * x
+    fast = 1 / fast if n < 0 else fast
+    held = encloses(z.lo, z.hi, fast, abs(fast) * (abs(n) + 2) * np.longdouble(2.0**-63), lambda i: Fraction(float(x[i])) ** n)
+    assert held.all(), x[~held][:3]

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from corners import Counted
+from flint import arb
 
 from jaxbound.sets import Interval, inclusion, interval
 
@@ -111,6 +112,18 @@ def test_points_and_boxes_mix_and_options_are_passed_on():
 def test_an_empty_box_has_an_empty_image(method):
     nothing = interval([np.inf, 1.0], [-np.inf, 2.0])
     assert bool(inclusion(lambda z: z[0] * 2 + jnp.exp(z[1]), method)(nothing).is_empty)
+
+
+@pytest.mark.parametrize(
+    "method", ["natural", pytest.param("mean_value", marks=pytest.mark.slow), pytest.param("best", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize(("lo", "hi"), [(-1, 2), (0, 0), (-600, 700), (-np.inf, 1), (1, np.inf)], ids=str)
+def test_the_logarithm_of_a_sum_of_exponentials_written_out_is_enclosed_and_not_empty(method, lo, hi):
+    found = inclusion(lambda z: jnp.log(jnp.sum(jnp.exp(z))), method)(interval(np.full(3, lo, float), np.full(3, hi, float)))
+    least, greatest = (arb(end) + arb(3).log() if np.isfinite(end) else end for end in (lo, hi))
+    assert not found.is_empty and float(found.lo) <= least and float(found.hi) >= greatest
+    if method != "mean_value":
+        assert found.lo >= lo + np.log(3) - 1e-9 and found.hi <= hi + np.log(3) + 1e-9
 
 
 @pytest.mark.parametrize(

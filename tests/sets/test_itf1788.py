@@ -15,12 +15,12 @@ from fractions import Fraction
 import jax
 import numpy as np
 import pytest
-from elementary_cases import box
+from elementary_cases import COUNT, box
 
 from jaxbound import sets
-from jaxbound.sets import interval
+from jaxbound.sets import interval, rounding
 
-TINY = float(np.finfo(float).tiny)
+TINY, TINY_32 = (float(np.finfo(dtype).tiny) for dtype in (np.float64, np.float32))
 ELEMENTARY = ["exp", "exp2", "exp10", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
               "asinh", "acosh", "atanh"]  # fmt: skip
 SETS = {  # ITF1788's name: (ours, largest distance from the tightest bound in ulps)
@@ -102,6 +102,41 @@ def test_the_tightest_result_is_contained_and_within_the_stated_ulps(itl, cases,
     worst = widest(itl, some, z)
     print(f"{op}: {len(some)} cases, at most {worst} ulps wide of the tightest bound")
     assert not unsound(some, z) and worst <= ulps
+
+
+def in_float32(cases, arguments):
+    """Return the arguments as float32 Intervals rounded outward, repeated up to one length for all, and which cases fit float32 exactly."""
+    ends = [[np.array([float(getattr(c.inputs[k], end)) for c in cases]) for end in ("lo", "hi")] for k in range(arguments)]
+    outward = [[rounding.round_down(lo, np.float32), rounding.round_up(hi, np.float32)] for lo, hi in ends]
+    fits = np.all(
+        [(a == b) & ((abs(b) >= TINY_32) | (b == 0)) for x, y in zip(ends, outward, strict=True) for a, b in zip(x, y, strict=True)], 0
+    )
+    return [interval(*(np.resize(end, COUNT) for end in x)) for x in outward], fits
+
+
+IN_FLOAT32 = [pytest.param(op, marks=[] if op in ("add", "mul", "div", "sqr", "exp") else pytest.mark.slow) for op in SETS]
+
+
+@pytest.mark.parametrize("op", IN_FLOAT32)
+def test_float32_contains_the_tightest_result_and_is_as_tight_where_the_arguments_fit(cases, op):
+    """The suite's float64 bounds say which float32 bounds are the tightest: the same ones, rounded outward."""
+    ours, ulps = SETS[op]
+    some = cases[op]
+    arguments, fits = in_float32(some, len(some[0].inputs))
+    z = jax.jit(getattr(sets, ours))(*arguments)
+    worst, tight = 0.0, []
+    for c, lo, hi, fit in zip(some, z.lo.tolist(), z.hi.tolist(), fits.tolist(), strict=False):
+        want = c.expected[0]
+        assert want.empty or lo <= want.lo and want.hi <= hi, c
+        assert not fit or (lo > hi) == want.empty, c
+        if fit and not want.empty:
+            for got, bound, directed in ((lo, want.lo, rounding.round_down), (hi, want.hi, rounding.round_up)):
+                tightest = directed(np.array(float(bound)), np.float32)[()]
+                off = abs(got - float(tightest)) if got != tightest else 0.0
+                tight.append(off)
+                worst = max(worst, off / float(np.spacing(abs(tightest))) if off > 3 * TINY_32 else 0.0)
+    print(f"{op}: {len(some)} cases, {int(fits.sum())} fit float32, at most {worst:.0f} ulps wide of the tightest bound")
+    assert z.lo.dtype == np.float32 and tight and worst <= ulps
 
 
 def by_exponent(some):
