@@ -4,16 +4,23 @@ from jaxbound import sets
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.certificate import Certificate
 from jaxbound.diagnosis.consistency import detect, margins
+from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
+from jaxbound.diagnosis.isolation import BankResult, evaluate
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.unknown_inputs import UnknownInputs, unknown_inputs
 from jaxbound.digest import Digest, detect_dataset
 from jaxbound.modelfile import load_model, save_model
 from jaxbound.models.conversion import from_control, from_scipy
 from jaxbound.models.faults import Fault
 from jaxbound.models.simulate import Trajectory, simulate
 from jaxbound.models.system import LinearSystem
-from jaxbound.plots import plot
+from jaxbound.models.uncertainty import Uncertainty
+from jaxbound.pictures import plot
+from jaxbound.relations.decoupling import Isolability, Signatures, isolability, signatures, structured_relations
 from jaxbound.relations.parity import ParityRelation, parity_relations
+from jaxbound.relations.redundancy import Redundancy, redundancy
 from jaxbound.relations.residual import Residual, residual
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.inclusion import Inclusion, inclusion
 from jaxbound.sets.interval import Interval, interval
 from jaxbound.sets.paving import Paving, pave
@@ -21,8 +28,10 @@ from jaxbound.sets.status import Status
 from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
 
 __all__ = [
-    "Alarm", "Certificate", "Digest", "Fault", "Inclusion", "Interval", "LinearSystem", "ParityRelation", "Paving", "Residual", "Result",
-    "Status", "Trajectory", "Zonotope", "detect", "detect_dataset", "from_control", "from_scipy", "inclusion", "interval", "load_model",
-    "margins", "membership", "parity_relations", "pave", "plot", "residual", "save_model", "sets", "simulate", "strips", "zonotope",
+    "Alarm", "BankResult", "Certificate", "Digest", "Fault", "GuaranteedSize", "Inclusion", "Interval", "Isolability", "LinearSystem",
+    "ParityRelation", "Paving", "Redundancy", "Residual", "Result", "Signatures", "Status", "Trajectory", "UncertainRelations",
+    "Uncertainty", "UnknownInputs", "Zonotope", "detect", "detect_dataset", "detectable", "evaluate", "from_control", "from_scipy",
+    "inclusion", "interval", "isolability", "load_model", "margins", "membership", "parity_relations", "pave", "plot", "redundancy",
+    "residual", "save_model", "sets", "signatures", "simulate", "strips", "structured_relations", "unknown_inputs", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"

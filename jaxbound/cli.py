@@ -16,6 +16,7 @@ from pathlib import Path
 import jax
 
 from jaxbound import __version__
+from jaxbound.describing import isolation_text
 from jaxbound.detecting import run_demo, run_detect
 from jaxbound.diagnosis.consistency import METHODS
 from jaxbound.modelfile import load_model, template
@@ -181,7 +182,15 @@ def _info(args):
     bounds = [(b, f"{exact(m.outputs, getattr(m, b))}   {origin(b)}") for b in ("tolerance", "noise", "resolution")]
     ranges = ", ".join(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]" for j, (lo, hi) in enumerate(m.disturbance))
     bounds += [("disturbance", f"{ranges}   {origin('disturbance')}")] if m.g else []
-    tested = f"{len(r.circuits)} combinations tested" if r.frame is None else "combinations too many to list, the worst is searched for"
+    bounds += [("unknown inputs", f"{m.d}, of which nothing is known")] if m.d else []
+    bounds += [
+        ("parameter", f"{p.name} in [{float(p.between[0]):.6g}, {float(p.between[1]):.6g}], {'varies' if p.varying else 'constant'}")
+        for p in m.uncertainties
+    ]
+    if m.uncertainties:
+        tested = f"polynomials of order {r.order} in {len(r.variables)} uncertain numbers"
+    else:
+        tested = f"{len(r.circuits)} combinations tested" if r.frame is None else "combinations too many to list, the worst is searched for"
     rows = [
         ("states", f"{m.n}: {', '.join(m.states)}"), ("inputs", f"{m.m}: {signals(m.inputs)}"), ("outputs", f"{m.p}: {signals(m.outputs)}"),
         ("dt", f"{m.dt:g} s"), ("matrices", f"A {m.n}x{m.n}, B {m.n}x{m.m}, C {m.p}x{m.n}, D {'present' if m.has_feedthrough else 'zero'}"
@@ -189,11 +198,12 @@ def _info(args):
         ("offset", exact(m.inputs + m.outputs, m.offset["u"] + m.offset["y"])),
         ("horizon", f"{r.horizon}: a window has {r.horizon + 1} samples"),
         ("relations", f"{r.count} independent, {tested}"),
-        *[("hint", h) for h in bound_hints(m)]]  # fmt: skip
+        *[("note", n) for n in getattr(r, "notes", ())], *[("hint", h) for h in bound_hints(m)]]  # fmt: skip
     distinct = distinct_relations(r)
     if len(distinct) < r.count:
         rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
-    show(m.name, "bold", rows, text="\n".join(r.text().splitlines()[j] for j in distinct))
+    text = "\n".join(r.text().splitlines()[j] for j in distinct)
+    show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon)}")
     return OK
 
 

@@ -37,7 +37,7 @@ COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": 
 
 def run_detect(args):
     """Run `jaxbound detect`; return the exit code."""
-    if args.method not in METHODS and args.method != "linearised":
+    if args.method not in METHODS:
         raise Refused(f"--method must be one of {', '.join(METHODS)}, not {args.method!r}")
     threading.Thread(target=_load_plotting, daemon=True).start()
     data = Path(args.data)
@@ -137,7 +137,7 @@ def conclude(args, res, recording, alarms, hints, seconds):
     if margin is not None:
         what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
         rows.append(("worst window" if margin < 0 else "tightest", f"{recording.label(at)}: margin {margin:.3g}, {what}"))
-    if verdict == "fault" and at is not None:
+    if verdict == "fault" and at is not None and not res.relations.model.uncertainties:
         rows.append(("proof", f"jaxbound explain {shlex.quote(str(args.out))} --at {at}"))
     rows += [("hint", h) for h in hints]
     rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]

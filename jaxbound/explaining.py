@@ -149,6 +149,8 @@ def readable(certificate, k, labels):
         rows = [("tightest", c.relation), ("", f"{percent(float(c.factor))} of the bounds are used"), ("first state", state)]
         if model.g:
             rows.append(("disturbance", "; ".join(", ".join(map(number, row)) for row in c.disturbances)))
+        if model.d:
+            rows.append(("unknown input", "; ".join(", ".join(map(number, row)) for row in c.unknown_inputs)))
     return headline, rows, _samples(c, labels)
 
 

@@ -268,7 +268,7 @@ def write_fleet(directory, results, title="fleet"):
 
 def run(args):
     """Run `jaxbound fleet`; return the exit code."""
-    if args.method not in METHODS and args.method != "linearised":
+    if args.method not in METHODS:
         raise Refused(f"--method must be one of {', '.join(METHODS)}, not {args.method!r}")
     with door():
         units = read_manifest(args.manifest)

@@ -11,17 +11,19 @@ from fractions import Fraction
 from pathlib import Path
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.uncertainty import Uncertainty, centred
 
 __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 
-TOP = ("name", "dt", "time", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "matrices", "provenance")
+TOP = ("name", "dt", "time", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty", "decouple",
+       "matrices", "provenance")  # fmt: skip
 STATE = ("name", "unit")
 INPUT = ("name", "unit", "column", "offset")
 OUTPUT = ("name", "unit", "column", "offset", "tolerance", "noise", "resolution")
 DISTURBANCE = ("bound",)
-MATRICES = ("A", "B", "C", "D", "G")
+MATRICES = ("A", "B", "C", "D", "G", "F", "D_v", "E")
 PROVENANCE = ("model", "tolerance", "noise", "resolution", "disturbance")
-PLANNED = ("E", "unknown_inputs", "F", "uncertainties", "uncertainty", "decouple")
+UNCERTAINTY = ("name", "varying", "between", "A", "B", "C", "D")
 
 
 def load_model(path):
@@ -33,7 +35,6 @@ def load_model(path):
     Raises:
         OSError: no such file, or it cannot be read.
         ValueError: not TOML (names the line), an unknown field (names the nearest), numbers that do not make a model.
-        NotImplementedError: a field of the format that is not implemented yet.
 
     Example:
         >>> import tempfile, pathlib
@@ -55,8 +56,8 @@ def load_model(path):
         raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no model file") from None
     except tomllib.TOMLDecodeError as e:
         raise ValueError(f"{path}: this is not valid TOML: {e}") from None
-    except (ValueError, NotImplementedError) as e:
-        raise type(e)(f"{path}: {e}") from None
+    except ValueError as e:
+        raise ValueError(f"{path}: {e}") from None
 
 
 def save_model(model, path):
@@ -120,25 +121,24 @@ def _model(table):
     if "matrices" not in table:
         raise ValueError("the table [matrices] is missing: it holds A, B, C and, if there is a direct path, D")
     matrices = _known("[matrices]", _table("[matrices]", table["matrices"]), MATRICES)
-    for letter in ("A", "C"):
+    for letter in ("A", "C") if "D" not in matrices or "A" in matrices or "C" in matrices else ():
         if letter not in matrices:
             raise ValueError(f"[matrices] needs {letter}")
     if "dt" not in table:
         raise ValueError("dt is missing: the sampling period in seconds")
     for letter, rows in matrices.items():
-        if not isinstance(rows, list) or not all(isinstance(row, list) for row in rows):
-            raise ValueError(f"{letter} must be a list of rows, like [[1, 0], [0, 1]]")
-        for row in rows:
-            for x in row:
-                _number(letter, x)
+        _rows(letter, rows)
     states = [{"name": s} if isinstance(s, str) else s for s in _list("states", table.get("states", []))]
     states = [_signal("states", i, s, STATE) for i, s in enumerate(states)]
     inputs = [_signal("inputs", i, s, INPUT) for i, s in enumerate(_list("inputs", table.get("inputs", [])))]
     outputs = [_signal("outputs", i, s, OUTPUT) for i, s in enumerate(_list("outputs", table.get("outputs", [])))]
     disturbances = [_disturbance(i, d) for i, d in enumerate(_list("disturbances", table.get("disturbances", [])))]
+    uncertainties = [_uncertainty(i, u) for i, u in enumerate(_list("uncertainty", table.get("uncertainty", [])))]
     if ("G" in matrices) != bool(disturbances):
         raise ValueError("a disturbance needs both G in [matrices] and, for each column of G, a [[disturbances]] block with its bound: "
                          f"{'the blocks are' if 'G' in matrices else 'G is'} missing")  # fmt: skip
+    if "D_v" in matrices and "F" not in matrices:
+        raise ValueError("D_v says how unknown inputs act on the outputs: it needs F beside it, zeros where they do not act on a state")
     columns = {s["name"]: s["column"] for s in inputs + outputs if "column" in s}
     if "time" in table:
         columns["time"] = _string("time", table["time"])
@@ -146,26 +146,25 @@ def _model(table):
     bounds = {bound: [s.get(bound, 0) for s in outputs] for bound in ("tolerance", "noise", "resolution") if outputs}
     names = lambda signals: [s["name"] for s in signals] or None
     return LinearSystem(
-        matrices["A"], matrices.get("B"), matrices["C"], matrices.get("D"), _number("dt", table["dt"]),
+        matrices.get("A"), matrices.get("B"), matrices.get("C"), matrices.get("D"), _number("dt", table["dt"]),
         inputs=names(inputs), outputs=names(outputs), states=names(states),
         units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}, offset=offset, columns=columns, **bounds,
         disturbance=(matrices["G"], disturbances) if disturbances else None,
+        unknown_inputs=(matrices["F"], matrices["D_v"]) if "D_v" in matrices else matrices.get("F"),
+        uncertainties=uncertainties, E=matrices.get("E"),
+        decouple=[_string("decouple", name) for name in _list("decouple", table.get("decouple", []))],
         constant_tolerance=_truth("constant_tolerance", table.get("constant_tolerance", False)),
         provenance=_known("[provenance]", _table("[provenance]", table.get("provenance", {})), PROVENANCE),
         name=_string("name", table.get("name", "model")))  # fmt: skip
 
 
 def _known(where, table, fields):
-    """Return the table if it has known fields only; a planned one may be there to say no."""
+    """Return the table if it has known fields only."""
     for field in [f for f in table if f not in fields]:
-        if field in PLANNED:
-            if table[field] is False or table[field] == []:
-                continue
-            raise NotImplementedError(f"{field} (in {where}) is not implemented yet: leave it out")
         near = difflib.get_close_matches(field, fields, n=1, cutoff=0.5)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"{where} has the unknown field {field!r}{hint}{'' if hint else ';'} known fields are {', '.join(fields)}")
-    return {k: v for k, v in table.items() if k in fields}
+    return table
 
 
 def _table(where, value):
@@ -176,7 +175,8 @@ def _table(where, value):
 
 def _list(field, value):
     if not isinstance(value, list):
-        raise ValueError(f"{field} must be a list" + (f": write [[{field}]] above each of them" if field != "states" else " of names"))
+        names = field in ("states", "decouple")
+        raise ValueError(f"{field} must be a list" + (" of names" if names else f": write [[{field}]] above each of them"))
     return value
 
 
@@ -229,6 +229,33 @@ def _disturbance(index, table):
     return [_number(f"bound of {where}", x) for x in bound] if isinstance(bound, list) else _number(f"bound of {where}", bound)
 
 
+def _rows(field, rows):
+    if not isinstance(rows, list) or not all(isinstance(row, list) for row in rows):
+        raise ValueError(f"{field} must be a list of rows, like [[1, 0], [0, 1]]")
+    for row in rows:
+        for x in row:
+            _number(field, x)
+
+
+def _uncertainty(index, table):
+    """Return one [[uncertainty]] entry."""
+    where = f"number {index + 1} of uncertainty" + (f", {table['name']!r}," if isinstance(table, dict) and "name" in table else "")
+    table = _known(where, _table(where, table), UNCERTAINTY)
+    if "name" not in table:
+        raise ValueError(f"{where} needs a name")
+    where = where.rstrip(",")
+    for letter in "ABCD":
+        if letter in table:
+            _rows(f"{letter} of {where}", table[letter])
+    between = table.get("between", [-1, 1])
+    if not isinstance(between, list) or len(between) != 2:
+        raise ValueError(f"between of {where} must be [lowest, highest]")
+    return Uncertainty(
+        _string(f"name of {where}", table["name"]), *(table.get(letter) for letter in "ABCD"),
+        varying=_truth(f"varying of {where}", table.get("varying", True)),
+        between=[_number(f"between of {where}", x) for x in between])  # fmt: skip
+
+
 def model_text(model):
     """Return the TOML text of a model, from which `load_model` reads the very same model."""
     quote = lambda s: json.dumps(s, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -252,14 +279,23 @@ def model_text(model):
                 out += [f"{key} = {number(bound[i])}" for key, bound in bounds if bound[i]]
     for lo, hi in model.disturbance:
         out += ["", "[[disturbances]]", f"bound = {number(hi) if lo == -hi else f'[{number(lo)}, {number(hi)}]'}"]
-    out += ["", "[matrices]", f"A = {rows(model.A)}"]
-    if model.m:
-        out.append(f"B = {rows(model.B)}")
-    out.append(f"C = {rows(model.C)}")
-    if model.has_feedthrough:
-        out.append(f"D = {rows(model.D)}")
+    for u in model.uncertainties:
+        out += ["", "[[uncertainty]]", f"name = {quote(u.name)}"]
+        out += [] if u.varying else ["varying = false"]
+        out += [] if u.between == (-1, 1) else [f"between = [{', '.join(map(number, u.between))}]"]
+        out += [f"{letter} = {rows(getattr(u, letter))}" for letter in "ABCD" if getattr(u, letter)]
+    A, B, C, D = (centred(getattr(model, letter), model.uncertainties, letter, sign=-1) for letter in "ABCD")
+    out += ["", "[matrices]"]
+    if model.n:
+        out += [f"A = {rows(A)}", *([f"B = {rows(B)}"] if model.m else []), f"C = {rows(C)}"]
+    if model.has_feedthrough or not model.n:
+        out.append(f"D = {rows(D)}")
     if model.g:
         out.append(f"G = {rows(model.G)}")
+    if model.d:
+        out.append(f"F = {rows(model.F)}")
+    if model.has_direct_unknown:
+        out.append(f"D_v = {rows(model.D_v)}")
     if model.provenance:
         out += ["", "[provenance]", *(f"{key} = {quote(value)}" for key, value in model.provenance.items())]
     return "\n".join(out) + "\n"
@@ -275,9 +311,9 @@ dt = 1.0             # sampling period of model and recording, in seconds
 # constant_tolerance = true   # theta below keeps one value over a window (a gain error), instead of being drawn anew each sample
 states = ["level", "flow"]
 
-# x+ = A x + B u + G w,   y = C x + D u.   One row per state (A, B, G) or output (C, D).
+# x+ = A x + B u + G w + F v,   y = C x + D u + D_v v.   One row per state (A, B, G, F) or output (C, D, D_v).
 # Numbers, or fractions in quotes: "1/3". Leave B and [[inputs]] out if nothing drives the plant, D if it is zero, G and [[disturbances]]
-# if nothing else acts on it.
+# if nothing else acts on it. F and D_v, left out here, are for inputs v of which nothing is known, not even a bound.
 [matrices]
 A = [
     [0.98, 0.05],
@@ -320,6 +356,17 @@ noise = 0.05
 # One [[disturbances]] block per column of G, in order: what acts on the states unmeasured, drawn anew each sample within its bound.
 [[disturbances]]
 bound = [0, 0.001]   # lowest and highest, here a leak; one number, bound = 0.001, means |w| <= 0.001
+
+# One [[uncertainty]] block per parameter that is not known exactly, with what it multiplies: A(v) = A + v dA, the same for B, C, D.
+# varying = true: another value at each sample; false: one value over a window. [matrices] holds the values at v = 0.
+# [[uncertainty]]
+# name = "valve"
+# between = [-1, 1]
+# varying = true
+# B = [
+#     [0.0],
+#     [0.02],
+# ]
 
 # Where the bounds come from, for the report: a proof is as good as its bounds.
 [provenance]

@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 
-from jaxbound.relations.parity import relation_text
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status
 
 __all__ = ["Timeline", "plot", "plot_residuals", "plot_timeline", "to_png"]
@@ -129,12 +129,12 @@ def plot_residuals(res, time=None):
     external, lo, hi = (np.where(missing, np.nan, x) for x in _forms(res, picked))
     fault = np.maximum.reduceat(res.status, _bins(len(x))) == Status.FAULT
     distinct = distinct_relations(relations)
-    shown, at = distinct[:PANELS], x[picked]
+    shown, at, lines = distinct[:PANELS], x[picked], relations.text().splitlines()
     panel, gap, top = 1.5, 0.55, 1.0  # inches
     with style():
         fig, axes = stacked(len(shown), (11, top + BOTTOM + panel * len(shown) + gap * (len(shown) - 1)), [1] * len(shown))
         for j, ax in zip(shown, axes, strict=True):
-            text = f"r{j + 1}: {relation_text(relations.model, relations.horizon, relations.W[j], relations.K[j])}"
+            text = lines[j]
             value, low, high = (np.asarray(z[:, j]) for z in (external, lo, hi))
             if thinned:  # neighbours have nothing to do with each other: the share of the envelope says more than a thicket of lines
                 value, low, high = abs(value - (low + high) / 2) / ((high - low) / 2), np.zeros(len(at)), np.ones(len(at))
@@ -160,6 +160,8 @@ def plot_residuals(res, time=None):
 
 def distinct_relations(relations):
     """Return the indices of the relations that are not merely an earlier copy of another one."""
+    if isinstance(relations, UncertainRelations):
+        return list(range(relations.count))
     model, last = relations.model, {}
     count = (relations.horizon + 1) * model.p
     for j, (h, k) in enumerate(zip(relations.W, relations.K, strict=True)):

@@ -13,6 +13,7 @@ import numpy as np
 from jaxbound.digest import Digest
 from jaxbound.modelfile import number_text
 from jaxbound.plots import distinct_relations, plot, plot_residuals, plot_timeline, to_png
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status
 
 __all__ = ["bound_hints", "coverage", "summary", "worst_window", "write_report"]
@@ -247,7 +248,8 @@ def _alarms(res, recording, alarms):
     note = f"<p>The {ROWS} deepest of {total} alarms; alarms.csv has all of them, and a larger n in --alarm k/n joins neighbours.</p>"
     note = note if total > ROWS else ""
     text = ("<p>Bounds needed: by how much all bounds would have to be widened to explain the worst window of the alarm. One sensor wrong: "
-            "the smallest error of that sensor alone that would explain it too; a sensor that is not named cannot, whatever its error. "
+            "the smallest error of that sensor alone that would explain it too, or an actuator that did something else than was recorded; "
+            "a signal that is not named cannot explain it, whatever its error. "
             "Violated relation: what those samples contradict most; it must hold for some true values inside the bounds. The whole proof "
             "of a window: <code>jaxbound explain DIR --at TIME</code>, with the folder of this report.</p>")  # fmt: skip
     return (
@@ -262,9 +264,9 @@ def _sensor_errors(certificate):
     unit = certificate.window.model.unit
     if not certificate.errors:
         return ""
-    return (
-        ", ".join(f"{name} {float(certificate.errors[name]):.3g} {unit(name)}".strip() for name in certificate.candidates) or "none alone"
-    )
+    errors = certificate.errors
+    wrong = lambda name: f"{name} {float(errors[name]):.3g} {unit(name)}".strip() if name in errors else f"{name} (actuator)"
+    return ", ".join(map(wrong, certificate.candidates)) or "none alone"
 
 
 def _model(res):
@@ -284,21 +286,27 @@ def _model(res):
     ]
     matrices = "".join(
         f'<div class="matrix"><span>{letter} =</span><table>{"".join(map(row, a))}</table></div>'
-        for letter, a in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D), ("G", model.G))
-        if a[0] and (letter != "D" or model.has_feedthrough)
-    )
+        for letter, a in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D), ("G", model.G), ("F", model.F),
+                          ("D<sub>v</sub>", model.D_v))
+        if a[0] and (letter[0] != "D" or any(map(any, a)))
+    )  # fmt: skip
+    acts = lambda u: ", ".join(letter for letter in "ABCD" if getattr(u, letter))
+    parameters = [(u.name, *(f"{float(b):.6g}" for b in u.between), "varies" if u.varying else "is constant", acts(u))
+                  for u in model.uncertainties]  # fmt: skip
     distinct = distinct_relations(res.relations)
     lines = res.relations.text().splitlines()
     relations = "\n".join(lines[j] for j in distinct[:20])
     relations += "\n..." if len(distinct) > 20 else ""
     copies = f", of which {len(distinct)} differ by more than a shift in time" if len(distinct) < res.relations.count else ""
     return (
-        f"<p>x<sub>k+1</sub> = A x<sub>k</sub> + B u<sub>k</sub>{' + G w<sub>k</sub>' if model.g else ''}, "
-        "y<sub>k</sub> = C x<sub>k</sub> + D u<sub>k</sub>, "
+        f"<p>x<sub>k+1</sub> = A x<sub>k</sub> + B u<sub>k</sub>{' + G w<sub>k</sub>' if model.g else ''}"
+        f"{' + F v<sub>k</sub>' if model.d else ''}, y<sub>k</sub> = C x<sub>k</sub> + D u<sub>k</sub>"
+        f"{' + D<sub>v</sub> v<sub>k</sub>' if model.has_direct_unknown else ''}{', v unknown' if model.d else ''}, "
         f"one sample every {model.dt:g} s; states {escape(', '.join(model.states))}; numbers: {escape(origin('model'))}.</p>"
         + _table(head, rows)
         + (_table(("input", "column", "unit", "offset"), inputs) if inputs else "")
         + (_table(("disturbance", "from", "to", "origin"), disturbances) if disturbances else "")
+        + (_table(("uncertain parameter", "from", "to", "over a window", "acts on"), parameters) if parameters else "")
         + f'<div class="matrices">{matrices}</div>'
         f"<p>{res.relations.count} independent relations over {res.relations.horizon + 1} samples{copies}; "
         f"{_tested(res.relations)}.</p><pre>{escape(relations)}</pre>"
@@ -307,6 +315,9 @@ def _model(res):
 
 def _tested(relations):
     """Say how their combinations are tested."""
+    if isinstance(relations, UncertainRelations):
+        about = f"they are polynomials of order {relations.order} in {len(relations.variables)} uncertain numbers"
+        return "; ".join((about, *relations.notes))
     if relations.frame is None:
         return f"{len(relations.circuits)} combinations are tested"
     return "the combination that speaks most against a window is searched for, there are too many to test one by one"

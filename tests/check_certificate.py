@@ -1,7 +1,8 @@
 """Re-check exported certificates in exact rationals, with the standard library alone: python check_certificate.py FILE.json...
 
-Plant x+ = A x + B u + G w, readings y = (1 + theta) (C x + D u) + delta, in deviations from the offsets; |theta| <= tolerance, w in its
-bounds, |delta| <= noise + resolution + recorder (largest |y| of the signal + noise) + floor (+ an error of one sensor).
+Plant x+ = A x + B u + G w + F v, readings y = (1 + theta) (C x + D u + D_v v) + delta, in deviations from the offsets; v any number,
+|theta| <= tolerance, w in its bounds, |delta| <= noise + resolution + recorder (largest |y| of the signal + noise) + floor (+ an error of
+one sensor).
 """
 
 import json
@@ -32,6 +33,7 @@ def factor(c, r, error=None):
     q = [F(0)] * len(c["A"])  # how the samples later than j depend on the state after j
     for h, g, k in reversed(list(zip(r["h"], r["g"], r["k"], strict=True))):
         insist(not any(add(dots(turned(c["G"]), q), g)), "the relation leaves a disturbance over")
+        insist(not any(add(dots(turned(c["D_v"]), h), dots(turned(c["F"]), q))), "the relation leaves an unknown input over")
         insist(add(dots(turned(c["D"]), h), dots(turned(c["B"]), q)) == k, "the relation does not fit the inputs")
         q = add(dots(turned(c["C"]), h), dots(turned(c["A"]), q))
     insist(not any(q), "the relation leaves the unknown state over")
@@ -46,15 +48,15 @@ def factor(c, r, error=None):
 
 def explain(c, witness, error=None):
     """Check that the witness is a trajectory with every reading, input and disturbance within its bounds."""
-    x, rows = witness["state"], zip(c["u"], witness["inputs"], witness["disturbances"], witness["outputs"], limits(c, error), strict=True)
-    for recorded, u, w, y, (readings, bounds) in rows:
+    names, x = ("inputs", "disturbances", "unknown_inputs", "outputs"), witness["state"]
+    for recorded, (readings, bounds), u, w, v, y in zip(c["u"], limits(c, error), *(witness[name] for name in names), strict=True):
         insist(all(a is None or a == b for a, b in zip(recorded, u, strict=True)), "the inputs are not those recorded")
         u = [a - offset for a, offset in zip(u, c["offset_u"], strict=True)]
-        t = add(dots(c["C"], x), dots(c["D"], u))
+        t = add(add(dots(c["C"], x), dots(c["D"], u)), dots(c["D_v"], v))
         insist(add(t, c["offset_y"]) == y, "the true outputs do not follow from the first state")
         inside = all(b is None or b[0] <= a <= b[1] for a, b in zip(t + w, readings + bounds, strict=True))
         insist(inside, "a reading or a disturbance is out of its bounds")
-        x = add(add(dots(c["A"], x), dots(c["B"], u)), dots(c["G"], w))
+        x = add(add(dots(c["A"], x), dots(c["B"], u)), add(dots(c["G"], w), dots(c["F"], v)))
 
 
 def limits(c, error):

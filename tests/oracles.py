@@ -48,7 +48,7 @@ def rational_matrix(a):
 class Plant:
     """A model as exact numbers, and its windows of s + 1 samples: O, H over (time, output) rows and (time, input) columns."""
 
-    def __init__(self, A, B, C, D=None, tolerance=0, noise=0, resolution=0, offset=None, disturbance=None):
+    def __init__(self, A, B, C, D=None, tolerance=0, noise=0, resolution=0, offset=None, disturbance=None, unknown_inputs=None):
         self.A, self.C = fractions(A), fractions(C)
         self.n, self.p = len(self.A), len(self.C)
         self.B = fractions(B) if B is not None else [[] for _ in self.A]
@@ -61,11 +61,17 @@ class Plant:
         self.feedthrough = any(x for row in self.D for x in row)
         G, bound = disturbance or ([[] for _ in self.A], [])
         self.G, self.g = fractions(G), len(G[0])
+        F, D_v = unknown_inputs or ([[] for _ in self.A], None)
+        self.F, self.d = fractions(F), len(F[0])
+        self.D_v = fractions(D_v) if D_v is not None else [[Fraction(0)] * self.d for _ in self.C]
         pairs = bound if isinstance(bound, (list, tuple)) else [bound] * self.g
         self.disturbance = [tuple(map(fraction, b)) if isinstance(b, (list, tuple)) else (-fraction(b), fraction(b)) for b in pairs]
 
     def lags(self, s):
         return s + 1 if self.feedthrough else s
+
+    def unknown_lags(self, s):
+        return s + 1 if any(x for row in self.D_v for x in row) else s
 
     def window(self, s):
         """Return (O, H) of Y = O x + H U, column by column: the response to each unit state and each unit input."""
@@ -80,18 +86,21 @@ class Plant:
         return [row[: self.n] for row in rows], [row[self.n :] for row in rows]
 
     def equation(self, s):
-        """Return (E, K) with (Y, w) = E (x, w) + K U: the disturbances w_k .. w_{k+s-1} are unknowns, and rows of their own."""
+        """Return (E, K) with (Y, w) = E (x, w, v) + K U: disturbances w are unknowns, and rows of their own; v has no bound."""
         O, H = self.window(s)
-        still, count = [[Fraction(0)] * self.m] * (s + 1), self.g * s
-        unit = lambda i: [Fraction(int(i == j)) for j in range(count)]
-        blow = lambda i: [unit(i)[j * self.g : (j + 1) * self.g] for j in range(s)]
-        through = [[x for row in self.trajectory([Fraction(0)] * self.n, still, blow(i)) for x in row] for i in range(count)]
-        V = [list(row) for row in zip(*through, strict=True)] if count else [[] for _ in O]
-        E = [o + v for o, v in zip(O, V, strict=True)] + [[Fraction(0)] * self.n + unit(i) for i in range(count)]
+        still, count, free = [[Fraction(0)] * self.m] * (s + 1), self.g * s, self.d * self.unknown_lags(s)
+        unit = lambda i, count: [Fraction(int(i == j)) for j in range(count)]
+        blow = lambda i, count, width: [unit(i, count)[j : j + width] for j in range(0, count, width)]
+        respond = lambda **driven: [x for row in self.trajectory([Fraction(0)] * self.n, still, **driven) for x in row]
+        through = [respond(w=blow(i, count, self.g)) for i in range(count)] + [respond(v=blow(i, free, self.d)) for i in range(free)]
+        V = [list(row) for row in zip(*through, strict=True)] if through else [[] for _ in O]
+        E = [o + v for o, v in zip(O, V, strict=True)] + [
+            [Fraction(0)] * self.n + unit(i, count) + [Fraction(0)] * free for i in range(count)
+        ]
         return E, H + [[Fraction(0)] * len(H[0]) for _ in range(count)]
 
-    def trajectory(self, x, u, w=()):
-        """Return the exact outputs (deviations) from a first state under inputs (deviations) and disturbances."""
+    def trajectory(self, x, u, w=(), v=()):
+        """Return the exact outputs (deviations) from a first state under inputs (deviations), disturbances and unknown inputs."""
         out, column = [], lambda v: [[e] for e in v]
         for k, now in enumerate(u):
             feed = times(self.D, column(now)) if self.m else [[Fraction(0)]] * self.p
@@ -100,6 +109,9 @@ class Plant:
             x = [a[0] + b[0] for a, b in zip(times(self.A, column(x)), drive, strict=True)]
             if k < len(w):
                 x = [a + b[0] for a, b in zip(x, times(self.G, column(w[k])), strict=True)]
+            if k < len(v):
+                out[-1] = [a + b[0] for a, b in zip(out[-1], times(self.D_v, column(v[k])), strict=True)]
+                x = [a + b[0] for a, b in zip(x, times(self.F, column(v[k])), strict=True)]
         return out
 
     def circuits(self, s, rows=None):
@@ -293,13 +305,16 @@ def draw(plant, s, count, rng, spread=3.0, level=None):
     u = rng.uniform(-1, 1, (count, s + 1, plant.m))
     known = u[:, : plant.lags(s)].reshape(count, -1)
     ends = np.array([[float(x) for x in pair] for pair in plant.disturbance] * s).reshape(-1, 2)
-    unknown = np.hstack([rng.normal(size=(count, plant.n)) * size, np.tile(ends.mean(1), (count, 1))])
+    free = E.shape[1] - plant.n - len(ends)
+    unknown = np.hstack([
+        rng.normal(size=(count, plant.n)) * size, np.tile(ends.mean(1), (count, 1)), rng.normal(size=(count, free)) * size,
+    ])  # fmt: skip
     true = unknown @ E[:rows].T + (known @ K[:rows].T if K.shape[1] else 0)
     centre = true.reshape(count, s + 1, plant.p)
     noise, tolerance = (np.array([float(x) for x in v]) for v in (plant.noise, plant.tolerance))
     share = spread * rng.uniform(0, 1, (count, 1, 1))
     error = rng.uniform(-1, 1, centre.shape) * share * (noise + tolerance * abs(centre))
-    blown = rng.uniform(-1, 1, (count, len(ends))) * share[:, 0] * (ends[:, 1] - ends[:, 0]) / 2 @ E[:rows, plant.n :].T
+    blown = rng.uniform(-1, 1, (count, len(ends))) * share[:, 0] * (ends[:, 1] - ends[:, 0]) / 2 @ E[:rows, plant.n : plant.n + len(ends)].T
     offset_u, offset_y = (np.array([float(x) for x in v]) for v in (plant.offset_u, plant.offset_y))
     return u + offset_u, centre + offset_y, centre + error + blown.reshape(centre.shape) + offset_y
 

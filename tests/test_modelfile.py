@@ -136,7 +136,7 @@ class TestReading:
         assert load("", b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode()).outputs == ("height",)
 
     def test_a_planned_field_may_say_no(self, load):
-        assert load("constant_tolerance = false\nuncertainties = []\n" + GOOD).n == 1
+        assert load("constant_tolerance = false\ndecouple = []\n" + GOOD).n == 1
 
 
 @pytest.mark.parametrize("old, new, message", [
@@ -196,21 +196,6 @@ def test_what_is_wrong_is_said(load, old, new, message):
     with pytest.raises(ValueError, match=message) as caught:
         load(GOOD.replace(old, new, 1))
     assert "m.toml: " in str(caught.value) and "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("line, place", [
-    ("unknown_inputs = [[1]]", "top"), ("decouple = ['a']", "top"), ("E = [[1]]", "matrices"),
-    ("[[uncertainty]]\nname = 'R'", "end"),
-])  # fmt: skip
-def test_planned_fields_are_refused(load, line, place):
-    text = {
-        "top": f"{line}\n{GOOD}",
-        "end": f"{GOOD}\n{line}",
-        "matrices": f"{GOOD}\n{line}",
-        "outputs": GOOD.replace("noise = 0.1", f"noise = 0.1\n{line}"),
-    }[place]
-    with pytest.raises(NotImplementedError, match="is not implemented yet: leave it out"):
-        load(text)
 
 
 def test_files_that_are_none(tmp_path):

@@ -41,10 +41,12 @@ class Alarm:
 
     @property
     def candidates(self):
-        """The outputs whose sensor alone could be wrong in the worst window, the most plausible first.
+        """The outputs whose sensor alone could be wrong in the worst window, the most plausible first, then inputs whose actuator could.
 
-        Of any other sensor it is proved that no error of it alone explains the alarm.
+        Of any other signal it is proved that no error of it alone explains the alarm.
         """
+        if hasattr(self.result, "remaining"):  # a bank of relations says it of all windows of the alarm at once
+            return self.result.remaining(self.start, self.end, self.recording)
         return self.certificate.candidates
 
 

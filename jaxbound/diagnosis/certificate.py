@@ -34,8 +34,8 @@ class Certificate:
             bounds allow; a FAULT, because |residual| > width.
         factor: |residual| / width, the factor on all bounds at which the window just becomes consistent (for method "box": that relation).
         state: where the window can be explained, the first state of a behaviour that does (the witness), in deviations; else None.
-        outputs, disturbances, inputs: that behaviour's true outputs (s+1, p), disturbances (s, g) and inputs in the unit of the recording,
-            the missing ones filled in; else None.
+        outputs, disturbances, unknown_inputs, inputs: that behaviour's true outputs (s+1, p), disturbances (s, g), unknown inputs
+            (s or s+1, d) and inputs in the unit of the recording, the missing ones filled in; else None.
         window: the samples and bounds. explanation: what they come to.
     """
 
@@ -76,12 +76,20 @@ class Certificate:
         return None if self.z is None else _rows(self.z[w.model.n : w.model.n + w.model.g * w.horizon], w.model.g) or ((),) * w.horizon
 
     @property
+    def unknown_inputs(self):
+        """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once), or None."""
+        if self.z is None:
+            return None
+        w = self.window
+        return _rows(self.z[w.model.n + w.model.g * w.horizon : len(self.z) - len(w.missing_inputs)], w.model.d)
+
+    @property
     def inputs(self):
         """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
         if self.z is None:
             return None
         w = self.window
-        found = dict(zip(w.missing_inputs, self.z[w.model.n + w.model.g * w.horizon :], strict=True))
+        found = dict(zip(w.missing_inputs, self.z[len(self.z) - len(w.missing_inputs) :], strict=True))
         offset = w.model.offset["u"]
         filled = [found.get(j, Fraction(0)) + offset[j % w.model.m] if v is None else v for j, v in enumerate(w.u)]
         return _rows(filled, w.model.m)
@@ -101,13 +109,18 @@ class Certificate:
         """
         return {self.window.model.outputs[e.output]: math.inf if e.size is None else e.size for e in self.sensor_errors}
 
-    @property
+    @cached_property
     def candidates(self):
-        """The outputs whose sensor alone could explain a FAULT window, the smallest error relative to what its bounds allow first."""
+        """The signals that alone could explain a FAULT window: outputs, the smallest error relative to what its bounds allow first, then
+        inputs, if the actuator did something else than was recorded. Of any other it is proved that it cannot.
+        """
+        if self.proves != Status.FAULT or self.window.constant:
+            return ()
         p, limits = self.window.model.p, self.window.limits
         size = lambda i: max(x[1] - x[0] for x in limits[i : len(self.window.y) : p] if x is not None)
         found = [(e.size / size(e.output), self.window.model.outputs[e.output]) for e in self.sensor_errors if e.size]
-        return tuple(name for _, name in sorted(found))
+        inputs = [i for i in range(self.window.model.m) if self.window.without_input(i).solve().factor <= 1]
+        return (*(name for _, name in sorted(found)), *(self.window.model.inputs[i] for i in inputs))
 
     def __str__(self):
         """Return one sentence."""
@@ -126,8 +139,9 @@ class Certificate:
         w, model = self.window, self.window.model
         fault = self.proves == Status.FAULT
         numbers = {
-            "A": model.A, "B": model.B, "C": model.C, "D": model.D, "G": model.G, "offset_u": model.offset["u"],
-            "offset_y": model.offset["y"], "tolerance": w.tolerance, "noise": w.noise, "resolution": w.resolution,
+            "A": model.A, "B": model.B, "C": model.C, "D": model.D, "G": model.G, "F": model.F, "D_v": model.D_v,
+            "offset_u": model.offset["u"], "offset_y": model.offset["y"], "tolerance": w.tolerance, "noise": w.noise,
+            "resolution": w.resolution,
             "disturbance": w.disturbance, "recorder": RECORDER_ULPS * w.unit, "floor": w.floor,
             "u": self._every_sample(w.u, [None] * model.m), "y": _rows(w.y, model.p),
             "relation": self._relation_dict(self.h) if any(self.h) else None,
@@ -173,6 +187,7 @@ class Certificate:
         flat = lambda rows: [x for row in rows for x in row]
         w, other = self.window, replace(self, z=z)
         return {"state": other.state, "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
+                "unknown_inputs": self._every_sample(flat(other.unknown_inputs), [Fraction(0)] * w.model.d),
                 "inputs": self._every_sample(flat(other.inputs), w.model.offset["u"]), "outputs": other.outputs}  # fmt: skip
 
     def _every_sample(self, values, last):
@@ -206,7 +221,7 @@ def certify(relations, u, y, method="joint", status=None, at=None):
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one behaviour cannot prove.
     """
     if not isinstance(relations, ParityRelation):
-        raise NotImplementedError(f"certificates of {type(relations).__name__} are not implemented yet, only those of parity_relations")
+        raise NotImplementedError("certificates are given for models without uncertain parameters so far; .margin says how far out a window is")
     at = (relations.horizon,) if at is None else at
     window = exact_window(relations, u, y)
     nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")

@@ -12,37 +12,46 @@ import numpy as np
 
 from jaxbound.diagnosis import constant, gridding
 from jaxbound.diagnosis.exchange import exchange_margins, exchange_windows
+from jaxbound.diagnosis.isolation import BankResult, bank_margins, bank_test, bank_words, status_of_words, words_needed
 from jaxbound.diagnosis.residual_windows import residual_windows
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.uncertain_windows import uncertain_windows
 from jaxbound.models import recording
 from jaxbound.models.seams import all_starts, crossing
+from jaxbound.relations.decoupling import signatures
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.residual import Residual
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.separation import Frame
 from jaxbound.sets.status import Status
 from jaxbound.sets.strips import UNROLLED, status_of, strip_margin, strip_verdict
 
-__all__ = ["detect", "margins"]
+__all__ = ["detect", "in_blocks", "margins"]
 
-METHODS = ("joint", "box", "paving")
-PLANNED = ("linearised",)
+METHODS = ("joint", "box", "paving", "linearised")
 
 
-def detect(relations, u, y, method="joint", budget=None, progress=None, starts=()):
+def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(), compensation=0.0):
     """Decide for every window whether any behaviour inside the bounds explains it.
 
     Args:
-        relations: from `parity_relations` or `residual`.
+        relations: from `parity_relations` or `residual`; or a bank from `structured_relations` or `redundancy`, whose relations are
+            tested one by one: the Result then knows .violated and the .candidates, the single faults that can explain it.
         u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or DataFrames with the model's columns. NaN marks a missing
             sample. u is None for a model without inputs. Leading axes are recordings of their own.
         method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each
             relation alone: FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's
             adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED.
             A residual is always decided by bisection of its unknowns: FAULT and CONSISTENT are proofs.
-        budget: for "paving", (q, max_boxes): stop at r > q - 1; default (3, 1_000_000). For a residual, boxes a window; default 1000.
+            With uncertain parameters both proofs of "joint" hold too, but what it neither refutes nor explains is UNDECIDED, until "paving"
+            bisects the parameters. "linearised" is the paper's test, which proves nothing: UNDECIDED, and .suspect where it is outside.
+        budget: for "paving", (q, max_boxes): stop at r > q - 1; default (3, 1_000_000). For a residual, or with uncertain parameters, boxes
+            a window; default 1000, or 10 000.
         progress: called with the share of the work done, after each block.
         starts: numbers of the samples that do not follow the one before, after a gap for example: windows across are MISSING. Where the
             steps of a DataFrame's index of dates or time spans are not the same, this is found from the index.
+        compensation: for "linearised", what each relation may be off by for the terms that it neglects, one number or one a relation.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends at sample k. The
@@ -61,23 +70,38 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
         >>> jb.detect(jb.parity_relations(m), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]]).status
         array([0, 3], dtype=int8)
     """
-    own = isinstance(relations, Residual)
-    if not own and not isinstance(relations, ParityRelation):
+    bank = relations if isinstance(relations, Redundancy) else None
+    if bank is not None:
+        if method not in ("joint", "box"):
+            raise ValueError(f"the relations of a bank are tested one by one: method {method!r} does not apply")
+        relations, method = bank.relations, "box"
+    own, uncertain = isinstance(relations, Residual), isinstance(relations, UncertainRelations)
+    if not isinstance(relations, ParityRelation | Residual | UncertainRelations):
         raise TypeError(f"detect needs relations, not {type(relations).__name__}: detect(parity_relations(model), u, y)")
-    if method in PLANNED:
-        raise NotImplementedError(f"method {method!r} is not implemented yet; use one of {', '.join(METHODS)}")
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     if own and method == "box":
         raise ValueError("method 'box' is for parity relations: a residual is decided as a whole")
+    if method == "linearised" and not uncertain:
+        raise ValueError("method 'linearised' is for models with uncertain parameters: use 'joint', which is exact here")
+    if method != "linearised" and np.any(np.asarray(compensation) != 0):
+        raise ValueError(f"compensation belongs to method='linearised'; {method!r} neglects nothing")
     if budget is not None and method != "paving" and not own:
         raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
     relations = relations.named(u, y) if own else relations
     u, y, index = recording.arrays(relations.model, u, y)
     _refuse_unverified_device()
     u, y = np.asarray(u), np.asarray(y)
-    if own:
+    words: tuple = ()
+    if bank is not None:
+        test = bank_test(bank, y.dtype)
+        (margin,) = in_blocks(bank_margins, test, u, y, (y.dtype,), (np.nan,), None)
+        words = in_blocks(bank_words, test, u, y, (np.uint32,) * words_needed(bank.count), (0,) * words_needed(bank.count), progress)
+        status = status_of_words(np.stack(words), bank.count)
+    elif own:
         status, margin = residual_windows(relations, u, y, budget, progress)
+    elif uncertain:
+        status, margin = uncertain_windows(relations, u, y, method, budget, progress, compensation)
     elif method == "paving":
         status, margin = gridding.pave_windows(relations, u, y, *(budget or (3, 1_000_000)), progress)
     elif relations.model.constant_tolerance:
@@ -86,7 +110,7 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
         status, margin = exchange_windows(relations, u, y, progress)
     else:
         test = relations.test(method, y.dtype)
-        status, margin = _in_blocks(_verdicts, test, u, y, (np.int8, y.dtype), (Status.MISSING, np.nan), progress)
+        status, margin = in_blocks(_verdicts, test, u, y, (np.int8, y.dtype), (Status.MISSING, np.nan), progress)
         if method == "box" and relations.count > 1:
             status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
     if (status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
@@ -95,6 +119,9 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
     if len(starts := all_starts(starts, index, y.shape[-2])):
         across = crossing(starts, relations.horizon, 0, y.shape[-2])
         status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, np.nan, margin)
+        words = [np.where(across, np.uint32(0), w) for w in words]
+    if bank is not None:
+        return BankResult(status, margin, method, relations, u, y, index, tuple(starts.tolist()), signatures(bank), np.stack(words))
     return Result(status, margin, method, relations, u, y, index, tuple(starts.tolist()))
 
 
@@ -120,6 +147,8 @@ def margins(relations, u, y):
         >>> jax.grad(loss)(r.bounds)["noise"].round(2)
         Array([20.], dtype=float...)
     """
+    if not isinstance(relations, ParityRelation):
+        raise TypeError(f"margins needs relations from parity_relations, not {type(relations).__name__}; detect(...).margin has them")
     if relations.model.constant_tolerance:
         raise NotImplementedError("margins has no fast path for constant_tolerance yet; detect(...).margin has them")
     u, y, index = recording.arrays(relations.model, u, y)
@@ -133,7 +162,7 @@ def margins(relations, u, y):
         u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
         margin = jnp.pad(_margins(test, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape)
         return margin.at[..., np.flatnonzero(across)].set(jnp.nan)
-    (margin,) = _in_blocks(_margins, test, np.asarray(u), np.asarray(y), (y.dtype,), (np.nan,), None)
+    (margin,) = in_blocks(_margins, test, np.asarray(u), np.asarray(y), (y.dtype,), (np.nan,), None)
     margin[..., across] = np.nan
     return jax.device_put(margin)
 
@@ -163,7 +192,7 @@ def block_size(test):
     return 2**16 if len(test.shape.h) <= UNROLLED else 2**14
 
 
-def _in_blocks(kernel, test, u, y, dtypes, warm_up, progress):
+def in_blocks(kernel, test, u, y, dtypes, warm_up, progress):
     """Run a kernel over all windows of (..., T, .) arrays and return one array (..., T) for each of its outputs."""
     shape, s = y.shape[:-1], test.horizon
     u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))

@@ -1,6 +1,6 @@
 """One window in exact rationals: what its samples and bounds say, and how far the model is from explaining them.
 
-    (Y, w) = E z + K U,   z = (first state, disturbances, missing inputs)        rows: true outputs Y, disturbances w
+    (Y, w) = E z + K U,   z = (first state, disturbances, unknown inputs, missing inputs)      rows: true outputs Y, disturbances w
     lo <= (Y, w) <= hi                                                           what samples and bounds say
 
 The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y = (1 + theta) t + delta with |theta| <= sigma,
@@ -69,6 +69,13 @@ class ExactWindow:
         """Return the window with an error of up to e allowed to output i."""
         return replace(self, error=tuple(e if j == i else ZERO for j in range(self.model.p)))
 
+    def without_input(self, i):
+        """Return the window with every sample of input i missing: whatever the actuator did."""
+        m, offset = self.model.m, self.model.offset["u"]
+        u = tuple(None if j % m == i else v for j, v in enumerate(self.u))
+        known = [ZERO if v is None else v - offset[j % m] for j, v in enumerate(u)]
+        return replace(self, u=u, drive=tuple(dot(row, known) for row in _forms(self.model, self.horizon)[1]))
+
     def readings(self):
         """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest |delta|."""
         p, out = self.model.p, [None] * len(self.y)
@@ -131,7 +138,7 @@ class ExactWindow:
         return self.action(h), middle - dot(h, self.drive), width
 
     def rows_at(self, z):
-        """Return the true (Y, w), in deviations, that unknowns z = (x, w, missing inputs) give."""
+        """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
         E, K = _forms(self.model, self.horizon)
         missing = self.missing_inputs
         return tuple(dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d)) for e, k, d in zip(E, K, self.drive, strict=True))

@@ -24,7 +24,8 @@ __all__ = ["Trajectory", "simulate"]
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A simulated recording. x (..., T, n) states (minus nothing: in the model's own deviation units), u (..., T, m) recorded
-    inputs, y (..., T, p) recorded outputs, theta, noise (..., T, p) and disturbance (..., T, g): the unknowns that were drawn.
+    inputs, y (..., T, p) recorded outputs, theta, noise (..., T, p), disturbance (..., T, g), unknown_input (..., T, d) and parameters
+    (..., T, q): the unknowns that were drawn; parameters in [-1, 1], the middle of each being 0.
     """
 
     x: jax.Array
@@ -33,10 +34,13 @@ class Trajectory:
     theta: jax.Array
     noise: jax.Array
     disturbance: jax.Array
+    unknown_input: jax.Array | None = None
+    parameters: jax.Array | None = None
 
 
-def simulate(model, u, key, x0=None, at="uniform", faults=()):
-    """Simulate x+ = A x + B u + G w, y = (1 + theta) (C x + D u) + noise with w, theta and noise within their bounds.
+def simulate(model, u, key, x0=None, at="uniform", faults=(), unknown_input=None):
+    """Simulate x+ = A x + B u + G w + F v, y = (1 + theta) (C x + D u + D_v v) + noise with w, theta and noise within their bounds;
+    uncertain parameters, within theirs, change A, B, C, D.
 
     Args:
         model: a LinearSystem.
@@ -44,9 +48,10 @@ def simulate(model, u, key, x0=None, at="uniform", faults=()):
             needs (..., T, 0). Its float dtype is that of the recording (float32 as it is, anything else the default float).
         key: a jax.random key.
         x0: (n,) or (..., n) first state; default 0.
-        at: "uniform" draws w, theta and noise uniformly; "vertices" at one of their bounds each sample.
-            With constant_tolerance a recording has one theta an output.
+        at: "uniform" draws w, theta, noise and parameters uniformly; "vertices" at one of their bounds each sample.
+            With constant_tolerance a recording has one theta an output, and a parameter that does not vary keeps one value.
         faults: a sequence of Fault.
+        unknown_input: v, (..., T, d) of the model's unknown inputs; default: drawn from a standard normal distribution.
 
     Returns:
         A Trajectory. Without faults y is within the model's resolution of an exact trajectory with unknowns inside the bounds
@@ -74,13 +79,23 @@ def simulate(model, u, key, x0=None, at="uniform", faults=()):
     if x0.shape[-1:] != (model.n,) or (x0.ndim > 1 and x0.shape[:-1] != batch):
         raise ValueError(f"x0 must have shape ({model.n},) or {(*batch, model.n)}: its shape is {x0.shape}")
     x0 = jnp.broadcast_to(x0, (*batch, model.n))
+    if unknown_input is not None:
+        unknown_input = jnp.asarray(unknown_input, u.dtype)
+        if unknown_input.shape != (*batch, T, model.d):
+            raise ValueError(f"unknown_input must have shape {(*batch, T, model.d)}: its shape is {unknown_input.shape}")
+        unknown_input = unknown_input.reshape(math.prod(batch), T, model.d)
     active = _switches(model, faults, T)
     lo, hi = zip(*model.disturbance, strict=True) if model.g else ((), ())
     numbers = {
         "G": _double(model.G, u.dtype), "lo": rounding.round_up(list(lo), u.dtype), "hi": rounding.round_down(list(hi), u.dtype),
+        "F": _double(model.F, u.dtype), "D_v": _double(model.D_v, u.dtype),
         "A": _double(model.A, u.dtype), "B": _double(model.B, u.dtype), "C": _double(model.C, u.dtype), "D": _double(model.D, u.dtype),
         "tolerance": rounding.round_down(list(model.tolerance), u.dtype), "noise": rounding.round_down(list(model.noise), u.dtype),
         "offset_u": _double([model.offset["u"]], u.dtype), "offset_y": _double([model.offset["y"]], u.dtype)}  # fmt: skip
+    numbers["varying"] = np.array([p.varying for p in model.uncertainties], bool)
+    numbers["parameters"] = [
+        {letter: _double(rows, u.dtype) for letter in "ABCD" if (rows := p.on(letter)) is not None} for p in model.uncertainties
+    ]
     sizes = np.array([f.size for f in faults], u.dtype)
     kinds = tuple((f.kind, model.outputs.index(f.signal) if f.signal in model.outputs else None,
                    model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
@@ -88,7 +103,7 @@ def simulate(model, u, key, x0=None, at="uniform", faults=()):
     count = math.prod(batch)
     flat = [v.reshape(count, *v.shape[len(batch) :]) for v in (u, x0)]
     keys = jax.random.split(key, count)
-    out = run(numbers, sizes, active, keys, *flat)
+    out = run(numbers, sizes, active, keys, *flat, unknown_input)
     return Trajectory(*(v.reshape(*batch, *v.shape[1:]) for v in out))
 
 
@@ -109,11 +124,12 @@ def _switches(model, faults, T):
 
 def _double(a, dtype):
     """Return exact numbers as a pair of float arrays whose sum is accurate to twice the digits."""
-    hi = np.array([[float(x) for x in row] for row in a], np.float64).astype(dtype).reshape(len(a), -1)
+    shape = len(a), len(a[0]) if a else 0
+    hi = np.array([[float(x) for x in row] for row in a], np.float64).astype(dtype).reshape(shape)
     lo = np.array(
         [[float(x - Fraction(float(h))) for x, h in zip(row, top, strict=True)] for row, top in zip(a, hi, strict=True)], np.float64
     )
-    return hi, lo.astype(dtype).reshape(len(a), -1)
+    return hi, lo.astype(dtype).reshape(shape)
 
 
 def _apply(matrix, vector):
@@ -125,12 +141,22 @@ def _apply(matrix, vector):
     return total
 
 
+def _uncertain(numbers, parameters, letter, vector):
+    """Multiply a vector with a matrix of the model at the parameters of this sample."""
+    total = _apply(numbers[letter], vector)
+    for i, part in enumerate(numbers["parameters"]):
+        if letter in part:
+            value = (parameters[i], jnp.zeros_like(parameters[i]))
+            total = rounding.dd_add(total, rounding.dd_mul(value, _apply(part[letter], vector)))
+    return total
+
+
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _simulate(vertices, constant, kinds, numbers, sizes, active, keys, u, x0):
-    return jax.vmap(lambda key, u, x0: _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0))(keys, u, x0)
+def _simulate(vertices, constant, kinds, numbers, sizes, active, keys, u, x0, v):
+    return jax.vmap(partial(_one, vertices, constant, kinds, numbers, sizes, active))(keys, u, x0, v)
 
 
-def _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0):
+def _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0, v):
     T, p = u.shape[0], numbers["C"][0].shape[0]
     k_theta, k_noise, k_fault = jax.random.split(key, 3)
     k_w = jax.random.fold_in(key, 3)
@@ -145,23 +171,29 @@ def _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0):
     lo, hi = numbers["lo"][None], jnp.maximum(numbers["lo"], numbers["hi"])[None]
     share = draw(k_w, (T, lo.shape[1]))
     w = jnp.where(share == 1, hi, jnp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
+    v = jax.random.normal(jax.random.fold_in(key, 4), (T, numbers["F"][0].shape[1]), u.dtype) if v is None else v
     extra = jax.random.uniform(k_fault, (len(kinds), T), u.dtype, -1, 1)
+    each = draw(jax.random.fold_in(key, 5), (T, len(numbers["parameters"])))
+    parameters = jnp.where(numbers["varying"][None], each, each[:1])
     applied = _faulty(u, kinds, sizes, active, extra, lambda f: f[2], dropped=0.0)
 
     single = lambda v: (v, jnp.zeros_like(v))
     offset_u, offset_y = (tuple(part[0] for part in numbers[name]) for name in ("offset_u", "offset_y"))
 
     def step(x, now):
-        inputs, w, theta, noise = now
+        inputs, w, v, theta, noise, parameters = now
         deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), single(-offset_u[1]))
-        true = rounding.dd_add(_apply(numbers["C"], x), _apply(numbers["D"], deviation))
+        mapped = lambda letter, vector: _uncertain(numbers, parameters, letter, vector)
+        true = rounding.dd_add(mapped("C", x), mapped("D", deviation))
+        true = rounding.dd_add(true, _apply(numbers["D_v"], single(v))) if len(v) else true
         y = rounding.dd_add(true, rounding.dd_mul(single(theta), true))  # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
         y = rounding.dd_add(rounding.dd_add(y, single(noise)), offset_y)
-        after = rounding.dd_add(_apply(numbers["A"], x), _apply(numbers["B"], deviation))
+        after = rounding.dd_add(mapped("A", x), mapped("B", deviation))
+        after = rounding.dd_add(after, _apply(numbers["F"], single(v))) if len(v) else after
         return rounding.dd_add(after, _apply(numbers["G"], single(w))) if len(lo) else after, (x[0], y[0])
 
-    _, (x, y) = jax.lax.scan(step, single(x0), (applied, w, theta, noise))
-    return x, u, _faulty(y, kinds, sizes, active, extra, lambda f: f[1], dropped=jnp.nan), theta, noise, w
+    _, (x, y) = jax.lax.scan(step, single(x0), (applied, w, v, theta, noise, parameters))
+    return x, u, _faulty(y, kinds, sizes, active, extra, lambda f: f[1], dropped=jnp.nan), theta, noise, w, v, parameters
 
 
 def _faulty(signals, kinds, sizes, active, extra, channel, dropped):

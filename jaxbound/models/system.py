@@ -4,28 +4,24 @@ from fractions import Fraction
 
 import numpy as np
 
+from jaxbound.models.uncertainty import centred, influences
+from jaxbound.models.unknown import decoupled, unbounded_inputs, without_descriptor
 from jaxbound.sets import exact
 
 __all__ = ["LinearSystem"]
-
-PLANNED = {
-    "E": "a descriptor system",
-    "unknown_inputs": "unknown inputs",
-    "uncertainties": "uncertain parameters",
-    "decouple": "decoupling of uncertainties",
-}
 
 
 class LinearSystem:
     """A discrete-time linear model with imperfect sensors.
 
-        x+ = A x + B u + G w,    y = (1 + theta) (C x + D u) + noise + rounding of the recording
-        lo_j <= w_j <= hi_j,  |theta_i| <= tolerance_i,  |noise_i| <= noise_i,  |rounding_i| <= resolution_i,  drawn anew each sample
+        x+ = A x + B u + G w + F v,    y = (1 + theta) (C x + D u + D_v v) + noise + rounding of the recording
+        lo_j <= w_j <= hi_j,  |theta_i| <= tolerance_i,  |noise_i| <= noise_i,  |rounding_i| <= resolution_i,  v any number,
+        all drawn anew each sample
 
     Every number is kept exactly: a float means its shortest decimal; Fraction, Decimal, int and str ("1/3") are taken as they are.
 
     Args:
-        A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m); B None: no inputs; D None: zero.
+        A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m); B None: no inputs; D None: zero; A, B, C None: no states, y = D u.
         dt: sampling period in seconds.
         tolerance: relative sensor tolerance in [0, 1), one number or one per output.
         constant_tolerance: True if each theta keeps one value over a window (the gain error of a sensor), False if it is drawn anew.
@@ -35,17 +31,22 @@ class LinearSystem:
             roundoff of the recording's float type: a sum, a product and a final rounding of a perfect plant are within 3 u of this.
         disturbance: (G, bound): G (n, g) says how unmeasured, bounded inputs w act on the states; bound (g,) or one number means
             |w| <= bound, bound (g, 2) means lo <= w <= hi (a leak is [0, w]). Kept as .G and .disturbance, g pairs (lo, hi).
+        unknown_inputs: F (n, d), or a pair (F, D_v (p, d)): how inputs that nobody knows, not even a bound, act on the states and outputs.
+            Kept as .F and .D_v.
         inputs, outputs, states: names; default u1.., y1.., x1...
         units: {name: unit}, for reports.
         offset: {"u": (m,), "y": (p,)}: operating point; the model speaks of u - offset and y - offset (the tolerance too).
         columns: {name: column} where a recording calls a signal otherwise; {"time": column} for its time stamps.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
         name: of the plant, for reports.
-        E, unknown_inputs, uncertainties, decouple: reserved; refused until they are implemented.
+        uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given matrices are those at the value
+            0 of every parameter; .A, .B, .C, .D are kept at the middle of their bounds.
+        decouple: names of uncertainties whose bounds are not to be trusted: they become unknown inputs.
+        E: (r, n) of a descriptor system E x+ = A x + B u + ..., A, B, G, F (r, .) then. The model keeps the states that E determines; what
+            no equation drives becomes unknown inputs. Not together with uncertainties.
 
     Raises:
         ValueError: shapes that do not fit, a number that is not finite, a negative bound, a tolerance >= 1, a name used twice.
-        NotImplementedError: a reserved field was given.
 
     Source: Adrot, Maquin, Ragot 2000, (1)-(2).
 
@@ -58,28 +59,37 @@ class LinearSystem:
     def __init__(self, A, B, C, D=None, dt=1.0, *, tolerance=0.0, noise=0.0, constant_tolerance=False, resolution=None, E=None,
                  unknown_inputs=None, disturbance=None, uncertainties=(), decouple=(), inputs=None, outputs=None, states=None,
                  units=None, offset=None, columns=None, provenance=None, name="model"):  # fmt: skip
-        reserved = {"E": E, "unknown_inputs": unknown_inputs,
-                    "uncertainties": uncertainties, "decouple": decouple}  # fmt: skip
-        for field, value in reserved.items():
-            if value is not None and value is not False and len(np.atleast_1d(np.asarray(value, object))) > 0:
-                raise NotImplementedError(f"{field}: {PLANNED[field]} is not implemented yet; leave the field out")
-        self.A = _matrix("A", A)
+        if E is not None:
+            if np.size(np.asarray(uncertainties, object)):
+                raise ValueError("E and uncertainties do not go together: solve the equations for x+ first, or decouple the parameters")
+            given = E, A, B, C, D, disturbance, unknown_inputs, states
+            A, B, C, D, disturbance, unknown_inputs, states = without_descriptor(*given)
+        self.A = _matrix("A", A) if A is not None and len(A) else ()
         n = len(self.A)
-        if n == 0 or len(self.A[0]) != n:
-            raise ValueError(f"A must be square, one row per state: its shape is ({n}, {len(self.A[0]) if n else 0})")
-        self.C = _matrix("C", C)
+        if n and len(self.A[0]) != n:
+            raise ValueError(f"A must be square, one row per state: its shape is ({n}, {len(self.A[0])})")
+        static = n == 0 and D is not None and np.size(D) > 0  # y = D u: D says how many outputs there are
+        if not n and not static:
+            raise ValueError("A must be square, one row per state; a model without states needs D (y = D u)")
+        self.C = _matrix("C", C) if C is not None and len(C) else tuple(() for _ in (_matrix("D", D) if static else ()))
         p = len(self.C)
         if p == 0:
             raise ValueError("the model has no output: C needs at least one row")
         self.B = _matrix("B", B) if B is not None and np.size(B) else tuple(() for _ in range(n))
-        m = len(self.B[0])
+        m = len(self.B[0]) if n else len(_matrix("D", D)[0])
         self.D = _matrix("D", D) if D is not None and np.size(D) else tuple((Fraction(0),) * m for _ in range(p))
         for label, a, shape in (("B", self.B, (n, m)), ("C", self.C, (p, n)), ("D", self.D, (p, m))):
-            if (len(a), len(a[0])) != shape:
+            if a and (len(a), len(a[0])) != shape:
                 raise ValueError(f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}")
+        self.uncertainties = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
+        for letter in "ABCD":
+            setattr(self, letter, centred(getattr(self, letter), self.uncertainties, letter))
         self.n, self.m, self.p = n, m, p
         self.G, self.disturbance = _disturbance(disturbance, n)
         self.g = len(self.disturbance)
+        self.F, self.D_v = unbounded_inputs(unknown_inputs, n, p)
+        self.uncertainties, self.F, self.D_v = decoupled(self.uncertainties, decouple, self.F, self.D_v)
+        self.d = len(self.D_v[0])
         self.dt = float(_number("dt", dt))
         if self.dt <= 0:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}")
@@ -129,7 +139,12 @@ class LinearSystem:
     @property
     def has_feedthrough(self):
         """True if D is not zero: the newest input of a window then matters."""
-        return any(x for row in self.D for x in row)
+        return any(x for D in (self.D, *(u.D or () for u in self.uncertainties)) for row in D for x in row)
+
+    @property
+    def has_direct_unknown(self):
+        """True if D_v is not zero: the newest unknown input of a window then matters."""
+        return any(x for row in self.D_v for x in row)
 
     def column(self, signal):
         """Return the column of a recording that holds a signal."""

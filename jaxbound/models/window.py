@@ -5,6 +5,7 @@
 | C_{s,0} | O | rows of the outputs on the first state, ((s+1)p, n) |
 | H_{s,0} | H | rows of the outputs on the inputs, ((s+1)p, l) |
 | | V | rows of the outputs on the disturbances w_k .. w_{k+s-1}, ((s+1)p, gs) |
+| | G_v | rows of the outputs on the unknown inputs v_k .. v_{k+s-1}, and v_{k+s} too if D_v is not zero |
 | L_0, M, N | L, M, N | outputs on all states; dynamics; inputs |
 
 Rows are time-major: y_k, then y_{k+1}, ... The inputs are u_k .. u_{k+s-1}, and u_{k+s} too if the model has feedthrough D.
@@ -16,7 +17,7 @@ from fractions import Fraction
 
 from jaxbound.sets import exact
 
-__all__ = ["disturbance_form", "first_form", "input_lags", "observability", "second_form", "unknowns"]
+__all__ = ["disturbance_form", "first_form", "input_lags", "second_form", "unbounded", "unknown_lags", "unknowns"]
 
 ZERO = Fraction(0)
 
@@ -26,9 +27,16 @@ def input_lags(model, horizon):
     return horizon + 1 if model.has_feedthrough else horizon
 
 
-def observability(model, horizon):
-    """Return O alone; the O of a shorter horizon are its first rows."""
-    return tuple(row for block in _outputs_on_state(model, horizon) for row in block)
+def unknown_lags(model, horizon):
+    """Return how many samples of v a window of s + 1 outputs depends on: s, or s + 1 with D_v."""
+    return (horizon + 1 if model.has_direct_unknown else horizon) if model.d else 0
+
+
+def unbounded(model, horizon):
+    """Return [O G_v], all that has no bound; its first rows are those of a shorter horizon, filled up with zeros."""
+    blocks = _outputs_on_state(model, horizon)
+    through = _toeplitz(blocks, model.F, model.D_v, unknown_lags(model, horizon))
+    return tuple(o + v for o, v in zip((row for block in blocks for row in block), through, strict=True))
 
 
 def _outputs_on_state(model, horizon):
@@ -39,58 +47,60 @@ def _outputs_on_state(model, horizon):
     return out
 
 
+def _toeplitz(outputs_on_state, drive, direct, lags):
+    """Return the rows of the outputs on a signal that acts by `drive` on the state and by `direct` on the outputs, `lags` samples of it."""
+    width, p = len(direct[0]), len(direct)
+    still = tuple((ZERO,) * width for _ in direct)
+    responses = [direct] + [exact.matmul(block, drive) if drive else still for block in outputs_on_state[:-1]] if width else []
+    return tuple(
+        tuple(responses[j - k][i][c] if j >= k else ZERO for k in range(lags) for c in range(width))
+        for j in range(len(outputs_on_state))
+        for i in range(p)
+    )
+
+
 def first_form(model, horizon):
     """Return (O, H) with Y = O x_k + H U for an exact plant. Source: (3)."""
-    lags, free = input_lags(model, horizon), []
-    outputs_on_state = _outputs_on_state(model, horizon)
-    responses = [model.D] + [exact.matmul(block, model.B) for block in outputs_on_state[:-1]] if model.m else []
-    for j in range(horizon + 1):
-        for i in range(model.p):
-            free.append(tuple(responses[j - k][i][c] if j >= k else ZERO for k in range(lags) for c in range(model.m)))
-    return tuple(row for block in outputs_on_state for row in block), tuple(free)
+    blocks = _outputs_on_state(model, horizon)
+    return tuple(row for block in blocks for row in block), _toeplitz(blocks, model.B, model.D, input_lags(model, horizon))
 
 
 def disturbance_form(model, horizon):
     """Return V with Y = O x_k + H U + V w for an exact plant."""
-    power, responses = model.C, []  # C A^j G
-    for _ in range(horizon):
-        responses.append(exact.matmul(power, model.G) if model.g else tuple(() for _ in range(model.p)))
-        power = exact.matmul(power, model.A)
-    zero = (ZERO,) * model.g
-    return tuple(
-        tuple(x for k in range(horizon) for x in (responses[j - 1 - k][i] if k < j else zero))
-        for j in range(horizon + 1)
-        for i in range(model.p)
-    )
+    none = tuple((ZERO,) * model.g for _ in range(model.p))
+    return _toeplitz(_outputs_on_state(model, horizon), model.G, none, horizon)
 
 
 def unknowns(model, horizon):
     """Return (E, K): all that bounds speak of in a window, on its unknowns and inputs, for an exact plant.
 
-    The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w) = E (x_k, w) + K U,
-    E = [O V; 0 I], K = [H; 0].
+    The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w) = E (x_k, w, v) + K U,
+    E = [O V G_v; 0 I 0], K = [H; 0].
     """
     O, H = first_form(model, horizon)
+    G_v = tuple(row[model.n :] for row in unbounded(model, horizon))
     V = disturbance_form(model, horizon)
     count = model.g * horizon
-    own = tuple((ZERO,) * model.n + tuple(Fraction(int(i == j)) for j in range(count)) for i in range(count))
+    nothing = (ZERO,) * len(G_v[0])
+    own = tuple((ZERO,) * model.n + tuple(Fraction(int(i == j)) for j in range(count)) + nothing for i in range(count))
     lags = model.m * input_lags(model, horizon)
-    return tuple(o + v for o, v in zip(O, V, strict=True)) + own, H + ((ZERO,) * lags,) * count
+    return tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
 
 
 def second_form(model, horizon):
-    """Return (L, M, N, F) with Y = L X + F U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}). Source: (10)-(12)."""
-    n, m, lags = model.n, model.m, input_lags(model, horizon)
-    L, F, M, N = [], [], [], []
+    """Return (L, M, N, H) with Y = L X + H U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}, v_k, ..). Source: (10)-(12)."""
+    n, m, lags, unknown = model.n, model.m, input_lags(model, horizon), unknown_lags(model, horizon)
+    L, H, M, N = [], [], [], []
     for j in range(horizon + 1):
         for i in range(model.p):
-            L.append(_blocks(horizon + 1, n, {j: model.C[i]}))
-            F.append(_blocks(lags, m, {j: model.D[i]}) if j < lags else (ZERO,) * (lags * m))
+            L.append(_blocks(horizon + 1, n, {j: model.C[i]}) + _blocks(unknown, model.d, {j: model.D_v[i]}))
+            H.append(_blocks(lags, m, {j: model.D[i]}) if j < lags else (ZERO,) * (lags * m))
     for j in range(horizon):
         for i in range(n):
-            M.append(_blocks(horizon + 1, n, {j: model.A[i], j + 1: tuple(Fraction(-int(i == c)) for c in range(n))}))
+            step = {j: model.A[i], j + 1: tuple(Fraction(-int(i == c)) for c in range(n))}
+            M.append(_blocks(horizon + 1, n, step) + _blocks(unknown, model.d, {j: model.F[i]}))
             N.append(_blocks(lags, m, {j: tuple(-x for x in model.B[i])}))
-    return tuple(L), tuple(M), tuple(N), tuple(F)
+    return tuple(L), tuple(M), tuple(N), tuple(H)
 
 
 def _blocks(count, width, filled):

@@ -22,13 +22,15 @@ import numpy as np
 from jaxbound.models import recording, window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.relations.bounds import checked_bound, float_bound, model_bounds
+from jaxbound.relations.uncertain import uncertain_relations
 from jaxbound.relations.window_test import WindowTest
 from jaxbound.sets import exact, rounding
 from jaxbound.sets.interval import Interval
 from jaxbound.sets.separation import frame_of
 from jaxbound.sets.strips import strips_of
 
-__all__ = ["ParityRelation", "parity_relations"]
+__all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
 ZERO = Fraction(0)
 SUBSETS, TESTED = 4_000, 400
@@ -82,8 +84,8 @@ class ParityRelation:
         nearest = np.vectorize(float, otypes=[np.float64])
         return WindowTest(
             shape,
-            _cast(self.bounds["tolerance"], dtype),
-            _cast(self.bounds["noise"], dtype),
+            float_bound(self.bounds["tolerance"], dtype),
+            float_bound(self.bounds["noise"], dtype),
             rounding.round_up(list(model.resolution), dtype),
             lo_hi.astype(dtype),
             nearest(model.offset["u"]).astype(dtype),
@@ -104,7 +106,7 @@ class ParityRelation:
         unknown = sorted(set(bounds) - set(self.bounds))
         if unknown:
             raise ValueError(f"bounds are {sorted(self.bounds)}, not {unknown}")
-        fresh = {name: _bound(self.model, name, bounds.get(name, old)) for name, old in self.bounds.items()}
+        fresh = {name: checked_bound(self.model, name, bounds.get(name, old)) for name, old in self.bounds.items()}
         return dataclasses.replace(self, bounds=fresh)
 
     def external(self, u, y):
@@ -166,31 +168,6 @@ def relation_text(model, horizon, h, k):
     return out + " = 0"
 
 
-def _bound(model, name, value):
-    """Check one entry of `bounds` and give it its shape."""
-    names = model.outputs if name != "disturbance" else tuple(f"w{j + 1}" for j in range(model.g))
-    kind = "output" if name != "disturbance" else "disturbance"
-    shape, traced = np.shape(value), isinstance(value, jax.core.Tracer)
-    allowed = ((), (len(names),), (len(names), 2))[: 3 if kind == "disturbance" else 2]
-    if shape not in allowed:
-        raise ValueError(f"{name} needs one number or one per {kind} ({len(names)}): its shape is {shape}")
-    if not traced:
-        value = np.asarray(value, np.float64)
-    spread = (jnp if traced else np).broadcast_to(value, (len(names),)) if len(shape) < 2 else value
-    if not traced:
-        top = 1 if name == "tolerance" else np.inf
-        for who, b in zip(names, spread, strict=True):
-            if len(shape) == 2 and not -np.inf < b[0] <= b[1] < np.inf:
-                raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{b[0]:g}, {b[1]:g}]")
-            if len(shape) < 2 and not 0 <= b < top:
-                raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {b:g}")
-    return spread if kind == "output" or len(shape) == 2 else (jnp if traced else np).stack([-spread, spread], 1)
-
-
-def _cast(bound, dtype):
-    return bound.astype(dtype) if isinstance(bound, jax.core.Tracer) else rounding.round_up(np.asarray(bound, np.float64), dtype)
-
-
 @jax.jit
 def _forms(test, u, y):
     s, p = test.horizon, y.shape[1]
@@ -209,21 +186,23 @@ def _forms(test, u, y):
 
 
 def parity_relations(model, horizon=None, form="first"):
-    """Eliminate the unknown state from a window exactly.
+    """Eliminate the unknown state from a window exactly: chooses the elimination that the model needs.
 
     Args:
         model: a LinearSystem, or a discrete state-space object of python-control or scipy.signal (perfect sensors then).
-        horizon: s >= 0, a window has s + 1 samples; None: the smallest at which every output that can be checked is checked.
+        horizon: s >= 0, a window has s + 1 samples; None: the smallest at which every output that can be checked is checked
+            (and, with uncertainties, all states that can be seen are seen).
         form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set; the basis of the
             relations, and with it the box test, differs.
 
     Returns:
-        A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers.
+        A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers. UncertainRelations if
+        the model has uncertainties.
 
     Raises:
-        ValueError: no relation at this horizon.
+        ValueError: no relation at this horizon; uncertainties under which some state is seen at some values and not at others.
 
-    Source: Adrot, Maquin, Ragot 2000, (6), (13).
+    Source: Adrot, Maquin, Ragot 2000, (6), (13); Ploix, Adrot 2006, (2)-(3), (5).
 
     Example:
         >>> m = LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]])
@@ -239,10 +218,18 @@ def parity_relations(model, horizon=None, form="first"):
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
         raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
     horizon = int(horizon)
-    if not _checked_outputs(model, window.observability(model, min(horizon, model.n))):
+    if model.uncertainties:
+        if form != "first":
+            raise ValueError("form 'second' is for models without uncertainties")
+        return uncertain_relations(model, horizon)
+    if not _checked_outputs(model, window.unbounded(model, min(horizon, model.n))):
+        first = _first_horizon(model)
+        if first is None:
+            raise ValueError(f"no horizon gives a relation: {model.d} unknown inputs can explain whatever {model.p} outputs show")
+        free = len(window.unbounded(model, horizon)[0])
         raise ValueError(
-            f"horizon {horizon} gives no relation: {(horizon + 1) * model.p} samples do not outnumber the {model.n} states; "
-            f"the smallest horizon with one is {_first_horizon(model)}"
+            f"horizon {horizon} gives no relation: {(horizon + 1) * model.p} samples do not outnumber "
+            f"{f'the {free} states' if not model.d else f'{free} states and unknown inputs'}; the smallest horizon with one is {first}"
         )
     if form == "first":
         samples = _first(model, horizon)
@@ -250,10 +237,7 @@ def parity_relations(model, horizon=None, form="first"):
         K = exact.matmul(samples, H) if H[0] else tuple(() for _ in samples)
     else:
         samples, K = _second(model, horizon)
-    bounds = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
-    if model.g:
-        lo, hi = zip(*model.disturbance, strict=True)
-        bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
+    bounds = model_bounds(model)
     W = _with_disturbance(model, horizon, samples)
     E, known = window.unknowns(model, horizon)
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
@@ -261,6 +245,11 @@ def parity_relations(model, horizon=None, form="first"):
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), exact.frame(E, known))
     circuits_known = exact.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known)
+
+
+def stated_relations(model, horizon, samples, K):
+    """Return given relations samples Y = K U of an exact plant as a ParityRelation, to be tested one by one (method "box")."""
+    return ParityRelation(model_bounds(model), model, horizon, "stated", _with_disturbance(model, horizon, samples), K, (), ())
 
 
 def _few_circuits(E, most):
@@ -283,7 +272,7 @@ def _with_disturbance(model, horizon, relations):
 def _first(model, horizon):
     """Return W, of minimal span: beyond n samples every further one brings p relations, the last ones once more, later."""
     short = min(horizon, model.n)
-    W = tuple(map(exact.presentable, exact.minimal_span(exact.left_null_space(window.observability(model, short)))))
+    W = tuple(map(exact.presentable, exact.minimal_span(exact.left_null_space(window.unbounded(model, short)))))
     newest = [row for row in W if any(row[short * model.p :])]
     pad = lambda row, shift: (ZERO,) * (shift * model.p) + row + (ZERO,) * ((horizon - short - shift) * model.p)
     return tuple(pad(row, 0) for row in W) + tuple(pad(row, shift) for shift in range(1, horizon - short + 1) for row in newest)
@@ -309,10 +298,11 @@ def _checked_outputs(model, O):
 
 
 def _smallest_useful_horizon(model):
-    O = window.observability(model, model.n)
+    O = window.unbounded(model, model.n)
     best = _checked_outputs(model, O)  # a longer window involves no further output (Cayley-Hamilton)
-    return next(s for s in range(model.n + 1) if _checked_outputs(model, O[: (s + 1) * model.p]) == best)
+    rank = lambda s: exact.rank([row[: model.n] for row in O[: (s + 1) * model.p]]) if model.uncertainties else 0
+    return next(s for s in range(model.n + 1) if _checked_outputs(model, O[: (s + 1) * model.p]) == best and rank(s) == rank(model.n))
 
 
 def _first_horizon(model):
-    return next((s for s in range(model.n + 1) if _checked_outputs(model, window.observability(model, s))), None)
+    return next((s for s in range(model.n + 1) if _checked_outputs(model, window.unbounded(model, s))), None)

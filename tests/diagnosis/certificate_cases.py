@@ -1,4 +1,4 @@
-"""Five plants and random windows of them, healthy or with a bias: long windows, disturbances and gaps among them."""
+"""Six plants and random windows of them, healthy or with a bias: long windows, disturbances, unknown inputs and gaps among them."""
 
 import numpy as np
 from oracles import MODELS
@@ -18,6 +18,8 @@ PLANTS = {
     "six states": (dict(A=SIX, B=[[1], [0], [0], [0.5], [0], [0]], C=[[1, 0, 0, 0, 0, 0.3], [0, 0, 1, 0, 0, 0], [0, 0, 0, 0.4, 1, 0]],
                         tolerance=[0.01, 0, 0.05], noise=[0.1, 0.2, 0.05]), 10, 0.05),
     "leak": (MODELS["offsets"] | dict(disturbance=([["0.3", 0], [1, "-1/7"]], [[0, "0.04"], [-0.05, 0.01]])), 4, 0.05),
+    "unknown inputs": (MODELS["offsets"] | dict(disturbance=([[0], ["0.3"]], 0.02), unknown_inputs=([[1, 0], ["1/3", 0]],
+                       [[0, 0], [0, 1], [0, 2]])), 2, 0.0),
 }  # fmt: skip
 
 
@@ -34,12 +36,14 @@ def floats(a, columns):
 def window(relations, gaps, rng, bias=0.0):
     """Return (u, y) of one window; `bias` times what the bounds of a random sensor allow is added to it from a random sample on."""
     m, s = relations.model, relations.horizon
+    F, D_v = floats(m.F, m.d), floats(m.D_v, m.d)
     A, B, C, D, G = floats(m.A, m.n), floats(m.B, m.m), floats(m.C, m.n), floats(m.D, m.m), floats(m.G, m.g)
     u, x, y = rng.uniform(-1, 1, (s + 1, m.m)), rng.normal(size=m.n), []
     lo, hi = (np.array([float(pair[i]) for pair in m.disturbance]) for i in (0, 1))
     for now in u:
-        y.append(C @ x + D @ now)
-        x = A @ x + B @ now + G @ (lo + (hi - lo) * rng.uniform(size=m.g))
+        v = 10 * rng.normal(size=m.d)
+        y.append(C @ x + D @ now + D_v @ v)
+        x = A @ x + B @ now + F @ v + G @ (lo + (hi - lo) * rng.uniform(size=m.g))
     y, per = np.array(y), lambda v: np.array([float(x) for x in v])
     tolerance, noise = per(m.tolerance), per(m.noise)
     y = y * (1 + tolerance * rng.uniform(-1, 1, y.shape)) + noise * rng.uniform(-1, 1, y.shape)

@@ -284,7 +284,7 @@ def test_what_has_no_certificate_yet_is_refused():
     class Other:
         horizon = 1
 
-    with pytest.raises(NotImplementedError, match="certificates of Other are not implemented yet, only those of parity_relations"):
+    with pytest.raises(NotImplementedError, match="certificates are given for models without uncertain parameters so far"):
         certify(Other(), np.zeros((2, 1)), np.zeros((2, 2)))
     r = jb.parity_relations(paper())
     with pytest.raises(NotImplementedError, match="the verdict of window 1 rests on more than its samples and bounds"):

@@ -72,14 +72,6 @@ def test_a_model_that_does_not_fit_is_refused(change, message):
         jb.LinearSystem(**{**PAPER, **change})
 
 
-@pytest.mark.parametrize("field, value", [
-    ("E", [[1, 0], [0, 1]]), ("unknown_inputs", [[1], [0]]), ("uncertainties", ("a",)), ("decouple", ("a",)),
-])  # fmt: skip
-def test_a_field_that_is_not_implemented_is_refused(field, value):
-    with pytest.raises(NotImplementedError, match=f"{field}: .* is not implemented yet; leave the field out"):
-        paper(**{field: value})
-
-
 @pytest.mark.parametrize("bound, pairs", [
     (0.1, [("-1/10", "1/10")] * 2), ([0.1, "1/3"], [("-1/10", "1/10"), ("-1/3", "1/3")]),
     ([[0, 0.2], [-1, 0]], [("0", "1/5"), ("-1", "0")]),

@@ -1,0 +1,190 @@
+"""Which faults are guaranteed to be seen? The smallest constant fault that no noise, disturbance or unknown input can hide.
+
+A fault f shifts the rows of a window by f phi. Two behaviours can share a recording iff their rows differ by at most the two half-widths,
+
+    |f phi - E z| <= 2 r  for some z,        so f is always seen iff f t > 2, t = min over z of max_i |phi_i - (E z)_i| / r_i,
+
+a Chebyshev problem whose dual is the relation that sees the fault best. Where f < 2 / t, the errors that are half the difference hide it.
+
+With a tolerance sigma a reading says less the larger it is, and a bias of the reading is one of the true value within e (1 -+ sigma) f,
+e = 1 / (1 - sigma^2): r is taken at the end of the operating range, and widened by e sigma f / 2 on the rows of the faulty sensor. The size
+is then enough, but not the smallest.
+"""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+
+from jaxbound.diagnosis.exact_window import dot
+from jaxbound.models import window
+from jaxbound.models.conversion import as_model
+from jaxbound.models.faults import Fault
+from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.relations.parity import parity_relations, relation_text
+from jaxbound.sets import exact
+from jaxbound.sets.chebyshev import chebyshev, subspace
+
+__all__ = ["GuaranteedSize", "detectable", "visible_sizes"]
+
+ZERO = Fraction(0)
+ROUNDING = RECORDER_ULPS + 256
+"""Unit roundoffs of a reading that a verdict may lose: what the recording rounds away, and the error bounds of up to some 100 terms."""
+NEGLIGIBLE = 10**6
+SETTLED = 4
+"""Longer windows that bring less than 0.1 % after which the search for the best horizon ends."""
+
+
+class GuaranteedSize(float):
+    """A size of a fault, in the unit of its signal; inf where no size is guaranteed to be seen.
+
+    Attributes: horizon: of the window that sees it; relation: as text, the one that sees it best; sizes: {horizon: size} of all that were
+    tried.
+    """
+
+    horizon: int
+    relation: str
+    sizes: dict
+
+
+def detectable(model, fault, horizon=None, operating_range=None):
+    """Return the smallest size of a constant fault that is guaranteed to be detected.
+
+    Args:
+        model: a LinearSystem.
+        fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
+        horizon: of the window, which the fault must fill; None: up to where longer windows see no smaller faults.
+        operating_range: largest |reading - offset| of the outputs, one number or one per output, with the fault. Needed with a tolerance;
+            without one, readings are assumed below a million times the bounds, so that the rounding of the recording does not matter.
+
+    Returns:
+        A GuaranteedSize, a float: `detect` with method "joint", in float64, calls every complete window FAULT throughout which a bias of
+        this size or more, of either sign, acts on the signal, whatever the state, noise, disturbances and unknown inputs. Without
+        tolerances no smaller number has this property (but for rounding); with them a smaller one may.
+
+    Raises:
+        ValueError: a signal that the model does not have, an operating range that is missing or not positive.
+        NotImplementedError: another kind of fault, an uncertain model.
+
+    Example:
+        >>> from jaxbound import LinearSystem
+        >>> m = LinearSystem([["1/2"]], [[1]], [[1], [1]], noise=0.1)
+        >>> size = detectable(m, "y1", horizon=0)
+        >>> round(size, 6), size.horizon, size.relation
+        (0.4, 0, 'y1[k] - y2[k] = 0')
+    """
+    model = as_model(model)
+    signal, kind = (fault.signal, fault.kind) if isinstance(fault, Fault) else (fault, "bias")
+    if signal not in model.outputs + model.inputs:
+        raise ValueError(f"the model has no signal {signal!r}: it has {', '.join(model.outputs + model.inputs)}")
+    if kind != "bias":
+        raise NotImplementedError(f"guaranteed sizes are known for faults of kind 'bias', not {kind!r}")
+    if model.uncertainties:
+        raise NotImplementedError(
+            "guaranteed sizes of an uncertain model are not implemented: leave its uncertainties out, or decouple them"
+        )
+    reach = _reach(model, operating_range)
+    first = parity_relations(model, horizon).horizon  # says so if there is none
+    tried, best = {}, None
+    for s in (first,) if horizon is not None else range(first + 4 * model.n + 12):
+        if s < first and not exact.left_null_space(window.unbounded(model, s)):
+            continue
+        size, h = _size(model, signal, s, reach)
+        tried[s] = size
+        if size is not None and (best is None or size < best[0] * Fraction(999, 1000)):
+            best = size, s, h
+        if best is not None and s >= best[1] + SETTLED:
+            break
+    number = math.inf if best is None else math.nextafter(float(best[0]), math.inf)
+    out = GuaranteedSize(number)
+    out.horizon = first if best is None else best[1]
+    out.sizes = {s: math.inf if x is None else float(x) for s, x in tried.items()}
+    out.relation = "" if best is None else _text(model, *best[1:])
+    return out
+
+
+def _text(model, s, h):
+    h = exact.presentable(exact.primitive(h))
+    K = window.unknowns(model, s)[1]
+    k = exact.matmul((h,), K)[0] if K[0] else ()
+    return relation_text(model, s, h, k)
+
+
+def _reach(model, given):
+    """Return the largest reading (deviation from the offset) of each output as a Fraction."""
+    if given is None:
+        if any(model.tolerance):
+            raise ValueError(
+                "a tolerance makes a sensor less certain the larger its readings are: give operating_range, the largest of them"
+            )
+        most = max((*model.noise, *model.resolution, *(max(abs(lo), abs(hi)) for lo, hi in model.disturbance)), default=ZERO)
+        return (NEGLIGIBLE * most,) * model.p
+    given = np.broadcast_to(np.asarray(given, object), (model.p,)) if np.ndim(given) == 0 else given
+    if len(given) != model.p:
+        raise ValueError(f"operating_range needs one number, or one for each of {', '.join(model.outputs)}: {len(given)} given")
+    reach = tuple(exact.rational(x) for x in given)
+    if min(reach) <= 0:
+        raise ValueError(f"operating_range must be positive, not {float(min(reach)):g}")
+    return reach
+
+
+def visible_sizes(relations, operating_range=None):
+    """Return the smallest constant fault of each signal that each relation alone is guaranteed to see, (R, N): outputs, then inputs.
+
+    Args:
+        relations: a Redundancy, or a ParityRelation. operating_range: as for `detectable`.
+
+    Returns:
+        An array of sizes, rounded up; inf where no size is guaranteed.
+    """
+    relations = getattr(relations, "relations", relations)
+    model = relations.model
+    reach, signals = _reach(model, operating_range), model.outputs + model.inputs
+    out = np.full((relations.count, len(signals)), math.inf)
+    for j, signal in enumerate(signals):
+        shift, widths, spread = _shifted(model, signal, relations.horizon, reach)
+        for c, h in enumerate(relations.W):
+            if (size := _least(h, shift, widths, spread)) is not None:
+                out[c, j] = math.nextafter(float(size), math.inf)
+    return out
+
+
+def _least(h, shift, widths, spread):
+    """Return the size from which on a relation h cannot hold, None if it always may."""
+    slope = abs(dot(h, shift)) - dot(map(abs, h), spread)
+    return dot(map(abs, h), widths) / slope if slope > 0 else None
+
+
+def _shifted(model, signal, s, reach):
+    """Return for each row of a window: its shift by a fault of size 1, twice its half-width, and what the fault adds to that."""
+    _, K = window.unknowns(model, s)
+    unit, floor = Fraction(1, 2**53), Fraction(float(np.finfo(np.float64).tiny))
+    stretch = [1 / (1 - t * t) for t in model.tolerance]
+    widths, rows = [], (s + 1) * model.p
+    for i in range(model.p):
+        rho = model.noise[i] + model.resolution[i] + ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i]) + floor
+        widths.append(2 * stretch[i] * (rho + model.tolerance[i] * max(reach[i], rho)))
+    widths = widths * (s + 1) + [hi - lo + 2 * floor for lo, hi in model.disturbance] * s
+    if signal not in model.outputs:
+        return [sum(row[model.inputs.index(signal) :: model.m], ZERO) for row in K], widths, [ZERO] * len(widths)
+    i = model.outputs.index(signal)
+    shift = [stretch[i] if j < rows and j % model.p == i else ZERO for j in range(len(widths))]
+    return shift, widths, [model.tolerance[i] * x for x in shift]
+
+
+def _size(model, signal, s, reach):
+    """Return the smallest size that a window of horizon s always sees, None where none is, and the relation that sees it."""
+    shift, widths, spread = _shifted(model, signal, s, reach)
+    space, size = subspace(window.unknowns(model, s)[0]), None
+    best = chebyshev(space, shift, widths)
+    if best.t == 0:
+        return None, None
+    f = 1 / best.t if not any(spread) else NEGLIGIBLE / best.t
+    while True:  # each relation that is violated at f gives a smaller f at which it just holds: finitely many
+        best = chebyshev(space, [f * x for x in shift], [w + f * x for w, x in zip(widths, spread, strict=True)], best.reference)
+        if best.t < 1 or (best.t == 1 and size is None and any(spread)):
+            return size, None
+        f = _least(best.h, shift, widths, spread)
+        if best.t == 1:
+            return f, best.h
+        size = f

@@ -1,0 +1,295 @@
+"""Verdicts on windows of a model with uncertain parameters: refuted by strips or at vertices, explained by a point, else bisected.
+
+A window is a system of polynomials p(v, e) = 0 in parameters v and noises e within [-1, 1] (`UncertainTest.polynomials`).
+
+FAULT: a direction separates 0 from a zonotope around all values of p, each neglected monomial a variable of its own, or 0 is outside the
+range of a single multi-affine relation. CONSISTENT: a zero of p is proved to exist near a point that a search found, or the range of a
+single relation has both signs; both need relations that are proved to say all. What is neither is UNDECIDED; `paving` cuts the box of
+parameters until one of the two proofs holds on every part.
+
+A window that lacks samples is tested by relations made for it: those without the lost rows, the lost inputs being unknown.
+
+Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
+"""
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.models import recording, window
+from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
+from jaxbound.relations.polynomial import stacked
+from jaxbound.relations.uncertain_window import uncertain_window
+from jaxbound.sets import polynomials, varying
+from jaxbound.sets.frontier import Verdicts, explore
+from jaxbound.sets.gauge import gauge_search
+from jaxbound.sets.status import Status
+
+__all__ = ["BUDGET", "uncertain_windows"]
+
+BUDGET = 10_000
+"""Boxes a window that "paving" may evaluate, on average over a group of windows."""
+BLOCK, GROUP = 2**11, 2**12
+VERTICES = 8
+"""Variables up to which the vertices of the box are enumerated."""
+PATTERNS = 64
+"""Patterns of missing samples for which relations are made."""
+NEWTON = 4
+LEAST = 1e-6
+
+
+def uncertain_windows(relations, u, y, method, budget, progress, allowance=0.0):
+    """Return (status, margin), each (..., T), of NumPy recordings. See `consistency.detect`.
+
+    The sign of the margin is the verdict's. Its size is that of the zonotope, with which the neglected monomials grow as one: for an
+    UNDECIDED window the true margin is not above it. For "linearised" it is the gauge of the paper's set, and no proof.
+    """
+    if budget is not None and (isinstance(budget, bool) or not isinstance(budget, int | np.integer) or budget < 1):
+        raise ValueError(f"budget must be a whole number of boxes a window >= 1, not {budget!r}")
+    allowance = np.asarray(allowance, float)
+    if allowance.shape not in ((), (relations.count,)) or not (allowance >= 0).all() or not np.isfinite(allowance).all():
+        raise ValueError(f"compensation must be one finite number >= 0, or one for each of {relations.count} relations, not {allowance}")
+    recording.refuse_infinite("u", u, relations.model.inputs)
+    recording.refuse_infinite("y", y, relations.model.outputs)
+    s, shape = relations.horizon, y.shape[:-1]
+    flat_u, flat_y = (x.reshape(-1, x.shape[-1]) for x in (u, y))
+    status, margin = np.full(len(flat_y), Status.MISSING, np.int8), np.full(len(flat_y), np.nan, y.dtype)
+    read = relations.test(y.dtype).window
+    starts = read.starts(0, len(flat_y), shape[-1])
+    for case, chosen in _cases(relations, flat_u, flat_y, starts):
+        if case is None:
+            status[starts[chosen] + s], margin[starts[chosen] + s] = Status.UNDECIDED, 0
+            continue
+        own = allowance if case.count == relations.count else allowance.max()
+        found = _decide(case, flat_u, flat_y, starts[chosen], method, budget, own, progress)
+        for out, value in zip((status, margin), found, strict=True):
+            out[starts[chosen] + s] = value
+    if progress is not None:
+        progress(1.0)
+    return status.reshape(shape), margin.reshape(shape)
+
+
+def _cases(relations, u, y, starts):
+    """Yield (relations, numbers of the windows that they fit): windows that lack the same samples lack the same rows and inputs.
+
+    Beyond `PATTERNS` patterns, the rarest windows come with None. Windows that have no relation left are not mentioned.
+    """
+    s, p, lags = relations.horizon, y.shape[1], window.input_lags(relations.model, relations.horizon)
+    lost = np.concatenate([np.isnan(x[starts[:, None] + np.arange(n)]).reshape(len(starts), -1) for x, n in ((y, s + 1), (u, lags))], 1)
+    whole = ~lost.any(1)
+    if whole.any():
+        yield relations, np.flatnonzero(whole)
+    broken = np.flatnonzero(~whole)
+    if not len(broken):
+        return
+    patterns, which, often = np.unique(lost[broken], axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(-often, kind="stable")
+    rare = np.isin(which.ravel(), order[PATTERNS:])
+    if rare.any():
+        yield None, broken[rare]
+    for number in order[:PATTERNS]:
+        rows, inputs = (set(np.flatnonzero(x).tolist()) for x in np.split(patterns[number], [(s + 1) * p]))
+        case = _without(relations, rows, inputs)
+        if case is not None:
+            yield case, broken[which.ravel() == number]
+
+
+def _without(relations, rows, inputs):
+    """Return relations of the same window that need neither these samples nor these inputs, or None if there are none."""
+    _, E, H, V = uncertain_window(relations.model, relations.horizon)
+    left = [i for i in range(E.rows) if i not in rows]
+    reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
+    omega, steps, complete = annihilator(reduced)
+    if not omega.rows:
+        return None
+    if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
+        complete = "sampled"
+    whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
+    omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
+    through = {a: {k: -x for k, x in entries.items()} for a, entries in (omega @ V).terms.items()}
+    N = stacked([[omega, dataclasses.replace(omega, columns=V.columns, terms=through)]]) if V.columns else omega
+    return dataclasses.replace(relations, N=N, K=omega @ H, steps=steps, complete=complete)
+
+
+def _decide(relations, u, y, starts, method, budget, allowance, progress):
+    """Return (status, margin) of the windows that start at `starts` and have all samples that the relations need."""
+    test, kind = relations.test(y.dtype), _kind(relations, method)
+    on_device, proved = jax.device_put(test), relations.complete == "proved"
+    status, margin = np.empty(len(starts), np.int8), np.empty(len(starts), y.dtype)
+    for first in range(0, len(starts), BLOCK):
+        chosen = starts[first : first + BLOCK]
+        samples = _samples(test, u, y, np.concatenate([chosen, np.repeat(chosen[:1], BLOCK - len(chosen))]))
+        found = _block(on_device, samples, kind, proved, allowance)
+        for out, value in zip((status, margin), found, strict=True):
+            out[first : first + len(chosen)] = np.asarray(value)[: len(chosen)]
+        if progress is not None:
+            progress(0.9 * (first + len(chosen)) / len(starts) * (0.2 if method == "paving" else 1))
+    if method == "paving":
+        left = np.flatnonzero(status == Status.UNDECIDED)
+        for first in range(0, len(left), GROUP):
+            chosen = left[first : first + GROUP]
+            status[chosen] = _pave(test, _samples(test, u, y, starts[chosen]), proved, BUDGET if budget is None else budget)
+            if progress is not None:
+                progress(0.2 + 0.7 * (first + len(chosen)) / len(left))
+        margin = np.where(status == Status.FAULT, np.minimum(margin, -LEAST), margin)
+        margin = np.where(status == Status.CONSISTENT, np.maximum(margin, LEAST), margin)
+    return status, margin
+
+
+def _samples(test, u, y, starts):
+    """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become 0."""
+    return tuple(np.nan_to_num(x, nan=0.0, posinf=np.inf, neginf=-np.inf) for x in test.window.gather(u, y, starts))
+
+
+def _kind(relations, method):
+    """Return how a block is judged: "vertices", "zonotope", "linearised" or "box"."""
+    if method in ("linearised", "box"):
+        return method
+    exact = relations.count == 1 and polynomials.multiaffine(relations.exponents) and len(relations.variables) <= VERTICES
+    return "vertices" if exact else "zonotope"
+
+
+def _block(test, samples, kind, proved, allowance):
+    """Return (status, margin) of a block of windows."""
+    terms = _terms(test, *samples)
+    if kind == "vertices":
+        margin, inside = _vertices(test, *terms)
+        return _status(margin, inside & proved), margin
+    if kind == "box":
+        return _box(test, *terms, proved)
+    c, G, error = _image(test, *terms, kind == "linearised", allowance)
+    margin, z = _outside(c, G, error)
+    if kind == "linearised":
+        return jnp.where(jnp.isnan(margin), Status.MISSING, Status.UNDECIDED).astype(jnp.int8), margin
+    inside = _explained(test, terms, jnp.concatenate([z[: len(test.size)], _noise_part(test, z)])) if proved else margin < -np.inf
+    return _status(margin, inside), jnp.where(inside, jnp.maximum(margin, LEAST), margin)
+
+
+def _noise_part(test, z):
+    """Return the noises among the columns of an image."""
+    m, lumps = len(test.noisy), len(test.N) if test.noisy and len(test.exponents) > 1 else 0
+    return z[len(z) - lumps - m : len(z) - lumps]
+
+
+@jax.jit
+def _status(margin, inside):
+    decided = jnp.where(margin < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
+    return jnp.where(jnp.isnan(margin), Status.MISSING, decided).astype(jnp.int8)
+
+
+@jax.jit
+def _terms(test, u, y):
+    """Return (value, spread, rad, error): a window's polynomials, and one bound on the error of each row."""
+    value, error, spread, rad = test.polynomials(u, y)
+    return value, spread, rad, polynomials.row_error(value, error, spread, rad, test.exponents)
+
+
+@partial(jax.jit, static_argnums=5)
+def _image(test, value, spread, rad, error, linear, allowance):
+    """Return (c, G, error) of the whole box of parameters; linear: with `allowance` as a generator of its own in each row."""
+    c, G = polynomials.image(value, spread, rad, test.exponents, linear=linear)
+    if linear:
+        own = jnp.broadcast_to(jnp.asarray(allowance, c.dtype), (len(c),))[:, None] * jnp.ones_like(c)
+        G = jnp.concatenate([G, *[jnp.where(jnp.arange(len(c))[:, None] == k, own, 0)[:, None] for k in range(len(c))]], 1)
+    return c, G, error
+
+
+@jax.jit
+def _vertices(test, value, spread, rad, error):
+    return polynomials.vertex_margin(value, spread, rad, test.exponents, error)
+
+
+@partial(jax.jit, static_argnums=5)
+def _box(test, value, spread, rad, error, proved):
+    """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the sum of all its parts."""
+    few = polynomials.multiaffine(test.exponents) and len(test.size) <= VERTICES
+    worst, all_inside = None, None
+    for k in range(value.shape[0]):
+        row = slice(k, k + 1)
+        if few:
+            margin, inside = polynomials.vertex_margin(value[row], spread[row], rad, test.exponents, error[row])
+        else:
+            margin = varying.strip_margins(*polynomials.image(value[row], spread[row], rad, test.exponents), error[row])
+            inside = jnp.zeros_like(margin, bool)
+        worst = margin if worst is None else jnp.minimum(worst, margin)
+        all_inside = inside if all_inside is None else all_inside & inside
+    return _status(worst, all_inside & (proved and value.shape[0] == 1)), worst
+
+
+def _outside(c, G, error):
+    """Return (margin, z): < 0 is a proof; z a candidate for a point."""
+    size = varying.row_sizes(c, G)
+    h, z, _ = gauge_search(*varying.scaled(c, G, size), jnp.ones_like(c[0]))
+    if varying.strip_count(*G.shape[:2]):
+        return varying.strip_margins(c, G, error), z
+    return varying.refutes_jit(c, G, error, h / size), z
+
+
+def _explained(test, terms, z):
+    """Return where a zero near z, or near the middle, is proved to exist."""
+    found = False
+    for start in (z, 0 * z):
+        z = start
+        for _ in range(NEWTON):
+            z = _newton(test, *terms, z)
+        p, J, bend, p_error, J_error = _slopes(test, *terms, z)
+        found = found | varying.holds_jit(p, p_error, J, J_error, z, varying.right_inverse_jit(J, z), bend)
+    return found
+
+
+@jax.jit
+def _newton(test, value, spread, rad, error, z):
+    """Move z towards a zero, within the box."""
+    p, J, _ = polynomials.slopes(value, spread, rad, test.exponents, z)
+    R = varying.right_inverse(J, z)
+    return jnp.clip(z - sum(R[:, k] * p[k][None] for k in range(len(p))), -1, 1)
+
+
+@jax.jit
+def _slopes(test, value, spread, rad, error, z):
+    p, J, bend = polynomials.slopes(value, spread, rad, test.exponents, z)
+    order = max(1, *map(sum, test.exponents))
+    return p, J, bend, error, jnp.broadcast_to((order * error)[:, None], J.shape)
+
+
+def _pave(test, samples, proved, budget):
+    """Return the status of windows by bisection of their parameters."""
+    count, n = samples[1].shape[-1], len(test.size)
+    filled = 2 ** max(count - 1, 127).bit_length()  # few sizes, few compilations
+    samples = [np.concatenate([x, np.repeat(x[..., :1], filled - count, -1)], -1) for x in samples]
+    terms, on_device = _terms(test, *samples), jax.device_put(test)
+    judge = lambda lo, hi, owner: _boxes(on_device, terms, lo, hi, owner, proved)
+    one = np.ones(n, samples[1].dtype)
+    found = explore(judge, -one, one, count, 200, budget * count, "kernel", first=True, sizes=(2**7, 2**11))
+    status = np.where(np.bincount(found.owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+    status[found.proofs[2]] = Status.CONSISTENT
+    return status
+
+
+def _boxes(test, terms, lo, hi, owner, proved):
+    """Return the Verdicts on boxes of parameters (n, N), of windows `owner`."""
+    terms, mid, radius = _gathered(*terms, lo, hi, owner)
+    c, G, axis = _box_image(test, *terms, mid, radius)
+    margin, z = _outside(c, G, terms[3])
+    keep = ~(margin < 0)
+    if not proved:
+        return Verdicts(np.asarray(keep), axis=np.asarray(axis))
+    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)])
+    explained = _explained(test, terms, start)
+    return Verdicts(keep & ~explained, explained, (mid, mid), None, axis)
+
+
+@jax.jit
+def _gathered(value, spread, rad, error, lo, hi, owner):
+    mid = 0.5 * (lo + hi)
+    radius = jnp.maximum(hi - mid, mid - lo) * (1 + 4 * jnp.finfo(lo.dtype).eps)
+    return (value[..., owner], spread, rad[..., owner], error[..., owner]), mid, radius
+
+
+@jax.jit
+def _box_image(test, value, spread, rad, error, mid, radius):
+    c, G = polynomials.image(value, spread, rad, test.exponents, mid, radius)
+    return c, G, jnp.argmax(polynomials.bends(value, test.exponents, radius), 0)

@@ -1,0 +1,117 @@
+"""Uncertain parameters: how a bounded number changes the matrices of a model."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from jaxbound.sets import exact
+
+__all__ = ["Uncertainty", "centred", "influences"]
+
+LETTERS = ("A", "B", "C", "D")
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """A parameter of which only bounds are known, and what it multiplies: A(v) = A + v dA, and likewise B, C, D.
+
+    Args:
+        name: of the parameter, for reports.
+        A, B, C, D: the coefficient of the parameter in the model's matrix of that letter, of its shape; None: it does not act there.
+        varying: True if it may have another value at each sample, False if it keeps one value over a window.
+        between: (lo, hi), the bounds of the parameter. The model's own matrices are those at the value 0 of the parameter, so a model
+            whose gain lies in [2, 6] has 0 at that place, 1 in the coefficient and between=(2, 6).
+
+    Attributes (exact numbers): A, B, C, D as tuples of rows or None, between.
+
+    Raises:
+        ValueError: no coefficient at all, lo >= hi, a number that is not finite.
+
+    Source: Ploix, Adrot 2006, (1): v = 4 + 2 theta for a parameter in [2, 6].
+
+    Example:
+        >>> k = Uncertainty("k_valve", B=[[1]], between=(2, 6))
+        >>> k.centre, k.radius
+        (Fraction(4, 1), Fraction(2, 1))
+    """
+
+    name: str
+    A: tuple | None = None
+    B: tuple | None = None
+    C: tuple | None = None
+    D: tuple | None = None
+    varying: bool = True
+    between: tuple = (-1, 1)
+
+    def __post_init__(self):
+        name = str(self.name)
+        if not name:
+            raise ValueError("an uncertainty needs a name")
+        keep = lambda field, value: object.__setattr__(self, field, value)
+        keep("name", name)
+        for letter in LETTERS:
+            given = getattr(self, letter)
+            try:
+                keep(letter, None if given is None or not len(given) else exact.matrix(given))
+            except (ValueError, TypeError) as e:
+                raise ValueError(f"{letter} of uncertainty {name!r}: {e}") from None
+        if not any(x for letter in LETTERS for row in getattr(self, letter) or () for x in row):
+            raise ValueError(f"uncertainty {name!r} acts on nothing: give its coefficient in A, B, C or D")
+        if not isinstance(self.varying, (bool, np.bool_)):
+            raise ValueError(f"varying of uncertainty {name!r} must be True or False, not {self.varying!r}")
+        keep("varying", bool(self.varying))
+        try:
+            lo, hi = (exact.rational(x) for x in self.between)
+        except (ValueError, TypeError):
+            raise ValueError(f"between of uncertainty {name!r} needs two numbers, lowest and highest: not {self.between!r}") from None
+        if lo >= hi:
+            raise ValueError(f"between of uncertainty {name!r} needs lo < hi, not [{float(lo):g}, {float(hi):g}]")
+        keep("between", (lo, hi))
+
+    @property
+    def centre(self):
+        """The middle of its bounds."""
+        return (self.between[0] + self.between[1]) / 2
+
+    @property
+    def radius(self):
+        """Half the width of its bounds."""
+        return (self.between[1] - self.between[0]) / 2
+
+    def on(self, letter):
+        """Return radius times the coefficient in one matrix, None where it does not act: what v in [-1, 1] multiplies."""
+        rows = getattr(self, letter)
+        return None if rows is None else tuple(tuple(self.radius * x for x in row) for row in rows)
+
+
+def influences(given, shapes):
+    """Check the uncertainties of a model against the shapes {"A": (n, n), ..} of its matrices and return them as a tuple.
+
+    Raises ValueError naming what does not fit, TypeError for anything that is no Uncertainty.
+    """
+    found = (given,) if isinstance(given, Uncertainty) else tuple(given)
+    for u in found:
+        if not isinstance(u, Uncertainty):
+            raise TypeError(f"uncertainties must be jb.Uncertainty(name, A=..., ...), not {type(u).__name__}")
+        for letter in LETTERS:
+            rows = getattr(u, letter)
+            if rows is not None and (len(rows), len(rows[0])) != shapes[letter]:
+                raise ValueError(
+                    f"{letter} of uncertainty {u.name!r} must have the shape of the model's {letter}, {shapes[letter]}: "
+                    f"its shape is {(len(rows), len(rows[0]))}"
+                )
+    names = [u.name for u in found]
+    twice = sorted({x for x in names if names.count(x) > 1})
+    if twice:
+        raise ValueError(f"each uncertainty needs its own name: {', '.join(map(repr, twice))} is used twice")
+    return found
+
+
+def centred(matrix, uncertainties, letter, sign=1):
+    """Return the matrix at the middle of all parameters (sign 1), or from that the one at the value 0 of them all (sign -1)."""
+    for u in uncertainties:
+        rows = getattr(u, letter)
+        if rows is not None and u.centre:
+            matrix = tuple(tuple(x + sign * u.centre * d for x, d in zip(r, s, strict=True)) for r, s in zip(matrix, rows, strict=True))
+    return tuple(tuple(map(Fraction, row)) for row in matrix)

@@ -1,0 +1,128 @@
+"""What acts on a plant without any bound: unknown inputs, parameters whose bounds are not trusted, states that no equation determines."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from jaxbound.sets import exact
+
+__all__ = ["decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
+
+ZERO = Fraction(0)
+
+
+def unbounded_inputs(given, n, p):
+    """Return F (n, d) and D_v (p, d) from F or a pair (F, D_v); None: none.
+
+    Raises ValueError naming what does not fit.
+    """
+    if given is None:
+        return tuple(() for _ in range(n)), tuple(() for _ in range(p))
+    pair = len(given) == 2 and np.ndim(given[0]) == 2
+    F = _matrix("F", given[0] if pair else given)
+    if len(F) != n:
+        raise ValueError(f"F of the unknown inputs needs one row per state ({n}): it has {len(F)}")
+    D_v = _matrix("D_v", given[1]) if pair else tuple((ZERO,) * len(F[0]) for _ in range(p))
+    if (len(D_v), len(D_v[0])) != (p, len(F[0])):
+        shape = (len(D_v), len(D_v[0]))
+        raise ValueError(f"D_v of the unknown inputs must have shape {(p, len(F[0]))} to fit C and F: its shape is {shape}")
+    return F, D_v
+
+
+def decoupled(uncertainties, names, F, D_v):
+    """Treat some uncertainties as unknown inputs: return (the other uncertainties, F, D_v).
+
+    A parameter v acts as v [dA dB; dC dD] (x; u) = v [L; L'] (R x + S u), with as many columns of [L; L'] as the rank of the matrix; v
+    times the last factor is an unknown input. Source: golden recipe (a) for Ragot 1993.
+
+    Raises ValueError for a name that no uncertainty has.
+    """
+    names = (names,) if isinstance(names, str) else tuple(names)
+    known = [u.name for u in uncertainties]
+    if strange := [name for name in names if name not in known]:
+        raise ValueError(f"decouple names {strange[0]!r}, but the uncertainties are {', '.join(map(repr, known)) or 'none'}")
+    n, p = len(F), len(D_v)
+    rows = [list(row) for row in F + D_v]
+    for u in uncertainties:
+        if u.name in names:
+            wide = lambda pair, u=u: next((len(getattr(u, o)[0]) for o in pair if getattr(u, o) is not None), 0)
+            part = lambda letter, count, pair, u=u, wide=wide: getattr(u, letter) or ((ZERO,) * wide(pair),) * count
+            whole = [a + b for a, b in zip(part("A", n, "AC"), part("B", n, "BD"), strict=True)]
+            whole += [a + b for a, b in zip(part("C", p, "AC"), part("D", p, "BD"), strict=True)]
+            for j in exact.row_reduce(whole)[1]:
+                for row, x in zip(rows, whole, strict=True):
+                    row.append(x[j])
+    rest = tuple(u for u in uncertainties if u.name not in names)
+    return rest, tuple(map(tuple, rows[:n])), tuple(map(tuple, rows[n:]))
+
+
+def explicit(E, A, B, C, D, G, F, D_v):
+    """Bring E z+ = A z + B u + G w + F v, y = C z + D u + D_v v into the form of a model: return (A, B, C, D, G, F, D_v, states).
+
+    E (r, n) may be singular and need not be square. The new state x is what E determines, the reduced rows of E times z; the rest of z is
+    driven by no equation and becomes unknown inputs. An equation without z+ is solved for one of them. `states` are the numbers of the
+    entries of z that x consists of, None where it mixes them. Source: Ragot 1993, (5)-(7), by exact elimination instead of singular values.
+
+    Raises:
+        ValueError: an equation without z+ that restricts the state, or puts a disturbance into an output.
+    """
+    r, n = len(E), len(E[0])
+    unit = lambda i, count: tuple(Fraction(int(i == j)) for j in range(count))
+    reduced, pivots = exact.row_reduce([tuple(row) + unit(i, r) for i, row in enumerate(E)])
+    kept = tuple(j for j in pivots if j < n)
+    x, T = [row[:n] for row in reduced[: len(kept)]], [row[n:] for row in reduced]
+    back = exact.inverse(x + [unit(j, n) for j in range(n) if j not in kept])
+    rows = [a + b + g + f for a, b, g, f in zip(A, B, G, F, strict=True)]
+    widths = len(B[0]), len(G[0]), len(F[0])
+    rows = [exact.matmul((row[:n],), back)[0] + row[n:] for row in exact.matmul(T, rows)]
+    outputs = [exact.matmul((c,), back)[0] + d + (ZERO,) * widths[1] + v for c, d, v in zip(C, D, D_v, strict=True)]
+    ends = [sum((len(kept), *widths[:i])) for i in range(4)]
+    in_order = lambda row: row[: len(kept)] + row[n:] + row[len(kept) : n]  # x, u, w, then all that is unknown
+    rows, outputs = [in_order(row) for row in rows], [in_order(row) for row in outputs]
+    without = [row[ends[2] :] + row[: ends[2]] for row in rows[len(kept) :]]
+    unknown = len(rows[0]) - ends[2]
+    solved = {}
+    for row, j in zip(*exact.row_reduce(without), strict=True):
+        if j >= unknown:
+            raise ValueError("an equation without x+ restricts the states themselves: use it, or its shifted form, to remove a state first")
+        solved[j] = row[unknown:] + row[:unknown]
+    for part in (rows, outputs):
+        for i, row in enumerate(part):
+            for j, other in solved.items():
+                row = tuple(a - row[ends[2] + j] * b for a, b in zip(row, other, strict=True))
+            part[i] = row
+    if any(any(row[ends[1] : ends[2]]) for row in outputs):
+        raise ValueError("an equation without x+ puts a disturbance into an output: give it as noise of that output instead")
+    left = [ends[2] + j for j in range(unknown) if j not in solved]
+    cut = lambda part, i: tuple(row[ends[i - 1] if i else 0 : ends[i]] for row in part)
+    rows = rows[: len(kept)]
+    pick = lambda part: tuple(tuple(row[j] for j in left) for row in part)
+    states = kept if all(sum(map(bool, row)) == 1 for row in x) else None
+    return cut(rows, 0), cut(rows, 1), cut(outputs, 0), cut(outputs, 1), cut(rows, 2), pick(rows), pick(outputs), states
+
+
+def without_descriptor(E, A, B, C, D, disturbance, given, states):
+    """Return (A, B, C, D, disturbance, unknown_inputs, states) of a model without E from the fields of one with it, see `explicit`.
+
+    Raises ValueError: shapes that do not fit, and as `explicit`.
+    """
+    E, A, C = _matrix("E", E), _matrix("A", A), _matrix("C", C)
+    r, n, p = len(E), len(E[0]), len(C)
+    B = _matrix("B", B) if B is not None and np.size(B) else tuple(() for _ in range(r))
+    m = len(B[0])
+    D = _matrix("D", D) if D is not None and np.size(D) else tuple((ZERO,) * m for _ in range(p))
+    G, bound = (_matrix("G", disturbance[0]), disturbance[1]) if disturbance is not None else (tuple(() for _ in range(r)), None)
+    for letter, M, shape in (("A", A, (r, n)), ("B", B, (r, m)), ("C", C, (p, n)), ("D", D, (p, m)), ("G", G, (r, len(G[0])))):
+        if (len(M), len(M[0])) != shape:
+            raise ValueError(f"{letter} must have shape {shape} to fit E, {(r, n)}: its shape is {(len(M), len(M[0]))}")
+    F, D_v = unbounded_inputs(given, r, p)
+    A, B, C, D, G, F, D_v, numbers = explicit(E, A, B, C, D, G, F, D_v)
+    names = [states[j] for j in numbers] if states is not None and numbers is not None else None
+    return A, B, C, D, None if bound is None else (G, bound), (F, D_v) if D_v[0] else None, names
+
+
+def _matrix(letter, given):
+    try:
+        return exact.matrix(given)
+    except (ValueError, TypeError) as e:
+        raise ValueError(f"{letter}{' of the unknown inputs' if letter in ('F', 'D_v') else ''}: {e}") from None

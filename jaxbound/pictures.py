@@ -1,0 +1,100 @@
+"""Pictures of whatever can be drawn: results of a recording, banks of relations on a recording, tables of signatures."""
+
+import numpy as np
+
+from jaxbound import plots
+from jaxbound.diagnosis.isolation import BankResult
+from jaxbound.plots import BINS, COLOURS, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
+from jaxbound.relations.decoupling import Isolability, Signatures
+from jaxbound.sets.status import Status
+
+__all__ = ["plot"]
+
+PALE, HALF = "#eef1f4", "#8fb8d8"
+
+
+def plot(thing, time=None, alarms=None):
+    """Draw a result, or a table of faults.
+
+    Args:
+        thing: a Result of one recording: the margin of every window over time with a ribbon of verdicts and the alarms. A BankResult:
+            which relations are violated and which single faults remain, over time. Signatures or Isolability: the table as a heat map.
+        time: (T,) seconds or datetime64; None: the index of the DataFrame, or sample numbers times dt.
+        alarms: a list of Alarm for a Result; None: its own.
+
+    Returns:
+        A matplotlib Figure.
+
+    Raises:
+        ValueError: a batch of recordings, or a time axis of another length.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
+        >>> len(plot(jb.detect(jb.parity_relations(m), [[0.0]] * 4, [[1.0], [0.5], [0.9], [0.45]])).axes)
+        3
+        >>> [len(plot(x).axes) for x in (jb.signatures(jb.redundancy(m)), jb.isolability(m))]
+        [1, 1]
+    """
+    if isinstance(thing, Signatures):
+        level = thing.weak.astype(int) + thing.constant
+        title = f"Which relation reacts to which fault: two faults differ in at least {thing.distance}"
+        return _heat_map(level, thing.faults, thing.relations, ("no reaction", "to changes", "reacts"), title)
+    if isinstance(thing, Isolability):
+        seen = thing.detectable.astype(int) + thing.detectable_constant
+        level = thing.isolable.astype(int) + thing.isolable_constant
+        level[np.arange(len(level)), np.arange(len(level))] = -1
+        title = "Does the fault of the row show, whatever that of the column does?"
+        legend = ("no", "its changes", "yes")
+        return _heat_map(np.column_stack([seen, level]), ("no other", *thing.faults), thing.faults, legend, title)
+    if isinstance(thing, BankResult):
+        return _bank(thing, time)
+    return plots.plot(thing, time, alarms)
+
+
+def _heat_map(level, columns, rows, legend, title):
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    with style():
+        fig = canvas((2.2 + 0.62 * len(columns), 1.5 + 0.34 * len(rows)))
+        ax = fig.subplots()
+        ax.pcolormesh(np.arange(len(columns) + 1), np.arange(len(rows) + 1), level, cmap=ListedColormap(["white", PALE, HALF, INK]),
+                      vmin=-1.5, vmax=2.5, edgecolor="white", lw=2)  # fmt: skip
+        ax.set_xticks(np.arange(len(columns)) + 0.5, columns)
+        ax.set_yticks(np.arange(len(rows)) + 0.5, rows)
+        ax.invert_yaxis()
+        ax.xaxis.tick_top()
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
+        fig.suptitle(title, x=0.02, ha="left", fontsize=10.5, color=INK)
+        patches = [Patch(color=c, label=label) for c, label in zip((PALE, HALF, INK), legend, strict=True)]
+        fig.legend(handles=patches, loc="lower left", ncols=3, bbox_to_anchor=(0.01, 0.0), fontsize=9)
+        height = fig.get_figheight()
+        fig.subplots_adjust(left=0.9 / fig.get_figwidth(), right=0.98, top=1 - 0.75 / height, bottom=0.45 / height)
+    return fig
+
+
+def _bank(res, time):
+    """Draw the relations violated and the candidates of one recording, each as a raster over time."""
+    from matplotlib.colors import ListedColormap
+
+    x = np.arange(len(res.status)) if time is None and res.relations is None else time_of(res, time)
+    at, label, dates = (x, "sample", False) if time is None and res.relations is None else time_axis(x)
+    bins = np.unique(np.linspace(0, len(x), min(len(x), BINS), endpoint=False).astype(int))
+    gather = lambda on: np.maximum.reduceat(on, bins, axis=0).T
+    edges = np.append(at[bins], at[-1:])
+    with style():
+        count = len(res.signatures.relations)
+        fig, (top, bottom) = stacked(2, (11, 1.6 + 0.2 * (count + len(res.faults))), [count, len(res.faults)])
+        panels = ((top, gather(res.violated), res.signatures.relations, FAULTY, "Relations violated, each a proof"),
+                  (bottom, gather(res.candidates), res.faults, COLOURS[Status.UNDECIDED], "Single faults that explain them"))  # fmt: skip
+        for ax, on, names, colour, title in panels:
+            ax.pcolormesh(edges, np.arange(len(names) + 1), on, cmap=ListedColormap([PALE, colour]), vmin=0, vmax=1, shading="flat")
+            ax.set_yticks(np.arange(len(names)) + 0.5, names, fontsize=8)
+            ax.set_title(title)
+            ax.hlines(np.arange(1, len(names)), edges[0], edges[-1], color=GRID, lw=0.6)
+            ax.invert_yaxis()
+            ax.tick_params(axis="y", length=0)
+        finish(fig, [top, bottom], at, label, dates, gap=0.5)
+    return fig

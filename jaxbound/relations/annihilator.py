@@ -1,0 +1,227 @@
+"""Polynomial matrices Omega(v) with Omega(v) E(v) = 0 for every v: the unknown state is eliminated whatever the parameters are.
+
+Omega is searched order by order. Of one order r, its coefficients are the unknowns of homogeneous equations, one for each monomial
+gamma of the product and each column of E,
+
+    sum over alpha of Omega_[gamma - alpha] E_[alpha] = 0,      gamma = alpha + beta, |beta| <= r            (9)-(10)
+
+whose null space is exact and sparse. Multiples v^beta g of what a lower order has found are no new relations and are removed.
+The search stops when the relations found have full rank at the middle, at vertices and at random points of the box: neither the size of
+a null space nor its rank at a random point would do (three relations of full generic rank may be two at the nominal model).
+
+Source: Ploix, Adrot 2006, section 3.
+"""
+
+import itertools
+import random
+from dataclasses import dataclass
+from fractions import Fraction
+from math import comb, lcm
+
+import numpy as np
+
+from jaxbound.relations.polynomial import PolynomialMatrix, monomials
+from jaxbound.sets import exact, rounding
+from jaxbound.sets.sparse import null_space, pivot_columns
+
+__all__ = ["Step", "annihilator", "constraints", "generic_rank", "rank_over_box"]
+
+LARGEST = 30_000
+"""Unknowns of one null space beyond which the search gives up."""
+LONGEST = 600
+"""Monomials up to which a box that leaves a rank open is bisected."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one order of the search came to: unknowns and equations, dimension of the null space, of the multiples in it, new relations."""
+
+    order: int
+    unknowns: int
+    equations: int
+    kernel: int
+    multiples: int
+    new: int
+
+
+def annihilator(E):
+    """Return (Omega, steps, complete): relations that span the left null space of E(v) at every v of [-1, 1]^q.
+
+    Args:
+        E: a PolynomialMatrix.
+
+    Returns:
+        Omega: a PolynomialMatrix (count, E.rows), few relations of low order first. steps: a Step for each order. complete: "proved"
+        if their rank is full over the whole box, "sampled" if that holds at all points tried, "partial" if the search gave up.
+
+    Source: Ploix, Adrot 2006, (8)-(10).
+    """
+    target = E.rows - generic_rank(E)
+    points, kept, steps = _points(E.variables), [], []
+    used = [i for i in range(E.variables) if any(a[i] for a in E.terms)]
+    small = PolynomialMatrix(E.rows, E.columns, len(used), {tuple(a[i] for i in used): m for a, m in E.terms.items()})
+    wide = lambda beta: tuple(beta[used.index(i)] if i in used else 0 for i in range(E.variables))
+    if target == 0:
+        return PolynomialMatrix(0, E.rows, E.variables, {}), (), "proved"
+    for order in range(max(1, E.columns * E.order) + 1):  # relations of at most this order, the minors of E, span it everywhere
+        betas = monomials(len(used), order)
+        if len(betas) * E.rows > LARGEST and order:
+            return _matrix(kept, E), tuple(steps), "partial"
+        fresh, step = _one_order(small, betas, order, kept)
+        steps.append(step)
+        kept += [(order, {(wide(b), j): x for (b, j), x in g.items()}, g) for g in fresh]
+        if fresh and len(kept) >= target and _spans(_matrix(kept, E), points, target)[0]:
+            chosen = _matrix(_fewest(kept, E, points, target), E)
+            proof, where = rank_over_box(chosen, target)
+            if proof != "drops":
+                return chosen, tuple(steps), "proved" if proof == "proved" else "sampled"
+            points.append(where)
+    return _matrix(kept, E), tuple(steps), "partial"
+
+
+def constraints(E, order):
+    """Return (equations, size): what the coefficients of a relation of one order must satisfy, in whole numbers, and how many these are.
+
+    Unknown b * E.rows + j is the coefficient of monomial b (`monomials`) at row j of E; an equation of zeros counts, but is not returned.
+
+    Source: Ploix, Adrot 2006, (9)-(10).
+    """
+    scale = lcm(*(x.denominator for entries in E.terms.values() for x in entries.values()))
+    whole = [(a, [(k, int(x * scale)) for k, x in entries.items()]) for a, entries in E.terms.items()]
+    equations = {}
+    for b, beta in enumerate(monomials(E.variables, order)):
+        for alpha, entries in whole:
+            gamma = tuple(map(int.__add__, alpha, beta))
+            for (j, c), x in entries:
+                row = equations.setdefault((gamma, c), {})
+                row[b * E.rows + j] = row.get(b * E.rows + j, 0) + x
+    return list(equations.values()), len({gamma for gamma, _ in equations}) * E.columns
+
+
+def _one_order(E, betas, order, kept):
+    """Return the relations {(beta, column): x} of one order that are no multiples of those kept, and the Step."""
+    equations, size = constraints(E, order)
+    kernel = null_space(equations, len(betas) * E.rows)
+    leads = {min(row): i for i, row in enumerate(kernel)}  # coordinates of a solution: its values there
+    number = {beta: b for b, beta in enumerate(betas)}
+    multiples = []
+    for low, _, g in kept:
+        for beta in betas:
+            if sum(beta) > order - low:
+                break
+            shifted = {number[tuple(map(int.__add__, beta, b))] * E.rows + j: x for (b, j), x in g.items()}
+            multiples.append({len(kernel) - 1 - leads[k]: x for k, x in shifted.items() if k in leads})
+    spanned = {len(kernel) - 1 - c for c in pivot_columns(multiples)}  # the last coordinate of a multiple: the others come first
+    fresh = [kernel[i] for i in range(len(kernel)) if i not in spanned]
+    fresh = [{(betas[k // E.rows], k % E.rows): x for k, x in row.items()} for row in fresh]
+    return fresh, Step(order, len(betas) * E.rows, size, len(kernel), len(spanned), len(fresh))
+
+
+def _matrix(kept, E):
+    """Return relations as a matrix, each divided by its largest coefficient at v = 0 (or anywhere), the first one positive."""
+    terms = {}
+    for i, (_, g, _) in enumerate(kept):
+        nominal = [abs(x) for (b, _), x in g.items() if not any(b)]
+        first = min(g, key=lambda k: (sum(k[0]), tuple(-e for e in k[0]), k[1]))
+        divisor = max(nominal or map(abs, g.values())) * (1 if g[first] > 0 else -1)
+        for (beta, j), x in g.items():
+            terms.setdefault(beta, {})[i, j] = x / divisor
+    ordered = dict(sorted(terms.items(), key=lambda t: (sum(t[0]), tuple(-e for e in t[0]))))
+    return PolynomialMatrix(len(kept), E.rows, E.variables, ordered)
+
+
+def _fewest(kept, E, points, target):
+    """Return as few relations as are well conditioned at all points; of these, where a choice is left, the lowest orders."""
+    if len(kept) <= target:
+        return kept
+    most = _spans(_matrix(kept, E), points, target)[1]
+    for count in range(target, len(kept)):
+        choices = sorted(itertools.islice(itertools.combinations(kept, count), 2000), key=lambda some: sum(g[0] for g in some))
+        for some in choices[:50]:
+            spans, smallest = _spans(_matrix(some, E), points, target)
+            if spans and smallest > most / 2:
+                return list(some)
+    return kept
+
+
+def _spans(P, points, target):
+    """Return whether the rank of P is at least the target at all points, and the smallest singular value that makes it so."""
+    powers = np.array(list(P.terms), float).reshape(-1, P.variables)
+    values = np.array([P.coefficient(a) for a in P.terms], float)
+    at = np.einsum("pa,aij->pij", np.prod(np.array(points, float)[:, None, :] ** powers, -1), values)
+    singular = np.linalg.svd(at, compute_uv=False)
+    plain = singular[:, target - 1] > 1e-7 * singular[:, 0]
+    return all(ok or exact.rank(P.at(v)) >= target for ok, v in zip(plain, points, strict=True)), singular[:, target - 1].min()
+
+
+def generic_rank(E):
+    """Return the rank of E at almost every v: its largest rank at a few random points."""
+    draw = random.Random(7)
+    point = lambda: [Fraction(draw.randrange(-999, 1000), 1000) for _ in range(E.variables)]
+    return max(exact.rank(E.at(point())) for _ in range(2)) if E.columns and E.rows else 0
+
+
+def _points(q):
+    """Return the middle, up to 64 vertices and 8 random points of [-1, 1]^q, as Fractions."""
+    draw = random.Random(11)
+    if q <= 6:
+        vertices = list(itertools.product((-1, 1), repeat=q))
+    else:
+        vertices = [tuple(draw.choice((-1, 1)) for _ in range(q)) for _ in range(64)]
+    inside = [tuple(Fraction(draw.randrange(-999, 1000), 1000) for _ in range(q)) for _ in range(8)]
+    return [(Fraction(0),) * q, *(tuple(map(Fraction, v)) for v in vertices), *inside]
+
+
+def rank_over_box(P, rank):
+    """Decide whether P(v) has at least a given rank for every v in [-1, 1]^q, and return ("proved" | "drops" | "open", where).
+
+    On a box v = c + r w, L P R = I + sum over alpha of N_alpha w^alpha, with fixed matrices L and R from the singular vectors at its
+    centre. Where the |N_alpha| add up to less than 1 in every row, I + N is regular and the rank at least that large; else the box is
+    bisected. Done in floats: each N_alpha is a sum of products L T P R, T the binomial matrix that moves the monomials to the box, and
+    `rounding.product_error`, with one more product for each further factor, bounds what rounding does to it.
+
+    Returns:
+        "drops" with a point where the exact rank is smaller; "open" with a point close to what up to 1000 boxes did not settle.
+    """
+    if rank == 0:
+        return "proved", None
+    points = _points(P.variables)
+    if not _spans(P, points, rank)[0]:
+        return "drops", next(v for v in points if exact.rank(P.at(v)) < rank)
+    alphas = sorted({low for a in P.terms for low in itertools.product(*(range(e + 1) for e in a))}, key=lambda a: (sum(a), a))
+    values = np.array([P.coefficient(a) for a in alphas], float)
+    powers = np.array(alphas, int).reshape(len(alphas), P.variables)
+    gamma, _ = rounding.product_error(len(alphas) + P.rows + P.columns + 4 * P.order + 8, np.float64)
+    most = min(1000, 30_000 // len(alphas))
+    queue, boxes = [(np.zeros(P.variables), np.ones(P.variables))], 0
+    while queue:
+        centre, radius = queue.pop()
+        boxes += 1
+        here, size = values, abs(values)
+        if boxes > 1:
+            T = _moved(powers, centre, radius)
+            here, size = np.einsum("ka,aij->kij", T, values), np.einsum("ka,aij->kij", abs(T), size)
+        left, singular, right = np.linalg.svd(here[0], full_matrices=False)
+        exactly = tuple(map(Fraction, centre.tolist()))
+        if singular[rank - 1] <= 1e-9 * singular[0]:
+            return ("drops" if exact.rank(P.at(exactly)) < rank else "open"), exactly
+        L, R = left.T[:rank] / singular[:rank, None], right[:rank].T
+        N = L @ here @ R
+        N[0] -= np.eye(rank)
+        bound = abs(N) + gamma * (abs(L) @ size @ abs(R) + 1)
+        if bound.sum((0, 2)).max() < 1 - gamma:
+            continue
+        influence = np.array([bound[powers[:, k] > 0].sum() for k in range(P.variables)])
+        if boxes >= most or len(alphas) > LONGEST or not influence.size or not influence.max() > 0:
+            return "open", exactly
+        half = radius * np.where(np.arange(P.variables) == influence.argmax(), 0.5, 1)
+        queue += [(centre + s * (radius - half), half) for s in (-1, 1)]
+    return "proved", None
+
+
+def _moved(powers, centre, radius):
+    """Return T (K, K) with (centre + radius w)^alpha = sum over low of T[low, alpha] w^low, for all exponents `powers` (K, q)."""
+    top = powers.max(initial=0) + 1
+    binomial = np.array([[comb(e, k) for e in range(top)] for k in range(top)], float)  # 0 where k > e
+    rest = np.maximum(powers[None] - powers[:, None], 0)
+    return np.prod(binomial[powers[:, None], powers[None]] * centre**rest, -1) * np.prod(radius**powers, -1)[:, None]

@@ -1,0 +1,53 @@
+"""The bounds of relations at the door: checked, given their shape, rounded so that they are never tighter than what the user wrote."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets import rounding
+
+__all__ = ["checked_bound", "float_bound", "model_bounds"]
+
+KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance", "parameters": "parameter"}
+
+
+def model_bounds(model):
+    """Return the bounds of a model as floats: "tolerance", "noise", and "disturbance" (g, 2), "parameters" (q,) where it has them."""
+    bounds = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
+    if model.g:
+        lo, hi = zip(*model.disturbance, strict=True)
+        bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
+    if model.uncertainties:
+        bounds["parameters"] = np.ones(len(model.uncertainties))
+    return bounds
+
+
+def checked_bound(model, name, value):
+    """Check one entry of `bounds` and give it its shape.
+
+    Raises:
+        ValueError: a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
+    """
+    kind = KINDS[name]
+    names = {"output": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
+    names = names[kind] if kind in names else tuple(u.name for u in model.uncertainties)
+    shape, traced = np.shape(value), isinstance(value, jax.core.Tracer)
+    allowed = ((), (len(names),), (len(names), 2))[: 3 if kind == "disturbance" else 2]
+    if shape not in allowed:
+        raise ValueError(f"{name} needs one number or one per {kind} ({len(names)}): its shape is {shape}")
+    if not traced:
+        value = np.asarray(value, np.float64)
+    spread = (jnp if traced else np).broadcast_to(value, (len(names),)) if len(shape) < 2 else value
+    if not traced:
+        top = 1 if name == "tolerance" else np.inf
+        for who, b in zip(names, spread, strict=True):
+            if len(shape) == 2 and not -np.inf < b[0] <= b[1] < np.inf:
+                raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{b[0]:g}, {b[1]:g}]")
+            if len(shape) < 2 and not 0 <= b < top:
+                raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {b:g}")
+    return spread if kind != "disturbance" or len(shape) == 2 else (jnp if traced else np).stack([-spread, spread], 1)
+
+
+def float_bound(bound, dtype):
+    """Return a bound in a float dtype, rounded up."""
+    return bound.astype(dtype) if isinstance(bound, jax.core.Tracer) else rounding.round_up(np.asarray(bound, np.float64), dtype)

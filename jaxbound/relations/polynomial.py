@@ -1,0 +1,118 @@
+"""Matrices whose entries are polynomials in bounded variables v, exact: sum over alpha of M_alpha v^alpha.
+
+| paper | here |
+|---|---|
+| alpha | a tuple of exponents, one for each variable |
+| v_[alpha], its order rho | the monomial v^alpha, sum(alpha) |
+| O_[alpha] | `terms[alpha]`, sparse: {(row, column): Fraction} |
+
+Source: Ploix, Adrot 2006, (7)-(8).
+"""
+
+import itertools
+from dataclasses import dataclass
+from fractions import Fraction
+from math import prod
+
+__all__ = ["PolynomialMatrix", "constant", "monomials", "stacked"]
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialMatrix:
+    """A matrix (rows, columns) of polynomials in `variables` variables; zero entries and empty terms are not kept."""
+
+    rows: int
+    columns: int
+    variables: int
+    terms: dict
+
+    @property
+    def order(self):
+        """The largest order of a monomial."""
+        return max(map(sum, self.terms), default=0)
+
+    def __matmul__(self, other):
+        by_row = {}
+        for b, entries in other.terms.items():
+            for (i, j), x in entries.items():
+                by_row.setdefault(i, []).append((b, j, x))
+        out = {}
+        for a, entries in self.terms.items():
+            for (i, k), x in entries.items():
+                for b, j, y in by_row.get(k, ()):
+                    term = out.setdefault(tuple(map(int.__add__, a, b)), {})
+                    term[i, j] = term.get((i, j), 0) + x * y
+        return _clean(self.rows, other.columns, self.variables, out)
+
+    def __add__(self, other):
+        out = {a: dict(entries) for a, entries in self.terms.items()}
+        for a, entries in other.terms.items():
+            term = out.setdefault(a, {})
+            for k, x in entries.items():
+                term[k] = term.get(k, 0) + x
+        return _clean(self.rows, self.columns, self.variables, out)
+
+    def coefficient(self, alpha):
+        """Return the matrix of one monomial as a tuple of rows."""
+        entries = self.terms.get(alpha, {})
+        return tuple(tuple(entries.get((i, j), Fraction(0)) for j in range(self.columns)) for i in range(self.rows))
+
+    def at(self, point):
+        """Return the exact matrix at a point of Fractions."""
+        out = [[Fraction(0)] * self.columns for _ in range(self.rows)]
+        for a, entries in self.terms.items():
+            size = prod((v**e for v, e in zip(point, a, strict=True) if e), start=Fraction(1))
+            for (i, j), x in entries.items():
+                out[i][j] += size * x
+        return tuple(map(tuple, out))
+
+    def pick(self, rows=None, columns=None):
+        """Return some rows and columns, in the order given."""
+        rows, columns = (range(n) if some is None else some for n, some in ((self.rows, rows), (self.columns, columns)))
+        i_of, j_of = ({old: new for new, old in enumerate(some)} for some in (rows, columns))
+        out = {a: {(i_of[i], j_of[j]): x for (i, j), x in entries.items() if i in i_of and j in j_of} for a, entries in self.terms.items()}
+        return _clean(len(i_of), len(j_of), self.variables, out)
+
+
+def constant(matrix, variables, columns=None):
+    """Return an exact matrix as a PolynomialMatrix; columns: how many it has, if it may be without rows."""
+    entries = {(i, j): x for i, row in enumerate(matrix) for j, x in enumerate(row) if x}
+    columns = len(matrix[0]) if matrix else columns or 0
+    return PolynomialMatrix(len(matrix), columns, variables, {(0,) * variables: entries} if entries else {})
+
+
+def stacked(blocks):
+    """Return a grid of matrices, a list of rows of blocks, as one matrix."""
+    out, top = {}, 0
+    for row in blocks:
+        left = 0
+        for block in row:
+            for a, entries in block.terms.items():
+                out.setdefault(a, {}).update({(top + i, left + j): x for (i, j), x in entries.items()})
+            left += block.columns
+        top += row[0].rows
+    return PolynomialMatrix(top, left, blocks[0][0].variables, out)
+
+
+def monomials(variables, order):
+    """Return all alpha of at most an order, the orders ascending, the first variables first.
+
+    Example:
+        >>> monomials(2, 1)
+        [(0, 0), (1, 0), (0, 1)]
+    """
+    out = []
+    for total in range(order + 1):
+        for some in itertools.combinations_with_replacement(range(variables), total):
+            out.append(tuple(some.count(i) for i in range(variables)))
+    return out
+
+
+def _clean(rows, columns, variables, terms):
+    kept = {a: {k: x for k, x in entries.items() if x} for a, entries in terms.items()}
+    return PolynomialMatrix(rows, columns, variables, {a: kept[a] for a in sorted(kept, key=_graded) if kept[a]})
+
+
+def _graded(alpha):
+    """Sort key of monomials: by order, the first variables first."""
+    return sum(alpha), tuple(-e for e in alpha)

@@ -1,0 +1,218 @@
+"""Minimal relations among the samples of all signals, polynomial in the shift operator q, with unknown inputs eliminated exactly.
+
+| paper | here | |
+|---|---|---|
+| M_y, M_u | My, Mu | My(q) y + Mu(q) u = 0 for an exact plant, whatever its state and its unknown inputs |
+| q | q | forward shift |
+
+The relations of a plant are a module over polynomials in q. Their numbers of samples are those of a basis with the smallest degrees, the
+Forney indices. Numbers are exact: whether a relation exists is a question of rank, which floats can only guess.
+
+Source: Ragot, Maquin, Kratz 1993; degrees: Forney 1975.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from math import gcd
+
+import numpy as np
+
+from jaxbound.models.conversion import as_model
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations import shift
+from jaxbound.relations.elimination import eliminate
+from jaxbound.relations.parity import stated_relations
+from jaxbound.sets import exact
+
+__all__ = ["Redundancy", "basis", "known_side", "redundancy"]
+
+METHODS = ("window", "elimination")
+
+
+@dataclass(frozen=True, eq=False)
+class Redundancy:
+    """Relations M(q) (y; u) = 0 of a model. Build them with `redundancy` or `structured_relations`.
+
+    Fields: model; rows: a row of p + m polynomials in q for each relation (`relations.shift`); insensitive: for each relation the names of
+    the signals that it was made to ignore.
+    """
+
+    model: LinearSystem
+    rows: tuple
+    insensitive: tuple
+
+    @property
+    def count(self):
+        """Number of relations."""
+        return len(self.rows)
+
+    @property
+    def names(self):
+        """The signals of the columns: outputs, then inputs."""
+        return self.model.outputs + self.model.inputs
+
+    @property
+    def degrees(self):
+        """(r,) int: a relation of degree j spans j + 1 samples."""
+        return np.array([shift.degree(row) for row in self.rows], int)
+
+    @property
+    def horizon(self):
+        """The largest degree: a window of horizon + 1 samples holds every relation."""
+        return int(self.degrees.max(initial=0))
+
+    @cached_property
+    def _dense(self):
+        out = np.full((self.count, self.horizon + 1, len(self.names)), Fraction(0), object)
+        for r, row in enumerate(self.rows):
+            for j, numbers in enumerate(shift.coefficients(row)):
+                out[r, j] = numbers
+        return out
+
+    @property
+    def My(self):
+        """(r, horizon + 1, p) Fractions: coefficients on the outputs by ascending powers of q."""
+        return self._dense[:, :, : self.model.p]
+
+    @property
+    def Mu(self):
+        """(r, horizon + 1, m) Fractions: coefficients on the inputs by ascending powers of q."""
+        return self._dense[:, :, self.model.p :]
+
+    def text(self):
+        """Return the relations, one a line."""
+        return "\n".join(f"r{i + 1}: {shift.relation_text(row, self.names)}" for i, row in enumerate(self.rows))
+
+    @cached_property
+    def relations(self):
+        """The same relations as a ParityRelation over windows of horizon + 1 samples, each to be tested alone."""
+        return stated_relations(self.model, self.horizon, *self.windows())
+
+    def windows(self):
+        """Return (W, K), rows over the samples of a window that ends at the newest sample of each relation: W Y = K U, exact.
+
+        W (count, (s+1)p), K (count, l) as in `ParityRelation`, s the horizon.
+        """
+        s, p, m = self.horizon, self.model.p, self.model.m
+        lags = s + 1 if self.model.has_feedthrough else s
+        W, K = [], []
+        for row in self.rows:
+            numbers = shift.coefficients(row)
+            late = s + 1 - len(numbers)
+            W.append((Fraction(0),) * (late * p) + tuple(x for now in numbers for x in now[:p]))
+            K.append(((Fraction(0),) * (late * m) + tuple(-x for now in numbers for x in now[p:]))[: lags * m])
+        return tuple(W), tuple(K)
+
+
+def redundancy(model, method="window"):
+    """Return a minimal basis of all relations between outputs and known inputs, exact.
+
+    Args:
+        model: a LinearSystem, unknown inputs included; bounded disturbances are not eliminated. Or what `parity_relations` takes.
+        method: "window": relations are looked for among ever longer windows. "elimination": the paper's own, which removes the unknown
+            inputs first and then the state step by step; it needs rank(C F) = rank F and unknown inputs that act on the state only.
+
+    Returns:
+        A Redundancy with the fewest samples in each relation; its degrees are the same for both methods.
+
+    Raises:
+        ValueError: the elimination does not apply (says why), an unknown method. NotImplementedError: the model has uncertainties.
+
+    Source: Ragot 1993, (2)-(20), with the elimination going on until the state is empty.
+
+    Example:
+        >>> m = LinearSystem([[0, 0], [0, "1/2"]], [[1], [0]], [[1, 0], [0, 1], [1, 1]], unknown_inputs=[[0], [1]])
+        >>> print(redundancy(m).text())
+        r1: y1 + y2 - y3 = 0
+        r2: q y1 - u1 = 0
+        >>> redundancy(m, method="elimination").degrees
+        array([0, 1])
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
+    model = as_model(model)
+    rows = eliminate(model) if method == "elimination" and model.n else basis(model)
+    rows = tuple(sorted(map(shift.presentable, rows), key=shift.degree))
+    return Redundancy(model, rows, ((),) * len(rows))
+
+
+def basis(model, F=None, D_v=None):
+    """Return the rows of a minimal basis; F, D_v instead of the model's own unknown inputs.
+
+    Outputs are taken sample after sample. One that depends on those before it gives a relation, and so do its later samples, whose
+    relations are the same, shifted: they are left out. So every relation ends at an output of its own, and the leading coefficients are
+    triangular: no combination has a smaller degree.
+    """
+    if model.uncertainties:
+        raise NotImplementedError("relations polynomial in q are for a certain model: leave its uncertainties out, or decouple them")
+    F, D_v = (model.F, model.D_v) if F is None else (F, D_v)
+    A, C, n, p = model.A, model.C, model.n, model.p
+    free = len(D_v[0])
+    most = p - (exact.rank(_pencil(model, F, D_v)) - n) if free else p  # a rank at one q can only be too small, and `most` too large
+    reached, responses = C, [D_v]
+    waiting, kept, rows = list(range(p)), [], []
+    for j in range(n + 1):
+        again = []
+        for i in waiting:
+            through = tuple(x for k in range(j + 1) for x in responses[j - k][i])
+            row, scale = exact.primitive_scale(reached[i] + through)
+            row, used = _reduced(list(row), {j * p + i: scale}, kept)
+            pivot = next((c for c, x in enumerate(row) if x), None)
+            if pivot is None:
+                rows.append(_row(model, used, j))
+                continue
+            kept.append((pivot, row, used))
+            again.append(i)
+        waiting = again
+        if len(rows) >= most:
+            break
+        responses.append(exact.matmul(reached, F) if free else tuple(() for _ in range(p)))
+        reached = exact.matmul(reached, A)
+    return tuple(rows)
+
+
+def _pencil(model, F, D_v):
+    """Return [[q - A, F], [C, D_v]] at some q."""
+    q = Fraction(1_000_003)
+    top = tuple(tuple(q * (i == j) - x for j, x in enumerate(row)) + F[i] for i, row in enumerate(model.A))
+    return top + tuple(c + v for c, v in zip(model.C, D_v, strict=True))
+
+
+def _reduced(row, used, kept):
+    """Return a row of integers less its share of those kept, and how it is made of samples."""
+    for pivot, other, others in kept:
+        if row[pivot]:
+            f, head = row[pivot], other[pivot]
+            row = [head * x for x in row]
+            for c, y in enumerate(other):
+                if y:
+                    row[c] -= f * y
+            used = {key: head * x for key, x in used.items()}
+            for key, y in others.items():
+                used[key] = used.get(key, 0) - f * y
+            common = gcd(*row, *used.values())
+            if common > 1:
+                row = [x // common for x in row]
+                used = {key: x // common for key, x in used.items()}
+    return row, used
+
+
+def _row(model, used, last):
+    """Return the row of polynomials of a relation: numbers on samples (time * p + output), the last time being `last`."""
+    numbers = [[Fraction(used.get(j * model.p + i, 0)) for i in range(model.p)] for j in range(last + 1)]
+    return tuple(shift.trim(c) for c in zip(*numbers, strict=True)) + known_side(model, numbers)
+
+
+def known_side(model, h):
+    """Return the m polynomials of the inputs in a relation with the numbers h (degree + 1, p) on the outputs."""
+    state, known = (Fraction(0),) * model.n, []
+    for now in reversed(h):  # how the samples later than this one depend on the state after it
+        direct, through = _times(now, model.D, model.m), _times(state, model.B, model.m)
+        known.append([-(a + b) for a, b in zip(direct, through, strict=True)])
+        state = tuple(a + b for a, b in zip(_times(now, model.C, model.n), _times(state, model.A, model.n), strict=True))
+    return tuple(shift.trim(c) for c in zip(*reversed(known), strict=True))
+
+
+def _times(row, matrix, width):
+    return exact.matmul((row,), matrix)[0] if matrix else (Fraction(0),) * width

@@ -1,0 +1,285 @@
+"""Parity relations of a model with uncertain parameters: polynomials in v that hold for every state, exact.
+
+    Omega(v) E(v) = 0     =>     N(v) z - K(v) U = 0,     N = [Omega, -Omega V],  K = Omega H,  z = (true outputs, disturbances)
+
+Source: Ploix, Adrot 2006, (4)-(6).
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.models import recording, window
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
+from jaxbound.relations.bounds import checked_bound, float_bound, model_bounds
+from jaxbound.relations.polynomial import PolynomialMatrix, stacked
+from jaxbound.relations.uncertain_test import UncertainTest
+from jaxbound.relations.uncertain_window import uncertain_window
+from jaxbound.relations.window_test import WindowTest
+from jaxbound.sets import exact, rounding
+from jaxbound.sets.interval import Interval
+
+__all__ = ["UncertainRelations", "uncertain_relations"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class UncertainRelations:
+    """Parity relations with uncertain parameters over a window of horizon + 1 samples. Build it with `parity_relations`.
+
+    Fields: bounds {"tolerance": (p,), "noise": (p,), "parameters": (number of uncertainties,)}, and "disturbance": (g, 2) if the model
+    has one; a parameter's bound is in half-widths of its `between`, 1 as built. model, horizon. variables: ((name, lag or None), ..),
+    what the polynomials are in. N (count, (s+1)p + gs) and K (count, l): exact PolynomialMatrices, N(v) z = K(v) U for an exact plant with
+    true outputs and disturbances z. steps: how the search went, one `Step` an order. complete: "proved" if the relations say all that
+    can be said of a window at every v of the box, "sampled" if that holds at all points tried, "partial" if the search gave up.
+    notes: sentences for the user.
+    """
+
+    bounds: dict
+    model: LinearSystem = field(metadata={"static": True})
+    horizon: int = field(metadata={"static": True})
+    variables: tuple = field(metadata={"static": True})
+    N: PolynomialMatrix = field(metadata={"static": True})
+    K: PolynomialMatrix = field(metadata={"static": True})
+    steps: tuple = field(metadata={"static": True})
+    complete: str = field(metadata={"static": True})
+    notes: tuple = field(metadata={"static": True})
+
+    @property
+    def count(self):
+        """Number of relations."""
+        return self.N.rows
+
+    @property
+    def form(self):
+        """How they were made."""
+        return "polynomial"
+
+    @property
+    def order(self):
+        """The largest order of a monomial in the relations."""
+        return max(self.N.order, self.K.order)
+
+    @property
+    def exponents(self):
+        """The monomials of the relations, the constant first, orders ascending."""
+        zero = (0,) * len(self.variables)
+        return (zero, *sorted({*self.N.terms, *self.K.terms} - {zero}, key=lambda a: (sum(a), tuple(-e for e in a))))
+
+    def test(self, dtype):
+        """Return the UncertainTest of these relations in a float dtype: what compiled kernels take."""
+        model, alphas = self.model, self.exponents
+        lo_hi = self.bounds.get("disturbance", np.zeros((0, 2)))
+        if not isinstance(lo_hi, jax.core.Tracer):
+            lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
+        nearest = np.vectorize(float, otypes=[np.float64])
+        read = WindowTest(
+            None,
+            float_bound(self.bounds["tolerance"], dtype),
+            float_bound(self.bounds["noise"], dtype),
+            rounding.round_up(list(model.resolution), dtype),
+            lo_hi.astype(dtype),
+            nearest(model.offset["u"]).astype(dtype),
+            nearest(model.offset["y"]).astype(dtype),
+            self.horizon,
+            window.input_lags(model, self.horizon),
+        )
+        names = [u.name for u in model.uncertainties]
+        size = float_bound(self.bounds["parameters"], dtype)[np.array([names.index(name) for name, _ in self.variables], int)]
+        return UncertainTest(read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy())
+
+    def _noisy(self):
+        """Return the rows of z that have a bound of their own beyond what the recorder rounds away."""
+        bounds = (self.bounds["tolerance"], self.bounds["noise"], np.array(list(map(float, self.model.resolution))))
+        quiet = [i for i in range(self.model.p) if not any(isinstance(b, jax.core.Tracer) or b[i] > 0 for b in bounds)]
+        outputs = (self.horizon + 1) * self.model.p
+        used = {j for entries in self.N.terms.values() for _, j in entries}
+        return tuple(j for j in range(self.N.columns) if j in used and (j >= outputs or j % self.model.p not in quiet))
+
+    def polynomials(self, u, y):
+        """Return (value, error, spread, rad), the relations of N windows as polynomials: see `UncertainTest.polynomials`.
+
+        Args:
+            u: (s + 1, m, N), y: (s + 1, p, N), as recorded, NaN where missing.
+        """
+        u, y = jnp.asarray(u), jnp.asarray(y)
+        return _polynomials(self.test(y.dtype), u, y)
+
+    def with_bounds(self, bounds):
+        """Return the same relations under other bounds.
+
+        Args:
+            bounds: {"tolerance": (p,), "noise": (p,), "disturbance": (g,) or (g, 2), "parameters": (number of uncertainties,)}, or some of
+                them; arrays, numbers or tracers. "parameters" is in half-widths of `between`: 2 means a parameter twice as uncertain.
+                Beyond 1 the relations still hold, but whether they say all is no longer proved (complete: "sampled").
+
+        Raises:
+            ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
+        """
+        unknown = sorted(set(bounds) - set(self.bounds))
+        if unknown:
+            raise ValueError(f"bounds are {sorted(self.bounds)}, not {unknown}")
+        fresh = {name: checked_bound(self.model, name, bounds.get(name, old)) for name, old in self.bounds.items()}
+        wider = isinstance(fresh["parameters"], jax.core.Tracer) or (fresh["parameters"] > 1).any()  # than the box that was examined
+        complete = "sampled" if wider and self.complete == "proved" else self.complete
+        return dataclasses.replace(self, bounds=fresh, complete=complete)
+
+    def external(self, u, y):
+        """Return (..., T, count), the residuals at the middle of all bounds, NaN where a window is incomplete. Not rounded: for plots.
+
+        Args:
+            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs. Arrays or DataFrames.
+        """
+        return self._forms(u, y)[0]
+
+    def internal(self, u, y):
+        """Return the Interval (..., T, count) that contains each residual alone when the plant is healthy. Not rounded: for plots.
+
+        Every monomial and noise is taken at its worst by itself. Source: Ploix, Adrot 2006, (14).
+        """
+        _, lo, hi = self._forms(u, y)
+        return Interval(lo, hi)
+
+    def _forms(self, u, y):
+        u, y, _ = recording.arrays(self.model, u, y)
+        u, y = jnp.asarray(u), jnp.asarray(y)
+        if y.shape[-2] <= self.horizon:
+            return (jnp.full((*y.shape[:-1], self.count), jnp.nan, y.dtype),) * 3
+        test, forms = self.test(y.dtype), _forms
+        for _ in range(y.ndim - 2):
+            forms = jax.vmap(forms, (None, 0, 0))
+        return forms(test, u, y)
+
+    def text(self):
+        """Return the relations, one a line, as a reader would write them.
+
+        Example:
+            >>> from jaxbound.models.uncertainty import Uncertainty
+            >>> from jaxbound.relations.parity import parity_relations
+            >>> m = LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0]],
+            ...     uncertainties=[Uncertainty("a", A=[[0.1, 0], [0, 0]]), Uncertainty("c", C=[[0.1, 0]], varying=False)])
+            >>> print(parity_relations(m).text())
+            r1: (0.16 + 0.02 a[k-2]) y1[k-2] - (1 + 0.1 a[k-1]) y1[k-1] + y1[k] - (1 + 0.1 c) u1[k-2] = 0
+        """
+        return "\n".join(f"r{i + 1}: {self._line(i)} = 0" for i in range(self.count))
+
+    def _line(self, i):
+        s, model = self.horizon, self.model
+        at = lambda lag: f"[k-{s - lag}]" if lag < s else "[k]"
+        names = [name if lag is None else name + at(lag) for name, lag in self.variables]
+        signals = [model.outputs[j % model.p] + at(j // model.p) for j in range((s + 1) * model.p)]
+        signals += [f"w{j % model.g + 1}" + at(j // model.g) for j in range(self.N.columns - len(signals))]
+        inputs = [model.inputs[j % model.m] + at(j // model.m) for j in range(self.K.columns)]
+        out = ""
+        for part, columns, sign in ((self.N, signals, 1), (self.K, inputs, -1)):
+            for j, signal in enumerate(columns):
+                found = [(a, sign * part.terms[a][i, j]) for a in self.exponents if (i, j) in part.terms.get(a, {})]
+                if found:
+                    negative = found[0][1] < 0
+                    text = _sum([(a, -x if negative else x) for a, x in found], names)
+                    factor = "" if text == "1" else f"({text}) " if len(found) > 1 else f"{text} "
+                    out += (" - " if negative else " + ") + factor + signal
+        return out[3:] if out.startswith(" + ") else "-" + out[3:]
+
+
+def uncertain_relations(model, horizon):
+    """Eliminate the unknown state, and unknown inputs, from a window of a model with uncertainties: see `parity_relations`."""
+    if model.constant_tolerance:
+        raise NotImplementedError(
+            "constant_tolerance and uncertainties do not go together yet: give the constant gain error of a sensor as an uncertainty "
+            "of its row of C (and D) with varying=False instead"
+        )
+    variables, E, H, V = uncertain_window(model, horizon)
+    reduced, notes = _without_unseen(E, model)
+    rank = generic_rank(reduced)
+    if rank == E.rows:
+        raise ValueError(
+            f"horizon {horizon} gives no relation: {E.rows} samples do not outnumber the {rank} unknowns that act on them; "
+            "choose a longer one"
+        )
+    proof, where = rank_over_box(reduced, rank)
+    if proof == "drops":
+        raise ValueError(
+            f"the model is not regularly observable: {_place(model, variables, where)} a window of {horizon + 1} samples shows less of its "
+            "state than elsewhere; narrow the bounds of the uncertainties so that they exclude this"
+        )
+    if proof == "open":
+        notes += (f"regular observability is not proved, nor refuted, near {_place(model, variables, where)[3:]}: FAULT stays a proof",)
+    omega, steps, complete = annihilator(reduced)
+    if not omega.rows:
+        raise ValueError(f"horizon {horizon}: the relations are too large to be found; fewer varying parameters or another horizon may do")
+    N = stacked([[omega, _negative(omega @ V)]]) if V.columns else omega
+    complete = "sampled" if complete == "proved" and proof != "proved" else complete
+    if complete == "partial":
+        notes += (f"the search for relations gave up at order {steps[-1].order}: there may be more, of higher orders",)
+    return UncertainRelations(model_bounds(model), model, horizon, variables, N, omega @ H, steps, complete, notes)
+
+
+def _negative(P):
+    return PolynomialMatrix(P.rows, P.columns, P.variables, {a: {k: -x for k, x in m.items()} for a, m in P.terms.items()})
+
+
+def _without_unseen(E, model):
+    """Return E in fewer unknowns with the same left null space: combinations that act on no sample, whatever v, are left out."""
+    rows = tuple(row for a in E.terms for row in E.coefficient(a) if any(row))
+    pivots = exact.row_reduce(rows)[1] if rows else ()
+    hidden = model.n - sum(j < model.n for j in pivots)
+    some = f"{hidden} of {model.n} states act" if hidden > 1 else f"1 of {model.n} states acts"
+    note = f"{some} on no output within the horizon, whatever the parameters: relations and verdicts say nothing about it"
+    return E.pick(columns=pivots), (note,) if hidden else ()
+
+
+def _place(model, variables, point):
+    """Return "at a = 3, b[k] = 0.5": a point of the box in the user's units."""
+    by_name = {u.name: u for u in model.uncertainties}
+    value = lambda name, v: float(by_name[name].centre + by_name[name].radius * v)
+    at = lambda lag: "" if lag is None else f" (sample {lag + 1} of the window)"
+    return "at " + ", ".join(f"{name} = {value(name, v):g}{at(lag)}" for (name, lag), v in zip(variables, point, strict=True))
+
+
+def _sum(terms, names):
+    """Return a polynomial as text, its first coefficient positive."""
+    out = ""
+    for alpha, x in terms:
+        factors = [name if e == 1 else f"{name}^{e}" for name, e in zip(names, alpha, strict=True) if e]
+        size = abs(x)
+        if size != 1 or not factors:
+            factors.insert(0, str(size) if size.denominator == 1 else f"{float(size):.6g}")
+        out += (" - " if x < 0 else " + ") + " ".join(factors)
+    return out[3:]
+
+
+def _floats(matrix, alphas, dtype):
+    """Return the coefficients (rows, len(alphas), columns) as nearest floats."""
+    out = np.zeros((matrix.rows, len(alphas), matrix.columns), dtype)
+    for a, alpha in enumerate(alphas):
+        for (i, j), x in matrix.terms.get(alpha, {}).items():
+            out[i, a, j] = rounding.fraction_to_float(x, dtype)
+    return out
+
+
+@jax.jit
+def _polynomials(test, u, y):
+    return test.polynomials(u, y)
+
+
+@jax.jit
+def _forms(test, u, y):
+    s, count = test.horizon, y.shape[0] - test.horizon
+    u, y = (jnp.stack([x[j : j + count].T for j in range(s + 1)]) for x in (u, y))
+    value, _, spread, rad = test.polynomials(u, y)
+    samples = (y - test.window.offset_y[None, :, None]).reshape(-1, count)
+    known = (u[: test.window.lags] - test.window.offset_u[None, :, None]).reshape(-1, count)
+    external = sum(jnp.where(test.N[:, 0, j, None] == 0, 0, test.N[:, 0, j, None] * x[None]) for j, x in enumerate(samples))
+    external -= sum((jnp.where(test.K[:, 0, j, None] == 0, 0, test.K[:, 0, j, None] * x[None]) for j, x in enumerate(known)), 0.0)
+    centre, width = value[:, 0], sum((abs(spread[:, :, j]).sum(1)[:, None] * rad[j][None] for j in range(len(rad))), 0.0)
+    for a, alpha in enumerate(test.exponents[1:], 1):
+        even = all(e % 2 == 0 for e in alpha)
+        centre += 0.5 * value[:, a] if even else 0
+        width += (0.5 if even else 1) * abs(value[:, a])
+    found = external, external - centre - width, external - centre + width
+    return tuple(jnp.pad(x.T, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in found)
