@@ -335,8 +335,9 @@ class TestShell:
     def test_ctrl_c(self, place, shell):
         args, environment = shell
         code = """
-import sys, time
+import signal, sys, time
 from jaxbound import cli, detecting
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell makes background jobs ignore it
 detecting.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
 sys.exit(cli.main(["detect", "model.toml", "good.csv", "--out", "out"]))
 """

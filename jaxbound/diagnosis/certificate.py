@@ -221,7 +221,7 @@ def certify(relations, u, y, method="joint", status=None, at=None):
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one behaviour cannot prove.
     """
     if not isinstance(relations, ParityRelation):
-        raise NotImplementedError("certificates are given for models without uncertain parameters so far; .margin says how far out a window is")
+        raise NotImplementedError("certificates are given for models without uncertain parameters so far; .margin says how far out it is")
     at = (relations.horizon,) if at is None else at
     window = exact_window(relations, u, y)
     nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")

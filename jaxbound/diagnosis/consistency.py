@@ -42,7 +42,7 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
             sample. u is None for a model without inputs. Leading axes are recordings of their own.
         method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each
             relation alone: FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's
-            adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED.
+            adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED (but see uncertain parameters).
             A residual is always decided by bisection of its unknowns: FAULT and CONSISTENT are proofs.
             With uncertain parameters both proofs of "joint" hold too, but what it neither refutes nor explains is UNDECIDED, until "paving"
             bisects the parameters. "linearised" is the paper's test, which proves nothing: UNDECIDED, and .suspect where it is outside.
