@@ -70,7 +70,7 @@ def through_disturbances(case, error):
 
 
 @pytest.mark.parametrize("name, signal, s, count, steps", [
-    *((*case, 30, 12) for case in CASES[-1:]), *(pytest.param(*case, 2000, 50, marks=pytest.mark.slow) for case in CASES[::3]),
+    *((*case, 30, 12) for case in CASES[-1:]), *(pytest.param(*case, 2000, 50, marks=pytest.mark.long) for case in CASES[::3]),
 ])  # fmt: skip
 def test_nothing_hides_a_fault_one_percent_above_the_size(name, signal, s, count, steps, rng):
     """An adversary chooses state, unknown inputs, noise and disturbances to raise the margin, by its gradient."""

@@ -57,7 +57,7 @@ def test_healthy_windows_are_never_faulty(rng, name):
         assert at == "vertices" or joint.counts["CONSISTENT"] > 0.8 * joint.status.size
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_million_healthy_windows_are_never_faulty(rng):
     total = 0
     for name in GOLDEN:
@@ -95,7 +95,7 @@ def test_linearised_alarms_on_healthy_data_are_as_many_as_golden_says(rng, golde
     assert shares(rng, "n2p1_paper_h3", "vertices", 100)[0] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("at", ["uniform", "vertices"])
 def test_linearised_alarms_of_all_golden_systems_are_as_many_as_golden_says(rng, golden, at):
     for name in GOLDEN[1:]:
@@ -192,13 +192,13 @@ def against_programs(rng, T, lost_y=(), lost_u=()):
     return clear, res.counts["FAULT"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_parameters_act_on_inputs_verdicts_are_those_of_linear_programs(rng):
     clear, faults = against_programs(rng, 160)
     assert clear > 140 and 20 < faults < 140
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_windows_with_gaps_have_the_verdict_of_the_program_without_the_row(rng):
     T = 150
     clear, faults = against_programs(rng, T, [(20, 0), (41, 1), (90, 0), (110, 1), (60, 0), (60, 1), (61, 0), (61, 1), (62, 0)], [30, 130])
@@ -261,7 +261,7 @@ def check_power(rng, name, at, windows, starts, budget):
     return infeasible, seen, power, undecided
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_paving_wins_back_the_power_that_soundness_cost(rng):
     infeasible, seen, power, _ = check_power(rng, "n3p2_mixed3_h3", "uniform", 28, 4, 300)
     assert power >= 0.9 * infeasible and (seen < power or infeasible < 5)
@@ -278,7 +278,7 @@ def test_paving_finds_nine_tenths_of_the_infeasible_windows(rng, name, at):
 NOISY = dict(noise=[0.02, 0.05], tolerance=[0.01, 0], disturbance=([[0.1], [0], [0.2]], [[-0.05, 0.1]]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("at", ["uniform", "vertices"])
 def test_noise_tolerance_and_disturbance_combine_with_parameters(rng, at):
     r = relations("n3p2_mixed3_h3", **NOISY)
@@ -291,7 +291,7 @@ def test_noise_tolerance_and_disturbance_combine_with_parameters(rng, at):
     assert broken[:, 50:53].any(1).all() and not broken[:, :50].any() and not broken[:, 53:].any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_box_alone_proves_faults_only(rng):
     r, (u, y) = relations("n3p2_mixed3_h3"), record(rng, "n3p2_mixed3_h3", 6, "uniform", dC=[[0, 0.3, 0], [0, 0, 0]])
     joint, box = jb.detect(r, u, y, method="paving", budget=200), jb.detect(r, u, y, method="box")
@@ -299,14 +299,14 @@ def test_box_alone_proves_faults_only(rng):
     assert not ((box.status == Status.FAULT) & (joint.status == Status.CONSISTENT)).any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_compensation_quiets_the_linearised_test(rng):
     r, (u, y) = relations("n3p2_mixed3_h3"), record(rng, "n3p2_mixed3_h3", 10, "vertices")
     alarms = [int(jb.detect(r, u, y, method="linearised", compensation=c).suspect.sum()) for c in (0, 0.01, 0.1, 10)]
     assert alarms[0] > alarms[2] >= alarms[3] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_single_relation_is_tested_at_its_vertices(rng):
     """Golden: on n3p2_var3_h2 the sound zonotope finds 88 faults where the exact test finds 1341."""
     r, (u, y) = relations("n3p2_var3_h2"), record(rng, "n3p2_var3_h2", 100, "vertices", dC=[[0, 0.3, 0], [0, 0, 0]])

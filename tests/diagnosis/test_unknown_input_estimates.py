@@ -19,7 +19,7 @@ def recording(T, rng, leak, batch=(), dtype=np.float64):
 
 
 @pytest.mark.parametrize("batch, dtype", [
-    (4, np.float64), pytest.param(250, np.float64, marks=pytest.mark.slow), pytest.param(40, np.float32, marks=pytest.mark.slow),
+    (4, np.float64), pytest.param(250, np.float64, marks=pytest.mark.long), pytest.param(40, np.float32, marks=pytest.mark.long),
 ])  # fmt: skip
 def test_a_leak_of_a_two_tank_rig_is_always_inside(batch, dtype, rng):
     T, w = 4100, 0.4

@@ -48,7 +48,7 @@ def test_relations_annihilate_state_and_unknown_inputs(name, form):
 
 
 @pytest.mark.parametrize("name, count", [*((name, 300) for name in list(PLANTS)[:4]),
-                                         *(pytest.param(name, 1500, marks=pytest.mark.slow) for name in PLANTS)])  # fmt: skip
+                                         *(pytest.param(name, 1500, marks=pytest.mark.long) for name in PLANTS)])  # fmt: skip
 def test_the_verdict_is_that_of_the_program_with_free_inputs(name, count, rng):
     spec, s = numbers(name)
     r, oracle, u, y = prepared(spec, s, count, rng)
@@ -68,7 +68,7 @@ def test_with_gaps_the_verdict_is_that_of_the_program_without_the_row(name, rng)
     assert (slack[status == Status.MISSING] <= 1e-9).all() and clear.mean() > 0.9
 
 
-@pytest.mark.parametrize("size", [pytest.param(1.0, marks=pytest.mark.slow), 1e6])
+@pytest.mark.parametrize("size", [pytest.param(1.0, marks=pytest.mark.long), 1e6])
 def test_no_unknown_input_raises_an_alarm_and_a_bias_does(size):
     m = jb.LinearSystem([[0.9, 0.1], [0, 0.8]], [[0], [1]], [[1, 0], [0, 1], [1, 1]], noise=0.01, unknown_inputs=[[1], [0]])
     T = 4000
@@ -126,7 +126,7 @@ def test_a_model_file_keeps_the_unknown_inputs(tmp_path):
         jb.load_model(tmp_path / "m.toml")
 
 
-@pytest.mark.parametrize("change, method", [({}, "box"), pytest.param({"constant_tolerance": True}, "joint", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("change, method", [({}, "box"), pytest.param({"constant_tolerance": True}, "joint", marks=pytest.mark.long)])
 def test_other_methods_are_silent_about_unknown_inputs_too(change, method, rng):
     m = jb.LinearSystem([[0.9, 0.1], [0, 0.8]], [[0], [1]], [[1, 0], [0, 1], [1, 1]], noise=0.01, tolerance=0.02,
                         unknown_inputs=[[1], [0]], **change)  # fmt: skip

@@ -19,7 +19,7 @@ CASES = [
 ]  # fmt: skip
 QUICK = [(5, "float64"), (3, "float32")]
 TYPES = [
-    (c, d) if (c, d) in QUICK else pytest.param(c, d, marks=pytest.mark.slow) for c in range(len(CASES)) for d in ("float32", "float64")
+    (c, d) if (c, d) in QUICK else pytest.param(c, d, marks=pytest.mark.long) for c in range(len(CASES)) for d in ("float32", "float64")
 ]
 
 
@@ -79,7 +79,7 @@ def image(r, u, y, how="compiled"):
         return tuple(map(np.asarray, both(r.test(y.dtype), jax.numpy.asarray(u), jax.numpy.asarray(y))))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_image_out_of_jit_is_the_exact_zonotope_within_its_error(dtype, rng):
     check_image(5, dtype, rng, "eager")
