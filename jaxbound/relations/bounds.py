@@ -4,9 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.models import window
+from jaxbound.relations.window_test import WindowTest
 from jaxbound.sets import rounding
 
-__all__ = ["checked_bound", "float_bound", "model_bounds"]
+__all__ = ["changed_bounds", "checked_bound", "float_bound", "model_bounds", "window_test"]
 
 KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance", "parameters": "parameter"}
 
@@ -51,3 +53,30 @@ def checked_bound(model, name, value):
 def float_bound(bound, dtype):
     """Return a bound in a float dtype, rounded up."""
     return bound.astype(dtype) if isinstance(bound, jax.core.Tracer) else rounding.round_up(np.asarray(bound, np.float64), dtype)
+
+
+def changed_bounds(model, old, new):
+    """Return the bounds `old` with the entries of `new` in their place, checked as in `checked_bound`; ValueError for an unknown name."""
+    unknown = sorted(set(new) - set(old))
+    if unknown:
+        raise ValueError(f"bounds are {sorted(old)}, not {unknown}")
+    return {name: checked_bound(model, name, new.get(name, value)) for name, value in old.items()}
+
+
+def window_test(shape, model, horizon, bounds, dtype):
+    """Return the WindowTest of a model under such bounds, rounded so that none is tighter."""
+    lo_hi = bounds.get("disturbance", np.zeros((0, 2)))
+    if not isinstance(lo_hi, jax.core.Tracer):
+        lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
+    nearest = np.vectorize(float, otypes=[np.float64])
+    return WindowTest(
+        shape,
+        float_bound(bounds["tolerance"], dtype),
+        float_bound(bounds["noise"], dtype),
+        rounding.round_up(list(model.resolution), dtype),
+        lo_hi.astype(dtype),
+        nearest(model.offset["u"]).astype(dtype),
+        nearest(model.offset["y"]).astype(dtype),
+        horizon,
+        window.input_lags(model, horizon),
+    )

@@ -22,10 +22,9 @@ import numpy as np
 from jaxbound.models import recording, window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.bounds import checked_bound, float_bound, model_bounds
+from jaxbound.relations.bounds import changed_bounds, model_bounds, window_test
 from jaxbound.relations.uncertain import uncertain_relations
-from jaxbound.relations.window_test import WindowTest
-from jaxbound.sets import exact, rounding
+from jaxbound.sets import exact
 from jaxbound.sets.interval import Interval
 from jaxbound.sets.separation import frame_of
 from jaxbound.sets.strips import strips_of
@@ -74,25 +73,11 @@ class ParityRelation:
 
     def test(self, method, dtype):
         """Return the WindowTest of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
-        model, lo_hi = self.model, self.bounds.get("disturbance", np.zeros((0, 2)))
         if method == "box":
             shape = self._alone.astype(dtype)
         else:
             shape = self._joint.astype(dtype) if self.frame is None else frame_of(self.frame, dtype)
-        if not isinstance(lo_hi, jax.core.Tracer):
-            lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
-        nearest = np.vectorize(float, otypes=[np.float64])
-        return WindowTest(
-            shape,
-            float_bound(self.bounds["tolerance"], dtype),
-            float_bound(self.bounds["noise"], dtype),
-            rounding.round_up(list(model.resolution), dtype),
-            lo_hi.astype(dtype),
-            nearest(model.offset["u"]).astype(dtype),
-            nearest(model.offset["y"]).astype(dtype),
-            self.horizon,
-            window.input_lags(model, self.horizon),
-        )
+        return window_test(shape, self.model, self.horizon, self.bounds, dtype)
 
     def with_bounds(self, bounds):
         """Return the same relations under other bounds.
@@ -103,11 +88,7 @@ class ParityRelation:
         Raises:
             ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
         """
-        unknown = sorted(set(bounds) - set(self.bounds))
-        if unknown:
-            raise ValueError(f"bounds are {sorted(self.bounds)}, not {unknown}")
-        fresh = {name: checked_bound(self.model, name, bounds.get(name, old)) for name, old in self.bounds.items()}
-        return dataclasses.replace(self, bounds=fresh)
+        return dataclasses.replace(self, bounds=changed_bounds(self.model, self.bounds, bounds))
 
     def external(self, u, y):
         """Return p_ext (..., T, count), the residuals, NaN where a window is incomplete. Not rounded: for plots and studies.

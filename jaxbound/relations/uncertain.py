@@ -12,14 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording, window
+from jaxbound.models import recording
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
-from jaxbound.relations.bounds import checked_bound, float_bound, model_bounds
+from jaxbound.relations.bounds import changed_bounds, float_bound, model_bounds, window_test
 from jaxbound.relations.polynomial import PolynomialMatrix, stacked
 from jaxbound.relations.uncertain_test import UncertainTest
 from jaxbound.relations.uncertain_window import uncertain_window
-from jaxbound.relations.window_test import WindowTest
 from jaxbound.sets import exact, rounding
 from jaxbound.sets.interval import Interval
 
@@ -73,21 +72,7 @@ class UncertainRelations:
     def test(self, dtype):
         """Return the UncertainTest of these relations in a float dtype: what compiled kernels take."""
         model, alphas = self.model, self.exponents
-        lo_hi = self.bounds.get("disturbance", np.zeros((0, 2)))
-        if not isinstance(lo_hi, jax.core.Tracer):
-            lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
-        nearest = np.vectorize(float, otypes=[np.float64])
-        read = WindowTest(
-            None,
-            float_bound(self.bounds["tolerance"], dtype),
-            float_bound(self.bounds["noise"], dtype),
-            rounding.round_up(list(model.resolution), dtype),
-            lo_hi.astype(dtype),
-            nearest(model.offset["u"]).astype(dtype),
-            nearest(model.offset["y"]).astype(dtype),
-            self.horizon,
-            window.input_lags(model, self.horizon),
-        )
+        read = window_test(None, model, self.horizon, self.bounds, dtype)
         names = [u.name for u in model.uncertainties]
         size = float_bound(self.bounds["parameters"], dtype)[np.array([names.index(name) for name, _ in self.variables], int)]
         return UncertainTest(read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy())
@@ -120,10 +105,7 @@ class UncertainRelations:
         Raises:
             ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
         """
-        unknown = sorted(set(bounds) - set(self.bounds))
-        if unknown:
-            raise ValueError(f"bounds are {sorted(self.bounds)}, not {unknown}")
-        fresh = {name: checked_bound(self.model, name, bounds.get(name, old)) for name, old in self.bounds.items()}
+        fresh = changed_bounds(self.model, self.bounds, bounds)
         wider = isinstance(fresh["parameters"], jax.core.Tracer) or (fresh["parameters"] > 1).any()  # than the box that was examined
         complete = "sampled" if wider and self.complete == "proved" else self.complete
         return dataclasses.replace(self, bounds=fresh, complete=complete)

@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets import rounding
+from jaxbound.sets.unrolled import largest, total
 
 __all__ = ["gauge_search"]
 
@@ -45,9 +46,9 @@ def gauge_search(c, G, one, steps=60):
     """
     r, q, N = G.shape
     dtype, many = c.dtype, one[None]
-    _, top = _largest(jnp.abs(c), one)
+    _, top = largest(jnp.abs(c), one)
     P = _first_basis(c, top)
-    T = jnp.stack([_total(P[a, i][None] * G[i] for i in range(r)) for a in range(r)])
+    T = jnp.stack([total(P[a, i][None] * G[i] for i in range(r)) for a in range(r)])
     places, columns, rows = (jnp.arange(n, dtype=jnp.int32)[:, None] for n in (r - 1, q, r))
     close, noise = 16 * rounding.unit(dtype) ** 0.75, 32 * rounding.unit(dtype)
     signs = jnp.where(T[0] < 0, -1, 1).astype(dtype)
@@ -58,15 +59,15 @@ def gauge_search(c, G, one, steps=60):
         slope = _slopes(T, signs) / many
         first = jnp.where(jnp.abs(slope) > q * noise, jnp.abs(slope) * 2.0**20, 0)  # unit vectors leave first
         worth = jnp.where(weight > 0, jnp.abs(slope) - (1 + close), first) / many
-        best, s = _largest(worth, one)
+        best, s = largest(worth, one)
         edge, lean = _row(T, s + 1) / many, jnp.sign(_pick(slope, s)) / one
         need = 0.5 * (1 - close) * (jnp.abs(_pick(slope, s)) - _pick(weight, s)) / one
         size = jnp.abs(edge)
         crosses = (signs * edge * lean[None] > 0) & (size > noise)
         reach = jnp.where(crosses, jnp.abs(T[0]) / jnp.where(size > 0, size, 1), jnp.inf) / many
         share = jnp.where(crosses, size, 0) / many
-        passed = _total(jnp.where(reach[j][None] <= reach, share[j][None], 0) for j in range(q)) / many
-        gain, j = _largest(jnp.where(passed >= need[None], -reach, -jnp.inf) / many, one)
+        passed = total(jnp.where(reach[j][None] <= reach, share[j][None], 0) for j in range(q)) / many
+        gain, j = largest(jnp.where(passed >= need[None], -reach, -jnp.inf) / many, one)
         moves = ~done & (best > 0) & (gain > -jnp.inf)
         column = jnp.take_along_axis(T, j[None, None], 1, mode="clip")[:, 0] / many
         pivot = _pick(column, s + 1)
@@ -86,7 +87,7 @@ def gauge_search(c, G, one, steps=60):
     going = lambda carry: (carry[-1] < steps) & ~jnp.all(carry[-2])
     T, P, signs, weight, ids, done, count = jax.lax.while_loop(going, step, start) if r > 1 else start
     h = jnp.where(_pick(c, top)[None] == 0, 0, P[0])
-    width = _total(jnp.abs(_total(h[i][None] * G[i] for i in range(r))))
+    width = total(jnp.abs(total(h[i][None] * G[i] for i in range(r))))
     t = jnp.where(width > 0, 1 / jnp.where(width > 0, width, 1), 0)
     z = -t[None] * signs
     if r > 1:
@@ -99,8 +100,8 @@ def gauge_search(c, G, one, steps=60):
 def _first_basis(c, top):
     """Return the inverse P (r, r, N) of the columns c and all unit vectors but the one along c's largest entry."""
     r = len(c)
-    largest = _pick(c, top)
-    inverse = 1 / jnp.where(largest == 0, 1, largest)
+    biggest = _pick(c, top)
+    inverse = 1 / jnp.where(biggest == 0, 1, biggest)
     rows = jnp.arange(r, dtype=jnp.int32)[:, None]
     along = rows == top[None]
     basis = [jnp.where(along, inverse[None], 0)]
@@ -112,7 +113,7 @@ def _first_basis(c, top):
 
 def _slopes(T, signs):
     """Return how fast sum_j |h g_j| over the generators outside the basis changes along each edge, (r - 1, N)."""
-    return jnp.stack([_total(signs[j] * T[s, j] for j in range(T.shape[1])) for s in range(1, len(T))])
+    return jnp.stack([total(signs[j] * T[s, j] for j in range(T.shape[1])) for s in range(1, len(T))])
 
 
 def _row(T, number):
@@ -122,23 +123,3 @@ def _row(T, number):
 def _pick(rows, number):
     """Return for each window one of its rows."""
     return jnp.take_along_axis(rows, number[None], 0, mode="clip")[0]
-
-
-def _total(terms):
-    """Add up in order: unrolled, so that it fuses."""
-    first, *rest = terms
-    for x in rest:
-        first = first + x
-    return first
-
-
-def _largest(rows, one):
-    """Return the largest of the rows and the first row that has it."""
-    most = rows[0]
-    for x in rows[1:]:
-        most = jnp.maximum(most, x)
-    most = most / one
-    first = jnp.full(most.shape, len(rows) - 1, most.dtype)
-    for i in reversed(range(len(rows) - 1)):
-        first = jnp.where(rows[i] == most, i, first)
-    return most, (first / one).astype(jnp.int32)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import rounding
+from jaxbound.sets.unrolled import total
 
 __all__ = ["bends", "image", "multiaffine", "row_error", "slopes", "vertex_margin"]
 
@@ -35,8 +36,8 @@ def row_error(value, error, spread, rad, exponents):
     order, (r, K), m = _order(exponents), value.shape[:2], rad.shape[0]
     gamma, floor = rounding.product_error(2 * K + m + 5 * order + 12, value.dtype)
     size = _sizes(value, spread, rad)
-    total = [_total(error[k]) for k in range(r)]
-    return jnp.stack([(1 + gamma) * total[k] + gamma * size[k] + floor * (1 + size[k]) for k in range(r)])
+    bound = [total(error[k]) for k in range(r)]
+    return jnp.stack([(1 + gamma) * bound[k] + gamma * size[k] + floor * (1 + size[k]) for k in range(r)])
 
 
 def image(value, spread, rad, exponents, mid=None, radius=None, linear=False):
@@ -53,7 +54,7 @@ def image(value, spread, rad, exponents, mid=None, radius=None, linear=False):
     r, n, m = value.shape[0], len(exponents[0]), rad.shape[0]
     parts = _expansion(exponents, mid, radius)  # {d: {a: factor}}
     units = [tuple(int(i == j) for j in range(n)) for i in range(n)]
-    coefficient = lambda d: _total([value[:, a] * _row(f) for a, f in parts.get(d, {}).items()] or [jnp.zeros_like(value[:, 0])])
+    coefficient = lambda d: total([value[:, a] * _row(f) for a, f in parts.get(d, {}).items()] or [jnp.zeros_like(value[:, 0])])
     c = coefficient((0,) * n)
     columns = [coefficient(d) for d in units]
     for d in parts:
@@ -63,11 +64,11 @@ def image(value, spread, rad, exponents, mid=None, radius=None, linear=False):
             c = c + columns[-1] if even else c
     if m:
         for j in range(m):
-            columns.append(_total(spread[:, a, j, None] * _row(f) for a, f in parts[(0,) * n].items()) * rad[j][None])
+            columns.append(total(spread[:, a, j, None] * _row(f) for a, f in parts[(0,) * n].items()) * rad[j][None])
         varies = [a for a, alpha in enumerate(exponents) if any(alpha)]
         if varies and not linear:
-            within = lambda a: _total(jnp.abs(spread[:, a, j, None]) * rad[j][None] for j in range(m))
-            lump = _total(within(a) * _row(_change(exponents[a], mid, radius)) for a in varies)
+            within = lambda a: total(jnp.abs(spread[:, a, j, None]) * rad[j][None] for j in range(m))
+            lump = total(within(a) * _row(_change(exponents[a], mid, radius)) for a in varies)
             columns += [jnp.where(jnp.arange(r)[:, None] == k, lump, 0) for k in range(r)]
     return c, jnp.stack(columns, 1)
 
@@ -75,15 +76,15 @@ def image(value, spread, rad, exponents, mid=None, radius=None, linear=False):
 def bends(value, exponents, radius):
     """Return (n, N): how much each variable of a box adds to what an image does not keep, relative to the rows: where to cut."""
     n = len(exponents[0])
-    size = _total(value[:, a] * 0 + jnp.abs(value[:, a]) for a in range(len(exponents)))
+    size = total(value[:, a] * 0 + jnp.abs(value[:, a]) for a in range(len(exponents)))
     share = jnp.abs(value) / jnp.where(size > 0, size, 1)[:, None]
     out = [1e-9 * x for x in radius]
     for a, alpha in enumerate(exponents):
         if sum(alpha) > 1:
-            weight = _total(share[:, a])
+            weight = total(share[:, a])
             for i in range(n):
                 others = [radius[l] * (e - (l == i)) for l, e in enumerate(alpha) if e > (l == i)]
-                out[i] += weight * radius[i] * _total(others) if alpha[i] else 0
+                out[i] += weight * radius[i] * total(others) if alpha[i] else 0
     return jnp.stack(out)
 
 
@@ -96,13 +97,13 @@ def slopes(value, spread, rad, exponents, z):
     n, m, order, count = len(exponents[0]), rad.shape[0], _order(exponents), len(exponents)
     v, e = z[:n], z[n:]
     power = [_power(v, a) for a in exponents]
-    w = [value[:, a] + _total([spread[:, a, j, None] * (rad[j] * e[j])[None] for j in range(m)] or [0.0]) for a in range(count)]
-    p = _total(w[a] * _row(power[a]) for a in range(count))
+    w = [value[:, a] + total([spread[:, a, j, None] * (rad[j] * e[j])[None] for j in range(m)] or [0.0]) for a in range(count)]
+    p = total(w[a] * _row(power[a]) for a in range(count))
     J = []
     for i in range(n):
         lower = {a: tuple(x - (l == i) for l, x in enumerate(alpha)) for a, alpha in enumerate(exponents) if alpha[i]}
-        J.append(_total([w[a] * _row(exponents[a][i] * _power(v, b)) for a, b in lower.items()] or [jnp.zeros_like(p)]))
-    J += [_total(spread[:, a, j, None] * _row(power[a]) for a in range(count)) * rad[j][None] for j in range(m)]
+        J.append(total([w[a] * _row(exponents[a][i] * _power(v, b)) for a, b in lower.items()] or [jnp.zeros_like(p)]))
+    J += [total(spread[:, a, j, None] * _row(power[a]) for a in range(count)) * rad[j][None] for j in range(m)]
     bend = [order * (order + 1) * x * (1 + 1e-6) for x in _sizes(value, spread, rad)]
     return p, jnp.stack(J, 1), jnp.stack(bend)
 
@@ -117,21 +118,21 @@ def vertex_margin(value, spread, rad, exponents, error):
     at = lambda vertex: [math.prod(s**e for s, e in zip(vertex, a, strict=True)) for a in exponents]
     signs = jnp.asarray(np.array([at(vertex) for vertex in product((-1, 1), repeat=n)]), value.dtype)
     order = np.array([sum(a) for a in exponents])
-    width = jnp.abs(_total(signs[:, a, None] * spread[0, a][None] for a in range(len(exponents)))) if m else None  # (vertices, m)
+    width = jnp.abs(total(signs[:, a, None] * spread[0, a][None] for a in range(len(exponents)))) if m else None  # (vertices, m)
 
     def ends(t=None):
         """Return the least and largest value over t times the box."""
         scale = [1.0 if t is None else t**k for k in range(order.max() + 2)]
-        middle = _total(signs[:, a, None] * (value[0, a] * scale[order[a]])[None] for a in range(len(exponents)))
+        middle = total(signs[:, a, None] * (value[0, a] * scale[order[a]])[None] for a in range(len(exponents)))
         radius = jnp.zeros_like(middle)
         if m and t is None:
-            radius = _total(width[:, j, None] * rad[j][None] for j in range(m))
+            radius = total(width[:, j, None] * rad[j][None] for j in range(m))
         elif m:
             for j in range(m):
                 by_order = {
-                    k: _total(signs[:, a] * spread[0, a, j] for a in np.flatnonzero(order == k)) for k in sorted(set(order.tolist()))
+                    k: total(signs[:, a] * spread[0, a, j] for a in np.flatnonzero(order == k)) for k in sorted(set(order.tolist()))
                 }
-                radius += jnp.abs(_total(part[:, None] * (rad[j] * scale[k + 1])[None] for k, part in by_order.items()))
+                radius += jnp.abs(total(part[:, None] * (rad[j] * scale[k + 1])[None] for k, part in by_order.items()))
         return jnp.min(middle - radius, 0), jnp.max(middle + radius, 0)
 
     low, high = ends()
@@ -202,16 +203,8 @@ def _sizes(value, spread, rad):
     """Return sum_a |value| + sum_j sum_a |spread| rad, row by row."""
     noise = jnp.sum(jnp.abs(spread), 1)
     m = rad.shape[0]
-    return [_total(jnp.abs(value[k])) + _total([noise[k, j] * rad[j] for j in range(m)] or [0.0]) for k in range(value.shape[0])]
+    return [total(jnp.abs(value[k])) + total([noise[k, j] * rad[j] for j in range(m)] or [0.0]) for k in range(value.shape[0])]
 
 
 def _order(exponents):
     return max(1, *map(sum, exponents))
-
-
-def _total(terms):
-    """Add up in order: unrolled, so that it fuses."""
-    first, *rest = terms
-    for x in rest:
-        first = first + x
-    return first

@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import rounding
+from jaxbound.sets.unrolled import largest, most, total
 
 __all__ = ["Frame", "frame_of", "separation_margin", "separation_search", "separation_verdict"]
 
@@ -72,7 +73,7 @@ def separation_margin(frame, mid, rad, known, steps=1000):
     z, r_outer, r_inner, present, complete = _image(frame, mid, rad, known, absent, missing)
     stop = jax.lax.stop_gradient  # the best h stays the best for a small change: envelope theorem
     h, _, _ = _search(stop(frame.R), *map(stop, (z, r_outer, r_inner)), present, jnp.ones_like(stop(z[0])), steps)
-    return jnp.where(complete & present.any(0), 1 - _factor(_total(h * z), _width(frame.R, h, r_outer, r_inner)), jnp.nan)
+    return jnp.where(complete & present.any(0), 1 - _factor(total(h * z), _width(frame.R, h, r_outer, r_inner)), jnp.nan)
 
 
 def separation_search(frame, mid, rad, known, one, steps, finer=1.0):
@@ -112,13 +113,13 @@ def separation_verdict(frame, mid, rad, scale, known, known_scale, lift, one, h,
     magnitude = magnitude / one[None]
     gamma, floor = rounding.search_error(c, k, len(known), mid.dtype)
     floor = floor * lift * (1 + jnp.max(size)) * (1 + jnp.max(jnp.abs(frame.K), initial=0))
-    floor = floor * (1 + _total(magnitude) + _total([*s_inner, *jnp.where(missing, 0, known_scale)]))
-    residual, width = jnp.abs(_total(h * z)), _width(frame.R, h, r_outer, r_inner)
-    outside = residual - width > gamma * _total(jnp.abs(h) * magnitude) + floor
+    floor = floor * (1 + total(magnitude) + total([*s_inner, *jnp.where(missing, 0, known_scale)]))
+    residual, width = jnp.abs(total(h * z)), _width(frame.R, h, r_outer, r_inner)
+    outside = residual - width > gamma * total(jnp.abs(h) * magnitude) + floor
     gap = jnp.abs(z - _product(frame.R, d))
     excess = jnp.where(present, gap + gamma * magnitude + floor[None] - r_outer, -jnp.inf)
     excess = jnp.concatenate([excess, jnp.abs(d) + gamma * s_inner + floor[None] - r_inner]) / one[None]
-    inside = _most(excess) <= 0
+    inside = most(excess) <= 0
     margin, least = 1 - _factor(residual, width), jnp.finfo(mid.dtype).eps
     margin = jnp.where(outside, jnp.minimum(margin, -least), jnp.where(inside, jnp.maximum(margin, least), 0))
     margin = jnp.where(complete, margin, 0)
@@ -144,7 +145,7 @@ def _image(frame, mid, rad, known, absent, missing):
 def _width(R, h, r_outer, r_inner):
     """Return sum_j |h_j| r_j + sum_i |h R|_i r_i."""
     across = jnp.abs(_product(R.T, h))
-    return _total(jnp.abs(h) * r_outer) + _total(across * r_inner)
+    return total(jnp.abs(h) * r_outer) + total(across * r_inner)
 
 
 def _factor(residual, width):
@@ -167,7 +168,7 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
     slots = jnp.arange(k, dtype=jnp.int32)[:, None]
     close = 10 * rounding.unit(dtype) ** 0.75  # 1e-11 in float64
     alike = 64 * rounding.unit(dtype)
-    dot = lambda x, y: _total(x[i] * y[i] for i in range(k))
+    dot = lambda x, y: total(x[i] * y[i] for i in range(k))
 
     def reference(P, signs, S_value, S_radius, T, own, radius_e):
         """Return the factor t, the multipliers on S, the signs of the errors there, and the point d where all are t times their radii."""
@@ -175,7 +176,7 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
         shares = jnp.abs(T) * S_radius / radius_e[None]
         signs = jnp.where(shares > close, -jnp.sign(own)[None] * jnp.sign(T), signs)  # a row whose multiplier is 0 keeps its sign
         on_S = (S_value - signs * t[None] * S_radius) / ones
-        return t, shares, signs, _total(P[:, s] * on_S[s][None] for s in range(k)) / ones
+        return t, shares, signs, total(P[:, s] * on_S[s][None] for s in range(k)) / ones
 
     def exchange(carry):
         P, row, column, ids, signs, S_value, S_radius, T, own, e, done, count = carry
@@ -183,23 +184,23 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
         radius_e = _pick(radius, e) / one
         t, shares, signs, d = reference(P, signs, S_value, S_radius, T, own, radius_e)
         error = jnp.concatenate([z - _product(R, d), -d]) / one[None]
-        worst, w = _largest(jnp.abs(error) * weight / one[None], one)
+        worst, w = largest(jnp.abs(error) * weight / one[None], one)
         done = done | (worst <= t + close * (1 + t))
         enters = jnp.take(rows, w, 0, mode="clip").T / ones
-        T_w = _total(enters[i][None] * P[i] for i in range(k)) / ones
+        T_w = total(enters[i][None] * P[i] for i in range(k)) / ones
         sign_w = jnp.sign(_pick(error, w)) / one
         radius_w = _pick(radius, w) / one
         change = sign_w[None] * T_w * signs * S_radius / radius_w[None]
-        worth = finer * close**0.5 * _most(jnp.abs(change)) / one  # a smaller pivot would ruin P; such a row may as well change its sign
+        worth = finer * close**0.5 * most(jnp.abs(change)) / one  # a smaller pivot would ruin P; such a row may as well change its sign
         rate = jnp.where(change > worth[None], change, 0) / ones
         step = shares / jnp.where(rate > 0, rate, 1) / ones  # of the multiplier of w, up to where that of a row of S is 0
-        after = 1 + step + _total(jnp.abs(shares[s][None] - step * change[s][None]) for s in range(k))
-        slope = worst - t * _total(change)
-        gained = (t * (1 + _total(shares)) / one)[None] + step * (slope / one)[None]
+        after = 1 + step + total(jnp.abs(shares[s][None] - step * change[s][None]) for s in range(k))
+        slope = worst - t * total(change)
+        gained = (t * (1 + total(shares)) / one)[None] + step * (slope / one)[None]
         factor = jnp.where(rate > 0, gained / after, -1) / ones  # t once that row has left: rises up to its maximum, then falls
-        best = _most(factor) / one
-        _, q = _largest(jnp.where(factor >= (best * (1 - alike))[None], jnp.abs(T_w), -1) / ones, one)
-        swap = (best >= slope / (1 + _total(jnp.abs(change)))) & ~done  # else e itself leaves
+        best = most(factor) / one
+        _, q = largest(jnp.where(factor >= (best * (1 - alike))[None], jnp.abs(T_w), -1) / ones, one)
+        swap = (best >= slope / (1 + total(jnp.abs(change)))) & ~done  # else e itself leaves
         T_q, T_wq = _pick(T, q) / one, _pick(T_w, q) / one
         by_w = jnp.abs(T_wq) * radius_e >= jnp.abs(T_q) * radius_w  # w and e stay, q leaves; the one with the larger pivot joins S
         joins, stays = jnp.where(by_w[None], T_w, T), jnp.where(by_w[None], T, T_w)
@@ -219,7 +220,7 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
         return P, row, column, ids, signs, S_value, S_radius, T, own, e, done, count + 1
 
     alone = z / (r_outer + _product(jnp.abs(R), r_inner))
-    _, e = _largest(jnp.where(present, jnp.abs(alone), -1) / one[None], one)
+    _, e = largest(jnp.where(present, jnp.abs(alone), -1) / one[None], one)
     P = jnp.broadcast_to(jnp.eye(k, dtype=dtype)[:, :, None], (k, k, N))
     nothing = jnp.zeros_like(r_inner)
     ids = jnp.broadcast_to(c + slots, (k, N))
@@ -230,41 +231,16 @@ def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
     P = P - column[:, None] * row[None]
     _, _, _, d = reference(P, signs, S_value, S_radius, T, own, _pick(radius, e))
     outer = jnp.arange(c)[:, None]
-    on_S = _total(jnp.where(ids[s][None] == outer, T[s][None], 0) for s in range(k))
+    on_S = total(jnp.where(ids[s][None] == outer, T[s][None], 0) for s in range(k))
     h = jnp.where(present, jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]  # multipliers: 1 on e, -T on S
-    top = _most(jnp.abs(h))
+    top = most(jnp.abs(h))
     h = h / jnp.where(top > 0, top, 1)[None]
     return jnp.where(jnp.abs(h) > rounding.unit(dtype) ** 2, h, 0), d, done
 
 
 def _product(R, x):
     """Return R x of a matrix (c, k) and rows (k, N), k > 0."""
-    return _total(R[:, i, None] * x[i][None] for i in range(len(x)))
-
-
-def _total(terms):
-    """Add up in order: unrolled, so that it fuses."""
-    first, *rest = terms
-    for x in rest:
-        first = first + x
-    return first
-
-
-def _most(rows):
-    """Return the largest of the rows."""
-    most = rows[0]
-    for x in rows[1:]:
-        most = jnp.maximum(most, x)
-    return most
-
-
-def _largest(rows, one):
-    """Return the largest of the rows and the first row that has it."""
-    most = _most(rows) / one
-    first = jnp.full_like(most, len(rows) - 1)
-    for i in reversed(range(len(rows) - 1)):
-        first = jnp.where(rows[i] == most, i, first)
-    return most, (first / one).astype(jnp.int32)
+    return total(R[:, i, None] * x[i][None] for i in range(len(x)))
 
 
 def _pick(rows, number):

@@ -31,6 +31,7 @@ import numpy as np
 
 from jaxbound.sets import rounding
 from jaxbound.sets.gauge import gauge_search
+from jaxbound.sets.unrolled import most, total
 
 __all__ = ["affine_error", "holds", "refutes", "right_inverse", "row_sizes", "scaled", "strip_count", "strip_margins", "zonotope_margins"]
 
@@ -53,7 +54,7 @@ def affine_error(c, G, c_error=None, G_error=None):
         c, c_error: (r, N). G, G_error: (r, q, N). None: exact.
     """
     error = jnp.zeros_like(c) if c_error is None else c_error
-    return error if G_error is None else error + _total(jnp.swapaxes(G_error, 0, 1)) * (1 + 4 * G.shape[1] * rounding.unit(c.dtype))
+    return error if G_error is None else error + total(jnp.swapaxes(G_error, 0, 1)) * (1 + 4 * G.shape[1] * rounding.unit(c.dtype))
 
 
 def strip_margins(c, G, error):
@@ -88,13 +89,13 @@ def _strips(c, G, error):
     g = [[G[i, j] for i in range(r)] for j in range(q)]
     tests, width = [], {}  # (|h c|, sum |h g|, its slack)
     if r == 1:
-        tests.append((jnp.abs(c[0]), _total(jnp.abs(x[0]) for x in g), slack(1)))
+        tests.append((jnp.abs(c[0]), total(jnp.abs(x[0]) for x in g), slack(1)))
     elif r == 2:
         for j in range(q):
             for k in range(j + 1, q):
                 _add(width, jnp.abs(g[j][0] * g[k][1] - g[j][1] * g[k][0]), j, k)
             tests.append((jnp.abs(g[j][0] * c[1] - g[j][1] * c[0]), width.get(j, 0), slack(across[j])))
-        tests += [(jnp.abs(c[i]), _total(jnp.abs(x[i]) for x in g), slack(unit[1 - i])) for i in range(2)]
+        tests += [(jnp.abs(c[i]), total(jnp.abs(x[i]) for x in g), slack(unit[1 - i])) for i in range(2)]
     else:
         for j in range(q):
             for k in range(j + 1, q):
@@ -122,7 +123,7 @@ def _completed_strips(c, G, error):
             for k in range(j + 1, q):
                 _add(width, jnp.abs(G[a, j] * G[b, k] - G[b, j] * G[a, k]), j, k)
             tests.append((jnp.abs(G[a, j] * c[b] - G[b, j] * c[a]), width.get(j, 0), slack(across[j] * unit[m])))
-        tests.append((jnp.abs(c[m]), _total(jnp.abs(G[m, j]) for j in range(q)), slack(unit[a] * unit[b])))
+        tests.append((jnp.abs(c[m]), total(jnp.abs(G[m, j]) for j in range(q)), slack(unit[a] * unit[b])))
     return _worst(tests, slack(0), c[0])
 
 
@@ -130,12 +131,12 @@ def _scales(c, G, error):
     """Return (s of each generator, s of each unit vector, product of s -> slack of a strip)."""
     E, M = _with_rounding(c, G, error)
     r, q = G.shape[:2]
-    share = _most([jnp.where(m > 0, e / jnp.where(m > 0, m, 1), 0) for e, m in zip(E, M, strict=True)])
+    share = most([jnp.where(m > 0, e / jnp.where(m > 0, m, 1), 0) for e, m in zip(E, M, strict=True)])
     share = jnp.where(share > 0, share, 1)
     size = [jnp.maximum(e / share, rounding.tiny(c.dtype) ** 0.4) for e in E]  # any will do: two reciprocals should not overflow
     kappa, unit = math.prod(size) * share, [1 / m for m in size]
     floor = _floor(c.dtype, r, q) * math.prod([1 + m + e for m, e in zip(M, E, strict=True)])
-    return [_total(jnp.abs(G[i, j]) * unit[i] for i in range(r)) for j in range(q)], unit, lambda s: kappa * s + floor
+    return [total(jnp.abs(G[i, j]) * unit[i] for i in range(r)) for j in range(q)], unit, lambda s: kappa * s + floor
 
 
 def _worst(tests, floor, like):
@@ -159,11 +160,11 @@ def refutes(c, G, error, h):
     """
     E, _ = _with_rounding(c, G, error)
     r, q = G.shape[:2]
-    size = _most([jnp.abs(x) for x in h])
-    floor = _floor(c.dtype, r, q) * (1 + size) * (1 + _most([jnp.abs(c[i]) + _most(list(jnp.abs(G[i]))) for i in range(r)]))
-    residual = jnp.abs(_total(h[i] * c[i] for i in range(r)))
-    width = _total(jnp.abs(_total(h[i][None] * G[i] for i in range(r))))
-    short = residual - (_total(jnp.abs(h[i]) * E[i] for i in range(r)) + floor)
+    size = most([jnp.abs(x) for x in h])
+    floor = _floor(c.dtype, r, q) * (1 + size) * (1 + most([jnp.abs(c[i]) + most(list(jnp.abs(G[i]))) for i in range(r)]))
+    residual = jnp.abs(total(h[i] * c[i] for i in range(r)))
+    width = total(jnp.abs(total(h[i][None] * G[i] for i in range(r))))
+    short = residual - (total(jnp.abs(h[i]) * E[i] for i in range(r)) + floor)
     return _signed(short / (width + floor), short - width)
 
 
@@ -171,7 +172,7 @@ def _with_rounding(c, G, error):
     """Return (E, M), lists of rows: E with the rounding of a strip test, M the size of a row."""
     r, q = G.shape[:2]
     gamma, floor = rounding.product_error(q + 2 * r + 8, c.dtype)
-    M = [jnp.abs(c[i]) + _total(jnp.abs(G[i])) for i in range(r)]
+    M = [jnp.abs(c[i]) + total(jnp.abs(G[i])) for i in range(r)]
     return [(1 + 2 * gamma) * error[i] + gamma * M[i] + floor for i in range(r)], M
 
 
@@ -201,7 +202,7 @@ def right_inverse(J, z):
         for l in range(r):
             if l != k:
                 A[l] = [x - A[l][k] * y for x, y in zip(A[l], A[k], strict=True)]
-    R = jnp.stack([room * _total(K[k] * A[k][r + l][None] for k in range(r)) * scale[l][None] for l in range(r)], 1)
+    R = jnp.stack([room * total(K[k] * A[k][r + l][None] for k in range(r)) * scale[l][None] for l in range(r)], 1)
     return jnp.where(jnp.isfinite(R), R, 0)
 
 
@@ -223,9 +224,9 @@ def holds(F, F_error, J, J_error, z, R, curvature=0.0):
     size = [jnp.sum(jnp.abs(J[k]), 0) + jnp.abs(F[k]) + floor for k in range(r)]
     bend = jnp.broadcast_to(jnp.asarray(curvature, F.dtype), F.shape)
     gap = [(jnp.abs(F[k]) + F_error[k]) * up + floor for k in range(r)]
-    width = _most([x / s for x, s in zip(gap, size, strict=True)]) * 2 * up
+    width = most([x / s for x, s in zip(gap, size, strict=True)]) * 2 * up
     w = [width * s for s in size]
-    reach = _total(jnp.abs(R[:, l]) * w[l][None] for l in range(r)) * up + floor
+    reach = total(jnp.abs(R[:, l]) * w[l][None] for l in range(r)) * up + floor
     far = jnp.max(reach, 0)
     top = 1 + jnp.max(jnp.abs(R), (0, 1))
     proved = jnp.all(jnp.abs(z) + reach * up <= 1 - 4 * rounding.unit(F.dtype), 0)
@@ -314,21 +315,6 @@ def _polished(c, G, c_error, G_error, z):
 def _settled(margin, inside):
     least = jnp.finfo(margin.dtype).eps
     return jnp.where(margin < 0, margin, jnp.where(inside, jnp.maximum(margin, least), jnp.where(jnp.isnan(margin), margin, 0)))
-
-
-def _total(terms):
-    """Add up in order: unrolled, so that it fuses."""
-    first, *rest = terms
-    for x in rest:
-        first = first + x
-    return first
-
-
-def _most(rows):
-    most = rows[0]
-    for x in rows[1:]:
-        most = jnp.maximum(most, x)
-    return most
 
 
 refutes_jit, holds_jit, right_inverse_jit = jax.jit(refutes), jax.jit(holds), jax.jit(right_inverse)

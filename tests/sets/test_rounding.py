@@ -356,9 +356,9 @@ def test_products_in_a_batched_loop_keep_twice_the_digits(rng, dtype):
 
 
 def double(rng, dtype, exponent, count=3000):
-    """Draw normalised double-word numbers."""
+    """Draw normalised double-word numbers: lo is at most half of the last digit of hi."""
     hi = np.ldexp(pairs(rng, dtype, 1, count)[0], rng.integers(-exponent, exponent + 1, count)).astype(dtype)
-    return hi, (hi * rng.uniform(-0.5, 0.5, count).astype(dtype) * np.finfo(dtype).eps).astype(dtype)
+    return hi, (np.spacing(np.abs(hi)) * rng.uniform(-0.5, 0.5, count)).astype(dtype)
 
 
 def worst(x, y, z, op):

@@ -1,0 +1,30 @@
+"""Sums and extremes over a few rows, written out term by term: with the windows on the last axis the compiler fuses them."""
+
+import jax.numpy as jnp
+
+__all__ = ["largest", "most", "total"]
+
+
+def total(terms):
+    """Return the sum of one or more terms, added up in order."""
+    first, *rest = terms
+    for x in rest:
+        first = first + x
+    return first
+
+
+def most(rows):
+    """Return the largest of the rows."""
+    top = rows[0]
+    for x in rows[1:]:
+        top = jnp.maximum(top, x)
+    return top
+
+
+def largest(rows, one):
+    """Return the largest of the rows and the first row that has it. one: N ones, traced, see `separation`."""
+    top = most(rows) / one
+    first = jnp.full_like(top, len(rows) - 1)
+    for i in reversed(range(len(rows) - 1)):
+        first = jnp.where(rows[i] == top, i, first)
+    return top, (first / one).astype(jnp.int32)
