@@ -8,10 +8,13 @@ from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
 from jaxbound.diagnosis.isolation import BankResult, evaluate
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.unknown_inputs import UnknownInputs, unknown_inputs
+from jaxbound.diagnosis.validation import Validation, validate
 from jaxbound.digest import Digest, detect_dataset
 from jaxbound.modelfile import load_model, save_model
 from jaxbound.models.conversion import from_control, from_scipy
 from jaxbound.models.faults import Fault
+from jaxbound.models.intervals import IntervalSystem, interval_system
+from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.simulate import Trajectory, simulate
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
@@ -23,15 +26,17 @@ from jaxbound.relations.residual import Residual, residual
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.inclusion import Inclusion, inclusion
 from jaxbound.sets.interval import Interval, interval
+from jaxbound.sets.linear_systems import Solution, Solvability, solve_interval
 from jaxbound.sets.paving import Paving, pave
 from jaxbound.sets.status import Status
 from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
 
 __all__ = [
-    "Alarm", "BankResult", "Certificate", "Digest", "Fault", "GuaranteedSize", "Inclusion", "Interval", "Isolability", "LinearSystem",
-    "ParityRelation", "Paving", "Redundancy", "Residual", "Result", "Signatures", "Status", "Trajectory", "UncertainRelations",
-    "Uncertainty", "UnknownInputs", "Zonotope", "detect", "detect_dataset", "detectable", "evaluate", "from_control", "from_scipy",
-    "inclusion", "interval", "isolability", "load_model", "margins", "membership", "parity_relations", "pave", "plot", "redundancy",
-    "residual", "save_model", "sets", "signatures", "simulate", "strips", "structured_relations", "unknown_inputs", "zonotope",
+    "Alarm", "BankResult", "Certificate", "Digest", "Fault", "GuaranteedSize", "Inclusion", "Interval", "IntervalSystem", "Isolability",
+    "LinearSystem", "MultiModel", "ParityRelation", "Paving", "Redundancy", "Residual", "Result", "Signatures", "Solution", "Solvability",
+    "Status", "Trajectory", "UncertainRelations", "Uncertainty", "UnknownInputs", "Validation", "Zonotope", "detect", "detect_dataset",
+    "detectable", "evaluate", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "load_model",
+    "margins", "membership", "parity_relations", "pave", "plot", "redundancy", "residual", "save_model", "sets", "signatures", "simulate",
+    "solve_interval", "strips", "structured_relations", "unknown_inputs", "validate", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"

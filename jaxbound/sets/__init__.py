@@ -5,9 +5,10 @@ from jaxbound.sets.elementary import __all__ as _elementary
 from jaxbound.sets.inclusion import Inclusion, inclusion
 from jaxbound.sets.interval import *  # noqa: F403
 from jaxbound.sets.interval import __all__ as _interval
+from jaxbound.sets.linear_systems import Solution, Solvability, solve_interval
 from jaxbound.sets.paving import Paving, pave
 from jaxbound.sets.status import Status
 from jaxbound.sets.zonotope import Zonotope, membership, strips, support, zonotope
 
-__all__ = [*_interval, *_elementary, "Inclusion", "Paving", "Status", "Zonotope", "inclusion", "membership", "pave", "strips", "support",
-           "zonotope"]  # fmt: skip
+__all__ = [*_interval, *_elementary, "Inclusion", "Paving", "Solution", "Solvability", "Status", "Zonotope", "inclusion", "membership",
+           "pave", "solve_interval", "strips", "support", "zonotope"]  # fmt: skip

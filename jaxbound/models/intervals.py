@@ -1,0 +1,168 @@
+"""Linear models whose matrices are intervals, and their static form: one interval linear system in the states of a window."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from jaxbound.sets import exact, rounding
+from jaxbound.sets.interval import Interval, interval
+
+__all__ = ["IntervalSystem", "as_intervals", "interval_system", "stacked"]
+
+
+@dataclass(frozen=True, eq=False)
+class IntervalSystem:
+    """x+ = A x + B u + w, y = (1 + theta)(C x + D u) + e with every entry in its interval, drawn anew each sample. See `interval_system`.
+
+    Fields: A (n, n), B (n, m), C (p, n), D (p, m), w (n,): Intervals; tolerance, noise: (p,) bounds of |theta| and |e|, rounded up;
+    offset {"u": (m,), "y": (p,)} Intervals; inputs, outputs, states: names.
+    """
+
+    A: Interval
+    B: Interval
+    C: Interval
+    D: Interval
+    w: Interval
+    tolerance: np.ndarray
+    noise: np.ndarray
+    offset: dict
+    inputs: tuple
+    outputs: tuple
+    states: tuple
+
+    n = property(lambda self: self.A.shape[0], doc="Number of states.")
+    m = property(lambda self: self.B.shape[1], doc="Number of inputs.")
+    p = property(lambda self: self.C.shape[0], doc="Number of outputs.")
+
+
+def interval_system(A, B, C, *, noise=0.0, tolerance=0.0, inputs=None, outputs=None, states=None):
+    """Build a model from interval matrices: x+ = [A] x + [B] u, y = [C] x.
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n): Intervals, or rows whose entries are numbers or pairs (lo, hi). B None: no inputs. A float
+            means its shortest decimal, so that [0.19, 0.21] holds 19/100 and 21/100.
+        noise, tolerance: absolute and relative bounds of the sensors, one number or one per output.
+        inputs, outputs, states: names; default u1.., y1.., x1...
+
+    Returns:
+        An IntervalSystem, for `validate`.
+
+    Raises:
+        ValueError: shapes that do not fit, lo > hi, a number that is not finite.
+
+    Source: Alhaj-Dibo, Maquin, Ragot 2004, (1).
+
+    Example:
+        >>> m = interval_system([[0.5, [0.1, 0.2]], [0, 0.4]], [[1], [0]], [[1, 1]])
+        >>> m.n, m.m, m.p, m.outputs
+        (2, 1, 1, ('y1',))
+    """
+    A, C = _entries("A", A), _entries("C", C)
+    n, p = A.shape[0], C.shape[0]
+    B = interval(np.zeros((n, 0))) if B is None else _entries("B", B)
+    for name, X, shape in (("A", A, (n, n)), ("B", B, (n, B.shape[1])), ("C", C, (p, n))):
+        if X.shape != shape:
+            raise ValueError(f"{name} must have shape {shape} to fit A, B and C: its shape is {X.shape}")
+    m = B.shape[1]
+    bound = lambda field, x: np.broadcast_to(rounding.round_up(np.array(_numbers(field, x, p), object)), (p,))
+    noise, tolerance = bound("noise", noise), bound("tolerance", tolerance)
+    if (tolerance >= 1).any():
+        raise ValueError("tolerance is relative and must be below 1 (2 % is 0.02)")
+    zero = lambda *shape: interval(np.zeros(shape))
+    names = lambda given, count, letter: tuple(given) if given is not None else tuple(f"{letter}{i + 1}" for i in range(count))
+    called = names(inputs, m, "u"), names(outputs, p, "y"), names(states, n, "x")
+    for field, some, count in zip(("inputs", "outputs", "states"), called, (m, p, n), strict=True):
+        if len(some) != count:
+            raise ValueError(f"{field} needs {count} names, one for each: {len(some)} given")
+    return IntervalSystem(A, B, C, zero(p, m), zero(n), tolerance, noise, {"u": zero(m), "y": zero(p)}, *called)
+
+
+def _numbers(field, value, count):
+    values = [value] * count if isinstance(value, str) or np.ndim(value) == 0 else list(value)
+    if len(values) != count:
+        raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(values)} given")
+    try:
+        values = [exact.rational(v) for v in values]
+    except (ValueError, TypeError) as e:
+        raise ValueError(f"{field}: {e}") from None
+    if any(v < 0 for v in values):
+        raise ValueError(f"{field} must be >= 0: {float(min(values)):g} is not")
+    return values
+
+
+def _entries(name, rows):
+    """Return rows of numbers and pairs as an Interval, rounded outward from their decimals."""
+    if isinstance(rows, Interval):
+        if len(rows.shape) != 2:
+            raise ValueError(f"{name} must be a matrix: its shape is {rows.shape}")
+        if not (np.isfinite(rows.lo).all() and np.isfinite(rows.hi).all()):
+            raise ValueError(f"{name} must have finite bounds in every entry")
+        return rows
+    pair = lambda x: x if isinstance(x, (list, tuple, np.ndarray)) and np.ndim(x) else (x, x)
+    try:
+        ends = [[tuple(exact.rational(v) for v in pair(x)) for x in row] for row in rows]
+    except (ValueError, TypeError) as e:
+        raise ValueError(f"{name}: {e}") from None
+    if not ends or any(len(row) != len(ends[0]) or not row for row in ends) or any(len(x) != 2 for row in ends for x in row):
+        raise ValueError(f"{name} needs rows of one length whose entries are numbers or pairs (lo, hi)")
+    if any(lo > hi for row in ends for lo, hi in row):
+        raise ValueError(f"{name}: lo must be <= hi in every entry")
+    return _outward([[x[0] for x in row] for row in ends], [[x[1] for x in row] for row in ends])
+
+
+def _outward(lo, hi):
+    return interval(rounding.round_down(np.array(lo, object)), rounding.round_up(np.array(hi, object)))
+
+
+def as_intervals(model):
+    """Return a model as an IntervalSystem: uncertain parameters become the interval hulls of the matrices they act on.
+
+    Raises:
+        ValueError: unknown inputs (see `unknown_inputs`), a model without states. TypeError: no model.
+    """
+    if isinstance(model, IntervalSystem):
+        return model
+    if not hasattr(model, "uncertainties"):
+        raise TypeError(f"validate needs a LinearSystem or an interval_system, not {type(model).__name__}")
+    if model.d or not model.n:
+        raise ValueError("validate takes models with states and without unknown inputs: use jb.unknown_inputs or jb.detect for others")
+
+    def hull(letter, middle):
+        if not middle or not middle[0]:
+            return interval(np.zeros((len(middle), 0)))
+        spread = [u.on(letter) for u in model.uncertainties if u.on(letter)]
+        radius = [[sum((abs(s[i][j]) for s in spread), Fraction(0)) for j in range(len(row))] for i, row in enumerate(middle)]
+        move = lambda sign: [[x + sign * r for x, r in zip(a, b, strict=True)] for a, b in zip(middle, radius, strict=True)]
+        return _outward(move(-1), move(1))
+
+    ends = [[sorted((g * lo, g * hi)) for g, (lo, hi) in zip(row, model.disturbance, strict=True)] for row in model.G]
+    w = _outward(*([sum((e[side] for e in row), Fraction(0)) for row in ends] for side in (0, 1)))
+    noise = rounding.round_up(np.array([a + b for a, b in zip(model.noise, model.resolution, strict=True)], object))
+    offset = {k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()}
+    matrices = [hull(letter, getattr(model, letter)) for letter in "ABCD"]
+    tolerance = rounding.round_up(np.array(list(model.tolerance), object))
+    return IntervalSystem(*matrices, w, tolerance, noise, offset, model.inputs, model.outputs, model.states)
+
+
+def stacked(model, horizon):
+    """Return M of the static form M x = h, x the states of a window of horizon + 1 samples: first [A, -I] rows, then the C rows.
+
+    h holds -B u - w, then what each sample says of C x.
+
+    Returns:
+        An Interval (s n + (s+1) p, (s+1) n).
+
+    Source: Alhaj-Dibo, Maquin, Ragot 2004, (4)-(6).
+    """
+    s, n, p = horizon, model.n, model.p
+    out = []
+    for side in ("lo", "hi"):
+        M = np.zeros((s * n + (s + 1) * p, (s + 1) * n), model.A.dtype)
+        for j in range(s + 1):
+            if j < s:
+                M[j * n : (j + 1) * n, j * n : (j + 1) * n] = getattr(model.A, side)
+                M[j * n : (j + 1) * n, (j + 1) * n : (j + 2) * n] = -np.eye(n)
+            M[s * n + j * p : s * n + (j + 1) * p, j * n : (j + 1) * n] = getattr(model.C, side)
+        out.append(M)
+    return interval(*out)

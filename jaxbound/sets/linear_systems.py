@@ -1,0 +1,127 @@
+"""Interval linear systems M x = h: every x that solves M' x = h' for some M' in M and h' in h, enclosed."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.interval import Interval, interval
+from jaxbound.sets.linear_hull import orthant_hull
+from jaxbound.sets.linear_kernels import contract, enclose, factor, preconditioner, times
+
+__all__ = ["Solution", "Solvability", "solve_interval"]
+
+METHODS = ("gauss", "gauss_seidel", "krawczyk", "hbr", "intersection", "hull")
+PRECONDITIONS = ("midpoint", "diagonal", "none")
+
+
+class Solvability(IntEnum):
+    """What is known of an interval linear system.
+
+    `NOT_REGULAR`: no bounded enclosure was proved (a matrix in M may be singular); the box is the start box, or everything.
+    `SOLVED`: the box encloses every solution. `INFEASIBLE`: proved that there is none (none in x0); the box is empty.
+
+    Example:
+        >>> Solvability.SOLVED.name
+        'SOLVED'
+    """
+
+    NOT_REGULAR = 0
+    SOLVED = 1
+    INFEASIBLE = 2
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Enclosures of the solutions of interval linear systems: x, an Interval (..., n), and status (...,) int8, see `Solvability`."""
+
+    x: Interval
+    status: jax.Array
+
+
+def solve_interval(M, h, method="intersection", x0=None, precondition="midpoint"):
+    """Enclose every solution of an interval linear system M x = h, or of a batch of them.
+
+    Args:
+        M: Interval (or numbers) (..., r, n), r >= n. r > n: all rows hold at once.
+        h: Interval (or numbers) (..., r). Leading axes of M and h broadcast; a matrix without them is prepared once for all h.
+        method: "gauss" elimination, "gauss_seidel" or "krawczyk" iteration from a start box that the comparison matrix proves, "hbr"
+            (Hansen-Bliek-Rohn), "intersection" of all four, or "hull": the exact hull but for rounding, orthant by orthant (n <= 8).
+        x0: Interval (..., n): only solutions in this box are asked for.
+        precondition: "midpoint" inverse of the middle of M, "diagonal" inverse of the middle of its diagonal, or "none". More rows than
+            unknowns need "midpoint" (a pseudo-inverse).
+
+    Returns:
+        A Solution: x Interval (..., n), status (...,).
+
+    Encloses: where status is SOLVED, x holds every solution (in x0 if given), rounding included; INFEASIBLE is a proof; where no bound
+    was proved the status is NOT_REGULAR and x is x0 or everything: never a wrong box.
+
+    Raises:
+        ValueError: shapes that do not fit, fewer rows than unknowns, an unknown method, "hull" of more than 8 unknowns.
+
+    Source: Neumaier 1990; Oettli, Prager 1964 (hull); Alhaj-Dibo, Maquin, Ragot 2004.
+
+    Example:
+        >>> M = interval([[2.0, -1.0], [-1.0, 2.0]], [[4.0, 1.0], [1.0, 4.0]])
+        >>> s = solve_interval(M, interval([-2.0, -1.0], [2.0, 1.0]), method="hbr")
+        >>> print(s.x.hi.round(4), Solvability(int(s.status)).name)
+        [1.6667 1.3333] SOLVED
+    """
+    M, h = interval(M), interval(h)
+    x0 = None if x0 is None else interval(x0)
+    _check(M.shape, h.shape, None if x0 is None else x0.shape, method, precondition)
+    r, n = M.shape[-2:]
+    batch = np.broadcast_shapes(M.shape[:-2], h.shape[:-1], () if x0 is None else x0.shape[:-1])
+    dtype = jnp.result_type(M.dtype, h.dtype)
+    as_last = lambda v, tail: _to_last(v, tail, batch, dtype)
+    start = interval(jnp.full((n, 1), -jnp.inf, dtype), jnp.full((n, 1), jnp.inf, dtype)) if x0 is None else as_last(x0, (n,))
+    x, status = _solve(as_last(M, (r, n)), as_last(h, (r,)), start, method, precondition)
+    x = jax.tree.map(lambda v: jnp.moveaxis(jnp.broadcast_to(v, (n, max(1, int(np.prod(batch))))), -1, 0).reshape(*batch, n), x)
+    return Solution(x, jnp.broadcast_to(status, (max(1, int(np.prod(batch))),)).reshape(batch))
+
+
+def _to_last(v, tail, batch, dtype):
+    """Move the batch axes behind, as one; an array that all systems share keeps length 1 there."""
+    if v.shape[: -len(tail)] == (1,) * (len(v.shape) - len(tail)):
+        return jax.tree.map(lambda a: a.astype(dtype).reshape(*tail, 1), v)
+    return jax.tree.map(lambda a: jnp.moveaxis(jnp.broadcast_to(a.astype(dtype), batch + tail).reshape(-1, *tail), 0, -1), v)
+
+
+def _check(M, h, x0, method, precondition):
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
+    if precondition not in PRECONDITIONS:
+        raise ValueError(f"precondition must be one of {', '.join(PRECONDITIONS)}, not {precondition!r}")
+    if len(M) < 2 or not len(h) or M[-2] != h[-1]:
+        raise ValueError(f"solve_interval needs M (..., r, n) and h (..., r): the shapes are {M} and {h}")
+    r, n = M[-2:]
+    if r < n or not n:
+        raise ValueError(f"M needs at least as many rows as unknowns (and one unknown): it is {r} x {n}")
+    if r > n and precondition != "midpoint":
+        raise ValueError(f"a system of {r} rows and {n} unknowns needs precondition='midpoint', not {precondition!r}")
+    if x0 is not None and (not len(x0) or x0[-1] != n):
+        raise ValueError(f"x0 needs one interval for each of {n} unknowns: its shape is {x0}")
+    if method == "hull" and n > 8:
+        raise ValueError(f"the hull visits 2^n orthants and takes at most 8 unknowns, not {n}: use method='intersection'")
+
+
+@partial(jax.jit, static_argnames=("method", "precondition"))
+def _solve(M, h, start, method, precondition):
+    """Enclose one batch; shapes (r, n, N or 1), (r, N or 1), (n, N or 1)."""
+    C = preconditioner(M, precondition)
+    A, b = (M, h) if C is None else (times(C, M), times(C, h))
+    box = enclose(factor(A), b, "hbr" if method == "hull" else method, start)
+    if method == "hull":
+        box = orthant_hull(M, h, box)
+    elif M.shape[0] > M.shape[1]:
+        box = contract(M, h, box)
+    proved = jnp.all(jnp.isfinite(box.lo) & jnp.isfinite(box.hi), 0)
+    empty = jnp.any(box.is_empty, 0)
+    box = Interval(jnp.where(empty[None], jnp.inf, box.lo), jnp.where(empty[None], -jnp.inf, box.hi))
+    status = jnp.where(empty, Solvability.INFEASIBLE, jnp.where(proved, Solvability.SOLVED, Solvability.NOT_REGULAR))
+    return box, status.astype(jnp.int8)
