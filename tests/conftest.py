@@ -2,6 +2,7 @@
 
 import json
 import os
+import zlib
 from pathlib import Path
 
 import jax
@@ -12,6 +13,12 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 SHARED = Path(os.environ.get("JAXBOUND_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+
+
+def pytest_configure(config):
+    """Keep compiled kernels beside pytest's own cache: two workers, and the slow tests after the others, compile each once."""
+    jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("kernels")))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 @pytest.fixture(scope="session")
@@ -35,7 +42,8 @@ def golden(shared):
 
 @pytest.fixture
 def rng(request):
-    """Return a generator with a fresh seed, printed so that a failure can be repeated with JAXBOUND_SEED."""
-    seed = int(os.environ.get("JAXBOUND_SEED", np.random.SeedSequence().entropy % 2**32))
+    """Return a generator seeded by the test's name, or by JAXBOUND_SEED: a number, or "fresh" for a new one, printed to repeat it."""
+    chosen = os.environ.get("JAXBOUND_SEED", zlib.crc32(request.node.nodeid.encode()))
+    seed = np.random.SeedSequence().entropy % 2**32 if chosen == "fresh" else int(chosen)
     print(f"{request.node.name}: JAXBOUND_SEED={seed}")
     return np.random.default_rng(seed)
