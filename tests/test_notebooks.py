@@ -12,7 +12,7 @@ import jaxbound as jb
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", [pytest.param(p, id=p.stem, marks=[pytest.mark.slow] * (p.stem != "adrot2000")) for p in NOTEBOOKS])
+@pytest.mark.parametrize("path", [pytest.param(p, id=p.stem, marks=pytest.mark.slow) for p in NOTEBOOKS])
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the notebook machinery, not of the notebook
 def test_notebook_runs(path):
     NotebookClient(nbformat.read(path, as_version=4), timeout=300, resources={"metadata": {"path": str(path.parent)}}).execute()

@@ -11,7 +11,7 @@ import jaxbound as jb
 from jaxbound.sets.status import Status
 
 FEW, MANY = 400, 10_000
-CASES = [("gust", 2, FEW), ("gust", 4, FEW), ("gust", 6, FEW), ("leak", 2, FEW)]
+CASES = [("gust", 2, FEW), ("gust", 6, FEW), ("leak", 2, FEW)]
 FULL = [("gust", 1), ("gust", 2), ("gust", 3), ("gust", 4), ("gust", 6), ("gust", 20), ("leak", 5)]
 
 
@@ -102,7 +102,8 @@ def test_a_leak_only_takes(rng):
 
 
 @pytest.mark.parametrize("name, horizon, dtype", [
-    ("gust", 2, np.float64), ("leak", 2, np.float32), ("gust", 6, np.float64), pytest.param("gust", 6, np.float32, marks=pytest.mark.slow),
+    ("gust", 2, np.float64), ("gust", 6, np.float64), pytest.param("leak", 2, np.float32, marks=pytest.mark.slow),
+    pytest.param("gust", 6, np.float32, marks=pytest.mark.slow),
 ])  # fmt: skip
 @pytest.mark.parametrize("at", ["vertices", "uniform"])
 def test_fault_free_windows_raise_no_fault(name, horizon, dtype, at, shared, rng):

@@ -18,8 +18,8 @@ def new_key(rng):
 
 
 @pytest.mark.parametrize("dtype, at", [
-    (np.float64, "vertices"), (np.float64, "uniform"), (np.float32, "vertices"),
-    pytest.param(np.float32, "uniform", marks=pytest.mark.slow),
+    (np.float64, "vertices"), *(pytest.param(d, at, marks=pytest.mark.slow) for d, at in (
+        (np.float64, "uniform"), (np.float32, "vertices"), (np.float32, "uniform"))),
 ])  # fmt: skip
 def test_a_million_fault_free_windows_raise_no_fault(dtype, at, rng):
     """Horizons 1 and 2 of 2500 runs: a million windows a case."""

@@ -105,7 +105,7 @@ def test_a_missing_newest_input_does_not_matter_without_feedthrough(rng):
     np.testing.assert_array_equal(jb.detect(r, u, y).margin, jb.detect(r, holes, y).margin)
 
 
-@pytest.mark.parametrize("method", ["joint", "box", "paving"])
+@pytest.mark.parametrize("method", ["joint", "box", pytest.param("paving", marks=pytest.mark.slow)])
 def test_windows_without_any_output_are_missing(method, rng):
     u, y = rng.uniform(-1, 1, (9, 1)), rng.normal(size=(9, 2)) / 100
     y[3:6] = np.nan

@@ -94,7 +94,7 @@ def test_a_block_of_a_file_that_means_nothing_is_refused(block, message, tmp_pat
         jb.load_model(path)
 
 
-@pytest.mark.parametrize("at", ["uniform", "vertices"])
+@pytest.mark.parametrize("at", [pytest.param("uniform", marks=pytest.mark.slow), "vertices"])
 def test_parameters_are_drawn_within_the_box_each_as_it_varies(at):
     m = model("n2p1_paper_h3")
     drawn = np.asarray(jb.simulate(m, np.zeros((20, 100, 1)), jax.random.key(3), at=at).parameters)

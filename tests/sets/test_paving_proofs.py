@@ -125,9 +125,9 @@ def quadratic(z, c, A, B):
     return c + A @ z + jnp.einsum("mij,i,j->m", B, z, z)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("m", "n", "dtype"), [
-    (1, 2, np.float32), *(pytest.param(m, n, np.float64, marks=pytest.mark.slow) for m, n in ((1, 2), (2, 2), (2, 3))),
+    pytest.param(1, 2, np.float32, marks=pytest.mark.slow), pytest.param(2, 2, np.float64, marks=pytest.mark.slow),
+    *(pytest.param(m, n, np.float64, marks=pytest.mark.long) for m, n in ((1, 2), (2, 3))),
 ])  # fmt: skip
 def test_what_a_point_of_the_box_gives_is_never_a_fault_and_mostly_proved(rng, m, n, dtype):
     count = 60

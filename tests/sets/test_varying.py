@@ -75,7 +75,7 @@ def check_against_programs(rng, r, q, count):
     return int((margin < 0).sum()), int((margin > 0).sum())
 
 
-@pytest.mark.parametrize("r", [1, 2, 3])
+@pytest.mark.parametrize("r", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_margins_have_the_sign_and_size_of_linear_programs(rng, r):
     outside, inside = check_against_programs(rng, r, COLUMNS[r], 300)
     assert outside > 10 and inside > 30
@@ -157,6 +157,7 @@ def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
     assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx([0.5, 0.75])
 
 
+@pytest.mark.slow
 def test_float32_and_uncompiled_code_prove_the_same(rng):
     c, G = (x.astype(np.float32) for x in columns_first(*draw(rng, 2, COLUMNS[2], 64)))
     single, double = varying.zonotope_margins(c, G), varying.zonotope_margins(c.astype(float), G.astype(float))
