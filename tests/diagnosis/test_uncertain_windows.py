@@ -1,11 +1,11 @@
-"""Verdicts with uncertain parameters: no false alarm, golden's rates, linear programs, and points found by least squares."""
+"""Verdicts with uncertain parameters: no false alarm, golden's rates, and linear programs."""
 
 import highspy
 import jax
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
-from uncertain_systems import SYSTEMS, model, relations
+from ploix_experiment import in_fault, record
+from uncertain_systems import SYSTEMS, relations
 
 import jaxbound as jb
 from jaxbound.diagnosis import uncertain_windows
@@ -13,38 +13,6 @@ from jaxbound.sets.status import Status
 
 GOLDEN = ("n2p1_paper_h3", "n2p1_Btwo_h3", "n3p1_inv2_h4", "n3p1_var2_h4", "n3p2_var3_h2", "n3p2_inv3_h3", "n3p2_mixed3_h3")
 HERE = {"uniform": "uniform", "vertices": "vertex"}
-FAULTY = np.r_[10:40, 60:90]
-
-
-def inputs(rng, runs, samples=100):
-    """Draw golden's inputs: uniform in [0, 2], held for 10 samples."""
-    return np.repeat(rng.uniform(0, 2, (runs, -(-samples // 10), 1)), 10, 1)[:, :samples]
-
-
-def record(rng, name, runs, at, samples=100, dC=None, **changes):
-    """Return (u, y) of runs of a system, from rest; dC is added to C at golden's faulty samples; changes: noise and the like."""
-    m, u = model(name, **changes), inputs(rng, runs, samples)
-    if changes:
-        return u, np.array(jb.simulate(m, u, jax.random.key(int(rng.integers(2**31))), at=at).y)
-    numbers = lambda a: np.array([[float(x) for x in row] for row in a])
-    draw = (lambda *s: rng.uniform(-1, 1, s)) if at == "uniform" else (lambda *s: rng.choice([-1.0, 1.0], s))
-    values = [draw(runs, samples) if p.varying else np.repeat(draw(runs, 1), samples, 1) for p in m.uncertainties]
-    now = {}
-    for letter in "ABC":
-        parts = [(v, numbers(p.on(letter))) for v, p in zip(values, m.uncertainties, strict=True) if p.on(letter) is not None]
-        now[letter] = numbers(getattr(m, letter)) + sum((v[..., None, None] * d for v, d in parts), np.zeros((runs, samples, 1, 1)))
-    now["C"] = now["C"] + np.zeros((runs, samples, 1, 1))
-    now["C"][:, FAULTY] += np.zeros(()) if dC is None else np.asarray(dC, float)
-    x, y = np.zeros((runs, m.n, 1)), np.empty((runs, samples, m.p))
-    for k in range(samples):
-        y[:, k] = (now["C"][:, k] @ x)[..., 0]
-        x = now["A"][:, k] @ x + now["B"][:, k] @ u[:, k, :, None]
-    return u, y
-
-
-def in_fault(s):
-    """Return the ends of windows that lie wholly within golden's fault."""
-    return np.r_[10 + s : 40, 60 + s : 90]
 
 
 @pytest.mark.parametrize("name", ["n2p1_Btwo_h3", "n3p2_mixed3_h3"])
@@ -205,76 +173,6 @@ def test_windows_with_gaps_have_the_verdict_of_the_program_without_the_row(rng):
     assert clear > 100 and faults > 10
 
 
-def explained(m, s, u, y, rng, starts):
-    """Search parameters and a first state that give the samples y (s + 1, p) by bounded least squares; return the best residual."""
-    numbers = lambda a: np.array([[float(x) for x in row] for row in a])
-    variables = [(i, k) for i, p in enumerate(m.uncertainties) for k in (range(s + 1) if p.varying else [None])]
-    nominal, parts = {}, {}
-    for letter in "ABC":
-        nominal[letter] = numbers(getattr(m, letter))
-        parts[letter] = [numbers(p.on(letter)) if p.on(letter) is not None else None for p in m.uncertainties]
-
-    def residual(z):
-        x, out = z[: m.n], []
-        for k in range(s + 1):
-            now = {}
-            for letter, base in nominal.items():
-                now[letter] = base.copy()
-                for (i, lag), v in zip(variables, z[m.n :], strict=True):
-                    if parts[letter][i] is not None and lag in (k, None):
-                        now[letter] += v * parts[letter][i]
-            out.append(now["C"] @ x - y[k])
-            x = now["A"] @ x + now["B"] @ u[k]
-        return np.concatenate(out)
-
-    bound, best = np.r_[[np.inf] * m.n, np.ones(len(variables))], np.inf
-    for _ in range(starts):
-        z = np.r_[rng.normal(size=m.n) * 3, rng.uniform(-1, 1, len(variables))]
-        found = least_squares(residual, z, bounds=(-bound - 1e-12, bound + 1e-12), xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
-        best = min(best, abs(found.fun).max())
-        if best < 1e-9:
-            break
-    return best
-
-
-def check_power(rng, name, at, windows, starts, budget):
-    """Return (infeasible, found by joint, found by paving), all proofs compared with least squares."""
-    r = relations(name)
-    s, runs = r.horizon, -(-windows // len(in_fault(r.horizon)))
-    dC = np.zeros((2, 3))
-    dC[0, 1] = 0.3
-    u, y = record(rng, name, runs, at, dC=dC)
-    joint, paved = jb.detect(r, u, y), jb.detect(r, u, y, method="paving", budget=budget)
-    infeasible = seen = power = undecided = 0
-    for at_window in [(i, k) for i in range(runs) for k in in_fault(s)][:windows]:
-        i, k = at_window
-        tries = 40 if paved.status[at_window] == Status.CONSISTENT else starts  # where there is a point, it must be found
-        best = explained(r.model, s, u[i, k - s : k + 1], y[i, k - s : k + 1], rng, tries)
-        if best < 1e-9:
-            assert Status.FAULT not in (joint.status[at_window], paved.status[at_window])
-        elif best > 1e-7:
-            infeasible += 1
-            assert Status.CONSISTENT not in (joint.status[at_window], paved.status[at_window])
-            seen += joint.status[at_window] == Status.FAULT
-            power += paved.status[at_window] == Status.FAULT
-        undecided += paved.status[at_window] == Status.UNDECIDED
-    return infeasible, seen, power, undecided
-
-
-@pytest.mark.long
-def test_paving_wins_back_the_power_that_soundness_cost(rng):
-    infeasible, seen, power, _ = check_power(rng, "n3p2_mixed3_h3", "uniform", 28, 4, 300)
-    assert power >= 0.9 * infeasible and (seen < power or infeasible < 5)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("name", "at"), [("n3p2_mixed3_h3", "uniform"), ("n3p2_mixed3_h3", "vertices"), ("n3p2_var3_h2", "vertices")])
-def test_paving_finds_nine_tenths_of_the_infeasible_windows(rng, name, at):
-    infeasible, seen, power, undecided = check_power(rng, name, at, 300, 3, 10_000)
-    print(f"{name} {at}: {infeasible} of 300 windows infeasible, joint finds {seen}, paving {power}; {undecided} undecided")
-    assert power >= 0.9 * infeasible and infeasible > 10
-
-
 NOISY = dict(noise=[0.02, 0.05], tolerance=[0.01, 0], disturbance=([[0.1], [0], [0.2]], [[-0.05, 0.1]]))
 
 
@@ -317,7 +215,7 @@ def test_a_single_relation_is_tested_at_its_vertices(rng):
 def test_a_second_call_does_not_trace(rng):
     r, (u, y) = relations("n2p1_Btwo_h3"), record(rng, "n2p1_Btwo_h3", 4, "uniform")
     jb.detect(r, u, y)
-    sizes = lambda: [f._cache_size() for f in (uncertain_windows._terms, uncertain_windows._vertices)]
+    sizes = lambda: [f._cache_size() for f in (uncertain_windows.terms_of, uncertain_windows.at_vertices)]
     before = sizes()
     jb.detect(r, u[:3, :77], y[:3, :77])
     assert sizes() == before
