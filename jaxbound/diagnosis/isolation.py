@@ -14,10 +14,10 @@ import numpy as np
 from jaxbound.diagnosis.detectability import visible_sizes
 from jaxbound.diagnosis.result import Result
 from jaxbound.relations.decoupling import Signatures
-from jaxbound.sets.bank import PACKED, bank_margin, bank_of, bank_statuses
+from jaxbound.sets.bank import PACKED, bank_of, bank_verdicts
 from jaxbound.sets.status import Status
 
-__all__ = ["BankResult", "bank_margins", "bank_test", "bank_words", "evaluate", "status_of_words", "words_needed", "words_of"]
+__all__ = ["BankResult", "bank_test", "bank_windows", "evaluate", "status_of_words", "words_of"]
 
 MOST = 128
 HIGH = np.uint32(0xAAAAAAAA)  # the high bit of every verdict; it is FAULT if the low one is set too
@@ -125,15 +125,9 @@ def bank_test(bank, dtype):
 
 
 @jax.jit
-def bank_words(test, u, y):
-    """Return the packed verdicts (words, N) of every relation over a stretch."""
-    return tuple(bank_statuses(test.shape, *test.stretch(u, y), test.lift))
-
-
-@jax.jit
-def bank_margins(test, u, y):
-    """Return the margin (N,) of the tightest relation over a stretch."""
-    return bank_margin(test.shape, *test.stretch(u, y), test.lift)
+def bank_windows(test, u, y):
+    """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
+    return bank_verdicts(test.shape, *test.stretch(u, y), test.lift)
 
 
 def status_of_words(words, count):
@@ -144,14 +138,9 @@ def status_of_words(words, count):
     return np.where((count == 1) & ~fault & (words[0] == Status.UNDECIDED), np.int8(Status.UNDECIDED), status)
 
 
-def words_needed(count):
-    """Return the number of words that hold the verdicts of so many relations."""
-    return -(-count // PACKED)
-
-
 def words_of(statuses):
-    """Pack statuses (R, ...) as `strip_statuses` does."""
-    words = np.zeros((words_needed(len(statuses)), *statuses.shape[1:]), np.uint32)
+    """Pack statuses (R, ...) as `bank_verdicts` does."""
+    words = np.zeros((-(-len(statuses) // PACKED), *statuses.shape[1:]), np.uint32)
     for i, status in enumerate(statuses):
         words[i // PACKED] |= status.astype(np.uint32) << np.uint32(2 * (i % PACKED))
     return words

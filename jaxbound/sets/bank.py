@@ -1,7 +1,8 @@
 """Many strips, each with a verdict of its own: which relations of a bank hold, in one pass over the samples.
 
 The test of each strip is that of `sets.strips`. Supports and the known values that a strip uses are static, so that nothing is computed for
-a coefficient that is 0; the verdicts come out packed, two bits each, because a kernel with one result runs twice as fast as one with two.
+a coefficient that is 0. Verdicts are packed, two bits each, and travel with the margin in one complex number: a kernel with two results
+does its work twice.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ import numpy as np
 from jaxbound.sets import rounding
 from jaxbound.sets.status import Status
 
-__all__ = ["PACKED", "Bank", "bank_margin", "bank_of", "bank_range", "bank_statuses"]
+__all__ = ["PACKED", "Bank", "bank_of", "bank_range", "bank_verdicts", "unpacked", "verdict_dtypes"]
 
 PACKED = 16
 """Statuses in a word of 32 bits."""
@@ -47,30 +48,40 @@ def bank_of(exact_h, exact_k, dtype):
     return Bank(h, k, used(exact_h), used(exact_k))
 
 
-def bank_statuses(bank, mid, rad, scale, known, known_scale, lift):
-    """Return the proved Status of each strip alone, packed: uint32 words, strip c in two bits of word c // PACKED.
+def bank_verdicts(bank, mid, rad, scale, known, known_scale, lift):
+    """Return the proved Status of each strip alone and the margin of the tightest one, packed as `unpacked` reads it.
 
     Args:
         bank: from `bank_of`. mid, rad, scale, known, known_scale, lift: as for `strips.strip_verdict`.
     """
-    words = []
+    words, gauge = [], jnp.full_like(mid[0], -1)
     for c, (residual, width, error) in enumerate(_each(bank, mid, rad, scale, known, known_scale, lift)):
-        size = jnp.abs(residual)
+        size, absent = jnp.abs(residual), jnp.isnan(error)
         fault, holds = size - width > error, width - size > error
         code = (jnp.where(fault, 3, 0) | jnp.where(holds, 1, 0)).astype(jnp.uint32)  # both comparisons are false for NaN
-        code = jnp.where(code == 0, jnp.where(jnp.isnan(error), jnp.uint32(Status.MISSING), jnp.uint32(Status.UNDECIDED)), code)
+        code = jnp.where(code == 0, jnp.where(absent, jnp.uint32(Status.MISSING), jnp.uint32(Status.UNDECIDED)), code)
         code <<= np.uint32(2 * (c % PACKED))
         words = [*words, code] if c % PACKED == 0 else [*words[:-1], words[-1] | code]
-    return words
+        ratio = jnp.where(jnp.abs(size - width) > error, size / width, 1)
+        gauge = jnp.maximum(gauge, jnp.where(absent, -1, ratio))
+    margin = jnp.where(gauge < 0, jnp.nan, 1 - gauge)
+    bits = words[0].astype(_bits(margin.dtype))
+    return jax.lax.complex(margin, jax.lax.bitcast_convert_type(bits, margin.dtype)), *words[1:]
 
 
-def bank_margin(bank, mid, rad, scale, known, known_scale, lift):
-    """Return the margin of the tightest strip, its sign as proved, as `strips.strip_verdict`."""
-    gauge = jnp.full_like(mid[0], -1)
-    for residual, width, error in _each(bank, mid, rad, scale, known, known_scale, lift):
-        ratio = jnp.where(jnp.abs(jnp.abs(residual) - width) > error, jnp.abs(residual) / width, 1)
-        gauge = jnp.maximum(gauge, jnp.where(jnp.isnan(error), -1, ratio))
-    return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
+def unpacked(first, *others):
+    """Return the words (words, ...) uint32, strip c in two bits of word c // PACKED, and the margins (...), its sign as proved."""
+    word = np.ascontiguousarray(first.imag).view(_bits(first.real.dtype)).astype(np.uint32)
+    return np.stack([word, *others]), np.ascontiguousarray(first.real)
+
+
+def verdict_dtypes(bank, dtype):
+    """Return the dtypes of what `bank_verdicts` gives for samples of a dtype."""
+    return (np.result_type(dtype, np.complex64), *[np.uint32] * (-(-len(bank.rows) // PACKED) - 1))
+
+
+def _bits(dtype):
+    return {4: np.uint32, 8: np.uint64}[np.dtype(dtype).itemsize]
 
 
 def bank_range(bank, mid, rad, scale, known, known_scale, lift):
