@@ -8,12 +8,13 @@ import math
 import numpy as np
 
 from jaxbound.diagnosis.certificate import certify
+from jaxbound.diagnosis.uncertain_certificate import UncertainCertificate
 from jaxbound.files import Recording, read_recording
 from jaxbound.parquet import is_parquet, open_parquet
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import percent
 from jaxbound.report import times as factor_text
-from jaxbound.runfile import load_run
+from jaxbound.runfile import VALIDATION, load_run
 from jaxbound.sets.status import Status
 from jaxbound.terminal import Refused, door, show, write
 
@@ -30,6 +31,9 @@ def certificate_of(directory, at):
         OSError, ValueError, NotImplementedError: with a sentence for the user.
     """
     model, data, method, horizon = load_run(directory)
+    if method == VALIDATION:
+        raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
+                         "only by the other methods of jaxbound detect")  # fmt: skip
     relations = parity_relations(model, horizon)
     source = _Source(data, model)
     k = source.find(at)
@@ -137,7 +141,9 @@ def readable(certificate, k, labels):
     fault = c.proves == Status.FAULT
     status = "" if c.status == c.proves else f" ({c.status.name} for the method of the report)"
     headline = f"{c.proves.name} proved: the window from {labels[0]} to {labels[-1]}, sample {k}{status}"
-    if fault:
+    if isinstance(c, UncertainCertificate):
+        rows = _uncertain(c, unit)
+    elif fault:
         rows = [("violated", c.relation), ("", f"is {number(c.residual)} at the samples, and the bounds allow ± {number(c.width)}"),
                 ("bounds needed", f"{'at least ' if c.window.constant else ''}{factor_text(float(c.factor))} the stated ones")]  # fmt: skip
         for name, e in c.errors.items():
@@ -154,9 +160,30 @@ def readable(certificate, k, labels):
     return headline, rows, _samples(c, labels)
 
 
+def _uncertain(c, unit):
+    """Return the rows (name, text) of a certificate of a model with uncertain parameters."""
+    if c.z is None:
+        rows = [("violated", c.relation or f"a combination of relations in each of {len(c.leaves)} parts of the parameters' box")]
+        if len(c.leaves) == 1:
+            (leaf,) = c.leaves
+            rows.append(("", f"is in [{number(leaf.low)}, {number(leaf.high)}] at these samples, whatever the parameters"))
+        return rows
+    s = c.relations.horizon
+    at = lambda lag: "" if lag is None else f"[k-{s - lag}]" if lag < s else "[k]"
+    rows = [("parameters", ", ".join(f"{name}{at(lag)} {number(x)}" for (name, lag), x in c.parameters.items()))]
+    model = c.window.model
+    return [*rows, ("first state", ", ".join(f"{n} {number(x)}{unit(n)}" for n, x in zip(model.states, c.state, strict=True)))]
+
+
 def _samples(c, labels):
     """Return the table of the samples: what was read, what it says of the true value, and its part in the proof."""
     w, model = c.window, c.window.model
+    if c.z is None and isinstance(c, UncertainCertificate):
+        rows = [("time", "signal", "reading", "true value from", "to")]
+        for (j, i), y, x in zip(np.ndindex(len(labels), model.p), w.y, w.limits, strict=False):
+            ends = ("", "") if x is None else [number(end + model.offset["y"][i]) for end in x]
+            rows.append((labels[j], model.outputs[i], "missing" if y is None else number(y), *ends))
+        return rows
     last = "coefficient" if c.z is None else "explained by"
     rows, limits = [("time", "signal", "reading", "true value from", "to", last)], w.limits
     for j, label in enumerate(labels):

@@ -3,17 +3,28 @@
 Plant x+ = A x + B u + G w + F v, readings y = (1 + theta) (C x + D u + D_v v) + delta, in deviations from the offsets; v any number,
 |theta| <= tolerance, w in its bounds, |delta| <= noise + resolution + recorder (largest |y| of the signal + noise) + floor (+ an error of
 one sensor).
+
+With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i. FAULT
+is then a tree of boxes of v, each with a combination of relations, polynomials in v, that cannot be 0 in it; CONSISTENT is parameters with
+which the first state explains the samples.
 """
 
 import json
 import sys
 from fractions import Fraction as F
+from itertools import product
+from math import prod
 
 
 def confirm(document):
     """Raise an exception unless the certificate proves what it says."""
     c, fault = numbers(document["numbers"], seen := []), {"FAULT": True, "CONSISTENT": False}[document["certificate"]]
     insist(sum(seen) == 2 * c["sum"], "the numbers do not add up: one was changed")
+    if "uncertainties" in c:
+        for i, parameter in enumerate(c["uncertainties"]):
+            lags = range(len(c["y"])) if parameter["varying"] else [None]
+            insist(all([i, lag] in c["variables"] for lag in lags), "a parameter is not a variable where it may vary")
+        return contradict(c) if fault else explain(c, c["witness"], v=c["parameters"])
     if fault or c["relation"]:
         insist((factor(c, c["relation"]) > 1) == fault, "the relation does not prove the verdict")
     if not fault:
@@ -29,14 +40,8 @@ def confirm(document):
 
 
 def factor(c, r, error=None):
-    """Check that sum h y + g w - k u = 0 for every trajectory; return the factor on all bounds at which it can hold."""
-    q = [F(0)] * len(c["A"])  # how the samples later than j depend on the state after j
-    for h, g, k in reversed(list(zip(r["h"], r["g"], r["k"], strict=True))):
-        insist(not any(add(dots(turned(c["G"]), q), g)), "the relation leaves a disturbance over")
-        insist(not any(add(dots(turned(c["D_v"]), h), dots(turned(c["F"]), q))), "the relation leaves an unknown input over")
-        insist(add(dots(turned(c["D"]), h), dots(turned(c["B"]), q)) == k, "the relation does not fit the inputs")
-        q = add(dots(turned(c["C"]), h), dots(turned(c["A"]), q))
-    insist(not any(q), "the relation leaves the unknown state over")
+    """Check that a relation holds for every trajectory; return the factor on all bounds at which the samples can keep it."""
+    follow(c, r, [])
     residual = width = F(0)
     for h, g, k, u, (readings, w) in zip(r["h"], r["g"], r["k"], c["u"], limits(c, error), strict=True):
         for x, (lo, hi) in [(x, ends) for x, ends in zip(h + g, readings + w, strict=True) if x]:
@@ -46,17 +51,133 @@ def factor(c, r, error=None):
     return r["factor"]
 
 
-def explain(c, witness, error=None):
+def follow(c, r, v):
+    """Check that sum h y + g w - k u = 0 for every trajectory, whatever the parameters v."""
+    q = [F(0)] * len(c["A"])  # how the samples later than j depend on the state after j
+    for j, (h, g, k) in reversed(list(enumerate(zip(r["h"], r["g"], r["k"], strict=True)))):
+        A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
+        insist(not any(add(dots(turned(c["G"]), q), g)), "the relation leaves a disturbance over")
+        insist(not any(dots(turned([*c["D_v"], *c["F"]]), h + q)), "the relation leaves an unknown input over")
+        insist(dots(turned([*D, *B]), h + q) == k, "the relation does not fit the inputs")
+        q = dots(turned([*C, *A]), h + q)
+    insist(not any(q), "the relation leaves the unknown state over")
+
+
+def now(c, letter, j, v):
+    """Return a matrix of the model at sample j, at parameters v (numbers or polynomials)."""
+    out = c[letter]
+    for (who, lag), x in zip(c.get("variables", []), v, strict=True):
+        change = c["uncertainties"][int(who)][letter]
+        if change is not None and lag in (None, j):
+            out = [[a + x * b for a, b in zip(row, by, strict=True)] for row, by in zip(out, change, strict=True)]
+    return out
+
+
+def contradict(c):
+    """Check that no v within its bounds, and no errors, explain the samples."""
+    count, relations = len(c["variables"]), []
+    for r in c["relations"]:
+        read = {part: [[Polynomial({tuple(m): x for x, *m in p}) for p in row] for row in r[part]] for part in "hgk"}
+        follow(c, read, [Polynomial({(F(i),): F(1)}) for i in range(count)])
+        middle, spread = Polynomial({}), []
+        for h, g, k, u, (readings, w) in zip(*read.values(), c["u"], limits(c, None), strict=True):
+            for x, ends in zip(h + g, readings + w, strict=True):
+                lo, hi = ends or (F(0), F(0))
+                insist(ends is not None or not x, "a relation needs a reading that is missing")
+                middle, spread = middle + x * ((lo + hi) / 2), [*spread, x * ((hi - lo) / 2)]
+            for x, value, offset in zip(k, u, c["offset_u"], strict=True):
+                middle = middle + x * (offset - value) if x else middle
+        relations.append([middle, *spread])
+    bounds = [c["uncertainties"][int(who)]["bound"] for who, _ in c["variables"]]
+    exclude(c["proof"], relations, [-b for b in bounds], bounds)
+
+
+def exclude(proof, relations, lo, hi):
+    """Check that in the box lo <= v <= hi some combination of the relations cannot be 0."""
+    if "at" in proof:
+        i = int(proof["variable"])
+        insist(lo[i] <= proof["at"] <= hi[i], "a box is cut outside of itself")
+        cut = lambda ends: [proof["at"] if j == i else x for j, x in enumerate(ends)]
+        exclude(proof["below"], relations, lo, cut(hi))
+        return exclude(proof["above"], relations, cut(lo), hi)
+    middle, *spread = (sum((a * x for a, x in zip(proof["direction"], part, strict=True)), Polynomial({})) for part in turned(relations))
+    if proof["vertices"]:
+        insist(all(len(set(m)) == len(m) for p in (middle, *spread) for m in p.terms), "vertices say nothing about powers")
+        used, ends = sorted({int(i) for p in (middle, *spread) for m in p.terms for i in m}), []
+        for chosen in product(*((lo[i], hi[i]) for i in used)):
+            v = dict(zip(used, chosen, strict=True))
+            value, reach = middle.at(v), sum((abs(p.at(v)) for p in spread), F(0))
+            ends += [value - reach, value + reach]
+        low, high = min(ends), max(ends)
+    else:
+        low, high = middle.span(lo, hi)
+        reach = sum((max(map(abs, p.span(lo, hi))) for p in spread), F(0))
+        low, high = low - reach, high + reach
+    insist([low, high] == [proof["low"], proof["high"]], "the range of a combination is wrong")
+    insist(low > 0 or high < 0, "a combination may be 0")
+
+
+class Polynomial:
+    """Numbers by monomial: (1, 1, 4) is v_1^2 v_4."""
+
+    def __init__(self, terms):
+        self.terms = {m: x for m, x in terms.items() if x}
+
+    def __add__(self, other):
+        out = dict(self.terms)
+        for m, x in polynomial(other).terms.items():
+            out[m] = out.get(m, F(0)) + x
+        return Polynomial(out)
+
+    def __mul__(self, other):
+        out = {}
+        for m, x in self.terms.items():
+            for n, y in polynomial(other).terms.items():
+                both = tuple(sorted(m + n))
+                out[both] = out.get(both, F(0)) + x * y
+        return Polynomial(out)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __eq__(self, other):
+        return self.terms == polynomial(other).terms
+
+    def __bool__(self):
+        return bool(self.terms)
+
+    def at(self, v):
+        return sum((prod([x, *(v[int(i)] for i in m)]) for m, x in self.terms.items()), F(0))
+
+    def span(self, lo, hi):
+        """Return (low, high), which holds all values over a box: each monomial around the middle by itself."""
+        v = [Polynomial({(): (a + b) / 2, (F(i),): (b - a) / 2}) for i, (a, b) in enumerate(zip(lo, hi, strict=True))]
+        whole = sum((prod([x, *(v[int(i)] for i in m)]) for m, x in self.terms.items()), Polynomial({}))
+        low = high = whole.terms.pop((), F(0))
+        for m, x in whole.terms.items():
+            even = all(m.count(i) % 2 == 0 for i in m)
+            low, high = low + (min(x, 0) if even else -abs(x)), high + (max(x, 0) if even else abs(x))
+        return low, high
+
+
+def polynomial(x):
+    return x if isinstance(x, Polynomial) else Polynomial({(): x})
+
+
+def explain(c, witness, error=None, v=()):
     """Check that the witness is a trajectory with every reading, input and disturbance within its bounds."""
+    inside = zip(v, c.get("variables", []), strict=True)
+    insist(all(abs(x) <= c["uncertainties"][int(who)]["bound"] for x, (who, _) in inside), "a parameter is out of its bounds")
     names, x = ("inputs", "disturbances", "unknown_inputs", "outputs"), witness["state"]
-    for recorded, (readings, bounds), u, w, v, y in zip(c["u"], limits(c, error), *(witness[name] for name in names), strict=True):
+    samples = zip(c["u"], limits(c, error), *(witness[name] for name in names), strict=True)
+    for j, (recorded, (readings, bounds), u, w, free, y) in enumerate(samples):
+        A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
         insist(all(a is None or a == b for a, b in zip(recorded, u, strict=True)), "the inputs are not those recorded")
         u = [a - offset for a, offset in zip(u, c["offset_u"], strict=True)]
-        t = add(add(dots(c["C"], x), dots(c["D"], u)), dots(c["D_v"], v))
+        t = add(add(dots(C, x), dots(D, u)), dots(c["D_v"], free))
         insist(add(t, c["offset_y"]) == y, "the true outputs do not follow from the first state")
         inside = all(b is None or b[0] <= a <= b[1] for a, b in zip(t + w, readings + bounds, strict=True))
         insist(inside, "a reading or a disturbance is out of its bounds")
-        x = add(add(dots(c["A"], x), dots(c["B"], u)), add(dots(c["G"], w), dots(c["F"], v)))
+        x = add(add(dots(A, x), dots(B, u)), add(dots(c["G"], w), dots(c["F"], free)))
 
 
 def limits(c, error):

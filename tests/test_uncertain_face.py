@@ -1,8 +1,11 @@
 """Models with uncertain parameters at the command line and in the report."""
 
+import json
+
+import check_certificate
 import numpy as np
 import pytest
-from uncertain_systems import model
+from uncertain_systems import EXAMPLE, model
 
 import jaxbound as jb
 from jaxbound.cli import main
@@ -23,11 +26,19 @@ def test_info_lists_parameters_and_relations(path, capsys):
 
 
 @pytest.mark.slow
-def test_a_report_shows_parameters_and_residuals(path, tmp_path, rng):
-    u = rng.uniform(0, 2, (60, 1))
-    y = np.where(np.arange(60) == 30, 50, 0)
+def test_a_report_shows_parameters_and_residuals_and_explain_proves_them(path, tmp_path, rng, capsys):
+    u, x, y = rng.uniform(0, 2, (60, 1)), np.zeros(2), np.where(np.arange(60) == 30, 50.0, 0.0)
+    for k in range(60):
+        y[k] += x[0]
+        x = np.array(EXAMPLE["A"]) @ x + np.array(EXAMPLE["B"]) @ u[k]
     np.savetxt(tmp_path / "d.csv", np.column_stack([np.arange(60), u, y]), delimiter=",", header="time,u1,y1", comments="")
     assert main(["detect", str(path), str(tmp_path / "d.csv"), "--out", str(tmp_path / "out")]) == 1
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<td>vt</td><td>-1</td><td>1</td><td>is constant</td><td>C</td>" in page
     assert "polynomials of order 1 in 3 uncertain numbers" in page
+    capsys.readouterr()
+    for sample, says in ((30, ("FAULT proved", "violated", "is in [")), (20, ("parameters", "th[k-1]", "vt", "first state"))):
+        assert main(["explain", str(tmp_path / "out"), "--at", str(sample)]) == 0
+        printed = capsys.readouterr().out
+        assert all(x in printed for x in says)
+        check_certificate.confirm(json.loads((tmp_path / "out" / f"certificate-{sample}.json").read_text()))

@@ -7,22 +7,23 @@ but neither jaxbound nor the recording.
 
 import json
 import math
-from dataclasses import dataclass, replace
-from decimal import Decimal, localcontext
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 
 from jaxbound.diagnosis.blame import rounded_witness, smallest_error
-from jaxbound.diagnosis.exact_window import ExactWindow, Explanation, dot, exact_window
-from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.diagnosis.exact_window import ExactWindow, Explanation, exact_window
+from jaxbound.diagnosis.uncertain_certificate import certify_uncertain
+from jaxbound.diagnosis.witness import Witnessed, rows_of
 from jaxbound.relations.parity import ParityRelation, relation_text
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status
 
 __all__ = ["Certificate", "certify", "explain"]
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate:
+class Certificate(Witnessed):
     """Why a window has its verdict; every number is an exact Fraction, so that anybody can check it.
 
     Fields:
@@ -55,44 +56,6 @@ class Certificate:
     def proves(self):
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it UNDECIDED."""
         return Status.FAULT if self.explanation.factor > 1 else Status.CONSISTENT
-
-    @property
-    def state(self):
-        """The first state of the witness, or None."""
-        return None if self.z is None else self.z[: self.window.model.n]
-
-    @property
-    def outputs(self):
-        """The true outputs of the witness, a tuple of s + 1 rows, or None."""
-        if self.z is None:
-            return None
-        p, offset = self.window.model.p, self.window.model.offset["y"]
-        return _rows([v + offset[i % p] for i, v in enumerate(self.window.rows_at(self.z)[: len(self.window.y)])], p)
-
-    @property
-    def disturbances(self):
-        """The disturbances of the witness, a tuple of s rows, or None."""
-        w = self.window
-        return None if self.z is None else _rows(self.z[w.model.n : w.model.n + w.model.g * w.horizon], w.model.g) or ((),) * w.horizon
-
-    @property
-    def unknown_inputs(self):
-        """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once), or None."""
-        if self.z is None:
-            return None
-        w = self.window
-        return _rows(self.z[w.model.n + w.model.g * w.horizon : len(self.z) - len(w.missing_inputs)], w.model.d)
-
-    @property
-    def inputs(self):
-        """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
-        if self.z is None:
-            return None
-        w = self.window
-        found = dict(zip(w.missing_inputs, self.z[len(self.z) - len(w.missing_inputs) :], strict=True))
-        offset = w.model.offset["u"]
-        filled = [found.get(j, Fraction(0)) + offset[j % w.model.m] if v is None else v for j, v in enumerate(w.u)]
-        return _rows(filled, w.model.m)
 
     @cached_property
     def sensor_errors(self):
@@ -136,32 +99,16 @@ class Certificate:
             times: text of the time of each of the s + 1 samples; None leaves them out. sample: what to call the last one; None: `at`.
             errors: False leaves out the smallest single-sensor errors of a FAULT, which take most of the time.
         """
-        w, model = self.window, self.window.model
         fault = self.proves == Status.FAULT
         numbers = {
-            "A": model.A, "B": model.B, "C": model.C, "D": model.D, "G": model.G, "F": model.F, "D_v": model.D_v,
-            "offset_u": model.offset["u"], "offset_y": model.offset["y"], "tolerance": w.tolerance, "noise": w.noise,
-            "resolution": w.resolution,
-            "disturbance": w.disturbance, "recorder": RECORDER_ULPS * w.unit, "floor": w.floor,
-            "u": self._every_sample(w.u, [None] * model.m), "y": _rows(w.y, model.p),
             "relation": self._relation_dict(self.h) if any(self.h) else None,
-            "witness": None if self.z is None else self._witness_dict(self.z),
             "errors": [
                 {"output": Fraction(e.output), "smallest": e.size, "relation": self._relation_dict(e.h, e.output, e.size or Fraction(0)),
                  "enough": e.enough, "witness": None if e.z is None else self._witness_dict(e.z)}
                 for e in self.sensor_errors
             ] if fault and errors else [],
         }  # fmt: skip
-        everything = list(_all_numbers(numbers))
-        numbers["sum"] = dot(everything, [Fraction(1)] * len(everything))
-        return {
-            "certificate": self.proves.name,
-            "statement": str(self),
-            "status": self.status.name,
-            "names": {"model": model.name, "states": model.states, "inputs": model.inputs, "outputs": model.outputs, "units": model.units,
-                      "sample": list(self.at) if sample is None else sample, "times": None if times is None else list(times)},
-            "numbers": _texts(numbers),
-        }  # fmt: skip
+        return self._document(self.proves, numbers, times, sample)
 
     def to_json(self, times=None, sample=None, errors=True):
         """Return `to_dict` as text.
@@ -179,21 +126,9 @@ class Certificate:
         w, model = self.window, self.window.model
         k, residual, width = (w if error is None else w.with_error(output, error)).relation(h)
         count, none = len(w.y), [Fraction(0)] * max(model.g, model.m)
-        return {"h": _rows(h[:count], model.p), "g": self._every_sample(h[count:], none[: model.g]),
+        return {"h": rows_of(h[:count], model.p), "g": self._every_sample(h[count:], none[: model.g]),
                 "k": self._every_sample(k, none[: model.m]),
                 "residual": residual, "width": width, "factor": abs(residual) / width}  # fmt: skip
-
-    def _witness_dict(self, z):
-        flat = lambda rows: [x for row in rows for x in row]
-        w, other = self.window, replace(self, z=z)
-        return {"state": other.state, "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
-                "unknown_inputs": self._every_sample(flat(other.unknown_inputs), [Fraction(0)] * w.model.d),
-                "inputs": self._every_sample(flat(other.inputs), w.model.offset["u"]), "outputs": other.outputs}  # fmt: skip
-
-    def _every_sample(self, values, last):
-        """Return flat values as s + 1 rows; the last sample's, where the window does not depend on them, are `last`."""
-        rows = _rows(values, len(last)) if last else ((),) * (self.window.horizon + 1)
-        return (*rows, tuple(last)) if len(rows) == self.window.horizon else rows
 
 
 def explain(result, at):
@@ -220,9 +155,11 @@ def certify(relations, u, y, method="joint", status=None, at=None):
     Raises:
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one behaviour cannot prove.
     """
-    if not isinstance(relations, ParityRelation):
-        raise NotImplementedError("certificates are given for models without uncertain parameters so far; .margin says how far out it is")
     at = (relations.horizon,) if at is None else at
+    if isinstance(relations, UncertainRelations):
+        return certify_uncertain(relations, u, y, method, status, at)
+    if not isinstance(relations, ParityRelation):
+        raise NotImplementedError(f"certificates are given for parity relations, not {type(relations).__name__}")
     window = exact_window(relations, u, y)
     nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
     if all(v is None for v in window.y):
@@ -251,32 +188,3 @@ def _has_its_data(window, h):
     if any(x and v is None for x, v in zip(h[: len(window.y)], window.y, strict=True)):
         return False
     return not any(x and v is None for x, v in zip(window.action(h), window.u, strict=True))
-
-
-def _rows(values, width):
-    """Return flat values as rows of that width."""
-    return tuple(tuple(values[j : j + width]) for j in range(0, len(values), width)) if width else ()
-
-
-def _all_numbers(tree):
-    if isinstance(tree, Fraction):
-        yield tree
-    elif isinstance(tree, (dict, list, tuple)):
-        for branch in tree.values() if isinstance(tree, dict) else tree:
-            yield from _all_numbers(branch)
-
-
-def _texts(tree):
-    if isinstance(tree, dict):
-        return {k: _texts(v) for k, v in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return [_texts(v) for v in tree]
-    return _text(tree) if isinstance(tree, Fraction) else tree
-
-
-def _text(x):
-    """Return an exact number as text that Fraction reads: a decimal where a short one is exact, else "p/q"."""
-    with localcontext() as context:
-        context.prec = 60
-        short = Decimal(x.numerator) / Decimal(x.denominator)
-    return str(short) if Fraction(short) == x else str(x)

@@ -12,9 +12,10 @@ import numpy as np
 
 from jaxbound.diagnosis import constant, gridding
 from jaxbound.diagnosis.exchange import exchange_margins, exchange_windows
-from jaxbound.diagnosis.isolation import BankResult, bank_margins, bank_test, bank_words, status_of_words, words_needed
+from jaxbound.diagnosis.isolation import BankResult, bank_test, bank_windows, status_of_words
 from jaxbound.diagnosis.residual_windows import residual_windows
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.uncertain_margins import uncertain_margins
 from jaxbound.diagnosis.uncertain_windows import uncertain_windows
 from jaxbound.models import recording
 from jaxbound.models.seams import all_starts, crossing
@@ -23,6 +24,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.bank import unpacked, verdict_dtypes
 from jaxbound.sets.separation import Frame
 from jaxbound.sets.status import Status
 from jaxbound.sets.strips import UNROLLED, status_of, strip_margin, strip_verdict
@@ -91,13 +93,12 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
     relations = relations.named(u, y) if own else relations
     u, y, index = recording.arrays(relations.model, u, y)
     _refuse_unverified_device()
-    u, y = np.asarray(u), np.asarray(y)
-    words: tuple = ()
+    u, y, words = np.asarray(u), np.asarray(y), np.zeros(0, np.uint32)
     if bank is not None:
         test = bank_test(bank, y.dtype)
-        (margin,) = in_blocks(bank_margins, test, u, y, (y.dtype,), (np.nan,), None)
-        words = in_blocks(bank_words, test, u, y, (np.uint32,) * words_needed(bank.count), (0,) * words_needed(bank.count), progress)
-        status = status_of_words(np.stack(words), bank.count)
+        dtypes = verdict_dtypes(test.shape, y.dtype)
+        words, margin = unpacked(*in_blocks(bank_windows, test, u, y, dtypes, (np.nan, *[0] * (len(dtypes) - 1)), progress))
+        status = status_of_words(words, bank.count)
     elif own:
         status, margin = residual_windows(relations, u, y, budget, progress)
     elif uncertain:
@@ -119,9 +120,9 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
     if len(starts := all_starts(starts, index, y.shape[-2])):
         across = crossing(starts, relations.horizon, 0, y.shape[-2])
         status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, np.nan, margin)
-        words = [np.where(across, np.uint32(0), w) for w in words]
+        words = np.where(across, np.uint32(0), words) if bank is not None else words
     if bank is not None:
-        return BankResult(status, margin, method, relations, u, y, index, tuple(starts.tolist()), signatures(bank), np.stack(words))
+        return BankResult(status, margin, method, relations, u, y, index, tuple(starts.tolist()), signatures(bank), words)
     return Result(status, margin, method, relations, u, y, index, tuple(starts.tolist()))
 
 
@@ -134,7 +135,8 @@ def margins(relations, u, y):
         relations, u, y: as for `detect`.
 
     Returns:
-        (..., T): > 0 inside, < 0 outside, NaN where the window has no usable data (the first `horizon` entries).
+        (..., T): > 0 inside, < 0 outside, NaN where the window has no usable data (the first `horizon` entries). With uncertain
+        parameters t is that of the joint test, not above the true factor: > 0 says only that the test does not refute the window.
 
     Raises:
         ValueError: as `detect`.
@@ -147,16 +149,18 @@ def margins(relations, u, y):
         >>> jax.grad(loss)(r.bounds)["noise"].round(2)
         Array([20.], dtype=float...)
     """
-    if not isinstance(relations, ParityRelation):
+    if not isinstance(relations, ParityRelation | UncertainRelations):
         raise TypeError(f"margins needs relations from parity_relations, not {type(relations).__name__}; detect(...).margin has them")
     if relations.model.constant_tolerance:
         raise NotImplementedError("margins has no fast path for constant_tolerance yet; detect(...).margin has them")
     u, y, index = recording.arrays(relations.model, u, y)
     traced = any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values()))
-    test = relations.test("joint", y.dtype)
-    if y.shape[-2] <= test.horizon:
+    if y.shape[-2] <= relations.horizon:
         return jnp.full(y.shape[:-1], jnp.nan, y.dtype)
-    across = crossing([*all_starts((), index, y.shape[-2]), 0], test.horizon, 0, y.shape[-2])  # and the warm-up
+    across = crossing([*all_starts((), index, y.shape[-2]), 0], relations.horizon, 0, y.shape[-2])  # and the warm-up
+    if isinstance(relations, UncertainRelations):
+        return uncertain_margins(relations, u, y).at[..., np.flatnonzero(across)].set(jnp.nan)
+    test = relations.test("joint", y.dtype)
     if traced or jax.default_backend() != "cpu":
         shape = y.shape[:-1]
         u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (u, y))

@@ -74,7 +74,7 @@ class ExactWindow:
         m, offset = self.model.m, self.model.offset["u"]
         u = tuple(None if j % m == i else v for j, v in enumerate(self.u))
         known = [ZERO if v is None else v - offset[j % m] for j, v in enumerate(u)]
-        return replace(self, u=u, drive=tuple(dot(row, known) for row in _forms(self.model, self.horizon)[1]))
+        return replace(self, u=u, drive=tuple(dot(row, known) for row in self.forms[1]))
 
     def readings(self):
         """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest |delta|."""
@@ -101,9 +101,8 @@ class ExactWindow:
         """Return the Explanation of this window. `start`: the reference of a similar one (same samples missing)."""
         rows = tuple(i for i, x in enumerate(self.limits) if x is not None)
         ends = [self.limits[i] for i in rows]
-        space = _subspace(self.model, self.horizon, rows, self.missing_inputs)
         best = chebyshev(
-            space,
+            self.space(rows),
             [(lo + hi) / 2 - self.drive[i] for i, (lo, hi) in zip(rows, ends, strict=True)],
             [(hi - lo) / 2 for lo, hi in ends],
             start,
@@ -115,6 +114,15 @@ class ExactWindow:
         return Explanation(best.t, h, *self.relation(h), best.z, best.reference)
 
     @property
+    def forms(self):
+        """(E, K): (Y, w) = E z + K U, with z = (first state, disturbances, unknown inputs)."""
+        return _forms(self.model, self.horizon)
+
+    def space(self, rows):
+        """Return the Subspace of some rows over all unknowns."""
+        return _subspace(self.model, self.horizon, rows, self.missing_inputs)
+
+    @property
     def constant(self):
         """Whether a tolerance keeps one value over the window: then these limits are wider than what the samples say together."""
         return self.model.constant_tolerance and any(self.tolerance)
@@ -122,13 +130,11 @@ class ExactWindow:
     @property
     def missing_inputs(self):
         """The numbers of the inputs that are missing and matter."""
-        _, K = _forms(self.model, self.horizon)
-        return tuple(j for j, v in enumerate(self.u) if v is None and any(row[j] for row in K))
+        return tuple(j for j, v in enumerate(self.u) if v is None and any(row[j] for row in self.forms[1]))
 
     def action(self, h):
         """Return k, what a relation h does with the inputs: h (Y, w) = k U."""
-        _, K = _forms(self.model, self.horizon)
-        return tuple(dot(h, [row[j] for row in K]) for j in range(len(self.u)))
+        return tuple(dot(h, [row[j] for row in self.forms[1]]) for j in range(len(self.u)))
 
     def relation(self, h):
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample."""
@@ -139,8 +145,7 @@ class ExactWindow:
 
     def rows_at(self, z):
         """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
-        E, K = _forms(self.model, self.horizon)
-        missing = self.missing_inputs
+        (E, K), missing = self.forms, self.missing_inputs
         return tuple(dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d)) for e, k, d in zip(E, K, self.drive, strict=True))
 
     def explained_by(self, z):

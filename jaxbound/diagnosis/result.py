@@ -86,11 +86,13 @@ class Result:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in exact rationals.
 
         For FAULT the violated relation with its coefficients, bounds and excess, and .errors, the smallest error of each sensor alone that
-        would explain the window; for CONSISTENT a behaviour that explains it. .to_json() is complete in itself. Of a residual: an
-        Explanation, with an Interval of unknowns that explains a CONSISTENT window.
+        would explain the window; for CONSISTENT a behaviour that explains it. .to_json() is complete in itself. With uncertain
+        parameters an UncertainCertificate: ranges of polynomials, or parameters that explain the window. Of a residual an Explanation, with
+        an Interval of unknowns that explains a CONSISTENT window.
 
         Raises:
-            ValueError: the window is MISSING. NotImplementedError: a verdict that rests on a tolerance constant over the window.
+            ValueError: the window is MISSING. NotImplementedError: a verdict that rests on a tolerance constant over the window; with
+            uncertain parameters a window for which neither proof is found.
 
         Example:
             >>> import jaxbound as jb

@@ -12,23 +12,24 @@ A window that lacks samples is tested by relations made for it: those without th
 Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
 
-import dataclasses
+import math
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording, window
-from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
-from jaxbound.relations.polynomial import stacked
-from jaxbound.relations.uncertain_window import uncertain_window
+from jaxbound.models import recording
+from jaxbound.relations.uncertain import without
 from jaxbound.sets import polynomials, varying
 from jaxbound.sets.frontier import Verdicts, explore
 from jaxbound.sets.gauge import gauge_search
 from jaxbound.sets.status import Status
 
-__all__ = ["BUDGET", "uncertain_windows"]
+__all__ = [
+    "BLOCK", "BUDGET", "VERTICES", "at_vertices", "cases", "explained", "farthest", "image_of", "judged_by", "on_boxes", "on_whole",
+    "samples_of", "terms_of", "uncertain_windows",
+]  # fmt: skip
 
 BUDGET = 10_000
 """Boxes a window that "paving" may evaluate, on average over a group of windows."""
@@ -55,11 +56,11 @@ def uncertain_windows(relations, u, y, method, budget, progress, allowance=0.0):
     recording.refuse_infinite("u", u, relations.model.inputs)
     recording.refuse_infinite("y", y, relations.model.outputs)
     s, shape = relations.horizon, y.shape[:-1]
-    flat_u, flat_y = (x.reshape(-1, x.shape[-1]) for x in (u, y))
+    flat_u, flat_y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
     status, margin = np.full(len(flat_y), Status.MISSING, np.int8), np.full(len(flat_y), np.nan, y.dtype)
     read = relations.test(y.dtype).window
     starts = read.starts(0, len(flat_y), shape[-1])
-    for case, chosen in _cases(relations, flat_u, flat_y, starts):
+    for case, chosen in cases(relations, flat_u, flat_y, starts):
         if case is None:
             status[starts[chosen] + s], margin[starts[chosen] + s] = Status.UNDECIDED, 0
             continue
@@ -72,13 +73,15 @@ def uncertain_windows(relations, u, y, method, budget, progress, allowance=0.0):
     return status.reshape(shape), margin.reshape(shape)
 
 
-def _cases(relations, u, y, starts):
+def cases(relations, u, y, starts):
     """Yield (relations, numbers of the windows that they fit): windows that lack the same samples lack the same rows and inputs.
 
     Beyond `PATTERNS` patterns, the rarest windows come with None. Windows that have no relation left are not mentioned.
     """
-    s, p, lags = relations.horizon, y.shape[1], window.input_lags(relations.model, relations.horizon)
-    lost = np.concatenate([np.isnan(x[starts[:, None] + np.arange(n)]).reshape(len(starts), -1) for x, n in ((y, s + 1), (u, lags))], 1)
+    if not len(starts):
+        return
+    inputs, outputs = (np.isnan(x).reshape(-1, len(starts)).T for x in relations.test(y.dtype).window.gather(u, y, starts))
+    lost, rows = np.concatenate([outputs, inputs], 1), outputs.shape[1]
     whole = ~lost.any(1)
     if whole.any():
         yield relations, np.flatnonzero(whole)
@@ -91,37 +94,19 @@ def _cases(relations, u, y, starts):
     if rare.any():
         yield None, broken[rare]
     for number in order[:PATTERNS]:
-        rows, inputs = (set(np.flatnonzero(x).tolist()) for x in np.split(patterns[number], [(s + 1) * p]))
-        case = _without(relations, rows, inputs)
+        case = without(relations, *(set(np.flatnonzero(x).tolist()) for x in np.split(patterns[number], [rows])))
         if case is not None:
             yield case, broken[which.ravel() == number]
 
 
-def _without(relations, rows, inputs):
-    """Return relations of the same window that need neither these samples nor these inputs, or None if there are none."""
-    _, E, H, V = uncertain_window(relations.model, relations.horizon)
-    left = [i for i in range(E.rows) if i not in rows]
-    reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
-    omega, steps, complete = annihilator(reduced)
-    if not omega.rows:
-        return None
-    if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
-        complete = "sampled"
-    whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
-    omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
-    through = {a: {k: -x for k, x in entries.items()} for a, entries in (omega @ V).terms.items()}
-    N = stacked([[omega, dataclasses.replace(omega, columns=V.columns, terms=through)]]) if V.columns else omega
-    return dataclasses.replace(relations, N=N, K=omega @ H, steps=steps, complete=complete)
-
-
 def _decide(relations, u, y, starts, method, budget, allowance, progress):
     """Return (status, margin) of the windows that start at `starts` and have all samples that the relations need."""
-    test, kind = relations.test(y.dtype), _kind(relations, method)
+    test, kind = relations.test(y.dtype), judged_by(relations, method)
     on_device, proved = jax.device_put(test), relations.complete == "proved"
     status, margin = np.empty(len(starts), np.int8), np.empty(len(starts), y.dtype)
     for first in range(0, len(starts), BLOCK):
         chosen = starts[first : first + BLOCK]
-        samples = _samples(test, u, y, np.concatenate([chosen, np.repeat(chosen[:1], BLOCK - len(chosen))]))
+        samples = samples_of(test, u, y, np.concatenate([chosen, np.repeat(chosen[:1], BLOCK - len(chosen))]))
         found = _block(on_device, samples, kind, proved, allowance)
         for out, value in zip((status, margin), found, strict=True):
             out[first : first + len(chosen)] = np.asarray(value)[: len(chosen)]
@@ -131,7 +116,7 @@ def _decide(relations, u, y, starts, method, budget, allowance, progress):
         left = np.flatnonzero(status == Status.UNDECIDED)
         for first in range(0, len(left), GROUP):
             chosen = left[first : first + GROUP]
-            status[chosen] = _pave(test, _samples(test, u, y, starts[chosen]), proved, BUDGET if budget is None else budget)
+            status[chosen] = _pave(test, samples_of(test, u, y, starts[chosen]), proved, BUDGET if budget is None else budget)
             if progress is not None:
                 progress(0.2 + 0.7 * (first + len(chosen)) / len(left))
         margin = np.where(status == Status.FAULT, np.minimum(margin, -LEAST), margin)
@@ -139,12 +124,12 @@ def _decide(relations, u, y, starts, method, budget, allowance, progress):
     return status, margin
 
 
-def _samples(test, u, y, starts):
+def samples_of(test, u, y, starts):
     """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become 0."""
     return tuple(np.nan_to_num(x, nan=0.0, posinf=np.inf, neginf=-np.inf) for x in test.window.gather(u, y, starts))
 
 
-def _kind(relations, method):
+def judged_by(relations, method):
     """Return how a block is judged: "vertices", "zonotope", "linearised" or "box"."""
     if method in ("linearised", "box"):
         return method
@@ -154,17 +139,18 @@ def _kind(relations, method):
 
 def _block(test, samples, kind, proved, allowance):
     """Return (status, margin) of a block of windows."""
-    terms = _terms(test, *samples)
+    terms = terms_of(test, *samples)
     if kind == "vertices":
-        margin, inside = _vertices(test, *terms)
+        margin, inside = at_vertices(test, *terms)
         return _status(margin, inside & proved), margin
     if kind == "box":
         return _box(test, *terms, proved)
-    c, G, error = _image(test, *terms, kind == "linearised", allowance)
-    margin, z = _outside(c, G, error)
     if kind == "linearised":
+        linear = image_of(test, *terms, True, allowance)
+        margin = varying.strip_margins(*linear) if varying.strip_count(*linear[1].shape[:2]) else outside(*linear)[0]
         return jnp.where(jnp.isnan(margin), Status.MISSING, Status.UNDECIDED).astype(jnp.int8), margin
-    inside = _explained(test, terms, jnp.concatenate([z[: len(test.size)], _noise_part(test, z)])) if proved else margin < -np.inf
+    margin, start, _ = on_whole(test, terms)
+    inside = explained(test, terms, start) if proved else margin < -np.inf
     return _status(margin, inside), jnp.where(inside, jnp.maximum(margin, LEAST), margin)
 
 
@@ -181,14 +167,14 @@ def _status(margin, inside):
 
 
 @jax.jit
-def _terms(test, u, y):
+def terms_of(test, u, y):
     """Return (value, spread, rad, error): a window's polynomials, and one bound on the error of each row."""
     value, error, spread, rad = test.polynomials(u, y)
     return value, spread, rad, polynomials.row_error(value, error, spread, rad, test.exponents)
 
 
 @partial(jax.jit, static_argnums=5)
-def _image(test, value, spread, rad, error, linear, allowance):
+def image_of(test, value, spread, rad, error, linear, allowance):
     """Return (c, G, error) of the whole box of parameters; linear: with `allowance` as a generator of its own in each row."""
     c, G = polynomials.image(value, spread, rad, test.exponents, linear=linear)
     if linear:
@@ -198,7 +184,8 @@ def _image(test, value, spread, rad, error, linear, allowance):
 
 
 @jax.jit
-def _vertices(test, value, spread, rad, error):
+def at_vertices(test, value, spread, rad, error):
+    """Return (margin, inside) of a single multi-affine relation: see `polynomials.vertex_margin`."""
     return polynomials.vertex_margin(value, spread, rad, test.exponents, error)
 
 
@@ -219,16 +206,22 @@ def _box(test, value, spread, rad, error, proved):
     return _status(worst, all_inside & (proved and value.shape[0] == 1)), worst
 
 
-def _outside(c, G, error):
-    """Return (margin, z): < 0 is a proof; z a candidate for a point."""
+def outside(c, G, error):
+    """Return (margin, z, h): < 0 is a proof; z a candidate for a point, h for a direction."""
+    h, z = farthest(c, G)
+    if varying.strip_count(*G.shape[:2]):
+        return varying.strip_margins(c, G, error), z, h
+    return varying.refutes_jit(c, G, error, h), z, h
+
+
+def farthest(c, G):
+    """Return (h, z), candidates for a direction and a point: see `gauge_search`."""
     size = varying.row_sizes(c, G)
     h, z, _ = gauge_search(*varying.scaled(c, G, size), jnp.ones_like(c[0]))
-    if varying.strip_count(*G.shape[:2]):
-        return varying.strip_margins(c, G, error), z
-    return varying.refutes_jit(c, G, error, h / size), z
+    return h / size, z
 
 
-def _explained(test, terms, z):
+def explained(test, terms, z):
     """Return where a zero near z, or near the middle, is proved to exist."""
     found = False
     for start in (z, 0 * z):
@@ -260,10 +253,11 @@ def _pave(test, samples, proved, budget):
     count, n = samples[1].shape[-1], len(test.size)
     filled = 2 ** max(count - 1, 127).bit_length()  # few sizes, few compilations
     samples = [np.concatenate([x, np.repeat(x[..., :1], filled - count, -1)], -1) for x in samples]
-    terms, on_device = _terms(test, *samples), jax.device_put(test)
+    terms, on_device = terms_of(test, *samples), jax.device_put(test)
     judge = lambda lo, hi, owner: _boxes(on_device, terms, lo, hi, owner, proved)
     one = np.ones(n, samples[1].dtype)
-    found = explore(judge, -one, one, count, 200, budget * count, "kernel", first=True, sizes=(2**7, 2**11))
+    sizes = (2**7, BLOCK) if count <= 2**7 else (BLOCK,)  # what is compiled already serves many windows best
+    found = explore(judge, -one, one, count, 200, budget * count, "kernel", first=True, sizes=sizes)
     status = np.where(np.bincount(found.owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
     status[found.proofs[2]] = Status.CONSISTENT
     return status
@@ -272,14 +266,28 @@ def _pave(test, samples, proved, budget):
 def _boxes(test, terms, lo, hi, owner, proved):
     """Return the Verdicts on boxes of parameters (n, N), of windows `owner`."""
     terms, mid, radius = _gathered(*terms, lo, hi, owner)
-    c, G, axis = _box_image(test, *terms, mid, radius)
-    margin, z = _outside(c, G, terms[3])
+    margin, start, _, axis = on_boxes(test, terms, mid, radius)
     keep = ~(margin < 0)
     if not proved:
         return Verdicts(np.asarray(keep), axis=np.asarray(axis))
-    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)])
-    explained = _explained(test, terms, start)
-    return Verdicts(keep & ~explained, explained, (mid, mid), None, axis)
+    found = explained(test, terms, start)
+    return Verdicts(keep & ~found, found, (mid, mid), None, axis)
+
+
+def on_boxes(test, terms, mid, radius):
+    """Return (margin, start, h, axis) of boxes mid +- radius (n, N) and the terms of their windows.
+
+    margin < 0 is a proof; start (v, e) and h are candidates for a point and a direction; axis is where to cut.
+    """
+    c, G, axis = _box_image(test, *terms, mid, radius)
+    margin, z, h = outside(c, G, terms[3])
+    return margin, jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)]), h, axis
+
+
+def on_whole(test, terms):
+    """Return (margin, start, h) of the whole box of parameters: see `on_boxes`."""
+    margin, z, h = outside(*image_of(test, *terms, False, 0.0))
+    return margin, jnp.concatenate([z[: len(test.size)], _noise_part(test, z)]), h
 
 
 @jax.jit

@@ -13,17 +13,18 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording, window
+from jaxbound.models import window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import changed_bounds, model_bounds, window_test
 from jaxbound.relations.uncertain import uncertain_relations
+from jaxbound.relations.window_test import forms
 from jaxbound.sets import exact
 from jaxbound.sets.interval import Interval
 from jaxbound.sets.separation import frame_of
@@ -109,15 +110,7 @@ class ParityRelation:
         return Interval(lo, hi)
 
     def _forms(self, u, y):
-        u, y, _ = recording.arrays(self.model, u, y)
-        u, y = jnp.asarray(u), jnp.asarray(y)
-        if y.shape[-2] <= self.horizon:
-            return (jnp.full((*y.shape[:-1], self.count), jnp.nan, y.dtype),) * 3
-        test = self.test("box", y.dtype)
-        forms = _forms
-        for _ in range(y.ndim - 2):
-            forms = jax.vmap(forms, (None, 0, 0))
-        return forms(test, u, y)
+        return forms(_forms, self, partial(self.test, "box"), u, y)
 
     def text(self, circuits=False):
         """Return the relations, one a line, as a reader would write them; all circuits instead if asked for.

@@ -52,6 +52,9 @@ class PolynomialMatrix:
                 term[k] = term.get(k, 0) + x
         return _clean(self.rows, self.columns, self.variables, out)
 
+    def __neg__(self):
+        return PolynomialMatrix(self.rows, self.columns, self.variables, {a: {k: -x for k, x in m.items()} for a, m in self.terms.items()})
+
     def coefficient(self, alpha):
         """Return the matrix of one monomial as a tuple of rows."""
         entries = self.terms.get(alpha, {})

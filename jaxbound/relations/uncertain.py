@@ -12,17 +12,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import changed_bounds, float_bound, model_bounds, window_test
 from jaxbound.relations.polynomial import PolynomialMatrix, stacked
 from jaxbound.relations.uncertain_test import UncertainTest
 from jaxbound.relations.uncertain_window import uncertain_window
+from jaxbound.relations.window_test import forms
 from jaxbound.sets import exact, rounding
 from jaxbound.sets.interval import Interval
 
-__all__ = ["UncertainRelations", "uncertain_relations"]
+__all__ = ["UncertainRelations", "uncertain_relations", "without"]
 
 
 @jax.tree_util.register_dataclass
@@ -127,14 +127,7 @@ class UncertainRelations:
         return Interval(lo, hi)
 
     def _forms(self, u, y):
-        u, y, _ = recording.arrays(self.model, u, y)
-        u, y = jnp.asarray(u), jnp.asarray(y)
-        if y.shape[-2] <= self.horizon:
-            return (jnp.full((*y.shape[:-1], self.count), jnp.nan, y.dtype),) * 3
-        test, forms = self.test(y.dtype), _forms
-        for _ in range(y.ndim - 2):
-            forms = jax.vmap(forms, (None, 0, 0))
-        return forms(test, u, y)
+        return forms(_forms, self, self.test, u, y)
 
     def text(self):
         """Return the relations, one a line, as a reader would write them.
@@ -194,15 +187,34 @@ def uncertain_relations(model, horizon):
     omega, steps, complete = annihilator(reduced)
     if not omega.rows:
         raise ValueError(f"horizon {horizon}: the relations are too large to be found; fewer varying parameters or another horizon may do")
-    N = stacked([[omega, _negative(omega @ V)]]) if V.columns else omega
     complete = "sampled" if complete == "proved" and proof != "proved" else complete
     if complete == "partial":
         notes += (f"the search for relations gave up at order {steps[-1].order}: there may be more, of higher orders",)
-    return UncertainRelations(model_bounds(model), model, horizon, variables, N, omega @ H, steps, complete, notes)
+    return UncertainRelations(model_bounds(model), model, horizon, variables, _on_rows(omega, V), omega @ H, steps, complete, notes)
 
 
-def _negative(P):
-    return PolynomialMatrix(P.rows, P.columns, P.variables, {a: {k: -x for k, x in m.items()} for a, m in P.terms.items()})
+def without(relations, rows, inputs):
+    """Return relations of the same window that need neither these of its rows nor these of its inputs, or None if there are none.
+
+    Args:
+        rows: a set of numbers of samples (s+1)p, time-major. inputs: a set of numbers of the l inputs; they may be anything.
+    """
+    _, E, H, V = uncertain_window(relations.model, relations.horizon)
+    left = [i for i in range(E.rows) if i not in rows]
+    reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
+    omega, steps, complete = annihilator(reduced)
+    if not omega.rows:
+        return None
+    if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
+        complete = "sampled"
+    whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
+    omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
+    return dataclasses.replace(relations, N=_on_rows(omega, V), K=omega @ H, steps=steps, complete=complete)
+
+
+def _on_rows(omega, V):
+    """Return N = [Omega, -Omega V], what relations do with the true outputs and disturbances."""
+    return stacked([[omega, -(omega @ V)]]) if V.columns else omega
 
 
 def _without_unseen(E, model):

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import sensor
+from jaxbound.models import recording, sensor
 from jaxbound.sets import rounding
 from jaxbound.sets.separation import Frame
 from jaxbound.sets.strips import Strips
 
-__all__ = ["WindowTest"]
+__all__ = ["WindowTest", "forms"]
 
 
 @jax.tree_util.register_dataclass
@@ -98,3 +98,14 @@ class WindowTest:
         known = [v - self.offset_u[i] for now in u for i, v in enumerate(now)]
         known_scale = [abs(v) + abs(self.offset_u[i]) for now in u for i, v in enumerate(now)]
         return mid, rad, scale, known, known_scale
+
+
+def forms(kernel, relations, test, u, y):
+    """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; all NaN if they are too short."""
+    u, y, _ = recording.arrays(relations.model, u, y)
+    u, y = jnp.asarray(u), jnp.asarray(y)
+    if y.shape[-2] <= relations.horizon:
+        return (jnp.full((*y.shape[:-1], relations.count), jnp.nan, y.dtype),) * 3
+    for _ in range(y.ndim - 2):
+        kernel = jax.vmap(kernel, (None, 0, 0))
+    return kernel(test(y.dtype), u, y)

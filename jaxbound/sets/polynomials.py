@@ -16,7 +16,7 @@ import numpy as np
 from jaxbound.sets import rounding
 from jaxbound.sets.unrolled import total
 
-__all__ = ["bends", "image", "multiaffine", "row_error", "slopes", "vertex_margin"]
+__all__ = ["bends", "image", "multiaffine", "row_error", "slopes", "vertex_gauge", "vertex_margin"]
 
 
 def multiaffine(exponents):
@@ -111,21 +111,34 @@ def slopes(value, spread, rad, exponents, z):
 def vertex_margin(value, spread, rad, exponents, error):
     """Return (margin (N,), inside (N,)) of one multi-affine polynomial: margin < 0 is proof that it has no zero, inside that it has one.
 
-    Its range over the box is the interval between its extremes at the vertices. margin is 1 - t, t the factor on the box at which 0 just
-    belongs to the range, to about 1e-6.
+    Its range over the box is the interval between its extremes at the vertices. margin is 1 - t, see `vertex_gauge`.
+    """
+    t, low, high = vertex_gauge(value, spread, rad, exponents, smooth=False)
+    outside = (low > error[0]) | (high < -error[0])
+    inside = (low < -error[0]) & (high > error[0])
+    least = jnp.finfo(t.dtype).eps
+    margin = jnp.where(outside, jnp.minimum(1 - t, -least), jnp.where(inside, jnp.maximum(1 - t, least), 0))
+    return jnp.where(jnp.isnan(value[0, 0]), jnp.nan, margin), inside
+
+
+def vertex_gauge(value, spread, rad, exponents, smooth=True):
+    """Return (t, low, high), each (N,), of one multi-affine polynomial: the ends of its range over the box, at the vertices.
+
+    t is the factor on the box at which 0 just belongs to the range, within 2^+-10; not rounded, to about 1e-6. smooth: differentiable.
     """
     n, m = len(exponents[0]), rad.shape[0]
     at = lambda vertex: [math.prod(s**e for s, e in zip(vertex, a, strict=True)) for a in exponents]
     signs = jnp.asarray(np.array([at(vertex) for vertex in product((-1, 1), repeat=n)]), value.dtype)
     order = np.array([sum(a) for a in exponents])
-    width = jnp.abs(total(signs[:, a, None] * spread[0, a][None] for a in range(len(exponents)))) if m else None  # (vertices, m)
+    held = jax.lax.stop_gradient((value, spread, rad))
 
-    def ends(t=None):
+    def ends(value, spread, rad, t=None):
         """Return the least and largest value over t times the box."""
         scale = [1.0 if t is None else t**k for k in range(order.max() + 2)]
         middle = total(signs[:, a, None] * (value[0, a] * scale[order[a]])[None] for a in range(len(exponents)))
         radius = jnp.zeros_like(middle)
         if m and t is None:
+            width = jnp.abs(total(signs[:, a, None] * spread[0, a][None] for a in range(len(exponents))))  # (vertices, m)
             radius = total(width[:, j, None] * rad[j][None] for j in range(m))
         elif m:
             for j in range(m):
@@ -135,26 +148,31 @@ def vertex_margin(value, spread, rad, exponents, error):
                 radius += jnp.abs(total(part[:, None] * (rad[j] * scale[k + 1])[None] for k, part in by_order.items()))
         return jnp.min(middle - radius, 0), jnp.max(middle + radius, 0)
 
-    low, high = ends()
-    outside = (low > error[0]) | (high < -error[0])
-    inside = (low < -error[0]) & (high > error[0])
+    low, high = ends(value, spread, rad)
     centre = value[0, 0]
     if order.max() <= 1 and not (m and order.max()):
         half = 0.5 * (high - low)
-        t = jnp.abs(centre) / jnp.where(half > 0, half, 1)
-    else:
+        return jnp.abs(centre) / jnp.where(half > 0, half, 1), low, high
 
-        def halve(_, bracket):
-            below, above = bracket
-            middle = jnp.sqrt(below * above)
-            least, most = ends(middle)
-            reached = jnp.where(centre > 0, least <= 0, most >= 0)
-            return jnp.where(reached, below, middle), jnp.where(reached, middle, above)
+    def nearest(t, parts):
+        """Return how far t times the box is from reaching 0."""
+        least, most = ends(*parts, t)
+        return jnp.where(centre > 0, least, -most)
 
-        t = jax.lax.fori_loop(0, 24, halve, (jnp.full_like(centre, 2.0**-10), jnp.full_like(centre, 2.0**10)))[1]
-    least = jnp.finfo(t.dtype).eps
-    margin = jnp.where(outside, jnp.minimum(1 - t, -least), jnp.where(inside, jnp.maximum(1 - t, least), 0))
-    return jnp.where(jnp.isnan(centre), jnp.nan, margin), inside
+    def halve(_, bracket):
+        below, above = bracket
+        middle = jnp.sqrt(below * above)
+        reached = nearest(middle, held) <= 0
+        return jnp.where(reached, below, middle), jnp.where(reached, middle, above)
+
+    one = jnp.ones_like(held[0][0, 0])
+    below, above = jax.lax.fori_loop(0, 24, halve, (one * 2.0**-10, one * 2.0**10))
+    if not smooth:
+        return above, low, high
+    slope = jax.jvp(lambda t: nearest(t, held), (above,), (one,))[1]
+    slope = jnp.where((slope < 0) & (above < 2.0**10) & (below > 2.0**-10), slope, -jnp.inf)
+    t = above - nearest(above, (value, spread, rad)) / slope  # one step of Newton's: its derivative is that of the root
+    return jnp.clip(t, below * (1 - 1e-6), above * (1 + 1e-6)), low, high
 
 
 def _expansion(exponents, mid, radius):

@@ -1,0 +1,171 @@
+"""Numbers to tune by, for models with uncertain parameters: how far out a window is, and what the linearised test lacks. No proofs.
+
+The margin is that of the joint test, 1 - t with t = min { max_j |z_j| : c + G z = 0 } = max over h of |h c| / sum_j |h g_j|. Its derivative
+is that of a linear program, h (dc + dG z) / sum_j |h g_j| with both optima held. The compensation that a window needs is the largest excess
+of |h c| over sum_j |h g_j| beside sum_i |h_i|,
+
+    e = max over h of (|h c| - sum_j |h g_j|) / sum_i |h_i|,
+
+found by Newton's method: h is the worst direction of the set widened by the e so far, a convex problem with finitely many h.
+Source: Dinkelbach 1967.
+"""
+
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.diagnosis.uncertain_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
+from jaxbound.models import recording
+from jaxbound.models.seams import all_starts, crossing
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets import polynomials
+
+__all__ = ["compensation", "uncertain_margins"]
+
+STEPS = 30
+"""Newton steps of a compensation; 3 to 5 are usual."""
+
+
+def uncertain_margins(relations, u, y):
+    """Return the unproved margins (..., T), NaN where a window has no usable data. See `consistency.margins`.
+
+    Where u or y are traced nobody knows what is missing: windows that lack a sample which a relation needs are NaN.
+    """
+    shape, s = y.shape[:-1], relations.horizon
+    u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
+    out = jnp.full(len(y), jnp.nan, y.dtype)
+    starts = relations.test(y.dtype).window.starts(0, len(y), shape[-1])
+    if any(isinstance(x, jax.core.Tracer) for x in (u, y)):
+        chosen = [(relations, np.arange(len(starts)))] if len(starts) else []
+    else:
+        u, y = np.asarray(u), np.asarray(y)
+        chosen = cases(relations, u, y, starts)
+    for case, own in chosen:
+        found = 0.0 if case is None else _over_blocks(_margins, case, u, y, starts[own])
+        out = out.at[starts[own] + s].set(found)
+    return out.reshape(shape)
+
+
+def compensation(relations, u, y, share=0.0):
+    """Return the smallest compensation under which the linearised test lets a healthy recording pass.
+
+    `detect(relations, u, y, method="linearised", compensation=c)` neglects products of parameters, and marks healthy windows as suspect.
+    c is added to what each relation may be off by. Each window needs a certain c; this is the least number that is enough for all windows
+    but the given share of them.
+
+    Args:
+        relations: UncertainRelations. u (..., T, m), y (..., T, p): healthy recordings, as for `detect`.
+        share: of the windows, 0 <= share < 1, that may stay suspect.
+
+    Returns:
+        A float, 0 where nothing is needed. Nothing is proved for other recordings: use method="joint" for that.
+
+    Raises:
+        TypeError: relations without uncertain parameters. ValueError: a share outside of [0, 1), infinite samples, no window with data.
+
+    Source: Ploix, Adrot 2006, section 4: the a-posteriori compensation of the linearisation.
+
+    Example:
+        >>> import numpy as np, jaxbound as jb
+        >>> gain = jb.Uncertainty("gain", C=[[0.5]])
+        >>> r = jb.parity_relations(jb.LinearSystem([[1]], None, [[1]], uncertainties=[gain]))
+        >>> y = np.array([[1.0], [0.9], [0.2], [1.0]])      # y[k-1] (1 + gain[k] / 2) = y[k] (1 + gain[k-1] / 2)
+        >>> round(compensation(r, None, y), 6)
+        0.2
+        >>> [int(jb.detect(r, None, y, method="linearised", compensation=c).suspect.sum()) for c in (0, 0.2)]
+        [2, 0]
+    """
+    if not isinstance(relations, UncertainRelations):
+        raise TypeError(f"compensation is for relations with uncertain parameters, not {type(relations).__name__}: others neglect nothing")
+    if not 0 <= share < 1:
+        raise ValueError(f"share is the part of the windows that may stay suspect: 0 <= share < 1, not {share}")
+    u, y, index = recording.arrays(relations.model, u, y)
+    u, y = np.asarray(u), np.asarray(y)
+    for name, x, channels in (("u", u, relations.model.inputs), ("y", y, relations.model.outputs)):
+        recording.refuse_infinite(name, x, channels)
+    T = y.shape[-2]
+    across = crossing(all_starts((), index, T), relations.horizon, 0, T)
+    u, y = (x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y))
+    starts = relations.test(y.dtype).window.starts(0, len(y), T)
+    starts = starts[~across[(starts + relations.horizon) % T]]
+    needs = [
+        np.zeros(len(own)) if case is None else np.asarray(_over_blocks(_needs, case, u, y, starts[own]))
+        for case, own in cases(relations, u, y, starts)
+    ]
+    needs = np.sort(np.concatenate([*needs, np.zeros(0)]))
+    if not len(needs):
+        raise ValueError(f"no window of {relations.horizon + 1} samples has data: nothing says what compensation is needed")
+    return float(needs[len(needs) - 1 - math.floor(share * len(needs))])
+
+
+def _over_blocks(kernel, relations, u, y, starts):
+    """Return what a kernel says of the windows that start at `starts`: compiled blocks, one loop inside where something is traced."""
+    kind = judged_by(relations, "joint")
+    test = relations.test(y.dtype)
+    filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % BLOCK)]).reshape(-1, BLOCK)
+    if not any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values())):
+        test = jax.device_put(test)
+        return jnp.concatenate([kernel(test, *samples_of(test, u, y, block), kind) for block in filled])[: len(starts)]
+    u, y = jnp.asarray(u), jnp.asarray(y)
+
+    def one_block(first):
+        take = lambda x, lags: jnp.moveaxis(x[first[None] + np.arange(lags)[:, None]], 1, 2)
+        return kernel(test, take(u, test.window.lags), take(y, test.horizon + 1), kind)
+
+    return jax.lax.map(one_block, jnp.asarray(filled)).reshape(-1)[: len(starts)]
+
+
+def _margins(test, u, y, kind):
+    """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N): outside of a trace by what `detect` has compiled already."""
+    if any(isinstance(x, jax.core.Tracer) for x in (u, y, *jax.tree.leaves(test))):
+        return _smooth_margins(test, u, y, kind)
+    terms = terms_of(test, u, y)
+    return at_vertices(test, *terms)[0] if kind == "vertices" else on_whole(test, terms)[0]
+
+
+def _smooth_margins(test, u, y, kind):
+    """Return the same, with derivatives; a missing sample that matters gives NaN."""
+    value, spread, rad, error = terms_of(test, u, y)
+    gone = jnp.isnan(value[:, 0])
+    value = jnp.where(gone[:, None], 0, value)
+    if kind == "vertices":
+        t = polynomials.vertex_gauge(value, spread, rad, test.exponents)[0]
+    else:
+        c, G, _ = image_of(test, value, spread, rad, error, False, 0.0)
+        h, z = jax.lax.stop_gradient(farthest(*jax.lax.stop_gradient((c, G))))
+        residual, width = jax.lax.stop_gradient(_across(h, c, G))
+        change = jnp.sum(h * (c + jnp.sum(G * z[None], 1)), 0) * jnp.where(jnp.sum(h * c, 0) < 0, -1, 1)
+        t = _ratio(residual, width) + _ratio(change - jax.lax.stop_gradient(change), width)
+    return jnp.where(jnp.any(gone, 0), jnp.nan, 1 - t)
+
+
+@partial(jax.jit, static_argnums=3)
+def _needs(test, u, y, kind):
+    """Return the compensation (N,) that each window needs."""
+    c, G, _ = image_of(test, *terms_of(test, u, y), True, 0.0)
+    G = G[:, : G.shape[1] - len(c)]  # without the compensation's own columns
+    needed = jnp.max(jnp.maximum(jnp.abs(c) - jnp.sum(jnp.abs(G), 1), 0), 0)
+
+    def step(carry):
+        e, _, count = carry
+        own = [jnp.where(jnp.arange(len(c))[:, None] == k, e[None], 0)[:, None] for k in range(len(c))]
+        h, _ = farthest(c, jnp.concatenate([G, *own], 1))
+        residual, width = _across(h, c, G)
+        more = jnp.maximum(e, _ratio(residual - width, jnp.sum(jnp.abs(h), 0)))
+        return more, more > e * (1 + 4 * jnp.finfo(e.dtype).eps), count + 1
+
+    going = lambda carry: jnp.any(carry[1]) & (carry[2] < STEPS)
+    return jax.lax.while_loop(going, step, (needed, needed >= 0, 0))[0]
+
+
+def _across(h, c, G):
+    """Return (|h c|, sum_j |h g_j|)."""
+    return jnp.abs(jnp.sum(h * c, 0)), jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
+
+
+def _ratio(a, b):
+    """Return a / b; a / 0 = inf for a > 0, else 0."""
+    return jnp.where(b > 0, a / jnp.where(b > 0, b, 1), jnp.where(a > 0, jnp.inf, 0))

@@ -1,0 +1,89 @@
+"""Margins and compensations of models with uncertain parameters."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_uncertain_windows import record
+from uncertain_systems import relations
+
+import jaxbound as jb
+from jaxbound.sets.status import Status
+
+
+def noisy(rng, name, noise, runs=2):
+    """Return (relations, u, y) with faults and gaps."""
+    u, y = record(rng, name, runs, "uniform", noise=noise)
+    y[:, 50] += rng.choice([-1, 1], (runs, y.shape[-1])) * rng.uniform(4, 8, (runs, y.shape[-1]))
+    return relations(name, noise=noise), u, y
+
+
+def check_margins(r, u, y):
+    res, found = jb.detect(r, u, y), np.asarray(jb.margins(r, u, y))
+    assert np.array_equal(np.isnan(found), res.status == Status.MISSING)
+    assert {Status.FAULT, Status.CONSISTENT} <= set(res.status.ravel().tolist())
+    np.testing.assert_allclose(found, res.margin, rtol=1e-5, atol=1e-5)
+    return found
+
+
+def check_slopes(rng, r, u, y, ends):
+    """Compare the derivatives at some windows with quotients of differences."""
+    bounds, step, weights = {k: jnp.asarray(v) for k, v in r.bounds.items()}, 1e-7, rng.normal(size=len(ends))
+    f = lambda bounds, y: jb.margins(r.with_bounds(bounds), u, y)[ends] @ weights
+    by_bounds = {k: rng.normal(size=v.shape) * (np.asarray(v) > 0) for k, v in bounds.items()}
+    by_y = rng.normal(size=y.shape)
+    moved = lambda d: float(f({k: np.asarray(v) + d * by_bounds[k] for k, v in bounds.items()}, y + d * by_y))
+    value, (of_bounds, of_y) = jax.jit(jax.value_and_grad(f, (0, 1)))(bounds, jnp.asarray(y))
+    assert float(value) == pytest.approx(moved(0), rel=1e-5, abs=1e-6)
+    slope = sum((of_bounds[k] * by_bounds[k]).sum() for k in bounds) + (of_y * by_y).sum()
+    assert np.isfinite(of_y).all() and float(slope) == pytest.approx((moved(step) - moved(-step)) / (2 * step), rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_margins_change_with_bounds_and_data(rng):
+    r, u, y = noisy(rng, "n2p1_paper_h3", 0.01)
+    check_slopes(rng, r, u[0], y[0], np.r_[20:30, 49:53])
+
+
+@pytest.mark.long
+def test_margins_of_several_relations_are_those_of_detect_and_change_with_bounds_and_data(rng):
+    r, u, y = noisy(rng, "n3p2_mixed3_h3", [0.02, 0.05])
+    check_margins(r, u, y)
+    check_slopes(rng, r, u[0], y[0], np.r_[50:53])
+
+
+def test_margins_are_those_of_detect_with_lost_samples_too(rng):
+    r, u, y = noisy(rng, "n2p1_paper_h3", 0.01)
+    y[0, 30] = np.nan
+    u[0, 60] = np.nan
+    check_margins(r, u, y)
+
+
+def test_the_compensation_is_the_smallest(rng):
+    r, (u, y) = relations("n2p1_Btwo_h3"), record(rng, "n2p1_Btwo_h3", 20, "vertices")
+    y[3, 20] = np.nan
+    windows = int((jb.detect(r, u, y, method="linearised").status != Status.MISSING).sum())
+    for share in (0.0, 0.02):
+        least = jb.compensation(r, u, y, share)
+        alarms = lambda c: int(jb.detect(r, u, y, method="linearised", compensation=c).suspect.sum())
+        assert least > 0 and alarms(least) <= share * windows < alarms(least * (1 - 1e-9))
+
+
+@pytest.mark.long
+def test_the_compensation_of_several_relations_is_the_smallest(rng):
+    r, (u, y) = relations("n3p2_mixed3_h3", noise=0.01), record(rng, "n3p2_mixed3_h3", 30, "vertices", noise=0.01)
+    for share in (0.0, 0.01):
+        least = jb.compensation(r, u, y, share)
+        alarms = lambda c: int(jb.detect(r, u, y, method="linearised", compensation=c).suspect.sum())
+        assert least > 0 and alarms(least) <= share * 30 * 97 < alarms(least * (1 - 1e-7))
+
+
+def test_what_has_no_compensation_is_said(rng):
+    r = relations("n2p1_paper_h3")
+    certain = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
+    with pytest.raises(TypeError, match="others neglect nothing"):
+        jb.compensation(certain, None, np.zeros((5, 1)))
+    with pytest.raises(ValueError, match="0 <= share < 1, not 2"):
+        jb.compensation(r, np.zeros((5, 1)), np.zeros((5, 1)), 2)
+    with pytest.raises(ValueError, match="no window of 3 samples has data"):
+        jb.compensation(r, np.zeros((5, 1)), np.full((5, 1), np.nan))
