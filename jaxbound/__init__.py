@@ -7,6 +7,8 @@ from jaxbound.diagnosis.consistency import detect, margins
 from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
 from jaxbound.diagnosis.isolation import BankResult, evaluate
 from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.uncertain_certificate import UncertainCertificate
+from jaxbound.diagnosis.uncertain_margins import compensation
 from jaxbound.diagnosis.unknown_inputs import UnknownInputs, unknown_inputs
 from jaxbound.diagnosis.validation import Validation, validate
 from jaxbound.digest import Digest, detect_dataset
@@ -34,9 +36,10 @@ from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
 __all__ = [
     "Alarm", "BankResult", "Certificate", "Digest", "Fault", "GuaranteedSize", "Inclusion", "Interval", "IntervalSystem", "Isolability",
     "LinearSystem", "MultiModel", "ParityRelation", "Paving", "Redundancy", "Residual", "Result", "Signatures", "Solution", "Solvability",
-    "Status", "Trajectory", "UncertainRelations", "Uncertainty", "UnknownInputs", "Validation", "Zonotope", "detect", "detect_dataset",
-    "detectable", "evaluate", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "load_model",
-    "margins", "membership", "parity_relations", "pave", "plot", "redundancy", "residual", "save_model", "sets", "signatures", "simulate",
-    "solve_interval", "strips", "structured_relations", "unknown_inputs", "validate", "zonotope",
+    "Status", "Trajectory", "UncertainCertificate", "UncertainRelations", "Uncertainty", "UnknownInputs", "Validation", "Zonotope",
+    "compensation", "detect", "detect_dataset", "detectable", "evaluate", "from_control", "from_scipy", "inclusion", "interval",
+    "interval_system", "isolability", "load_model", "margins", "membership", "parity_relations", "pave", "plot", "redundancy", "residual",
+    "save_model", "sets", "signatures", "simulate", "solve_interval", "strips", "structured_relations", "unknown_inputs", "validate",
+    "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"

@@ -23,6 +23,7 @@ from jaxbound.modelfile import load_model, template
 from jaxbound.plots import distinct_relations
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints
+from jaxbound.runfile import VALIDATION
 from jaxbound.terminal import Refused, door, say, show, write
 
 __all__ = ["main"]
@@ -88,7 +89,8 @@ def _parse(argv):
     c.add_argument("data", metavar="DATA", help="a CSV file, a Parquet file, or a folder of Parquet files, which follow each other by name")
     c.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures")
     c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 65536 at least (default: 1000000)")
-    _testing(c)
+    more = f"; {VALIDATION} bounds states and outputs, names the faulty sensor and says what it should have shown"
+    _testing(c, more)
     c.set_defaults(run=run_detect)
     c = commands.add_parser("explain", help="print the certificate of one window", epilog="exit codes: 0, or 2 bad input")
     c.add_argument("report", type=Path, metavar="DIR", help="folder that jaxbound detect wrote")
@@ -108,9 +110,9 @@ def _parse(argv):
     return parser.parse_args(argv)
 
 
-def _testing(c):
+def _testing(c, more=""):
     """Add the options of every command that tests recordings."""
-    c.add_argument("--method", default="joint", help=f"{', '.join(METHODS)} (default: joint, the exact test)")
+    c.add_argument("--method", default="joint", help=f"{', '.join(METHODS)} (default: joint, the exact test){more}")
     c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
     c.add_argument("--alarm", type=_k_of_n, default=(1, 1), metavar="k/n", help="an alarm needs k FAULT among n windows (default: 1/1)")
     c.add_argument("--min-coverage", type=_share, default=0.5, metavar="F", help="least share of decided windows (default: 0.5)")

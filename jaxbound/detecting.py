@@ -13,21 +13,24 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import jax
 import numpy as np
 
 from jaxbound.diagnosis.consistency import METHODS, detect
+from jaxbound.diagnosis.validation import least_horizon, validate
 from jaxbound.digest import digest
 from jaxbound.files import read_recording, write_alarms, write_verdicts
 from jaxbound.modelfile import load_model, save_model
 from jaxbound.parquet import is_parquet, open_parquet
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, worst, write_report
-from jaxbound.runfile import save_run
+from jaxbound.runfile import VALIDATION, save_run
 from jaxbound.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
 from jaxbound.terminal import Interrupted, Refused, door, progress_bars, show, write
+from jaxbound.validated import Validated, write_columns_of, write_page
 
 __all__ = ["CODES", "conclude", "run_demo", "run_detect", "usable_device", "workplace"]
 
@@ -37,11 +40,17 @@ COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": 
 
 def run_detect(args):
     """Run `jaxbound detect`; return the exit code."""
-    if args.method not in METHODS:
-        raise Refused(f"--method must be one of {', '.join(METHODS)}, not {args.method!r}")
+    if args.method not in (*METHODS, VALIDATION):
+        raise Refused(f"--method must be one of {', '.join((*METHODS, VALIDATION))}, not {args.method!r}")
     threading.Thread(target=_load_plotting, daemon=True).start()
     data = Path(args.data)
-    if data.exists() and is_parquet(data):
+    if args.method == VALIDATION:
+        if args.chunk is not None:
+            raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
+        with workplace(args.out) as work, progress_bars(("read", "test", "report")) as step:
+            found = _validate(args, work, step)
+        _remove(args.out / VERDICTS)
+    elif data.exists() and is_parquet(data):
         with made(args.out), progress_bars(("test", "report")) as step:
             found = _stream(args, step)
     elif data.exists() and args.chunk is not None:
@@ -113,9 +122,49 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     return res, recording, alarms, hints, seconds
 
 
+def _validate(args, work, step):
+    """Read, validate and write everything into the folder `work`; return what the conclusion needs."""
+    seconds, start = {}, time.perf_counter()
+    with door():
+        model = load_model(args.model)
+        recording = read_recording(args.data, model, lambda share: step("read", share))
+        if len(recording.starts):
+            at = recording.label(recording.starts[0])
+            raise ValueError(f"{args.data}: validation carries the state from sample to sample, but there is a gap in time before {at}: "
+                             "cut the recording there, or choose another method")  # fmt: skip
+        horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
+        _complete(args.data, model.inputs, recording.u, recording, "every sample of every input is needed")
+        _complete(args.data, model.outputs, recording.y[: horizon + 1], recording,
+                  f"the first {horizon + 1} samples say where the state is: begin the recording later")  # fmt: skip
+        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
+        usable_device()
+        found = validate(model, recording.u, recording.y, horizon)
+        res = Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found))
+    step("test", 1.0)
+    alarms = res.alarms(*args.alarm)
+    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    assumed = f"the first {horizon + 1} samples are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
+    hints = [*recording.hints, *bound_hints(model), assumed]
+    write_columns_of(work / "verdicts.csv", res, recording)
+    write_alarms(work / "alarms.csv", alarms, recording, model.dt)
+    save_run(work, args.model, args.data, args.method, horizon)
+    write_page(work, res, recording, alarms, hints=hints, seconds=seconds, min_coverage=args.min_coverage,
+               progress=lambda share: step("report", share))  # fmt: skip
+    seconds["report"] = time.perf_counter() - start
+    return res, recording, alarms, hints, seconds
+
+
+def _complete(data, names, samples, recording, why):
+    """Raise ValueError if a sample that validation cannot do without is missing."""
+    for k, j in np.argwhere(np.isnan(samples))[:1]:
+        raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
+
+
 def conclude(args, res, recording, alarms, hints, seconds):
     """Print what was found and return the exit code."""
-    verdict, sentence = summary(res, alarms, recording.label, args.min_coverage)
+    validated = isinstance(res, Validated)
+    summed = res.summary if validated else partial(summary, res)
+    verdict, sentence = summed(alarms, recording.label, args.min_coverage)
     (at, margin), code, counts, alarm_count = worst(res), CODES[verdict], res.counts, alarm_total(res, alarms)
     margin = margin if np.isfinite(margin) else None
     if args.json:
@@ -125,19 +174,22 @@ def conclude(args, res, recording, alarms, hints, seconds):
             "verdict": verdict, "exit_code": code, "summary": sentence, "model": res.relations.model.name, "data": str(args.data),
             "method": res.method, "horizon": res.relations.horizon, "samples": samples(res), "counts": counts,
             "decided": coverage(res), "worst": deepest, "alarms": alarm_count, "hints": hints,
+            **({"tested": res.tested, "faulty": res.blamed} if validated else {}),
             "seconds": {k: round(v, 3) for k, v in seconds.items()}, "out": str(args.out)}  # fmt: skip
         write(json.dumps(found, indent=2, allow_nan=False) + "\n")
         return code
     total = samples(res) - res.relations.horizon
+    decided = f"{percent(coverage(res))} of {total} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"
+    whom = ", ".join(f"{name} in {n} samples" for name, n in res.blamed.items()) if validated else ""
     rows = [
         ("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s])),
-        ("decided", f"{percent(coverage(res))} of {total} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"),
+        ("faulty", whom or "no sensor") if validated else ("decided", decided),
         ("alarms", f"{alarm_count}" + (f", the first at {recording.label(alarms[0].start)}" if alarms else "")),
     ]
     if margin is not None:
         what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
         rows.append(("worst window" if margin < 0 else "tightest", f"{recording.label(at)}: margin {margin:.3g}, {what}"))
-    if verdict == "fault" and at is not None and not res.relations.model.uncertainties:
+    if verdict == "fault" and at is not None and not validated and not res.relations.model.uncertainties:
         rows.append(("proof", f"jaxbound explain {shlex.quote(str(args.out))} --at {at}"))
     rows += [("hint", h) for h in hints]
     rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]

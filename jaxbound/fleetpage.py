@@ -5,7 +5,7 @@ import shlex
 import time as clock
 from html import escape
 
-from jaxbound.report import CSS, GUARANTEE, percent, times
+from jaxbound.page import CSS, GUARANTEE, percent, times
 
 __all__ = ["fleet_page"]
 

@@ -91,7 +91,7 @@ def plot_timeline(line, res, alarms):
     at, label, dates = time_axis(line.x)
     with style():
         fig, (ax, ribbon) = stacked(2, (11, 4.3), [12, 1])
-        _shade(ax, at, line.status == Status.FAULT)
+        shade(ax, at, line.status == Status.FAULT)
         if np.isnan(line.low).all():
             ax.text(0.5, 0.5, _no_margin(res), ha="center", va="center", transform=ax.transAxes, color="#57606a")
             ax.set_yticks([])
@@ -100,7 +100,7 @@ def plot_timeline(line, res, alarms):
         if alarms:
             _mark_alarms(ax, at[line.marked], alarms)
         _ribbon(ribbon, at, line.status)
-        title = f"Margin of {res.relations.model.name}" + _thinned(line.samples, len(at), "extremes")
+        title = f"Margin of {res.relations.model.name}" + thinning(line.samples, len(at), "extremes")
         ax.set_title(title, pad=16, parse_math=False)
         finish(fig, [ax, ribbon], at, label, dates)
     return fig
@@ -138,7 +138,7 @@ def plot_residuals(res, time=None):
             value, low, high = (np.asarray(z[:, j]) for z in (external, lo, hi))
             if thinned:  # neighbours have nothing to do with each other: the share of the envelope says more than a thicket of lines
                 value, low, high = abs(value - (low + high) / 2) / ((high - low) / 2), np.zeros(len(at)), np.ones(len(at))
-            _shade(ax, at, fault)
+            shade(ax, at, fault)
             ax.fill_between(at, low, high, color=ENVELOPE, alpha=0.35, lw=0, label="allowed by the bounds")
             for edge in (low, high):
                 ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
@@ -150,7 +150,7 @@ def plot_residuals(res, time=None):
                 ax.text(0.995, 0.99, f"{beyond} beyond the axis", ha="right", va="top", transform=ax.transAxes, fontsize=8.5, color=FAULTY)
         copies = f", {len(distinct)} of {relations.count}: the others are these, some samples earlier" * (len(distinct) < relations.count)
         more = f"; the first {PANELS} are shown" if len(distinct) > PANELS else ""
-        title = f"Residuals of {relations.model.name}{copies}{more}{_thinned(len(x), len(picked), 'the worst window')}"
+        title = f"Residuals of {relations.model.name}{copies}{more}{thinning(len(x), len(picked), 'the worst window')}"
         fig.text(0.012, 1 - 0.3 / fig.get_figheight(), title, fontsize=10.5, color=INK, parse_math=False)
         handles, labels = axes[0].get_legend_handles_labels()
         fig.legend(handles, labels, loc="upper right", ncols=3, bbox_to_anchor=(0.93, 1 - 0.34 / fig.get_figheight()))
@@ -197,10 +197,10 @@ def canvas(size):
     return fig
 
 
-def stacked(rows, size, heights):
-    """Return (figure, axes): axes above each other, of relative heights, that share the time axis."""
+def stacked(rows, size, heights, shared=True):
+    """Return (figure, axes): axes above each other, of relative heights, that share the time axis if not said otherwise."""
     fig = canvas(size)
-    axes = fig.subplots(rows, 1, sharex=True, gridspec_kw={"height_ratios": heights}, squeeze=False)
+    axes = fig.subplots(rows, 1, sharex=shared, gridspec_kw={"height_ratios": heights}, squeeze=False)
     return fig, list(axes[:, 0])
 
 
@@ -231,7 +231,8 @@ def _bins(count):
     return np.arange(count) if count <= SAMPLES else np.linspace(0, count, BINS, endpoint=False).astype(int)
 
 
-def _thinned(count, drawn, what):
+def thinning(count, drawn, what):
+    """Return what a title says of points that stand for many samples, or nothing."""
     return f"   (each of {drawn} points: {what} of about {count // drawn} samples)" if drawn < count else ""
 
 
@@ -254,7 +255,7 @@ def _forms(res, picked):
     return [np.asarray(x)[keep] for x in (res.relations.external(u, y), envelope.lo, envelope.hi)]
 
 
-def _shade(ax, x, on):
+def shade(ax, x, on):
     """Shade the samples that are on, each at least a pixel wide."""
     if not on.any() or len(x) < 2:
         return

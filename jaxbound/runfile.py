@@ -6,7 +6,9 @@ from pathlib import Path
 
 from jaxbound.modelfile import load_model
 
-__all__ = ["load_run", "save_run"]
+__all__ = ["VALIDATION", "load_run", "save_run"]
+
+VALIDATION = "validation"  # not a method of `detect`: the shell name of `validate`
 
 RUN, MODEL = "run.json", "tested_model.toml"
 

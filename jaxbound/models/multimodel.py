@@ -6,24 +6,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.models.intervals import IntervalSystem, as_intervals
+from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval, interval
 
 __all__ = ["MultiModel"]
 
+UNITS = 32
+"""A weight is taken to be within so many units of roundoff (16 ulps) of the number that the user's function returns."""
+
 
 @dataclass(frozen=True, eq=False)
 class MultiModel:
-    """x_i+ = A_i x_i + B_i u + w_i for every sub-model i, and y = sum_i mu_i(u) C_i x_i: only the weighted output is measured.
+    """x_i+ = A_i x_i + B_i u + w_i for every sub-model i, and y = sum_i mu_i(u) C_i x_i: a plant that changes with its input.
 
     Args:
-        models: LinearSystems or interval systems with the same inputs and outputs, without feedthrough or offset. A disturbance of each
+        models: L LinearSystems or interval systems with the same inputs and outputs, without feedthrough or offset. A disturbance of each
             is kept: without one the sub-models are nearly open-loop, and a plant that is 0.2 % off leaves the enclosure.
-        weights: function of u (..., m) that returns mu (..., number of models) >= 0 with sum 1.
+        weights: function of u (..., m) that returns mu (..., L) >= 0 with sum 1: numbers, which are taken to be right within 16 ulps, or
+            an Interval where they are less certain.
+        partial: False: only the weighted sum y (..., T, p) is measured; `validate` then looks for the states of all sub-models at once,
+            and mostly needs x0, however wide: few samples of a mixture do not bound so many states.
+            True: every C_i x_i is, y (..., T, L, p), as the paper's (7) assumes; `validate` then treats the sub-models one by one.
 
     Raises:
         ValueError: fewer than two models, inputs or outputs that differ in number, feedthrough or an offset. TypeError: no models.
 
-    Source: the multiple-model paper, (3)-(5); the joint form over all states instead of its (7), which needs every C_i x_i measured.
+    Source: the multiple-model paper, (3)-(5).
 
     Example:
         >>> from jaxbound import interval_system
@@ -34,6 +42,7 @@ class MultiModel:
 
     models: tuple
     weights: Callable
+    partial: bool = False
 
     def __post_init__(self):
         models = tuple(as_intervals(m) for m in self.models)
@@ -51,35 +60,49 @@ class MultiModel:
 
     def joined(self):
         """Return all sub-models as one IntervalSystem with C = [C_1 .. C_L], to be weighted at each sample, and with the widest noise."""
-        models = self.models
+        models, first = self.models, self.models[0]
         ends = lambda pick: interval(*(pick(side) for side in ("lo", "hi")))
+        row = lambda matrices, axis: ends(lambda side: np.concatenate([np.asarray(getattr(X, side)) for X in matrices], axis))
+        beside = lambda letter, axis: row([getattr(m, letter) for m in models], axis)
 
-        def diagonal(side):
-            A, at = np.zeros((self.n, self.n), models[0].A.dtype), 0
-            for m in models:
-                A[at : at + m.n, at : at + m.n] = getattr(m.A, side)
-                at += m.n
-            return A
+        def diagonal(matrices):
+            out = np.zeros((2, *np.sum([X.shape for X in matrices], 0)), matrices[0].dtype)
+            i = j = 0
+            for X in matrices:
+                (a, b), sides = X.shape, (X.lo, X.hi)
+                out[:, i : i + a, j : j + b] = sides
+                i, j = i + a, j + b
+            return interval(*out)
 
-        beside = lambda letter, axis: ends(
-            lambda side: np.concatenate([np.asarray(getattr(getattr(m, letter), side)) for m in models], axis)
-        )
-        first = models[0]
         noise, tolerance = (np.max([getattr(m, f) for m in models], 0) for f in ("noise", "tolerance"))
         states = tuple(f"{i + 1}.{name}" for i, m in enumerate(models) for name in m.states)
-        return IntervalSystem(ends(diagonal), beside("B", 0), beside("C", 1), first.D, beside("w", 0), tolerance, noise, first.offset,
-                              first.inputs, first.outputs, states)  # fmt: skip
+        moves = None
+        if any(m.moves for m in models):
+            identity = lambda m: interval(np.eye(m.n).astype(m.A.dtype))
+            E, K, H, d = zip(*(m.moves or (m.A, identity(m), m.B, m.w) for m in models), strict=True)
+            moves = diagonal(E), diagonal(K), row(H, 0), row(d, 0)
+        return IntervalSystem(diagonal([m.A for m in models]), beside("B", 0), beside("C", 1), first.D, beside("w", 0), tolerance, noise,
+                              first.offset, first.inputs, first.outputs, states, moves)  # fmt: skip
 
-    def columns(self, u):
-        """Return the weight of each state's column of C, (..., n), for inputs u (..., m), as an Interval a few ulps wide.
+    def mu(self, u):
+        """Return the weights (..., L) for inputs u (..., m), as an Interval in the type of u.
 
         Raises:
             ValueError: weights of another shape, negative, or whose sum is not 1.
         """
-        mu = np.asarray(self.weights(u), float)
-        if mu.shape != (*u.shape[:-1], len(self.models)):
-            raise ValueError(f"weights must return shape {(*u.shape[:-1], len(self.models))} for u of shape {u.shape}, not {mu.shape}")
-        if not (mu >= 0).all() or not np.allclose(mu.sum(-1), 1):
+        given = self.weights(u)
+        certain = not isinstance(given, Interval)
+        lo, hi = (np.asarray(x) for x in ((given, given) if certain else (given.lo, given.hi)))
+        if lo.shape != (*u.shape[:-1], len(self.models)):
+            raise ValueError(f"weights must return shape {(*u.shape[:-1], len(self.models))} for u of shape {u.shape}, not {lo.shape}")
+        holds = np.allclose(lo.sum(-1), 1) if certain else (lo.sum(-1) <= 1).all() and (hi.sum(-1) >= 1).all()
+        if not ((lo >= 0) & (hi >= lo)).all() or not holds:
             raise ValueError("weights must be >= 0 and sum to 1 at every sample")
-        wide = np.repeat(mu, [m.n for m in self.models], axis=-1)
-        return Interval(wide.astype(u.dtype), wide.astype(u.dtype))
+        coarse = rounding.unit(lo.dtype) / rounding.unit(u.dtype) if np.issubdtype(lo.dtype, np.floating) else 1
+        lo, hi = rounding.outward(lo.astype(u.dtype), hi.astype(u.dtype), UNITS * max(float(coarse), 1))
+        return Interval(np.maximum(lo, 0), np.asarray(hi))
+
+    def columns(self, u):
+        """Return the weight of each state's column of C, (..., n), for inputs u (..., m). See `mu`."""
+        mu, times = self.mu(u), [m.n for m in self.models]
+        return Interval(*(np.repeat(side, times, axis=-1) for side in (mu.lo, mu.hi)))
