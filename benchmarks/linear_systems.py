@@ -1,8 +1,10 @@
-"""Measure solve_interval on 9 x 9 systems against python-flint's ball solver and codac's Gauss elimination, in one run.
+"""Measure solve_interval on 9 x 9 systems against python-flint's ball solver, codac's and intvalpy's eliminations, in one run.
 
-    python -m benchmarks.linear_systems [--systems 20000] [--repeats 5]
+    python -m benchmarks.linear_systems [--systems 20000] [--repeats 7] [--few 300]
 
-Wall time and CPU time of the process are both given: the second holds on a machine that others use.
+Codac eliminates without preconditioning, which is our precondition="none"; flint, and codac behind its preconditioner, compare with
+"midpoint". Beside each ratio of times stands the ratio of widths, theirs over ours. CPU time of the process holds on a machine that
+others use. Rounds of all solvers take turns, and the fastest round counts, so that all meet the same neighbours.
 """
 
 import time
@@ -10,6 +12,10 @@ import time
 import numpy as np
 
 from benchmarks.timing import option, save
+
+METHODS = (("gauss", "none"), ("gauss", "midpoint"), ("hbr", "midpoint"), ("intersection", "midpoint"))
+OPPONENT_OF = {"none": ("codac", "intvalpy"), "midpoint": ("python-flint", "codac preconditioned")}
+TABLE = ("gauss", "krawczyk", "gauss_seidel", "hbr", "intersection")
 
 
 def systems(count, n=9, width=0.01, seed=0):
@@ -20,80 +26,149 @@ def systems(count, n=9, width=0.01, seed=0):
     return (A - width, A + width), (b - width, b + width)
 
 
-def ours(M, h, method, repeats):
-    """Return (compile, wall, cpu) seconds, the last two a system, medians over the repeats."""
+def ours(M, h, method, precondition):
+    """Return a solver of all systems at once."""
     import jax
 
     import jaxbound as jb
 
     M, h = jb.interval(*M), jb.interval(*h)
-    run = lambda: jax.block_until_ready(jb.solve_interval(M, h, method))
-    start = time.perf_counter()
-    run()
-    first, rows = time.perf_counter() - start, []
-    for _ in range(repeats):
-        wall, cpu = time.perf_counter(), time.process_time()
-        run()
-        rows.append((time.perf_counter() - wall, time.process_time() - cpu))
-    return first, *(np.median(rows, 0) / len(M))
+
+    def run():
+        found = jax.block_until_ready(jb.solve_interval(M, h, method, precondition=precondition))
+        return lambda: np.asarray(found.x.wid)
+
+    return run
 
 
-def _clocked(solve, count):
-    wall, cpu = time.perf_counter(), time.process_time()
-    for k in range(count):
-        solve(k)
-    return (time.perf_counter() - wall) / count, (time.process_time() - cpu) / count
+def flint(M, h):
+    """Return a solver by python-flint's arb_mat.solve, balls built beforehand."""
+    from flint import arb, arb_mat
 
-
-def flint(M, h, count):
-    """Return (wall, cpu) seconds a system of python-flint's arb_mat.solve, balls built beforehand; None where it is not installed."""
-    try:
-        from flint import arb, arb_mat
-    except ImportError:
-        return None
     ball = lambda lo, hi: arb((lo + hi) / 2, (hi - lo) / 2 * (1 + 1e-15))
     pack = lambda lo, hi: arb_mat([[ball(float(a), float(b)) for a, b in zip(r, s, strict=True)] for r, s in zip(lo, hi, strict=True)])
-    built = [(pack(M[0][k], M[1][k]), pack(h[0][k][:, None], h[1][k][:, None])) for k in range(count)]
+    built = [(pack(M[0][k], M[1][k]), pack(h[0][k][:, None], h[1][k][:, None])) for k in range(len(M[0]))]
 
-    def solve(k):
+    def one(A, b):
         try:
-            built[k][0].solve(built[k][1])
+            return A.solve(b)
         except ZeroDivisionError:  # not proved regular: the work was done all the same
-            pass
+            return None
 
-    return _clocked(solve, count)
+    def run():
+        solved = [one(A, b) for A, b in built]
+        return lambda: np.array([np.full(len(M[0][0]), np.inf) if x is None else [2 * float(e.rad()) for e in x.entries()] for x in solved])
+
+    return run
 
 
-def codac(M, h, count):
-    """Return (wall, cpu) seconds a system of codac's Gauss elimination contractor; None where it is not installed."""
-    try:
-        from codac import CtcGaussElim, Interval, IntervalMatrix, IntervalVector
-    except ImportError:
-        return None
+def codac(M, h, preconditioned):
+    """Return a solver by codac's Gauss elimination contractor, from a box that says nothing."""
+    from codac import CtcGaussElim, CtcLinearPrecond, Interval, IntervalMatrix, IntervalVector
+
     contractor, n = CtcGaussElim(), len(h[0][0])
+    contractor = CtcLinearPrecond(contractor) if preconditioned else contractor
+    vector = lambda lo, hi: [Interval(float(a), float(b)) for a, b in zip(lo, hi, strict=True)]
     built = []
-    for k in range(count):
-        A = IntervalMatrix(
-            [[Interval(float(a), float(b)) for a, b in zip(r, s, strict=True)] for r, s in zip(M[0][k], M[1][k], strict=True)]
-        )
-        b = IntervalVector([Interval(float(a), float(c)) for a, c in zip(h[0][k], h[1][k], strict=True)])
-        built.append((A, IntervalVector(n), b))
-    return _clocked(lambda k: contractor.contract(*built[k]), count)
+    for k in range(len(M[0])):
+        A = IntervalMatrix([vector(lo, hi) for lo, hi in zip(M[0][k], M[1][k], strict=True)])
+        built.append((A, IntervalVector(vector(h[0][k], h[1][k]))))
+
+    def run():
+        solved = []
+        for A, b in built:
+            x = IntervalVector(n)
+            contractor.contract(A, x, b)
+            solved.append(x)
+        return lambda: np.array([[x[i].diam() for i in range(n)] for x in solved])
+
+    return run
+
+
+def intvalpy(M, h):
+    """Return a solver by intvalpy's Gauss elimination."""
+    import intvalpy as ip
+
+    built = [(ip.Interval(M[0][k], M[1][k]), ip.Interval(h[0][k], h[1][k])) for k in range(len(M[0]))]
+
+    def run():
+        solved = [ip.linear.Gauss(A, b) for A, b in built]
+        return lambda: np.array([np.asarray(x.b, float) - np.asarray(x.a, float) for x in solved])
+
+    return run
+
+
+def fastest(solvers, repeats):
+    """Return {name: (wall, cpu, widths)}, seconds of the fastest round, in turns."""
+    best = {}
+    for _ in range(repeats):
+        for name, run in solvers.items():
+            wall, cpu = time.perf_counter(), time.process_time()
+            found = run()
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+            old = best.get(name, (np.inf, np.inf))
+            best[name] = (min(wall, old[0]), min(cpu, old[1]), found)
+    return {name: (wall, cpu, found()) for name, (wall, cpu, found) in best.items()}
+
+
+def excess(n=4, count=256, widths=(0.001, 0.01, 0.05, 0.2)):
+    """Return the median of width / width of the exact hull - 1 per method and relative width of the coefficients."""
+    import jaxbound as jb
+
+    rng, table = np.random.default_rng(1), {}
+    A, b = 3 * np.eye(n) + 0.5 * rng.normal(size=(count, n, n)), rng.normal(size=(count, n))
+    for width in widths:
+        R, r = width * np.abs(A), width * np.abs(b)
+        M, h = jb.interval(A - R, A + R), jb.interval(b - r, b + r)
+        hull = jb.solve_interval(M, h, "hull")
+        row = {method: jb.solve_interval(M, h, method) for method in TABLE} | {
+            "gauss, not preconditioned": jb.solve_interval(M, h, "gauss", precondition="none")
+        }
+        proved = np.all([np.asarray(x.status) == 1 for x in (hull, *row.values())], 0)
+        table[f"{100 * width:g} %"] = {"of systems": round(float(proved.mean()), 2)} | {
+            name: float(f"{np.median(np.asarray(x.x.wid)[proved] / np.asarray(hull.x.wid)[proved]) - 1:.2g}") for name, x in row.items()
+        }
+    return table
 
 
 def main():
     """Print and save the figures."""
-    count, repeats = option("--systems", 20000), option("--repeats", 5)
+    count, repeats, few = option("--systems", 20000), option("--repeats", 7), option("--few", 300)
     M, h = systems(count)
-    peers = {"python-flint": flint(M, h, min(count, 500)), "codac": codac(M, h, min(count, 500))}
-    figures = {}
-    for method in ("gauss", "hbr", "intersection"):
-        first, wall, cpu = ours(M, h, method, repeats)
-        ratios = {name: {"wall": round(p[0] / wall, 2), "cpu": round(p[1] / cpu, 2)} for name, p in peers.items() if p}
-        figures[method] = {"times faster than": ratios, "systems_per_s": round(1 / wall), "systems_per_cpu_s": round(1 / cpu),
-                           "first_call_s": round(first, 2)}  # fmt: skip
-    figures["peers_us_a_system"] = {name: [round(1e6 * t, 1) for t in p] if p else "not installed" for name, p in peers.items()}
-    save("linear_systems", {"systems": count, "size": "9 x 9", **figures})
+    part = [tuple(end[:few] for end in X) for X in (M, h)]
+    solvers, absent, first = {}, [], {}
+    for name, build in {
+        "python-flint": lambda: flint(*part), "codac": lambda: codac(*part, False),
+        "codac preconditioned": lambda: codac(*part, True), "intvalpy": lambda: intvalpy(*part),
+    }.items():  # fmt: skip
+        try:
+            solvers[name] = build()
+        except ImportError:
+            absent.append(name)
+    for pair in METHODS:
+        start = time.perf_counter()
+        solvers[pair] = ours(M, h, *pair)
+        solvers[pair]()
+        first[pair] = time.perf_counter() - start
+    best, figures = fastest(solvers, repeats), {}
+    each = lambda name: np.array(best[name][:2]) / (count if name in METHODS else few)
+    for method, precondition in METHODS:
+        pair, ratios = (method, precondition), {}
+        for name in OPPONENT_OF[precondition]:
+            if name in best:
+                wall, cpu = (each(name) / each(pair)).tolist()
+                theirs, mine = best[name][2], best[pair][2][:few]
+                both = np.isfinite(theirs) & np.isfinite(mine)
+                ratios[name] = {
+                    "wall": round(wall, 2),
+                    "cpu": round(cpu, 2),
+                    "width": round(float(np.median(theirs[both] / mine[both])), 4),
+                }
+        wall, cpu = each(pair)
+        figures[f"{method}, {precondition}"] = {"times faster than": ratios, "systems_per_s": round(1 / wall),
+                                               "systems_per_cpu_s": round(1 / cpu), "first_call_s": round(first[pair], 2)}  # fmt: skip
+    figures["peers_us_a_system"] = {name: [round(1e6 * t, 1) for t in each(name).tolist()] for name in best if name not in METHODS}
+    save("linear_systems", {"systems": count, "size": "9 x 9", "not installed": absent, **figures, "excess width, 4 x 4, median": excess()})
 
 
 if __name__ == "__main__":

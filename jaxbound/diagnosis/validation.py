@@ -6,10 +6,14 @@ interval that the state gives for its output stands in for it.
 
 What is promised: if the first window is fault-free (or x0 holds), the parameters are within bounds and every faulty sample was found, the
 true state is inside. A fault too small to be proved is accepted, and may move the enclosure past the true state. Nobody can promise more.
+In the first window the newest samples are tested against its older ones; a fault in these is taken for the truth, until what comes
+contradicts it: then the recording is marked FAULT, but sound sensors may be blamed.
 
 Source: Alhaj-Dibo, Maquin, Ragot 2004.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
@@ -17,18 +21,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.diagnosis.multiple import validate_parts
+from jaxbound.diagnosis.validation_windows import slide, weighted
 from jaxbound.models.intervals import as_intervals, stacked
 from jaxbound.models.multimodel import MultiModel
-from jaxbound.sets.interval import Interval, intersection, interval
-from jaxbound.sets.interval import sum as interval_sum
-from jaxbound.sets.linear_hull import tighten
-from jaxbound.sets.linear_kernels import enclose, factor, minus, over, preconditioner, product, times
-from jaxbound.sets.status import Status
+from jaxbound.sets.fixed_systems import prepare
+from jaxbound.sets.interval import Interval, interval
 
 __all__ = ["Validation", "validate"]
 
-EXCHANGES = 60
-_held = jax.lax.optimization_barrier
+BLOCK = {"joint": 32, "sequential": 512}
+"""Recordings side by side: linear programs of a block go on until the last is solved."""
 
 
 @jax.tree_util.register_dataclass
@@ -37,10 +40,12 @@ class Validation:
     """What `validate` found, time first: entry k comes from the window that ends at sample k.
 
     Fields: state Interval (..., T, n). output Interval (..., T, p): what a perfect sensor would show. residual Interval (..., T, p): the
-    sample minus what the samples before it allow; a sensor is faulty where it excludes 0, or where all sensors together contradict the
-    model and leaving this one out alone resolves it. faulty (..., T, p) bool. corrected Interval (..., T, p): `output`, where a sample was
-    accepted also within what it says; corrected.mid is the point value. status (..., T) int8, see `Status`: FAULT is a proof that
-    not all samples of the window fit the model, those before being as accepted; UNDECIDED: nothing was proved; MISSING: the first s.
+    sample minus what the samples before it allow. faulty (..., T, p) bool: sensors whose residual excludes 0, that contradict the samples
+    before them in a sharper test, or without which alone a contradiction of all sensors ends. corrected Interval (..., T, p): `output`,
+    where a sample was accepted also within what it says; corrected.mid is the point value. status (..., T) int8, see `Status`: FAULT is
+    a proof that not all samples of the window fit the model, those before being as accepted (if nobody is to blame, its newest samples
+    are left out); UNDECIDED: nothing was proved; MISSING: no sample, and the first s. CONSISTENT is never said: it would need a behaviour
+    from the first sample on that explains all, and an enclosure holds points that none reaches. `detect` proves it, window by window.
     """
 
     state: Interval
@@ -56,8 +61,9 @@ def validate(model, u, y, horizon=None, method="joint", x0=None):
 
     Args:
         model: `interval_system(...)`, a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no unknown inputs), or a
-            MultiModel (joint only; its .state holds the states of all sub-models).
-        u: (..., T, m) or None. y: (..., T, p); NaN: that sample is absent. Recordings on leading axes run side by side.
+            MultiModel (its .state holds the states of all sub-models; joint only, unless its partial outputs are measured).
+        u: (..., T, m) or None. y: (..., T, p), or (..., T, L, p) for the partial outputs of a MultiModel; NaN: that sample is absent.
+            Recordings on leading axes run side by side.
         horizon: s of windows of s + 1 samples; None: the smallest with s >= n / p and p (s + 1) > n.
         method: "joint": the newest samples, the older ones and the propagated state at once, by the hull of their linear programs.
             "sequential": the paper's square systems, one for each further row, against a reference; wider, faster.
@@ -82,7 +88,10 @@ def validate(model, u, y, horizon=None, method="joint", x0=None):
         >>> validate(m, np.ones((8, 1)), y).faulty[5].tolist()
         [False, True]
     """
-    m = model.joined() if isinstance(model, MultiModel) else as_intervals(model)
+    several = isinstance(model, MultiModel)
+    if several and model.partial:
+        return validate_parts(model, u, y, x0, partial(validate, horizon=horizon, method=method))
+    m = model.joined() if several else as_intervals(model)
     if method not in ("joint", "sequential"):
         raise ValueError(f"method must be 'joint' or 'sequential', not {method!r}")
     y = np.asarray(y, m.A.dtype)
@@ -96,215 +105,72 @@ def validate(model, u, y, horizon=None, method="joint", x0=None):
         raise ValueError(f"validate needs every input: {(~np.isfinite(u)).sum()} samples of u are missing or infinite")
     if np.isinf(y).any():
         raise ValueError(f"y must be numbers, or NaN where a sample is absent: {np.isinf(y).sum()} are infinite")
-    s = horizon
-    if s is None:
-        s = max(-(-m.n // m.p), 1)
-        s += m.p * (s + 1) <= m.n
-    if isinstance(model, MultiModel) and method == "sequential":
+    s = least_horizon(m.n, m.p) if horizon is None else horizon
+    if several and method == "sequential":
         raise ValueError("a MultiModel has another matrix in every window: use method='joint'")
     if not isinstance(s, (int, np.integer)) or s < 1 or T <= s:
         raise ValueError(f"horizon must be a whole number >= 1 with more samples than it ({T}), not {s!r}")
     if x0 is None and np.isnan(y[..., : s + 1, :]).any():
         raise ValueError(f"the first {s + 1} samples must be complete, or x0 must say where the first state is")
+    if method == "sequential" and s * m.p < m.n:
+        raise ValueError(f"the square systems need a horizon of at least n / p ({-(-m.n // m.p)}), not {s}: see (9) of the paper")
     count = int(np.prod(lead))
-    last = lambda a: np.moveaxis(a.reshape(count, T, a.shape[-1]), 0, -1)  # (T, ., N)
-    start = interval(np.full((m.n, 1), -np.inf), np.full((m.n, 1), np.inf))
+    flat = lambda a: None if a is None else jax.tree.map(lambda v: np.asarray(v).reshape(count, *v.shape[len(lead) :]), a)
     if x0 is not None:
         x0 = interval(x0)
         if x0.shape[-1:] != (m.n,):
             raise ValueError(f"x0 needs one interval for each of {m.n} states: its shape is {x0.shape}")
-        start = jax.tree.map(lambda a: jnp.moveaxis(jnp.broadcast_to(a, (*lead, m.n)).reshape(count, m.n), 0, -1), x0)
-    arrays = {"A": m.A, "B": m.B, "C": m.C, "D": m.D, "w": m.w, "u0": m.offset["u"], "y0": m.offset["y"]}
-    arrays |= {"noise": jnp.asarray(m.noise, y.dtype), "tolerance": jnp.asarray(m.tolerance, y.dtype)}
-    arrays["weight"] = jax.tree.map(last, model.columns(u)) if isinstance(model, MultiModel) else None
-    found, bounded = _run(arrays, stacked(m, s), last(u), last(y), start, int(s), method, x0 is None)
-    if not np.asarray(bounded).all():
-        raise ValueError(f"{(~np.asarray(bounded)).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
-    first = lambda a: jnp.moveaxis(a, -1, 0).reshape(*lead, *a.shape[:-1])
-    return jax.tree.map(first, found)
+        x0 = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a, y.dtype), (*lead, m.n)), x0)
+    plant = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"]}
+    if m.moves and method == "joint":
+        plant |= {"H": m.moves[2], "d": m.moves[3]}
+    plant |= {"noise": np.asarray(m.noise, y.dtype), "tolerance": np.asarray(m.tolerance, y.dtype)}
+    M = stacked(m, int(s), m.moves if method == "joint" else None)
+    given = flat(u), flat(y), flat(model.columns(u) if several else None), flat(x0)
+    shared = None
+    if method == "sequential":
+        shared = prepare(M[..., None], m.p * (s + 1) - m.n + 1)
+    elif x0 is None and not several:
+        shared = _first_window(M[..., None], m.p)
+
+    def kernel(u, y, weight, start):
+        systems = shared
+        if several and start is None:
+            early = jax.tree.map(lambda a: np.moveaxis(a[:, : s + 1], 0, -1), weight)
+            systems = _first_window(weighted(M[..., None], early, m.p), m.p)
+        return slide(plant, M, systems, u, y, weight, start, int(s), method)
+
+    found, bounded = _blocks(kernel, given, count, min(BLOCK[method], 1 << (count - 1).bit_length()))
+    if not bounded.all():
+        raise ValueError(f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
+    state, output, residual, corrected, faulty, status = jax.tree.map(lambda a: jnp.asarray(a.reshape(*lead, *a.shape[1:])), found)
+    return Validation(state, output, residual, faulty, corrected, status)
 
 
-def _transform(A, x):
-    """Enclose A x for A (r, n), x (n, N)."""
-    return interval_sum(_held(product(A[..., None], x[None])), axis=1)
+def least_horizon(n, p):
+    """Return the smallest s with s >= n / p and p (s + 1) > n, for n states and p outputs. Source: (9) of the paper, section 2."""
+    s = max(-(-n // p), 1)
+    return s + (p * (s + 1) <= n)
 
 
-def _plus(x, y):
-    return minus(x, Interval(-y.hi, -y.lo))
+def _first_window(M, p):
+    """Prepare the rows of the first window as one system, without the newest samples if that will do: so these can be tested against it."""
+    if M.shape[0] - p >= M.shape[1]:
+        older = prepare(M[:-p])
+        if np.isfinite(older.scale.lo).all():
+            return older
+    return prepare(M)
 
 
-def _said(arrays, u, y):
-    """Return what the samples say of C x, (T, p, N), and the drive B u + w, (T, n, N)."""
-    T, N = y.shape[0], y.shape[2]
-    flat = lambda a: jnp.moveaxis(a, 0, 1).reshape(a.shape[1], T * N)
-    back = lambda x: jax.tree.map(lambda a: jnp.moveaxis(a.reshape(a.shape[0], T, N), 1, 0), x)
-    point = lambda a: Interval(a, a)
-    v = minus(point(flat(u)), arrays["u0"][:, None])
-    drive = (
-        _plus(_transform(arrays["B"], v), arrays["w"][:, None])
-        if u.shape[1]
-        else _plus(interval(jnp.zeros((1, T * N), u.dtype)), arrays["w"][:, None])
-    )
-    e, theta = arrays["noise"][:, None], arrays["tolerance"][:, None]
-    seen = minus(minus(point(flat(y)), arrays["y0"][:, None]), Interval(-e, e))
-    seen = over(seen, minus(interval(jnp.ones_like(theta)), Interval(-theta, theta)))
-    if u.shape[1]:
-        seen = minus(seen, _transform(arrays["D"], v))
-    return back(_held(seen)), back(_held(drive))
+def _blocks(kernel, given, count, size):
+    """Run blocks of one size, on all cores: what a block works on stays in the cache, and another number of recordings traces nothing."""
 
+    def block(first):
+        chosen = np.minimum(np.arange(first, first + size), count - 1)
+        found = jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda a: a[chosen], given)))
+        return jax.tree.map(lambda a: a[: count - first], found)
 
-@partial(jax.jit, static_argnames=("s", "method", "unknown"))
-def _run(arrays, M, u, y, start, s, method, unknown):
-    n, p, (T, _, N) = arrays["A"].shape[0], arrays["C"].shape[0], y.shape
-    absent = jnp.isnan(y)
-    said, drive = _said(arrays, u, jnp.where(absent, 0, y))
-    M = M[..., None]
-    stack = lambda *parts: jax.tree.map(lambda *a: jnp.concatenate(a), *parts)
-    rows = lambda x: jax.tree.map(lambda a: a.reshape(-1, N), x)
-    at = lambda x, k: jax.tree.map(lambda a: a[k], x)
-
-    def show(k, x):
-        """Enclose C x at sample k; the columns of C may be weighted by the input."""
-        return _transform(arrays["C"], x if arrays["weight"] is None else _held(product(x, at(arrays["weight"], k))))
-
-    def matrix(k):
-        if arrays["weight"] is None:
-            return M
-        w = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, k - s, s + 1).reshape(1, -1, N), arrays["weight"])
-        moves = jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:2], N)), M[: s * n])
-        return _held(stack(moves, product(M[s * n :], w)))
-
-    def predict(x, k):
-        return _held(_plus(_transform(arrays["A"], x), at(drive, k)))
-
-    def right(k, seen):
-        moved = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, k - s, s), drive)
-        return stack(rows(Interval(-moved.hi, -moved.lo)), rows(seen))
-
-    def known(k, X, seen, gone):
-        """Put in for an absent sample what the box says of it, which adds nothing."""
-        each = [show(k - s + j, X[j * n : (j + 1) * n]) for j in range(s + 1)]
-        implied = Interval(jnp.stack([r.lo for r in each]), jnp.stack([r.hi for r in each]))
-        return _held(Interval(jnp.where(gone, implied.lo, seen.lo), jnp.where(gone, implied.hi, seen.hi)))
-
-    if unknown:
-        h = right(s, jax.tree.map(lambda a: a[: s + 1], said))
-        C = preconditioner(M)
-        X = enclose(
-            factor(times(C, M)), times(C, h), "hbr", Interval(*(jnp.full(((s + 1) * n, N), b, y.dtype) for b in (-jnp.inf, jnp.inf)))
-        )
-        bounded = jnp.all(jnp.isfinite(X.lo) & jnp.isfinite(X.hi), 0)
-    else:
-        parts = [jax.tree.map(lambda a: jnp.broadcast_to(a, (n, N)), start)]
-        for j in range(s):
-            parts.append(predict(parts[-1], j))
-        X, bounded = stack(*parts), jnp.ones(N, bool)
-    systems = _square_systems(M, (s + 1) * n) if method == "sequential" else None
-
-    def window(carry, k):
-        X, gone, begun = carry  # the states of the last window; (s, p, N): its samples left out
-        shifted = stack(X[n:], predict(X[s * n :], k - 1))
-        X = Interval(jnp.where(begun, shifted.lo, X.lo), jnp.where(begun, shifted.hi, X.hi))
-        seen = jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, k - s, s + 1), said)
-        gone = jnp.concatenate([gone, absent[k][None]])
-        residual = minus(seen[s], show(k, X[s * n :]))
-        alone = ((residual.lo > 0) | (residual.hi < 0)) & ~gone[s]
-        gone = gone.at[s].set(gone[s] | alone)
-        judge = partial(_joint, matrix(k), p) if method == "joint" else partial(_sequential, systems, p)
-        X, together, unclear = judge(right(k, known(k, X, seen, gone)), X)
-        faulty = alone | (together & ~gone[s])
-        gone = gone.at[s].set(gone[s] | faulty | unclear[None])
-        output = show(k, X[s * n :])
-        corrected = intersection(output, Interval(jnp.where(gone[s], -jnp.inf, seen.lo[s]), jnp.where(gone[s], jnp.inf, seen.hi[s])))
-        lost = corrected.is_empty
-        corrected = Interval(jnp.where(lost, output.lo, corrected.lo), jnp.where(lost, output.hi, corrected.hi))
-        usable = jnp.where(absent[k], jnp.nan, 0)
-        out = (
-            X[s * n :],
-            output,
-            Interval(residual.lo + usable, residual.hi + usable),
-            faulty,
-            corrected,
-            jnp.any(faulty, 0) | unclear,
-        )
-        return _held((X, gone[1:], jnp.ones((), bool))), out
-
-    gone = absent[:s]
-    _, (state, output, residual, faulty, corrected, fault) = jax.lax.scan(window, (X, gone, jnp.zeros((), bool)), jnp.arange(s, T))
-    du = (
-        _transform(arrays["D"], minus(Interval(*[jnp.moveaxis(u, 0, 1).reshape(u.shape[1], T * N)] * 2), arrays["u0"][:, None]))
-        if u.shape[1]
-        else None
-    )
-    add = interval(jnp.zeros((T, p, N), y.dtype)) if du is None else jax.tree.map(lambda a: jnp.moveaxis(a.reshape(p, T, N), 1, 0), du)
-    shown = lambda x: _plus(_plus(x, add[s:]), arrays["y0"][None, :, None])
-    before = lambda x, fill: jax.tree.map(lambda a, b: jnp.concatenate([jnp.full((s, *a.shape[1:]), b, a.dtype), a]), x, fill)
-    entire = Interval(-jnp.inf, jnp.inf)
-    status = jnp.where(fault, Status.FAULT, jnp.where(jnp.all(absent[s:], 1), Status.MISSING, Status.UNDECIDED)).astype(jnp.int8)
-    found = Validation(before(state, entire), before(shown(output), entire), before(residual, entire), before(faulty, False),
-                       before(shown(corrected), entire), before(status, int(Status.MISSING)))  # fmt: skip
-    return found, bounded
-
-
-def _joint(M, p, h, X):
-    """Tighten the box by all rows; where they contradict each other, by all but one of the newest p.
-
-    Returns the states, who is blamed, and where nobody can be: then the newest rows are left out.
-    """
-    N, r = X.shape[1], M.shape[0]
-    found = _held(tighten(M, h, X, EXCHANGES))
-    contradiction = _held(jnp.any(found.is_empty, 0))
-    implied = interval_sum(_held(product(M[r - p :], X[None])), axis=1)  # what the box says of the newest rows: adds nothing
-    dropped = np.eye(p, dtype=bool)[..., None]
-    wide = lambda a: jnp.broadcast_to(a[:, None], (a.shape[0], p, N))
-
-    def search():
-        end = lambda a, b: jnp.concatenate([wide(a[: r - p]), jnp.where(dropped, wide(b), wide(a[r - p :]))]).reshape(r, -1)
-        box = jax.tree.map(lambda a: wide(a).reshape(a.shape[0], -1), X)
-        matrix = M if M.shape[2] == 1 else jax.tree.map(lambda a: jnp.tile(a, (1, 1, p)), M)
-        each = tighten(matrix, Interval(end(h.lo, implied.lo), end(h.hi, implied.hi)), box, EXCHANGES)
-        return jax.tree.map(lambda a: a.reshape(-1, p, N), each)
-
-    each = jax.lax.cond(jnp.any(contradiction), search, lambda: jax.tree.map(wide, X))
-    fits = ~jnp.any(each.is_empty, 0)
-    single = contradiction & (jnp.sum(fits, 0) == 1)
-    blamed = single[None] & fits
-    take = lambda a, b: jnp.where(single[None], jnp.sum(jnp.where(blamed[None], a, 0), 1), b)
-    choice = lambda all_rows, a, b: jnp.where(contradiction[None], take(a, b), all_rows)
-    lost = contradiction & ~jnp.any(fits, 0)
-    box = Interval(choice(found.lo, each.lo, X.lo), choice(found.hi, each.hi, X.hi))
-    return box, blamed | lost[None], contradiction & ~single & ~lost
-
-
-def _square_systems(M, size):
-    """Prepare the square systems: the first rows, then each further row in place of the last of them. Source: step i of the paper."""
-    rows = np.array([[*range(size - 1), last] for last in range(size - 1, M.shape[0])])
-
-    def prepare(square):
-        C = preconditioner(square)
-        return C, factor(times(C, square))
-
-    return rows, *jax.vmap(prepare)(M[rows])
-
-
-def _sequential(systems, p, h, X):
-    """Compare each newest row's system with the reference: the box and the systems of older rows."""
-    rows, C, F = systems
-
-    def solve(C, F, h):
-        b = times(C, h)
-        return intersection(enclose(F, b, "hbr", X), enclose(F, b, "gauss", X))
-
-    boxes = list(jax.vmap(solve)(C, F, h[rows]))
-    reference, old = X, boxes[: len(boxes) - p]
-    for box in old:
-        tighter = _held(intersection(reference, box))
-        lost = jnp.any(tighter.is_empty, 0)[None]
-        reference = Interval(jnp.where(lost, reference.lo, tighter.lo), jnp.where(lost, reference.hi, tighter.hi))
-    blamed, state = [], reference
-    for box in boxes[len(boxes) - p :]:
-        blamed.append(jnp.any(intersection(reference, box).is_empty, 0))
-        tighter = _held(intersection(state, box))
-        lost = jnp.any(tighter.is_empty, 0)[None]
-        state = Interval(jnp.where(lost, state.lo, tighter.lo), jnp.where(lost, state.hi, tighter.hi))
-    return state, jnp.stack(blamed), jnp.zeros(X.shape[1], bool)
+    done = [block(0)]  # compiled here, once
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
+        done += threads.map(block, range(size, count, size))
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *done) if len(done) > 1 else done[0]

@@ -16,7 +16,8 @@ class IntervalSystem:
     """x+ = A x + B u + w, y = (1 + theta)(C x + D u) + e with every entry in its interval, drawn anew each sample. See `interval_system`.
 
     Fields: A (n, n), B (n, m), C (p, n), D (p, m), w (n,): Intervals; tolerance, noise: (p,) bounds of |theta| and |e|, rounded up;
-    offset {"u": (m,), "y": (p,)} Intervals; inputs, outputs, states: names.
+    offset {"u": (m,), "y": (p,)} Intervals; inputs, outputs, states: names; moves: combinations of the rows of x+ = A x + B u + w that
+    say more than these rows do, as (E (e, n), K (e, n), H (e, m), d (e,)) with 0 in E x - K x+ + H u + d, or None: (A, I, B, w).
     """
 
     A: Interval
@@ -30,6 +31,7 @@ class IntervalSystem:
     inputs: tuple
     outputs: tuple
     states: tuple
+    moves: tuple | None = None
 
     n = property(lambda self: self.A.shape[0], doc="Number of states.")
     m = property(lambda self: self.B.shape[1], doc="Number of inputs.")
@@ -128,41 +130,68 @@ def as_intervals(model):
     if model.d or not model.n:
         raise ValueError("validate takes models with states and without unknown inputs: use jb.unknown_inputs or jb.detect for others")
 
-    def hull(letter, middle):
+    def hull(letter, left=None):
+        """Return the hull of a matrix, or of left times it."""
+        middle, spread = getattr(model, letter), [u.on(letter) for u in model.uncertainties if u.on(letter)]
         if not middle or not middle[0]:
-            return interval(np.zeros((len(middle), 0)))
-        spread = [u.on(letter) for u in model.uncertainties if u.on(letter)]
+            return interval(np.zeros((len(left or middle), 0)))
+        if left:
+            middle, spread = exact.matmul(left, middle), [exact.matmul(left, s) for s in spread]
         radius = [[sum((abs(s[i][j]) for s in spread), Fraction(0)) for j in range(len(row))] for i, row in enumerate(middle)]
         move = lambda sign: [[x + sign * r for x, r in zip(a, b, strict=True)] for a, b in zip(middle, radius, strict=True)]
         return _outward(move(-1), move(1))
 
-    ends = [[sorted((g * lo, g * hi)) for g, (lo, hi) in zip(row, model.disturbance, strict=True)] for row in model.G]
-    w = _outward(*([sum((e[side] for e in row), Fraction(0)) for row in ends] for side in (0, 1)))
+    def pushed(G):
+        ends = [[sorted((g * lo, g * hi)) for g, (lo, hi) in zip(row, model.disturbance, strict=True)] for row in G]
+        return _outward(*([sum((e[side] for e in row), Fraction(0)) for row in ends] for side in (0, 1)))
+
+    w, left = pushed(model.G), _combinations(model)
+    moves = left and (hull("A", left), _outward(left, left), hull("B", left), pushed(exact.matmul(left, model.G)))
     noise = rounding.round_up(np.array([a + b for a, b in zip(model.noise, model.resolution, strict=True)], object))
     offset = {k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()}
-    matrices = [hull(letter, getattr(model, letter)) for letter in "ABCD"]
+    matrices = [hull(letter) for letter in "ABCD"]
     tolerance = rounding.round_up(np.array(list(model.tolerance), object))
-    return IntervalSystem(*matrices, w, tolerance, noise, offset, model.inputs, model.outputs, model.states)
+    return IntervalSystem(*matrices, w, tolerance, noise, offset, model.inputs, model.outputs, model.states, moves)
 
 
-def stacked(model, horizon):
+def _combinations(model):
+    """Return rows L (e, n) such that L (A x + B u + G d - x+) = 0 uses that the disturbances are fewer than the states; None if not.
+
+    A box around G d forgets that its entries move together. With T G = [I, 0]', T regular, nothing is lost where A and B are certain;
+    where they are not, T would widen what is certain of a single row: all rows stay, those without any disturbance are added.
+    """
+    G, n, g = model.G, model.n, model.g
+    if not g or exact.rank(G) in (0, n):
+        return None
+    unit = [tuple(Fraction(i == j) for j in range(n)) for i in range(n)]
+    columns = [(*row, *one) for row, one in zip(G, unit, strict=True)]
+    basis = exact.row_reduce(columns)[1]  # columns of G first
+    T = exact.inverse([[row[j] for j in basis] for row in columns])
+    free = T[exact.rank(G) :]
+    if exact.rank(G) == g and not any(u.on("A") or u.on("B") for u in model.uncertainties):
+        return T
+    return [*unit, *free]
+
+
+def stacked(model, horizon, moves=None):
     """Return M of the static form M x = h, x the states of a window of horizon + 1 samples: first [A, -I] rows, then the C rows.
 
-    h holds -B u - w, then what each sample says of C x.
+    h holds -B u - w, then what each sample says of C x. moves: rows [E, -K] in place of [A, -I], see `IntervalSystem`.
 
     Returns:
-        An Interval (s n + (s+1) p, (s+1) n).
+        An Interval (s n + (s+1) p, (s+1) n), or s e rows for e moves.
 
     Source: Alhaj-Dibo, Maquin, Ragot 2004, (4)-(6).
     """
     s, n, p = horizon, model.n, model.p
-    out = []
-    for side in ("lo", "hi"):
-        M = np.zeros((s * n + (s + 1) * p, (s + 1) * n), model.A.dtype)
+    E, K = moves[:2] if moves else (model.A, interval(np.eye(n).astype(model.A.dtype)))
+    e, out = E.shape[0], []
+    for side, other in (("lo", "hi"), ("hi", "lo")):
+        M = np.zeros((s * e + (s + 1) * p, (s + 1) * n), model.A.dtype)
         for j in range(s + 1):
             if j < s:
-                M[j * n : (j + 1) * n, j * n : (j + 1) * n] = getattr(model.A, side)
-                M[j * n : (j + 1) * n, (j + 1) * n : (j + 2) * n] = -np.eye(n)
-            M[s * n + j * p : s * n + (j + 1) * p, j * n : (j + 1) * n] = getattr(model.C, side)
+                M[j * e : (j + 1) * e, j * n : (j + 1) * n] = getattr(E, side)
+                M[j * e : (j + 1) * e, (j + 1) * n : (j + 2) * n] = -np.asarray(getattr(K, other))
+            M[s * e + j * p : s * e + (j + 1) * p, j * n : (j + 1) * n] = getattr(model.C, side)
         out.append(M)
     return interval(*out)

@@ -19,6 +19,7 @@ from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval, intersection, mag, mid, rad
 from jaxbound.sets.interval import sum as interval_sum
 from jaxbound.sets.linear_kernels import product
+from jaxbound.sets.unrolled import most, stored, total
 
 __all__ = ["orthant_hull", "tighten"]
 
@@ -96,7 +97,6 @@ def multipliers(M, h, X, steps):
     t, N = 2 * n, X.shape[1]
     unit, dtype = float(rounding.unit(X.dtype)), X.dtype
     P, c, scale = _half_spaces(M, h, X)
-    count = P.shape[0]
     own = np.r_[:n, :n]
     side = np.where(np.arange(n)[:, None] == own[None], np.where(np.arange(t) < n, 1.0, -1.0)[None], 1.0)  # (n, t): at hi, or at lo
     full = lambda a, shape: jnp.broadcast_to(jnp.asarray(a, dtype)[..., None], (*shape, N))
@@ -104,44 +104,58 @@ def multipliers(M, h, X, steps):
     at = jnp.where(jnp.asarray(side[..., None] > 0), X.hi[:, None], -X.lo[:, None])
     # the tilt breaks ties between the rows that carry nothing yet
     lam = full((np.arange(n)[:, None] == own[None]) + 64 * unit * (1 + np.arange(n))[:, None], (n, t))
-    which = jnp.broadcast_to(jnp.asarray(2 * r + np.arange(n)[:, None] + np.where(side > 0, 0, n))[..., None], (n, t, N))
+    which = jnp.broadcast_to(jnp.asarray(2 * r + np.arange(n)[:, None] + np.where(side > 0, 0, n), jnp.int32)[..., None], (n, t, N))
     reach = jnp.max(jnp.maximum(jnp.abs(X.lo), jnp.abs(X.hi)), 0)[None]
-    index = jnp.arange(count)[:, None, None]
+    slots = jnp.arange(n, dtype=jnp.int32)[:, None, None]
 
     def exchange(carry):
         step, T, at, lam, which, ray, active = carry
-        x = _held(sum(T[:, k] * at[k][None] for k in range(n)))  # (n, t, N)
-        excess = _held(sum(P[:, i, None] * x[i][None] for i in range(n)) - c[:, None])  # (count, t, N)
-        worst, enter = jnp.max(excess, 0), jnp.argmax(excess, 0)
-        chosen = _held(index == enter[None])
-        row = _held(jnp.stack([jnp.sum(jnp.where(chosen, P[:, i, None], 0), 0) for i in range(n)]))
-        value = jnp.sum(jnp.where(chosen, c[:, None], 0), 0)
-        alpha = _held(sum(row[i][None] * T[i] for i in range(n)))  # (n, t, N)
+        x = stored(total([T[:, k] * at[k][None] for k in range(n)]))  # (n, t, N)
+        inner = total([P[: 2 * r, i, None] * x[i][None] for i in range(n)]) - c[: 2 * r, None]
+        excess = stored(jnp.concatenate([inner, x - X.hi[:, None], X.lo[:, None] - x]))  # (count, t, N)
+        worst, enter = _largest(excess)
+        row = stored(jnp.moveaxis(jnp.take_along_axis(P, enter[:, None], 0, mode="clip"), 1, 0))  # (n, t, N)
+        value = stored(jnp.take_along_axis(c, enter, 0, mode="clip"))
+        alpha = stored(total([row[i][None] * T[i] for i in range(n)]))  # (n, t, N)
         large = alpha > np.asarray(unit**0.6, dtype)
-        ratio = jnp.where(large, lam / jnp.where(large, alpha, 1), jnp.inf)
-        least, place = jnp.min(ratio, 0), jnp.argmin(ratio, 0)
+        least, place = _largest(stored(jnp.where(large, -lam / jnp.where(large, alpha, 1), -jnp.inf)))
+        least = -least
         going = active & (worst > 64 * np.asarray(unit, dtype) * (reach + jnp.abs(value)))
         stuck = going & (least == jnp.inf)  # the entering row and the basis contradict each other
         moving = going & ~stuck
-        leave = (jnp.arange(n)[:, None, None] == place[None]) & moving[None]
-        pivot = jnp.where(moving, jnp.sum(jnp.where(leave, alpha, 0), 0), 1)
+        leave = (slots == place[None]) & moving[None]
+        pivot = jnp.where(moving, jnp.take_along_axis(alpha, place[None], 0, mode="clip")[0], 1)
         move = jnp.where(moving, least, 0)
         # a contradiction: as much of it as carries the bound across the box
-        far = jnp.where(stuck, 4 * (reach + 1) / jnp.where(stuck, worst, 1), 0)
-        column = _held(jnp.sum(jnp.where(leave[None], T, 0), 1) / pivot[None])  # (n, t, N)
-        held = jnp.where(moving[None], alpha, 0)
+        far = stored(jnp.where(stuck, 4 * (reach + 1) / jnp.where(stuck, worst, 1), 0))
+        column = stored(jnp.take_along_axis(T, place[None, None], 1, mode="clip")[:, 0] / stored(pivot)[None])  # (n, t, N)
+        held = stored(jnp.where(moving[None], alpha, 0))
         T = jnp.where(leave[None], column[:, None], T - column[:, None] * held[None])
         lam = jnp.where(leave, move[None], jnp.maximum(lam - move[None] * held, 0)) - far[None] * jnp.where(stuck[None], alpha, 0)
         at, which = jnp.where(leave, value[None], at), jnp.where(leave, enter[None], which)
         ray = (jnp.where(stuck, enter, ray[0]), jnp.where(stuck, far, ray[1]))
-        return _held((step + 1, T, at, lam, which, ray, moving))
+        return step + 1, T, at, lam, which, ray, moving
 
-    ray = (jnp.full((t, N), -1), jnp.zeros((t, N), dtype))
+    ray = (jnp.full((t, N), -1, jnp.int32), jnp.zeros((t, N), dtype))
     start = (0, T, at, lam, which, ray, jnp.ones((t, N), bool))
     _, _, _, lam, which, ray, _ = jax.lax.while_loop(lambda s: (s[0] < steps) & jnp.any(s[-1]), exchange, start)
-    taken = lambda q: (sum(jnp.where(which[k] == q, lam[k], 0) for k in range(n)) + jnp.where(ray[0] == q, ray[1], 0)) * scale[q][None]
-    w = _held(jnp.stack([taken(i) - taken(r + i) for i in range(r)], 1))
+    number = jnp.arange(2 * r, dtype=jnp.int32)[:, None, None]
+    taken = total([jnp.where(which[k][None] == number, lam[k][None], 0) for k in range(n)])
+    taken = (taken + jnp.where(ray[0][None] == number, ray[1][None], 0)) * scale[:, None]  # (2r, t, N)
+    w = stored(jnp.moveaxis(taken[:r] - taken[r:], 0, 1))
     return jnp.where(jnp.isfinite(w), w, 0)
+
+
+def _largest(rows):
+    """Return the largest of the rows and the number of the first row that has it."""
+    if len(rows) > 64:  # written out, they would take minutes to compile
+        return jnp.max(rows, 0), jnp.argmax(rows, 0).astype(jnp.int32)
+    rows = list(rows)
+    top = stored(most(rows))
+    first = jnp.full_like(top, len(rows) - 1)
+    for i in reversed(range(len(rows) - 1)):
+        first = jnp.where(rows[i] == top, i, first)
+    return top, stored(first).astype(jnp.int32)
 
 
 def _half_spaces(M, h, X):

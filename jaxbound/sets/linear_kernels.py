@@ -1,32 +1,31 @@
-"""Kernels of interval linear systems: preconditioning, elimination, iteration, comparison matrices.
+"""Kernels of interval linear systems: elimination, comparison matrices, iteration.
 
-One system lies in the leading axes, A (n, n, ...) and b (n, ...), a batch in the axis behind: a loop over rows is a pass over the batch.
+One system lies in the leading axes, A (n, n, ...) and b (n, ...), a batch in the axis behind: every step is a pass over the batch.
 A matrix that all systems share has a last axis of length 1 and is prepared once.
 
-Preconditioning replaces M x = h by (C M) x = C h with C near the inverse of the middle of M. C may be any numbers: a solution of the
-first system solves the second. So C is searched in plain floats, and C M, C h are enclosed.
-
-A chain of interval operations has to be cut by barriers (`_held`): the compiler works a value out anew for each of its uses, which
-doubles at every step of an elimination.
+Preconditioning (`linear_products`) replaces M x = h by (C M) x = C h with C near the inverse of the middle of M. C may be any numbers:
+a solution of the first system solves the second. So C is searched in plain floats, and C M, C h are enclosed.
 
 Source: Neumaier 1990, 1999 (comparison matrix, Hansen-Bliek-Rohn); Alhaj-Dibo, Maquin, Ragot 2004, appendix (Gauss, Gauss-Seidel,
 Krawczyk).
 """
 
 from dataclasses import dataclass
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, disjoint, intersection, mag, mid, mig, rad
+from jaxbound.sets.interval import Interval, disjoint, intersection, mag, mig
 from jaxbound.sets.interval import sum as interval_sum
+from jaxbound.sets.linear_products import apart, at, extremes, minus, over, preconditioner, product, reciprocal, solved_for, times, where
+from jaxbound.sets.unrolled import most, total
 
-__all__ = ["contract", "enclose", "factor", "preconditioner", "product", "times"]
+__all__ = ["comparison_inverse", "contract", "enclose", "factor", "minus", "over", "preconditioner", "product", "times"]
 
-SWEEPS = 100  # at most: Gauss-Seidel and Krawczyk stop where a sweep gains less than a thousandth of the width
-_held = jax.lax.optimization_barrier
+SWEEPS = 100  # at most: Gauss-Seidel and Krawczyk stop where a sweep gains less than 1e-4 of the width
 
 
 @jax.tree_util.register_dataclass
@@ -35,117 +34,54 @@ class Factored:
     """All of a square system that does not depend on its right-hand side: A, its triangular factors, its comparison matrix's bounds."""
 
     A: Interval  # (n, n, N)
-    LU: Interval  # (n, n, N): below the diagonal what each row takes of the rows above, the eliminated rows on and above it
+    lefts: tuple  # of Intervals (n - k, n - k, N): what is left of A after k steps of the elimination
+    reciprocals: tuple  # of Intervals (N,): 1 / their first entry
+    shares: tuple  # of Intervals (n - 1 - k, N): what each row below takes of row k
     inverse: tuple  # of the comparison matrix <A>: (near (n, n, N), v (n, N), omega (n, N)): |<A>^-1 - near| <= v omega'; NaN if unproved
-
-
-def preconditioner(M, kind="midpoint"):
-    """Return C (n, r, N): near the (pseudo-)inverse of the middle of M, or of its diagonal; None for none."""
-    if kind == "none":
-        return None
-    middle = mid(M)
-    r, n = middle.shape[:2]
-    if kind == "diagonal":
-        return jnp.stack([jnp.stack([(1 / middle[i, i] if i == j else jnp.zeros_like(middle[i, i])) for j in range(n)]) for i in range(n)])
-    if r == n:
-        return inverse(middle)
-    normal = sum(middle[i, :, None] * middle[i, None] for i in range(r))
-    near = inverse(normal)
-    return sum(near[:, k, None] * middle[None, :, k] for k in range(n))
-
-
-def inverse(a):
-    """Return a float inverse of a (n, n, N): Gauss-Jordan, each step takes the row with the largest entry; no claim is made."""
-    n, N = a.shape[0], a.shape[2]
-    rows = jnp.concatenate([a, jnp.broadcast_to(jnp.eye(n, dtype=a.dtype)[..., None], a.shape)], 1)  # (n, 2n, N)
-    index = jnp.arange(n)[:, None]
-
-    def step(k, carry):
-        rows, free, order = carry
-        column = jax.lax.dynamic_index_in_dim(rows, k, 1, keepdims=False)
-        place = _held(jnp.argmax(jnp.where(free, jnp.abs(column), -1), 0))
-        pick = _held(index == place[None])
-        pivot = _held(jnp.sum(jnp.where(pick[:, None], rows, 0), 0))
-        head = jax.lax.dynamic_index_in_dim(pivot, k, 0)
-        pivot = _held(pivot / jnp.where(head == 0, jnp.nan, head))
-        rows = jnp.where(pick[:, None], pivot[None], rows - column[:, None] * pivot[None])
-        return _held((rows, free & ~pick, order.at[k].set(place)))
-
-    start = rows, jnp.ones((n, N), bool), jnp.zeros((n, N), jnp.int32 if jnp.arange(1).dtype == jnp.int32 else jnp.int64)
-    rows, _, order = jax.lax.fori_loop(0, n, step, start)
-    return _held(jnp.take_along_axis(rows[:, n:], order[:, None], 0))
-
-
-def times(C, A):
-    """Enclose C A for numbers C (n, r, N) and an Interval A (r, k, N) or (r, N)."""
-    gamma, floor = rounding.product_error(A.shape[0], A.dtype)
-    wide = len(A.shape) == 3
-    middle, radius, size = _held((mid(A), rad(A), mag(A)))
-    tail = (slice(None), None) if wide else (slice(None),)
-    column = lambda X, j: X[:, j][tail]
-    value = sum(column(C, j) * middle[j][None] for j in range(A.shape[0]))
-    spread = sum(jnp.abs(column(C, j)) * (radius[j] + gamma * size[j])[None] for j in range(A.shape[0]))
-    largest = floor * (1 + jnp.max(jnp.abs(C), (0, 1))) * (1 + jnp.max(size, (0, 1) if wide else 0))
-    spread = spread + largest[(None,) * len(A.shape[:-1])]
-    value, spread = _held((value, spread))
-    known = (spread < jnp.inf) & (jnp.abs(value) < jnp.inf)
-    return Interval(jnp.where(known, value - spread, -jnp.inf), jnp.where(known, value + spread, jnp.inf))
 
 
 def factor(A):
     """Prepare a square system: triangular factors without exchange of rows, and bounds of the inverse of its comparison matrix."""
-    n = A.shape[0]
-    index = jnp.arange(n)
-
-    def step(k, R):
-        row, column = _at(R, k, 0), _at(R, k, 1)
-        share = _held(over(column, _at(row, k, 0)[None]))
-        less = minus(R, product(share[:, None], row[None]))
-        below, right = (index > k)[:, None, None], (index > k)[None, :, None]
-        return _held(_where(below & right, less, _where(below & (index == k)[None, :, None], share[:, None], R)))
-
-    return Factored(A, jax.lax.fori_loop(0, n, step, A), comparison_inverse(A))
+    lefts, reciprocals, shares = [A], [_reciprocal(A)], []
+    for _ in range(1, A.shape[0]):
+        shares.append(_shares(lefts[-1], reciprocals[-1]))
+        lefts.append(_eliminated(lefts[-1], shares[-1]))
+        reciprocals.append(_reciprocal(lefts[-1]))
+    return Factored(A, tuple(lefts), tuple(reciprocals), tuple(shares), comparison_inverse(A))
 
 
-def _at(x, k, axis):
-    return jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, k, axis, keepdims=False), x)
+_reciprocal = apart(lambda x: reciprocal(x[0, 0]))
+_eliminated = apart(lambda x, shares: _less(x[1:, 1:], shares[:, None], x[0, 1:][None], True))
+_substituted = apart(lambda y, shares: _less(y[1:], shares, y[0][None], True))
 
 
-def _where(condition, x, y):
-    return Interval(jnp.where(condition, x.lo, y.lo), jnp.where(condition, x.hi, y.hi))
+@apart
+def _shares(x, over_pivot):
+    """Enclose what each row takes of the first one, and widen it by gamma of its size.
 
-
-def product(x, y):
-    """Enclose x y for non-empty Intervals; everything where 0 meets infinity."""
-    ends = [a * b for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
-    least = jnp.minimum(jnp.minimum(ends[0], ends[1]), jnp.minimum(ends[2], ends[3]))
-    most = jnp.maximum(jnp.maximum(ends[0], ends[1]), jnp.maximum(ends[2], ends[3]))
-    return _closed(least, most)
-
-
-def minus(x, y):
-    """Enclose x - y for non-empty Intervals."""
-    return _closed(x.lo - y.hi, x.hi - y.lo)
-
-
-def over(x, y):
-    """Enclose every z with y' z = x' for some x' in x and y' in y, for non-empty Intervals: everything where y holds 0.
-
-    (The set-based quotient by [0, 0] is empty, which would pass for a proof that there is no solution.)
+    The products of a share s with y are then wide enough for their own rounding: where s y is largest (or least), s moved outward by
+    gamma mag(s), which adds (or takes) gamma mag(s) |y| >= gamma |s y|.
     """
-    least, most, far = mig(y), mag(y), 2.0 ** (np.finfo(y.dtype).maxexp // 2)
-    sound = (least > 0) & (most < far)  # beyond, the compiler's reciprocal could be flushed
-    lo, hi = (jnp.where(sound, end, 1) for end in (y.lo, y.hi))
-    ends = [a / b for a in (x.lo, x.hi) for b in _held((lo, hi))]
-    low = jnp.minimum(jnp.minimum(ends[0], ends[1]), jnp.minimum(ends[2], ends[3]))
-    high = jnp.maximum(jnp.maximum(ends[0], ends[1]), jnp.maximum(ends[2], ends[3]))
-    return _closed(jnp.where(sound, low, jnp.nan), jnp.where(sound, high, jnp.nan))
+    s = product(_unless_infinite(x[1:, 0]), over_pivot[None])
+    wider = rounding.product_error(1, s.dtype)[0] * jnp.maximum(jnp.abs(s.lo), jnp.abs(s.hi))
+    return Interval(s.lo - wider, s.hi + wider)
 
 
-def _closed(lo, hi):
-    """Round outward; NaN gives everything."""
-    lo, hi = rounding.outward(lo, hi)
-    return Interval(jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi))
+def _less(x, s, y, widened=False):
+    """Enclose x - s y; an end that overflowed stays infinite, or NaN, until `_unless_infinite`.
+
+    The rounding of a product, of the difference, and of the bound are u each, or tiny; gamma and the floor hold many times that.
+    """
+    gamma, floor = rounding.product_error(1, x.dtype)
+    least, greatest = extremes(s, y)
+    lo, hi = x.lo - greatest, x.hi - least
+    slack = lambda end, part: gamma * (jnp.abs(end) if widened else jnp.abs(end) + jnp.abs(part)) + floor
+    return Interval(lo - slack(lo, greatest), hi + slack(hi, least))
+
+
+def _unless_infinite(x):
+    known = (jnp.abs(x.lo) < jnp.inf) & (jnp.abs(x.hi) < jnp.inf)
+    return Interval(jnp.where(known, x.lo, jnp.nan), jnp.where(known, x.hi, jnp.nan))
 
 
 def comparison_inverse(A):
@@ -155,49 +91,67 @@ def comparison_inverse(A):
     <A>^-1 >= 0. From <A>^-1 - near = <A>^-1 (I - <A> near) and |I - <A> near|_k <= omega_k <A> v. Source: Neumaier 1999; Rump 2013.
     """
     n = A.shape[0]
-    eye = jnp.eye(n, dtype=A.dtype)[..., None]
-    S = _held(jnp.where(eye > 0, mig(A), -mag(A)))
-    near = inverse(S)
-    v = _held(jnp.maximum(sum(near[:, k] for k in range(n)), rounding.tiny(A.dtype)))
-    w = times(S, Interval(v, v)).lo
-    off = minus(times(S, Interval(near, near)), Interval(jnp.broadcast_to(eye, near.shape), jnp.broadcast_to(eye, near.shape)))
-    w, off = _held((w, mag(off)))
-    omega = jnp.max(over(Interval(off, off), Interval(w, w)[:, None]).hi, 0)
-    proved = jnp.all(w > 0, 0) & jnp.all(omega < jnp.inf, 0)
-    return tuple(jnp.where(proved[(None,) * (x.ndim - 1)], x, jnp.nan) for x in _held((near, v, omega)))
+    eye = jnp.eye(n, dtype=A.dtype)
+    S = _comparison(A, eye[..., None])
+    near = jax.lax.fori_loop(0, n, lambda k, a: solved_for(a, at(eye, k, 0)[:, None], k), S)  # pivots of such a matrix need no exchange
+    v = apart(lambda near: jnp.maximum(total([near[:, k] for k in range(n)]), rounding.tiny(near.dtype)))(near)
+    both = jnp.concatenate([near, v[:, None]], 1)
+    image = times(S, Interval(both, both))
+    w = image.lo[:, n]
+    return _proved(near, v, w, _largest_quotient(image, _reciprocal_of(w), eye[..., None]))
+
+
+_comparison = apart(lambda A, eye: jnp.where(eye > 0, mig(A), -mag(A)))
+_reciprocal_of = apart(lambda w: reciprocal(Interval(w, w)).hi)
+
+
+@apart
+def _largest_quotient(x, over_w, eye):
+    """Return an upper bound (n, N) of the largest |x - I| / w over the rows, over_w >= 1 / w > 0; NaN where it is unknown."""
+    n = len(eye)
+    off = jnp.maximum(jnp.abs(x.lo[:, :n] - eye), jnp.abs(x.hi[:, :n] - eye)) + 4 * rounding.tiny(x.dtype)
+    largest = most([off[i] * over_w[i][None] for i in range(n)])
+    return rounding.outward(largest, largest, 8)[1]  # a difference, a sum and a product
+
+
+@apart
+def _proved(near, v, w, omega):
+    proved = (most(list(-w)) < 0) & (most(list(omega)) < jnp.inf)
+    return tuple(jnp.where(proved[(None,) * (x.ndim - 1)], x, jnp.nan) for x in (near, v, omega))
 
 
 def enclose(F, b, method, start):
     """Return an enclosure (n, N) of the solutions in the start box."""
     found = [_gauss(F, b)] if method in ("gauss", "intersection") else []
     if method != "gauss":
-        solved, first = _held(_hansen_bliek_rohn(F, b))
+        solved, first = _hansen_bliek_rohn(F, b)
         if method in ("hbr", "intersection"):
             found.append(solved)
         if method in ("gauss_seidel", "intersection"):  # its limit lies in Krawczyk's, which the intersection does not need
             found.append(_iterate(gauss_seidel, F.A, b, intersection(first, start)))
         if method == "krawczyk":
             found.append(_iterate(krawczyk, F.A, b, intersection(first, start)))
-    box = start
-    for other in found:
-        box = intersection(box, other)
-    return _held(box)
+    return _all_of(start, *found)
+
+
+_all_of = apart(lambda box, *others: reduce(intersection, others, box))
 
 
 def _gauss(F, b):
     """Substitute forward and backward. Source: Alhaj-Dibo et al. 2004, appendix; a pivot that holds 0 gives everything."""
-    n, index = b.shape[0], jnp.arange(b.shape[0])[:, None]
+    right, x = [b], []
+    for share in F.shares:
+        right.append(_substituted(right[-1], share))
+    for left, over_pivot, y in zip(reversed(F.lefts), reversed(F.reciprocals), reversed(right), strict=True):
+        x.insert(0, _solved(y, left, x, over_pivot))
+    return Interval(jnp.stack([v.lo for v in x]), jnp.stack([v.hi for v in x]))
 
-    def forward(k, y):
-        return _held(_where(index > k, minus(y, product(_at(F.LU, k, 1), _at(y, k, 0)[None])), y))
 
-    def backward(i, y):
-        k = n - 1 - i
-        column = _at(F.LU, k, 1)
-        known = _held(over(_at(y, k, 0), _at(column, k, 0)))[None]
-        return _held(_where(index < k, minus(y, product(column, known)), _where(index == k, known, y)))
-
-    return jax.lax.fori_loop(0, n, backward, jax.lax.fori_loop(0, n, forward, b))
+@apart
+def _solved(y, left, x, over_pivot):
+    """Enclose y_0 minus all terms of the first row that are known, over its pivot."""
+    y = reduce(lambda y, j: _less(y, left[0, j + 1], x[j]), range(len(x)), y[0])
+    return product(_unless_infinite(y), over_pivot)
 
 
 def _hansen_bliek_rohn(F, b):
@@ -205,88 +159,147 @@ def _hansen_bliek_rohn(F, b):
 
     With N = <A>^-1: alpha_i = <A>_ii - 1 / N_ii and beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source: Neumaier 1999, theorem 2.1.
     """
-    near, v, omega = F.inverse
-    n = b.shape[0]
-    eye = jnp.eye(n, dtype=near.dtype)[..., None] > 0
-    slack = rounding.outward(*(v[:, None] * omega[None],) * 2)[1]
-    above = jnp.maximum(rounding.outward(near + slack, near + slack)[1], 0)
-    below = rounding.outward(near - slack, near - slack)[0]
+    above = _above(*F.inverse)
+    low, divisor = _divisor(F.A, *F.inverse)
+    all_of, beside = _sums(above, b)
+    return _hbr_box(b, beside, low, divisor), _around(all_of)
+
+
+def _slack(v, omega):
+    return rounding.outward(v * omega, v * omega)[1]
+
+
+@apart
+def _above(near, v, omega):
+    """Return an upper bound of the inverse of the comparison matrix."""
+    bound = near + _slack(v[:, None], omega[None])
+    return jnp.maximum(rounding.outward(bound, bound)[1], 0)
+
+
+@apart
+def _divisor(A, near, v, omega):
+    """Return lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i]."""
+    n = A.shape[0]
     diagonal = lambda X: jnp.stack([X[i, i] for i in range(n)])
     point = lambda x: Interval(x, x)
-    centre = Interval(diagonal(F.A.lo), diagonal(F.A.hi))
-    least, one = mig(centre), jnp.ones_like(centre.lo)
-    low = jnp.maximum(diagonal(below), over(point(one), point(least)).lo)
-    alpha = jnp.maximum(minus(point(least), over(point(one), point(diagonal(above)))).hi, 0)
-    above, low, alpha, size = _held((above, low, alpha, mag(b)))
+    centre, slack = Interval(diagonal(A.lo), diagonal(A.hi)), _slack(v, omega)
+    least, middle = mig(centre), diagonal(near)
+    one = jnp.ones_like(least)
+    above = jnp.maximum(rounding.outward(middle + slack, middle + slack)[1], 0)
+    below = rounding.outward(middle - slack, middle - slack)[0]
+    alpha = jnp.maximum(minus(point(least), over(point(one), point(above))).hi, 0)
+    return jnp.maximum(below, over(point(one), point(least)).lo), minus(centre, Interval(-alpha, alpha))
+
+
+@apart
+def _sums(above, b):
+    """Return upper bounds of N |b|, and of the same without the diagonal of N. See `_ball`."""
+    n, eye = len(above), jnp.eye(len(above), dtype=bool)[..., None]
     gamma, floor = rounding.product_error(n, b.dtype)
-    floor = floor * (1 + jnp.max(above, (0, 1))) * (1 + jnp.max(size, 0))
-    upward = lambda P: sum(P[:, k] * size[None, k] for k in range(n)) * (1 + gamma) + floor[None]
-    beta = over(point(upward(jnp.where(eye, 0, above))), point(low)).hi
-    total, beta = _held((upward(above), beta))
-    x = over(Interval(*rounding.outward(b.lo - beta, b.hi + beta)), Interval(*rounding.outward(centre.lo - alpha, centre.hi + alpha)))
-    unknown = jnp.isnan(total) | jnp.isnan(beta)
-    free = lambda lo, hi: Interval(jnp.where(unknown, -jnp.inf, lo), jnp.where(unknown, jnp.inf, hi))
-    return free(x.lo, x.hi), free(-total, total)
+    size = mag(b) * (1 + gamma) + np.sqrt(floor)
+    upward = lambda P: total([(P[:, k] + np.sqrt(floor)) * size[k][None] for k in range(n)])
+    return upward(above), upward(jnp.where(eye, 0, above))
+
+
+@apart
+def _hbr_box(b, beside, low, divisor):
+    beta = over(*[Interval(x, x) for x in (beside, low)]).hi
+    x = over(minus(b, Interval(-beta, beta)), divisor)
+    return Interval(jnp.where(jnp.isnan(beside), -jnp.inf, x.lo), jnp.where(jnp.isnan(beside), jnp.inf, x.hi))
+
+
+_around = apart(lambda size: Interval(jnp.where(jnp.isnan(size), -jnp.inf, -size), jnp.where(jnp.isnan(size), jnp.inf, size)))
 
 
 def gauss_seidel(A, b, x):
     """Solve each row for its own unknown, one after another, and intersect. Source: Alhaj-Dibo et al. 2004, appendix."""
-    index = jnp.arange(b.shape[0])[:, None]
 
     def row(i, x):
-        a = _at(A, i, 0)
-        beside = _held(_where(index == i, Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), product(a, x)))
-        known = _held(minus(_at(b, i, 0), interval_sum(beside)))
-        return _held(_where(index == i, intersection(x, over(known, _at(a, i, 0))[None]), x))
+        a = at(A, i, 0)
+        return _narrowed(x, _alone(a, at(b, i, 0), x, i), at(a, i, 0), i)
 
     return jax.lax.fori_loop(0, b.shape[0], row, x)
 
 
+@apart
+def _alone(a, b, x, i):
+    """Enclose b minus all terms a_j x_j but the i-th."""
+    terms, own = product(a, x), jnp.arange(len(x))[:, None] == i
+    return minus(b, interval_sum(where(own, Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), terms)))
+
+
+@apart
+def _narrowed(x, known, a, i):
+    own = jnp.arange(len(x))[:, None] == i
+    return where(own, intersection(x, over(known, a)[None]), x)
+
+
 def krawczyk(A, b, x):
     """Return (b + (I - A) x) intersected with x. Source: Alhaj-Dibo et al. 2004, appendix; Krawczyk 1969."""
+    return _contracted(_off(A, x), b, x)
+
+
+@apart
+def _off(A, x):
     eye = jnp.broadcast_to(jnp.eye(A.shape[0], dtype=A.dtype)[..., None], A.shape)
-    off = _held(product(minus(A, Interval(eye, eye)), x[None]))
-    return intersection(x, minus(b, interval_sum(off, axis=1)))
+    return product(minus(A, Interval(eye, eye)), x[None])
+
+
+_contracted = apart(lambda off, b, x: intersection(x, minus(b, interval_sum(off, axis=1))))
 
 
 def _iterate(step, A, b, x):
-    """Repeat a contracting step; a system whose widths no longer shrink by a thousandth is left as it is, whatever its neighbours do."""
+    """Repeat a contracting step; a system whose widths no longer shrink by 1e-4 is left as it is, whatever its neighbours do."""
     shape = jnp.broadcast_shapes(x.shape, b.shape, A.shape[1:])
-    b = jax.tree.map(lambda v: jnp.broadcast_to(v, shape), b)
-    empty = jnp.any(x.is_empty, 0)
-    x = Interval(jnp.broadcast_to(jnp.where(empty[None], 0, x.lo), shape), jnp.broadcast_to(jnp.where(empty[None], 0, x.hi), shape))
+    wide = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a, shape), v)
+    b, empty = wide(b), jnp.any(x.is_empty, 0)
+    x = wide(where(empty[None], Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), x))
 
     def advance(carry):
         count, x, active, gone = carry
-        new = step(A, b, x)
-        lost = jnp.any(new.is_empty, 0)
-        better = jnp.any((new.hi - new.lo < 0.999 * (x.hi - x.lo)) | ((new.hi - new.lo < jnp.inf) & (x.hi - x.lo == jnp.inf)), 0)
-        keep = lambda a, c: jnp.where((active & ~lost)[None], a, c)
-        return count + 1, Interval(keep(new.lo, x.lo), keep(new.hi, x.hi)), active & better & ~lost, gone | (active & lost)
+        return count + 1, *_progress(step(A, b, x), x, active, gone)
 
     active = jnp.broadcast_to(~empty, shape[1:])
     _, x, _, gone = jax.lax.while_loop(lambda c: (c[0] < SWEEPS) & jnp.any(c[2]), advance, (0, x, active, ~active))
     return Interval(jnp.where(gone[None], jnp.inf, x.lo), jnp.where(gone[None], -jnp.inf, x.hi))
 
 
+@apart
+def _progress(new, x, active, gone):
+    lost = jnp.any(new.is_empty, 0)
+    better = jnp.any((new.hi - new.lo < 0.9999 * (x.hi - x.lo)) | ((new.hi - new.lo < jnp.inf) & (x.hi - x.lo == jnp.inf)), 0)
+    return where((active & ~lost)[None], new, x), active & better & ~lost, gone | (active & lost)
+
+
 def contract(M, h, x):
     """Solve every row of M x = h for every unknown once, and intersect; a row that no x in the box fulfils leaves nothing."""
-    r, n = M.shape[:2]
+    n, shape = M.shape[1], jnp.broadcast_shapes(x.shape, h.shape[-1:], M.shape[-1:])
     gone = jnp.any(x.is_empty, 0)
-    x = _where(gone[None], Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), x)
-    eye = jnp.eye(n, dtype=M.dtype)[..., None] > 0
+    x = where(gone[None], Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), x)
+    eye = jnp.eye(n, dtype=bool)[..., None]
 
     def row(i, carry):
         x, gone = carry
-        m, right = _at(M, i, 0), _at(h, i, 0)
-        terms = _held(product(m, x))
-        beside = _held(Interval(*(jnp.where(eye, 0, t[None]) for t in (terms.lo, terms.hi))))
-        known = _held(minus(right[None], interval_sum(beside, axis=1)))
-        new = intersection(x, over(known, m))
-        lost = jnp.any(new.is_empty, 0) | disjoint(interval_sum(terms), right)
-        return _held((_where(lost[None], x, new), gone | lost))
+        m, right = at(M, i, 0), at(h, i, 0)
+        terms = _terms(m, x)
+        new = _each(x, terms, m, right, eye)
+        return _kept(new, x, terms, right, gone)
 
-    shape = jnp.broadcast_shapes(x.shape, h.shape[-1:], M.shape[-1:])
     x = Interval(jnp.broadcast_to(x.lo, shape), jnp.broadcast_to(x.hi, shape))
-    x, gone = jax.lax.fori_loop(0, r, row, (x, jnp.broadcast_to(gone, shape[-1:])))
+    x, gone = jax.lax.fori_loop(0, M.shape[0], row, (x, jnp.broadcast_to(gone, shape[-1:])))
     return Interval(jnp.where(gone[None], jnp.inf, x.lo), jnp.where(gone[None], -jnp.inf, x.hi))
+
+
+_terms = apart(product)
+
+
+@apart
+def _each(x, terms, m, right, eye):
+    beside = Interval(*(jnp.where(eye, 0, t[None]) for t in (terms.lo, terms.hi)))
+    return intersection(x, over(minus(right[None], interval_sum(beside, axis=1)), m))
+
+
+@apart
+def _kept(new, x, terms, right, gone):
+    lost = jnp.any(new.is_empty, 0) | disjoint(interval_sum(terms), right)
+    return where(lost[None], x, new), gone | lost
