@@ -31,6 +31,11 @@ bench: .venv/tested
 	.venv/bin/python -m benchmarks.parquet
 	.venv/bin/python -m benchmarks.intervals
 	.venv/bin/python -m benchmarks.inclusion
+	.venv/bin/python -m benchmarks.redundancy
+	.venv/bin/python -m benchmarks.uncertain
+	.venv/bin/python -m benchmarks.varying
+	.venv/bin/python -m benchmarks.linear_systems
+	.venv/bin/python -m benchmarks.validation
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv

@@ -56,7 +56,7 @@ class Validation:
     status: jax.Array
 
 
-def validate(model, u, y, horizon=None, method="joint", x0=None):
+def validate(model, u, y, horizon=None, method="joint", x0=None, correction="interval"):
     """Enclose the state over time, find the sensor that does not fit, and say what it should have shown.
 
     Args:
@@ -68,17 +68,19 @@ def validate(model, u, y, horizon=None, method="joint", x0=None):
         method: "joint": the newest samples, the older ones and the propagated state at once, by the hull of their linear programs.
             "sequential": the paper's square systems, one for each further row, against a reference; wider, faster.
         x0: Interval (..., n) that holds the first state. None: the first window is taken to be fault-free, and must be complete.
+        correction: what stands in for a faulty sample. "interval": all that the state allows there. "centre": the middle of it, as if it
+            had been measured; the paper's, and not a proof: the true state may be outside, `faulty` is a suspicion, and nothing is FAULT.
 
     Returns:
         A Validation.
 
-    Encloses: every state of every behaviour within the bounds that gives the samples accepted as sound, rounding included.
+    Encloses: every state of every behaviour within the bounds that gives the samples accepted as sound, rounding included; nothing with
+    correction="centre".
 
     Raises:
         ValueError: shapes that do not fit, a first window that does not bound the state, an unknown method. TypeError: no model.
 
-    Source: Alhaj-Dibo, Maquin, Ragot 2004, (6)-(11). Its correction by the centre of (11) is not a proof and is not offered: the point
-    value is `corrected.mid`, and goes nowhere.
+    Source: Alhaj-Dibo, Maquin, Ragot 2004, (6)-(11).
 
     Example:
         >>> from jaxbound import interval_system
@@ -90,10 +92,12 @@ def validate(model, u, y, horizon=None, method="joint", x0=None):
     """
     several = isinstance(model, MultiModel)
     if several and model.partial:
-        return validate_parts(model, u, y, x0, partial(validate, horizon=horizon, method=method))
+        return validate_parts(model, u, y, x0, partial(validate, horizon=horizon, method=method, correction=correction))
     m = model.joined() if several else as_intervals(model)
     if method not in ("joint", "sequential"):
         raise ValueError(f"method must be 'joint' or 'sequential', not {method!r}")
+    if correction not in ("interval", "centre"):
+        raise ValueError(f"correction must be 'interval' or 'centre', not {correction!r}")
     y = np.asarray(y, m.A.dtype)
     if y.ndim < 2 or y.shape[-1] != m.p:
         raise ValueError(f"y must have shape (..., T, {m.p}), time before outputs: its shape is {y.shape}")
@@ -138,7 +142,7 @@ def validate(model, u, y, horizon=None, method="joint", x0=None):
         if several and start is None:
             early = jax.tree.map(lambda a: np.moveaxis(a[:, : s + 1], 0, -1), weight)
             systems = _first_window(weighted(M[..., None], early, m.p), m.p)
-        return slide(plant, M, systems, u, y, weight, start, int(s), method)
+        return slide(plant, M, systems, u, y, weight, start, int(s), method, correction == "centre")
 
     found, bounded = _blocks(kernel, given, count, min(BLOCK[method], 1 << (count - 1).bit_length()))
     if not bounded.all():

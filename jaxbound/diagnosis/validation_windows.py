@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxbound.sets import rounding
 from jaxbound.sets.fixed_systems import solutions
-from jaxbound.sets.interval import Interval, intersection, interval
+from jaxbound.sets.interval import Interval, intersection, interval, mid
 from jaxbound.sets.linear_hull import tighten
 from jaxbound.sets.linear_kernels import minus, over, product
 from jaxbound.sets.status import Status
@@ -24,8 +24,8 @@ STEPS = 20
 """Exchanges at most for one bound of the joint method, beside six for each unknown."""
 
 
-@partial(jax.jit, static_argnames=("s", "method"))
-def slide(plant, M, systems, u, y, weight, start, s, method):
+@partial(jax.jit, static_argnames=("s", "method", "centre"))
+def slide(plant, M, systems, u, y, weight, start, s, method, centre=False):
     """Validate N recordings.
 
     Args:
@@ -34,6 +34,7 @@ def slide(plant, M, systems, u, y, weight, start, s, method):
         systems: the square systems of M, or for "joint" the first window's rows as one, perhaps without the newest samples.
         u, y, weight: (N, T, m), (N, T, p), and None or an Interval (N, T, n) that multiplies the columns of C.
         start: Interval (N, n) that holds the first state; None: it comes from the first window.
+        centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for sound: nothing is proved then.
 
     Returns:
         ((state, output, residual, corrected) Intervals, faulty, status, each (N, T, ..)), and (N,) whether the first window is bounded.
@@ -68,9 +69,9 @@ def slide(plant, M, systems, u, y, weight, start, s, method):
         X = Interval(*(jnp.full(((s + 1) * n, N), end, y.dtype) for end in (-jnp.inf, jnp.inf)))
 
     def window(carry, k):
-        X, gone, begun = carry  # the states of the last window; (s, p, N): its samples left out
+        X, gone, begun, moved = carry  # the states of the last window; (s, p, N): its samples left out; its samples, if any was moved
         X = _where(begun, _stack(X[n:], predict(X[s * n :], k - 1)), X)
-        samples = _part(seen, k - s, s + 1)
+        samples = _stack(moved, seen[k][None]) if centre else _part(seen, k - s, s + 1)
         gone = jnp.concatenate([gone, absent[k][None]])
         implied = show(jax.tree.map(lambda a: a.reshape(s + 1, n, N), X), k - s)
         residual = minus(samples[s], implied[s])
@@ -89,13 +90,18 @@ def slide(plant, M, systems, u, y, weight, start, s, method):
         corrected = _where(corrected.is_empty, output, corrected)
         missing = jnp.where(absent[k], jnp.nan, 0)
         residual = Interval(residual.lo + missing, residual.hi + missing)
-        return (X, gone[1:], jnp.ones((), bool)), (X[s * n :], output, residual, corrected, faulty, jnp.any(faulty, 0) | unclear)
+        if centre:
+            shift = jnp.where(faulty, mid(output) - mid(samples[s]), 0)
+            gone = gone.at[s].set(gone[s] & ~faulty)
+            moved = _stack(samples[1:s], Interval(samples.lo[s] + shift, samples.hi[s] + shift)[None])
+        out = X[s * n :], output, residual, corrected, faulty, jnp.any(faulty, 0) | unclear
+        return (X, gone[1:], jnp.ones((), bool), moved), out
 
-    carry = X, absent[:s], jnp.zeros((), bool)
+    carry = X, absent[:s], jnp.zeros((), bool), seen[:s] if centre else None
     state, output, residual, corrected, faulty, fault = jax.lax.scan(window, carry, jnp.arange(s, T))[1]
     bounded = jnp.all(jnp.isfinite(state.lo[0]) & jnp.isfinite(state.hi[0]), 0)
     output, corrected = (_plus(_plus(x, through[s:]), plant["y0"][None, :, None]) for x in (output, corrected))
-    status = jnp.where(fault, Status.FAULT, jnp.where(jnp.all(absent[s:], 1), Status.MISSING, Status.UNDECIDED)).astype(jnp.int8)
+    status = jnp.where(fault & (not centre), Status.FAULT, jnp.where(jnp.all(absent[s:], 1), Status.MISSING, Status.UNDECIDED)).astype(jnp.int8)
     entire = Interval(-jnp.inf, jnp.inf)
     fills = *(entire,) * 4, False, int(Status.MISSING)
     before = lambda a, fill: jnp.moveaxis(jnp.concatenate([jnp.full((s, *a.shape[1:]), fill, a.dtype), a]), -1, 0)

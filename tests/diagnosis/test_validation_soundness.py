@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from validation_case import inside, paper, record, width
+from validation_case import faulty, inside, paper, record, reference_width, width
 
 import jaxbound as jb
 from jaxbound.diagnosis.validation_windows import slide
@@ -51,6 +51,18 @@ def test_a_recording_is_judged_alike_in_any_company_and_nothing_is_traced_again(
 def test_a_million_fault_free_windows_give_no_alarm(rng, method, kind):
     """Half of a million for each kind of input."""
     assert check(rng, method, kind, 6 * BATCH) > 500_000
+
+
+@pytest.mark.slow
+def test_the_paper_s_correction_by_the_centre_loses_the_state_and_never_calls_it_a_proof(rng):
+    """Golden: all faults of 6 are found, and the true state is outside in 1 to 5 % of the windows."""
+    m = paper()
+    u, x, y = record(rng, m, 64)
+    bad, truth = faulty(y, 6.0 * reference_width(m, u, y) / 0.573)
+    sound, centre = (jb.validate(m, u, bad, method="sequential", correction=c) for c in ("interval", "centre"))
+    assert inside(sound, x).all() and 0.85 < inside(centre, x).mean() < 1
+    assert np.asarray(centre.faulty)[truth].mean() > 0.95 and not (np.asarray(centre.status) == jb.Status.FAULT).any()
+    assert width(centre) < width(sound)
 
 
 def three_sensors(rng, count, T=60):
