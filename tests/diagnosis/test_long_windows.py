@@ -15,10 +15,10 @@ from jaxbound.diagnosis import exchange
 from jaxbound.sets.status import Status
 
 LONG = [("section 5", 20), ("tclab", 15), ("six states", 10)]
-FULL = [pytest.param(*case, 10_000, marks=pytest.mark.slow) for case in LONG]
+FULL = [pytest.param(*case, 10_000, marks=pytest.mark.long) for case in LONG]
 
 
-@pytest.mark.parametrize("name, horizon, count", [(*LONG[1], 600), *FULL])
+@pytest.mark.parametrize("name, horizon, count", [pytest.param(*case, 1000, marks=pytest.mark.slow) for case in LONG] + FULL)
 def test_the_verdict_is_that_of_the_program(name, horizon, count, shared, rng):
     r, oracle, u, y = prepared(numbers(name, shared), horizon, count, rng)
     assert r.frame is not None

@@ -114,7 +114,16 @@ def test_windows_without_any_output_are_missing(method, rng):
     assert (res.status[[1, 2, 7, 8]] != Status.MISSING).all()
 
 
-@pytest.mark.parametrize("horizon, method", [(1, "joint"), (1, "box"), (1, "paving"), (3, "joint"), (3, "box")])
+@pytest.mark.parametrize(
+    "horizon, method",
+    [
+        (1, "joint"),
+        (1, "box"),
+        pytest.param(1, "paving", marks=pytest.mark.slow),
+        (3, "joint"),
+        (3, "box"),
+    ],
+)
 def test_the_first_samples_are_missing(horizon, method, rng):
     u, y = rng.uniform(-1, 1, (2, 8, 1)), rng.normal(size=(2, 8, 2)) / 100
     res = jb.detect(jb.parity_relations(paper(), horizon=horizon), u, y, method=method, budget=(2, 10_000) if method == "paving" else None)

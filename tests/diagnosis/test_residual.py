@@ -32,6 +32,7 @@ def windows(rng, count):
     return u, y
 
 
+@pytest.mark.slow
 def test_every_verdict_agrees_with_the_exact_one(rng):
     u, y = windows(rng, 250)
     status = jb.detect(jb.residual(growth, BOX, 1), u, y).status

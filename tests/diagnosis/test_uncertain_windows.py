@@ -15,7 +15,7 @@ GOLDEN = ("n2p1_paper_h3", "n2p1_Btwo_h3", "n3p1_inv2_h4", "n3p1_var2_h4", "n3p2
 HERE = {"uniform": "uniform", "vertices": "vertex"}
 
 
-@pytest.mark.parametrize("name", ["n2p1_Btwo_h3", "n3p2_mixed3_h3"])
+@pytest.mark.parametrize("name", ["n2p1_Btwo_h3", pytest.param("n3p2_mixed3_h3", marks=pytest.mark.slow)])
 def test_healthy_windows_are_never_faulty(rng, name):
     r = relations(name)
     for at in ("uniform", "vertices"):

@@ -68,7 +68,7 @@ def test_with_gaps_the_verdict_is_that_of_the_program_without_the_row(name, rng)
     assert (slack[status == Status.MISSING] <= 1e-9).all() and clear.mean() > 0.9
 
 
-@pytest.mark.parametrize("size", [pytest.param(1.0, marks=pytest.mark.long), 1e6])
+@pytest.mark.parametrize("size", [pytest.param(1.0, marks=pytest.mark.long), pytest.param(1e6, marks=pytest.mark.slow)])
 def test_no_unknown_input_raises_an_alarm_and_a_bias_does(size):
     m = jb.LinearSystem([[0.9, 0.1], [0, 0.8]], [[0], [1]], [[1, 0], [0, 1], [1, 1]], noise=0.01, unknown_inputs=[[1], [0]])
     T = 4000

@@ -46,6 +46,7 @@ def recordings(window):
     return u, y
 
 
+@pytest.mark.slow
 def test_validation_of_the_golden_window_is_as_wide_as_recomputed(golden):
     window = golden["p4_golden_window"]
     u, y = recordings(window)

@@ -264,6 +264,7 @@ def test_external_is_the_residual_at_the_middle_of_all_bounds(rng):
     assert np.asarray(r.external(np.stack([u, u]), np.stack([y, y]))).shape == (2, 9, 3)
 
 
+@pytest.mark.slow
 def test_healthy_residuals_are_inside_their_internal_forms(rng):
     r = relations("n3p2_mixed3_h3", noise=0.02)
     t = jb.simulate(r.model, rng.uniform(0, 2, (3, 200, 1)), jax.random.key(int(rng.integers(99))), at="vertices")

@@ -93,7 +93,7 @@ def test_margins_have_the_sign_of_linear_programs_on_20000_zonotopes(rng, r, q):
         assert not ((abs(wanted) > 1e-9) & (margin == 0) & (wanted < 0)).any()
 
 
-@pytest.mark.parametrize("r", [2, 3, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.long)])
 def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
     """Integers: c = -G z with z at the vertex that h selects is exactly on the boundary; a hair further is outside."""
     q, count = COLUMNS[r], 2000
