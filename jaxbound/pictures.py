@@ -49,7 +49,7 @@ def plot(thing, time=None, alarms=None):
         return _heat_map(np.column_stack([seen, level]), ("no other", *thing.faults), thing.faults, legend, title)
     if isinstance(thing, BankResult):
         return _bank(thing, time)
-    return plots.plot(thing, time, alarms)
+    return plots.plot_result(thing, time, alarms)
 
 
 def _heat_map(level, columns, rows, legend, title):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status
 
-__all__ = ["Timeline", "plot", "plot_residuals", "plot_timeline", "to_png"]
+__all__ = ["Timeline", "plot_result", "plot_residuals", "plot_timeline", "to_png"]
 
 COLOURS = {Status.MISSING: "#c9ccd1", Status.CONSISTENT: "#009e73", Status.UNDECIDED: "#e69f00", Status.FAULT: "#d55e00"}
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
@@ -25,27 +25,8 @@ STYLE = {
     "legend.frameon": False, "axes.axisbelow": True, "font.family": "DejaVu Sans", "mathtext.fontset": "dejavusans"}  # fmt: skip
 
 
-def plot(res, time=None, alarms=None):
-    """Draw the margin of every window over time, FAULT windows shaded, with a ribbon of all verdicts and the alarms.
-
-    Args:
-        res: a Result of one recording.
-        time: (T,) seconds or datetime64; None: the index of the DataFrame, or sample numbers times dt.
-        alarms: a list of Alarm; None: res.alarms().
-
-    Returns:
-        A matplotlib Figure.
-
-    Raises:
-        ValueError: a batch of recordings, or a time axis of another length.
-
-    Example:
-        >>> import jaxbound as jb
-        >>> m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
-        >>> fig = plot(jb.detect(jb.parity_relations(m), [[0.0]] * 4, [[1.0], [0.5], [0.9], [0.45]]))
-        >>> len(fig.axes)
-        3
-    """
+def plot_result(res, time=None, alarms=None):
+    """Draw a Result of one recording: `pictures.plot` says what, and takes the same arguments."""
     x = time_of(res, time)
     alarms = res.alarms() if alarms is None else alarms
     line = Timeline(len(x))
@@ -87,7 +68,7 @@ class Timeline:
 
 
 def plot_timeline(line, res, alarms):
-    """Draw a complete Timeline as `plot` does; `alarms` is how many there are, res has .relations and .method."""
+    """Draw a complete Timeline as `plot_result` does; `alarms` is how many there are, res has .relations and .method."""
     at, label, dates = time_axis(line.x)
     with style():
         fig, (ax, ribbon) = stacked(2, (11, 4.3), [12, 1])
@@ -112,14 +93,14 @@ def plot_residuals(res, time=None):
     Windows can be FAULT with every residual inside: the joint test sees more than each residual alone.
 
     Args:
-        res, time: as for `plot`. Of long recordings, the worst window of each bin is drawn, and how much of its envelope each
+        res, time: as for `pictures.plot`. Of long recordings, the worst window of each bin is drawn, and how much of its envelope each
             residual uses (above 1: outside).
 
     Returns:
         A matplotlib Figure with one panel a residual, at most 12.
 
     Raises:
-        ValueError: as `plot`.
+        ValueError: as `pictures.plot`.
     """
     x, label, dates = time_axis(time_of(res, time))
     relations = res.relations

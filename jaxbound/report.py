@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.digest import Digest
 from jaxbound.page import GUARANTEE, about, duration, figure, frame, model_tables, opening, percent, section, table, tiles, times
-from jaxbound.plots import distinct_relations, plot, plot_residuals, plot_timeline, to_png
+from jaxbound.plots import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status
 
@@ -113,7 +113,7 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
     if isinstance(res, Digest):
         margin, (part, near) = plot_timeline(res.line, res, res.alarm_count), res.around(worst_window(res) or 0)
     else:
-        margin, part, near = plot(res, recording.axis, alarms), res, recording
+        margin, part, near = plot_result(res, recording.axis, alarms), res, recording
     pictures = {"margin.png": to_png(margin)}
     report(0.35)
     pictures["residuals.png"] = to_png(plot_residuals(part, near.axis))

@@ -12,7 +12,8 @@ import jaxbound as jb
 from jaxbound.diagnosis.result import Result
 from jaxbound.figures import figure_1, figure_2
 from jaxbound.files import Recording
-from jaxbound.plots import distinct_relations, plot, plot_residuals, to_png
+from jaxbound.pictures import plot
+from jaxbound.plots import distinct_relations, plot_residuals, to_png
 from jaxbound.report import bound_hints, coverage, duration, percent, summary, times, worst_window, write_report
 
 FAULT, MISSING, CONSISTENT, UNDECIDED = jb.Status.FAULT, jb.Status.MISSING, jb.Status.CONSISTENT, jb.Status.UNDECIDED
