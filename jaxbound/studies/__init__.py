@@ -1,0 +1,1 @@
+"""Many evaluations of the floors below: fitting, tuning, Monte-Carlo studies."""
