@@ -1,7 +1,7 @@
 # On a machine with nothing but Python 3.11+: `make demo` or `make test`. Without make, run the lines yourself.
 PYTHON ?= python3
 
-.PHONY: demo test slow long lint bench clean
+.PHONY: demo test slow long lint docs bench clean
 
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
@@ -21,6 +21,10 @@ lint: .venv/tested
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 
+docs: .venv/installed
+	.venv/bin/pip install --quiet --editable ".[docs]"
+	.venv/bin/mkdocs build --quiet --strict
+
 bench: .venv/tested
 	.venv/bin/python -m benchmarks.strips
 	.venv/bin/python -m benchmarks.paving
@@ -36,6 +40,11 @@ bench: .venv/tested
 	.venv/bin/python -m benchmarks.varying
 	.venv/bin/python -m benchmarks.linear_systems
 	.venv/bin/python -m benchmarks.validation
+	.venv/bin/python -m benchmarks.tuning
+	.venv/bin/python -m benchmarks.study
+	.venv/bin/python -m benchmarks.stream
+	.venv/bin/python -m benchmarks.scale
+	.venv/bin/python -m benchmarks
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -47,4 +56,4 @@ bench: .venv/tested
 	touch $@
 
 clean:
-	rm -rf .venv build dist *.egg-info demo-report
+	rm -rf .venv build dist *.egg-info demo-report site

@@ -6,6 +6,7 @@ from jaxbound.diagnosis.certificate import Certificate
 from jaxbound.diagnosis.consistency import detect, margins
 from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
 from jaxbound.diagnosis.isolation import BankResult, evaluate
+from jaxbound.diagnosis.monitor import Monitor
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.uncertain_certificate import UncertainCertificate
 from jaxbound.diagnosis.uncertain_margins import compensation
@@ -16,6 +17,7 @@ from jaxbound.modelfile import load_model, save_model
 from jaxbound.models.conversion import from_control, from_scipy
 from jaxbound.models.faults import Fault
 from jaxbound.models.intervals import IntervalSystem, interval_system
+from jaxbound.models.linearize import linearize
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.simulate import Trajectory, simulate
 from jaxbound.models.system import LinearSystem
@@ -32,14 +34,19 @@ from jaxbound.sets.linear_systems import Solution, Solvability, solve_interval
 from jaxbound.sets.paving import Paving, pave
 from jaxbound.sets.status import Status
 from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
+from jaxbound.studies.fitting import FitCheck, Fitted, fit
+from jaxbound.studies.montecarlo import study
+from jaxbound.studies.study_result import StudyResult
+from jaxbound.studies.tuning import TuneResult, tune
 
 __all__ = [
-    "Alarm", "BankResult", "Certificate", "Digest", "Fault", "GuaranteedSize", "Inclusion", "Interval", "IntervalSystem", "Isolability",
-    "LinearSystem", "MultiModel", "ParityRelation", "Paving", "Redundancy", "Residual", "Result", "Signatures", "Solution", "Solvability",
-    "Status", "Trajectory", "UncertainCertificate", "UncertainRelations", "Uncertainty", "UnknownInputs", "Validation", "Zonotope",
-    "compensation", "detect", "detect_dataset", "detectable", "evaluate", "from_control", "from_scipy", "inclusion", "interval",
-    "interval_system", "isolability", "load_model", "margins", "membership", "parity_relations", "pave", "plot", "redundancy", "residual",
-    "save_model", "sets", "signatures", "simulate", "solve_interval", "strips", "structured_relations", "unknown_inputs", "validate",
+    "Alarm", "BankResult", "Certificate", "Digest", "Fault", "FitCheck", "Fitted", "GuaranteedSize", "Inclusion", "Interval",
+    "IntervalSystem", "Isolability", "LinearSystem", "Monitor", "MultiModel", "ParityRelation", "Paving", "Redundancy", "Residual",
+    "Result", "Signatures", "Solution", "Solvability", "Status", "StudyResult", "Trajectory", "TuneResult", "UncertainCertificate",
+    "UncertainRelations", "Uncertainty", "UnknownInputs", "Validation", "Zonotope", "compensation", "detect", "detect_dataset",
+    "detectable", "evaluate", "fit", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "linearize",
+    "load_model", "margins", "membership", "parity_relations", "pave", "plot", "redundancy", "residual", "save_model", "sets",
+    "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "tune", "unknown_inputs", "validate",
     "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"

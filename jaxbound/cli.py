@@ -1,4 +1,4 @@
-"""The command line: jaxbound demo | detect | explain | fleet | info.
+"""The command line: jaxbound demo | detect | explain | fleet | fit | tune | study | info.
 
 Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted. What the user did
 wrong is one sentence on stderr; a report is written completely or not at all.
@@ -29,8 +29,16 @@ from jaxbound.terminal import Refused, door, say, show, write
 __all__ = ["main"]
 
 OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130
-PLANNED = ("fit", "tune", "study")
 EPILOG = "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted"
+FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted (nothing is written)"
+TUNE_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted (the best bounds until then are written)"
+STUDY_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted (the same command goes on)"
+PIPE_EPILOG = (
+    ". With -: SIGINT (Ctrl-C) and SIGTERM end the input. Stopped in any way, kill -9 too, and started again with the same --out, "
+    "verdicts.csv holds each line that was taken once, whether the sender begins again (what was judged is known by the first line and its "
+    "number, or by its time) or goes on. On standard output each verdict stands once, after kill -9 at least once, if --out or --state is "
+    "given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
+)
 FLEET_EPILOG = (
     "exit codes, the first that applies: 1 fault found in some unit, 2 some unit could not be tested (its row says why) or bad input or "
     "usage, 3 too little evidence for some unit, 0 no fault; 70 internal error, 130 interrupted (what was tested is written)"
@@ -75,19 +83,25 @@ def main(argv=None):
 
 
 def _parse(argv):
-    if argv and argv[0] in PLANNED:
-        raise Refused(f"jaxbound {argv[0]} is not implemented yet; there are demo, detect, explain, fleet and info")
+    for i in reversed(range(1, len(argv))):
+        if argv[i - 1] in ("--input-range", "--sizes") and argv[i][:1] == "-":  # argparse takes -1:1 for an option
+            argv[i - 1 : i + 1] = [f"{argv[i - 1]}={argv[i]}"]
     parser = Parser("jaxbound", description="Guaranteed fault detection: every FAULT is a proof.", epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"jaxbound {__version__}")
-    commands = parser.add_subparsers(metavar="demo | detect | explain | fleet | info", required=True, parser_class=Parser)
+    commands = parser.add_subparsers(
+        metavar="demo | detect | explain | fleet | fit | tune | study | info", required=True, parser_class=Parser
+    )
     c = commands.add_parser("demo", help="run the example of a paper and write its report", epilog="exit code: 0")
     c.add_argument("--out", type=Path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
     c.add_argument("--runs", type=_whole(1), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
     c.set_defaults(run=run_demo)
-    c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=EPILOG)
+    c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=EPILOG + PIPE_EPILOG)
     c.add_argument("model", type=Path, metavar="MODEL.toml")
-    c.add_argument("data", metavar="DATA", help="a CSV file, a Parquet file, or a folder of Parquet files, which follow each other by name")
-    c.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures")
+    c.add_argument("data", metavar="DATA", help="a CSV file, a Parquet file, a folder of Parquet files, which follow each other by name, "
+                   "or -: lines of CSV from standard input, each judged as it comes, its verdict on standard output")  # fmt: skip
+    c.add_argument("--out", type=Path, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures; with -, if given, "
+                   "for verdicts.csv and monitor.jsonl")  # fmt: skip
+    c.add_argument("--state", type=Path, metavar="FILE", help="with -: where to remember how to go on (default: DIR/monitor.jsonl)")
     c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 65536 at least (default: 1000000)")
     more = f"; {VALIDATION} bounds states and outputs, names the faulty sensor and says what it should have shown"
     _testing(c, more)
@@ -102,6 +116,55 @@ def _parse(argv):
     c.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
     _testing(c)
     c.set_defaults(run=_elsewhere("fleet"))
+    c = commands.add_parser("fit", help="find a model and its bounds from healthy recordings", epilog=FIT_EPILOG)
+    c.add_argument("data", type=Path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
+    c.add_argument("--inputs", default="", metavar="A,B", help="columns; or name=column, or name=expression like lift=Tsup-Tmix")
+    c.add_argument("--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain")
+    c.add_argument("--order", type=_whole(1), default=2, metavar="N", help="samples back that determine the next one (default: 2)")
+    c.add_argument("--horizon", type=_whole(1), default=15, metavar="S", help="bounds are found for windows of S + 1 samples (default: 15)")
+    c.add_argument("--direct", action="store_true", help="inputs act on outputs of the same sample")
+    c.add_argument("--where", metavar="EXPR", help="condition on columns: samples where it does not hold are no part of the recording")
+    c.add_argument("--time", metavar="COLUMN", help="of the time stamps (default: a column that looks like time)")
+    c.add_argument("--dt", type=float, metavar="SECONDS", help="sampling period (default: the median step of the time)")
+    c.add_argument("--safety", type=float, default=1.25, metavar="F", help="factor on the smallest bounds (default: 1.25)")
+    c.add_argument("--held-out", type=_share, default=0.3, metavar="F", help="last share of each recording kept from a first fit, to see "
+                   "what it makes of unseen data (default: 0.3)")  # fmt: skip
+    c.add_argument("--method", default="auto", help="auto, least squares, windows, or filters (fast given dynamics: no error hides)")
+    c.add_argument("--out", type=Path, required=True, metavar="MODEL.toml", help="the model file to write")
+    c.add_argument("--name", metavar="NAME", help="of the plant (default: that of the model file)")
+    c.add_argument("--plot", type=Path, metavar="PNG", help="picture: how much of the bounds each window needs")
+    c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+    c.set_defaults(run=_elsewhere("fitted"))
+    c = commands.add_parser("tune", help="find the smallest bounds under which healthy recordings are consistent", epilog=TUNE_EPILOG)
+    c.add_argument("model", type=Path, metavar="MODEL.toml", help="its bounds are the start; those at 0 stay 0")
+    c.add_argument("healthy", type=Path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet")
+    c.add_argument("--faulty", type=Path, nargs="+", default=[], metavar="F", help="recordings with a fault, to be left outside")
+    c.add_argument("--out", type=Path, required=True, metavar="TUNED.toml", help="the model with its new bounds")
+    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the model's, or the least)")
+    c.add_argument("--steps", type=_whole(0), default=300, metavar="N", help="gradient steps (default: 300; 0: one factor on all bounds)")
+    c.add_argument("--optimizer", default="adam", metavar="NAME", help="of optax: adam (default), sgd, lion, ...")
+    c.add_argument("--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)")
+    c.add_argument("--safety", type=float, default=1.25, metavar="F", help="factor on the smallest bounds (default: 1.25)")
+    c.add_argument("--calibrate", type=_share, default=1 / 3, metavar="F", help="share of the data kept out of the search (default: 1/3)")
+    c.add_argument("--plot", type=Path, metavar="PNG", help="picture of the search and of the margins")
+    c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+    c.set_defaults(run=_elsewhere("tuned"))
+    c = commands.add_parser("study", help="simulate a million scenarios and count what is detected", epilog=STUDY_EPILOG)
+    c.add_argument("model", type=Path, metavar="MODEL.toml", help="the plant and the bounds of its monitor")
+    c.add_argument("--faults", required=True, metavar="F,F", help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation")
+    c.add_argument("--sizes", metavar="LO:HI:COUNT", help="or numbers with commas (default: twelve around the guaranteed size)")
+    c.add_argument("--n", type=_whole(1), default=100_000, metavar="N", help="scenarios, spread over faults and sizes (default: 100000)")
+    c.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for summary.csv, delays.parquet and report.html")
+    c.add_argument("--samples", type=_whole(1), default=200, metavar="T", help="of a scenario (default: 200)")
+    c.add_argument("--onset", metavar="LO:HI", help="the fault starts at a sample LO <= k < HI (default: the second quarter)")
+    c.add_argument("--at", default="uniform", help="unknowns: uniform (default), vertices of their bounds, or adversarial")
+    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
+    c.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="of the scenarios (default: 0)")
+    c.add_argument("--input-range", metavar="LO:HI", help="levels of the inputs, one pair for all or one each with commas")
+    c.add_argument("--hold", type=_whole(1), default=20, metavar="H", help="samples that a level lasts (default: 20)")
+    c.add_argument("--rows", action="store_true", help="keep a row for each scenario in DIR/scenarios/")
+    c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+    c.set_defaults(run=_elsewhere("studied"))
     c = commands.add_parser("info", help="show what a model file says and what can be tested", epilog="exit codes: 0, or 2 bad input")
     c.add_argument("model", type=Path, nargs="?", metavar="MODEL.toml")
     c.add_argument("--template", action="store_true", help="print a commented model file")
@@ -198,6 +261,7 @@ def _info(args):
         ("dt", f"{m.dt:g} s"), ("matrices", f"A {m.n}x{m.n}, B {m.n}x{m.m}, C {m.p}x{m.n}, D {'present' if m.has_feedthrough else 'zero'}"
          f"   {origin('model')}"), *bounds,
         ("offset", exact(m.inputs + m.outputs, m.offset["u"] + m.offset["y"])),
+        *[(f"column of {s}" if s in m.inputs + m.outputs else s, c) for s, c in m.columns.items()],
         ("horizon", f"{r.horizon}: a window has {r.horizon + 1} samples"),
         ("relations", f"{r.count} independent, {tested}"),
         *[("note", n) for n in getattr(r, "notes", ())], *[("hint", h) for h in bound_hints(m)]]  # fmt: skip

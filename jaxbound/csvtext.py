@@ -42,10 +42,11 @@ class Layout:
         return f"row {k + self.skip + 1}"
 
 
-def sniff(path):
-    """Look at the first lines of the file and find out how it is written."""
-    with open(path, "rb") as f:
-        head = f.read(ENOUGH)
+def sniff(path, head=None):
+    """Look at the first lines of the file, or at these bytes, and find out how it is written."""
+    if head is None:
+        with open(path, "rb") as f:
+            head = f.read(ENOUGH)
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
         raise ValueError("the file is empty")
     for magic, kind in SIGNATURES.items():
@@ -77,7 +78,8 @@ def sniff(path):
     data = [_cells(line, delimiter) for line in lines[skip + 1 : skip + 200] if line.strip()]
     decimal = "," if delimiter != "," and any(re.fullmatch(r"\s*[-+]?\d*,\d+([eE].*)?\s*", c) for row in data for c in row) else "."
     if all(is_number(name, decimal) for name in names):
-        raise ValueError(f"the first row must hold the names of the columns: it holds numbers ({', '.join(names[:3])})")
+        raise ValueError(f"the first row must hold the names of the columns: it holds numbers ({', '.join(names[:3])}). "
+                         f"Put a line above it, such as: {', '.join(['time', *('abcdefgh'[: len(names) - 1])])}")  # fmt: skip
     if not data:
         raise ValueError("the file has a header but no row of data")
     first = data[0] + [""] * (len(names) - len(data[0]))
@@ -93,8 +95,8 @@ def is_number(cell, decimal):
     return NUMBER.fullmatch(cell.strip().replace(decimal, ".")) is not None
 
 
-def parse_columns(layout, index, text):
-    """Return {column: pyarrow array} of the wanted columns; `text` is the one that is not a number."""
+def parse_columns(layout, index, texts):
+    """Return {column: pyarrow array} of the wanted columns; `texts` are those that are not numbers."""
     import pyarrow as pa
     import pyarrow.csv as pc
 
@@ -104,16 +106,16 @@ def parse_columns(layout, index, text):
     for decimal in (layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",):
         convert = pc.ConvertOptions(
             include_columns=list(key.values()), decimal_point=decimal, null_values=list(MISSING_CELLS), strings_can_be_null=True,
-            column_types={k: pa.string() if name == text else pa.float64() for name, k in key.items()})  # fmt: skip
+            column_types={k: pa.string() if name in texts else pa.float64() for name, k in key.items()})  # fmt: skip
         try:
             table = pc.read_csv(layout.path, read, pc.ParseOptions(delimiter=layout.delimiter, newlines_in_values=False), convert)
             return {name: table[k].combine_chunks() for name, k in key.items()}
         except pa.ArrowInvalid as e:
             failure = failure or e
-    raise ValueError(_bad_row(layout, index, text) or str(failure).splitlines()[0])
+    raise ValueError(_bad_row(layout, index, texts) or str(failure).splitlines()[0])
 
 
-def _bad_row(layout, index, text):
+def _bad_row(layout, index, texts):
     """Return a sentence on the first row that cannot be read: the slow second pass."""
     with open(layout.path, encoding="utf-8-sig" if layout.encoding == "utf-8" else layout.encoding, errors="replace", newline="") as f:
         reader = csv.reader(f, delimiter=layout.delimiter)
@@ -124,6 +126,6 @@ def _bad_row(layout, index, text):
                 return f"row {reader.line_num} has {len(row)} cells, the header has {len(layout.names)} columns"
             for name, i in index.items():
                 cell = row[i]
-                if name != text and cell not in MISSING_CELLS and not is_number(cell, layout.decimal):
+                if name not in texts and cell not in MISSING_CELLS and not is_number(cell, layout.decimal):
                     return f"row {reader.line_num} of column {name!r} holds {cell.strip()[:60]!r}, which is not a number"
     return None

@@ -13,6 +13,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,13 +21,15 @@ import jax
 import numpy as np
 
 from jaxbound.diagnosis.consistency import METHODS, detect
+from jaxbound.diagnosis.units import unit_hints
 from jaxbound.diagnosis.validation import least_horizon, validate
 from jaxbound.digest import digest
 from jaxbound.files import read_recording, write_alarms, write_verdicts
 from jaxbound.modelfile import load_model, save_model
 from jaxbound.parquet import is_parquet, open_parquet
+from jaxbound.processes import Lost, Team, abandon, join_others
 from jaxbound.relations.parity import parity_relations
-from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, worst, write_report
+from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, windows, worst, write_report
 from jaxbound.runfile import VALIDATION, save_run
 from jaxbound.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
 from jaxbound.terminal import Interrupted, Refused, door, progress_bars, show, write
@@ -34,16 +37,29 @@ from jaxbound.validated import Validated, write_columns_of, write_page
 
 __all__ = ["CODES", "conclude", "run_demo", "run_detect", "usable_device", "workplace"]
 
+BAD_INPUT = 2
 CODES = {"no fault": 0, "fault": 1, "too little evidence": 3}
 COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
 
 
 def run_detect(args):
     """Run `jaxbound detect`; return the exit code."""
+    if args.data == "-":
+        from jaxbound import piped
+
+        return piped.run(args)
+    if args.out is None:
+        raise Refused("the following arguments are required: --out; see jaxbound detect --help")
+    if args.state is not None:
+        raise Refused("--state is for samples that come through a pipe: give - as DATA")
     if args.method not in (*METHODS, VALIDATION):
         raise Refused(f"--method must be one of {', '.join((*METHODS, VALIDATION))}, not {args.method!r}")
+    with door():
+        join_others()
     threading.Thread(target=_load_plotting, daemon=True).start()
     data = Path(args.data)
+    if jax.distributed.is_initialized() and (args.method == VALIDATION or not data.exists() or not is_parquet(data)):
+        raise Refused(f"several processes share the work on Parquet only: {args.data} is read as a whole, by one")
     if args.method == VALIDATION:
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
@@ -53,6 +69,8 @@ def run_detect(args):
     elif data.exists() and is_parquet(data):
         with made(args.out), progress_bars(("test", "report")) as step:
             found = _stream(args, step)
+        if isinstance(found, int):
+            return found
     elif data.exists() and args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
@@ -63,31 +81,46 @@ def run_detect(args):
 
 
 def _stream(args, step):
-    """Test a Parquet recording chunk by chunk and write everything into --out; return what the conclusion needs."""
-    with door():
-        model = load_model(args.model)
-        relations = parity_relations(model, args.horizon)
-        usable_device()
-        source = open_parquet(args.data, model)
-        try:
-            chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
-            parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress)
-            start = time.perf_counter()
-            with workplace(args.out) as work:
-                progress = lambda share: step("report", 0.4 * share)
-                found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
-                save_run(work, args.model, args.data, args.method, relations.horizon)
-                write_report(work, found, found, found.alarms, hints=found.hints, seconds=seconds, min_coverage=args.min_coverage,
-                             progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
-        except KeyboardInterrupt:
-            if done := kept(args.out / PARTIAL, source.samples):
-                share, where = percent(done / source.samples), args.out / PARTIAL
-                raise Interrupted(
-                    f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from there"
-                ) from None
-            raise
-        publish(args.out)
-        _remove(args.out / "verdicts.csv")
+    """Test a Parquet recording chunk by chunk and write everything into --out; return what the conclusion needs.
+
+    One of several processes does its part; but for process 0 it returns the exit code at which that one arrived.
+    """
+    try:
+        with door(), Team(args.out) as team:
+            return _stream_with(team, args, step)
+    except Lost as e:
+        if e.silent:
+            abandon(BAD_INPUT)
+        raise Refused(str(e)) from e
+
+
+def _stream_with(team, args, step):
+    """Do the part of this process; the first of them makes the report of all."""
+    model = load_model(args.model)
+    relations = parity_relations(model, args.horizon)
+    usable_device()
+    source = open_parquet(args.data, model)
+    try:
+        chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
+        parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress, team)
+        if team.number:
+            team.wait(lambda: team.said(0)[0] == "published")
+            return int(team.said(0)[1])
+        start = time.perf_counter()
+        with workplace(args.out) as work:
+            progress = lambda share: step("report", 0.4 * share)
+            found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
+            save_run(work, args.model, args.data, args.method, relations.horizon)
+            write_report(work, found, found, found.alarms, hints=found.hints, seconds=seconds, min_coverage=args.min_coverage,
+                         progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
+    except KeyboardInterrupt:
+        if done := kept(args.out / PARTIAL, source.samples):
+            share, where = percent(done / source.samples), args.out / PARTIAL
+            raise Interrupted(f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from there") from None
+        raise
+    publish(args.out)
+    _remove(args.out / "verdicts.csv")
+    team.say("published", CODES[summary(found, found.alarms, found.label, args.min_coverage)[0]])
     seconds["report"] = time.perf_counter() - start
     return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds
 
@@ -106,6 +139,8 @@ def _evaluate(args, work, step, extra=lambda res: ()):
         res = detect(relations, recording.u, recording.y, method=args.method, progress=lambda share: step("test", share),
                      starts=recording.starts)  # fmt: skip
     step("test", 1.0)
+    res = replace(res, aside=recording.aside(relations.horizon))
+    recording = replace(recording, hints=(*recording.hints, *unit_hints(res)))
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     hints = [*recording.hints, *bound_hints(model)]
@@ -129,8 +164,9 @@ def _validate(args, work, step):
         model = load_model(args.model)
         recording = read_recording(args.data, model, lambda share: step("read", share))
         if len(recording.starts):
-            at = recording.label(recording.starts[0])
-            raise ValueError(f"{args.data}: validation carries the state from sample to sample, but there is a gap in time before {at}: "
+            at, condition = recording.label(recording.starts[0]), recording.excluded is not None and recording.excluded.any()
+            why = f"{model.columns['where']!r} does not hold all the time, see" if condition else "there is a gap in time before"
+            raise ValueError(f"{args.data}: validation carries the state from sample to sample, but {why} {at}: "
                              "cut the recording there, or choose another method")  # fmt: skip
         horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
         _complete(args.data, model.inputs, recording.u, recording, "every sample of every input is needed")
@@ -178,8 +214,7 @@ def conclude(args, res, recording, alarms, hints, seconds):
             "seconds": {k: round(v, 3) for k, v in seconds.items()}, "out": str(args.out)}  # fmt: skip
         write(json.dumps(found, indent=2, allow_nan=False) + "\n")
         return code
-    total = samples(res) - res.relations.horizon
-    decided = f"{percent(coverage(res))} of {total} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"
+    decided = f"{percent(coverage(res))} of {windows(res)} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"
     whom = ", ".join(f"{name} in {n} samples" for name, n in res.blamed.items()) if validated else ""
     rows = [
         ("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s])),

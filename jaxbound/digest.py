@@ -2,21 +2,25 @@
 
 import shutil
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from jaxbound.columns import from_arrow, to_arrow, write_columns
+from jaxbound.derived import where_hints
 from jaxbound.diagnosis.alarms import Alarm, check_rule, stretches
 from jaxbound.diagnosis.consistency import detect
+from jaxbound.diagnosis.units import unit_hints
 from jaxbound.files import alarm_columns
 from jaxbound.models.seams import Clock, irregular, seam_hints, tick
-from jaxbound.models.stillness import signal_hints
+from jaxbound.models.stillness import signal_hints, windows_inside
 from jaxbound.parquet import ParquetSource, open_parquet
 from jaxbound.plots import Timeline
+from jaxbound.processes import Team
 from jaxbound.recordings import missing_sentences, rounding_hints, time_label
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.status import Status
-from jaxbound.streaming import CHUNK, part_files, publish, read_runs, write_parts
+from jaxbound.streaming import CHUNK, VERDICTS, part_files, publish, read_runs, write_parts
 
 __all__ = ["Digest", "detect_dataset", "digest"]
 
@@ -33,6 +37,7 @@ class Digest:
         worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window), or None.
         alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints: sentences for the user.
         line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when asked for.
+        aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
     """
 
     relations: ParityRelation
@@ -46,6 +51,7 @@ class Digest:
     hints: tuple
     line: Timeline
     time: dict
+    aside: int = 0
 
     def label(self, k):
         """Return the time of sample k as text."""
@@ -77,7 +83,7 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     Args:
         relations: from `parity_relations`. path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
-            A call that was stopped is continued by the same call.
+            A call that was stopped is continued by the same call. All processes of one `jax.distributed` that make it share the work.
         method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
             depend on it.
         alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
@@ -87,7 +93,7 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
 
     Raises:
         TypeError: other relations. OSError, ValueError: data that cannot be read; an unfinished run of other data, another model or other
-        options in `out`; no alarm rule.
+        options in `out`; no alarm rule. RuntimeError: another process failed.
 
     Example:
         >>> import tempfile, pandas as pd, jaxbound as jb
@@ -102,10 +108,17 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
         raise TypeError(f"detect_dataset needs parity relations, not {type(relations).__name__}")
     check_rule(*alarm)
     report = progress or (lambda share: None)
-    source = open_parquet(path, relations.model)
-    partial, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share))
-    found = digest(relations, source, partial, method, alarm)
-    publish(out)
+    with Team(Path(out)) as team:
+        source = open_parquet(path, relations.model)
+        folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share), team)
+        if team.number == 0:
+            found = digest(relations, source, folder, method, alarm)
+            publish(out)
+            team.say("published")
+        else:
+            team.wait(lambda: team.said(0)[0] == "published")
+    if team.number:
+        found = digest(relations, source, Path(out) / VERDICTS, method, alarm)
     report(1.0)
     return found
 
@@ -145,7 +158,10 @@ def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=N
     if sentence := irregular(clock, found.label, source.row):
         shutil.rmtree(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
-    found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *_signal_hints(found, part)))
+    hints, aside = _signal_hints(found, folder)
+    found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)
+    if found.counts["FAULT"] and (units := unit_hints(found.around(found.worst[0])[0])):
+        found = replace(found, hints=(*found.hints, *units))
     found.alarms[:] = [replace(a, result=found) for a in found.alarms]
     return found
 
@@ -161,15 +177,19 @@ class _Times(dict):
         return self[k]
 
 
-def _signal_hints(found, last_part):
-    """Return sentences on missing samples, on what the recorder seems to round and on signals that stand still."""
-    model, out = found.relations.model, []
-    runs = dict(zip(model.inputs + model.outputs, read_runs(last_part), strict=True))
-    out += missing_sentences({name: found.samples - r.present for name, r in runs.items()}, found.samples)
+def _signal_hints(found, folder):
+    """Return (sentences on missing samples, on what the recorder seems to round and on signals that stand still; windows set aside)."""
+    model, out, where, aside, samples = found.relations.model, [], found.data.plan.where, 0, found.samples
+    names = model.inputs + model.outputs + (("where",) if where else ())
+    runs = dict(zip(names, read_runs(part_files(folder)), strict=True))
+    if where:
+        kept = runs.pop("where")
+        samples, aside = kept.present, found.samples - found.relations.horizon - windows_inside(kept, found.relations.horizon)
+    out += missing_sentences({name: samples - r.present for name, r in runs.items()}, samples)
     out += rounding_hints(model, found.data.probe().y)
     for name in model.outputs + model.inputs:
         out += signal_hints(name, runs[name], found.label, driven=name in model.inputs)
-    return out
+    return out + (where_hints(where.text, found.samples - samples, found.samples) if where else []), aside
 
 
 def _read(part):

@@ -9,12 +9,13 @@ import json
 import math
 from collections import Counter, deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 from jaxbound.detecting import CODES, usable_device, workplace
 from jaxbound.diagnosis.consistency import METHODS, detect
+from jaxbound.diagnosis.units import unit_hints
 from jaxbound.files import read_recording
 from jaxbound.fleetpage import fleet_page
 from jaxbound.modelfile import load_model
@@ -210,13 +211,14 @@ def _tested(unit, job, method, alarm, min_coverage):
         if len(recording.time) <= s:
             raise ValueError(f"{unit.recording}: the recording has {len(recording.time)} samples, one window needs {s + 1}")
         res = detect(relations, recording.u, recording.y, method=method, starts=recording.starts)
+        res = replace(res, aside=recording.aside(s))
         alarms = res.alarms(*alarm)
         verdict, sentence = summary(res, alarms, recording.label, min_coverage)
         at, margin = worst(res)
         return UnitResult(
             unit, verdict, sentence, float(margin), tuple(res.counts.values()), coverage(res), len(alarms),
             recording.label(alarms[0].start) if alarms else "", "" if at is None else recording.label(at),
-            (*recording.hints, *bound_hints(model)))  # fmt: skip
+            (*recording.hints, *unit_hints(res), *bound_hints(model)))  # fmt: skip
     except (OSError, ValueError, NotImplementedError, TypeError) as e:
         system = isinstance(e, OSError) and e.filename and e.strerror
         return UnitResult(unit, "not tested", f"{e.filename}: {e.strerror.lower()}" if system else str(e))

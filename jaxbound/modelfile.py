@@ -15,8 +15,8 @@ from jaxbound.models.uncertainty import Uncertainty, centred
 
 __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 
-TOP = ("name", "dt", "time", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty", "decouple",
-       "matrices", "provenance")  # fmt: skip
+TOP = ("name", "dt", "horizon", "time", "where", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty",
+       "decouple", "matrices", "provenance")  # fmt: skip
 STATE = ("name", "unit")
 INPUT = ("name", "unit", "column", "offset")
 OUTPUT = ("name", "unit", "column", "offset", "tolerance", "noise", "resolution")
@@ -140,8 +140,7 @@ def _model(table):
     if "D_v" in matrices and "F" not in matrices:
         raise ValueError("D_v says how unknown inputs act on the outputs: it needs F beside it, zeros where they do not act on a state")
     columns = {s["name"]: s["column"] for s in inputs + outputs if "column" in s}
-    if "time" in table:
-        columns["time"] = _string("time", table["time"])
+    columns |= {key: _string(key, table[key]) for key in ("time", "where") if key in table}
     offset = {side: [s.get("offset", 0) for s in signals] for side, signals in (("u", inputs), ("y", outputs)) if signals}
     bounds = {bound: [s.get(bound, 0) for s in outputs] for bound in ("tolerance", "noise", "resolution") if outputs}
     names = lambda signals: [s["name"] for s in signals] or None
@@ -155,7 +154,7 @@ def _model(table):
         decouple=[_string("decouple", name) for name in _list("decouple", table.get("decouple", []))],
         constant_tolerance=_truth("constant_tolerance", table.get("constant_tolerance", False)),
         provenance=_known("[provenance]", _table("[provenance]", table.get("provenance", {})), PROVENANCE),
-        name=_string("name", table.get("name", "model")))  # fmt: skip
+        name=_string("name", table.get("name", "model")), horizon=table.get("horizon"))  # fmt: skip
 
 
 def _known(where, table, fields):
@@ -262,8 +261,9 @@ def model_text(model):
     number = lambda x: f'"{t}"' if "/" in (t := number_text(x)) else t
     rows = lambda a: "[\n" + "".join(f"    [{', '.join(map(number, row))}],\n" for row in a) + "]"
     out = [f"name = {quote(model.name)}", f"dt = {number(Fraction(repr(model.dt)))}  # s"]
-    if "time" in model.columns:
-        out.append(f"time = {quote(model.columns['time'])}")
+    if model.horizon is not None:
+        out.append(f"horizon = {model.horizon}")
+    out += [f"{key} = {quote(model.columns[key])}" for key in ("time", "where") if key in model.columns]
     if model.constant_tolerance:
         out.append("constant_tolerance = true")
     states = [f"{{name = {quote(s)}, unit = {quote(model.units[s])}}}" if s in model.units else quote(s) for s in model.states]
@@ -307,7 +307,9 @@ TEMPLATE = """\
 
 name = "tank"
 dt = 1.0             # sampling period of model and recording, in seconds
+# horizon = 15       # windows have 16 samples unless --horizon says otherwise: those for which the bounds were found
 # time = "Time"      # column of the time stamps; without it, a column that looks like time is taken
+# where = "Fan > 0"  # samples for which this does not hold are no part of the recording: windows with them are MISSING
 # constant_tolerance = true   # theta below keeps one value over a window (a gain error), instead of being drawn anew each sample
 states = ["level", "flow"]
 
@@ -336,7 +338,7 @@ G = [
 [[inputs]]
 name = "pump"
 unit = "%"           # optional, for the report
-column = "Pump [%]"  # optional: the column of the recording, if it is not called like the signal
+column = "Pump [%]"  # optional: the column of the recording, if it is not called like the signal, or "= `In (bar)` - `Out (bar)`"
 offset = 50          # optional: operating point; the model speaks of (recorded value - offset)
 
 # One [[outputs]] block per row of C, in order, with what is known of its sensor:

@@ -1,10 +1,8 @@
 """Recordings in Parquet: a file, or a folder of files that follow each other by name, read in chunks so that size does not matter.
 
-Names are sorted as people do, part-9 before part-10. Names that begin with a dot or an underscore, and verdicts of ours, are left out.
 Rows count from 1.
 """
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,18 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from jaxbound.columns import from_arrow, valid
-from jaxbound.models.seams import Clock, check_period, irregular, seam_hints, tick
+from jaxbound.derived import Wanted, where_hints
+from jaxbound.models.expressions import Expression
+from jaxbound.models.seams import Clock, around, check_period, irregular, seam_hints, tick, usual_period
 from jaxbound.models.stillness import still_hints
-from jaxbound.recordings import Recording, missing_hints, rounding_hints, signal_columns, time_column, time_label
+from jaxbound.parquetfiles import PARTIAL, SUFFIXES, VERDICTS, Damage, checked, files_of, opened, plan_of
+from jaxbound.recordings import Recording, missing_hints, rounding_hints, time_label
 from jaxbound.timestamps import EPOCHS, epoch_scale
 
 __all__ = ["PARTIAL", "VERDICTS", "ParquetSource", "is_parquet", "open_parquet"]
 
 PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
 BATCH = 1 << 16  # rows decoded at once at least
-SUFFIXES = (".parquet", ".pq")
-VERDICTS, PARTIAL = "verdicts.parquet", "verdicts.partial"  # folders that we write, complete and not
-INDEX = "__index_level_0__"  # where pandas puts an index without a name
 
 
 def is_parquet(path):
@@ -40,8 +38,9 @@ class ParquetSource:
 
     Fields:
         path: as given; files: the files in order; rows: (F + 1,) number of the first sample of each file, and of all samples.
-        model: whose signals are read; signals: their columns; time_name: the column of the time, or None.
-        dtype: float32 if an output is stored so, else float64: what was rounded away is counted in the type it was recorded in.
+        model: whose signals are read; plan: the columns for them; time_name: the column of the time, or None.
+        dtype: float32 if an output is stored so and none is computed, else float64: what was rounded away is counted in the type it was
+            recorded in.
         origin: what the time is counted from; scale: units a second of a numeric time column that is an epoch, or None.
         hints: sentences on how the files were read.
     """
@@ -50,12 +49,16 @@ class ParquetSource:
     files: tuple
     rows: np.ndarray
     model: object
-    signals: list
-    time_name: str | None
+    plan: Wanted
     dtype: np.dtype
     origin: object = None
     scale: float | None = None
     hints: tuple = ()
+
+    @property
+    def time_name(self):
+        """The column of the time, or None."""
+        return self.plan.time
 
     @property
     def samples(self):
@@ -76,8 +79,7 @@ class ParquetSource:
         import pyarrow as pa
 
         held, rows, start = [], 0, first
-        columns = list(dict.fromkeys(self.signals + ([] if self.time_name is None else [self.time_name])))
-        for batch in self._batches(first, stop, size, columns):
+        for batch in self._batches(first, stop, size, self.plan.columns):
             while len(batch):
                 part = batch.slice(0, size - rows)
                 held.append(part)
@@ -87,19 +89,27 @@ class ParquetSource:
                     held, rows, start = [], 0, start + rows
 
     def chunk(self, start, table):
-        """Return the samples of a table from `tables` as a Recording without hints and seams.
+        """Return the samples of a table from `tables` as a Recording without hints and without starts; those left out are .excluded.
 
         Raises:
             ValueError: a sample is infinite or too large, or has no time.
         """
-        x = {name: self._numbers(start, name, table.column(name)) for name in dict.fromkeys(self.signals)}
-        stack = lambda names: np.stack([x[s] for s in names], 1) if names else np.zeros((len(table), 0), self.dtype)
-        u, y = stack(self.signals[: self.model.m]), stack(self.signals[self.model.m :])
-        if self.time_name is None:
-            return Recording(np.arange(start, start + len(table)) * self.model.dt, None, u, y, source=self.path.name)
-        written = _whole(table.column(self.time_name))
-        time, stamps = self.times(start, written)
-        return Recording(time, stamps, u, y, (), written, self.path.name)
+        x = {c: self._numbers(start, c, table.column(c)) for c in self.plan.numbers if c != self.time_name or self._numeric(table)}
+        x |= {c: np.array(table.column(c).to_pylist(), object) for c in self.plan.texts}
+        written = None if self.time_name is None else _whole(table.column(self.time_name))
+        time, stamps = (np.arange(start, start + len(table)) * self.model.dt, None) if written is None else self.times(start, written)
+        x.setdefault(self.time_name, time if stamps is None else stamps)
+        try:
+            u, y, excluded = self.plan.samples(x, len(table), self.dtype)
+        except ValueError as e:
+            raise ValueError(f"{self.path}: {e}") from None
+        return Recording(time, stamps, u, y, (), written, self.path.name, (), excluded)
+
+    def _numeric(self, table):
+        import pyarrow as pa
+
+        kind = table.column(self.time_name).type
+        return pa.types.is_integer(kind) or pa.types.is_floating(kind)
 
     def read(self, start, stop, progress=None):
         """Return the samples start..stop as one Recording, with its seams; hints only if that is all of them.
@@ -116,10 +126,13 @@ class ParquetSource:
         if stop - start == self.samples:
             if sentence := irregular(clock, r.label, self.row):
                 raise ValueError(f"{self.path}: {sentence}")
-            hints += [*self.hints, *seam_hints(clock, r.label, self.row), *missing_hints(self.model, r.u, r.y)]
+            hints += [*self.hints, *seam_hints(clock, r.label, self.row), *missing_hints(self.model, r.u, r.y, r.excluded)]
             hints += [*rounding_hints(self.model, r.y), *still_hints(self.model, r.u, r.y, r.label)]
+        if r.excluded is not None:
+            starts = np.union1d(starts, around(r.excluded))
+            hints += where_hints(self.plan.where.text, np.count_nonzero(r.excluded), self.samples) if stop - start == self.samples else []
         report(1.0)
-        return Recording(r.time, r.stamps, r.u, r.y, tuple(hints), r.written, r.source, tuple(starts.tolist()))
+        return replace(r, hints=tuple(hints), starts=tuple(starts.tolist()), dt=self.model.dt)
 
     def name(self, file):
         """Return how the user knows one of the files."""
@@ -137,13 +150,13 @@ class ParquetSource:
 
     def _of_file(self, file, first, stop, size, columns):
         """Yield record batches of the rows first..stop of one file; row groups outside are not touched."""
-        with _opened(file, self.name(file)) as f:
+        with opened(file, self.name(file)) as f:
             ends = np.cumsum([0, *(f.metadata.row_group(g).num_rows for g in range(f.num_row_groups))])
             groups = [g for g in range(f.num_row_groups) if ends[g] < stop and ends[g + 1] > first]
             at = int(ends[groups[0]]) if groups else 0
             batches = f.iter_batches(max(size, BATCH), groups, columns)
             while True:
-                with _damage(self.name(file)):
+                with Damage(self.name(file)):
                     batch = next(batches, None)
                 if batch is None:
                     return
@@ -156,8 +169,9 @@ class ParquetSource:
         """Return a column as floats, NaN where a sample is missing."""
         import pyarrow as pa
 
+        computed = any(isinstance(s, Expression) and name in s.columns for s in (*self.plan.inputs, *self.plan.outputs, self.plan.where))
         try:
-            x = from_arrow(_whole(column.cast(pa.float32() if self.dtype == np.float32 else pa.float64())))
+            x = from_arrow(_whole(column.cast(pa.float32() if self.dtype == np.float32 and not computed else pa.float64())))
         except pa.ArrowInvalid:
             raise ValueError(f"column {name!r} of {self.path} holds whole numbers too large for a float: scale them") from None
         if np.isinf(x).any():
@@ -211,15 +225,15 @@ def open_parquet(path, model):
     import pyarrow as pa
 
     path = Path(path)
-    files = _files(path)
-    source = ParquetSource(path, files, np.zeros(len(files) + 1, np.int64), model, [], None, np.dtype(float))
+    files = files_of(path)
+    source = ParquetSource(path, files, np.zeros(len(files) + 1, np.int64), model, Wanted((), (), None, None), np.dtype(float))
     counts, first = [], None
     for file in files:
         name = source.name(file) if path.is_dir() else str(path)
-        with _opened(file, name) as f:
+        with opened(file, name) as f:
             counts.append(f.metadata.num_rows)
             try:
-                schema = _checked(f.schema_arrow, model, name)
+                schema = checked(f.schema_arrow, model, name)
             except ValueError as e:
                 mixed = f", as the files before it have (first {source.name(files[0])})" if first else ""
                 raise ValueError(f"{path}{'/' + name if path.is_dir() else ''}: {e}{mixed}") from None
@@ -232,87 +246,12 @@ def open_parquet(path, model):
     rows = np.cumsum([0, *counts])
     if rows[-1] < 2:
         raise ValueError(f"{path}: {'no row' if not rows[-1] else 'one row'} of data: a recording has at least two")
-    signals = signal_columns(list(first), model)
-    time_name = next((c for c in first if c not in signals), None)
-    outputs = {first[c] for c in signals[model.m :]}
-    dtype = np.dtype(np.float32 if pa.float32() in outputs else np.float64)
-    zone = getattr(first.get(time_name), "tz", None)
+    plan = plan_of(list(first), first, model)
+    computed = any(isinstance(s, Expression) for s in plan.outputs)
+    single = not computed and pa.float32() in {first[c] for c in plan.outputs}
+    zone = getattr(first.get(plan.time), "tz", None)
     hints = (f"time stamps have the zone {zone}: they are shown in UTC",) if zone not in (None, "UTC") else ()
-    return _clocked(ParquetSource(path, files, rows, model, signals, time_name, dtype, hints=hints))
-
-
-def _files(path):
-    if not path.exists():
-        raise FileNotFoundError(f"there is no data file {path}")
-    if not path.is_dir():
-        return (path,)
-    skipped = lambda part: part[0] in "._" or part in (VERDICTS, PARTIAL)
-    inside = [p for p in path.rglob("*") if p.is_file() and not any(map(skipped, p.relative_to(path).parts))]
-    files = [p for p in inside if p.suffix.lower() in SUFFIXES]
-    if not files:
-        names = ", ".join(sorted(p.name for p in inside)[:3])
-        raise ValueError(f"{path} is a folder without Parquet files: " + (f"it has {names}" if names else "it is empty"))
-    natural = lambda p: [(int(t), "") if t.isdecimal() else (-1, t) for t in re.split(r"(\d+)", p.relative_to(path).as_posix())]
-    return tuple(sorted(files, key=natural))
-
-
-class _damage:
-    """Turns what pyarrow says of a damaged file into a sentence."""
-
-    def __init__(self, name):
-        self.name = name
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, e, trace):
-        import pyarrow as pa
-
-        if kind is not None and issubclass(kind, (pa.ArrowException, OSError)) and not getattr(e, "filename", None):
-            raise ValueError(f"{self.name} is a damaged Parquet file: {str(e).splitlines()[0].rstrip('.')}") from None
-
-
-def _opened(file, name):
-    import pyarrow.parquet as pq
-
-    with open(file, "rb") as f:
-        begins = f.read(4) == b"PAR1"
-        f.seek(max(file.stat().st_size - 4, 0))
-        ends = f.read(4) == b"PAR1" and file.stat().st_size > 8
-    if not begins or not ends:
-        raise ValueError(f"{name} is a truncated Parquet file: its end is missing" if begins else f"{name} is no Parquet file")
-    with _damage(name):
-        return pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False)  # else pyarrow holds whole row groups
-
-
-def _checked(schema, model, name):
-    """Return {column: type} of the wanted columns of a file, the signals first; refuse types that are not numbers or time."""
-    import pyarrow as pa
-
-    kinds = pa.types
-    signals = signal_columns(schema.names, model)
-    time = time_column(schema.names, model, signals)
-    if time is None and INDEX in schema.names and kinds.is_temporal(schema.field(INDEX).type):
-        time = INDEX
-    for column in signals:
-        kind = schema.field(column).type
-        if kinds.is_float16(kind):
-            raise ValueError(f"column {column!r} is in half precision: write it as float32 and state in `resolution` what was rounded away")
-        if not any(is_kind(kind) for is_kind in (kinds.is_integer, kinds.is_floating, kinds.is_decimal, kinds.is_boolean, kinds.is_null)):
-            raise ValueError(f"column {column!r} holds {_kind(kind)}: numbers are needed")
-    found = {column: schema.field(column).type for column in signals}
-    if time is not None:
-        kind = found[time] = schema.field(time).type
-        text = kinds.is_string(kind) or kinds.is_large_string(kind)
-        if not (kinds.is_timestamp(kind) or kinds.is_date(kind) or kinds.is_integer(kind) or kinds.is_floating(kind) or text):
-            raise ValueError(f"the time column {time!r} holds {_kind(kind)}: time stamps or numbers are needed")
-    return found
-
-
-def _kind(kind):
-    import pyarrow as pa
-
-    return f"text ({kind})" if pa.types.is_string(kind) or pa.types.is_large_string(kind) else f"values of type {kind}"
+    return _clocked(ParquetSource(path, files, rows, model, plan, np.dtype(np.float32 if single else np.float64), hints=hints))
 
 
 def _whole(column):
@@ -341,6 +280,8 @@ def _stamps(written, path, name):
 def _clocked(source):
     """Return the source with its time understood; refuse files in the wrong order and another period than the model's."""
     dt = source.model.dt
+    if source.time_name is None and dt is None:
+        raise ValueError(f"{source.path}: there is no time column: say how many seconds its rows are apart, with dt (--dt)")
     if source.time_name is None:
         return replace(source, hints=(f"the recording has no time column: the rows are taken to be dt = {dt:g} s apart",))
     probe = source.probe()
@@ -351,7 +292,10 @@ def _clocked(source):
         source = replace(source, hints=() if scale == 1 else (f"the time column is read as an epoch in {unit}",))
         probe = source.probe()
     try:
-        check_period(probe.time, dt)
+        if dt is None:
+            dt = usual_period(probe.time)
+            source = replace(source, model=replace(source.model, dt=dt))
+        check_period(probe.time, dt, getattr(source.model, "stated", "the model has"))
     except ValueError as e:
         raise ValueError(f"{source.path}: {e}") from None
     if len(source.files) > 1:

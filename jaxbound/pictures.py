@@ -3,10 +3,16 @@
 import numpy as np
 
 from jaxbound import plots
+from jaxbound.curves import plot_study
 from jaxbound.diagnosis.isolation import BankResult
+from jaxbound.fitted import plot_fit
 from jaxbound.plots import BINS, COLOURS, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
 from jaxbound.relations.decoupling import Isolability, Signatures
 from jaxbound.sets.status import Status
+from jaxbound.studies.fitting import Fitted
+from jaxbound.studies.study_result import StudyResult
+from jaxbound.studies.tuning import TuneResult
+from jaxbound.tuned import plot_tuning
 
 __all__ = ["plot"]
 
@@ -19,6 +25,8 @@ def plot(thing, time=None, alarms=None):
     Args:
         thing: a Result of one recording: the margin of every window over time with a ribbon of verdicts and the alarms. A BankResult:
             which relations are violated and which single faults remain, over time. Signatures or Isolability: the table as a heat map.
+            A TuneResult: the search and the margins.
+            A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against the size of a fault.
         time: (T,) seconds or datetime64; None: the index of the DataFrame, or sample numbers times dt.
         alarms: a list of Alarm for a Result; None: its own.
 
@@ -36,6 +44,8 @@ def plot(thing, time=None, alarms=None):
         >>> [len(plot(x).axes) for x in (jb.signatures(jb.redundancy(m)), jb.isolability(m))]
         [1, 1]
     """
+    if isinstance(thing, StudyResult):
+        return plot_study(thing)
     if isinstance(thing, Signatures):
         level = thing.weak.astype(int) + thing.constant
         title = f"Which relation reacts to which fault: two faults differ in at least {thing.distance}"
@@ -49,6 +59,10 @@ def plot(thing, time=None, alarms=None):
         return _heat_map(np.column_stack([seen, level]), ("no other", *thing.faults), thing.faults, legend, title)
     if isinstance(thing, BankResult):
         return _bank(thing, time)
+    if isinstance(thing, Fitted):
+        return plot_fit(thing)
+    if isinstance(thing, TuneResult):
+        return plot_tuning(thing)
     return plots.plot_result(thing, time, alarms)
 
 

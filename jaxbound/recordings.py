@@ -1,18 +1,13 @@
 """A recording as it stands in a file: its columns, the time of a sample as a reader would write it, and what its owner should know."""
 
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from jaxbound.models.recording import missing_column
+from jaxbound.models.seams import aside
 
-__all__ = [
-    "Recording", "missing_hints", "missing_samples", "missing_sentences", "rounding_hints", "signal_columns", "time_column", "time_label",
-]  # fmt: skip
-
-TIMES = (r"(date[ _-]?time|time[ _-]?stamp|time|zeit)\b.*", r"t(\s*[\[(/,].*)?", r"(date|datum)\b.*")
+__all__ = ["Recording", "missing_hints", "missing_samples", "missing_sentences", "rounding_hints", "time_label"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +22,9 @@ class Recording:
         written: the time column as the file has it, a pyarrow array; None if the file has none.
         source: the name of the file.
         starts: numbers of the samples that do not follow the one before (`models.seams`).
+        dt: sampling period in s, of the model, or found where there is none yet; None: not looked for.
+        excluded: (T,) bool, samples that the model's `where` leaves out: NaN in u and y, with a start at either end of each stretch; or
+            None where the model has no such condition.
     """
 
     time: np.ndarray
@@ -37,6 +35,12 @@ class Recording:
     written: object = None
     source: str = ""
     starts: tuple = ()
+    excluded: np.ndarray | None = None
+    dt: float | None = None
+
+    def aside(self, horizon):
+        """Return how many windows of horizon + 1 samples have one that is left out."""
+        return aside(self.excluded, horizon)
 
     def label(self, k):
         """Return the time of sample k as a reader of the file would write it."""
@@ -66,50 +70,10 @@ def time_label(seconds, stamp, step):
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text} s"
 
 
-def signal_columns(names, model):
-    """Return the columns that hold the inputs and outputs of a model, one each.
-
-    Args:
-        names: of the columns that there are.
-
-    Raises:
-        ValueError: a column is not there, or there twice.
-    """
-    signals = []
-    for signal in model.inputs + model.outputs:
-        named = model.column(signal)
-        if named not in names and signal not in names:
-            raise ValueError(missing_column(named, names, "the recording"))
-        signals.append(named if named in names else signal)
-    for name in signals:
-        _refuse_twice(names, name)
-    return signals
-
-
-def time_column(names, model, signals):
-    """Return the name of the time column: the one that the model names, or one that looks like it, or None.
-
-    Raises:
-        ValueError: the model names a column that is not there, or the column is there twice.
-    """
-    named = model.columns.get("time")
-    if named is not None and named not in names:
-        raise ValueError(missing_column(named, names, "the recording"))
-    free = [name for name in names if name not in signals]
-    likely = [name for pattern in TIMES for name in free if re.fullmatch(pattern, name.lower())]
-    found = named if named is not None else likely[0] if likely else None
-    if found is not None:
-        _refuse_twice(names, found)
-    return found
-
-
-def _refuse_twice(names, name):
-    if (count := list(names).count(name)) > 1:
-        raise ValueError(f"{count} columns are called {name!r}: a signal needs exactly one")
-
-
-def missing_hints(model, u, y):
-    """Return a sentence for each signal with missing samples. Args: u (T, m), y (T, p)."""
+def missing_hints(model, u, y, excluded=None):
+    """Return a sentence for each signal with missing samples. Args: u (T, m), y (T, p); excluded (T,) bool: samples that do not count."""
+    if excluded is not None:
+        u, y = u[~excluded], y[~excluded]
     return missing_sentences(missing_samples(model, u, y), len(y))
 
 

@@ -13,7 +13,7 @@ from jaxbound.plots import distinct_relations, plot_residuals, plot_result, plot
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status
 
-__all__ = ["bound_hints", "coverage", "summary", "worst_window", "write_report"]
+__all__ = ["bound_hints", "coverage", "summary", "windows", "worst_window", "write_report"]
 
 ROWS = 200  # alarms in the table
 PATIENCE = 1.0  # seconds for the exact certificates of the table
@@ -26,9 +26,14 @@ MEANING = {
 
 
 def coverage(res):
-    """Return the share of windows, warm-up left out, that are proved one way or the other."""
-    counts, windows = res.counts, samples(res) - res.relations.horizon
-    return (counts["CONSISTENT"] + counts["FAULT"]) / windows if windows > 0 else 0.0
+    """Return the share of windows that are proved one way or the other."""
+    counts, count = res.counts, windows(res)
+    return (counts["CONSISTENT"] + counts["FAULT"]) / count if count > 0 else 0.0
+
+
+def windows(res):
+    """Return how many windows there are: the warm-up is none, nor is what the model's `where` leaves out."""
+    return samples(res) - res.relations.horizon - res.aside
 
 
 def samples(res):
@@ -66,14 +71,14 @@ def summary(res, alarms, label, min_coverage=0.5):
         min_coverage: below it, no fault is no news.
     """
     counts, share, (at, margin) = res.counts, coverage(res), worst(res)
-    windows, faults, alarm_count = samples(res) - res.relations.horizon, counts["FAULT"], alarm_total(res, alarms)
+    count, faults, alarm_count = windows(res), counts["FAULT"], alarm_total(res, alarms)
     decided = counts["CONSISTENT"] + faults
     factor = None if np.isnan(margin) else 1 - margin
     if faults > 1 and faults == decided + counts["UNDECIDED"]:
         by = f": all bounds times about {times(factor).removesuffix(' times')} would make every window consistent" if factor else ""
         return "fault", f"Every one of the {faults} windows with data is FAULT: the model or its bounds do not fit this recording{by}."
     if faults:
-        many = f"{faults} of {windows} windows ({percent(faults / windows)}) cannot be explained by any behaviour inside the bounds"
+        many = f"{faults} of {count} windows ({percent(faults / count)}) cannot be explained by any behaviour inside the bounds"
         need = f"; the first is at {label(at)}"
         if factor:
             need = f"; the worst, at {label(at)}, would need bounds {times(factor)} as wide"
@@ -81,11 +86,11 @@ def summary(res, alarms, label, min_coverage=0.5):
         return "fault", f"Fault proved: {many}{grouped}{need}."
     if share < min_coverage:
         return "too little evidence", (
-            f"Too little evidence: only {decided} of {windows} windows ({percent(share)}) could be decided, "
+            f"Too little evidence: only {decided} of {count} windows ({percent(share)}) could be decided, "
             f"at least {percent(min_coverage)} are asked for."
         )
     used = f"; the tightest, at {label(at)}, uses {percent(factor)} of them" if factor is not None else ""
-    every = f"all {windows} windows" if decided == windows else f"{decided} of {windows} windows ({percent(share)})"
+    every = f"all {count} windows" if decided == count else f"{decided} of {count} windows ({percent(share)})"
     return "no fault", f"No fault found: the model explains {every} within its bounds{used}."
 
 

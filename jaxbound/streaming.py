@@ -1,8 +1,8 @@
 """Verdicts of recordings larger than memory: Parquet in, Parquet out, chunk by chunk, and on after an interruption.
 
 Chunks overlap by the horizon, so every window is tested once, by the same compiled kernel, whatever the size of a chunk. Verdicts are
-written in parts of a fixed number of samples, each completely or not at all, beside a note of what is being tested. The parts are all the
-state there is: the same call goes on behind the last of them.
+written in parts of a fixed number of samples, each completely or not at all, beside a note of what is being tested. A part says nothing of
+those before it, and the parts are all the state there is: the same call makes those that are not there, and several processes share them.
 """
 
 import hashlib
@@ -11,6 +11,7 @@ import os
 import shutil
 import time
 from dataclasses import asdict
+from functools import reduce
 from pathlib import Path
 
 import jax
@@ -19,9 +20,10 @@ import numpy as np
 from jaxbound.columns import categories, to_arrow
 from jaxbound.diagnosis.consistency import detect
 from jaxbound.modelfile import model_text
-from jaxbound.models.seams import Clock, tick
-from jaxbound.models.stillness import Run, Runs, follow
+from jaxbound.models.seams import Clock, around, tick
+from jaxbound.models.stillness import Run, Runs, follow, joined
 from jaxbound.parquet import PARTIAL, VERDICTS
+from jaxbound.processes import Team
 from jaxbound.sets.status import Status
 
 __all__ = ["CHUNK", "PARTIAL", "VERDICTS", "kept", "part_files", "publish", "read_runs", "write_parts"]
@@ -33,43 +35,68 @@ NOTE, RUNS = "_run.json", "runs"
 STREAMED = ("joint", "box")
 
 
-def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None):
-    """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, going on where these end.
+def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None, team=None):
+    """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those that are not there yet.
 
     Args:
-        As `digest.detect_dataset`; source: from `open_parquet`.
+        As `digest.detect_dataset`; source: from `open_parquet`; team: the `processes.Team` that shares the parts, in whose context this is.
 
     Returns:
         (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the copying of columns into the
-        arrays that the kernel reads.
+        arrays that the kernel reads. In a team process 0 returns when all parts are there, the others when theirs are.
     """
     if method not in STREAMED:
         raise ValueError(f"Parquet is tested by method {' or '.join(STREAMED)}, not {method!r}, whose budget is one for all windows")
-    s, report = relations.horizon, progress or (lambda share: None)
+    s, report, team = relations.horizon, progress or (lambda share: None), team or Team(Path(out), 0, 1)
     if source.samples <= s:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {s + 1}")
-    folder = _resumed(relations, source, Path(out), method)
+    folder, count = _begun(relations, source, Path(out), method, team), -(-source.samples // PART)
     seconds = dict.fromkeys(("read", "transfer", "compute", "write"), 0.0)
+    mine = range(count * team.number // team.count, count * (team.number + 1) // team.count)
+    first, end = mine.start * PART, min(mine.stop * PART, source.samples)
+    share = lambda done: report((done - first) / (end - first))
     try:
-        _test(relations, source, folder, method, max(chunk, LEAST, s + 1), report, _Lap(seconds))
-    except ValueError:  # data that must be changed first: what was found in them is of no use then
-        shutil.rmtree(folder)
+        for parts in _missing(folder, mine):
+            _test(relations, source, folder, method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts, team)
+        report(1.0)
+        team.say("written")
+        if team.number == 0:
+            lap = _Lap(seconds | {"wait": 0.0}) if team.others else None
+            team.wait(lambda: len(part_files(folder)) == count and all(team.said(i)[0] == "written" for i in team.others))
+            if lap is not None:
+                lap("wait")
+                seconds = lap.seconds
+    except ValueError as e:  # data that must be changed first: what was found in them is of no use then
+        team.fail(e)
+        team.afterwards(lambda: shutil.rmtree(folder, ignore_errors=True))
         raise
-    finally:
-        if not part_files(folder):
-            shutil.rmtree(folder, ignore_errors=True)
+    except BaseException:
+        team.afterwards(lambda: part_files(folder) or shutil.rmtree(folder, ignore_errors=True))
+        raise
     return folder, seconds
 
 
-def _test(relations, source, folder, method, size, report, lap):
-    s, samples, model = relations.horizon, source.samples, relations.model
-    done = kept(folder, samples)
+def _missing(folder, mine):
+    """Return the ranges of numbers of parts among mine that are not there."""
+    left = np.array([i for i in mine if not (folder / _name(i)).exists()], int)
+    stretches = np.split(left, np.flatnonzero(np.diff(left) > 1) + 1) if len(left) else []
+    return [range(int(x[0]), int(x[-1]) + 1) for x in stretches]
+
+
+def _name(number):
+    return f"part-{number:05d}.parquet"
+
+
+def _test(relations, source, folder, method, size, report, lap, parts, team):
+    s, model, done, end = relations.horizon, relations.model, parts.start * PART, min(parts.stop * PART, source.samples)
     first = max(done - s, 0)
     tail = [np.zeros((0, n), source.dtype) for n in (model.m, model.p)]
+    condition, left_out = source.plan.where is not None, np.zeros(0, bool)
     clock, starts = Clock(model.dt, samples=first), np.zeros(0, np.int64)
-    pending = _Pending(folder, done, model.inputs + model.outputs)
-    report(done / samples)
-    for start, table in source.tables(first, samples, size) if done < samples else ():
+    pending = _Pending(folder, done, model.m + model.p + condition)
+    report(done)
+    for start, table in source.tables(first, end, size):
+        team.check()
         lap("read")
         piece = source.chunk(start, table)
         tail = [np.concatenate(pair) for pair in zip(tail, (piece.u, piece.y), strict=True)]
@@ -79,21 +106,22 @@ def _test(relations, source, folder, method, size, report, lap):
         stop = start + len(table)
         origin = stop - len(y)
         starts = np.concatenate([starts[starts > origin], seams[seams > origin]])
-        found = detect(relations, u, y, method=method, starts=starts - origin)
+        left_out = np.concatenate([left_out, piece.excluded])[-len(y) :] if condition else left_out
+        found = detect(relations, u, y, method=method, starts=np.concatenate([starts - origin, around(left_out)]))
         lap("compute")
         fresh = slice(done - stop, None)
         written = to_arrow(piece.time) if piece.written is None else piece.written
-        pending.add(written[fresh], found.status[fresh], found.margin[fresh], np.concatenate([piece.u, piece.y], 1)[fresh], stop == samples)
+        part_of_it = [np.where(piece.excluded, np.nan, 1)[:, None]] if condition else []
+        signals = np.concatenate([piece.u, piece.y, *part_of_it], 1)
+        pending.add(written[fresh], found.status[fresh], found.margin[fresh], signals[fresh], stop == end)
         lap("write")
         tail, done = [x[len(x) - min(s, len(x)) :] for x in tail], stop
-        report(done / samples)
+        report(done)
 
 
 def part_files(folder):
     """Return the complete parts of a folder of verdicts in order."""
-    parts = sorted(Path(folder).glob("part-*.parquet"))
-    expected = [f"part-{i:05d}.parquet" for i in range(len(parts))]
-    return [p for p, name in zip(parts, expected, strict=True) if p.name == name]
+    return sorted(Path(folder).glob("part-*.parquet"))
 
 
 def kept(folder, samples):
@@ -101,14 +129,18 @@ def kept(folder, samples):
     return min(PART * len(part_files(folder)), samples)
 
 
-def read_runs(part):
-    """Return the Runs of the inputs and outputs (`models.stillness`) up to the end of a part."""
+def read_runs(parts):
+    """Return the Runs (`models.stillness`) of all parts: of the inputs, the outputs and, if the model has `where`, of 1 where it holds and
+    NaN elsewhere.
+    """
     import pyarrow.parquet as pq
 
-    def runs(counts, longest, last, **rest):
-        return Runs(counts=np.array(counts), longest=tuple(Run(*r) for r in longest), last=Run(*last) if last else None, **rest)
+    def runs(counts, longest, last, first, **rest):
+        one = lambda run: Run(*run) if run else None
+        return Runs(counts=np.array(counts), longest=tuple(map(one, longest)), last=one(last), first=one(first), **rest)
 
-    return [runs(**found) for found in json.loads(pq.read_schema(part).metadata[RUNS.encode()])]
+    notes = (json.loads(pq.read_schema(part).metadata[RUNS.encode()]) for part in parts)
+    return [reduce(joined, signal) for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)]
 
 
 def publish(out):
@@ -135,8 +167,7 @@ class _Pending:
     """Verdicts on their way into parts of PART samples."""
 
     def __init__(self, folder, done, signals):
-        before = read_runs(part_files(folder)[-1]) if done else [Runs()] * len(signals)
-        self.folder, self.done, self.runs, self.held = folder, done, before, []
+        self.folder, self.done, self.signals, self.held = folder, done, signals, []
 
     def add(self, written, status, margin, signals, last):
         """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last."""
@@ -161,10 +192,10 @@ class _Pending:
             "margin": to_arrow(margin),
             "suspect": to_arrow(suspect),
         }
-        self.runs = [follow(runs, np.ascontiguousarray(x)) for runs, x in zip(self.runs, signals.T, strict=True)]
-        note = json.dumps([asdict(runs) for runs in self.runs], default=np.ndarray.tolist)
+        runs = [follow(Runs(self.done), np.ascontiguousarray(x)) for x in signals.T]
+        note = json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist)
         table = pa.table(columns).replace_schema_metadata({RUNS: note})
-        name = self.folder / f"part-{self.done // PART:05d}.parquet"
+        name = self.folder / _name(self.done // PART)
         fresh = name.with_suffix(f".{os.getpid()}")
         with open(fresh, "wb") as f:
             pq.write_table(table, f, use_dictionary=["status"])
@@ -174,30 +205,34 @@ class _Pending:
         self.done += len(status)
 
 
-def _resumed(relations, source, out, method):
-    """Return the folder for the parts, new or with the parts of the same run; refuse those of another."""
-    now = _note(relations, source, method)
-    folder = out / PARTIAL
+def _begun(relations, source, out, method, team):
+    """Return the folder for the parts, new or with parts of the same run; refuse those of another. Process 0 makes it."""
+    now, folder = _note(relations, source, method), out / PARTIAL
+    if team.number:
+        team.wait(lambda: team.said(0)[0] in ("works", "written", "published"))
     try:
         before = json.loads((folder / NOTE).read_text())
     except (FileNotFoundError, json.JSONDecodeError):
         before = None
-    if before is None:
+    changed = [what for what in now if before.get(what) != now[what]] if before else []
+    if changed and team.number:
+        raise ValueError(f"process {team.number} was started with another {' and '.join(changed)} than process 0: all need the same")
+    if changed:
+        raise ValueError(
+            f"{folder} holds an unfinished run with another {' and '.join(changed)}: choose another folder, "
+            "or delete that one to begin anew"
+        )
+    if team.number == 0 and before is None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         fresh = folder / f"{NOTE}.{os.getpid()}"
         fresh.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
         os.replace(fresh, folder / NOTE)
-    else:
-        changed = [what for what in now if before.get(what) != now[what]]
-        if changed:
-            raise ValueError(
-                f"{folder} holds an unfinished run with another {' and '.join(changed)}: choose another folder, "
-                "or delete that one to begin anew"
-            )
+    elif team.number == 0:
         for stray in folder.glob("part-*"):  # what a killed run was writing
             if stray.suffix != ".parquet":
                 stray.unlink()
+    team.say("works")
     return folder
 
 

@@ -20,7 +20,7 @@ def parse_stamps(cells, dt, where):
     """Return (time, stamps, hint) of text cells.
 
     Args:
-        cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and month/day.
+        cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and month/day; None: the median step.
         where: called with an index, returns "row 7" of the file.
 
     Returns:
@@ -61,7 +61,7 @@ def epoch_scale(values, dt):
     """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns), else None: it is in seconds."""
     step = np.median(np.diff(values)) if len(values) > 1 else dt
     for scale in EPOCHS:
-        if 1e9 * scale <= values[0] < 5e9 * scale and (scale == 1 or abs(step / scale - dt) <= TOLERATED_DT * dt):
+        if 1e9 * scale <= values[0] < 5e9 * scale and (scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt):
             return scale
     return None
 
@@ -110,7 +110,9 @@ def _seconds(stamps):
 
 def _seams(stamps, dt):
     """Return how many steps are not dt."""
-    return int((np.abs(np.diff(_seconds(stamps)) - dt) > TOLERATED_STEP * dt).sum())
+    steps = np.diff(_seconds(stamps))
+    dt = dt if dt is not None else np.median(steps) if len(steps) else 1.0
+    return int((np.abs(steps - dt) > TOLERATED_STEP * abs(dt)).sum())
 
 
 def _since_first(stamps, hint, dated=True):

@@ -43,6 +43,7 @@ class Validated:
     y: np.ndarray
     found: Validation
     method = "validation"
+    aside = 0
 
     relations = property(lambda self: self, doc="Where reports look for the model and the horizon.")
     status = property(lambda self: np.asarray(self.found.status), doc="(T,) int8.")

@@ -181,7 +181,7 @@ BAD = {
                        r"not regular: 6 of 10 steps differ from dt = 0.5 s by more than 20%; row 6 \(1.9 s\), for one, comes 0.2 s after"),
     "newest first": (text_of([(-0.5 * k, 1, 2) for k in range(9)]), "the rows run backwards in time, the newest first"),
     "rounded stamps": (text_of([(k // 3, 1, 2) for k in range(9)]), "0 s apart: more than half of the rows repeat the time"),
-    "wrong dt": (text_of([(k, 1, 2) for k in range(9)]), "the model has dt = 0.5 s, but the rows of the recording are 1 s apart$"),
+    "wrong dt": (text_of([(k, 1, 2) for k in range(9)]), "dt = 0.5 s, but the rows .* are 1 s apart: a model with dt = 1 fits it$"),
     "time in ms": (text_of([(500 * k, 1, 2) for k in range(9)]), "dt = 0.5 s, but .* 500 s apart: is its time in ms?"),
     "blank time": (text_of([(0, 1, 2), ("", 1, 2), (1, 1, 2)]), "row 3 has no time: every row needs one, 1 do not"),
     "time that is none": (text_of([("now", 1, 2), ("then", 1, 2)]), "row 2 of the time column is 'now': neither seconds nor"),

@@ -13,7 +13,7 @@ from jaxbound import cli
 from jaxbound.modelfile import load_model, number_text, save_model, template
 
 FIELDS = ("A", "B", "C", "D", "G", "disturbance", "constant_tolerance", "dt", "inputs", "outputs", "states", "tolerance",
-          "noise", "resolution", "offset", "units", "columns", "provenance", "name")  # fmt: skip
+          "noise", "resolution", "offset", "units", "columns", "provenance", "name", "horizon")  # fmt: skip
 GOOD = """
 name = "tank"
 dt = 0.5
@@ -74,9 +74,11 @@ class TestRoundTrip:
             tolerance=[data.draw(small) for _ in range(p)], noise=[abs(data.draw(numbers)) for _ in range(p)],
             resolution=[data.draw(small) for _ in range(p)],
             offset={"u": [data.draw(numbers) for _ in range(m)], "y": [data.draw(numbers) for _ in range(p)]}, units=about(names),
-            columns=about([*inputs, *outputs, "time"]), provenance=about(["model", "noise", "tolerance", "resolution", "disturbance"]),
+            columns={k: c.replace("=", "-") for k, c in about([*inputs, *outputs, "time"]).items()},
+            provenance=about(["model", "noise", "tolerance", "resolution", "disturbance"]),
             constant_tolerance=data.draw(st.booleans()),
-            disturbance=(matrix(n, g), [bound() for _ in range(g)]) if g else None)  # fmt: skip
+            disturbance=(matrix(n, g), [bound() for _ in range(g)]) if g else None,
+            horizon=data.draw(st.one_of(st.none(), st.integers(0, 99))))  # fmt: skip
         path = tmp_path_factory.mktemp("model") / "m.toml"
         save_model(model, path)
         assert same(load_model(path), model)
@@ -96,8 +98,8 @@ class TestTemplate:
         assert m.inputs == ("pump",) and m.column("pump") == "Pump [%]" and m.tolerance[0] == Fraction(1, 100)
 
     def test_mentions_every_field(self):
-        for field in ("name", "dt", "time", "states", "unit", "column", "offset", "tolerance", "noise", "resolution", "[matrices]", "D",
-                      "G", "[[disturbances]]", "bound", "[provenance]"):  # fmt: skip
+        for field in ("name", "dt", "horizon", "time", "states", "unit", "column", "offset", "tolerance", "noise", "resolution",
+                      "[matrices]", "D", "G", "[[disturbances]]", "bound", "[provenance]"):  # fmt: skip
             assert field in template()
 
     def test_info_shows_its_disturbance_and_each_relation_once(self, tmp_path, monkeypatch, capsys):
@@ -116,6 +118,12 @@ class TestReading:
         text = GOOD.replace('name = "pump"', 'name = "pump"\nunit = "%"\noffset = 50\ncolumn = "Pump [%]"')
         m = load('time = "Zeit"\n' + text)
         assert m.unit("pump") == "%" and m.offset["u"] == (50,) and m.column("pump") == "Pump [%]" and m.columns["time"] == "Zeit"
+
+    @pytest.mark.parametrize("horizon", ["1.5", "-1", '"15"', "true"])
+    def test_a_horizon_is_a_whole_number(self, load, horizon):
+        assert load("horizon = 15\n" + GOOD).horizon == 15
+        with pytest.raises(ValueError, match=r"m.toml: horizon must be a whole number >= 0"):
+            load(f"horizon = {horizon}\n" + GOOD)
 
     def test_states_may_have_units(self, load):
         assert load(GOOD.replace('["level"]', '[{name = "level", unit = "m"}]')).unit("level") == "m"

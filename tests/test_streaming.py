@@ -123,7 +123,7 @@ class TestDigest:
     def test_runs_survive_their_way_through_a_file(self, case, small, tmp_path):
         r, folder, _, rec = case("section 5")
         partial, _ = write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500)
-        last = read_runs(part_files(partial)[-1])
+        last = read_runs(part_files(partial))
         for runs, x in zip(last, (rec.u[:, 0], rec.y[:, 0], rec.y[:, 1]), strict=True):
             once = follow(Runs(), x)
             assert (runs.samples, runs.present, runs.longest, runs.last) == (once.samples, once.present, once.longest, once.last)

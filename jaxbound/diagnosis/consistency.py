@@ -1,7 +1,7 @@
 """From a recording to a proved verdict for every window.
 
-Windows are tested in blocks of one fixed size by one compiled kernel, so that recordings of any length share a compilation; the
-recordings of a batch are laid end to end, and the windows that would cross a seam are MISSING like any warm-up.
+Windows are tested in blocks of one fixed size by one compiled kernel, so that recordings of any length share a compilation, on all devices
+at once (`devices`); the recordings of a batch are laid end to end, and the windows that would cross a seam are MISSING like any warm-up.
 """
 
 import math
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis import constant, gridding
+from jaxbound.diagnosis.devices import everywhere, on_devices, usable_devices
 from jaxbound.diagnosis.exchange import exchange_margins, exchange_windows
 from jaxbound.diagnosis.isolation import BankResult, bank_test, bank_windows, status_of_words
 from jaxbound.diagnosis.residual_windows import residual_windows
@@ -18,7 +19,7 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.uncertain_margins import uncertain_margins
 from jaxbound.diagnosis.uncertain_windows import uncertain_windows
 from jaxbound.models import recording
-from jaxbound.models.seams import all_starts, crossing
+from jaxbound.models.seams import all_starts, around, aside, crossing
 from jaxbound.relations.decoupling import signatures
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -91,7 +92,8 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
     if budget is not None and method != "paving" and not own:
         raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
     relations = relations.named(u, y) if own else relations
-    u, y, index = recording.arrays(relations.model, u, y)
+    excluded = recording.left_out(relations.model, u, y)
+    u, y, index = recording.arrays(relations.model, u, y, excluded)
     _refuse_unverified_device()
     u, y, words = np.asarray(u), np.asarray(y), np.zeros(0, np.uint32)
     if bank is not None:
@@ -117,13 +119,13 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
     if (status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.refuse_infinite("u", u, relations.model.inputs)
         recording.refuse_infinite("y", y, relations.model.outputs)
-    if len(starts := all_starts(starts, index, y.shape[-2])):
+    if len(starts := np.union1d(all_starts(starts, index, y.shape[-2]), around(excluded))):
         across = crossing(starts, relations.horizon, 0, y.shape[-2])
         status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, np.nan, margin)
         words = np.where(across, np.uint32(0), words) if bank is not None else words
     if bank is not None:
         return BankResult(status, margin, method, relations, u, y, index, tuple(starts.tolist()), signatures(bank), words)
-    return Result(status, margin, method, relations, u, y, index, tuple(starts.tolist()))
+    return Result(status, margin, method, relations, u, y, index, tuple(starts.tolist()), aside=aside(excluded, relations.horizon))
 
 
 def margins(relations, u, y):
@@ -153,15 +155,17 @@ def margins(relations, u, y):
         raise TypeError(f"margins needs relations from parity_relations, not {type(relations).__name__}; detect(...).margin has them")
     if relations.model.constant_tolerance:
         raise NotImplementedError("margins has no fast path for constant_tolerance yet; detect(...).margin has them")
-    u, y, index = recording.arrays(relations.model, u, y)
+    excluded = recording.left_out(relations.model, u, y)
+    u, y, index = recording.arrays(relations.model, u, y, excluded)
     traced = any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values()))
     if y.shape[-2] <= relations.horizon:
         return jnp.full(y.shape[:-1], jnp.nan, y.dtype)
-    across = crossing([*all_starts((), index, y.shape[-2]), 0], relations.horizon, 0, y.shape[-2])  # and the warm-up
+    across = crossing([*all_starts((), index, y.shape[-2]), *around(excluded), 0], relations.horizon, 0, y.shape[-2])  # and the warm-up
     if isinstance(relations, UncertainRelations):
         return uncertain_margins(relations, u, y).at[..., np.flatnonzero(across)].set(jnp.nan)
     test = relations.test("joint", y.dtype)
-    if traced or jax.default_backend() != "cpu":
+    devices = usable_devices()
+    if traced or (devices[0].platform != "cpu" and len(devices) == 1):
         shape = y.shape[:-1]
         u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
         margin = jnp.pad(_margins(test, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape)
@@ -204,28 +208,31 @@ def in_blocks(kernel, test, u, y, dtypes, warm_up, progress):
     outs = [_aligned(samples, d) for d in dtypes]
     for out, first in zip(outs, warm_up, strict=True):
         out[:s] = first
-    kernel_test = jax.device_put(test)
-    pending = []
-    for start in range(0, max(samples - s, 0), block):
-        stop = min(start + block, samples - s)
-        pending.append((start + s, stop + s, kernel(kernel_test, *(_stretch(x, start, stop + s, block + s) for x in (u, y)))))
+    starts = range(0, max(samples - s, 0), block)
+    devices = usable_devices()[: None if len(starts) > 1 else 1]
+    on_device, pending = everywhere(test, devices), []
+    for i in range(0, len(starts), len(devices)):
+        chosen = starts[i : i + len(devices)]
+        blocks = [tuple(_stretch(x, start, min(start + block, samples - s) + s, block + s) for x in (u, y)) for start in chosen]
+        pending.append((chosen, on_devices(kernel, on_device, blocks, devices)))
         if len(pending) > 2:
-            _collect(outs, pending.pop(0), progress, samples)
+            _collect(outs, pending.pop(0), block, s, progress)
     for done in pending:
-        _collect(outs, done, progress, samples)
+        _collect(outs, done, block, s, progress)
     outs = [out.reshape(shape) for out in outs]
     for out, first in zip(outs, warm_up, strict=True):
         out[..., :s] = first  # windows across the seam of two recordings
     return outs
 
 
-def _collect(outs, done, progress, samples):
-    start, stop, values = done
-    values = values if isinstance(values, tuple) else (values,)
-    for out, value in zip(outs, values, strict=True):
-        out[start:stop] = np.asarray(value)[: stop - start]
-    if progress is not None:
-        progress(stop / samples)
+def _collect(outs, done, block, s, progress):
+    for start, values in zip(*done, strict=True):
+        values = values if isinstance(values, tuple) else (values,)
+        for out, value in zip(outs, values, strict=True):
+            rest = out[start + s : start + s + block]
+            rest[:] = np.asarray(value)[: len(rest)]
+        if progress is not None:
+            progress(min(start + s + block, len(outs[0])) / len(outs[0]))
 
 
 def _stretch(x, start, stop, length):
@@ -243,8 +250,8 @@ def _aligned(count, dtype):
 
 
 def _refuse_unverified_device():
-    if jax.default_backend() != "cpu":
+    if (platform := usable_devices()[0].platform) != "cpu":
         raise RuntimeError(
-            f"proved verdicts need a device whose rounding was verified, so far only CPU, not {jax.default_backend()}: "
-            "set JAX_PLATFORMS=cpu, or use margins for unproved values"
+            f"proved verdicts need a device whose rounding was verified, so far only CPU, not {platform}: set JAX_PLATFORMS=cpu, "
+            'or detect under `with jax.default_device("cpu")`, or use margins for unproved values'
         )

@@ -53,7 +53,7 @@ def detectable(model, fault, horizon=None, operating_range=None):
     Args:
         model: a LinearSystem.
         fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
-        horizon: of the window, which the fault must fill; None: up to where longer windows see no smaller faults.
+        horizon: of the window, which the fault must fill; None: that of the model, or up to where longer windows see no smaller faults.
         operating_range: largest |reading - offset| of the outputs, one number or one per output, with the fault. Needed with a tolerance;
             without one, readings are assumed below a million times the bounds, so that the rounding of the recording does not matter.
 
@@ -84,6 +84,7 @@ def detectable(model, fault, horizon=None, operating_range=None):
             "guaranteed sizes of an uncertain model are not implemented: leave its uncertainties out, or decouple them"
         )
     reach = _reach(model, operating_range)
+    horizon = model.horizon if horizon is None else horizon
     first = parity_relations(model, horizon).horizon  # says so if there is none
     tried, best = {}, None
     for s in (first,) if horizon is not None else range(first + 4 * model.n + 12):

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.diagnosis.devices import everywhere, on_devices, usable_devices
 from jaxbound.sets import exact, separation
 from jaxbound.sets.strips import status_of
 
@@ -64,13 +65,15 @@ def exchange_margins(test, u, y):
 
 
 @jax.jit
-def _candidates(test, one, u, y, steps, finer):
+def _candidates(given, one, u, y):
+    test, steps, finer = given
     mid, rad, _, known, _ = (x / one[None] for x in test.block(u, y))
     return separation.separation_search(test.shape, mid, rad, known, one, steps, finer)
 
 
 @jax.jit
-def _verdicts(test, one, u, y, h, d, done):
+def _verdicts(given, one, u, y, h, d, done):
+    test, *_ = given
     mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
     return separation.separation_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift, one, h, d, done)
 
@@ -78,19 +81,25 @@ def _verdicts(test, one, u, y, h, d, done):
 def _run(test, u, y, starts, margin, steps, finer=1.0):
     """Search the windows that start at the samples `starts`, write their margins, and return the starts of those left open."""
     size = _block_size(test)
-    one, device_test = np.ones(size, y.dtype), jax.device_put(test)
+    devices = usable_devices()[: None if len(starts) > size else 1]
+    one, on_device = np.ones(size, y.dtype), everywhere((test, steps, finer), devices)
 
-    def block(first):
-        chosen = starts[first : first + size]
-        full = np.concatenate([chosen, np.repeat(chosen[:1], size - len(chosen))])
-        given = device_test, one, *test.gather(u, y, full)
-        found, settled = _verdicts(*given, *_candidates(*given, steps, finer))
-        before, found = margin[chosen + test.horizon], np.asarray(found)[: len(chosen)]
+    def together(first):
+        chosen = [starts[i : i + size] for i in range(first, min(first + size * len(devices), len(starts)), size)]
+        full = [np.concatenate([c, np.repeat(c[:1], size - len(c))]) for c in chosen]
+        given = [(one, *test.gather(u, y, c)) for c in full]
+        searched = on_devices(_candidates, on_device, given, devices, axis=-1)
+        judged = on_devices(_verdicts, on_device, [(*a, *b) for a, b in zip(given, searched, strict=True)], devices, axis=-1)
+        return np.concatenate([collect(*pair) for pair in zip(chosen, judged, strict=True)])
+
+    def collect(chosen, judged):
+        found, settled = (np.asarray(x)[: len(chosen)] for x in judged)
+        before = margin[chosen + test.horizon]
         margin[chosen + test.horizon] = np.where((found == 0) & (abs(before) > 0), before, found)  # a proof stays one
-        return chosen[~np.asarray(settled)[: len(chosen)]]
+        return chosen[~settled]
 
-    with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
-        return np.concatenate([*threads.map(block, range(0, len(starts), size)), np.zeros(0, starts.dtype)])
+    with ThreadPoolExecutor(max(2, os.cpu_count() // len(devices))) as threads:  # compiled code runs outside the interpreter's lock
+        return np.concatenate([*threads.map(together, range(0, len(starts), size * len(devices))), np.zeros(0, starts.dtype)])
 
 
 def _block_size(test):

@@ -1,11 +1,13 @@
 """What a detection returns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from jaxbound.diagnosis import certificate, residual_windows
 from jaxbound.diagnosis.alarms import group_alarms
+from jaxbound.diagnosis.units import unit_hints
+from jaxbound.models.seams import period_hints
 from jaxbound.models.stillness import still_hints
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
@@ -26,6 +28,7 @@ class Result:
         u, y: the recording as it was tested.
         index: the index of the DataFrame that y came from, or None.
         starts: numbers of the samples that do not follow the one before: windows across are MISSING.
+        aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
     """
 
     status: np.ndarray
@@ -36,6 +39,7 @@ class Result:
     y: np.ndarray
     index: object = None
     starts: tuple = ()
+    aside: int = field(default=0, kw_only=True)
 
     @property
     def suspect(self):
@@ -51,19 +55,20 @@ class Result:
 
     @property
     def hints(self):
-        """Sentences for whoever acts on the verdicts: where the recording was split, and which signal stands still, when and how long.
+        """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands still, when and how long, which
+        seems to be in another unit than the model's, and an index of dates in other steps than its dt.
 
         A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for each of its recordings.
         """
         label = lambda k: f"sample {k}" if self.index is None else str(self.index[k])
-        out = []
+        out = [] if isinstance(self.relations, Residual) else period_hints(self.index, self.relations.model.dt)
         if len(self.starts):
             first = label(int(self.starts[0]))
             out.append(f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are MISSING")
         for at in np.ndindex(self.status.shape[:-1]):
             which = f"recording {', '.join(map(str, at))}: " if at else ""
             out += [which + hint for hint in still_hints(self.relations.model, self.u[at], self.y[at], label)]
-        return tuple(out)
+        return (*out, *unit_hints(self))
 
     def alarms(self, k=1, n=1, hold=0, clear=1):
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.

@@ -6,12 +6,15 @@ and from then on those decimals are the model.
 """
 
 import re
+from fractions import Fraction
 
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.sets.exact import rational
+from jaxbound.sets.exponential import exponential
 
-__all__ = ["as_model", "from_control", "from_scipy"]
+__all__ = ["as_model", "from_control", "from_scipy", "hold"]
 
 
 def as_model(obj):
@@ -135,10 +138,19 @@ def _build(sys, own, dt, names, bounds):
 
 def _hold(A, B, dt):
     """Return (A_d, B_d) of x+ = A_d x + B_d u for x' = A x + B u with u constant over dt."""
-    from scipy.linalg import expm
+    n, block = len(A), np.vectorize(rational, otypes=[object])
+    step, _ = hold(block(A), block(B), rational(dt))
+    return step[:n, :n].astype(float), step[:n, n:].astype(float)
 
-    n = len(A)
-    block = np.zeros((n + B.shape[1],) * 2)
-    block[:n, :n], block[:n, n:] = A * dt, B * dt
-    step = expm(block)
-    return step[:n, :n], step[:n, n:]
+
+def hold(A, B, dt):
+    """Return (X, e): an array near exp([[A, B], [0, 0]] dt), (n + m, n + m), and a bound of the error of each entry.
+
+    Args:
+        A (n, n), B (n, m): arrays of Fractions. dt: a Fraction.
+
+    Encloses: A_d = X[:n, :n] and B_d = X[:n, n:] within e: x+ = A_d x + B_d u for x' = A x + B u with u constant over dt.
+    """
+    n, m = len(A), len(B[0])
+    below = np.full((m, n + m), Fraction(0), object)
+    return exponential(np.concatenate([np.concatenate([A, B], axis=1), below]) * dt)

@@ -1,22 +1,26 @@
 """Recordings at the door: arrays or DataFrames in, checked arrays out."""
 
-import difflib
-
 import jax
 import numpy as np
 
-__all__ = ["arrays", "missing_column", "refuse_infinite"]
+from jaxbound.models.expressions import expression, find_column, is_expression, missing_column
+
+__all__ = ["arrays", "left_out", "missing_column", "refuse_infinite"]
 
 
-def arrays(model, u, y):
+def arrays(model, u, y, excluded=None):
     """Return (u, y, index): float arrays (..., T, m) and (..., T, p) of one dtype, and the index of a DataFrame or None.
 
     Integers become floats; a float64 recording becomes float32 where jax runs with x64 off (the proof counts that rounding).
-    Tracers and jax arrays stay what they are.
+    Tracers and jax arrays stay what they are. excluded: from `left_out`, by whoever takes care of the windows with such samples.
 
     Raises:
-        ValueError: a column that is not there, text, a shape that does not fit the model or the other array.
+        ValueError: a column that is not there, text, a shape that does not fit the model or the other array; DataFrames for a model with
+            a condition on its samples that nobody takes care of.
     """
+    if excluded is None and _frames(model, u, y):
+        raise ValueError(f"the model counts only samples with {model.columns['where']!r}, which only detect and margins look at in a "
+                         "DataFrame: give arrays of those samples")  # fmt: skip
     index = getattr(y, "index", None) if hasattr(y, "columns") or hasattr(y, "iloc") else None
     y = _columns(model, y, "y", model.outputs)
     u = _columns(model, u, "u", model.inputs) if u is not None else None
@@ -35,15 +39,39 @@ def arrays(model, u, y):
         batch = np.broadcast_shapes(u.shape[:-2], y.shape[:-2])
     except ValueError:
         raise ValueError(f"the leading axes of u {u.shape} and y {y.shape} do not fit each other") from None
+    if excluded is not None:
+        u, y = (np.where(excluded[:, None], np.array(np.nan, dtype), x) for x in (u, y))
     return _spread(u, batch), _spread(y, batch), index
 
 
-def missing_column(wanted, present, where):
-    """Return the sentence for a column that is not there, with the nearest name."""
-    near = difflib.get_close_matches(wanted, list(map(str, present)), n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return f"{where} has no column {wanted!r}{hint} It has {', '.join(repr(str(c)) for c in present)}." if hint else (
-        f"{where} has no column {wanted!r}: it has {', '.join(repr(str(c)) for c in present)}")  # fmt: skip
+def left_out(model, u, y):
+    """Return (T,) bool: samples of DataFrames that the model's `where` leaves out. None: it has none, or u and y are arrays.
+
+    Raises:
+        ValueError: a column of the condition is in neither DataFrame.
+    """
+    frames = _frames(model, u, y)
+    return ~(np.nan_to_num(_computed(expression(model.columns["where"]), frames, "the recording")) != 0) if frames else None
+
+
+def _frames(model, u, y):
+    """Return the DataFrames among u and y in which the condition of the model is to be looked at."""
+    condition = "where" in getattr(model, "columns", {})
+    return {name: x for name, x in (("y", y), ("u", u)) if condition and hasattr(x, "columns") and hasattr(x, "iloc")}
+
+
+def _computed(e, frames, name):
+    """Return the values of an Expression over the columns of DataFrames, and over their index by its name."""
+    import pandas as pd
+
+    found = {}
+    for frame in reversed(frames.values()):
+        found |= {str(frame.index.name): frame.index.to_series()} | {c: frame[c] for c in frame.columns}
+    e = e.among(list(found))
+    number = lambda c: _numbers(lambda: found[c].to_numpy(np.float64, na_value=np.nan), name)
+    text = lambda c: found[c].astype(object).where(found[c].notna(), None).to_numpy(object)
+    dates = {c: found[c].to_numpy("datetime64[ns]") for c in e.columns if pd.api.types.is_datetime64_any_dtype(found[c])}
+    return e.values({c: dates[c] if c in dates else text(c) if c in e.texts else number(c) for c in e.columns})
 
 
 def refuse_infinite(name, data, channels):
@@ -60,13 +88,16 @@ def refuse_infinite(name, data, channels):
 def _columns(model, data, name, channels):
     """Pick the channels of a DataFrame by name; turn anything else into an array of floats."""
     if hasattr(data, "columns") and hasattr(data, "iloc"):
-        present = list(data.columns)
-        wanted = [model.column(c) if model.column(c) in present else c for c in channels]
-        for c in wanted:
-            if c not in present:
-                raise ValueError(missing_column(c, present, name))
-            if present.count(c) > 1:
-                raise ValueError(f"{name} has {present.count(c)} columns {c!r}: a signal needs exactly one")
+        present, taken = list(data.columns), {}
+        for channel in channels:
+            if is_expression(column := model.column(channel)) and channel not in present:
+                taken[channel] = _computed(expression(column), {"": data}, name)
+        if taken:
+            data = data.assign(**taken)
+            present = list(data.columns)
+        stripped = {str(c).strip() for c in present}
+        wanted = [c if c in taken or model.column(c).strip() not in stripped else model.column(c) for c in channels]
+        wanted = [find_column(c, present, name) for c in wanted]
         data = data[wanted]
     if hasattr(data, "iloc"):
         plain = data.to_numpy()

@@ -9,9 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["Clock", "Seam", "all_starts", "check_period", "crossing", "irregular", "seam_hints", "tick"]
+__all__ = [
+    "Clock", "Seam", "all_starts", "around", "aside", "check_period", "crossing", "irregular", "period_hints", "seam_hints", "tick",
+    "usual_period",
+]  # fmt: skip
 
 TOLERATED_DT = 0.05  # median step against the model's dt
+DISORDER = 0.1  # share of steps back in time from which on the rows are out of order
 TOLERATED_STEP = 0.20  # one step against the model's dt: logger jitter is far below, a missing row far above
 KINDS = ("gap", "early", "repeated", "backward")
 UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns"}
@@ -99,6 +103,29 @@ def crossing(starts, horizon, first, stop):
     return across
 
 
+def around(excluded):
+    """Return the numbers of the samples at which a stretch of excluded samples begins, and of those behind its end.
+
+    Windows that reach into the stretch lie across one of them; those inside it have no data.
+
+    Args:
+        excluded: (T,) bool; None: no sample.
+
+    Example:
+        >>> around(np.array([False, True, True, False, True]))
+        array([1, 3, 4])
+    """
+    return np.flatnonzero(np.diff(np.asarray(() if excluded is None else excluded, np.int8), prepend=0))
+
+
+def aside(excluded, horizon):
+    """Return how many windows of horizon + 1 samples have one that is excluded, (T,) bool or None."""
+    if excluded is None:
+        return 0
+    before = np.cumsum(np.append(0, excluded))
+    return int(np.count_nonzero(before[horizon + 1 :] - before[: max(len(excluded) - horizon, 0)]))
+
+
 def all_starts(given, index, samples):
     """Return the numbers of all samples that do not follow the one before: those given and those that a DataFrame's index shows.
 
@@ -125,24 +152,61 @@ def all_starts(given, index, samples):
     return starts
 
 
-def check_period(time, dt):
+def period_hints(index, dt):
+    """Return a sentence if the dates or time spans in the index of a DataFrame are not dt seconds apart, by their median step."""
+    if getattr(getattr(index, "dtype", None), "kind", None) not in ("m", "M") or len(index) < 2:
+        return []
+    step = float(np.median(np.diff(np.asarray(index - index[0]) / np.timedelta64(1, "s"))))
+    if abs(step - dt) <= TOLERATED_DT * dt:
+        return []
+    return [f"the rows are {step:.6g} s apart by their index, the model has dt = {dt:g} s: unless dt is wrong, these verdicts mean nothing"]
+
+
+def usual_period(time):
+    """Return the median step of a time axis in s, to as few digits as are within 0.2 % of it: a logger's jitter is no information.
+
+    Args:
+        time: (N,) seconds.
+
+    Raises:
+        ValueError: fewer than two samples, time that stands still or runs backwards.
+
+    Example:
+        >>> usual_period(np.array([0.0, 2.9977, 6.0003, 9.0]))
+        3.0
+    """
+    median = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    if not median > 0:
+        check_period(time, 1.0)
+        raise ValueError("one row has no sampling period: a recording has at least two")
+    return next(float(x) for digits in range(1, 18) if abs(float(x := f"{median:.{digits}g}") - median) <= 0.002 * median)
+
+
+def check_period(time, dt, whose="the model has"):
     """Refuse a time axis with another sampling period than the model.
 
     Args:
-        time: (N,) seconds, a whole recording or its first chunk. dt: of the model, in s.
+        time: (N,) seconds, a whole recording or its first chunk. dt: of the model, in s. whose: who says so.
 
     Raises:
         ValueError: the median step is off by more than 5 % of dt, or the rows run backwards.
     """
     if len(time) < 2:
         return
-    median = float(np.median(np.diff(time)))
-    if median < 0:
+    median, back = float(np.median(np.diff(time))), int(np.count_nonzero(np.diff(time) < 0))
+    if back > (1 - DISORDER) * (len(time) - 1):
         raise ValueError("the rows run backwards in time, the newest first: sort them by time")
+    if abs(median - dt) > TOLERATED_DT * dt and back > DISORDER * len(time):
+        raise ValueError(f"{back} of {len(time)} rows go back in time: sort them by time")
     if abs(median - dt) > TOLERATED_DT * dt:
         near = next((f": is its time in {unit}?" for f, unit in UNITS.items() if abs(median / f - dt) <= TOLERATED_DT * dt), "")
         same = ": more than half of the rows repeat the time of the row before" if median == 0 else ""
-        raise ValueError(f"the model has dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart{near}{same}")
+        fold = round(dt / median) if median else 0
+        if not near and fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
+            near = f": keep one of every {fold} rows, or take a model with dt = {median:.3g}"
+        elif not near and median:
+            near = f": a model with dt = {median:.3g} fits it"
+        raise ValueError(f"{whose} dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart{near}{same}")
 
 
 def irregular(clock, label, where):

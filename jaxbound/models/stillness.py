@@ -5,8 +5,8 @@ A signal is followed in chunks, with a `Runs` that is carried from one to the ne
 
 A run is a stretch of equal numbers. What is usual differs: full floats hardly ever repeat, a temperature rounded to 0.1 K does for minutes.
 So a run is called frozen if it is 20 times as long as those that a quarter of all other samples lie in (and has 20 samples or more),
-and an output saturated if it comes to rest at its largest or smallest number again and again. An input stands still where it is told to,
-so it counts as frozen only if it changes from sample to sample everywhere else.
+and an output saturated if it comes to rest at its largest or smallest number again and again, or once for half as long. An input stands
+still where it is told to, so it counts as frozen only if it changes from sample to sample everywhere else.
 """
 
 import math
@@ -15,15 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Run", "Runs", "Stretch", "follow", "signal_hints", "still_hints", "stretches"]
+__all__ = ["Run", "Runs", "Stretch", "follow", "joined", "signal_hints", "still_hints", "stretches", "windows_inside"]
 
 FROZEN = 20  # samples, and times the usual length of a run
 SATURATED = 5  # samples, and times the usual length of a run
 AGAIN = 3  # so often
+RESTING = 10  # or once for so many samples, and times the usual length of a run
 USUAL = 0.25  # this share of all other samples lies in runs of the usual length or shorter
 CAP = 1000  # run lengths are counted one by one up to here
 LIVELY = 0.01  # share of repeated numbers in an input that is measured, not set
 KEPT = 100  # longest runs that are remembered
+NO_NUMBERS = {9999.0, 99999.0, -999.0, -999.25, -9999.0, -99999.0, 32767.0, -32768.0, 65535.0, 1e20, 1e30, 1e35, -1e20, -1e30, -1e35}
 
 
 class Run(NamedTuple):
@@ -39,7 +41,8 @@ class Runs:
     """The runs of one signal so far.
 
     Fields: samples: how many there were; present: how many of them are there; counts (CAP + 1,): finished runs of each length, the last for
-    all that are longer; longest: the longest finished runs; low, high: smallest and largest value; last: the run that may go on, or None.
+    all that are longer; longest: the longest finished runs; low, high: smallest and largest value; last: the run that may go on, or None;
+    first: the run that the first sample is in, or None.
     """
 
     samples: int = 0
@@ -49,6 +52,7 @@ class Runs:
     low: float = math.inf
     high: float = -math.inf
     last: Run | None = None
+    first: Run | None = None
 
 
 class Stretch(NamedTuple):
@@ -78,29 +82,41 @@ def follow(runs, x):
         starts, lengths = np.append(0, starts), np.append(1, lengths)
     if starts[-1] + lengths[-1] < len(x):
         starts, lengths = np.append(starts, len(x) - 1), np.append(lengths, 1)
-    values, first = x[starts], starts + runs.samples
+    values = x[starts]
     there = ~np.isnan(values)
     present = int(np.count_nonzero(x == x))
-    singles = present - int(lengths[there].sum())
-    counts = np.zeros(CAP + 1, np.int64) if runs.counts is None else runs.counts.copy()
-    counts[1] += singles
-    finished = list(runs.longest)
-    if runs.last is not None and values[0] == runs.last.value:
-        lengths[0] += runs.last.length
-        first[0] = runs.last.start
-    elif runs.last is not None:
-        counts[min(runs.last.length, CAP)] += 1
-        finished += [runs.last] if runs.last.length >= SATURATED else []
     done = there.copy()
     done[-1] = False
-    counts += np.bincount(np.minimum(lengths[done], CAP), minlength=CAP + 1)
+    counts = np.bincount(np.minimum(lengths[done], CAP), minlength=CAP + 1)
+    counts[1] += present - int(lengths[there].sum())
     long = np.flatnonzero(done & (lengths >= SATURATED))
     long = long[np.argsort(-lengths[long], kind="stable")[:KEPT]]
-    finished += [Run(int(lengths[i]), int(first[i]), float(values[i])) for i in long]
+    run = lambda i: Run(int(lengths[i]), int(starts[i] + runs.samples), float(values[i]))
+    low, high = float(np.fmin.reduce(x, initial=np.inf)), float(np.fmax.reduce(x, initial=-np.inf))
+    first, last = (run(i) if there[i] else None for i in (0, -1))
+    return joined(runs, Runs(runs.samples + len(x), counts, present, tuple(map(run, long)), low, high, last, first))
+
+
+def joined(a, b):
+    """Return the Runs of two stretches of samples that follow each other, of which the second was followed from `Runs(a.samples)` on."""
+    if a.counts is None or b.counts is None:
+        return a if b.counts is None else b
+    counts, finished, first, last = a.counts + b.counts, [*a.longest, *b.longest], a.first, b.last
+    if (over := a.last) is not None:
+        if b.first is not None and b.first.value == over.value:  # one run across the seam
+            over = Run(over.length + b.first.length, over.start, over.value)
+            first = over if a.first == a.last else first
+            if b.first == b.last:
+                over, last = None, over
+            else:
+                counts[min(b.first.length, CAP)] -= 1
+                finished = [r for r in finished if r != b.first]
+        if over is not None:
+            counts[min(over.length, CAP)] += 1
+            finished += [over] if over.length >= SATURATED else []
     finished.sort(key=lambda r: (-r.length, r.start))
-    last = Run(int(lengths[-1]), int(first[-1]), float(values[-1])) if there[-1] else None
-    low, high = float(np.fmin.reduce(x, initial=runs.low)), float(np.fmax.reduce(x, initial=runs.high))
-    return Runs(runs.samples + len(x), counts, runs.present + present, tuple(finished[:KEPT]), low, high, last)
+    low, high = min(a.low, b.low), max(a.high, b.high)
+    return Runs(b.samples, counts, a.present + b.present, tuple(finished[:KEPT]), low, high, last, first)
 
 
 def stretches(runs, driven=False):
@@ -123,7 +139,7 @@ def stretches(runs, driven=False):
     out = [Stretch("frozen", frozen[0], len(frozen), _extreme(runs, frozen[0].value))] if frozen else []
     for end in () if driven else {"largest", "smallest"} - {_extreme(runs, r.value) for r in frozen}:
         resting = [r for r in everything if _extreme(runs, r.value) == end and r.length >= SATURATED * least[r]]
-        if len(resting) >= AGAIN:
+        if len(resting) >= AGAIN or (resting and resting[0].length >= RESTING * least[resting[0]]):
             out.append(Stretch("saturated", resting[0], len(resting), end))
     return tuple(out)
 
@@ -145,6 +161,21 @@ def _extreme(runs, value):
     return "largest" if value == runs.high else "smallest" if value == runs.low else ""
 
 
+def windows_inside(runs, horizon):
+    """Return how many windows of horizon + 1 samples lie inside one run each, for a horizon up to 1000.
+
+    Example:
+        >>> windows_inside(follow(Runs(), np.array([1.0, 1.0, 1.0, np.nan, 1.0, 1.0])), 1)
+        3
+    """
+    if runs.counts is None:
+        return 0
+    last, lengths = runs.last.length if runs.last else 0, np.arange(CAP)
+    long = runs.present - last - int(runs.counts[:CAP] @ lengths)  # samples in longer runs, which are not counted one by one
+    inside = int(runs.counts[:CAP] @ np.maximum(lengths - horizon, 0))
+    return inside + max(long - int(runs.counts[CAP]) * horizon, 0) + max(last - horizon, 0)
+
+
 def still_hints(model, u, y, label):
     """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other arguments as for `signal_hints`."""
     out = []
@@ -155,12 +186,16 @@ def still_hints(model, u, y, label):
 
 
 def signal_hints(name, runs, label, driven=False):
-    """Return sentences on where a signal stands still: which, when, how long.
+    """Return sentences on where a signal stands still: which, when, how long; and on numbers that may stand for a missing sample.
 
     Args:
         name: of the signal. runs: its Runs after all samples. label: number of a sample -> text of its time. driven: it is an input.
     """
-    out = []
+    out = [
+        f"{name} is exactly {x:.6g} somewhere: if that stands for a missing sample, leave the cell blank (NaN)"
+        for x in (runs.low, runs.high)
+        if x in NO_NUMBERS
+    ]
     for kind, run, count, extreme in stretches(runs, driven):
         from_to = f"{run.length} samples from {label(run.start)} to {label(run.start + run.length - 1)}"
         at = f", its {extreme} value," if extreme else ""
@@ -169,7 +204,8 @@ def signal_hints(name, runs, label, driven=False):
             "frozen": f"{name} stays at exactly {run.value:.6g}{at} for {from_to}"
             + (f" ({count} such stretches in all)" if count > 1 else "")
             + f": a {'saturated or ' if extreme else ''}frozen sensor can look consistent, so no FAULT there does not mean that it works",
-            "saturated": f"{name} rests at exactly {run.value:.6g}{at} in {count} stretches, the longest of {from_to}: "
+            "saturated": f"{name} rests at exactly {run.value:.6g}{at} {f'in {count} stretches, the longest of' if count > 1 else 'for'} "
+            f"{from_to}: "
             "a saturated sensor can look consistent, so no FAULT there does not mean that it works",
         }[kind])  # fmt: skip
     return out

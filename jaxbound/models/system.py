@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from jaxbound.models.expressions import expression, is_expression
 from jaxbound.models.uncertainty import centred, influences
 from jaxbound.models.unknown import decoupled, unbounded_inputs, without_descriptor
 from jaxbound.sets import exact
@@ -36,9 +37,12 @@ class LinearSystem:
         inputs, outputs, states: names; default u1.., y1.., x1...
         units: {name: unit}, for reports.
         offset: {"u": (m,), "y": (p,)}: operating point; the model speaks of u - offset and y - offset (the tolerance too).
-        columns: {name: column} where a recording calls a signal otherwise; {"time": column} for its time stamps.
+        columns: {name: column} where a recording calls a signal otherwise, or "= an expression" over its columns, like
+            "= `Supply Temp` - `Mixed Temp`"; "time": the column of its time stamps; "where": a condition, like "fan > 0": samples for
+            which it does not hold are no part of the recording, and windows with them are MISSING.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
         name: of the plant, for reports.
+        horizon: of the windows for which the bounds were found (`jb.fit`): `parity_relations` takes it where none is asked for.
         uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given matrices are those at the value
             0 of every parameter; .A, .B, .C, .D are kept at the middle of their bounds.
         decouple: names of uncertainties whose bounds are not to be trusted: they become unknown inputs.
@@ -58,7 +62,7 @@ class LinearSystem:
 
     def __init__(self, A, B, C, D=None, dt=1.0, *, tolerance=0.0, noise=0.0, constant_tolerance=False, resolution=None, E=None,
                  unknown_inputs=None, disturbance=None, uncertainties=(), decouple=(), inputs=None, outputs=None, states=None,
-                 units=None, offset=None, columns=None, provenance=None, name="model"):  # fmt: skip
+                 units=None, offset=None, columns=None, provenance=None, name="model", horizon=None):  # fmt: skip
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
                 raise ValueError("E and uncertainties do not go together: solve the equations for x+ first, or decouple the parameters")
@@ -115,9 +119,15 @@ class LinearSystem:
             "y": _vector("offset y", offset.get("y", 0), self.outputs),
         }
         self.units = self._about("units", units, everyone + self.states)
-        self.columns = self._about("columns", columns, (*everyone, "time"))
+        self.columns = self._about("columns", columns, (*everyone, "time", "where"))
+        for of, column in self.columns.items():
+            if of == "where" or (of != "time" and is_expression(column)):
+                expression(column)
         self.provenance = self._about("provenance", provenance, ("tolerance", "noise", "resolution", "disturbance", "model"))
         self.name = str(name)
+        if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
+            raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+        self.horizon = None if horizon is None else int(horizon)
 
     def _bound(self, field, value):
         bounds = _vector(field, value, self.outputs)
@@ -155,7 +165,9 @@ class LinearSystem:
         return self.units.get(signal, "")
 
     def __repr__(self):
-        return f"LinearSystem({self.name!r}: {self.n} states, inputs {list(self.inputs)}, outputs {list(self.outputs)}, dt={self.dt:g} s)"
+        horizon = "" if self.horizon is None else f", horizon {self.horizon}"
+        signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
+        return f"LinearSystem({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
 
 
 def _number(field, x):

@@ -149,13 +149,14 @@ def _forms(test, u, y):
     mid, rad = jnp.stack(mid), jnp.stack(rad)
     samples = jnp.stack([y[j : j + mid.shape[1], i] - test.offset_y[i] for j in range(s + 1) for i in range(p)])
     samples = jnp.concatenate([samples, jnp.zeros_like(mid[len(samples) :])])  # nobody measures a disturbance
-    external, centre, width = [], [], []
-    for c in range(test.shape.h.shape[0]):
-        rows, h, k = test.shape.rows[c], test.shape.h[c], test.shape.k[c]
-        external.append(h @ samples[rows] - sum(jnp.where(k[b] == 0, 0, k[b] * known[b]) for b in range(len(known))))
-        centre.append(h @ (samples[rows] - mid[rows]))
-        width.append(abs(h) @ rad[rows])
-    external, centre, width = (jnp.stack(x, 1) for x in (external, centre, width))
+    known = jnp.stack(known) if len(known) else jnp.zeros((0, mid.shape[1]), mid.dtype)
+
+    def one(strip):
+        rows, h, k = strip
+        given = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
+        return h @ samples[rows] - given, h @ (samples[rows] - mid[rows]), abs(h) @ rad[rows]
+
+    external, centre, width = (x.T for x in jax.lax.map(one, (test.shape.rows, test.shape.h, test.shape.k)))
     return tuple(jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in (external, centre - width, centre + width))
 
 
@@ -164,8 +165,8 @@ def parity_relations(model, horizon=None, form="first"):
 
     Args:
         model: a LinearSystem, or a discrete state-space object of python-control or scipy.signal (perfect sensors then).
-        horizon: s >= 0, a window has s + 1 samples; None: the smallest at which every output that can be checked is checked
-            (and, with uncertainties, all states that can be seen are seen).
+        horizon: s >= 0, a window has s + 1 samples; None: that of the model, for which its bounds were found; without one, the smallest at
+            which every output that can be checked is checked (and, with uncertainties, all states that can be seen are seen).
         form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set; the basis of the
             relations, and with it the box test, differs.
 
@@ -187,6 +188,8 @@ def parity_relations(model, horizon=None, form="first"):
     model = as_model(model)
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
+    if horizon is None:
+        horizon = model.horizon
     if horizon is None:
         horizon = _smallest_useful_horizon(model)
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:

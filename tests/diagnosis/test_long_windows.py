@@ -107,7 +107,7 @@ def test_every_fault_of_a_random_plant_is_one_in_exact_arithmetic(dtype, models,
         for steps, finer in [(2 * k + 6, 1.0), *((exchange.PATIENCE * (k + 10), finer) for finer in exchange.FINER)]:
             if not unproved:
                 break
-            h = np.asarray(exchange._candidates(test, one, fill(u[:, : test.lags]), fill(y), steps, finer)[0])
+            h = np.asarray(exchange._candidates((test, steps, finer), one, fill(u[:, : test.lags]), fill(y))[0])
             exact = {w: exact_value(plant, 20, u[w], y[w], r.frame.inner, r.frame.outer, h[:, 86 * w], dtype) for w in unproved}
             unproved = [w for w, (value, width) in exact.items() if value <= width]
         assert not unproved, (model, unproved)

@@ -26,6 +26,13 @@ def test_horizon_chosen_is_the_smallest_that_checks_every_output(C, expected):
     assert jb.parity_relations(jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], C)).horizon == expected
 
 
+def test_the_horizon_of_the_model_is_the_default():
+    m = paper(horizon=3, tolerance=0)
+    assert (m.horizon, jb.parity_relations(m).horizon, jb.parity_relations(m, 2).horizon) == (3, 3, 2)
+    assert repr(m).endswith("horizon 3)") and "horizon" not in repr(paper())
+    assert jb.detectable(m, "y1").horizon == 3 and jb.detectable(m, "y1", 2).horizon == 2
+
+
 def test_horizon_too_small_names_the_smallest():
     with pytest.raises(ValueError, match=r"horizon 1 gives no relation: 2 samples .* 2 states; the smallest horizon with one is 2"):
         jb.parity_relations(jb.LinearSystem(**ONE_OUTPUT), horizon=1)

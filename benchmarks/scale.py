@@ -1,0 +1,172 @@
+"""How the work grows: devices, processes, and recordings of 20 and 100 million samples in Parquet.
+
+python -m benchmarks.scale [--rows 100000000] [--windows 10000000]
+
+Virtual devices share the cores of this machine, so more of them cannot be faster: the processor time shows what they cost.
+"""
+
+import hashlib
+import json
+import os
+import resource
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import jaxbound as jb
+from benchmarks import timing
+from benchmarks.parquet import START, resident
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from systems import paper  # noqa: E402
+
+FILE, KINDS, REST = 1_000_000, 3, 400
+
+
+def generate(folder, rows):
+    """Write the paper's plant as files that continue each other, with a bias of 0.3 on y1 for 50 samples in each.
+
+    There are a few kinds of files that take turns: each ends at rest, where the next one begins.
+    """
+    rng, kinds = np.random.default_rng(0), []
+    for i in range(KINDS):
+        u = np.repeat(rng.uniform(-1, 1, (FILE // 20, 1)), 20, 0)
+        u[-REST:] = 0
+        faults = [jb.Fault("y1", "bias", 0.3, FILE // 2, FILE // 2 + 50)]
+        y = np.asarray(jb.simulate(paper(), u, jax.random.key(i), x0=np.zeros(2), faults=faults).y)
+        kinds.append({"u1": u[:, 0], "y1": y[:, 0], "y2": y[:, 1]})
+    folder.mkdir()
+    for i, first in enumerate(range(0, rows, FILE)):
+        time = START + 10_000 * np.arange(first, min(first + FILE, rows))
+        columns = {name: x[: len(time)] for name, x in kinds[i % KINDS].items()}
+        pq.write_table(pa.table({"time": time, **columns}), folder / f"run-{i}.parquet")
+
+
+def on_devices(windows):
+    """Return figures of this process's devices: first call, wall and processor time of the others, digest of all verdicts."""
+    rng, out = np.random.default_rng(0), {}
+    u, y = (rng.normal(size=(windows, c)) for c in (1, 2))
+    relations, bank = jb.parity_relations(paper()), jb.structured_relations(paper())
+    runs = {
+        "margins": lambda: (jb.margins(relations, u, y),),
+        "detect": lambda: (lambda found: (found.status, found.margin))(jb.detect(relations, u, y)),
+        "bank": lambda: (lambda found: (found.words, found.status, found.margin))(jb.detect(bank, u, y)),
+    }
+    for name, run in runs.items():
+        wall, used = [], []
+        for _ in range(8):
+            start, processor = time.perf_counter(), time.process_time()
+            arrays = [np.asarray(x) for x in run()]
+            wall.append(time.perf_counter() - start)
+            used.append(time.process_time() - processor)
+        out[name] = {
+            "first call s": round(wall[0], 2),
+            "first call, processor s": round(used[0], 2),
+            "million windows/s": [round(windows / t / 1e6, 1) for t in (float(np.median(wall[1:])), max(wall[1:]), min(wall[1:]))],
+            "processor s": round(float(np.median(used[1:])), 3),
+            "sha256": hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest(),
+        }
+    return out
+
+
+def with_devices(count, windows):
+    """Run `on_devices` in a process with so many virtual devices."""
+    env = {**os.environ, "XLA_FLAGS": f"--xla_force_host_platform_device_count={count}", "JAX_PLATFORMS": "cpu"}
+    argv = [sys.executable, "-m", "benchmarks.scale", "--here", "--windows", str(windows)]
+    return json.loads(subprocess.run(argv, env=env, capture_output=True, text=True, check=True).stdout)
+
+
+def detect(folder, data, out, processes=1):
+    """Run `jaxbound detect` in so many processes; return seconds, processor seconds, peak memory of each, what process 0 says."""
+    jaxbound = shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound"
+    start, before, env = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN), os.environ
+    if processes > 1:
+        with socket.socket() as s:
+            s.bind(("127.0.0.1", 0))
+            env = {**env, "JAX_COORDINATOR_ADDRESS": f"127.0.0.1:{s.getsockname()[1]}", "JAX_NUM_PROCESSES": str(processes)}
+    with open(folder / "stdout", "w+") as said, open(folder / "stderr", "w+") as err:
+        started = [
+            subprocess.Popen([jaxbound, "detect", "model.toml", data, "--out", out, "--json"], cwd=folder, stdout=said, stderr=err,
+                             env={**env, "JAX_PROCESS_ID": str(i)} if processes > 1 else env)
+            for i in range(processes)
+        ]  # fmt: skip
+        peak = [0] * processes
+        while any(p.poll() is None for p in started):
+            peak = [max(most, resident(p.pid)) for most, p in zip(peak, started, strict=True)]
+            time.sleep(0.02)
+        seconds, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+        said.seek(0), err.seek(0)
+        if any(p.returncode not in (0, 1) for p in started):
+            raise RuntimeError(err.read())
+        found = json.load(said)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {
+        "seconds": round(seconds, 1),
+        "processor s": round(used, 1),
+        "peak MB": [round(kb / 1024) for kb in peak],
+        "apart, process 0": found["seconds"],
+        "counts": found["counts"],
+        "sha256": digest(folder / out / "verdicts.parquet"),
+    }
+
+
+def digest(folder):
+    """Return the sha256 of the bytes of all files of verdicts in order."""
+    h = hashlib.sha256()
+    for part in sorted(folder.iterdir()):
+        h.update(part.read_bytes())
+    return h.hexdigest()
+
+
+def linked(folder, name, files):
+    """Make a folder with the first so many files of the recording, without copying them."""
+    (folder / name).mkdir()
+    for i in range(files):
+        os.link(folder / f"run/run-{i}.parquet", folder / name / f"run-{i}.parquet")
+    return name
+
+
+def main():
+    rows, windows = timing.option("--rows", 100_000_000), timing.option("--windows", 10_000_000)
+    devices = {count: with_devices(count, windows) for count in (1, 2, 4, 8)}
+    same = {name: len({found[name]["sha256"] for found in devices.values()}) == 1 for name in devices[1]}
+    files = -(-rows // FILE)
+    shares = {"few": max(files // 20, 1), "fifth": max(files // 5, 1)}
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        jb.save_model(paper(), folder / "model.toml")
+        generate(folder / "run", rows)
+        stored = sum(p.stat().st_size for p in (folder / "run").iterdir())
+        few, fifth = (linked(folder, name, count) for name, count in shares.items())
+        shared = {count: detect(folder, few, f"by {count}", count) for count in (1, 2)}
+        part = detect(folder, fifth, "fifth out")
+        whole = detect(folder, "run", "out")
+    timing.save("scale", {
+        "load average": [round(x, 1) for x in os.getloadavg()],
+        "windows": windows,
+        "same verdicts on all devices": same,
+        "devices": devices,
+        "rows for the processes": shares["few"] * FILE,
+        "same files from all processes": len({x["sha256"] for x in shared.values()}) == 1,
+        "processes": shared,
+        "stored MB": round(stored / 1e6),
+        f"{shares['fifth'] * FILE} rows": part,
+        f"{rows} rows": whole,
+    })  # fmt: skip
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    if "--here" in sys.argv:
+        print(json.dumps(on_devices(timing.option("--windows", 10_000_000))))
+    else:
+        main()

@@ -1,0 +1,209 @@
+"""Verdicts as the samples come: the tests of `detect`, one sample or a burst at a time.
+
+A window needs its last samples only, so the state is these, and how many of them follow each other without a seam. Few windows are judged
+by the same compiled functions as many, on a short block instead of a long one: elementwise over windows, they give the same numbers
+whatever the block. Measured, not promised by the compiler: from 4 windows on all blocks agree bit by bit (scalar code for 1 or 2 windows
+rounds otherwise), so the short ones have 64 and 16. A verdict is a proof with any rounding.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxbound.diagnosis import consistency, exchange
+from jaxbound.diagnosis.consistency import METHODS, detect
+from jaxbound.models import recording
+from jaxbound.models.seams import TOLERATED_STEP, crossing
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.separation import Frame
+from jaxbound.sets.status import Status
+
+__all__ = ["Monitor", "MonitorState", "Verdict"]
+
+SHORT, SHORT_SEARCH = 64, 16  # windows in a short block: strips; the exchange search, whose work grows with the block
+BURST = 8  # short blocks; more windows than in these are judged in long blocks
+
+
+class MonitorState(NamedTuple):
+    """What a Monitor remembers: a PyTree of NumPy arrays. `np.savez(file, **state._asdict())` saves it, and
+    `mon.init()._replace(**np.load(file))` restores it.
+
+    Fields: u (s, m), y (s, p): the last samples, NaN where there is none; follows: how many of them follow each other up to now, at most s;
+    samples: how many there were in all; time: of the last one in s, NaN if not known.
+    """
+
+    u: np.ndarray
+    y: np.ndarray
+    follows: np.ndarray
+    samples: np.ndarray
+    time: np.ndarray
+
+
+class Verdict(NamedTuple):
+    """Of the window that ends at a sample: status (a `Status` as int8) and margin, as in the Result of `detect`; (N,) for N samples."""
+
+    status: np.ndarray
+    margin: np.ndarray
+
+
+class Monitor:
+    """Tests windows as their samples come: verdicts and margins are those of `detect` over the whole recording.
+
+    Args:
+        relations: from `parity_relations`.
+        method: "joint" or "box", with uncertain parameters also "linearised"; see `detect`.
+        dtype: of the samples, float64 or float32; None: as JAX is configured.
+
+    Bit for bit with strips, and with the exchange search for windows without missing samples; where samples are missing in windows that
+    need the search, margins agree to 1e-9. A sample costs about 0.1 ms, an exchange search 0.5 to 1 ms; slow, tens of milliseconds: an
+    exchange search over missing samples, uncertain parameters, constant_tolerance. The first sample compiles, the first burst once more.
+
+    Raises:
+        TypeError: no relations from `parity_relations`. ValueError: an unknown method, or one that shares a budget among all windows.
+        RuntimeError: on a device where rounding has not been verified, see `detect`.
+
+    Encloses: FAULT and CONSISTENT are proofs, as those of `detect`.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
+        >>> mon = jb.Monitor(jb.parity_relations(m))
+        >>> state = mon.init()
+        >>> for y in (1.0, 0.5, 0.8):
+        ...     state, verdict = mon.step(state, None, [y])
+        ...     print(jb.Status(verdict.status).name, verdict.margin.round(3))
+        MISSING nan
+        CONSISTENT 1.0
+        FAULT -2.667
+    """
+
+    def __init__(self, relations, method="joint", dtype=None):
+        if not isinstance(relations, ParityRelation | UncertainRelations):
+            raise TypeError(f"a Monitor needs relations from parity_relations, not {type(relations).__name__}; test others with detect")
+        uncertain = isinstance(relations, UncertainRelations)
+        methods = ("joint", "box", "linearised") if uncertain else ("joint", "box")
+        if method not in methods:
+            why = "gives one budget to all windows of a recording" if method in METHODS else "is unknown"
+            raise ValueError(f"method {method!r} {why}: a Monitor of this model tests by {' or '.join(methods)}")
+        consistency._refuse_unverified_device()
+        self.relations, self.method = relations, method
+        self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
+        self._test = self._on_device = None
+        if isinstance(relations, ParityRelation) and not relations.model.constant_tolerance:
+            self._test = relations.test(method, self.dtype)
+            self._on_device = jax.device_put(self._test)
+
+    def init(self):
+        """Return the MonitorState before the first sample."""
+        s, m = self.relations.horizon, self.relations.model
+        nothing = lambda n: np.full((s, n), np.nan, self.dtype)
+        return MonitorState(nothing(m.m), nothing(m.p), np.int64(0), np.int64(0), np.float64(np.nan))
+
+    def step(self, state, u, y, *, new=False, time=None):
+        """Take the next sample.
+
+        Args:
+            state: from `init` or the step before. u: (m,) inputs, None for a model without; y: (p,) outputs; NaN marks a missing sample.
+            new: the sample does not follow the one before: windows across are MISSING. time: of the sample in s: it is then new where it
+                is not dt (within 20 %) after the one before.
+
+        Returns:
+            (state, Verdict) of the window that ends at this sample; MISSING until there is one.
+
+        Raises:
+            ValueError: shapes that do not fit the model, an infinite sample. The state given is still good.
+        """
+        take = lambda x: None if x is None else np.asarray(x)[None]
+        state, (status, margin) = self.run(state, take(u), take(y), starts=(0,) if new else (), time=take(time))
+        return state, Verdict(status[0], margin[0])
+
+    def run(self, state, u, y, *, starts=(), time=None):
+        """Take the next N samples at once.
+
+        Args:
+            state: as for `step`. u: (N, m), y: (N, p), or DataFrames with the model's columns. starts: numbers, counted in these N, of
+                samples that do not follow the one before. time: (N,) in s.
+
+        Returns:
+            (state, Verdict of arrays (N,)): what N calls of `step` return.
+
+        Raises:
+            ValueError: as `step`.
+        """
+        model, s = self.relations.model, self.relations.horizon
+        u, y = self._samples(u, y)
+        count, starts, last = len(y), np.asarray(starts, np.int64).reshape(-1), state.time
+        if len(starts) and not 0 <= starts.min() <= starts.max() < count:
+            raise ValueError(f"starts needs the numbers of samples, 0 to {count - 1} here: it holds {starts}")
+        if time is not None and count:
+            time = np.asarray(time, np.float64).reshape(-1)
+            if len(time) != count:
+                raise ValueError(f"time needs one number a sample: {len(time)} for {count} samples")
+            seams = ~(np.abs(np.diff(time, prepend=last) - model.dt) <= TOLERATED_STEP * model.dt)
+            seams[0] &= not np.isnan(last)
+            starts, last = np.concatenate([starts, np.flatnonzero(seams)]) if seams.any() else starts, time[-1]
+        all_u, all_y = np.concatenate([state.u, u]), np.concatenate([state.y, y])
+        across = np.zeros(count, bool)
+        if len(starts) or state.follows < s:
+            across = crossing([s - int(state.follows), *(starts + s)], s, s, s + count)
+        status, margin = self._judge(all_u, all_y, across) if count else (np.zeros(0, np.int8), np.zeros(0, self.dtype))
+        if across.any():
+            status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, self.dtype.type(np.nan), margin)
+        follows = count - starts.max() if len(starts) else count + state.follows
+        keep = len(all_y) - s
+        after = MonitorState(all_u[keep:].copy(), all_y[keep:].copy(), np.int64(min(follows, s)), state.samples + count, np.float64(last))
+        return after, Verdict(status, margin)
+
+    def _samples(self, u, y):
+        """Return u (N, m), y (N, p) as arrays of our dtype, or refuse them."""
+        model = self.relations.model
+        fits = lambda x, n: type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == n
+        if not (fits(u, model.m) and fits(y, model.p) and len(u) == len(y)):
+            u, y, _ = recording.arrays(model, u, y)
+            u, y = (np.asarray(x, self.dtype) for x in (u, y))
+            if y.ndim != 2:
+                raise ValueError(f"a Monitor follows one recording: y must have shape (N, {model.p}), not {y.shape}")
+        if np.isinf(u).any() or np.isinf(y).any():
+            recording.refuse_infinite("u", u, model.inputs)
+            recording.refuse_infinite("y", y, model.outputs)
+        return u, y
+
+    def _judge(self, u, y, across):
+        """Return (status, margin) of all windows in samples that begin with the s before the first of them; those across need none."""
+        s, search = self.relations.horizon, self._test is not None and isinstance(self._test.shape, Frame)
+        count, size = len(y) - s, SHORT_SEARCH if search else SHORT
+        if self._test is None or count > BURST * size:
+            found = detect(self.relations, u, y, self.method)
+            return found.status[s:], found.margin[s:]
+        judge = self._searched if search else self._in_strips
+        parts = [judge(u, y, across, first, size) for first in range(0, count, size)]
+        status, margin = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
+        if self.method == "box" and self.relations.count > 1:
+            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
+        return status, margin
+
+    def _in_strips(self, u, y, across, first, size):
+        """Return (status, margin) of at most `size` windows, tested circuit by circuit."""
+        stop = min(first + size, len(y) - (s := self.relations.horizon)) + s
+        blocks = (consistency._stretch(x, first, stop, size + s) for x in (u, y))
+        return tuple(np.asarray(x)[: stop - s - first] for x in consistency._verdicts(self._on_device, *blocks))
+
+    def _searched(self, u, y, across, first, size):
+        """Return (status, margin) of at most `size` windows, tested by the exchange search; what it leaves open, as `detect` does."""
+        s, test = self.relations.horizon, self._test
+        chosen = np.arange(first, min(first + size, len(y) - s))
+        if len(chosen) == 1:
+            windows = [np.repeat(x[first : first + lags, :, None], size, 2) for x, lags in ((u, test.lags), (y, s + 1))]
+        else:
+            windows = test.gather(u, y, np.concatenate([chosen, np.repeat(chosen[:1], size - len(chosen))]))
+        one, given = np.ones(size, self.dtype), (self._on_device, 2 * len(test.shape.inner) + 6, 1.0)
+        margin, settled = exchange._verdicts(given, one, *windows, *exchange._candidates(given, one, *windows))
+        margin, settled = np.array(margin)[: len(chosen)], np.asarray(settled)[: len(chosen)]
+        for i in np.flatnonzero(~settled & ~across[chosen]):
+            window = [x[chosen[i] : chosen[i] + s + 1] for x in (u, y)]
+            nothing = np.isnan(window[1]).all()
+            margin[i] = np.nan if nothing else exchange.exchange_windows(self.relations, *window, None)[1][s]
+        decided = np.where(margin < 0, Status.FAULT, np.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
+        return np.where(np.isnan(margin), Status.MISSING, decided).astype(np.int8), margin

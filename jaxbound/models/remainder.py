@@ -1,0 +1,131 @@
+"""A function as a plane plus a remainder that is enclosed over a box: what is left of a nonlinear model once it is linear.
+
+    f(x) = S (x - c) + r,    r in [lo, hi]
+
+The box is cut into thousands of cells; on each, f is enclosed by its value in the middle and its slopes all over the cell: the excess is
+of second order in the size of a cell.
+
+Source: Moore, Kearfott, Cloud 2009, chapter 6: mean value form, refinement.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.derivatives import plain
+from jaxbound.sets.interval import Interval, add, interval, mid, mul, sub, sum
+from jaxbound.sets.jaxprs import evaluate, refuse_unsupported
+from jaxbound.sets.lifted import enclose
+
+__all__ = ["Plane", "derivatives", "plane"]
+
+CELLS = 4096
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane near a function, and what it leaves: arrays of Fractions.
+
+    Fields: centre (N,), slopes (k, N), remainder (k, 2).
+    """
+
+    centre: np.ndarray
+    slopes: np.ndarray
+    remainder: np.ndarray
+
+
+def plane(f, lo, hi, level=0, smooth=()):
+    """Return the Plane of f over a box.
+
+    Args:
+        f: a hashable JAX function of one array (N,) with an array (k,) as its value.
+        lo, hi: (N,) Fractions.
+        level: the plane has no slope along the last `level` entries.
+        smooth: further functions of the array that must be continuous, too.
+
+    Returns:
+        A Plane about the middle of the box; rows of the remainder are infinite (floats) where f is not proved to be continuous all over
+        the box with bounded slopes, all of them where one of `smooth` is not continuous.
+
+    Encloses: slopes (x - centre) + r with r in the remainder holds f(x), for each x of the box.
+
+    Example:
+        >>> p = plane(lambda x: x * x, [Fraction(1)], [Fraction(3)])  # 4 (x - 2) + 4 + (x - 2)^2
+        >>> [round(float(v), 4) for v in (p.centre[0], p.slopes[0, 0], *p.remainder[0])]
+        [2.0, 4.0, 4.0, 5.0]
+    """
+    box = interval(np.array(lo, object), np.array(hi, object))
+    c = mid(box)
+    slopes = _at(f, c)
+    slopes = slopes.at[:, len(c) - level :].set(0)
+    found = _remainders((f, *smooth), _cells(f, box, c), c, slopes)
+    ends = np.stack([np.asarray(found.lo).min(0), np.asarray(found.hi).max(0)], 1)
+    exact = np.vectorize(lambda x: Fraction(float(x)) if np.isfinite(x) else float(x), otypes=[object])
+    return Plane(exact(c), exact(slopes), exact(ends))
+
+
+def derivatives(f):
+    """Return the derivatives (k, N) of f as a function; those of its mathematics: no custom rule, no stop_gradient."""
+
+    def mathematics(x):
+        closed = jax.make_jaxpr(f)(jax.ShapeDtypeStruct(x.shape, x.dtype))
+        return plain(closed.jaxpr, closed.consts, [x])[0]
+
+    return jax.jacfwd(mathematics)
+
+
+@partial(jax.jit, static_argnums=0)
+def _at(f, x):
+    """Return the derivatives of f at a point, in plain floats, 0 where they are infinite: a choice, not a proof."""
+    slopes = derivatives(f)(x)
+    return jnp.where(jnp.isfinite(slopes), slopes, 0)
+
+
+def _cells(f, box, c):
+    """Return CELLS cells, an Interval (CELLS, N), that fill the box, cut most where the slopes of f change most."""
+    N, lo, hi = len(c), np.asarray(box.lo), np.asarray(box.hi)
+    ends = np.tile(np.asarray(c), (2 * N, 1))
+    ends[np.arange(N), np.arange(N)], ends[N + np.arange(N), np.arange(N)] = lo, hi
+    slopes = np.stack([_at(f, jnp.asarray(end)) for end in ends])
+    change = (np.abs(slopes[:N] - slopes[N:]).sum(1) * (hi - lo)).sum(1)
+    cuts = np.ones(N, int)
+    while cuts.prod() < CELLS:
+        cuts[np.argmax(change / cuts)] *= 2
+    edges = [np.clip(np.linspace(a, b, k + 1, dtype=lo.dtype), a, b) for a, b, k in zip(lo, hi, cuts, strict=True)]
+    for e, a, b in zip(edges, lo, hi, strict=True):
+        e[0], e[-1] = a, b
+    corner = lambda part: np.stack([g.ravel() for g in np.meshgrid(*[e[part] for e in edges], indexing="ij")], 1)
+    return Interval(jnp.asarray(corner(slice(None, -1))), jnp.asarray(corner(slice(1, None))))
+
+
+@partial(jax.jit, static_argnums=0)
+def _remainders(functions, cells, c, slopes):
+    """Enclose what the plane leaves of the first function over each cell; all functions are to be continuous."""
+    shape = jax.ShapeDtypeStruct(c.shape, c.dtype)
+    whole, first = [jax.make_jaxpr(g)(shape) for g in functions], jax.make_jaxpr(derivatives(functions[0]))(shape)
+    refuse_unsupported(first.jaxpr, "the derivative of the model", "write it with others")
+    run = lambda closed, boxes: jax.vmap(lambda box: _only(evaluate(closed.jaxpr, closed.consts, [box])))(boxes)
+    q = mid(cells)
+    (value, _), (J, _) = run(whole[0], Interval(q, q)), run(first, cells)
+    continuous = jnp.all(jnp.stack([run(closed, cells)[1] for closed in whole]), 0)
+    return jax.vmap(partial(_remainder, c, slopes))(cells, value, J, continuous)
+
+
+def _only(found):
+    """Return an enclosure of the only output, and whether it is continuous; a formula that has no value may have any."""
+    (out,), continuous = found
+    x = enclose(out)
+    return Interval(jnp.where(x.is_empty, -jnp.inf, x.lo), jnp.where(x.is_empty, jnp.inf, x.hi)), jnp.asarray(continuous)
+
+
+def _remainder(c, slopes, cell, value, J, continuous):
+    """Enclose the remainder over one cell by f's value in the middle and its slopes J all over the cell."""
+    q = interval(mid(cell))
+    times = lambda M, x: sum(mul(M, x[None, :]), 1)
+    out = add(sub(value, times(interval(slopes), sub(q, c))), times(sub(J, slopes), sub(cell, q)))
+    proved = continuous & ~jnp.isnan(out.lo) & ~jnp.isnan(out.hi)
+    return Interval(jnp.where(proved, out.lo, -jnp.inf), jnp.where(proved, out.hi, jnp.inf))

@@ -1,0 +1,287 @@
+"""The command `jaxbound detect MODEL.toml -`: verdicts on lines of CSV as they come through a pipe.
+
+What is there is read, judged as one burst and printed: one sample where the sender is slow, thousands where it is ahead.
+"""
+
+import csv
+import hashlib
+import io
+import json
+import os
+import select
+import signal
+import stat
+import sys
+import threading
+import time
+from contextlib import contextmanager, nullcontext
+
+import jax
+import numpy as np
+
+from jaxbound.columns import to_arrow, words
+from jaxbound.detecting import CODES, made, usable_device
+from jaxbound.diagnosis.monitor import Monitor, MonitorState
+from jaxbound.journal import Journal
+from jaxbound.linetext import FEW
+from jaxbound.modelfile import load_model, model_text
+from jaxbound.models.seams import irregular, seam_hints
+from jaxbound.pipetext import PipeText
+from jaxbound.relations.parity import parity_relations
+from jaxbound.report import bound_hints, percent
+from jaxbound.runfile import VALIDATION
+from jaxbound.sets.status import Status
+from jaxbound.terminal import Refused, door, say
+
+__all__ = ["follow", "run"]
+
+AT_ONCE = 1 << 18  # bytes read at once
+PIPE = 1 << 20  # bytes that the pipe should hold
+NAMES, FAULT = [x.name for x in Status], int(Status.FAULT)
+TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
+
+
+def run(args):
+    """Run `jaxbound detect MODEL.toml -`; return the exit code."""
+    if args.method == VALIDATION:
+        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
+    for option, given in (("--chunk", args.chunk is not None), ("--alarm", args.alarm != (1, 1))):
+        if given:
+            raise Refused(f"{option} is for recordings: give a file instead of -")
+    with door(OSError):
+        whole = stat.S_ISREG(os.fstat(0).st_mode)
+    with _signals() as (stopped, woken):
+        return follow(args, _chunks(0, stopped, woken), whole)
+
+
+def follow(args, chunks, whole=True):
+    """Judge bytes as they come; return the exit code.
+
+    Args:
+        args: .model, .horizon, .method, .out, .state (paths or None), .min_coverage, .json. chunks: iterable of bytes; None in it ends the
+            run as a signal does. whole: the last line is complete without a line end, as in a file; in a pipe half of a number may be.
+
+    Raises:
+        Refused: a model, a header, a sampling period or a state that does not fit, a method without a Monitor.
+    """
+    with door(), made(args.out) if args.out is not None else nullcontext():
+        model = load_model(args.model)
+        relations = parity_relations(model, args.horizon)
+        if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
+            jax.config.update("jax_cpu_enable_async_dispatch", False)
+        usable_device()
+        monitor = Monitor(relations, args.method)
+        with Journal(args.out, args.state, _identity(relations, args.method)) as journal:
+            return _Run(args, monitor, journal).to_the_end(chunks, whole)
+
+
+class _Run:
+    """One run: what it counts, says and remembers."""
+
+    def __init__(self, args, monitor, journal):
+        before = journal.before or {}
+        self.args, self.monitor, self.journal, self.spoken = args, monitor, journal, {}
+        self.header = b"" if args.json else b"time,status,margin\n"
+        self.text = PipeText(monitor.relations.model, self.complain, before.get("text"))
+        empty = monitor.init()
+        read = lambda old, text: np.frombuffer(bytes.fromhex(text), old.dtype).reshape(old.shape)
+        self.state = MonitorState(*map(read, empty, before["state"])) if before else empty
+        counts = dict.fromkeys(NAMES, 0)
+        nothing = {"counts": counts, "aside": 0, "recent": [], "left out": 0, "first": None, "worst": None, "last": None}
+        self.found = before.get("found", nothing)
+
+    def to_the_end(self, chunks, whole):
+        m = self.monitor.relations.model
+        self.monitor.run(self.monitor.init(), np.zeros((1, m.m)), np.zeros((1, m.p)))  # compiled before a sample waits for it
+        if self.journal.before is not None:
+            say(f"going on after {self.text.clock.samples} samples, the last at {self._label(self.found['last'])}")
+            self.emit(self._printed(self.journal.pending))
+        ended, data = True, b""
+        for data in chunks:
+            if data is None:
+                ended = False
+                break
+            self.burst(self.text.take(data))
+        if ended and whole:
+            self.burst(self.text.take(b"", end=True))
+        elif ended and self.text.tail.strip():
+            self.complain("line", "the last line has no end: it is not judged")
+        if ended:
+            self.text.end()
+        return self.conclude()
+
+    def _label(self, when):
+        return when if isinstance(when, str) or when is None else self.text.label(when)
+
+    def burst(self, piece):
+        """Judge samples, remember them, write and print their verdicts."""
+        rows = b""
+        if piece is not None:
+            self.state, verdict = self.monitor.run(self.state, piece.u, piece.y, starts=piece.starts)
+            self._count(piece, verdict)
+            rows = _rows(piece.written, verdict)
+        if self.text.reader is not None and not self.text.skip:  # what is sent again is remembered already
+            self.journal.add(self.memory(), rows)
+        self.emit(self._printed(rows))
+
+    def memory(self):
+        """Return what another process needs to go on, fit for JSON."""
+        return {"text": self.text.memory(), "state": [x.tobytes().hex() for x in self.state], "found": self.found}
+
+    def _count(self, piece, verdict):
+        found, status, s = self.found, verdict.status, self.monitor.relations.horizon
+        for name, n in zip(NAMES, np.bincount(status, minlength=len(NAMES)).tolist(), strict=True):
+            found["counts"][name] += n
+        if piece.excluded is not None:
+            reach = np.concatenate([np.array(found["recent"], bool), piece.excluded])
+            before, ends = np.cumsum(np.append(0, reach)), np.arange(len(found["recent"]), len(reach))
+            warm = max(s - self.text.clock.samples + len(status), 0)  # of these windows are none
+            found["aside"] += int(np.count_nonzero((before[ends + 1] > before[np.maximum(ends - s, 0)])[warm:]))
+            found["recent"] = reach[len(reach) - min(s, len(reach)) :].tolist()
+        text = self.text.reader.is_text
+        when = lambda k: piece.written[k].as_py().strip() if text else float(piece.time[k])
+        found["last"] = when(len(status) - 1)
+        fault = np.flatnonzero(status == FAULT)
+        if len(fault):
+            worst = int(fault[np.argmin(verdict.margin[fault])])
+            found["first"] = when(int(fault[0])) if found["first"] is None else found["first"]
+            if found["worst"] is None or verdict.margin[worst] < found["worst"][1]:
+                found["worst"] = [when(worst), float(verdict.margin[worst])]
+
+    def _printed(self, rows):
+        """Return rows of verdicts.csv as they go to stdout."""
+        if not self.args.json or not rows:
+            return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
+        number = lambda x: float(x) if x else None
+        when = str if self.text.reader.is_text else number
+        return "".join(
+            json.dumps({"time": when(t), "status": status, "margin": number(margin)}) + "\n"
+            for t, status, margin, _ in csv.reader(io.StringIO(rows.decode()))
+        ).encode()
+
+    def emit(self, data):
+        """Print, with the header before the first; where a reader has gone away, go on only if the verdicts are written elsewhere too."""
+        if not data:
+            return
+        data, self.header = self.header + data, b""
+        try:
+            sys.stdout.flush()
+            sys.stdout.buffer.write(data)
+            sys.stdout.buffer.flush()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            if self.args.out is None:
+                raise KeyboardInterrupt("nobody reads the verdicts any more: stopped") from None
+
+    def complain(self, kind, sentence):
+        """Say a sentence, unless many of its kind were said a moment ago."""
+        count, last, silent = self.spoken.get(kind, (0, 0.0, 0))
+        self.found["left out"] += kind == "line"
+        if count >= TALKATIVE and time.monotonic() - last < QUIET:
+            self.spoken[kind] = count, last, silent + 1
+            return
+        more = f" ({silent} more like it before)" if silent else ""
+        say(sentence + more + ("; of more like it, one a minute is shown" if count == TALKATIVE - 1 else ""))
+        self.spoken[kind] = count + 1, time.monotonic(), 0
+
+    def conclude(self):
+        """Say what was found and return the exit code."""
+        found, clock, relations = self.found, self.text.clock, self.monitor.relations
+        if self.text.reader is not None:
+            self.journal.finish(self.memory())
+        counts, total = found["counts"], clock.samples - relations.horizon - found["aside"]
+        decided = counts["CONSISTENT"] + counts["FAULT"]
+        share = decided / total if total > 0 else 0.0
+        where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
+        hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *bound_hints(relations.model)]
+        lost = found["left out"]
+        hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
+        for hint in filter(None, hints):
+            say(hint)
+        few = share < self.args.min_coverage
+        verdict = "fault" if counts["FAULT"] else "too little evidence" if few else "no fault"
+        at, margin = found["worst"] or (None, np.nan)
+        sentence = {
+            "fault": f"Fault proved, first at {self._label(found['first'])}, worst at {self._label(at)}, margin {margin:.3g}",
+            "no fault": "No fault found",
+            "too little evidence": f"Too little evidence: {percent(share)} of the windows are decided",
+        }[verdict]
+        say(f"{sentence}. {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
+        return CODES[verdict]
+
+
+def _identity(relations, method):
+    """Return what verdicts depend on."""
+    model = hashlib.sha256(repr((model_text(relations.model), relations.form)).encode()).hexdigest()
+    return {"model": model, "horizon": str(relations.horizon), "method": method}
+
+
+def _rows(written, verdict):
+    """Return rows of verdicts.csv as `files.write_verdicts` writes them."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.csv
+
+    texts = isinstance(written, pa.Array)
+    plain = not texts or not pc.any(pc.match_substring_regex(written, '[",\r\n]')).as_py()
+    if plain and len(written) <= FEW:  # by hand, which is sooner done
+        times = written.to_pylist() if texts else map(_number, written.tolist())
+        return "".join(
+            f"{when},{NAMES[status]},{_number(margin)},{'true' if status == FAULT or margin < 0 else 'false'}\n"
+            for when, status, margin in zip(times, verdict.status.tolist(), verdict.margin.tolist(), strict=True)
+        ).encode()
+    with np.errstate(invalid="ignore"):
+        suspect = (verdict.status == FAULT) | (verdict.margin < 0)
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
+    columns = [written if texts else to_arrow(written), words(NAMES, verdict.status), to_arrow(verdict.margin), to_arrow(suspect)]
+    sink = pa.BufferOutputStream()
+    pyarrow.csv.write_csv(pa.Table.from_arrays(columns, ["time", "status", "margin", "suspect"]), sink, options)
+    return sink.getvalue().to_pybytes()
+
+
+def _number(x):
+    """Return a float as pyarrow writes it, NaN as nothing."""
+    if x != x:
+        return ""
+    if x == 0 or 1e-4 <= abs(x) < 1e9:
+        return repr(x).removesuffix(".0")
+    import pyarrow as pa
+
+    return pa.array([x]).cast(pa.string())[0].as_py()
+
+
+def _chunks(fd, stopped, woken):
+    """Yield what can be read, as soon as something can; None, at the end, if a signal ended it."""
+    try:
+        import fcntl
+
+        fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE)
+    except (ImportError, AttributeError, OSError):  # no pipe, or none that can grow: the usual 64 kB will do
+        pass
+    while True:
+        ready, _, _ = select.select([fd, woken], [], [])
+        if stopped.is_set():
+            yield None
+            return
+        if fd in ready:
+            data = os.read(fd, AT_ONCE)
+            if not data:
+                return
+            yield data
+
+
+@contextmanager
+def _signals():
+    """Give (an event that SIGINT and SIGTERM set, a file descriptor that can be read then): nothing is interrupted half-way."""
+    stopped, (woken, waker) = threading.Event(), os.pipe()
+    os.set_blocking(waker, False)
+    before = {n: signal.signal(n, lambda *_: stopped.set()) for n in (signal.SIGINT, signal.SIGTERM)}
+    previous = signal.set_wakeup_fd(waker)
+    try:
+        yield stopped, woken
+    finally:
+        signal.set_wakeup_fd(previous)
+        for n, handler in before.items():
+            signal.signal(n, handler)
+        os.close(woken)
+        os.close(waker)

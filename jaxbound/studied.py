@@ -1,0 +1,147 @@
+"""The command `jaxbound study`: a Monte-Carlo study of a monitor, from a model file to tables and a page."""
+
+import json
+import time
+from html import escape
+
+import jax
+import numpy as np
+
+from jaxbound.curves import plot_study
+from jaxbound.detecting import made, usable_device, workplace
+from jaxbound.modelfile import load_model
+from jaxbound.page import about, figure, frame, model_tables, percent, section, table
+from jaxbound.plots import to_png
+from jaxbound.relations.parity import parity_relations
+from jaxbound.studies.montecarlo import study
+from jaxbound.terminal import Refused, door, progress_bars, show, write
+
+__all__ = ["run"]
+
+HEAD = ("fault", "size", "scenarios", "detected", "95 %", "FAULT windows", "95 %", "median delay", "90 % by", "guaranteed")
+PROMISE = (
+    "Counted is what the proved test calls FAULT. The shares are estimates for scenarios like these: inputs and unknowns as above, the "
+    "plant as the model says. The intervals hold what such a share really is with the stated confidence. The guaranteed size holds for "
+    "any unknowns within the bounds; no simulation can show more than that."
+)
+
+
+def run(args):
+    """Run `jaxbound study`; return the exit code."""
+    start = time.perf_counter()
+    sizes, span = _sizes(args.sizes), _pairs("--input-range", args.input_range)
+    onset = _pairs("--onset", args.onset)
+    if onset is not None and (len(onset) > 1 or any(x != int(x) for x in onset[0])):
+        raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
+    faults = [f.strip() for f in args.faults.split(",") if f.strip()]
+    with door(), made(args.out), progress_bars(("study", "report")) as step:
+        model = load_model(args.model)
+        usable_device()
+        relations = parity_relations(model, args.horizon)
+        span = span[0] if span is not None and len(span) == 1 else span
+        onset = None if onset is None else tuple(map(int, onset[0]))
+        res = study(
+            model, faults, args.n, args.seed, relations, samples=args.samples, sizes=sizes, onset=onset, at=args.at, input_range=span,
+            hold=args.hold, progress=lambda share: step("study", share), out=args.out, rows=args.rows)  # fmt: skip
+        counted = time.perf_counter() - start
+        step("report", 0.2)
+        with workplace(args.out) as work:
+            _write(work, res, args.seed, counted)
+        step("report", 1.0)
+    _conclude(args, res, counted)
+    return 0
+
+
+def _sizes(text):
+    """Read sizes: lo:hi:count, or numbers with commas."""
+    if text is None:
+        return None
+    try:
+        if ":" in text:
+            lo, hi, count = text.split(":")
+            return np.linspace(float(lo), float(hi), int(count)).tolist()
+        return [float(x) for x in text.split(",")]
+    except ValueError:
+        raise Refused(f"--sizes needs lo:hi:count, like 0.1:1:10, or numbers with commas, not {text!r}") from None
+
+
+def _pairs(option, text):
+    """Read lo:hi, or several such pairs with commas."""
+    if text is None:
+        return None
+    try:
+        pairs = [tuple(map(float, part.split(":"))) for part in text.split(",")]
+    except ValueError:
+        pairs = [()]
+    if any(len(p) != 2 for p in pairs):
+        raise Refused(f"{option} needs lo:hi, like -1:1, not {text!r}")
+    return pairs
+
+
+def _rows(frame_of):
+    """Return the table of a study as texts."""
+    number = lambda x, form="{:.4g}": "" if np.isnan(x) else "never" if np.isinf(x) else form.format(x)
+    rows = []
+    for row in frame_of.itertuples():
+        sure = number(row.guaranteed) if np.isfinite(row.guaranteed) else ""
+        rate = "" if np.isnan(row.rate) else percent(row.rate)
+        share, spread = (f"{percent(lo)} to {percent(hi)}" for lo, hi in ((row.share_lo, row.share_hi), (row.rate_lo, row.rate_hi)))
+        soon = (number(x, "{:.0f}") for x in (row.delay_median, row.delay_90))
+        cells = (row.fault, f"{row.size:.4g}", f"{row.scenarios:,}", percent(row.share), share, rate, spread if rate else "", *soon, sure)
+        rows.append(cells)
+    return rows
+
+
+def _sentence(res):
+    false, clean = res.false_alarms
+    most = res.false_alarm_interval()[1]
+    how = f"fewer than {100 * most:.2g} % of scenarios have one, with 95 % confidence"
+    how = "the plant is not what the monitor takes it for" if false else how
+    return f"{res.scenarios:,} scenarios of {res.samples} samples: {false} false alarms in {clean:,} windows without a fault ({how})"
+
+
+def _write(work, res, seed, seconds):
+    """Write the tables, the picture and the page of a study."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    found, png = res.to_pandas(), to_png(plot_study(res))
+    found.to_csv(work / "summary.csv", index=False)
+    pq.write_table(pa.Table.from_pandas(found, preserve_index=False), work / "summary.parquet")
+    pq.write_table(pa.Table.from_pandas(res.delays(), preserve_index=False), work / "delays.parquet")
+    (work / "study.png").write_bytes(png)
+    caption = (
+        "Left: share of scenarios detected, and of FAULT windows among those wholly inside the fault, with their intervals; dashed: the "
+        "size of a constant fault that nothing within the bounds can hide. Right: share of scenarios detected so soon after the onset."
+    )
+    kept = {name: value for name, value in res.settings.items() if name not in ("key", "faults", "engine", "dtype")}
+    told = [(name, str(value)) for name, value in kept.items() if value is not None]
+    told += [("seed", str(seed))]
+    told += [(f"onset of {t.label}", f"samples {t.onset[0]} to {t.onset[1] - 1}") for t in res.trials if t.fault is not None]
+    bounds = {name: getattr(res.model, name) for name in ("tolerance", "noise")}
+    sections = [
+        f'<header><p class="kind">jaxbound study</p><h1>{escape(res.model.name)}</h1></header>',
+        f'<section class="verdict"><h2>What this monitor sees</h2><p>{escape(_sentence(res))}</p></section>',
+        section("Detected against size", figure(png, "share detected against the size of each fault", caption)),
+        section("In numbers", "<p>Delays in samples, from the onset to the end of the first FAULT window, among all scenarios.</p>",
+                [HEAD, *_rows(found)]),
+        section("Scenarios", table(("", ""), told, "about")),
+        section("Model and bounds", model_tables(res.model, bounds)),
+        section("How this was computed", about("joint", res.horizon, np.dtype(res.settings["dtype"]), {"study": seconds})),
+        f'<section class="guarantee"><h2>What is guaranteed</h2><p>{PROMISE}</p></section>',
+    ]  # fmt: skip
+    (work / "report.html").write_text(frame(res.model.name, "study", sections), encoding="utf-8")
+
+
+def _conclude(args, res, seconds):
+    found = res.to_pandas()
+    if args.json:
+        false, clean = res.false_alarms
+        plain = found.astype(object).where(np.isfinite(found.select_dtypes("number")).reindex(columns=found.columns, fill_value=True), None)
+        told = {"scenarios": res.scenarios, "samples": res.samples, "at": res.at, "horizon": res.horizon, "false_alarms": false,
+                "clean_windows": clean, "cells": plain.to_dict("records"), "report": str(args.out / "report.html")}  # fmt: skip
+        write(json.dumps(told, indent=1, default=float) + "\n")
+        return
+    speed = f"{res.scenarios * res.samples / max(seconds, 1e-9) / 1e6:.3g} million samples a second on {jax.local_device_count()} device"
+    rows = [("study", _sentence(res)), ("seconds", f"{seconds:.1f}, {speed}"), ("report", str(args.out / "report.html"))]
+    show(res.model.name, "bold", rows, table=[HEAD, *_rows(found)])

@@ -1,0 +1,196 @@
+"""What healthy data say about healthy data that nobody has seen: statements that hold for any number of samples.
+
+The units are blocks of windows that share no sample. All statements assume that blocks are exchangeable: a new one is drawn as those seen
+were, and their order means nothing. Nothing is assumed about distributions.
+
+n blocks that had no part in choosing the direction of the bounds scale them: a new block needs more than all of them with a
+probability of at most 1 / (n + 1), on average over such sets of blocks (its rank among n + 1 is uniform, ties help); if blocks are
+independent, then with confidence 1 - delta at most 1 - delta^(1/n) of all blocks do (else n of n would have had less than delta). Their
+factors are distributed as seen, within sqrt(log(2 / delta) / (2 n)).
+
+Source: Vovk, Gammerman, Shafer 2005 (split conformal prediction); Massart 1990 (Dvoretzky, Kiefer, Wolfowitz); Campi, Garatti 2008.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Risk", "blocks_of", "distribution_band", "held_out", "rank_risk", "rate_bound", "risk_of", "scenario_bound", "touched"]
+
+BLOCKS = 100  # that data are cut into, unless a length is asked for
+
+
+@dataclass(frozen=True)
+class Risk:
+    """The risk of a false alarm in a new block, for the smallest bounds: a safety factor comes on top and is not counted.
+
+    Fields:
+        blocks: how many the statement rests on. length: windows in each.
+        average: at most this is the probability that a new block holds a window outside; None if nothing can be said.
+        rate, confidence: with this confidence at most this share of all blocks does; None if nothing can be said.
+        band: with the same confidence the distribution of `factors` is that of all blocks within this much.
+        factors: (blocks,) ascending, the largest factor t of each block: 1 - t is the least margin in it.
+        guide: True where the two numbers belong to the exact optimum, which bounds found by gradient only come near to.
+        text: all of this in sentences.
+    """
+
+    blocks: int
+    length: int
+    average: float | None
+    rate: float | None
+    confidence: float
+    band: float | None
+    factors: np.ndarray
+    guide: bool
+    text: str
+
+
+def rank_risk(n):
+    """Return 1 / (n + 1), the largest probability that a new block needs more than all of n.
+
+    Example:
+        >>> rank_risk(19)
+        0.05
+    """
+    return 1 / (n + 1)
+
+
+def rate_bound(n, confidence):
+    """Return the share of all blocks that need more than all of n independent ones, at most and with this confidence.
+
+    Example:
+        >>> round(rate_bound(59, 0.95), 3)
+        0.05
+    """
+    return 1 - (1 - confidence) ** (1 / n)
+
+
+def distribution_band(n, confidence):
+    """Return by how much the distribution of n independent numbers differs from the true one anywhere, at most and with this confidence.
+
+    Example:
+        >>> round(distribution_band(100, 0.95), 3)
+        0.136
+    """
+    return math.sqrt(math.log(2 / (1 - confidence)) / (2 * n))
+
+
+def scenario_bound(n, bounds, confidence):
+    """Return the share of all blocks that the optimum of a convex program over n blocks violates, at most and with this confidence.
+
+    It is the eps with sum over i < bounds of C(n, i) eps^i (1 - eps)^(n - i) = 1 - confidence.
+
+    Args:
+        n: independent blocks. bounds: how many numbers were optimised. confidence: in (0, 1).
+
+    Example:
+        >>> round(scenario_bound(59, 1, 0.95), 3), round(scenario_bound(100, 4, 0.95), 3)
+        (0.05, 0.076)
+    """
+    if bounds > n:
+        return 1.0
+    log_choose = [math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) for i in range(bounds)]
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        eps = 0.5 * (low + high)
+        tail = sum(math.exp(c + i * math.log(eps) + (n - i) * math.log1p(-eps)) for i, c in enumerate(log_choose))
+        low, high = (eps, high) if tail > 1 - confidence else (low, eps)
+    return high
+
+
+def blocks_of(across, horizon, length=None):
+    """Cut windows into blocks that share no sample.
+
+    Args:
+        across: (T,) bool, True where no window ends. horizon: s. length: windows in a block; None: so many that there are about 100
+            blocks, and s + 1 at least.
+
+    Returns:
+        (label (T,), length): the number of the block of each window, -1 where it is in none: there are s windows between two blocks.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], across, [True]]).astype(np.int8)))
+    runs = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    if length is None:
+        length = max(horizon + 1, math.ceil(sum(b - a for a, b in runs) / BLOCKS) - horizon, 1)
+    label, number = np.full(len(across), -1, np.int64), 0
+    for first, stop in runs:
+        for begin in range(first, stop - length + 1, length + horizon):
+            label[begin : begin + length] = number
+            number += 1
+    return label, length
+
+
+def held_out(blocks, share):
+    """Return (blocks,) bool: the share of blocks that is kept for scaling, spread evenly.
+
+    Example:
+        >>> held_out(6, 1 / 3).tolist()
+        [False, False, True, False, False, True]
+    """
+    count = np.floor(np.arange(blocks + 1) * share + 1e-9)
+    return np.diff(count) > 0
+
+
+def touched(chosen, horizon):
+    """Return (T,) bool: windows that share a sample with a chosen one.
+
+    Example:
+        >>> touched(np.array([False, False, False, True, False, False]), 1).tolist()
+        [False, False, True, True, True, False]
+    """
+    count = np.cumsum(np.append(0, chosen))
+    at = np.arange(len(chosen))
+    return count[np.minimum(at + horizon + 1, len(chosen))] > count[np.maximum(at - horizon, 0)]
+
+
+def risk_of(factors, label, length, kept, *, tuned, convex, fixed, confidence, safety, horizon):
+    """Return the Risk of bounds that were scaled until all windows were inside.
+
+    Args:
+        factors: (T,) t of every window at the smallest bounds, NaN where missing. label, length: from `blocks_of`.
+        kept: (blocks,) bool, blocks that had no part in choosing the direction. tuned: how many bounds moved. convex: True if
+            the program is. fixed: True if data had no part in the direction at all. confidence: of .rate.
+        safety: the factor on top. horizon: s.
+    """
+    worst = np.full(int(label.max(initial=-1)) + 1, -np.inf)
+    inside = (label >= 0) & ~np.isnan(factors)
+    np.maximum.at(worst, label[inside], factors[inside])
+    seen = worst > -np.inf  # a block without any data says nothing
+    kept = seen if fixed else kept & seen
+    n, all_blocks = int(kept.sum()), int(seen.sum())
+    extra = f" The safety factor {safety:g} comes on top and is not counted." if safety != 1 else ""
+    assumed = "If blocks of healthy operation are exchangeable (a new one is drawn as these were, in any order)"
+    sure = f"with {100 * confidence:g} % confidence"
+    if n:
+        average, rate, band = rank_risk(n), rate_bound(n, confidence), distribution_band(n, confidence)
+        role = (
+            "rescaled the given bounds, which must not come from the same data"
+            if fixed
+            else "had no part in the search and only rescaled what it found"
+        )
+        text = (
+            f"{n} block{'s' * (n > 1)} of {length} windows, which share no sample, {role}. {assumed}, a new block "
+            f"holds a window outside the smallest bounds with a probability of at most 1/{n + 1} = {_percent(average)}, on average over "
+            f"such data; if they are independent, then {sure} in at most {_percent(rate)} of all blocks, and the "
+            f"least margins of blocks are distributed as seen here within {_percent(band)}.{extra}"
+        )
+        return Risk(n, length, average, rate, confidence, band, np.sort(worst[kept]), False, text)
+    if all_blocks > tuned and convex:
+        average, rate = tuned / (all_blocks + 1), scenario_bound(all_blocks, tuned, confidence)
+        text = (
+            f"No block was kept out of the search. {assumed} and independent, the exact optimum of {tuned} bounds over {all_blocks} "
+            f"blocks of {length} windows leaves a new block outside with a probability of at most {_percent(average)} on average, and "
+            f"{sure} at most {_percent(rate)} of all blocks. Bounds found by gradient come near to that optimum, so this is a guide and no "
+            f"guarantee; a share of blocks kept out (calibrate=) gives one.{extra}"
+        )
+        return Risk(all_blocks, length, average, rate, confidence, None, np.sort(worst[seen]), True, text)
+    text = (
+        f"Nothing can be said about other healthy data: {all_blocks} block{'s' * (all_blocks != 1)} of {length} windows of "
+        f"{horizon + 1} samples, none of them kept out of the search. More data, or calibrate= > 0, give a statement.{extra}"
+    )
+    return Risk(0, length, None, None, confidence, None, np.sort(worst[seen]), False, text)
+
+
+def _percent(share):
+    return f"{100 * min(share, 1.0):.3g} %"

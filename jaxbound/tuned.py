@@ -1,0 +1,170 @@
+"""The command `jaxbound tune`, and the picture of a TuneResult."""
+
+import json
+import os
+from fractions import Fraction
+
+import numpy as np
+
+from jaxbound.files import read_recording
+from jaxbound.modelfile import load_model, model_text, number_text
+from jaxbound.plots import COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, style, to_png
+from jaxbound.relations.parity import parity_relations
+from jaxbound.sets.status import Status
+from jaxbound.studies.tuning import tune
+from jaxbound.terminal import Refused, door, progress_bars, say, show, write
+
+__all__ = ["OPTIMIZERS", "plot_tuning", "run"]
+
+OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
+RATE = 0.1  # of the first step, on the logarithms of the bounds
+INTERRUPTED = 130
+LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT], "#cc79a7", "#f0e442", "#0072b2", "#999999")
+
+
+def run(args):
+    """Run `jaxbound tune`; return the exit code."""
+    state = args.out.with_name(args.out.name + ".state.npz")
+    if args.out.is_dir() or not args.out.parent.is_dir():
+        raise Refused(f"--out {args.out} must be a model file to write, in a folder that exists")
+    chosen = None if args.bounds is None else [name.strip() for name in args.bounds.split(",")]
+    with door(), progress_bars(("read", "tune")) as step:
+        relations = parity_relations(load_model(args.model), args.horizon)
+        files = [*args.healthy, *args.faulty]
+        read = lambda i: read_recording(files[i], relations.model, lambda share: step("read", (i + share) / len(files)))
+        recordings = [read(i) for i in range(len(files))]
+        given = [(x.u, x.y, x.starts) for x in recordings]
+        healthy, faulty = given[: len(args.healthy)], given[len(args.healthy) :] or None
+        res = tune(relations, healthy, faulty, _optimizer(args.optimizer, args.steps), args.steps, bounds=chosen, safety=args.safety,
+                   calibrate=args.calibrate, progress=lambda share: step("tune", share), state=state)  # fmt: skip
+        _publish(args.out, model_text(res.model).encode())
+        if args.plot:
+            _publish(args.plot, to_png(plot_tuning(res)))
+    hints = [f"{path}: {hint}" for path, x in zip(files, recordings, strict=True) for hint in x.hints]
+    if args.json:
+        write(json.dumps(_summary(res, args, hints), indent=1, ensure_ascii=False) + "\n")
+    else:
+        _tell(res, args, hints)
+    if res.stopped:
+        say(f"stopped after {res.steps} of {args.steps} steps: {args.out} has the best bounds until then; the same command goes on")
+        return INTERRUPTED
+    state.unlink(missing_ok=True)
+    return 0
+
+
+def _optimizer(name, steps):
+    """Return an optax optimiser by name, with a step that falls to nothing; None for the default one."""
+    if name not in OPTIMIZERS:
+        raise ValueError(f"--optimizer must be one of {', '.join(OPTIMIZERS)}, not {name!r}")
+    if name == "adam" or not steps:
+        return None
+    import optax
+
+    return getattr(optax, name)(optax.cosine_decay_schedule(RATE, steps))
+
+
+def _publish(path, data):
+    """Write a file completely or not at all."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(data)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _entries(res):
+    """Yield (name, start, smallest, written), texts: of every bound that moved."""
+    model, relations = res.model, res.relations
+    signals = {"tolerance": model.outputs, "noise": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
+    written = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": model.disturbance}
+    for kind, now in relations.bounds.items():
+        names = signals.get(kind, tuple(u.name for u in model.uncertainties))
+        for i, signal in enumerate(names):
+            if not any(name.endswith(f"{kind} of {signal}") for name in res.names):
+                continue
+            exact = written[kind][i] if kind in written else Fraction(repr(float(now[i])))
+            yield f"{kind} of {signal}", *(_text(x[kind][i]) for x in (res.start, res.smallest)), _exact(exact)
+
+
+def _text(x):
+    return " to ".join(f"{v:.6g}" for v in np.ravel(x))
+
+
+def _exact(x):
+    return number_text(x) if isinstance(x, Fraction) else " to ".join(map(number_text, x))
+
+
+def _summary(res, args, hints):
+    """Return what --json prints."""
+    plain = lambda bounds: {kind: np.asarray(x).tolist() for kind, x in bounds.items()}
+    risk = res.risk
+    return {
+        "out": str(args.out), "horizon": res.relations.horizon, "scale": res.scale, "safety": res.safety, "bounds": plain(res.bounds),
+        "smallest": plain(res.smallest), "start": plain(res.start), "steps": res.steps, "stopped": res.stopped, "healthy": res.counts,
+        "faulty": res.faulty_counts, "caught": res.caught, "least_margin": float(np.nanmin(res.margin)),
+        "risk": {"blocks": risk.blocks, "windows_in_a_block": risk.length, "average": risk.average, "rate": risk.rate,
+                 "confidence": risk.confidence, "guide_only": risk.guide, "text": risk.text},
+        "notes": list(res.notes), "hints": hints}  # fmt: skip
+
+
+def _tell(res, args, hints):
+    """Print what was found."""
+    counted = lambda counts: ", ".join(f"{n} {name}" for name, n in counts.items() if n)
+    rows = [
+        ("scale", f"{res.scale:.9g} times the starting bounds: no smaller ones in this direction explain the healthy data"),
+        ("safety", f"{res.safety:g}, on top of the smallest bounds" + ("" if res.safety > 1 else " (none)")),
+        ("healthy", f"{counted(res.counts)} windows of {res.relations.horizon + 1} samples, by the proved test"),
+        *([("faulty", f"{counted(res.faulty_counts)}: {res.caught:.1%} proved faulty")] if res.faulty_counts else []),
+        ("steps", str(res.steps)),
+        ("written", str(args.out) + (f" and {args.plot}" if args.plot else "")),
+        ("elsewhere", res.statement),
+        *[("note", note) for note in res.notes],
+        *[("hint", hint) for hint in hints],
+    ]
+    table = [("bound", "start", "smallest", "written"), *_entries(res)]
+    show(f"{res.model.name}: bounds tuned", "bold", rows, table=table)
+
+
+def plot_tuning(res):
+    """Draw a TuneResult: its bounds and their width over the steps, and the margins of the healthy windows at the end."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    history, margin = res.history, res.margin[~np.isnan(res.margin)]
+    with style():
+        fig = canvas((11, 3.6))
+        width, bounds, last = fig.subplots(1, 3)
+        if len(history["step"]) > 1:
+            width.plot(history["step"], history["width"], color=INK)
+            if not np.isnan(history["outside"]).all():
+                share = width.twinx()
+                share.plot(history["step"], history["outside"], color=FAULTY)
+                share.set_ylim(0, 1.02)
+                share.tick_params(axis="y", colors=FAULTY)
+                width.set_title("Width; share of faulty windows outside")
+            else:
+                width.set_title("Smallest width in this direction / start")
+            start = history["values"][0] / history["width"][0]
+            for i, name in enumerate(res.names):
+                bounds.plot(history["step"], history["values"][:, i] / start[i], color=LINES[i % len(LINES)], label=name)
+            bounds.set_yscale("log")
+            bounds.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            bounds.yaxis.set_major_formatter(FuncFormatter(lambda x, at: f"{x:g}"))
+            bounds.yaxis.set_minor_locator(NullLocator())
+            bounds.legend(fontsize=7.5)
+        else:
+            for ax in (width, bounds):
+                ax.text(0.5, 0.5, "one factor on all bounds:\nno steps", ha="center", va="center", transform=ax.transAxes, color="#57606a")
+                ax.set_xticks([])
+                ax.set_yticks([])
+        bounds.set_title("Each bound / start")
+        for ax in (width, bounds):
+            ax.set_xlabel("step")
+            ax.grid(axis="y", color=GRID)
+        last.hist(margin, bins=40, color=COLOURS[Status.CONSISTENT])
+        last.axvline(0, color=FAULTY, lw=1)
+        last.set_yscale("log")
+        last.set_title(f"Margins of {len(margin)} healthy windows")
+        last.set_xlabel("margin at the tuned bounds, < 0: outside")
+        fig.subplots_adjust(left=0.06, right=0.98, top=0.9, bottom=0.16, wspace=0.34)
+    return fig
