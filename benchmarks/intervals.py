@@ -121,6 +121,7 @@ def scalar_libraries():
     try:
         import codac
 
+        timing.round_to_nearest()
         out["codac"] = {**add, **of_first(codac)}, codac.Interval(0.2, 0.4), codac.Interval(0.4, 0.6)
     except ImportError:
         print("codac is not installed")

@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 
+from benchmarks import timing
 from benchmarks.timing import option, save
 
 METHODS = (("gauss", "none"), ("gauss", "midpoint"), ("hbr", "midpoint"), ("intersection", "midpoint"))
@@ -65,6 +66,8 @@ def flint(M, h):
 def codac(M, h, preconditioned):
     """Return a solver by codac's Gauss elimination contractor, from a box that says nothing."""
     from codac import CtcGaussElim, CtcLinearPrecond, Interval, IntervalMatrix, IntervalVector
+
+    timing.round_to_nearest()
 
     contractor, n = CtcGaussElim(), len(h[0][0])
     contractor = CtcLinearPrecond(contractor) if preconditioned else contractor

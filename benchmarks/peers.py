@@ -3,6 +3,8 @@
 import importlib
 import importlib.metadata
 
+from benchmarks import timing
+
 __all__ = ["PEERS", "load", "present"]
 
 PEERS = {  # name: (module, distribution)
@@ -19,9 +21,16 @@ PEERS = {  # name: (module, distribution)
 def load(name):
     """Return the module of a peer, or None."""
     try:
-        return importlib.import_module(PEERS[name][0])
+        return _import(PEERS[name][0])
     except Exception:  # a peer whose own dependencies do not fit is as good as absent; `present` says why
         return None
+
+
+def _import(name):
+    try:
+        return importlib.import_module(name)
+    finally:
+        timing.round_to_nearest()
 
 
 def present():
@@ -29,7 +38,7 @@ def present():
     here, absent = {}, {}
     for name, (module, distribution) in PEERS.items():
         try:
-            importlib.import_module(module)
+            _import(module)
             here[name] = importlib.metadata.version(distribution)
         except Exception as e:
             absent[name] = f'{type(e).__name__}: {e}; pip install "jaxbound[bench]" brings it'

@@ -25,6 +25,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets import rounding
 from jaxbound.sets.bank import unpacked, verdict_dtypes
 from jaxbound.sets.separation import Frame
 from jaxbound.sets.status import Status
@@ -250,6 +251,7 @@ def _aligned(count, dtype):
 
 
 def _refuse_unverified_device():
+    rounding.refuse_other_modes()
     if (platform := usable_devices()[0].platform) != "cpu":
         raise RuntimeError(
             f"proved verdicts need a device whose rounding was verified, so far only CPU, not {platform}: set JAX_PLATFORMS=cpu, "

@@ -25,6 +25,7 @@ from jaxbound.diagnosis.multiple import validate_parts
 from jaxbound.diagnosis.validation_windows import slide, weighted
 from jaxbound.models.intervals import as_intervals, stacked
 from jaxbound.models.multimodel import MultiModel
+from jaxbound.sets import rounding
 from jaxbound.sets.fixed_systems import prepare
 from jaxbound.sets.interval import Interval, interval
 
@@ -90,6 +91,7 @@ def validate(model, u, y, horizon=None, method="joint", x0=None, correction="int
         >>> validate(m, np.ones((8, 1)), y).faulty[5].tolist()
         [False, True]
     """
+    rounding.refuse_other_modes()
     several = isinstance(model, MultiModel)
     if several and model.partial:
         return validate_parts(model, u, y, x0, partial(validate, horizon=horizon, method=method, correction=correction))

@@ -35,6 +35,7 @@ __all__ = [
     "positive",
     "power_of_two",
     "quotient",
+    "refuse_other_modes",
     "residual_error",
     "root",
     "round_down",
@@ -47,6 +48,19 @@ __all__ = [
     "two_sum",
     "unit",
 ]
+
+
+def refuse_other_modes():
+    """Raise RuntimeError if this process does not round to the nearest float, on which every bound in this file rests.
+
+    Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on, in threads to come too.
+    """
+    one, half = float(np.ones(())), float(np.finfo(np.float64).eps) / 4
+    if one + half != one or one - half != one:
+        raise RuntimeError(
+            "this process does not round to nearest: some library that was imported (codac does it) has changed the rounding mode of the "
+            "processor, so nothing can be proved here; run it in another process, or set the mode back to nearest (fesetround)"
+        )
 
 
 def unit(dtype):

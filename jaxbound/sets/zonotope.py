@@ -110,6 +110,7 @@ def membership(Z, points):
         >>> membership(zonotope([0.0], [[2.0]]), [[1.0], [3.0]])
         array([ 0.5, -0.5]...)
     """
+    rounding.refuse_other_modes()
     points = np.asarray(points)
     n = Z.center.shape[0]
     if points.ndim != 2 or points.shape[1] != n:

@@ -22,7 +22,7 @@ def poles_of(order, horizon):
 
     Example:
         >>> poles_of(2, 30)
-        [0.905, 0.7412]
+        [0.905, 0.7411]
     """
     return [round(FADED ** (RATIO**j / horizon), 3 + j) for j in range(order)]
 

@@ -49,7 +49,7 @@ def test_the_strips_are_all_vectors_of_minimal_support(G, counts):
         assert len(found) == count and found == {normal(h) for h in Plant(**numbers).circuits(s)}
 
 
-@pytest.mark.parametrize("horizon", [2, 6])
+@pytest.mark.parametrize("horizon", [2, pytest.param(6, marks=pytest.mark.slow)])
 def test_a_missing_output_gives_the_verdict_of_the_program_without_its_row(horizon, rng):
     rows = 2 * (horizon + 1)
     r, oracle, u, y = prepared(GUST, horizon, rows * 30, rng)

@@ -203,7 +203,7 @@ def test_many_missing_outputs_give_the_verdict_of_the_program_without_them(name,
 
 
 @pytest.mark.parametrize("name, horizon, gone", [
-    ("section 5", 20, [7]), pytest.param("section 5", 20, [0, 6, 7, 19], marks=pytest.mark.slow),
+    pytest.param("section 5", 20, [7], marks=pytest.mark.slow), pytest.param("section 5", 20, [0, 6, 7, 19], marks=pytest.mark.slow),
     pytest.param("tclab", 15, [2, 14], marks=pytest.mark.long),
 ])  # fmt: skip
 def test_missing_inputs_are_unknown_like_the_state(name, horizon, gone, shared, rng):

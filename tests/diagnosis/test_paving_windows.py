@@ -86,7 +86,8 @@ def test_boxes_are_those_of_the_papers_list_one_window_at_a_time(q, rng):
 
 
 @pytest.mark.parametrize("change, spread", [
-    (dict(), 3), (dict(offset={"u": [3], "y": [7, -2]}), 3), (dict(D=[[0.5], [0]]), 3), (dict(resolution=0.5), 30),
+    pytest.param(dict(), 3, marks=pytest.mark.slow), (dict(offset={"u": [3], "y": [7, -2]}), 3), (dict(D=[[0.5], [0]]), 3),
+    (dict(resolution=0.5), 30),
 ])  # fmt: skip
 def test_a_window_that_paving_rejects_is_outside_jointly(change, spread, rng):
     u, y = windows(128, rng, spread=spread, level=None if spread == 3 else 1.0)

@@ -43,6 +43,7 @@ def test_every_verdict_agrees_with_the_exact_one(rng):
     assert (status[1:][clear] != Status.UNDECIDED).all() and (status[1:] == Status.FAULT).mean() > 0.1 and (inside > 0).mean() > 0.2
 
 
+@pytest.mark.slow
 def test_unknowns_at_their_bounds_raise_no_fault(rng):
     y, u = np.empty((4, 60, 1)), rng.uniform(-0.02, 0.02, (4, 60, 1))
     y[:, 0, 0] = rng.uniform(0.2, 0.8, 4)

@@ -54,6 +54,7 @@ def test_margins_of_several_relations_are_those_of_detect_and_change_with_bounds
     check_slopes(rng, r, u[0], y[0], np.r_[50:53])
 
 
+@pytest.mark.slow
 def test_margins_are_those_of_detect_with_lost_samples_too(rng):
     r, u, y = noisy(rng, "n2p1_paper_h3", 0.01)
     y[0, 30] = np.nan

@@ -81,6 +81,7 @@ def test_no_unknown_input_raises_an_alarm_and_a_bias_does(size):
     assert jb.detect(r, u, ill.y).status[1000] == Status.FAULT
 
 
+@pytest.mark.slow
 def test_an_unknown_input_is_drawn_where_none_is_given():
     m = paper(unknown_inputs=[[0], [1]])
     t = jb.simulate(m, np.zeros((3, 500, 1)), jax.random.key(0))

@@ -68,6 +68,7 @@ def test_a_fault_in_the_golden_window_is_found_as_recomputed(golden):
         assert found.faulty[0, 2].tolist() == [True, False] and found.status[0, 2] == jb.Status.FAULT
 
 
+@pytest.mark.slow
 def test_what_a_fault_inside_the_first_window_does(rng):
     """The newest samples of the first window are tested against its older ones; older ones are taken for sound: nothing finds them.
 

@@ -105,7 +105,7 @@ def run(case, dtype, steps=60, change=None):
     return np.asarray(out), np.asarray(settled), h, d
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("dtype", [DTYPES[0], pytest.param(DTYPES[1], marks=pytest.mark.slow)])
 def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
     for _ in range(10):
         case = Case(rng, dtype=dtype)
@@ -183,6 +183,7 @@ def test_margins_and_verdicts_say_the_same(rng):
     np.testing.assert_allclose(out, margin(frame, mid, rad, known), rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_finite_differences(rng):
     case = Case(rng, rng.uniform(-0.9, 3, N), jitter=0.3)
     frame, mid, rad, *_, known, _ = case.floats(np.float64)

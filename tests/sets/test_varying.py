@@ -111,7 +111,7 @@ def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
     assert not (outside[real] > 0).any() and (outside[real] < 0).mean() > 0.9
 
 
-@pytest.mark.parametrize("r", [2, 3])
+@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_errors_of_the_entries_count(rng, r):
     """A set that holds 0 for some entries within their errors is never refuted: here c is moved out by all that the errors allow."""
     q, count = COLUMNS[r], 500

@@ -85,7 +85,7 @@ def test_several_bounds_come_within_2_percent_of_the_program_over_all_of_them(gu
     assert jb.detect(res.relations, u, y).counts["CONSISTENT"] == 150
 
 
-@pytest.mark.parametrize("plant, s", [(TOLERANT, 1), long(dict(BLOWN, tolerance=[0.02, 0.1]), 2)])
+@pytest.mark.parametrize("plant, s", [pytest.param(TOLERANT, 1, marks=pytest.mark.slow), long(dict(BLOWN, tolerance=[0.02, 0.1]), 2)])
 def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     u, y = tuning_case.recording(Plant(**plant), 60, rng)
     r = relations(plant, s)
@@ -111,6 +111,7 @@ def healthy_and_faulty(rng, T=400):
     return recordings[:2], recordings[2:]
 
 
+@pytest.mark.slow
 def test_faulty_windows_are_left_outside_and_no_healthy_one(rng):
     good, bad = healthy_and_faulty(rng)
     r = relations(dict(BASE, tolerance=[0.05, 0.05], noise=[0.05, 0.5]), 1)  # noise of y2 far too large
