@@ -1,12 +1,11 @@
 """The command `jaxbound fit`: from recordings to a model file, and the picture of a fit."""
 
 import json
-import os
 import re
 
 import numpy as np
 
-from jaxbound.files import read_signals
+from jaxbound.files import read_signals, write_whole
 from jaxbound.modelfile import model_text
 from jaxbound.models.expressions import expression
 from jaxbound.plots import COLOURS, FAULTY, GRID, INK, canvas, style, to_png
@@ -33,9 +32,9 @@ def run(args):
                     held_out=args.held_out, method=args.method, name=args.name or args.out.stem,
                     progress=lambda share: step("fit", share),
                     columns=about | dict(s for s in inputs + outputs if not isinstance(s, str)))  # fmt: skip
-        _publish(args.out, model_text(model).encode())
+        write_whole(args.out, model_text(model).encode())
         if args.plot:
-            _publish(args.plot, to_png(plot_fit(model)))
+            write_whole(args.plot, to_png(plot_fit(model)))
     hints = list(dict.fromkeys(h if len(found) == 1 else f"{path}: {h}" for path, r in zip(args.data, found, strict=True) for h in r.hints))
     if args.json:
         write(json.dumps(_summary(model, args, hints), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
@@ -71,16 +70,6 @@ def _column(text):
     except ValueError:
         return text
     return text if text.isidentifier() else f"= {text}"
-
-
-def _publish(path, data):
-    """Write a file completely or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _finite(x):

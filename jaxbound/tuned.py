@@ -1,12 +1,11 @@
 """The command `jaxbound tune`, and the picture of a TuneResult."""
 
 import json
-import os
 from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.files import read_recording
+from jaxbound.files import read_recording, write_whole
 from jaxbound.modelfile import load_model, model_text, number_text
 from jaxbound.plots import COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, style, to_png
 from jaxbound.relations.parity import parity_relations
@@ -37,9 +36,9 @@ def run(args):
         healthy, faulty = given[: len(args.healthy)], given[len(args.healthy) :] or None
         res = tune(relations, healthy, faulty, _optimizer(args.optimizer, args.steps), args.steps, bounds=chosen, safety=args.safety,
                    calibrate=args.calibrate, progress=lambda share: step("tune", share), state=state)  # fmt: skip
-        _publish(args.out, model_text(res.model).encode())
+        write_whole(args.out, model_text(res.model).encode())
         if args.plot:
-            _publish(args.plot, to_png(plot_tuning(res)))
+            write_whole(args.plot, to_png(plot_tuning(res)))
     hints = [f"{path}: {hint}" for path, x in zip(files, recordings, strict=True) for hint in x.hints]
     if args.json:
         write(json.dumps(_summary(res, args, hints), indent=1, ensure_ascii=False) + "\n")
@@ -61,16 +60,6 @@ def _optimizer(name, steps):
     import optax
 
     return getattr(optax, name)(optax.cosine_decay_schedule(RATE, steps))
-
-
-def _publish(path, data):
-    """Write a file completely or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _entries(res):

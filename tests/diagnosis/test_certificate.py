@@ -69,7 +69,7 @@ def refused(document):
     return False
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.long), pytest.param(200, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_certificate_is_confirmed_and_one_wrong_digit_is_caught(name, count, rng):
     for status in (Status.FAULT, Status.CONSISTENT):

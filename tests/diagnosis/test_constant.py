@@ -61,7 +61,7 @@ def violation(u, y, t=1.0):
     return np.array(out)
 
 
-@pytest.mark.parametrize(("s", "count"), [(1, 90), pytest.param(1, 900, marks=pytest.mark.slow),
+@pytest.mark.parametrize(("s", "count"), [pytest.param(1, 90, marks=pytest.mark.slow), pytest.param(1, 900, marks=pytest.mark.long),
                                         *(pytest.param(s, 900, marks=pytest.mark.long) for s in (2, 4))])  # fmt: skip
 def test_the_verdicts_are_those_of_the_linear_program_in_states_and_gains(rng, s, count):
     u, y = (np.concatenate(x) for x in zip(*(draw(rng, s, count // 3, scale) for scale in (0.5, 3, 30)), strict=True))
@@ -124,7 +124,7 @@ def test_the_margin_is_the_factor_at_which_the_program_changes_its_mind(rng, s):
     assert (reached > 0).mean() > 0.8  # and seldom much less
 
 
-@pytest.mark.parametrize("s", [pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.parametrize("s", [pytest.param(2, marks=pytest.mark.long), pytest.param(4, marks=pytest.mark.long)])
 def test_searching_gains_alone_takes_a_hundredth_of_the_boxes_of_paving_everything(s, rng, monkeypatch):
     u, y = draw(rng, s, 64, 10.0, spoiled=1.0)
     boxes, explore = [], constant.explore

@@ -90,6 +90,7 @@ def test_a_fault_free_recording_needs_the_disturbance_to_be_consistent(rng):
     assert jb.detect(jb.parity_relations(paper(disturbance=([[0], [1]], 1.0)), 2), u, y).counts["FAULT"] == 0
 
 
+@pytest.mark.slow
 def test_a_leak_only_takes(rng):
     """[0, w] is no |w| / 2 around zero: what pushes is a fault at once."""
     still = np.zeros((9, 1))

@@ -68,6 +68,7 @@ def test_it_agrees_with_the_joint_test_of_a_linear_model(rng):
     assert (own.status == Status.FAULT).any() and (own.status == Status.CONSISTENT).any()
 
 
+@pytest.mark.slow
 def test_a_missing_sample_makes_its_windows_missing_and_a_batch_equals_its_recordings(rng):
     u, y = windows(rng, 60)
     y[20], u[40] = np.nan, np.nan

@@ -47,7 +47,8 @@ def test_relations_annihilate_state_and_unknown_inputs(name, form):
     assert r.count == r.model.p * (s + 1) - np.linalg.matrix_rank(np.array([[float(x) for x in row] for row in E])) + r.model.g * s
 
 
-@pytest.mark.parametrize("name, count", [*((name, 300) for name in list(PLANTS)[:4]),
+@pytest.mark.parametrize("name, count", [*((name, 300) for name in list(PLANTS)[:2]),
+                                         *(pytest.param(n, 300, marks=pytest.mark.slow) for n in list(PLANTS)[2:4]),
                                          *(pytest.param(name, 1500, marks=pytest.mark.long) for name in PLANTS)])  # fmt: skip
 def test_the_verdict_is_that_of_the_program_with_free_inputs(name, count, rng):
     spec, s = numbers(name)

@@ -80,7 +80,7 @@ def three_sensors(rng, count, T=60):
     return model, u, x, x + 0.05 * edge(x.shape)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gaps_and_two_of_three_sensors_at_once_with_a_disturbance_of_one_direction(rng):
     model, u, x, y = three_sensors(rng, 32)
     gaps = y.copy()

@@ -103,6 +103,7 @@ def test_parameters_are_drawn_within_the_box_each_as_it_varies(at):
     assert np.ptp(drawn[:, 0, 1]) > 1 and (at == "uniform" or (abs(drawn) == 1).all())
 
 
+@pytest.mark.slow
 def test_a_simulation_is_the_exact_trajectory_to_the_last_digit(rng):
     name = "n3p2_mixed3_h3"
     matrices, parameters, _ = SYSTEMS[name]

@@ -115,7 +115,7 @@ def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
         assert not (out < 0).any()
 
 
-@pytest.mark.parametrize("dtype, push", [(np.float64, 1e-9), (np.float32, 1e-2)])
+@pytest.mark.parametrize("dtype, push", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.slow)])
 def test_every_verdict_near_the_boundary_is_proved_and_sharp(dtype, push, rng):
     faults = explained = 0
     for _ in range(6):

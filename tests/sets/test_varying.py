@@ -75,7 +75,7 @@ def check_against_programs(rng, r, q, count):
     return int((margin < 0).sum()), int((margin > 0).sum())
 
 
-@pytest.mark.parametrize("r", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("r", [1, *(pytest.param(r, marks=pytest.mark.slow) for r in (2, 3))])
 def test_margins_have_the_sign_and_size_of_linear_programs(rng, r):
     outside, inside = check_against_programs(rng, r, COLUMNS[r], 300)
     assert outside > 10 and inside > 30
@@ -138,6 +138,7 @@ def test_a_refuting_direction_is_a_proof_in_exact_rationals(rng):
         assert abs(dot(c[k])) > sum(abs(dot(column)) for column in G[k].T)
 
 
+@pytest.mark.slow
 def test_naive_strips_miss_what_rank_aware_ones_see(rng):
     """Six generators in a plane of R^3 (golden "Degeneracy"): all normals of pairs are the plane's, which says nothing within it."""
     count = 400
