@@ -172,7 +172,7 @@ def test_without_tolerance_the_verdicts_are_those_of_the_plain_test(rng):
     assert (status == plain).all() and np.allclose(margin, ours, atol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_disturbances_keep_their_place(rng):
     change = dict(disturbance=([[0], [1]], [[0, Fraction(1, 10)]]))
     u, y = draw(rng, 2, 300, 10.0, spoiled=0.6)

@@ -20,7 +20,7 @@ def simulated(rng, u):
 
 
 @pytest.mark.parametrize("horizon, method", [
-    (None, "joint"), (3, "joint"), (1, "box"), pytest.param(1, "paving", marks=pytest.mark.slow),
+    (None, "joint"), (3, "joint"), (1, "box"), pytest.param(1, "paving", marks=pytest.mark.long),
     pytest.param(16, "joint", marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_pieces_are_judged_as_if_they_stood_alone(rng, horizon, method):

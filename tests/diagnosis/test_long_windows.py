@@ -41,7 +41,7 @@ def test_margins_say_what_detect_says(rng):
     np.testing.assert_allclose(last(np.asarray(jb.margins(r, u, y))), last(res.margin), rtol=1e-10, atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gradients_of_margins_are_those_of_finite_differences(rng):
     r, u = jb.parity_relations(paper(), 20), rng.uniform(-1, 1, (60, 1))
     y = np.array(jb.simulate(paper(), u, jax.random.key(int(rng.integers(2**31)))).y) + 0.3 * rng.normal(size=(60, 2))
@@ -116,7 +116,7 @@ def test_every_fault_of_a_random_plant_is_one_in_exact_arithmetic(dtype, models,
     assert faults > models and others > models
 
 
-@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
 @pytest.mark.parametrize("at", ["vertices", "uniform"])
 def test_fault_free_windows_raise_no_fault(dtype, at, rng):
     u = np.repeat(rng.uniform(-1, 1, (50, 10, 1)), 40, 1).astype(dtype)

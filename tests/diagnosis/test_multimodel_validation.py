@@ -148,7 +148,7 @@ def test_two_small_models(rng):
     assert jb.validate(m, u, shown, x0=box(2)).faulty.any()  # models that claim to be exact blame a sensor
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_partial_outputs_of_two_small_models(rng):
     m, T, stretches = small(partial=True), 60, ((10, 20), (35, 45))
     u = rng.uniform(0, 1, (8, T, 1))

@@ -54,7 +54,7 @@ def test_unknowns_at_their_bounds_raise_no_fault(rng):
     assert result.status.shape == (4, 60) and result.counts["FAULT"] == 0 and np.isnan(result.margin).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_agrees_with_the_joint_test_of_a_linear_model(rng):
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
     u, y = rng.uniform(-0.1, 0.1, (400, 1)), rng.uniform(-0.15, 0.15, (400, 1))

@@ -66,7 +66,7 @@ def test_a_wrong_digit_is_caught(rng):
         check_round_trip(rng, healthy), check_round_trip(rng, fault)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_verdicts_of_a_single_relation_are_confirmed_and_a_wrong_digit_is_caught(rng):
     res = detected(rng, "n2p1_paper_h3", runs=20, noise=0.01, tolerance=0.02)
     for status in (Status.FAULT, Status.CONSISTENT):

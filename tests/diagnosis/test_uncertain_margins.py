@@ -41,7 +41,7 @@ def check_slopes(rng, r, u, y, ends):
     assert np.isfinite(of_y).all() and float(slope) == pytest.approx(quotient, rel=1e-3, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_margins_change_with_bounds_and_data(rng):
     r, u, y = noisy(rng, "n2p1_paper_h3", 0.01)
     check_slopes(rng, r, u[0], y[0], np.r_[20:30, 49:53])

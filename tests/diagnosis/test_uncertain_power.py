@@ -46,7 +46,7 @@ def test_no_verdict_contradicts_the_oracle(rng):
     assert (answer != "open").all() and (status != Status.UNDECIDED).all() and (answer == "infeasible").any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("at", ["uniform", "vertices"])
 def test_paving_decides_every_window_within_1000_boxes(rng, at):
     u, y = windows(rng, "n3p2_mixed3_h3", at, 84)

@@ -53,7 +53,7 @@ def test_a_million_fault_free_windows_give_no_alarm(rng, method, kind):
     assert check(rng, method, kind, 6 * BATCH) > 500_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_paper_s_correction_by_the_centre_loses_the_state_and_never_calls_it_a_proof(rng):
     """Golden: all faults of 6 are found, and the true state is outside in 1 to 5 % of the windows."""
     m = paper()

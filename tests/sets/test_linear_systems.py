@@ -256,7 +256,7 @@ def test_a_second_call_does_not_trace(rng):
     assert _solve._cache_size() == before
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_eager_boxes_hold_the_solutions(rng):
     M, h = _random_systems(rng, 3, 2)
     with jax.disable_jit():

@@ -197,7 +197,7 @@ def test_gradients_are_those_of_finite_differences(rng):
             np.testing.assert_allclose(np.sum(got[part][i]), difference, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_proofs_say_the_same_eagerly(rng):
     case = Case(rng, rng.choice([-1e-3, 1e-3, 1.0], N))
     frame, mid, rad, scale, known, known_scale = case.floats(np.float64)

@@ -158,7 +158,7 @@ def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
     assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx([0.5, 0.75])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_float32_and_uncompiled_code_prove_the_same(rng):
     c, G = (x.astype(np.float32) for x in columns_first(*draw(rng, 2, COLUMNS[2], 64)))
     single, double = varying.zonotope_margins(c, G), varying.zonotope_margins(c.astype(float), G.astype(float))
