@@ -123,9 +123,9 @@ def main():
             wall[kind], table = shell(folder, kind)
             check(table, count)
         units = read_manifest(folder / "csv.csv")[: min(count, 100)]
-        before = consistency._verdicts._cache_size()
+        before = consistency.verdicts._cache_size()
         list(detect_fleet(units))
-        traces = consistency._verdicts._cache_size() - before
+        traces = consistency.verdicts._cache_size() - before
         alone = stages(folder, units)
     timing.save(
         "fleet",

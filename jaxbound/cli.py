@@ -24,11 +24,10 @@ from jaxbound.plots import distinct_relations
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints
 from jaxbound.runfile import VALIDATION
-from jaxbound.terminal import Refused, door, say, show, write
+from jaxbound.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, door, say, show, write
 
 __all__ = ["main"]
 
-OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130
 EPILOG = "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted"
 FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted (nothing is written)"
 TUNE_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted (the best bounds until then are written)"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["categories", "from_arrow", "to_arrow", "valid", "words", "write_columns"]
+__all__ = ["categories", "from_arrow", "is_plain", "to_arrow", "valid", "words", "write_columns", "write_rows"]
 
 
 def from_arrow(column):
@@ -65,14 +65,25 @@ def categories(names, codes):
 
 def write_columns(path, columns, append=False):
     """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has its header already."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.csv
-
-    texts = [c for c in columns.values() if pa.types.is_string(c.type)]
-    plain = not any(pc.any(pc.match_substring_regex(c, '[",\r\n]')).as_py() for c in texts)
-    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
     with open(path, "ab" if append else "wb") as f:
         if not append:
             f.write((",".join(columns) + "\n").encode())
-        pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), f, options)
+        write_rows(f, columns)
+
+
+def write_rows(sink, columns):
+    """Write {name: pyarrow array} as lines of CSV without a header into what pyarrow can write to."""
+    import pyarrow as pa
+    import pyarrow.csv
+
+    plain = all(map(is_plain, columns.values()))
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
+    pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), sink, options)
+
+
+def is_plain(column):
+    """Return whether no cell of a pyarrow column needs quotes in a CSV file."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    return not pa.types.is_string(column.type) or not pc.any(pc.match_substring_regex(column, '[",\r\n]')).as_py()

@@ -4,7 +4,6 @@ import numpy as np
 
 from jaxbound.plots import COLOURS, FAULTY, GRID, INK, canvas, style
 from jaxbound.sets.status import Status
-from jaxbound.studies.proportions import proportion_interval, rate_interval
 
 __all__ = ["plot_study"]
 
@@ -38,13 +37,10 @@ def plot_study(res):
 
 
 def _sizes(ax, res, trial, tally):
-    share = tally.detected / np.maximum(tally.scenarios, 1)
-    lo, hi = proportion_interval(tally.detected, tally.scenarios, res.confidence)
-    sums = (getattr(tally, name) for name in ("hits", "windows", "squares", "crossed", "squared", "scenarios"))
-    rate, rate_lo, rate_hi = rate_interval(*sums, confidence=res.confidence)
     order = np.argsort(trial.sizes)
-    for value, low, high, colour, name in (
-        (share, lo, hi, FAULTY, "scenarios detected"), (rate, rate_lo, rate_hi, INK, "windows in the fault that are FAULT")):  # fmt: skip
+    share, rate = map(np.nan_to_num, tally.share(res.confidence)), tally.rate(res.confidence)
+    for (value, low, high), colour, name in (
+        (share, FAULTY, "scenarios detected"), (rate, INK, "windows in the fault that are FAULT")):  # fmt: skip
         x = trial.sizes[order]
         bar = np.abs(np.stack([value - low, high - value]))[:, order]
         ax.errorbar(x, value[order], bar, color=colour, marker="o", ms=3.5, lw=1.4, capsize=2, label=name)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxbound.models.expressions import Expression, expression, find_column, is_expression
+from jaxbound.models.expressions import Expression, expression, fails, find_column, is_expression
 
 __all__ = ["Signals", "Wanted", "wanted", "where_hints"]
 
@@ -60,7 +60,7 @@ class Wanted:
         stack = lambda signals: np.stack([value(s) for s in signals], 1, dtype=dtype) if signals else np.zeros((count, 0), dtype)
         u, y, excluded = stack(self.inputs), stack(self.outputs), None
         if self.where is not None:
-            excluded = ~(np.nan_to_num(self.where.values(columns)) != 0)
+            excluded = fails(self.where.values(columns))
             u[excluded], y[excluded] = np.nan, np.nan
         return u, y, excluded
 

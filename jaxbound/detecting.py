@@ -32,12 +32,11 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, windows, worst, write_report
 from jaxbound.runfile import VALIDATION, save_run
 from jaxbound.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
-from jaxbound.terminal import Interrupted, Refused, door, progress_bars, show, write
+from jaxbound.terminal import BAD_INPUT, Interrupted, Refused, door, progress_bars, show, write
 from jaxbound.validated import Validated, write_columns_of, write_page
 
 __all__ = ["CODES", "conclude", "run_demo", "run_detect", "usable_device", "workplace"]
 
-BAD_INPUT = 2
 CODES = {"no fault": 0, "fault": 1, "too little evidence": 3}
 COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
 

@@ -19,9 +19,10 @@ from contextlib import contextmanager, nullcontext
 import jax
 import numpy as np
 
-from jaxbound.columns import to_arrow, words
+from jaxbound.columns import is_plain, to_arrow, words, write_rows
 from jaxbound.detecting import CODES, made, usable_device
 from jaxbound.diagnosis.monitor import Monitor, MonitorState
+from jaxbound.diagnosis.result import suspected
 from jaxbound.journal import Journal
 from jaxbound.linetext import FEW
 from jaxbound.modelfile import load_model, model_text
@@ -219,23 +220,17 @@ def _identity(relations, method):
 def _rows(written, verdict):
     """Return rows of verdicts.csv as `files.write_verdicts` writes them."""
     import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.csv
 
     texts = isinstance(written, pa.Array)
-    plain = not texts or not pc.any(pc.match_substring_regex(written, '[",\r\n]')).as_py()
-    if plain and len(written) <= FEW:  # by hand, which is sooner done
+    if len(written) <= FEW and (not texts or is_plain(written)):  # by hand, which is sooner done
         times = written.to_pylist() if texts else map(_number, written.tolist())
         return "".join(
             f"{when},{NAMES[status]},{_number(margin)},{'true' if status == FAULT or margin < 0 else 'false'}\n"
             for when, status, margin in zip(times, verdict.status.tolist(), verdict.margin.tolist(), strict=True)
         ).encode()
-    with np.errstate(invalid="ignore"):
-        suspect = (verdict.status == FAULT) | (verdict.margin < 0)
-    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
-    columns = [written if texts else to_arrow(written), words(NAMES, verdict.status), to_arrow(verdict.margin), to_arrow(suspect)]
+    columns = {"time": written if texts else to_arrow(written), "status": words(NAMES, verdict.status), "margin": to_arrow(verdict.margin)}
     sink = pa.BufferOutputStream()
-    pyarrow.csv.write_csv(pa.Table.from_arrays(columns, ["time", "status", "margin", "suspect"]), sink, options)
+    write_rows(sink, columns | {"suspect": to_arrow(suspected(*verdict))})
     return sink.getvalue().to_pybytes()
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxbound.columns import categories, to_arrow
 from jaxbound.diagnosis.consistency import detect
+from jaxbound.diagnosis.result import suspected
 from jaxbound.modelfile import model_text
 from jaxbound.models.seams import Clock, around, tick
 from jaxbound.models.stillness import Run, Runs, follow, joined
@@ -184,13 +185,11 @@ class _Pending:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        with np.errstate(invalid="ignore"):
-            suspect = (status == Status.FAULT) | (margin < 0)
         columns = {
             "time": written,
             "status": categories([x.name for x in Status], status),
             "margin": to_arrow(margin),
-            "suspect": to_arrow(suspect),
+            "suspect": to_arrow(suspected(status, margin)),
         }
         runs = [follow(Runs(self.done), np.ascontiguousarray(x)) for x in signals.T]
         note = json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist)

@@ -4,7 +4,10 @@ import os
 import sys
 from contextlib import contextmanager
 
-__all__ = ["Interrupted", "Refused", "door", "progress_bars", "say", "show", "write"]
+__all__ = ["BAD_INPUT", "INTERNAL", "INTERRUPTED", "OK", "Interrupted", "Refused", "door", "progress_bars", "say", "show", "write"]
+
+
+OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # exit codes of every command; those of verdicts: `detecting.CODES`
 
 
 class Refused(Exception):

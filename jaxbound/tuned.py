@@ -11,13 +11,12 @@ from jaxbound.plots import COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, style, 
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.status import Status
 from jaxbound.studies.tuning import tune
-from jaxbound.terminal import Refused, door, progress_bars, say, show, write
+from jaxbound.terminal import INTERRUPTED, Refused, door, progress_bars, say, show, write
 
 __all__ = ["OPTIMIZERS", "plot_tuning", "run"]
 
 OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
 RATE = 0.1  # of the first step, on the logarithms of the bounds
-INTERRUPTED = 130
 LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT], "#cc79a7", "#f0e442", "#0072b2", "#999999")
 
 

@@ -161,11 +161,11 @@ def test_models_of_one_shape_share_one_compilation(tmp_path):
         save_model(model, tmp_path / f"{name}.toml")
         (tmp_path / f"{name}.csv").write_text(recorded(model, rng, 40 + 10 * i))  # and recordings of any length
     chosen = read_manifest(manifest(tmp_path, units))
-    before = consistency._verdicts._cache_size()
+    before = consistency.verdicts._cache_size()
     first = list(detect_fleet(chosen[:1]))
-    traced = consistency._verdicts._cache_size()
+    traced = consistency.verdicts._cache_size()
     rest = list(detect_fleet(chosen[1:]))
-    assert traced <= before + 1 and consistency._verdicts._cache_size() == traced
+    assert traced <= before + 1 and consistency.verdicts._cache_size() == traced
     assert [r.verdict for r in first + rest] == ["no fault"] * 12
 
 

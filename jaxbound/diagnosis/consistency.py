@@ -31,7 +31,7 @@ from jaxbound.sets.separation import Frame
 from jaxbound.sets.status import Status
 from jaxbound.sets.strips import UNROLLED, status_of, strip_margin, strip_verdict
 
-__all__ = ["detect", "in_blocks", "margins"]
+__all__ = ["detect", "in_blocks", "margins", "padded", "refuse_unverified_device", "verdicts"]
 
 METHODS = ("joint", "box", "paving", "linearised")
 
@@ -95,7 +95,7 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
     relations = relations.named(u, y) if own else relations
     excluded = recording.left_out(relations.model, u, y)
     u, y, index = recording.arrays(relations.model, u, y, excluded)
-    _refuse_unverified_device()
+    refuse_unverified_device()
     u, y, words = np.asarray(u), np.asarray(y), np.zeros(0, np.uint32)
     if bank is not None:
         test = bank_test(bank, y.dtype)
@@ -114,7 +114,7 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
         status, margin = exchange_windows(relations, u, y, progress)
     else:
         test = relations.test(method, y.dtype)
-        status, margin = in_blocks(_verdicts, test, u, y, (np.int8, y.dtype), (Status.MISSING, np.nan), progress)
+        status, margin = in_blocks(verdicts, test, u, y, (np.int8, y.dtype), (Status.MISSING, np.nan), progress)
         if method == "box" and relations.count > 1:
             status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
     if (status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
@@ -177,7 +177,8 @@ def margins(relations, u, y):
 
 
 @jax.jit
-def _verdicts(test, u, y):
+def verdicts(test, u, y):
+    """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)
     margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)
     margin = jax.lax.optimization_barrier(margin)  # else the compiler works out everything once for each of the two results
@@ -214,7 +215,7 @@ def in_blocks(kernel, test, u, y, dtypes, warm_up, progress):
     on_device, pending = everywhere(test, devices), []
     for i in range(0, len(starts), len(devices)):
         chosen = starts[i : i + len(devices)]
-        blocks = [tuple(_stretch(x, start, min(start + block, samples - s) + s, block + s) for x in (u, y)) for start in chosen]
+        blocks = [tuple(padded(x, start, min(start + block, samples - s) + s, block + s) for x in (u, y)) for start in chosen]
         pending.append((chosen, on_devices(kernel, on_device, blocks, devices)))
         if len(pending) > 2:
             _collect(outs, pending.pop(0), block, s, progress)
@@ -236,7 +237,7 @@ def _collect(outs, done, block, s, progress):
             progress(min(start + s + block, len(outs[0])) / len(outs[0]))
 
 
-def _stretch(x, start, stop, length):
+def padded(x, start, stop, length):
     """Return rows start..stop, filled up with NaN to a fixed length."""
     part = x[start:stop]
     return part if len(part) == length else np.concatenate([part, np.full((length - len(part), x.shape[1]), np.nan, x.dtype)])
@@ -250,7 +251,8 @@ def _aligned(count, dtype):
     return raw[start : start + size].view(dtype)
 
 
-def _refuse_unverified_device():
+def refuse_unverified_device():
+    """Raise RuntimeError where the rounding of the device in use has not been verified."""
     rounding.refuse_other_modes()
     if (platform := usable_devices()[0].platform) != "cpu":
         raise RuntimeError(

@@ -17,7 +17,7 @@ from jaxbound.diagnosis.devices import everywhere, on_devices, usable_devices
 from jaxbound.sets import exact, separation
 from jaxbound.sets.strips import status_of
 
-__all__ = ["exchange_margins", "exchange_windows"]
+__all__ = ["candidates", "exchange_margins", "exchange_windows", "verdicts"]
 
 SLAB = 2**16
 PATIENCE = 10
@@ -65,14 +65,16 @@ def exchange_margins(test, u, y):
 
 
 @jax.jit
-def _candidates(given, one, u, y):
+def candidates(given, one, u, y):
+    """Return the combinations (h, d, done) that speak most against each window of a block; nothing is proved yet."""
     test, steps, finer = given
     mid, rad, _, known, _ = (x / one[None] for x in test.block(u, y))
     return separation.separation_search(test.shape, mid, rad, known, one, steps, finer)
 
 
 @jax.jit
-def _verdicts(given, one, u, y, h, d, done):
+def verdicts(given, one, u, y, h, d, done):
+    """Return (margin, settled) of the windows of a block, proved from what `candidates` found."""
     test, *_ = given
     mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
     return separation.separation_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift, one, h, d, done)
@@ -88,8 +90,8 @@ def _run(test, u, y, starts, margin, steps, finer=1.0):
         chosen = [starts[i : i + size] for i in range(first, min(first + size * len(devices), len(starts)), size)]
         full = [np.concatenate([c, np.repeat(c[:1], size - len(c))]) for c in chosen]
         given = [(one, *test.gather(u, y, c)) for c in full]
-        searched = on_devices(_candidates, on_device, given, devices, axis=-1)
-        judged = on_devices(_verdicts, on_device, [(*a, *b) for a, b in zip(given, searched, strict=True)], devices, axis=-1)
+        searched = on_devices(candidates, on_device, given, devices, axis=-1)
+        judged = on_devices(verdicts, on_device, [(*a, *b) for a, b in zip(given, searched, strict=True)], devices, axis=-1)
         return np.concatenate([collect(*pair) for pair in zip(chosen, judged, strict=True)])
 
     def collect(chosen, judged):

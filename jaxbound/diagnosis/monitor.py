@@ -87,7 +87,7 @@ class Monitor:
         if method not in methods:
             why = "gives one budget to all windows of a recording" if method in METHODS else "is unknown"
             raise ValueError(f"method {method!r} {why}: a Monitor of this model tests by {' or '.join(methods)}")
-        consistency._refuse_unverified_device()
+        consistency.refuse_unverified_device()
         self.relations, self.method = relations, method
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
         self._test = self._on_device = None
@@ -187,8 +187,8 @@ class Monitor:
     def _in_strips(self, u, y, across, first, size):
         """Return (status, margin) of at most `size` windows, tested circuit by circuit."""
         stop = min(first + size, len(y) - (s := self.relations.horizon)) + s
-        blocks = (consistency._stretch(x, first, stop, size + s) for x in (u, y))
-        return tuple(np.asarray(x)[: stop - s - first] for x in consistency._verdicts(self._on_device, *blocks))
+        blocks = (consistency.padded(x, first, stop, size + s) for x in (u, y))
+        return tuple(np.asarray(x)[: stop - s - first] for x in consistency.verdicts(self._on_device, *blocks))
 
     def _searched(self, u, y, across, first, size):
         """Return (status, margin) of at most `size` windows, tested by the exchange search; what it leaves open, as `detect` does."""
@@ -199,7 +199,7 @@ class Monitor:
         else:
             windows = test.gather(u, y, np.concatenate([chosen, np.repeat(chosen[:1], size - len(chosen))]))
         one, given = np.ones(size, self.dtype), (self._on_device, 2 * len(test.shape.inner) + 6, 1.0)
-        margin, settled = exchange._verdicts(given, one, *windows, *exchange._candidates(given, one, *windows))
+        margin, settled = exchange.verdicts(given, one, *windows, *exchange.candidates(given, one, *windows))
         margin, settled = np.array(margin)[: len(chosen)], np.asarray(settled)[: len(chosen)]
         for i in np.flatnonzero(~settled & ~across[chosen]):
             window = [x[chosen[i] : chosen[i] + s + 1] for x in (u, y)]

@@ -13,7 +13,13 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.status import Status
 
-__all__ = ["Result"]
+__all__ = ["Result", "suspected"]
+
+
+def suspected(status, margin):
+    """Return bool: outside the set as computed, proved or not; False where MISSING."""
+    with np.errstate(invalid="ignore"):
+        return (status == Status.FAULT) | (margin < 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +50,7 @@ class Result:
     @property
     def suspect(self):
         """(..., T) bool: outside the set as computed, proved or not. Every FAULT is suspect."""
-        with np.errstate(invalid="ignore"):
-            return (self.status == Status.FAULT) | (self.margin < 0)
+        return suspected(self.status, self.margin)
 
     @property
     def counts(self):

@@ -12,7 +12,7 @@ from functools import reduce
 
 import numpy as np
 
-__all__ = ["Expression", "expression", "find_column", "is_expression", "missing_column"]
+__all__ = ["Expression", "expression", "fails", "find_column", "is_expression", "missing_column"]
 
 FUNCTIONS = {name: getattr(np, name) for name in (
     "abs", "sqrt", "exp", "expm1", "log", "log1p", "log10", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh",
@@ -104,6 +104,11 @@ class Expression:
             except ValueError:
                 raise ValueError(f"{self.text!r}: {texts[0]!r} is no date: write it like '2017-09-20' or '2017-09-20 08:00'") from None
         return COMPARISONS[type(op)](a, b)
+
+
+def fails(values):
+    """Return (N,) bool: where a condition with these values does not hold, or has none."""
+    return ~(np.nan_to_num(values) != 0)
 
 
 def is_expression(column):

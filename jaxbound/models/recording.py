@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from jaxbound.models.expressions import expression, find_column, is_expression, missing_column
+from jaxbound.models.expressions import expression, fails, find_column, is_expression, missing_column
 
 __all__ = ["arrays", "left_out", "missing_column", "refuse_infinite"]
 
@@ -51,7 +51,7 @@ def left_out(model, u, y):
         ValueError: a column of the condition is in neither DataFrame.
     """
     frames = _frames(model, u, y)
-    return ~(np.nan_to_num(_computed(expression(model.columns["where"]), frames, "the recording")) != 0) if frames else None
+    return fails(_computed(expression(model.columns["where"]), frames, "the recording")) if frames else None
 
 
 def _frames(model, u, y):

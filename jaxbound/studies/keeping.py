@@ -3,12 +3,11 @@
 import hashlib
 import json
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 
-__all__ = ["Keeper", "fingerprint"]
+__all__ = ["Keeper", "fingerprint", "save_arrays"]
 
 STATE, ROWS = "study.npz", "scenarios"
 
@@ -24,6 +23,16 @@ def fingerprint(model, bounds, settings):
                                                "constant_tolerance", "inputs", "outputs", "offset")]  # fmt: skip
     told = repr((exact, uncertain, {name: np.asarray(b).tolist() for name, b in bounds.items()}, json.dumps(settings, sort_keys=True)))
     return hashlib.sha256(told.encode()).hexdigest()
+
+
+def save_arrays(path, **arrays):
+    """Write arrays as `np.savez` does, completely or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    with open(partial, "wb") as f:
+        np.savez(f, **arrays)
+        f.flush()
+        os.fsync(f.fileno())
+    os.replace(partial, path)
 
 
 class Keeper:
@@ -63,12 +72,7 @@ class Keeper:
         if self.rows and self.pending:
             self._write_rows()
         arrays = {f"{i}.{name}": x for i, tally in enumerate(self.tallies) for name, x in tally.arrays().items()}
-        partial = self.folder / (STATE + ".partial")
-        with open(partial, "wb") as f:
-            np.savez(f, mark=np.array(self.mark), done=done, parts=self.parts, **arrays)
-            f.flush()
-            os.fsync(f.fileno())
-        os.replace(partial, self.folder / STATE)
+        save_arrays(self.folder / STATE, mark=np.array(self.mark), done=done, parts=self.parts, **arrays)
         self.done = done
 
     def add_rows(self, label, sizes, number, onset, hits, false, delay):
@@ -92,8 +96,3 @@ class Keeper:
         pq.write_table(pa.table(table), path.with_suffix(".partial"))
         os.replace(path.with_suffix(".partial"), path)
         self.parts, self.pending = self.parts + 1, []
-
-    def forget(self):
-        """Remove the rows of an earlier study that kept some, if this one does not."""
-        if not self.rows:
-            shutil.rmtree(self.folder / ROWS, ignore_errors=True)

@@ -9,11 +9,12 @@ import os
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import jax
 import numpy as np
 
+from jaxbound.diagnosis.devices import everywhere, on_devices
 from jaxbound.models import recording
 from jaxbound.models.conversion import as_model
 from jaxbound.relations.parity import ParityRelation, parity_relations
@@ -173,10 +174,11 @@ def _engine(model, relations, course, at, room, u, limits, dtype):
     few = certain and 0 < len(relations.circuits) <= UNROLLED and not relations.model.constant_tolerance
     if plain and few:  # where circuits are many, what the fused kernel saves is nothing beside their test
         devices, test = tuple(jax.local_devices(backend="cpu")), relations.test("joint", dtype)
-        count = _count(course, devices)
 
         def counted(act, key, numbers):
-            return count(test, plant, act, limits, u, key, numbers)
+            blocks = [(part,) for part in np.split(numbers, len(devices))]
+            found = on_devices(_counter(course), everywhere((test, plant, act, limits, u, key), devices), blocks, devices)
+            return tuple(map(np.concatenate, zip(*found, strict=True)))
 
         return counted, fused.BLOCK * len(devices)
 
@@ -191,14 +193,9 @@ def _engine(model, relations, course, at, room, u, limits, dtype):
 
 
 @lru_cache(maxsize=32)
-def _count(course, devices):
-    """Return `count_block` for one block on each device: the scenarios are sharded, everything else is where it is needed."""
-    if len(devices) == 1:
-        return partial(fused.count_block, course)
-    each, same = jax.P("scenarios"), jax.P()
-    mesh = jax.sharding.Mesh(np.array(devices), ("scenarios",))
-    kernel = partial(fused.count_block, course)
-    return jax.jit(jax.shard_map(kernel, mesh=mesh, in_specs=(same,) * 6 + (each,), out_specs=each, check_vma=False))
+def _counter(course):
+    """Return `count_block` as a kernel of (everything that is the same for all scenarios, their numbers)."""
+    return lambda constants, numbers: fused.count_block(course, *constants, numbers)
 
 
 def _work_off(tasks, work, collect, keeper, progress):

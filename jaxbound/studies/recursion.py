@@ -137,7 +137,6 @@ def plant_of(model, room, dtype):
     """Return the Plant of a model that `fits`, with `room` for rounding."""
     noise = [float(rho) * (1 - 1e-15) - taken for rho, taken in zip(model.noise, _taken(model, room), strict=True)]
     A, B, C, D, G = matrices(model)
-    lo, hi = (np.array([float(b[i]) for b in model.disturbance]) for i in (0, 1))
     lo, hi = rounding.round_up([b[0] for b in model.disturbance], dtype), rounding.round_down([b[1] for b in model.disturbance], dtype)
     vector = lambda values: np.array([float(x) for x in values], dtype)
     return Plant(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
-from jaxbound.studies.proportions import proportion_interval, rate_interval
+from jaxbound.studies.proportions import proportion_interval
 from jaxbound.studies.scenarios import Trial
 from jaxbound.studies.tally import Tally
 
@@ -60,11 +60,7 @@ class StudyResult:
 
         frames = []
         for trial, tally in zip(self.trials, self.tallies, strict=True):
-            lo, hi = proportion_interval(tally.detected, tally.scenarios, self.confidence)
-            sums = (getattr(tally, name) for name in ("hits", "windows", "squares", "crossed", "squared", "scenarios"))
-            rate, rate_lo, rate_hi = rate_interval(*sums, confidence=self.confidence)
-            with np.errstate(invalid="ignore"):
-                share = tally.detected / tally.scenarios
+            (share, lo, hi), (rate, rate_lo, rate_hi) = tally.share(self.confidence), tally.rate(self.confidence)
             frames.append(pd.DataFrame({
                 "fault": trial.label, "size": trial.sizes, "scenarios": tally.scenarios, "detected": tally.detected,
                 "share": share, "share_lo": lo, "share_hi": hi, "windows": tally.windows, "rate": rate, "rate_lo": rate_lo,

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from jaxbound.studies.proportions import proportion_interval, rate_interval
+
 __all__ = ["Tally"]
 
 SUMS = ("scenarios", "detected", "hits", "windows", "squares", "crossed", "squared", "false", "clean", "alarmed")
@@ -32,6 +34,15 @@ class Tally:
             total = np.bincount(which, part, sizes) if part is not None else np.bincount(which, minlength=sizes)
             setattr(self, name, getattr(self, name) + total.astype(np.int64))
         np.add.at(self.delays, (which[seen], delay[seen]), 1)
+
+    def share(self, confidence):
+        """Return (share, lo, hi) of scenarios detected, (S,) each."""
+        with np.errstate(invalid="ignore"):
+            return self.detected / self.scenarios, *proportion_interval(self.detected, self.scenarios, confidence)
+
+    def rate(self, confidence):
+        """Return (rate, lo, hi) of FAULT windows among those wholly inside the fault, (S,) each."""
+        return rate_interval(self.hits, self.windows, self.squares, self.crossed, self.squared, self.scenarios, confidence)
 
     def arrays(self):
         """Return {name: array}, which `load` takes."""

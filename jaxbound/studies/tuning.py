@@ -1,7 +1,6 @@
 """Tune bounds to healthy data: a direction by gradient, its smallest scale by the proved test, and what that says about other data."""
 
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.studies.confidence import Risk, blocks_of, held_out, risk_of, touched
 from jaxbound.studies.descent import BLOCK, RATE, default_optimizer, descend, problem_of
+from jaxbound.studies.keeping import save_arrays
 from jaxbound.studies.moving import model_with, moving
 from jaxbound.studies.scaling import factors, smallest_scale, windows_of, worst
 
@@ -256,10 +256,7 @@ class _Search:
         told = self.told()
         fields = {"mark": self.mark, "step": self.step, "best": self.best, "score": np.array(self.score), "ends": self.ends}
         leaves = {f"leaf{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
-        part = self.file.with_name(self.file.name + ".part")
-        with part.open("wb") as f:
-            np.savez(f, **fields, **leaves, **{f"history_{name}": x for name, x in told.items()})
-        os.replace(part, self.file)
+        save_arrays(self.file, **fields, **leaves, **{f"history_{name}": x for name, x in told.items()})
 
     def _load(self, carry):
         """Return the carry of the file, if there is one, and take over the rest of what it holds."""

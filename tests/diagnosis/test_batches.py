@@ -95,21 +95,21 @@ def test_a_batch_across_a_block_end_is_seamless(rng):
 def test_recordings_of_other_lengths_do_not_trace_again(rng):
     r = jb.parity_relations(paper(), horizon=2)
     jb.detect(r, *recording((50,), rng))
-    traced = consistency._verdicts._cache_size()
+    traced = consistency.verdicts._cache_size()
     for shape in ((51,), (2**14 + 77,), (3, 4, 20), (2,)):
         jb.detect(r, *recording(shape, rng))
-    assert consistency._verdicts._cache_size() == traced
+    assert consistency.verdicts._cache_size() == traced
 
 
 @pytest.mark.parametrize("horizon", [1, 2])
 def test_a_second_model_of_the_same_shape_does_not_trace_again(horizon, rng):
     u, y = recording((50,), rng)
     jb.detect(jb.parity_relations(paper(), horizon=horizon), u, y)
-    traced = consistency._verdicts._cache_size()
+    traced = consistency.verdicts._cache_size()
     other = paper(A=[[0.7, 0.3], [0.1, 0.4]], B=[[0.5], [2]], tolerance=0.05, noise=[1, 2], offset={"y": [3, 4]}, resolution=0.1)
     jb.detect(jb.parity_relations(other, horizon=horizon), u, y)
     jb.detect(jb.parity_relations(other, horizon=horizon).with_bounds({"noise": 3.0}), u, y)
-    assert consistency._verdicts._cache_size() == traced
+    assert consistency.verdicts._cache_size() == traced
 
 
 def test_float32_stays_float32(rng):

@@ -107,7 +107,7 @@ def test_every_fault_of_a_random_plant_is_one_in_exact_arithmetic(dtype, models,
         for steps, finer in [(2 * k + 6, 1.0), *((exchange.PATIENCE * (k + 10), finer) for finer in exchange.FINER)]:
             if not unproved:
                 break
-            h = np.asarray(exchange._candidates((test, steps, finer), one, fill(u[:, : test.lags]), fill(y))[0])
+            h = np.asarray(exchange.candidates((test, steps, finer), one, fill(u[:, : test.lags]), fill(y))[0])
             exact = {w: exact_value(plant, 20, u[w], y[w], r.frame.inner, r.frame.outer, h[:, 86 * w], dtype) for w in unproved}
             unproved = [w for w, (value, width) in exact.items() if value <= width]
         assert not unproved, (model, unproved)
@@ -159,11 +159,11 @@ def test_verdicts_do_not_depend_on_the_block_or_the_position_in_it(rng):
 def test_nothing_is_traced_again_for_another_recording_or_model(rng):
     u, y = rng.uniform(-1, 1, (300, 1)), rng.normal(size=(300, 2))
     jb.detect(jb.parity_relations(paper(), 20), u, y)
-    traced = exchange._candidates._cache_size(), exchange._verdicts._cache_size()
+    traced = exchange.candidates._cache_size(), exchange.verdicts._cache_size()
     other = paper(A=[[0.7, 0.3], [0.1, 0.4]], B=[[0.5], [2]], tolerance=0.05, noise=[1, 2], offset={"y": [3, 4]}, resolution=0.1)
     jb.detect(jb.parity_relations(other, 20), u[:77], y[:77])
     jb.detect(jb.parity_relations(other, 20).with_bounds({"noise": 3.0}), u, y)
-    assert traced == (exchange._candidates._cache_size(), exchange._verdicts._cache_size())
+    assert traced == (exchange.candidates._cache_size(), exchange.verdicts._cache_size())
 
 
 def test_the_first_samples_and_the_seams_of_a_batch_are_missing(rng):

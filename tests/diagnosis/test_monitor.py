@@ -105,7 +105,7 @@ def test_whatever_the_block_the_kernels_give_the_same_bits(rng):
     u, y = recording(rng, r.model, 513, 20)
     test = r.test("joint", y.dtype)
     bits = lambda size: np.concatenate([
-        np.asarray(consistency._verdicts(test, u[k : k + size + 1], y[k : k + size + 1])[1]) for k in range(0, 512, size)
+        np.asarray(consistency.verdicts(test, u[k : k + size + 1], y[k : k + size + 1])[1]) for k in range(0, 512, size)
     ])  # fmt: skip
     for size in (4, 16, monitor.SHORT):
         np.testing.assert_array_equal(bits(size), bits(512))
@@ -151,12 +151,12 @@ def test_a_second_step_does_not_compile(rng):
     u, y = recording(rng, r.model, 8)
     mon = Monitor(r)
     state, _ = mon.step(mon.init(), u[0], y[0])
-    before = consistency._verdicts._cache_size()
+    before = consistency.verdicts._cache_size()
     for k in range(1, 8):
         state, _ = mon.step(state, u[k], y[k])
     other = Monitor(jb.parity_relations(paper(noise=[0.2, 0.02])))  # another model of this shape
     other.step(other.init(), u[0], y[0])
-    assert consistency._verdicts._cache_size() == before
+    assert consistency.verdicts._cache_size() == before
 
 
 @pytest.mark.slow
