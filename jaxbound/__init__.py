@@ -33,7 +33,8 @@ from jaxbound.sets.interval import Interval, interval
 from jaxbound.sets.linear_systems import Solution, Solvability, solve_interval
 from jaxbound.sets.paving import Paving, pave
 from jaxbound.sets.status import Status
-from jaxbound.sets.zonotope import Zonotope, membership, strips, zonotope
+from jaxbound.sets.zonotopes.facets import membership, strips
+from jaxbound.sets.zonotopes.zonotope import Zonotope, zonotope
 from jaxbound.studies.fitting import FitCheck, Fitted, fit
 from jaxbound.studies.montecarlo import study
 from jaxbound.studies.study_result import StudyResult

@@ -8,7 +8,9 @@ from jaxbound.sets.interval import __all__ as _interval
 from jaxbound.sets.linear_systems import Solution, Solvability, solve_interval
 from jaxbound.sets.paving import Paving, pave
 from jaxbound.sets.status import Status
-from jaxbound.sets.zonotope import Zonotope, membership, strips, support, zonotope
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, constrained_zonotope
+from jaxbound.sets.zonotopes.facets import membership, strips
+from jaxbound.sets.zonotopes.zonotope import Zonotope, support, zonotope
 
-__all__ = [*_interval, *_elementary, "Inclusion", "Paving", "Solution", "Solvability", "Status", "Zonotope", "inclusion", "membership",
-           "pave", "solve_interval", "strips", "support", "zonotope"]  # fmt: skip
+__all__ = [*_interval, *_elementary, "ConstrainedZonotope", "Inclusion", "Paving", "Solution", "Solvability", "Status", "Zonotope",
+           "constrained_zonotope", "inclusion", "membership", "pave", "solve_interval", "strips", "support", "zonotope"]  # fmt: skip

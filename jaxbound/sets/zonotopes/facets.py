@@ -1,6 +1,5 @@
-"""Zonotopes with fixed generators: their strips, exactly, and membership with a guaranteed sign."""
+"""The facets of a zonotope: its strips, exactly, and membership with a guaranteed sign."""
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 import jax
@@ -8,45 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import exact, rounding
-from jaxbound.sets.interval import Interval, interval, matmul
-from jaxbound.sets.interval import sum as interval_sum
 from jaxbound.sets.strips import UNROLLED, Strips, strip_verdict
 
-__all__ = ["Zonotope", "membership", "strips", "support", "zonotope"]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class Zonotope:
-    """{center + generators x : every |x_i| <= 1}; center (n,), generators (n, q), columns are generators. Build it with `zonotope`."""
-
-    center: jax.Array
-    generators: jax.Array
-
-    def hull(self):
-        """Return the smallest box around it, rounded outward: an Interval (n,)."""
-        spread = interval_sum(interval(jnp.abs(self.generators)), axis=1).hi
-        return interval(self.center) + Interval(-spread, spread)
-
-
-def zonotope(center, generators):
-    """Build a Zonotope from center (n,) and generators (n, q), rounded to nearest where the dtype cannot hold them (x64 off).
-
-    Raises:
-        ValueError: shapes that do not fit, NaN or infinity.
-
-    Example:
-        >>> zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]]).generators.shape
-        (2, 2)
-    """
-    center, generators = np.asarray(center), np.asarray(generators)
-    if center.ndim != 1 or generators.ndim != 2 or len(center) != len(generators) or not len(center):
-        raise ValueError(f"zonotope needs center (n,) and generators (n, q): their shapes are {center.shape} and {generators.shape}")
-    dtype = jnp.result_type(center, generators, np.float32 if center.dtype == np.float32 == generators.dtype else float)
-    for name, x in (("center", center), ("generators", generators)):
-        if not np.isfinite(x.astype(float)).all():
-            raise ValueError(f"{name} must be finite: {(~np.isfinite(x.astype(float))).sum()} of {x.size} entries are not")
-    return Zonotope(jnp.asarray(center, dtype), jnp.asarray(generators, dtype))
+__all__ = ["exact_strips", "membership", "strips"]
 
 
 def strips(Z):
@@ -62,17 +25,18 @@ def strips(Z):
         normals (k, n), largest entry 1, and half-widths (k,), as NumPy arrays rounded to nearest.
 
     Example:
+        >>> from jaxbound.sets import zonotope
         >>> normals, widths = strips(zonotope([0.0, 0.0], [[1.0, 1.0], [0.0, 1.0]]))
         >>> sorted(zip(normals.tolist(), widths.tolist()))
         [([0.0, 1.0], 1.0), ([1.0, -1.0], 1.0)]
     """
-    found = _exact_strips(Z)
+    found = exact_strips(Z)
     n = Z.center.shape[0]
     normals = np.array([[float(x) for x in normal] for normal, _ in found]).reshape(-1, n)
     return normals, np.array([float(w) for _, w in found])
 
 
-def _exact_strips(Z):
+def exact_strips(Z):
     """Return [(normal, half-width)] as exact numbers."""
     if isinstance(Z.generators, jax.core.Tracer):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
@@ -107,6 +71,7 @@ def membership(Z, points):
         ValueError: points of another dimension, NaN or infinity.
 
     Example:
+        >>> from jaxbound.sets import zonotope
         >>> membership(zonotope([0.0], [[2.0]]), [[1.0], [3.0]])
         array([ 0.5, -0.5]...)
     """
@@ -117,7 +82,7 @@ def membership(Z, points):
         raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
     if not np.isfinite(points.astype(float)).all():
         raise ValueError(f"points must be finite: first not at {tuple(np.argwhere(~np.isfinite(points.astype(float)))[0].tolist())}")
-    found, points = _exact_strips(Z), jnp.asarray(points, Z.center.dtype)
+    found, points = exact_strips(Z), jnp.asarray(points, Z.center.dtype)
     margin = np.ones(len(points), points.dtype)
     for flat in (False, True):
         part = [(*normal, width) for normal, width in found if (width == 0) == flat]
@@ -141,22 +106,3 @@ def _membership(table, center, points):
     mid = [points[:, i] - center[i] for i in range(points.shape[1])] + [zero]
     scale = [abs(points[:, i]) + abs(center[i]) for i in range(points.shape[1])] + [one]
     return strip_verdict(table, mid, [zero] * points.shape[1] + [one], scale, [], [], 1)
-
-
-def support(Z, direction):
-    """Return an upper bound, tight to rounding, of max direction . p over Z.
-
-    Args:
-        Z: a Zonotope; direction: (n,).
-
-    Raises:
-        ValueError: a direction of another dimension, NaN or infinity.
-
-    Example:
-        >>> float(support(zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]), [1.0, 1.0]))
-        13.0000...
-    """
-    d = interval(direction)
-    if d.shape != Z.center.shape:
-        raise ValueError(f"direction must have shape {Z.center.shape}: its shape is {d.shape}")
-    return (matmul(d, interval(Z.center)) + interval_sum(abs(matmul(d, interval(Z.generators))))).hi

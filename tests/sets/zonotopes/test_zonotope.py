@@ -14,7 +14,8 @@ from zonotope_cases import each_dtype, margin
 from jaxbound import sets
 from jaxbound.sets import support
 from jaxbound.sets import zonotope as factory
-from jaxbound.sets.zonotope import Zonotope, _membership
+from jaxbound.sets.zonotopes.facets import _membership
+from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 # strips
 

@@ -1,0 +1,1 @@
+"""Zonotopes and constrained zonotopes: their facets, and decisions about them that carry proofs."""

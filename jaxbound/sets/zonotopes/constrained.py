@@ -1,0 +1,53 @@
+"""Constrained zonotopes: zonotopes whose coefficients obey linear equations; any bounded polyhedron is one."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jaxbound.sets.zonotopes.zonotope import finite_arrays
+
+__all__ = ["ConstrainedZonotope", "constrained_zonotope"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class ConstrainedZonotope:
+    """{center + generators x : every |x_i| <= 1, constraints x = offsets}; may be empty. Build it with `constrained_zonotope`.
+
+    Fields: center c (..., n), generators G (..., n, q), constraints A (..., k, q), offsets b (..., k). Leading axes are a batch of sets.
+
+    Source: Scott, Raimondo, Marseglia, Braatz, Constrained zonotopes, Automatica 69, 2016.
+    """
+
+    center: jax.Array
+    generators: jax.Array
+    constraints: jax.Array
+    offsets: jax.Array
+
+
+def constrained_zonotope(center, generators, A, b):
+    """Build a ConstrainedZonotope {c + G x : |x_i| <= 1, A x = b}, rounded to nearest where the dtype cannot hold the numbers (x64 off).
+
+    Args:
+        center: (..., n). generators: (..., n, q). A: (..., k, q). b: (..., k); no row (k = 0) is a zonotope.
+
+    Raises:
+        ValueError: shapes that do not fit, NaN or infinity.
+
+    Example:
+        >>> constrained_zonotope([0.0], [[1.0, 1.0]], [[1.0, -1.0]], [0.5]).constraints.shape
+        (1, 2)
+    """
+    center, generators, A, b = map(np.asarray, (center, generators, A, b))
+    shaped = center.ndim >= 1 and generators.ndim >= 2 and A.ndim >= 2 and b.ndim >= 1 and center.shape[-1:] != (0,)
+    if not shaped or center.shape != generators.shape[:-1] or b.shape != A.shape[:-1] or A.shape[-1] != generators.shape[-1]:
+        shapes = f"{center.shape}, {generators.shape}, {A.shape} and {b.shape}"
+        raise ValueError(
+            f"constrained_zonotope needs center (..., n), generators (..., n, q), A (..., k, q), b (..., k): their shapes are {shapes}"
+        )
+    if center.shape[:-1] != b.shape[:-1]:
+        raise ValueError(
+            f"a batch of sets needs as many constraints as centers: their leading shapes are {center.shape[:-1]} and {b.shape[:-1]}"
+        )
+    return ConstrainedZonotope(*finite_arrays(center=center, generators=generators, A=A, b=b))

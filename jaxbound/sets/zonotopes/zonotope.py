@@ -1,0 +1,77 @@
+"""Zonotopes: boxes seen through a matrix."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.interval import Interval, interval, matmul
+from jaxbound.sets.interval import sum as interval_sum
+
+__all__ = ["Zonotope", "support", "zonotope"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Zonotope:
+    """{center + generators x : every |x_i| <= 1}. Build it with `zonotope`.
+
+    Fields: center (..., n), generators (..., n, q), columns are generators. Leading axes are a batch of sets.
+    """
+
+    center: jax.Array
+    generators: jax.Array
+
+    def hull(self):
+        """Return the smallest box around it, rounded outward: an Interval (..., n)."""
+        spread = interval_sum(interval(jnp.abs(self.generators)), axis=-1).hi
+        return interval(self.center) + Interval(-spread, spread)
+
+
+def zonotope(center, generators):
+    """Build a Zonotope from center (..., n) and generators (..., n, q), rounded to nearest where the dtype cannot hold them (x64 off).
+
+    Raises:
+        ValueError: shapes that do not fit, NaN or infinity.
+
+    Example:
+        >>> zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]]).generators.shape
+        (2, 2)
+    """
+    center, generators = np.asarray(center), np.asarray(generators)
+    if center.ndim < 1 or generators.ndim < 2 or center.shape != generators.shape[:-1] or not center.shape[-1]:
+        raise ValueError(
+            f"zonotope needs center (..., n) and generators (..., n, q): their shapes are {center.shape} and {generators.shape}"
+        )
+    return Zonotope(*finite_arrays(center=center, generators=generators))
+
+
+def finite_arrays(**arrays):
+    """Return NumPy arrays as JAX arrays of their common float dtype; refuse NaN and infinity by name."""
+    for name, x in arrays.items():
+        finite = np.isfinite(x.astype(float))
+        if not finite.all():
+            raise ValueError(f"{name} must be finite: {(~finite).sum()} of {x.size} entries are not")
+    single = all(x.dtype == np.float32 for x in arrays.values())
+    dtype = jnp.result_type(*arrays.values(), np.float32 if single else float)
+    return tuple(jnp.asarray(x, dtype) for x in arrays.values())
+
+
+def support(Z, direction):
+    """Return an upper bound, tight to rounding, of max direction . p over Z.
+
+    Args:
+        Z: a Zonotope; direction: (n,).
+
+    Raises:
+        ValueError: a direction of another dimension, NaN or infinity.
+
+    Example:
+        >>> float(support(zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]), [1.0, 1.0]))
+        13.0000...
+    """
+    d = interval(direction)
+    if d.shape != Z.center.shape:
+        raise ValueError(f"direction must have shape {Z.center.shape}: its shape is {d.shape}")
+    return (matmul(d, interval(Z.center)) + interval_sum(abs(matmul(d, interval(Z.generators))))).hi
