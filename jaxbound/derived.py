@@ -51,14 +51,14 @@ class Wanted:
         """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool, left out by `where`, or None.
 
         Args:
-            columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. dtype: of u and y.
+            columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. dtype: of y; u is as wide as its widest column.
 
         Raises:
             ValueError: see `Expression.values`.
         """
         value = lambda s: s.values(columns) if isinstance(s, Expression) else columns[s]
-        stack = lambda signals: np.stack([value(s) for s in signals], 1, dtype=dtype) if signals else np.zeros((count, 0), dtype)
-        u, y, excluded = stack(self.inputs), stack(self.outputs), None
+        stack = lambda signals, to: np.stack([value(s) for s in signals], 1, dtype=to) if signals else np.zeros((count, 0), to)
+        u, y, excluded = stack(self.inputs, None), stack(self.outputs, dtype), None
         if self.where is not None:
             excluded = fails(self.where.values(columns))
             u[excluded], y[excluded] = np.nan, np.nan

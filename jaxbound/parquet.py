@@ -39,8 +39,8 @@ class ParquetSource:
     Fields:
         path: as given; files: the files in order; rows: (F + 1,) number of the first sample of each file, and of all samples.
         model: whose signals are read; plan: the columns for them; time_name: the column of the time, or None.
-        dtype: float32 if an output is stored so and none is computed, else float64: what was rounded away is counted in the type it was
-            recorded in.
+        dtype: float32 if an output, or what it is computed from, is stored so, else float64: what was rounded away is counted in the type
+            it was recorded in.
         origin: what the time is counted from; scale: units a second of a numeric time column that is an epoch, or None.
         hints: sentences on how the files were read.
     """
@@ -171,7 +171,7 @@ class ParquetSource:
 
         computed = any(isinstance(s, Expression) and name in s.columns for s in (*self.plan.inputs, *self.plan.outputs, self.plan.where))
         try:
-            x = from_arrow(_whole(column.cast(pa.float32() if self.dtype == np.float32 and not computed else pa.float64())))
+            x = from_arrow(_whole(column.cast(pa.float32() if pa.types.is_float32(column.type) and not computed else pa.float64())))
         except pa.ArrowInvalid:
             raise ValueError(f"column {name!r} of {self.path} holds whole numbers too large for a float: scale them") from None
         if np.isinf(x).any():
@@ -247,8 +247,8 @@ def open_parquet(path, model):
     if rows[-1] < 2:
         raise ValueError(f"{path}: {'no row' if not rows[-1] else 'one row'} of data: a recording has at least two")
     plan = plan_of(list(first), first, model)
-    computed = any(isinstance(s, Expression) for s in plan.outputs)
-    single = not computed and pa.float32() in {first[c] for c in plan.outputs}
+    stored = [c for s in plan.outputs for c in (s.columns if isinstance(s, Expression) else (s,))]
+    single = pa.float32() in {first.get(c) for c in stored}
     zone = getattr(first.get(plan.time), "tz", None)
     hints = (f"time stamps have the zone {zone}: they are shown in UTC",) if zone not in (None, "UTC") else ()
     return _clocked(ParquetSource(path, files, rows, model, plan, np.dtype(np.float32 if single else np.float64), hints=hints))

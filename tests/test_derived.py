@@ -136,13 +136,13 @@ class TestReading:
         m = jb.LinearSystem([[0.5]], None, [[1]], dt=43200, noise=1, columns={"where": "'2017-09-20' <= Datetime < '2017-09-21'"})
         np.testing.assert_array_equal(read_recording(path, m).excluded, [True, True, False, False, True, True])
 
-    def test_float32_columns_are_computed_in_float64(self, tmp_path, rng):
+    def test_float32_columns_are_computed_in_float64_and_count_as_float32(self, tmp_path, rng):
         a, b = rng.normal(size=(2, 50)).astype(np.float32)
         pq.write_table(pa.table({"t": np.arange(50.0), "a": a, "b": b}), tmp_path / "r.parquet")
         m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, columns={"y1": "= a - b"})
         r = read_recording(tmp_path / "r.parquet", m)
-        assert r.y.dtype == np.float64
-        np.testing.assert_array_equal(r.y[:, 0], a.astype(float) - b.astype(float))
+        assert r.y.dtype == np.float32
+        np.testing.assert_array_equal(r.y[:, 0], (a.astype(float) - b.astype(float)).astype(np.float32))
 
 
 class TestChunks:

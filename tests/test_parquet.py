@@ -78,8 +78,15 @@ class TestReading:
     def test_float32_is_tested_in_the_type_it_was_rounded_to(self, folder):
         y = np.cos(np.arange(12)).astype(np.float32)
         r = read_recording(folder(a=table(y1=y)), MODEL)
-        assert r.y.dtype == r.u.dtype == np.float32
+        assert r.y.dtype == np.float32 and r.u.dtype == np.float64  # inputs are taken as they were recorded
         np.testing.assert_array_equal(r.y[:, 0], y)
+
+    def test_what_is_computed_from_float32_counts_as_float32(self, folder):
+        model = jb.LinearSystem([["0.5"]], [[1]], [[1]], dt=0.5, noise=0.1, columns={"y1": "= top - bottom"})
+        part = table().drop(["y1"])
+        for name, values in (("top", np.arange(12, dtype=np.float32)), ("bottom", np.arange(12.0))):
+            part = part.append_column(name, pa.array(values))
+        assert read_recording(folder(a=part), model).y.dtype == np.float32
 
     def test_only_what_the_model_names_is_needed_in_every_file(self, folder):
         path = folder(a=table(5, spare=["x"] * 5), b=table(7, 5))

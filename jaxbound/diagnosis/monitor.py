@@ -54,7 +54,8 @@ class Monitor:
     Args:
         relations: from `parity_relations`.
         method: "joint" or "box", with uncertain parameters also "linearised"; see `detect`.
-        dtype: of the samples, float64 or float32; None: as JAX is configured.
+        dtype: of the samples, float64 or float32; None: as JAX is configured. Outputs of a wider type are rounded to it; a narrower type is
+            refused, since more was rounded away than the verdicts would allow for.
 
     Bit for bit with strips, and with the exchange search for windows without missing samples; where samples are missing in windows that
     need the search, margins agree to 1e-9. A sample costs about 0.1 ms, an exchange search 0.5 to 1 ms; slow, tens of milliseconds: an
@@ -113,7 +114,7 @@ class Monitor:
             (state, Verdict) of the window that ends at this sample; MISSING until there is one.
 
         Raises:
-            ValueError: shapes that do not fit the model, an infinite sample. The state given is still good.
+            ValueError: shapes that do not fit the model, an infinite sample, y narrower than dtype. The state given is still good.
         """
         take = lambda x: None if x is None else np.asarray(x)[None]
         state, (status, margin) = self.run(state, take(u), take(y), starts=(0,) if new else (), time=take(time))
@@ -162,6 +163,11 @@ class Monitor:
         fits = lambda x, n: type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == n
         if not (fits(u, model.m) and fits(y, model.p) and len(u) == len(y)):
             u, y, _ = recording.arrays(model, u, y)
+            if y.dtype.itemsize < self.dtype.itemsize:
+                raise ValueError(
+                    f"y is in {y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, allows for: "
+                    f"build it as Monitor(relations, dtype=np.{y.dtype})"
+                )
             u, y = (np.asarray(x, self.dtype) for x in (u, y))
             if y.ndim != 2:
                 raise ValueError(f"a Monitor follows one recording: y must have shape (N, {model.p}), not {y.shape}")

@@ -34,17 +34,19 @@ def validate_parts(model, u, y, x0, validate):
     """
     p = model.models[0].p
     count = len(model.models)
-    y = np.asarray(y, model.models[0].A.dtype)
+    y = np.asarray(y)  # in the type it was recorded in
     if y.ndim < 3 or y.shape[-2:] != (count, p):
         raise ValueError(f"y must have shape (..., T, {count}, {p}), each sub-model's own outputs: its shape is {y.shape}")
-    u = np.zeros((*y.shape[:-2], 0), y.dtype) if u is None else np.asarray(u, y.dtype)
+    u = np.zeros((*y.shape[:-2], 0)) if u is None else np.asarray(u)
     starts = np.cumsum([0, *(m.n for m in model.models)])
     if x0 is not None and (x0 := interval(x0)).shape[-1:] != (model.n,):
         raise ValueError(f"x0 needs one interval for each of {model.n} states: its shape is {x0.shape}")
     first = lambda i: None if x0 is None else x0[..., starts[i] : starts[i + 1]]
     local = [validate(m, u, y[..., i, :], x0=first(i)) for i, m in enumerate(model.models)]
-    output, residual, corrected = _weighed(model.mu(u), [(v.output, v.residual, v.corrected) for v in local])
-    absent = jnp.where(jnp.isnan(jnp.asarray(y)).any(-2), jnp.nan, 0)
+    output, residual, corrected = _weighed(
+        model.mu(np.asarray(u, model.models[0].A.dtype)), [(v.output, v.residual, v.corrected) for v in local]
+    )
+    absent = jnp.where(jnp.isnan(jnp.asarray(y, output.lo.dtype)).any(-2), jnp.nan, 0)
     each = np.stack([np.asarray(v.status) for v in local])
     agreed = np.where((each == each[0]).all(0), each[0], Status.UNDECIDED)
     return replace(

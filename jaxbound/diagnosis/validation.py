@@ -23,8 +23,10 @@ import numpy as np
 
 from jaxbound.diagnosis.multiple import validate_parts
 from jaxbound.diagnosis.validation_windows import slide, weighted
+from jaxbound.models import recording
 from jaxbound.models.intervals import as_intervals, stacked
 from jaxbound.models.multimodel import MultiModel
+from jaxbound.models.sensor import largest_error
 from jaxbound.sets import rounding
 from jaxbound.sets.fixed_systems import prepare
 from jaxbound.sets.interval import Interval, interval
@@ -100,11 +102,13 @@ def validate(model, u, y, horizon=None, method="joint", x0=None, correction="int
         raise ValueError(f"method must be 'joint' or 'sequential', not {method!r}")
     if correction not in ("interval", "centre"):
         raise ValueError(f"correction must be 'interval' or 'centre', not {correction!r}")
+    recorded = recording.recorded_type(y, "y")
     y = np.asarray(y, m.A.dtype)
     if y.ndim < 2 or y.shape[-1] != m.p:
         raise ValueError(f"y must have shape (..., T, {m.p}), time before outputs: its shape is {y.shape}")
     *lead, T, _ = y.shape
-    u = np.zeros((*y.shape[:-1], 0), y.dtype) if u is None else np.asarray(u, y.dtype)
+    u = np.zeros((*y.shape[:-1], 0), y.dtype) if u is None else np.asarray(u)
+    u = u if np.issubdtype(u.dtype, np.floating) else u.astype(np.float64)
     if u.shape[-1:] != (m.m,) or u.shape[:-1] != y.shape[:-1]:
         raise ValueError(f"u must have shape {(*y.shape[:-1], m.m)} to fit y and the model: its shape is {u.shape}")
     if not np.isfinite(u).all():
@@ -130,21 +134,24 @@ def validate(model, u, y, horizon=None, method="joint", x0=None, correction="int
     plant = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"]}
     if m.moves and method == "joint":
         plant |= {"H": m.moves[2], "d": m.moves[3]}
-    plant |= {"noise": np.asarray(m.noise, y.dtype), "tolerance": np.asarray(m.tolerance, y.dtype)}
+    plant |= {"tolerance": rounding.round_up(m.tolerance, y.dtype)}
+    error = largest_error(y, m.noise, recorded, int(s))
+    pushed = Interval(rounding.round_down(u, y.dtype), rounding.round_up(u, y.dtype))  # a point, unless it had to be narrowed
+    u = u.astype(y.dtype)
     M = stacked(m, int(s), m.moves if method == "joint" else None)
-    given = flat(u), flat(y), flat(model.columns(u) if several else None), flat(x0)
+    given = flat(pushed), flat(y), flat(error), flat(model.columns(u) if several else None), flat(x0)
     shared = None
     if method == "sequential":
         shared = prepare(M[..., None], m.p * (s + 1) - m.n + 1)
     elif x0 is None and not several:
         shared = _first_window(M[..., None], m.p)
 
-    def kernel(u, y, weight, start):
+    def kernel(u, y, error, weight, start):
         systems = shared
         if several and start is None:
             early = jax.tree.map(lambda a: np.moveaxis(a[:, : s + 1], 0, -1), weight)
             systems = _first_window(weighted(M[..., None], early, m.p), m.p)
-        return slide(plant, M, systems, u, y, weight, start, int(s), method, correction == "centre")
+        return slide(plant, M, systems, u, y, error, weight, start, int(s), method, correction == "centre")
 
     found, bounded = _blocks(kernel, given, count, min(BLOCK[method], 1 << (count - 1).bit_length()))
     if not bounded.all():

@@ -25,25 +25,25 @@ STEPS = 20
 
 
 @partial(jax.jit, static_argnames=("s", "method", "centre"))
-def slide(plant, M, systems, u, y, weight, start, s, method, centre=False):
+def slide(plant, M, systems, u, y, error, weight, start, s, method, centre=False):
     """Validate N recordings.
 
     Args:
-        plant: dict of Intervals A, B, C, D, w, u0, y0, perhaps H, d (see `IntervalSystem`), and of arrays noise, tolerance.
+        plant: dict of Intervals A, B, C, D, w, u0, y0, perhaps H, d (see `IntervalSystem`), and an array tolerance.
         M: Interval (r, (s+1) n), see `intervals.stacked`.
         systems: the square systems of M, or for "joint" the first window's rows as one, perhaps without the newest samples.
-        u, y, weight: (N, T, m), (N, T, p), and None or an Interval (N, T, n) that multiplies the columns of C.
+        u, y, error: Interval (N, T, m), (N, T, p), (N, T, p): see `sensor.largest_error`. weight: None or an Interval (N, T, n) that
+            multiplies the columns of C.
         start: Interval (N, n) that holds the first state; None: it comes from the first window.
         centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for sound: nothing is proved then.
 
     Returns:
         ((state, output, residual, corrected) Intervals, faulty, status, each (N, T, ..)), and (N,) whether the first window is bounded.
     """
-    u, y = (jnp.moveaxis(a, 0, -1) for a in (u, y))
-    weight = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), weight)
+    u, y, error, weight = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), (u, y, error, weight))
     n, p, (T, _, N) = plant["A"].shape[0], plant["C"].shape[0], y.shape
     absent = jnp.isnan(y)
-    seen, pushed, drive, through = _said(plant, u, jnp.where(absent, 0, y))
+    seen, pushed, drive, through = _said(plant, u, jnp.where(absent, 0, y), error)
     M = M[..., None]
 
     def predict(x, k):
@@ -117,16 +117,16 @@ def weighted(M, weight, p):
     return stored(_stack(moves, product(M[-p * s :], w)))
 
 
-def _said(plant, u, y):
-    """Return what the samples say of C x, H u + d, B u + w, and D u: Intervals (T, ., N)."""
+def _said(plant, u, y, e):
+    """Return what the samples, known up to e, say of C x, H u + d, B u + w, and D u: Intervals (T, ., N)."""
     point = lambda a: Interval(a, a)
     lift = lambda x: x[None, :, None]
-    v = stored(minus(point(u), lift(plant["u0"])))
-    nothing = interval(jnp.zeros((1, 1, 1), u.dtype))
+    v = stored(minus(u, lift(plant["u0"])))
+    nothing = interval(jnp.zeros((1, 1, 1), y.dtype))
     on = lambda name: _sum(stored(product(plant[name][None, ..., None], v[:, None])), axis=2) if u.shape[1] else nothing
     wide = lambda x: jax.tree.map(lambda a: jnp.broadcast_to(a, (u.shape[0], *a.shape[1:-1], u.shape[2])), x)
     through = on("D")
-    e, theta = plant["noise"][None, :, None], plant["tolerance"][None, :, None]
+    theta = plant["tolerance"][None, :, None]
     seen = minus(minus(point(y), lift(plant["y0"])), Interval(-e, e))
     seen = over(stored(seen), minus(interval(jnp.ones_like(theta)), Interval(-theta, theta)))
     drive = _plus(on("B"), lift(plant["w"]))

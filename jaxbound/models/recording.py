@@ -5,7 +5,7 @@ import numpy as np
 
 from jaxbound.models.expressions import expression, fails, find_column, is_expression, missing_column
 
-__all__ = ["arrays", "left_out", "missing_column", "refuse_infinite"]
+__all__ = ["arrays", "left_out", "missing_column", "recorded_type", "refuse_infinite"]
 
 
 def arrays(model, u, y, excluded=None):
@@ -42,6 +42,22 @@ def arrays(model, u, y, excluded=None):
     if excluded is not None:
         u, y = (np.where(excluded[:, None], np.array(np.nan, dtype), x) for x in (u, y))
     return _spread(u, batch), _spread(y, batch), index
+
+
+def recorded_type(data, name):
+    """Return the float type in which data were rounded: float32 if any of it (a column of a DataFrame) is that, else float64.
+
+    Raises:
+        ValueError: half precision.
+    """
+    if hasattr(data, "dtypes") and hasattr(data, "iloc"):
+        types = list(data.dtypes) if hasattr(data, "columns") else [data.dtypes]
+        types = [getattr(t, "numpy_dtype", t) for t in types]  # of pandas' own types
+    else:
+        types = [data.dtype if hasattr(data, "dtype") else np.asarray(data).dtype]
+    if np.float16 in types:
+        raise ValueError(f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded away")
+    return np.dtype(np.float32 if np.float32 in types else np.float64)
 
 
 def left_out(model, u, y):
@@ -87,11 +103,13 @@ def refuse_infinite(name, data, channels):
 
 def _columns(model, data, name, channels):
     """Pick the channels of a DataFrame by name; turn anything else into an array of floats."""
+    recorded = None
     if hasattr(data, "columns") and hasattr(data, "iloc"):
-        present, taken = list(data.columns), {}
+        present, taken, whole, sources = list(data.columns), {}, data, []
         for channel in channels:
             if is_expression(column := model.column(channel)) and channel not in present:
                 taken[channel] = _computed(expression(column), {"": data}, name)
+                sources += [c for c in expression(column).among(present).columns if c in present]
         if taken:
             data = data.assign(**taken)
             present = list(data.columns)
@@ -99,6 +117,7 @@ def _columns(model, data, name, channels):
         wanted = [c if c in taken or model.column(c).strip() not in stripped else model.column(c) for c in channels]
         wanted = [find_column(c, present, name) for c in wanted]
         data = data[wanted]
+        recorded = recorded_type(whole[[*(c for c in wanted if c not in taken), *sources]], name)  # of one column, if of any
     if hasattr(data, "iloc"):
         plain = data.to_numpy()
         data = plain if plain.dtype != object else _numbers(lambda: data.to_numpy(dtype=np.float64, na_value=np.nan), name)
@@ -110,7 +129,8 @@ def _columns(model, data, name, channels):
     if np.iscomplexobj(data):
         raise ValueError(f"{name} must be numbers, not complex ones")
     if np.issubdtype(data.dtype, np.floating):
-        return data if data.dtype.itemsize <= 8 else data.astype(np.float64)
+        narrow = recorded == np.float32 and name == "y"  # what was rounded away counts in the type it was recorded in
+        return data.astype(np.float32 if narrow else data.dtype if data.dtype.itemsize <= 8 else np.float64, copy=False)
     return _numbers(lambda: data.astype(np.float64), name)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxbound.sets import rounding
 
-__all__ = ["RECORDER_ULPS", "true_value"]
+__all__ = ["RECORDER_ULPS", "largest_error", "lift", "true_value"]
 
 RECORDER_ULPS = 4
 """A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the window plus noise."""
@@ -50,6 +50,22 @@ def true_value(samples, tolerance, noise, resolution, offset, largest=None):
         size = e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]  # 0 * inf is NaN in every row of a window with an infinite sample
         scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf)))  # NaN is absence, never overflow
     return mid, rad, scale
+
+
+def largest_error(y, noise, recorded, horizon):
+    """Return (..., T, p), at least |delta| of each sample of recordings y (..., T, p): the noise (p,) and what was rounded away.
+
+    As in `true_value`, for the largest of all windows of horizon + 1 samples that the sample belongs to. recorded: the float type in which
+    y was rounded, which y may have been widened from or narrowed to. On the host.
+    """
+    size = np.where(np.isnan(y), 0, abs(y)).astype(np.float64)
+    largest, T = size.copy(), size.shape[-2]
+    for lag in range(1, min(horizon, T - 1) + 1):
+        largest[..., lag:, :] = np.maximum(largest[..., lag:, :], size[..., :-lag, :])
+        largest[..., :-lag, :] = np.maximum(largest[..., :-lag, :], size[..., lag:, :])
+    coarsest = max(float(rounding.unit(recorded)), float(rounding.unit(y.dtype)))
+    error = noise + RECORDER_ULPS * coarsest * (largest + noise) + float(rounding.tiny(y.dtype))
+    return rounding.round_up(error * (1 + 2.0**-50), y.dtype)  # 2^-50: for these four operations
 
 
 def lift(tolerance):
