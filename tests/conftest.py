@@ -17,6 +17,8 @@ SHARED = Path(os.environ.get("JAXBOUND_SHARED", Path(__file__).resolve().parents
 
 def pytest_configure(config):
     """Keep compiled kernels beside pytest's own cache: two workers, and the slow tests after the others, compile each once."""
+    if not hasattr(config, "cache"):  # pytest was told to keep none
+        return
     jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("kernels")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
