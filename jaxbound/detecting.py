@@ -20,6 +20,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from jaxbound.contents import content
 from jaxbound.diagnosis.consistency import METHODS, detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.diagnosis.validation import least_horizon, validate
@@ -109,7 +110,7 @@ def _stream_with(team, args, step):
         with workplace(args.out) as work:
             progress = lambda share: step("report", 0.4 * share)
             found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
-            save_run(work, args.model, args.data, args.method, relations.horizon)
+            save_run(work, model, args.data, source.content, args.method, relations.horizon)
             write_report(work, found, found, found.alarms, hints=found.hints, seconds=seconds, min_coverage=args.min_coverage,
                          progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
     except KeyboardInterrupt:
@@ -130,6 +131,7 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     with door():
         model = load_model(args.model)
         relations = parity_relations(model, args.horizon)
+        held = content(Path(args.data))
         recording = read_recording(args.data, model, lambda share: step("read", share))
         if len(recording.time) <= relations.horizon:
             raise ValueError(f"{args.data}: the recording has {len(recording.time)} samples, one window needs {relations.horizon + 1}")
@@ -146,7 +148,7 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
         table = beside.submit(write_verdicts, work / "verdicts.csv", res, recording)
         write_alarms(work / "alarms.csv", alarms, recording, model.dt)
-        save_run(work, args.model, args.data, args.method, relations.horizon)
+        save_run(work, model, args.data, held, args.method, relations.horizon)
         step("report", 0.1)
         write_report(work, res, recording, alarms, hints=recording.hints, seconds=seconds, min_coverage=args.min_coverage, extra=extra(res),
                      progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
@@ -161,6 +163,7 @@ def _validate(args, work, step):
     seconds, start = {}, time.perf_counter()
     with door():
         model = load_model(args.model)
+        held = content(Path(args.data))
         recording = read_recording(args.data, model, lambda share: step("read", share))
         if len(recording.starts):
             at, condition = recording.label(recording.starts[0]), recording.excluded is not None and recording.excluded.any()
@@ -182,7 +185,7 @@ def _validate(args, work, step):
     hints = [*recording.hints, *bound_hints(model), assumed]
     write_columns_of(work / "verdicts.csv", res, recording)
     write_alarms(work / "alarms.csv", alarms, recording, model.dt)
-    save_run(work, args.model, args.data, args.method, horizon)
+    save_run(work, model, args.data, held, args.method, horizon)
     write_page(work, res, recording, alarms, hints=hints, seconds=seconds, min_coverage=args.min_coverage,
                progress=lambda share: step("report", share))  # fmt: skip
     seconds["report"] = time.perf_counter() - start

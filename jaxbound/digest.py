@@ -15,6 +15,7 @@ from jaxbound.files import alarm_columns
 from jaxbound.models.seams import Clock, irregular, seam_hints, tick
 from jaxbound.models.stillness import signal_hints, windows_inside
 from jaxbound.parquet import ParquetSource, open_parquet
+from jaxbound.parquetfiles import Damage
 from jaxbound.plots import Timeline
 from jaxbound.processes import Team
 from jaxbound.recordings import missing_sentences, rounding_hints, time_label
@@ -196,7 +197,8 @@ def _read(part):
     """Return (time column, status, margin) of a part."""
     import pyarrow.parquet as pq
 
-    with pq.ParquetFile(part) as f:  # read_table would import pandas, which takes longer than to read a part
+    # not read_table: it would import pandas, which takes longer than to read a part
+    with Damage(str(part)), pq.ParquetFile(part, page_checksum_verification=True) as f:
         table = f.read()
     column = lambda name: table.column(name).combine_chunks()
     status = column("status")

@@ -11,6 +11,7 @@ import json
 import os
 from pathlib import Path
 
+from jaxbound.relations.identity import differences
 from jaxbound.terminal import Refused
 
 __all__ = ["STATE", "VERDICTS", "Journal"]
@@ -97,8 +98,8 @@ class Journal:
             self.pending, self.end = note["rows"].encode("latin-1"), note["end"].encode("latin-1")
         except (ValueError, KeyError, TypeError):
             raise Refused(f"{self.path} is no state of jaxbound detect: choose another, or delete it to begin anew") from None
-        if changed := [what for what in self.identity if identity.get(what) != self.identity[what]]:
-            raise Refused(f"{self.path} was left by another {' and '.join(changed)}: choose another place, or delete it to begin anew")
+        if changed := differences(identity, self.identity):
+            raise Refused(f"{self.path} was left by another {changed}: choose another place, or delete it to begin anew")
 
     def _open(self):
         """Open verdicts.csv, if it is wanted, and bring it to where the state is."""

@@ -5,11 +5,13 @@ Rows count from 1.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from jaxbound.columns import from_arrow, valid
+from jaxbound.contents import content
 from jaxbound.derived import Wanted, where_hints
 from jaxbound.models.expressions import Expression
 from jaxbound.models.seams import Clock, around, check_period, irregular, seam_hints, tick, usual_period
@@ -43,6 +45,7 @@ class ParquetSource:
             it was recorded in.
         origin: what the time is counted from; scale: units a second of a numeric time column that is an epoch, or None.
         hints: sentences on how the files were read.
+        states: (bytes, time of the last change) of each file when it was opened.
     """
 
     path: Path
@@ -54,6 +57,18 @@ class ParquetSource:
     origin: object = None
     scale: float | None = None
     hints: tuple = ()
+    states: tuple = ()
+
+    @cached_property
+    def content(self):
+        """The digest of all files, as they are when it is first asked for. See `contents`."""
+        return content(self.path)
+
+    def unchanged(self, *files):
+        """Raise ValueError if one of the files, by default any, was written since it was opened."""
+        for file, state in zip(self.files, self.states, strict=True):
+            if (not files or file in files) and _state(file) != state:
+                raise ValueError(f"{self.name(file)} has changed since it was opened: test it again once it is complete")
 
     @property
     def time_name(self):
@@ -150,6 +165,7 @@ class ParquetSource:
 
     def _of_file(self, file, first, stop, size, columns):
         """Yield record batches of the rows first..stop of one file; row groups outside are not touched."""
+        self.unchanged(file)
         with opened(file, self.name(file)) as f:
             ends = np.cumsum([0, *(f.metadata.row_group(g).num_rows for g in range(f.num_row_groups))])
             groups = [g for g in range(f.num_row_groups) if ends[g] < stop and ends[g + 1] > first]
@@ -226,6 +242,7 @@ def open_parquet(path, model):
 
     path = Path(path)
     files = files_of(path)
+    states = tuple(map(_state, files))
     source = ParquetSource(path, files, np.zeros(len(files) + 1, np.int64), model, Wanted((), (), None, None), np.dtype(float))
     counts, first = [], None
     for file in files:
@@ -251,7 +268,13 @@ def open_parquet(path, model):
     single = pa.float32() in {first.get(c) for c in stored}
     zone = getattr(first.get(plan.time), "tz", None)
     hints = (f"time stamps have the zone {zone}: they are shown in UTC",) if zone not in (None, "UTC") else ()
-    return _clocked(ParquetSource(path, files, rows, model, plan, np.dtype(np.float32 if single else np.float64), hints=hints))
+    dtype = np.dtype(np.float32 if single else np.float64)
+    return _clocked(ParquetSource(path, files, rows, model, plan, dtype, hints=hints, states=states))
+
+
+def _state(file):
+    found = file.stat()
+    return found.st_size, found.st_mtime_ns
 
 
 def _whole(column):

@@ -1,5 +1,8 @@
 """Parquet files as they lie on a disk: which belong to a recording, which are damaged, which columns they have.
 
+A page that was damaged on the disk is noticed where its writer left a checksum in it, or where it cannot be unpacked any more. Of another
+page nothing tells at the first reading; at every later one the digest of the recording does (`contents`).
+
 Names are sorted as people do, part-9 before part-10. Names that begin with a dot or an underscore, and verdicts of ours, are left out.
 """
 
@@ -57,8 +60,8 @@ def opened(file, name):
         ends = f.read(4) == b"PAR1" and file.stat().st_size > 8
     if not begins or not ends:
         raise ValueError(f"{name} is a truncated Parquet file: its end is missing" if begins else f"{name} is no Parquet file")
-    with Damage(name):
-        return pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False)  # else pyarrow holds whole row groups
+    with Damage(name):  # not pre_buffer: pyarrow would hold whole row groups
+        return pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True)
 
 
 def checked(schema, model, name):

@@ -4,7 +4,6 @@ What is there is read, judged as one burst and printed: one sample where the sen
 """
 
 import csv
-import hashlib
 import io
 import json
 import os
@@ -25,9 +24,10 @@ from jaxbound.diagnosis.monitor import Monitor, MonitorState
 from jaxbound.diagnosis.result import suspected
 from jaxbound.journal import Journal
 from jaxbound.linetext import FEW
-from jaxbound.modelfile import load_model, model_text
+from jaxbound.modelfile import load_model
 from jaxbound.models.seams import irregular, seam_hints
 from jaxbound.pipetext import PipeText
+from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints, percent
 from jaxbound.runfile import VALIDATION
@@ -72,7 +72,7 @@ def follow(args, chunks, whole=True):
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()
         monitor = Monitor(relations, args.method)
-        with Journal(args.out, args.state, _identity(relations, args.method)) as journal:
+        with Journal(args.out, args.state, identity(relations, method=args.method)) as journal:
             return _Run(args, monitor, journal).to_the_end(chunks, whole)
 
 
@@ -209,12 +209,6 @@ class _Run:
         }[verdict]
         say(f"{sentence}. {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
         return CODES[verdict]
-
-
-def _identity(relations, method):
-    """Return what verdicts depend on."""
-    model = hashlib.sha256(repr((model_text(relations.model), relations.form)).encode()).hexdigest()
-    return {"model": model, "horizon": str(relations.horizon), "method": method}
 
 
 def _rows(written, verdict):

@@ -5,7 +5,6 @@ written in parts of a fixed number of samples, each completely or not at all, be
 those before it, and the parts are all the state there is: the same call makes those that are not there, and several processes share them.
 """
 
-import hashlib
 import json
 import os
 import shutil
@@ -20,11 +19,12 @@ import numpy as np
 from jaxbound.columns import categories, to_arrow
 from jaxbound.diagnosis.consistency import detect
 from jaxbound.diagnosis.result import suspected
-from jaxbound.modelfile import model_text
+from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.seams import Clock, around, tick
 from jaxbound.models.stillness import Run, Runs, follow, joined
 from jaxbound.parquet import PARTIAL, VERDICTS
 from jaxbound.processes import Team
+from jaxbound.relations.identity import differences, identity
 from jaxbound.sets.status import Status
 
 __all__ = ["CHUNK", "PARTIAL", "VERDICTS", "kept", "part_files", "publish", "read_runs", "write_parts"]
@@ -59,6 +59,7 @@ def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=No
     try:
         for parts in _missing(folder, mine):
             _test(relations, source, folder, method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts, team)
+        source.unchanged()
         report(1.0)
         team.say("written")
         if team.number == 0:
@@ -197,7 +198,7 @@ class _Pending:
         name = self.folder / _name(self.done // PART)
         fresh = name.with_suffix(f".{os.getpid()}")
         with open(fresh, "wb") as f:
-            pq.write_table(table, f, use_dictionary=["status"])
+            pq.write_table(table, f, use_dictionary=["status"], write_page_checksum=True)
             f.flush()
             os.fsync(f.fileno())
         os.replace(fresh, name)
@@ -206,20 +207,19 @@ class _Pending:
 
 def _begun(relations, source, out, method, team):
     """Return the folder for the parts, new or with parts of the same run; refuse those of another. Process 0 makes it."""
-    now, folder = _note(relations, source, method), out / PARTIAL
+    now, folder = _note(relations, source, method, team), out / PARTIAL
     if team.number:
         team.wait(lambda: team.said(0)[0] in ("works", "written", "published"))
     try:
         before = json.loads((folder / NOTE).read_text())
     except (FileNotFoundError, json.JSONDecodeError):
         before = None
-    changed = [what for what in now if before.get(what) != now[what]] if before else []
+    changed = "" if before is None else differences(before, now)
     if changed and team.number:
-        raise ValueError(f"process {team.number} was started with another {' and '.join(changed)} than process 0: all need the same")
+        raise ValueError(f"process {team.number} was started with another {changed} than process 0: all need the same")
     if changed:
         raise ValueError(
-            f"{folder} holds an unfinished run with another {' and '.join(changed)}: choose another folder, "
-            "or delete that one to begin anew"
+            f"{folder} holds an unfinished run with another {changed}: choose another folder, or delete that one to begin anew"
         )
     if team.number == 0 and before is None:
         shutil.rmtree(folder, ignore_errors=True)
@@ -235,17 +235,11 @@ def _begun(relations, source, out, method, team):
     return folder
 
 
-def _note(relations, source, method):
-    """Return what the verdicts depend on, in words and digests that fit into JSON."""
-    from jaxbound import __version__
+def _note(relations, source, method, team):
+    """Return what the verdicts depend on, in words and digests that fit into JSON.
 
-    digest = lambda x: hashlib.sha256(repr(x).encode()).hexdigest()
-    files = [(source.name(f), f.stat().st_size, f.stat().st_mtime_ns) for f in source.files]
-    bounds = {name: np.asarray(b).tolist() for name, b in relations.bounds.items()}
-    return {
-        "version of jaxbound": __version__,
-        "model": digest((model_text(relations.model), relations.form, bounds)),
-        "horizon": relations.horizon,
-        "method": method,
-        "data": f"{source.path.resolve()}, {len(files)} files, {digest(files)}",
-    }
+    Process 0 alone reads all of the recording to know it again: where many do at once, a shared disk has to carry it as often.
+    """
+    files = [(source.name(f), f.stat().st_size) for f in source.files]
+    content = {} if team.number else {"content of the data": source.content}
+    return identity(relations, method=method, data=f"{source.path.resolve()}, {len(files)} files, {fingerprint(files)}", **content)

@@ -1,15 +1,17 @@
 """`jaxbound explain`: a window of a report by number or time, its certificate for people and as JSON, or one clear sentence."""
 
 import json
+import os
 import shutil
 
 import check_certificate
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound import cli
+from jaxbound import cli, detecting
 from jaxbound.explaining import certificate_of
 from jaxbound.modelfile import save_model
 from jaxbound.sets.status import Status
@@ -136,6 +138,46 @@ class TestWhatIsGone:
         code, _, err = explain(place, "1", capsys=capsys)
         assert code == 2 and "has changed since: run jaxbound detect again" in err
 
+    def test_a_recording_that_was_edited_at_the_same_size(self, reported, tmp_path, capsys):
+        shutil.copytree(reported / "out", tmp_path / "out")
+        shutil.copy2(reported / "run.csv", tmp_path / "out")
+        self._edit(tmp_path, data="run.csv")
+        assert explain(tmp_path, "31", capsys=capsys)[0] == 0
+        recording = tmp_path / "out/run.csv"
+        state, text = recording.stat(), recording.read_text()
+        recording.write_text(text.replace("0.58,", "0.59,", 1))
+        os.utime(recording, ns=(state.st_atime_ns, state.st_mtime_ns))
+        assert recording.stat().st_size == state.st_size and recording.read_text() != text
+        code, out, err = explain(tmp_path, "31", capsys=capsys)
+        assert code == 2 and out == "" and f"{recording}, has changed since: run jaxbound detect again" in err
+
+    def test_a_model_that_was_edited(self, place, capsys):
+        model = place / "out/tested_model.toml"
+        model.write_text(model.read_text().replace("noise = 0.1\n", "noise = 0.2\n"))
+        code, _, err = explain(place, "31", capsys=capsys)
+        assert code == 2 and "tested_model.toml, has changed since: run jaxbound detect again" in err
+
+    def test_a_recording_that_is_written_while_it_is_tested(self, reported, tmp_path, monkeypatch, capsys):
+        shutil.copy(reported / "run.csv", tmp_path)
+        read = detecting.read_recording
+
+        def late(path, *args):
+            path.write_text(path.read_text().replace("0.58,", "0.59,", 1))
+            return read(path, *args)
+
+        monkeypatch.setattr(detecting, "read_recording", lambda path, *args: late(tmp_path / "run.csv", *args))
+        assert cli.main(["detect", str(reported / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
+        capsys.readouterr()
+        code, _, err = explain(tmp_path, "31", capsys=capsys)
+        assert code == 2 and "has changed since" in err
+
+    def test_a_report_of_before_the_digest(self, place, capsys):
+        note = place / "out/run.json"
+        found = json.loads(note.read_text())
+        note.write_text(json.dumps({name: found[name] for name in ("data", "bytes", "method", "horizon")}))
+        code, _, err = explain(place, "31", capsys=capsys)
+        assert code == 2 and "keeps no digest of the recording" in err and "run jaxbound detect again on a file" in err
+
     def test_a_damaged_note(self, place, capsys):
         for text in ("{", "[]", '{"data": "x"}'):
             (place / "out/run.json").write_text(text)
@@ -196,3 +238,11 @@ def test_parquet_is_read_where_it_is_needed(dated, tmp_path, capsys):
         check_certificate.confirm(document)
     code, _, err = explain(tmp_path, "50", capsys=capsys)
     assert code == 2 and "a window across a gap in time is MISSING" in err
+    edited, state = tmp_path / "parts/part-0.parquet", (tmp_path / "parts/part-0.parquet").stat()
+    at = pq.read_metadata(edited).row_group(0).column(2).data_page_offset + 40
+    data = bytearray(edited.read_bytes())
+    data[at] ^= 1
+    edited.write_bytes(data)
+    os.utime(edited, ns=(state.st_atime_ns, state.st_mtime_ns))
+    code, out, err = explain(tmp_path, "30", capsys=capsys)
+    assert (code, out) == (2, "") and "has changed since: run jaxbound detect again" in err

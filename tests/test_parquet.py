@@ -232,6 +232,23 @@ class TestBad:
                 read_recording(path, MODEL)
             assert "\n" not in str(caught.value)
 
+    def test_a_page_whose_checksum_is_not_that_of_its_content(self, folder):
+        path = folder({"compression": "none", "use_dictionary": False, "write_page_checksum": True}, a=table(200))
+        good = bytearray((path / "a.parquet").read_bytes())
+        page = pq.read_metadata(path / "a.parquet").row_group(0).column(2)
+        good[page.data_page_offset + page.total_compressed_size - 9] ^= 1  # a sample of y1: a number as good as any other
+        (path / "a.parquet").write_bytes(good)
+        with pytest.raises(ValueError, match="a.parquet is a damaged Parquet file: .*CRC checksum verification failed"):
+            read_recording(path, MODEL)
+
+    def test_a_file_that_was_written_since_it_was_opened(self, folder):
+        path = folder(a=table(), b=table(12, 12))
+        source = open_parquet(path, MODEL)
+        pq.write_table(table(12, 13), path / "b.parquet")
+        assert len(source.read(0, 12).time) == 12
+        with pytest.raises(ValueError, match="b.parquet has changed since it was opened: test it again once it is complete"):
+            source.read(0, 13)
+
     def test_folders_without_parquet(self, tmp_path):
         with pytest.raises(ValueError, match="is a folder without Parquet files: it is empty"):
             read_recording(tmp_path, MODEL)

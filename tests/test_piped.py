@@ -15,6 +15,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound import cli, detecting, journal, piped
 from jaxbound.linetext import LineReader
+from jaxbound.relations import identity
 from jaxbound.terminal import Refused
 
 N = 300
@@ -319,6 +320,24 @@ class TestRestart:
         jb.save_model(paper(noise=[0.2, 0.2]), "model.toml")
         (place / "out/monitor.jsonl").unlink()
         assert pipe(text, out=place / "out")[0] == 0
+
+    @pytest.mark.parametrize("change, what", [("noise", "model"), ("horizon", "horizon"), ("version", "version of jaxbound"),
+                                              ("precision", "precision")])  # fmt: skip
+    def test_a_state_of_anything_else_is_refused(self, samples, place, pipe, monkeypatch, change, what):
+        text = lines(samples)[:5]
+        pipe(text, out=place / "out")
+        kept, horizon = (place / "out/monitor.jsonl").read_bytes(), None
+        if change == "noise":
+            jb.save_model(paper(noise=["0.1", "0.0100001"]), "model.toml")
+        elif change == "horizon":
+            horizon = 2
+        elif change == "version":
+            monkeypatch.setattr(jb, "__version__", "0.0.1")
+        else:
+            monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
+        with pytest.raises(Refused, match=f"monitor.jsonl was left by another {what}: choose another place, or delete it"):
+            pipe(text, out=place / "out", horizon=horizon)
+        assert (place / "out/monitor.jsonl").read_bytes() == kept
 
     def test_two_processes_do_not_write_one_file(self, place):
         with journal.Journal(place, None, {}) as one, journal.Journal(place, None, {}) as other:

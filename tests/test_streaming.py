@@ -1,5 +1,6 @@
 """Recordings larger than memory: the verdicts of one piece, whatever the chunks, and again after any interruption."""
 
+import os
 import shutil
 
 import numpy as np
@@ -15,8 +16,23 @@ from jaxbound.files import read_recording, write_alarms
 from jaxbound.models.stillness import Runs, follow
 from jaxbound.parquet import open_parquet
 from jaxbound.plots import Timeline
+from jaxbound.relations import identity
 from jaxbound.report import worst
 from jaxbound.streaming import part_files, publish, read_runs, write_parts
+
+
+def flip(path, at):
+    """Turn one bit of a byte over; dates and size stay as they are."""
+    state, data = path.stat(), bytearray(path.read_bytes())
+    data[at] ^= 1
+    path.write_bytes(data)
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+def edited_in_place(path):
+    """Change one bit of the third column, at the same size and with the dates of before."""
+    chunk = pq.read_metadata(path).row_group(0).column(2)
+    flip(path, chunk.data_page_offset + chunk.total_compressed_size - 9)
 
 
 @pytest.fixture
@@ -170,9 +186,10 @@ class TestResume:
     @pytest.mark.parametrize("change, what", [
         ("matrix", "another model"), ("offset", "another model"),
         ("horizon", "another horizon"), ("bounds", "another model"), ("method", "another method"),
-        ("content", "another data"), ("another file", "another data"),
+        ("content", "another content of the data"), ("another file", "another data and content of the data"),
+        ("version", "another version of jaxbound"), ("precision", "another precision"),
     ])  # fmt: skip
-    def test_another_run_is_not_continued(self, case, small, tmp_path, change, what):
+    def test_another_run_is_not_continued(self, case, small, tmp_path, monkeypatch, change, what):
         r, folder, _, _ = case("section 5")
         folder = shutil.copytree(folder, tmp_path / "copy")
         with pytest.raises(Stop):
@@ -188,15 +205,43 @@ class TestResume:
         elif change == "bounds":
             r = r.with_bounds({"noise": 0.5})
         elif change == "content":
-            shutil.copyfile(folder / "1.parquet", folder / "spare")
-            (folder / "spare").replace(folder / "1.parquet")
+            edited_in_place(folder / "1.parquet")
         elif change == "another file":
             t, u, y = recording()
             write(tmp_path / "more", t[-1] + 0.01 + t, u, y, cuts=())
             shutil.copyfile(tmp_path / "more/0.parquet", folder / "9.parquet")
+        elif change == "version":
+            monkeypatch.setattr(jb, "__version__", "0.0.1")
+        elif change == "precision":
+            monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
         with pytest.raises(ValueError, match=f"verdicts.partial holds an unfinished run with {what}: choose another folder, or delete"):
             detect_dataset(r, folder, tmp_path, method=method)
         assert part_files(tmp_path / "verdicts.partial") == kept != []
+
+    def test_a_recording_that_was_only_copied_is_continued(self, case, small, tmp_path):
+        r, folder, whole, _ = case("section 5")
+        folder = shutil.copytree(folder, tmp_path / "copy")
+        with pytest.raises(Stop):
+            write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500, progress=stopped_after(0.5))
+        shutil.copyfile(folder / "1.parquet", tmp_path / "spare")
+        (tmp_path / "spare").replace(folder / "1.parquet")
+        assert detect_dataset(r, folder, tmp_path).counts == whole.counts
+
+    def test_a_recording_that_grows_meanwhile_is_refused(self, case, small, tmp_path):
+        r, folder, _, _ = case("section 5")
+        folder = shutil.copytree(folder, tmp_path / "copy")
+        touch = lambda share: share > 0.5 and (folder / "0.parquet").write_bytes((folder / "0.parquet").read_bytes() + b" ")
+        with pytest.raises(ValueError, match="0.parquet has changed since it was opened: test it again"):
+            write_parts(r, open_parquet(folder, r.model), tmp_path / "out", chunk=500, progress=touch)
+        assert not any((tmp_path / "out").iterdir())
+
+    def test_a_part_that_was_damaged_is_noticed(self, case, small, tmp_path):
+        r, folder, _, _ = case("section 5")
+        write_parts(r, open_parquet(folder, r.model), tmp_path)
+        part = part_files(tmp_path / "verdicts.partial")[2]
+        edited_in_place(part)
+        with pytest.raises(ValueError, match="part-00002.parquet is a damaged Parquet file: .* CRC checksum verification failed"):
+            detect_dataset(r, folder, tmp_path)
 
     def test_a_finished_run_is_replaced(self, case, small, tmp_path):
         r, folder, whole, _ = case("section 5")

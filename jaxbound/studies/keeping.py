@@ -1,28 +1,13 @@
 """What a study keeps in a folder while it runs: enough to go on after a kill, and to tell whether it is the same study."""
 
-import hashlib
-import json
 import os
 from pathlib import Path
 
 import numpy as np
 
-__all__ = ["Keeper", "fingerprint", "save_arrays"]
+__all__ = ["Keeper", "save_arrays"]
 
 STATE, ROWS = "study.npz", "scenarios"
-
-
-def fingerprint(model, bounds, settings):
-    """Return a text that differs for studies whose counts may differ.
-
-    Args:
-        model: of the study. bounds: those of the relations. settings: plain values.
-    """
-    uncertain = [(p.name, p.between, p.varying, p.A, p.B, p.C, p.D) for p in model.uncertainties]
-    exact = [getattr(model, name) for name in ("A", "B", "C", "D", "G", "F", "D_v", "disturbance", "tolerance", "noise", "resolution",
-                                               "constant_tolerance", "inputs", "outputs", "offset")]  # fmt: skip
-    told = repr((exact, uncertain, {name: np.asarray(b).tolist() for name, b in bounds.items()}, json.dumps(settings, sort_keys=True)))
-    return hashlib.sha256(told.encode()).hexdigest()
 
 
 def save_arrays(path, **arrays):
@@ -62,7 +47,10 @@ class Keeper:
         except (OSError, ValueError, KeyError) as e:
             raise ValueError(f"{self.folder / STATE} is damaged ({type(e).__name__}): delete the folder or choose another") from None
         if mark != self.mark:
-            raise ValueError(f"{self.folder} holds another study (model, faults, sizes, n, key or options differ): choose another folder")
+            raise ValueError(
+                f"{self.folder} holds another study (model, faults, sizes, n, key, options or version of jaxbound differ): "
+                "choose another folder"
+            )
         self.done, self.parts = int(arrays["done"]), int(arrays["parts"])
         for i, tally in enumerate(self.tallies):
             tally.load({name.split(".")[1]: x for name, x in arrays.items() if name.startswith(f"{i}.")})

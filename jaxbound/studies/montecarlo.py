@@ -4,7 +4,6 @@ Alarms are counted by the proved test alone. Scenarios are worked off in blocks 
 depend on the key, the fault and the scenarios' numbers only: counts are the same however the work is cut up, interrupted or spread.
 """
 
-import hashlib
 import os
 import time
 from collections import deque
@@ -17,11 +16,13 @@ import numpy as np
 from jaxbound.diagnosis.devices import everywhere, on_devices
 from jaxbound.models import recording
 from jaxbound.models.conversion import as_model
+from jaxbound.models.fingerprint import fingerprint
+from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.strips import UNROLLED
 from jaxbound.studies import adversary, fused, recorded, recursion, scenarios
-from jaxbound.studies.keeping import Keeper, fingerprint
+from jaxbound.studies.keeping import Keeper
 from jaxbound.studies.study_result import StudyResult
 from jaxbound.studies.tally import Tally
 
@@ -93,11 +94,12 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
     course = fused.Course(samples, hold, at == "vertices")
     run, block = _engine(model, relations, course, at, room, u, limits, dtype)
     settings = {"at": at, "samples": samples, "hold": hold, "n": n, "horizon": relations.horizon, "dtype": np.dtype(dtype).name,
-                "input range": limits.tolist(), "inputs": None if u is None else hashlib.sha256(u.tobytes()).hexdigest(),
+                "input range": limits.tolist(), "inputs": None if u is None else fingerprint(u),
                 "key": [w.tolist() for w in words], "engine": run.__name__,
                 "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials]}  # fmt: skip
     tallies = [Tally(len(t.sizes), samples) for t in trials]
-    keeper = None if out is None else Keeper(out, fingerprint(model, relations.bounds, settings | {"rows": rows}), tallies, rows)
+    mark = fingerprint(model, identity(relations), settings, rows)
+    keeper = None if out is None else Keeper(out, mark, tallies, rows)
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
     acts = [scenarios.act_of(t, model, dtype) for t in trials]
 

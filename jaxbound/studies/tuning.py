@@ -1,6 +1,5 @@
 """Tune bounds to healthy data: a direction by gradient, its smallest scale by the proved test, and what that says about other data."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis.consistency import detect
+from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import model_bounds
+from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.studies.confidence import Risk, blocks_of, held_out, risk_of, touched
@@ -239,16 +240,9 @@ class _Search:
 
     def _mark(self):
         """Return what tells this call from others."""
-        digest = hashlib.sha256()
-        for windows in (self.good, self.bad):
-            for x in () if windows is None else (windows.u, windows.y, windows.starts):
-                digest.update(np.ascontiguousarray(x))
-        model = self.relations.model
-        about = [model.A, model.B, model.C, model.D, model.G, model.resolution, model.offset, self.relations.horizon]
-        about += [self.moved.names, self.moved.weights.tolist(), self.moved.fixed.tolist(), self.moved.start.tolist()]
-        about += [self.safety, self.steps, self.every, int(self.unseen.sum())]
-        digest.update(repr(about).encode())
-        return digest.hexdigest()
+        data = [None if w is None else (w.u, w.y, w.starts) for w in (self.good, self.bad)]
+        moved = self.moved.names, self.moved.select, self.moved.weights, self.moved.fixed, self.moved.start
+        return fingerprint(identity(self.relations), data, self.unseen, moved, self.safety, self.steps, self.every)
 
     def _save(self, carry):
         if self.file is None:

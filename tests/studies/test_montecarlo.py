@@ -105,6 +105,9 @@ def test_an_interrupted_study_goes_on_and_ends_with_the_same_counts(found, tmp_p
     assert tallies(run()) == tallies(found)
     with pytest.raises(ValueError, match="holds another study"):
         run(n=9_000)
+    with monkeypatch.context() as patch, pytest.raises(ValueError, match="holds another study"):
+        patch.setattr(jb, "__version__", "0.0.1")
+        run()
     (tmp_path / "kept" / "study.npz").write_bytes(b"PK")
     with pytest.raises(ValueError, match="is damaged"):
         run()

@@ -10,7 +10,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.sets.status import Status
-from jaxbound.studies import descent
+from jaxbound.studies import descent, tuning
 from jaxbound.studies.descent import gradient, log_factors, problem_of
 from jaxbound.studies.moving import moving
 from jaxbound.studies.scaling import smallest_scale, windows_of
@@ -158,6 +158,28 @@ def test_interrupted_and_called_again_gives_the_same(rng, tmp_path):
         jb.tune(r, good[:1], steps=60, state=state)
     with pytest.raises(ValueError, match="the state of another tuning"):
         jb.tune(r, good, optimizer=optax.sgd(0.1, momentum=0.9), steps=60, state=state)
+
+
+@pytest.mark.parametrize("change", ["F", "D_v", "version", "dtype", "calibrate"])
+def test_the_state_of_another_tuning_is_not_taken_up(change, tmp_path, rng, monkeypatch):
+    plant = lambda F, D_v: dict(BASE, noise=[0.1, 0.01], tolerance=0.02, unknown_inputs=(F, D_v))
+    r, state = relations(plant([[1], [0]], [[0], [0]]), 3), tmp_path / "state.npz"
+    good, more, given = (np.zeros((60, 1)), rng.uniform(-0.01, 0.01, (60, 2))), {}, dict(steps=1, every=1, state=state)
+    monkeypatch.setattr(tuning, "descend", lambda problem, optimizer, every, carry, *rest: (carry, carry[0]))  # only the file matters
+    jb.tune(r, good, **given)
+    jb.tune(r, good, **given)
+    if change == "F":
+        r = relations(plant([[0], [1]], [[0], [0]]), 3)
+    elif change == "D_v":
+        r = relations(plant([[1], [0]], [[0], [1]]), 3)
+    elif change == "version":
+        monkeypatch.setattr(jb, "__version__", "0.0.1")
+    elif change == "dtype":
+        good = tuple(x.astype(np.float32) for x in good)
+    else:
+        more = {"calibrate": 0.5}
+    with pytest.raises(ValueError, match="the state of another tuning"):
+        jb.tune(r, good, **given, **more)
 
 
 def test_any_optimiser_and_no_second_compilation(rng):

@@ -1,0 +1,62 @@
+"""The one fingerprint of a model, and of whatever else decides verdicts: what was kept is taken up by nothing else.
+
+A field that is forgotten lets the state of one model be taken up by another, so nothing is listed here: all fields of a thing count.
+"""
+
+import hashlib
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
+
+import jax
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+
+__all__ = ["fingerprint"]
+
+
+def fingerprint(*things):
+    """Return a text that differs where any of the things differs, exactly: a model in any field, an array in type, shape or an entry.
+
+    Args:
+        things: LinearSystems, dataclasses, arrays, numbers, texts, and tuples, lists and dicts of them.
+
+    Raises:
+        TypeError: anything else, of which nobody knows what it depends on.
+
+    Example:
+        >>> plain, louder = (LinearSystem([["1/3"]], None, [[1]], noise=noise) for noise in ("0.1", "0.10000000000000000001"))
+        >>> fingerprint(plain) == fingerprint(plain), fingerprint(plain) == fingerprint(louder)
+        (True, False)
+    """
+    digest = hashlib.sha256()
+    for piece in _pieces(things):
+        digest.update(b"%d:" % len(piece))  # no two sequences of pieces run together
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def _pieces(x):
+    """Yield what a thing consists of as bytes."""
+    if isinstance(x, np.generic):
+        x = x.item()
+    if x is None or isinstance(x, bool | int | float | complex | str | Fraction):
+        yield f"{type(x).__name__} {x!r}".encode()
+    elif isinstance(x, np.ndarray | jax.Array):
+        x = np.asarray(x)
+        yield f"array {x.dtype} {x.shape}".encode()
+        yield from _pieces(x.tolist()) if x.dtype == object else (x.tobytes(),)
+    elif isinstance(x, tuple | list):
+        yield f"{len(x)} things".encode()
+        for entry in x:
+            yield from _pieces(entry)
+    elif isinstance(x, dict):
+        yield f"{len(x)} names".encode()
+        for name in sorted(x):
+            yield from _pieces((name, x[name]))
+    elif isinstance(x, LinearSystem):
+        yield from _pieces(("LinearSystem", vars(x)))
+    elif is_dataclass(x) and not isinstance(x, type):
+        yield from _pieces((type(x).__name__, [(f.name, getattr(x, f.name)) for f in fields(x)]))
+    else:
+        raise TypeError(f"there is no fingerprint of a {type(x).__name__}")

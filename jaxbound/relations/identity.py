@@ -1,0 +1,34 @@
+"""What verdicts depend on besides the recording: the note beside everything that is kept, by which it is known again."""
+
+import jax
+import numpy as np
+
+from jaxbound.models.fingerprint import fingerprint
+
+__all__ = ["differences", "identity"]
+
+
+def identity(relations, **also):
+    """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for JSON.
+
+    Args:
+        relations: from `parity_relations`. also: {what: value} more, as `fingerprint` takes it; texts and
+            whole numbers are kept as they are.
+    """
+    from jaxbound import __version__
+
+    made = relations.form, getattr(relations, "order", None)  # the rest of them follows from the model and the horizon
+    plain = lambda x: str(x) if isinstance(x, str | int) else fingerprint(x)
+    return {
+        "version of jaxbound": __version__,
+        "model": fingerprint(relations.model, relations.bounds, made),
+        "horizon": str(relations.horizon),
+        "precision": str(jax.dtypes.canonicalize_dtype(np.float64)),
+        **{what: plain(x) for what, x in also.items()},
+    }
+
+
+def differences(before, now):
+    """Return what two identities differ in, as text; empty where they are the same. A note that holds no identity differs in all."""
+    before = before if isinstance(before, dict) else {}
+    return " and ".join(what for what in now if before.get(what) != now[what])
