@@ -9,8 +9,11 @@ from jaxbound.sets.linear_systems import Solution, Solvability, solve_interval
 from jaxbound.sets.paving import Paving, pave
 from jaxbound.sets.status import Status
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, constrained_zonotope
+from jaxbound.sets.zonotopes.containment import contains
+from jaxbound.sets.zonotopes.decisions import Answer, Decision, Separation, intersects, is_empty, separate
 from jaxbound.sets.zonotopes.facets import membership, strips
 from jaxbound.sets.zonotopes.zonotope import Zonotope, support, zonotope
 
-__all__ = [*_interval, *_elementary, "ConstrainedZonotope", "Inclusion", "Paving", "Solution", "Solvability", "Status", "Zonotope",
-           "constrained_zonotope", "inclusion", "membership", "pave", "solve_interval", "strips", "support", "zonotope"]  # fmt: skip
+__all__ = [*_interval, *_elementary, "Answer", "ConstrainedZonotope", "Decision", "Inclusion", "Paving", "Separation", "Solution",
+           "Solvability", "Status", "Zonotope", "constrained_zonotope", "contains", "inclusion", "intersects", "is_empty", "membership",
+           "pave", "separate", "solve_interval", "strips", "support", "zonotope"]  # fmt: skip

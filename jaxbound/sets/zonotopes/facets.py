@@ -1,5 +1,6 @@
 """The facets of a zonotope: its strips, exactly, and membership with a guaranteed sign."""
 
+import math
 from fractions import Fraction
 
 import jax
@@ -8,8 +9,13 @@ import numpy as np
 
 from jaxbound.sets import exact, rounding
 from jaxbound.sets.strips import UNROLLED, Strips, strip_verdict
+from jaxbound.sets.zonotopes import proof
+from jaxbound.sets.zonotopes.gauges import gauge_bounds
 
-__all__ = ["exact_strips", "membership", "strips"]
+__all__ = ["FEW", "exact_strips", "membership", "strips"]
+
+FEW = 500
+"""How many subsets of n - 1 generators are looked through for facets: a second or so in exact numbers."""
 
 
 def strips(Z):
@@ -40,7 +46,7 @@ def exact_strips(Z):
     """Return [(normal, half-width)] as exact numbers."""
     if isinstance(Z.generators, jax.core.Tracer):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
-    G = [[Fraction(float(x)) for x in row] for row in np.asarray(Z.generators)]
+    G = [[Fraction(x) for x in row] for row in _floats(Z.generators).tolist()]
     n, q = np.shape(Z.generators)
     flat = exact.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
     out = []
@@ -55,8 +61,15 @@ def exact_strips(Z):
     return out + [([x / max(map(abs, normal)) for x in normal], Fraction(0)) for normal in flat]
 
 
+def _floats(x):
+    return np.asarray(x, float)
+
+
 def membership(Z, points):
     """Return the margin 1 - gauge of each point: > 0 proved inside, < 0 proved outside, 0 where rounding cannot tell.
+
+    By all facets where they are few, in any dimension by a search for the two points or directions that prove it (see `contains`, which
+    stops at the answer).
 
     The gauge is the factor on all generators at which the point just belongs to Z. A flat Z: -inf proved outside its plane, never > 0.
 
@@ -82,14 +95,37 @@ def membership(Z, points):
         raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
     if not np.isfinite(points.astype(float)).all():
         raise ValueError(f"points must be finite: first not at {tuple(np.argwhere(~np.isfinite(points.astype(float)))[0].tolist())}")
-    found, points = exact_strips(Z), jnp.asarray(points, Z.center.dtype)
-    margin = np.ones(len(points), points.dtype)
-    for flat in (False, True):
-        part = [(*normal, width) for normal, width in found if (width == 0) == flat]
-        if part:
-            verdict = np.asarray(_membership(_table(part).astype(points.dtype), Z.center, points))
-            margin = np.where(verdict < 0, -np.inf, np.minimum(margin, 0)) if flat else verdict
-    return margin
+    if math.comb(Z.generators.shape[1], n - 1) > FEW:
+        return _searched(Z, points)
+    found = exact_strips(Z)
+    margin = _margins([row for row in found if row[1]], Z, points)
+    return _beside_the_plane([row for row in found if not row[1]], Z, points, margin)
+
+
+def _searched(Z, points):
+    """Return the margins by the search for the gauge; where a set is flat, its plane is found in exact numbers."""
+    c, G = (_floats(x)[None] for x in (Z.center, Z.generators))
+    image = proof.image(G)
+    with np.errstate(over="ignore"):
+        found = gauge_bounds(image, image.scaled(points.astype(float)[None] - c[:, None]), tight=True)
+    margin = np.where(found.lower > 1, 1 - found.lower, np.maximum(1 - found.upper, 0))[0].astype(Z.center.dtype)
+    if np.isfinite(image.loss[0]):
+        return margin
+    flat = exact.left_null_space([[Fraction(x) for x in row] for row in G[0].tolist()])
+    return _beside_the_plane([(normal, Fraction(0)) for normal in flat], Z, points, margin)
+
+
+def _beside_the_plane(flat, Z, points, margin):
+    """Return the margins, -inf for points proved to be beside one of the strips without width, and no margin above 0 if there are any."""
+    return np.where(_margins(flat, Z, points) < 0, -np.inf, np.minimum(margin, 0)) if flat else margin
+
+
+def _margins(rows, Z, points):
+    points = jnp.asarray(points, Z.center.dtype)
+    if not rows:
+        return np.ones(len(points), points.dtype)
+    table = _table([(*normal, width) for normal, width in rows]).astype(points.dtype)
+    return np.asarray(_membership(table, Z.center, points))
 
 
 def _table(exact_rows):

@@ -1,0 +1,320 @@
+"""Yes or no, proved, for zonotopes and constrained zonotopes: does it hold a point, is it empty, do two of them meet?
+
+Each question asks whether some x in [-1, 1]^q has M x = d:
+
+    p in {c + G x : A x = b}                 M = [G; A],                        d = [p - c; b]
+    {c + G x : A x = b} is not empty         M = A,                             d = b
+    two of them meet                         M = [G1 -G2; A1 0; 0 A2],          d = [c2 - c1; b1; b2]
+
+and t, the least max|x_j| with M x = d, says how far it is from the other answer. The work is `gauges.gauge_bounds`; what is left of a
+single question, on the boundary or in a flat set, is settled in exact numbers (`feasibility`), of a batch it stays UNDECIDED.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from fractions import Fraction
+from functools import singledispatch
+
+import jax
+import numpy as np
+
+from jaxbound.sets import rounding
+from jaxbound.sets.zonotopes import proof
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
+from jaxbound.sets.zonotopes.feasibility import feasible
+from jaxbound.sets.zonotopes.gauges import gauge_bounds
+from jaxbound.sets.zonotopes.zonotope import Zonotope
+
+__all__ = ["Answer", "Decision", "Question", "Separation", "contains_points", "intersects", "is_empty", "separate"]
+
+EXACT = 100_000
+"""How large m^2 (m + q) may be for exact numbers: a second or so."""
+
+
+class Answer(IntEnum):
+    """What a decision about sets can be: each is proved but UNDECIDED, which rounding did not settle.
+
+    Example:
+        >>> Answer(1)
+        <Answer.YES: 1>
+    """
+
+    NO = -1
+    UNDECIDED = 0
+    YES = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What was asked, "contains", "contains_set", "is_empty" or "intersects", of sets [(c, G, A, b)], each with one batch axis.
+
+    Fields: name; sets; points (S, N, n), None for all but "contains".
+    """
+
+    name: str
+    sets: tuple
+    points: np.ndarray | None
+
+    def equations(self):
+        """Return M (S, m, q) and d (S, N, m), the latter rounded once."""
+        c, G, A, b = self.sets[0]
+        if self.name == "is_empty":
+            return A, b[:, None]
+        if self.name == "contains":
+            beside = np.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
+            with np.errstate(over="ignore"):
+                return np.concatenate([G, A], 1), np.concatenate([self.points - c[:, None], beside], 2)
+        c2, G2, A2, b2 = self.sets[1]
+        zeros = lambda rows, columns: np.zeros((len(c), rows.shape[1], columns.shape[2]))
+        M = np.concatenate([np.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1)
+        with np.errstate(over="ignore"):
+            return M, np.concatenate([c2 - c, b, b2], 1)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """Answers with proofs, one a question.
+
+    Fields: answer (...,) int8, see `Answer`; margin (...,), a bound of how far the other answer is, with the sign of this one:
+    |1 - t|, t the factor on all generators (for constrained sets, on all |x_i| <= 1) at which the answer changes; 0 where undecided or on
+    the boundary. question; direction (..., m), the combination of equations that proves what misses; point (..., q), the x that proves what
+    meets.
+
+    `bool` of a single decision is its answer, and an error where there is none.
+    """
+
+    answer: np.ndarray
+    margin: np.ndarray
+    question: Question
+    direction: np.ndarray
+    point: np.ndarray
+
+    @property
+    def yes(self):
+        """True where yes is proved."""
+        return self.answer == Answer.YES
+
+    @property
+    def no(self):
+        """True where no is proved."""
+        return self.answer == Answer.NO
+
+    def __bool__(self):
+        if self.answer.shape or not self.answer:
+            raise ValueError("neither yes nor no: ask .yes or .no, which are False where a decision is UNDECIDED")
+        return bool(self.yes)
+
+    def __repr__(self):
+        if not self.answer.shape:
+            return f"Decision({Answer(int(self.answer)).name}, margin={float(self.margin):.6g})"
+        return f"Decision({self.yes.sum()} yes, {self.no.sum()} no, {(self.answer == 0).sum()} undecided)"
+
+
+def contains_points(Z, points):
+    """Decide for each point whether the set holds it; see `contains`."""
+    sets = parts(Z)
+    batch, n = sets[0].shape[:-1], sets[0].shape[-1]
+    points = np.asarray(points)
+    lead = points.shape[:-1]
+    if points.ndim < 1 or points.shape[-1] != n or lead[: len(batch)] != batch:
+        raise ValueError(f"points must have shape ({', '.join(map(str, (*batch, '...', n)))}): their shape is {points.shape}")
+    bad = ~np.isfinite(points.astype(float))
+    if bad.any():
+        raise ValueError(f"points must be finite: {bad.sum()} of {points.size} entries are not, first at {_place(bad)}")
+    question = Question("contains", (flat(sets, batch),), points.astype(float).reshape((math.prod(batch), -1, n)))
+    return _decide(question, lead, meets=Answer.YES)
+
+
+def is_empty(Z):
+    """Decide whether a constrained zonotope is empty.
+
+    Args:
+        Z: a ConstrainedZonotope or Zonotope, or a batch of them with leading axes (...).
+
+    Returns:
+        A Decision (...,). Its margin is t - 1, t the least bound on all |x_i| at which the set is not empty.
+
+    Example:
+        >>> from jaxbound.sets import constrained_zonotope
+        >>> is_empty(constrained_zonotope([0.0], [[1.0, 2.0]], [[1.0, 1.0]], [3.0]))
+        Decision(YES, margin=0.5)
+    """
+    sets = parts(Z)
+    batch = sets[0].shape[:-1]
+    return _decide(Question("is_empty", (flat(sets, batch),), None), batch, meets=Answer.NO)
+
+
+def intersects(X, Y):
+    """Decide whether two zonotopes or constrained zonotopes have a point in common.
+
+    Args:
+        X, Y: sets of one dimension, or batches of them whose leading axes broadcast.
+
+    Returns:
+        A Decision (...,). Its margin is 1 - t, t the factor on the generators of both at which they just touch.
+
+    Example:
+        >>> from jaxbound.sets import zonotope
+        >>> bool(intersects(zonotope([0.0], [[1.0]]), zonotope([3.0], [[1.0]])))
+        False
+    """
+    pair = parts(X), parts(Y)
+    n, batches = [x[0].shape[-1] for x in pair], [x[0].shape[:-1] for x in pair]
+    if n[0] != n[1]:
+        raise ValueError(f"two sets must have one dimension: they have {n[0]} and {n[1]}")
+    try:
+        batch = np.broadcast_shapes(*batches)
+    except ValueError:
+        raise ValueError(f"leading axes of two sets must broadcast: they are {batches[0]} and {batches[1]}") from None
+    wide = tuple(tuple(np.broadcast_to(v, (*batch, *v.shape[len(b) :])) for v in x) for x, b in zip(pair, batches, strict=True))
+    return _decide(Question("intersects", tuple(flat(x, batch) for x in wide), None), batch, meets=Answer.YES)
+
+
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """A hyperplane between two sets, or a common point.
+
+    Fields: apart, the Decision, its answer YES where the hyperplane is proved and NO where a common point is; normal (..., n) and offset
+    (...,): normal . x < offset < normal . y for all x of X, y of Y, NaN where not proved; point (..., n): a common point to rounding
+    (the exact one is in the certificate), NaN where not proved.
+    """
+
+    apart: Decision
+    normal: np.ndarray
+    offset: np.ndarray
+    point: np.ndarray
+
+
+def separate(X, Y):
+    """Find a hyperplane between two sets, or a point that they share.
+
+    Args:
+        X, Y: as for `intersects`.
+
+    Returns:
+        A Separation. If one of the sets is empty, the normal may be 0.
+
+    Example:
+        >>> from jaxbound.sets import zonotope
+        >>> found = separate(zonotope([0.0], [[1.0]]), zonotope([3.0], [[1.0]]))
+        >>> found.normal * 1.0 < found.offset < found.normal * 2.0
+        array([ True])
+    """
+    meet = intersects(X, Y)
+    batch = meet.answer.shape
+    apart = Decision(-meet.answer, -meet.margin, meet.question, meet.direction, meet.point)
+    (c, G, A, b), (c2, G2, A2, b2) = meet.question.sets
+    n, k, q = c.shape[-1], b.shape[-1], G.shape[-1]
+    l, x = (v.reshape(len(c), v.shape[-1]) for v in (meet.direction, meet.point))
+    normal, of_first, of_second = l[:, :n], l[:, n : n + k], l[:, n + k :]
+    row = lambda v, W: (v[:, None] @ W)[:, 0]
+    dot = lambda v, w: (v * w).sum(1)
+    with np.errstate(all="ignore"):
+        top = dot(normal, c) + abs(row(normal, G) + row(of_first, A)).sum(1) - dot(of_first, b)
+        bottom = dot(normal, c2) - abs(row(normal, G2) - row(of_second, A2)).sum(1) + dot(of_second, b2)
+        offset, point = (top + bottom) / 2, c + (G @ x[:, :q, None])[..., 0]
+        size = sum(
+            dot(abs(v), abs(w) + abs(W).sum(2)) for v, w, W in ((normal, c, G), (of_first, b, A), (normal, c2, G2), (of_second, b2, A2))
+        )
+        gamma, floor = rounding.product_error(2 * (n + k + b2.shape[-1]) + q + G2.shape[-1], float)
+        between = (np.minimum(bottom - offset, offset - top) > gamma * size + floor * (1 + size)).reshape(batch)
+    proved, shared = meet.no & between, meet.yes
+    return Separation(
+        apart,
+        np.where(proved[..., None], normal.reshape((*batch, n)), np.nan),
+        np.where(proved, offset.reshape(batch), np.nan),
+        np.where(shared[..., None], point.reshape((*batch, n)), np.nan),
+    )
+
+
+def _decide(question, shape, meets):
+    """Answer a question; `meets` is the answer where there is an x."""
+    rounding.refuse_other_modes()
+    M, d = question.equations()
+    image = proof.image(M)
+    found = gauge_bounds(image, image.scaled(d))
+    inside, outside = found.upper <= 1, found.lower > 1
+    margin = np.where(inside, 1 - found.upper, np.where(outside, 1 - found.lower, 0.0))
+    direction = _unscaled(found.l, image.powers)
+    m, q = M.shape[1:]
+    if inside.size == 1 and not (inside | outside).any() and m * m * (m + q) <= EXACT:
+        x, l = exactly(question, found.x[0, 0])
+        inside, outside = np.full((1, 1), x is not None), np.full((1, 1), l is not None)
+        if x is not None:
+            found.x[0, 0] = [float(v) for v in x]
+        else:
+            top = max(map(abs, l))
+            direction[0, 0] = [float(v / top) for v in l]
+    answer = np.where(inside, meets, np.where(outside, -meets, Answer.UNDECIDED)).astype(np.int8)
+    lay = lambda v: v.reshape((*shape, *v.shape[2:]))
+    return Decision(lay(answer), lay(margin * meets), question, lay(direction), lay(found.x))
+
+
+def exactly(question, guess, at=(0, 0)):
+    """Answer one of the questions in exact numbers: (x, None) or (None, l), as `feasibility.feasible`."""
+    M, d = exact_equations(question, at)
+    return feasible(M, d, guess.tolist(), np.argsort(abs(guess), kind="stable").tolist())
+
+
+def exact_equations(question, at):
+    """Return M and d of one question in Fractions, nothing rounded."""
+    exact = lambda v: [Fraction(x) for x in v.tolist()]
+    i, j = at
+    one = Question(
+        question.name,
+        tuple(tuple(v[i : i + 1] for v in x) for x in question.sets),
+        None if question.points is None else question.points[i : i + 1, j : j + 1],
+    )
+    M, _ = one.equations()
+    c, _, _, b = (v[0] for v in one.sets[0])
+    if question.name == "is_empty":
+        d = exact(b)
+    elif question.name == "contains":
+        d = [p - q for p, q in zip(exact(one.points[0, 0]), exact(c), strict=True)] + exact(b)
+    else:
+        c2, _, _, b2 = (v[0] for v in one.sets[1])
+        d = [p - q for p, q in zip(exact(c2), exact(c), strict=True)] + exact(b) + exact(b2)
+    return [exact(row) for row in M[0]], d
+
+
+def _unscaled(l, powers):
+    """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
+    mantissa, exponent = np.frexp(l)
+    exponent = exponent + powers[:, None]
+    top = np.where(l != 0, exponent, np.iinfo(np.int32).min).max(2, initial=np.iinfo(np.int32).min, keepdims=True)
+    with np.errstate(under="ignore"):
+        return np.where(l != 0, np.ldexp(mantissa, np.where(l != 0, exponent - top, 0)), 0.0)
+
+
+@singledispatch
+def parts(Z):
+    """Return (c, G, A, b) of a concrete set in float64, exactly; a zonotope has no rows in A and b."""
+    raise TypeError(f"a zonotope or a constrained zonotope is needed: this is {type(Z).__name__}")
+
+
+@parts.register
+def _(Z: Zonotope):
+    c, G = _concrete(Z)
+    return c, G, np.zeros((*c.shape[:-1], 0, G.shape[-1])), np.zeros((*c.shape[:-1], 0))
+
+
+@parts.register
+def _(Z: ConstrainedZonotope):
+    return tuple(_concrete(Z))
+
+
+def _concrete(Z):
+    leaves = jax.tree.leaves(Z)
+    if any(isinstance(x, jax.core.Tracer) for x in leaves):
+        raise TypeError("a decision needs concrete sets: take it outside jit, grad and vmap; leading axes are a batch")
+    return [np.asarray(x, float) for x in leaves]
+
+
+def flat(sets, batch):
+    """Give the parts of a set one batch axis in place of those of `batch`."""
+    return tuple(x.reshape((math.prod(batch), *x.shape[len(batch) :])) for x in sets)
+
+
+def _place(bad):
+    return tuple(np.argwhere(bad)[0].tolist())
