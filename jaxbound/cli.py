@@ -24,6 +24,7 @@ from jaxbound.plots import distinct_relations
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints
 from jaxbound.runfile import VALIDATION
+from jaxbound.sets.probe import Unverified
 from jaxbound.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, door, say, show, write
 
 __all__ = ["main"]
@@ -68,7 +69,7 @@ def main(argv=None):
         return args.run(args)
     except SystemExit as e:  # --help, --version
         return e.code if isinstance(e.code, int) else OK
-    except Refused as e:
+    except (Refused, Unverified) as e:
         say(str(e))
         return BAD_INPUT
     except KeyboardInterrupt as e:

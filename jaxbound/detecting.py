@@ -32,6 +32,7 @@ from jaxbound.processes import Lost, Team, abandon, join_others
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, windows, worst, write_report
 from jaxbound.runfile import VALIDATION, save_run
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
 from jaxbound.terminal import BAD_INPUT, Interrupted, Refused, door, progress_bars, show, write
 from jaxbound.validated import Validated, write_columns_of, write_page
@@ -235,13 +236,12 @@ def conclude(args, res, recording, alarms, hints, seconds):
 
 
 def usable_device():
-    """Raise ValueError if JAX runs where no proof is verified."""
+    """Raise ValueError if JAX finds no device, Unverified if it runs where nothing is proved."""
     try:
-        platform = jax.default_backend()
+        jax.default_backend()
     except RuntimeError:
         raise ValueError(f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS')} names no device of this machine: unset it, or use cpu") from None
-    if platform != "cpu":
-        raise ValueError(f"proofs are verified on the CPU only, so far, not on {platform}: set JAX_PLATFORMS=cpu")
+    refuse_unverified()
 
 
 def _remove(path):

@@ -20,6 +20,7 @@ from jaxbound.plots import Timeline
 from jaxbound.processes import Team
 from jaxbound.recordings import missing_sentences, rounding_hints, time_label
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.status import Status
 from jaxbound.streaming import CHUNK, VERDICTS, part_files, publish, read_runs, write_parts
 
@@ -108,6 +109,7 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     if not isinstance(relations, ParityRelation):
         raise TypeError(f"detect_dataset needs parity relations, not {type(relations).__name__}")
     check_rule(*alarm)
+    refuse_unverified()
     report = progress or (lambda share: None)
     with Team(Path(out)) as team:
         source = open_parquet(path, relations.model)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis import constant, gridding
-from jaxbound.diagnosis.devices import everywhere, on_devices, usable_devices
+from jaxbound.diagnosis.devices import everywhere, on_devices
 from jaxbound.diagnosis.exchange import exchange_margins, exchange_windows
 from jaxbound.diagnosis.isolation import BankResult, bank_test, bank_windows, status_of_words
 from jaxbound.diagnosis.residual_windows import residual_windows
@@ -25,13 +25,13 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets import rounding
 from jaxbound.sets.bank import unpacked, verdict_dtypes
+from jaxbound.sets.probe import refuse_unverified, usable_devices
 from jaxbound.sets.separation import Frame
 from jaxbound.sets.status import Status
 from jaxbound.sets.strips import UNROLLED, status_of, strip_margin, strip_verdict
 
-__all__ = ["detect", "in_blocks", "margins", "padded", "refuse_unverified_device", "verdicts"]
+__all__ = ["detect", "in_blocks", "margins", "padded", "verdicts"]
 
 METHODS = ("joint", "box", "paving", "linearised")
 
@@ -64,7 +64,7 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
 
     Raises:
         ValueError: shapes or columns that do not fit, an infinite sample, an unknown method, starts that are no sample numbers.
-        RuntimeError: on a device where the rounding of this library has not been verified (all but CPU, so far).
+        RuntimeError: where rounding has not been verified: all devices but CPU, so far, fast-math flags, another rounding mode.
 
     Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
 
@@ -95,7 +95,7 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
     relations = relations.named(u, y) if own else relations
     excluded = recording.left_out(relations.model, u, y)
     u, y, index = recording.arrays(relations.model, u, y, excluded)
-    refuse_unverified_device()
+    refuse_unverified()
     u, y, words = np.asarray(u), np.asarray(y), np.zeros(0, np.uint32)
     if bank is not None:
         test = bank_test(bank, y.dtype)
@@ -249,13 +249,3 @@ def _aligned(count, dtype):
     raw = np.empty(size + 64, np.uint8)
     start = -raw.ctypes.data % 64
     return raw[start : start + size].view(dtype)
-
-
-def refuse_unverified_device():
-    """Raise RuntimeError where the rounding of the device in use has not been verified."""
-    rounding.refuse_other_modes()
-    if (platform := usable_devices()[0].platform) != "cpu":
-        raise RuntimeError(
-            f"proved verdicts need a device whose rounding was verified, so far only CPU, not {platform}: set JAX_PLATFORMS=cpu, "
-            'or detect under `with jax.default_device("cpu")`, or use margins for unproved values'
-        )

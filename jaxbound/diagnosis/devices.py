@@ -10,17 +10,9 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-__all__ = ["everywhere", "on_devices", "usable_devices"]
+__all__ = ["everywhere", "on_devices"]
 
 AXIS = "windows"
-
-
-def usable_devices():
-    """Return the devices that blocks go to: all of this process, or the one of `jax.default_device` where that is set."""
-    chosen = jax.config.jax_default_device
-    if chosen is None:
-        return tuple(jax.local_devices())
-    return tuple(jax.local_devices(backend=chosen)[:1]) if isinstance(chosen, str) else (chosen,)
 
 
 def everywhere(constants, devices):

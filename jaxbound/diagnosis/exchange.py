@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.diagnosis.devices import everywhere, on_devices, usable_devices
+from jaxbound.diagnosis.devices import everywhere, on_devices
 from jaxbound.sets import exact, separation
+from jaxbound.sets.probe import usable_devices
 from jaxbound.sets.strips import status_of
 
 __all__ = ["candidates", "exchange_margins", "exchange_windows", "verdicts"]

@@ -17,6 +17,7 @@ from jaxbound.models import recording
 from jaxbound.models.seams import TOLERATED_STEP, crossing
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.separation import Frame
 from jaxbound.sets.status import Status
 
@@ -88,7 +89,7 @@ class Monitor:
         if method not in methods:
             why = "gives one budget to all windows of a recording" if method in METHODS else "is unknown"
             raise ValueError(f"method {method!r} {why}: a Monitor of this model tests by {' or '.join(methods)}")
-        consistency.refuse_unverified_device()
+        refuse_unverified()
         self.relations, self.method = relations, method
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
         self._test = self._on_device = None

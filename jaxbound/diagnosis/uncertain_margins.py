@@ -22,6 +22,7 @@ from jaxbound.models import recording
 from jaxbound.models.seams import all_starts, crossing
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets import polynomials
+from jaxbound.sets.probe import refuse_unverified
 
 __all__ = ["compensation", "uncertain_margins"]
 
@@ -82,6 +83,7 @@ def compensation(relations, u, y, share=0.0):
         raise TypeError(f"compensation is for relations with uncertain parameters, not {type(relations).__name__}: others neglect nothing")
     if not 0 <= share < 1:
         raise ValueError(f"share is the part of the windows that may stay suspect: 0 <= share < 1, not {share}")
+    refuse_unverified()
     u, y, index = recording.arrays(relations.model, u, y)
     u, y = np.asarray(u), np.asarray(y)
     for name, x, channels in (("u", u, relations.model.inputs), ("y", y, relations.model.outputs)):

@@ -22,6 +22,7 @@ from jaxbound.relations.parity import SUBSETS, stated_relations
 from jaxbound.sets import exact
 from jaxbound.sets.bank import bank_of, bank_range
 from jaxbound.sets.interval import Interval
+from jaxbound.sets.probe import refuse_unverified
 
 __all__ = ["UnknownInputs", "unknown_inputs"]
 
@@ -68,6 +69,7 @@ def unknown_inputs(model, u, y, horizon=None, progress=None):
         >>> [(round(float(a), 3), round(float(b), 3)) for a, b in zip(leak.lo[:2, 0], leak.hi[:2, 0])]
         [(-0.019, 0.019), (0.481, 0.519)]
     """
+    refuse_unverified()
     model = as_model(model)
     if not model.d:
         raise ValueError("the model has no unknown inputs")

@@ -30,6 +30,7 @@ from jaxbound.models.sensor import largest_error
 from jaxbound.sets import rounding
 from jaxbound.sets.fixed_systems import prepare
 from jaxbound.sets.interval import Interval, interval
+from jaxbound.sets.probe import refuse_unverified
 
 __all__ = ["Validation", "validate"]
 
@@ -93,7 +94,7 @@ def validate(model, u, y, horizon=None, method="joint", x0=None, correction="int
         >>> validate(m, np.ones((8, 1)), y).faulty[5].tolist()
         [False, True]
     """
-    rounding.refuse_other_modes()
+    refuse_unverified()
     several = isinstance(model, MultiModel)
     if several and model.partial:
         return validate_parts(model, u, y, x0, partial(validate, horizon=horizon, method=method, correction=correction))

@@ -15,6 +15,7 @@ from jaxbound.models.remainder import derivatives, plane
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.sets.exact import rational
+from jaxbound.sets.probe import refuse_unverified
 
 __all__ = ["linearize"]
 
@@ -58,6 +59,7 @@ def linearize(f, x0, u0=None, dt=1.0, *, region, output=None, parameters=None, v
     refused = sorted(set(bounds) & {"E", "offset", "uncertainties"})
     if refused:
         raise ValueError(f"linearize itself finds {', '.join(refused)}: give x0, u0 and parameters instead")
+    refuse_unverified()
     x0, u0, dt = _point("x0", x0), _point("u0", [] if u0 is None else u0), rational(dt)
     n, m = len(x0), len(u0)
     if not n or dt <= 0:

@@ -22,6 +22,7 @@ import numpy as np
 
 from jaxbound.relations.polynomial import PolynomialMatrix, monomials
 from jaxbound.sets import exact, rounding
+from jaxbound.sets.probe import refuse_other_modes
 from jaxbound.sets.sparse import null_space, pivot_columns
 
 __all__ = ["Step", "annihilator", "constraints", "generic_rank", "rank_over_box"]
@@ -185,6 +186,7 @@ def rank_over_box(P, rank):
     """
     if rank == 0:
         return "proved", None
+    refuse_other_modes()
     points = _points(P.variables)
     if not _spans(P, points, rank)[0]:
         return "drops", next(v for v in points if exact.rank(P.at(v)) < rank)

@@ -20,6 +20,7 @@ from jaxbound.sets.derivatives import plain
 from jaxbound.sets.interval import Interval, add, intersection, interval, matmul, mid, sub
 from jaxbound.sets.jaxprs import evaluate, refuse_unsupported
 from jaxbound.sets.lifted import enclose, settled
+from jaxbound.sets.probe import refuse_unverified
 
 __all__ = ["Inclusion", "inclusion"]
 
@@ -103,6 +104,7 @@ class Inclusion:
 
 def _run(kernel, F, args, options):
     """Call a compiled kernel; a refusal while tracing comes out as the one sentence that it is."""
+    refuse_unverified(args, options)
     leaves, structure = jax.tree.flatten((args, options), is_leaf=lambda x: isinstance(x, Interval))
     sets = tuple(isinstance(x, Interval) for x in leaves)
     try:

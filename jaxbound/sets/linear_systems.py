@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval, interval
 from jaxbound.sets.linear_hull import orthant_hull
 from jaxbound.sets.linear_kernels import contract, enclose, factor, preconditioner, times
 from jaxbound.sets.linear_products import apart
+from jaxbound.sets.probe import refuse_unverified
 
 __all__ = ["Solution", "Solvability", "solve_interval"]
 
@@ -75,7 +75,7 @@ def solve_interval(M, h, method="intersection", x0=None, precondition="midpoint"
         >>> print(s.x.hi.round(4), Solvability(int(s.status)).name)
         [1.6667 1.3333] SOLVED
     """
-    rounding.refuse_other_modes()
+    refuse_unverified(M, h, x0)
     M, h = interval(M), interval(h)
     x0 = None if x0 is None else interval(x0)
     _check(M.shape, h.shape, None if x0 is None else x0.shape, method, precondition)

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import rounding
 from jaxbound.sets.existence import components, continuous, is_interval_function, search
 from jaxbound.sets.frontier import BLOCKS, Verdicts, explore, in_blocks
 from jaxbound.sets.interval import Interval, interval
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.status import Status
 
 __all__ = ["Paving", "pave"]
@@ -124,7 +124,7 @@ def pave(f, box, target=None, subdivision="adaptive", q=None, cut=None, max_boxe
         >>> Status(p.status).name, int(p.evaluated), len(p.boxes)
         ('UNDECIDED', 261, 20)
     """
-    rounding.refuse_other_modes()
+    refuse_unverified(box, target, args)
     box = interval(box)
     lo, hi = np.asarray(box.lo), np.asarray(box.hi)
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():

@@ -5,6 +5,8 @@ reciprocal, add in any order, flush subnormals to zero on the way in and on the 
 
 Notation: u is half the spacing of floats at 1, tiny the smallest normal number, both of the working dtype.
 
+What is assumed of processor, device and compiler is asked by `probe`, before every proof.
+
 **One operation** (`outward`). A compiled +, -, * or / whose exact result is r returns f with
 |f - r| <= 2.84 u |f| + tiny (2.84: a quotient by a reciprocal, 1.42 ulp; tiny: a flushed result). Subtracting
 4 u |f| + 2 tiny and rounding once more costs at most u |f|, and 2.84 + 1 < 4. The claim needs no barrier: contraction into an
@@ -35,7 +37,6 @@ __all__ = [
     "positive",
     "power_of_two",
     "quotient",
-    "refuse_other_modes",
     "residual_error",
     "root",
     "round_down",
@@ -48,19 +49,6 @@ __all__ = [
     "two_sum",
     "unit",
 ]
-
-
-def refuse_other_modes():
-    """Raise RuntimeError if this process does not round to the nearest float, on which every bound in this file rests.
-
-    Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on, in threads to come too.
-    """
-    one, half = float(np.ones(())), float(np.finfo(np.float64).eps) / 4
-    if one + half != one or one - half != one:
-        raise RuntimeError(
-            "this process does not round to nearest: some library that was imported (codac does it) has changed the rounding mode of the "
-            "processor, so nothing can be proved here; run it in another process, or set the mode back to nearest (fesetround)"
-        )
 
 
 def unit(dtype):

@@ -16,6 +16,7 @@ from jaxbound.models import recording as door
 from jaxbound.models.seams import all_starts
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import parity_relations
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.status import Status
 from jaxbound.studies import filters, regression
 
@@ -104,6 +105,7 @@ def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=1.0, d
     report = progress or (lambda share: None)
     inputs, outputs, dt, records = _read(recordings, inputs, outputs, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name, horizon=horizon)
+    refuse_unverified()  # at the end the bounds are verified
     scales = regression.scales_of(records)
     sentences = _standing_still(records, inputs, outputs)
     candidate = lambda records, kind: _candidate(records, scales, order, horizon, direct, kind, about)

@@ -20,6 +20,7 @@ from jaxbound.models.fingerprint import fingerprint
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.strips import UNROLLED
 from jaxbound.studies import adversary, fused, recorded, recursion, scenarios
 from jaxbound.studies.keeping import Keeper
@@ -80,6 +81,7 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
     model = as_model(model)
     relations = parity_relations(model) if relations is None else relations
     _check(model, relations, n, samples, hold, at, confidence)
+    refuse_unverified()
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     u, limits, highest = _inputs(model, inputs, input_range, samples, dtype)
     samples = samples if u is None else len(u)

@@ -14,6 +14,7 @@ from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.studies.confidence import Risk, blocks_of, held_out, risk_of, touched
 from jaxbound.studies.descent import BLOCK, RATE, default_optimizer, descend, problem_of
 from jaxbound.studies.keeping import save_arrays
@@ -118,6 +119,7 @@ def tune(relations, healthy, faulty=None, optimizer=None, steps=300, *, bounds=N
         (2.0, array([0.3001]), 0)
     """
     _check(relations, steps=steps, safety=safety, calibrate=calibrate, block=block, confidence=confidence, every=every)
+    refuse_unverified()
     model, s, report = relations.model, relations.horizon, progress or (lambda share: None)
     moved = moving(relations, bounds, weights)
     good = windows_of(model, s, healthy)

@@ -14,6 +14,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.diagnosis import devices
+from jaxbound.sets.probe import usable_devices
 
 
 def on_eight_devices(block, samples, counts, cases):
@@ -58,18 +59,16 @@ def test_a_single_device_gets_the_kernel_itself():
 
 def test_the_default_device_is_respected():
     device = jax.local_devices()[0]
-    assert devices.usable_devices() == tuple(jax.local_devices())
+    assert usable_devices() == tuple(jax.local_devices())
     for chosen in (device, "cpu"):
         with jax.default_device(chosen):
-            assert devices.usable_devices() == (device,)
+            assert usable_devices() == (device,)
 
 
-def test_proofs_are_refused_on_other_devices_whatever_runs_there(monkeypatch):
+def test_unproved_margins_run_on_any_device(monkeypatch):
     class Accelerator:
         platform = "gpu"
 
-    r, u, y = jb.parity_relations(paper()), np.zeros((5, 1)), np.zeros((5, 2))
     monkeypatch.setattr(devices_case.consistency, "usable_devices", lambda: (Accelerator(),))
-    with pytest.raises(RuntimeError, match="so far only CPU, not gpu: set JAX_PLATFORMS=cpu, or detect under"):
-        jb.detect(r, u, y)
-    np.testing.assert_array_equal(jb.margins(r, u, y)[1:] > 0, True)  # unproved: any device will do
+    margins = jb.margins(jb.parity_relations(paper()), np.zeros((5, 1)), np.zeros((5, 2)))
+    np.testing.assert_array_equal(margins[1:] > 0, True)

@@ -1,15 +1,21 @@
 """What rounding.py assumes of the compiler, one claim a test: a new XLA that breaks one of them fails here, and says which."""
 
+import json
 import operator
+import os
+import subprocess
+import sys
 from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import proving
 import pytest
 from corners import DTYPES, corners, floats
 
-from jaxbound.sets import angles, rounding
+import jaxbound as jb
+from jaxbound.sets import angles, probe, rounding
 
 COUNT = 2000
 each_dtype = pytest.mark.parametrize("dtype", DTYPES, ids=["float32", "float64"])
@@ -176,3 +182,106 @@ def test_a_sum_in_the_compilers_order_is_off_by_at_most_one_unit_a_term(rng, dty
     terms = exact(x)
     for run in (jnp.sum, lambda x: jnp.dot(x, jnp.ones_like(x), precision=jax.lax.Precision.HIGHEST)):
         assert abs(exact([jax.jit(run)(x)])[0] - sum(terms)) <= (len(x) - 1) * u * sum(map(abs, terms)) * Fraction(101, 100)
+
+
+# what every proof asks first
+
+FAST = "--xla_cpu_enable_fast_math=true"
+
+
+class Accelerator:
+    """A device that nobody has examined."""
+
+    platform = "gpu"
+
+
+@each_dtype
+def test_the_probe_measures_what_is_assumed(dtype):
+    measured = probe.measure(jax.devices()[0], np.dtype(dtype))
+    assert len(measured) == 9 and all(value <= most for value, most in measured.values()), measured
+
+
+def test_every_public_name_is_known_to_prove_or_not():
+    proving_names = {name.split(".")[0].split(",")[0] for name in proving.doors()} - {"sets"}
+    assert not proving_names & proving.EXACT_OR_UNPROVED
+    assert proving_names | proving.EXACT_OR_UNPROVED == set(jb.__all__)
+
+
+def test_every_door_that_proves_refuses_other_devices_in_one_sentence(monkeypatch):
+    monkeypatch.setattr(probe, "usable_devices", lambda: (Accelerator(),))
+    for name, said in proving.answers().items():
+        assert said is not None, f"{name} answered"
+        assert "so far only CPU, not gpu: set JAX_PLATFORMS=cpu" in said and "\n" not in said, name
+
+
+def in_a_process_with(flags, *command):
+    """Return what a Python process prints whose XLA has these flags."""
+    out = subprocess.run(
+        [sys.executable, *command], env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert out.returncode == 0, out.stderr
+    return out.stdout
+
+
+def test_every_door_that_proves_refuses_fast_math_in_one_sentence():
+    for name, said in json.loads(in_a_process_with(FAST, proving.__file__)).items():
+        assert said is not None, f"{name} answered"
+        assert said == f"XLA_FLAGS has {FAST}, with which the compiler keeps to no rounding: start without, nothing can be proved so", name
+
+
+def test_the_probe_finds_fast_math_that_no_name_tells(tmp_path):
+    """Also the command line refuses, with the exit code of bad input."""
+    (tmp_path / "model.toml").write_text('A = [["1/2"]]\nC = [[1]]\ndt = 1\noutputs = ["y1"]\nnoise = [0.1]\n')
+    (tmp_path / "run.csv").write_text("time,y1\n0,1\n1,0.5\n2,0.9\n")
+    code = f"""
+import os, jax, jax.numpy as jnp
+jnp.ones(2) + 1  # the flags are read
+del os.environ["XLA_FLAGS"]
+import jaxbound as jb
+from jaxbound.cli import main
+try:
+    jb.pave(lambda z: z * z, jb.interval([0.0], [1.0]), [2.0], q=2)
+except RuntimeError as e:
+    print(e)
+print(main(["detect", "{tmp_path}/model.toml", "{tmp_path}/run.csv", "--out", "{tmp_path}/out"]))
+"""
+    said, exit_code = in_a_process_with(FAST, "-c", code).splitlines()
+    assert said.startswith("compiled arithmetic in this process is not what proofs rest on (") and "two_sum" in said
+    assert exit_code == "2" and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("flags, refused", [
+    ("", []),
+    ("--xla_force_host_platform_device_count=8 --xla_cpu_enable_fast_math=false --xla_cpu_fast_math_honor_nans=true", []),
+    ("--xla_cpu_enable_fast_math --xla_dump_to=x", ["--xla_cpu_enable_fast_math"]),
+    ("--xla_cpu_fast_math_honor_nans=false", ["--xla_cpu_fast_math_honor_nans=false"]),
+    ("--xla_cpu_experimental_ynn_fusion_type=2", ["--xla_cpu_experimental_ynn_fusion_type=2"]),
+])  # fmt: skip
+def test_flags_that_give_arithmetic_up_are_refused_by_name(flags, refused, monkeypatch, tmp_path):
+    (tmp_path / "flags").write_text(flags)
+    for given in (flags, f"{tmp_path}/flags") if flags else ("",):
+        monkeypatch.setenv("XLA_FLAGS", given)
+        assert probe.verified(jax.devices()[0]) == (not refused)
+        if refused:
+            with pytest.raises(RuntimeError, match=f"XLA_FLAGS has {refused[0]}, with which"):
+                probe.refuse_unverified()
+
+
+def test_arrays_that_lie_on_a_device_that_is_not_verified_are_refused(monkeypatch):
+    x = jnp.zeros(1)
+    monkeypatch.setattr(type(x), "devices", lambda self: {Accelerator()})
+    probe.refuse_unverified(np.zeros(1))
+    with pytest.raises(RuntimeError, match="not gpu"):
+        probe.refuse_unverified({"x": (x,)})
+
+
+def test_the_probe_runs_once_and_also_inside_a_trace(monkeypatch):
+    probe._found.cache_clear()
+    runs, measure = [], probe.measure
+    monkeypatch.setattr(probe, "measure", lambda *given: runs.append(given) or measure(*given))
+    F = jb.inclusion(proving.square)
+    upper = jax.jit(lambda x: F(jb.Interval(x, x)).hi)(np.ones(2))
+    assert (np.asarray(upper) >= 1).all()
+    jb.membership(jb.zonotope([0.0], [[1.0]]), np.zeros((1, 1)))
+    assert len(runs) == 1

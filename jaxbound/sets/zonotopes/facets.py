@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import exact, rounding
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.strips import UNROLLED, Strips, strip_verdict
 from jaxbound.sets.zonotopes import proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
@@ -88,7 +89,7 @@ def membership(Z, points):
         >>> membership(zonotope([0.0], [[2.0]]), [[1.0], [3.0]])
         array([ 0.5, -0.5]...)
     """
-    rounding.refuse_other_modes()
+    refuse_unverified(Z, points)
     points = np.asarray(points)
     n = Z.center.shape[0]
     if points.ndim != 2 or points.shape[1] != n:

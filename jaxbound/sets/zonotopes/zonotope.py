@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxbound.sets.interval import Interval, interval, matmul
 from jaxbound.sets.interval import sum as interval_sum
+from jaxbound.sets.probe import refuse_unverified
 
 __all__ = ["Zonotope", "support", "zonotope"]
 
@@ -71,6 +72,7 @@ def support(Z, direction):
         >>> float(support(zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]), [1.0, 1.0]))
         13.0000...
     """
+    refuse_unverified(Z, direction)
     d = interval(direction)
     if d.shape != Z.center.shape:
         raise ValueError(f"direction must have shape {Z.center.shape}: its shape is {d.shape}")
