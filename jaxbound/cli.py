@@ -25,7 +25,7 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints
 from jaxbound.runfile import VALIDATION
 from jaxbound.sets.probe import Unverified
-from jaxbound.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, door, say, show, write
+from jaxbound.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, door, progress_bars, say, show, write
 
 __all__ = ["main"]
 
@@ -238,9 +238,9 @@ def _info(args):
     if args.template:
         write(template())
         return OK
-    with door():
+    with door(), progress_bars(("relations",)) as step:
         m = load_model(args.model)
-        r = parity_relations(m, args.horizon)
+        r = parity_relations(m, args.horizon, progress=lambda share: step("relations", share))
     exact = lambda names, values: ", ".join(f"{n} {float(v):.6g}" for n, v in zip(names, values, strict=True) if v) or "none"
     signals = lambda names: ", ".join(f"{n} [{m.unit(n)}]" if m.unit(n) else n for n in names) or "none"
     origin = lambda field: f"({m.provenance.get(field, 'origin not stated')})"

@@ -3,6 +3,7 @@
 import math
 
 from jaxbound.diagnosis.detectability import detectable
+from jaxbound.relations.cost import duration_text, elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
 from jaxbound.relations.redundancy import redundancy
 
@@ -10,6 +11,8 @@ __all__ = ["isolation_text"]
 
 SIGNALS = 12
 """Up to here relations of minimal support are looked for and every pair of faults is listed."""
+PATIENCE = 60.0
+"""Seconds, roughly, beyond which tables are left to whoever asks for them."""
 
 
 def isolation_text(model, horizon):
@@ -17,6 +20,10 @@ def isolation_text(model, horizon):
     signals = model.outputs + model.inputs
     if len(signals) > SIGNALS:
         return f"(more than {SIGNALS} signals: jb.structured_relations(model, [...]) has the relations that ignore those of your choice)"
+    seconds = len(signals) * (elimination_seconds(model, model.n, unknown=1) + relation_cost(model, horizon)[0])
+    if seconds > PATIENCE:
+        return (f"(signatures, isolability and guaranteed sizes are not worked out: that would take {duration_text(seconds)}; "
+                "jb.isolability(model) and jb.detectable(model, signal, horizon) do it)")  # fmt: skip
     out = []
     try:
         bank = structured_relations(model)

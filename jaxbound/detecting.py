@@ -29,6 +29,7 @@ from jaxbound.files import read_recording, write_alarms, write_verdicts
 from jaxbound.modelfile import load_model, save_model
 from jaxbound.parquet import is_parquet, open_parquet
 from jaxbound.processes import Lost, Team, abandon, join_others
+from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, windows, worst, write_report
 from jaxbound.runfile import VALIDATION, save_run
@@ -68,14 +69,14 @@ def run_detect(args):
             found = _validate(args, work, step)
         _remove(args.out / VERDICTS)
     elif data.exists() and is_parquet(data):
-        with made(args.out), progress_bars(("test", "report")) as step:
+        with made(args.out), progress_bars(("relations", "test", "report")) as step:
             found = _stream(args, step)
         if isinstance(found, int):
             return found
     elif data.exists() and args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
-        with workplace(args.out) as work, progress_bars(("read", "test", "report")) as step:
+        with workplace(args.out) as work, progress_bars(("read", "relations", "test", "report")) as step:
             found = _evaluate(args, work, step)
         _remove(args.out / VERDICTS)
     return conclude(args, *found)
@@ -98,9 +99,10 @@ def _stream(args, step):
 def _stream_with(team, args, step):
     """Do the part of this process; the first of them makes the report of all."""
     model = load_model(args.model)
-    relations = parity_relations(model, args.horizon)
     usable_device()
     source = open_parquet(args.data, model)
+    refuse_short(args.data, source.samples, model.horizon if args.horizon is None else args.horizon)
+    relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
     try:
         chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
         parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress, team)
@@ -131,11 +133,11 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     seconds, start = {}, time.perf_counter()
     with door():
         model = load_model(args.model)
-        relations = parity_relations(model, args.horizon)
         held = content(Path(args.data))
         recording = read_recording(args.data, model, lambda share: step("read", share))
-        if len(recording.time) <= relations.horizon:
-            raise ValueError(f"{args.data}: the recording has {len(recording.time)} samples, one window needs {relations.horizon + 1}")
+        refuse_short(args.data, len(recording.time), model.horizon if args.horizon is None else args.horizon)
+        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+        refuse_short(args.data, len(recording.time), relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
         res = detect(relations, recording.u, recording.y, method=args.method, progress=lambda share: step("test", share),
@@ -304,7 +306,7 @@ def run_demo(args):
     from jaxbound import demo
 
     threading.Thread(target=_load_plotting, daemon=True).start()
-    with workplace(args.out) as work, progress_bars(("simulate", "read", "test", "report")) as step:
+    with workplace(args.out) as work, progress_bars(("simulate", "read", "relations", "test", "report")) as step:
         with door():
             usable_device()
         run = demo.demo_run(jax.random.key(2000))

@@ -20,6 +20,7 @@ from jaxbound.files import read_recording
 from jaxbound.fleetpage import fleet_page
 from jaxbound.modelfile import load_model
 from jaxbound.models.recording import missing_column
+from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints, coverage, percent, summary, worst
 from jaxbound.terminal import Interrupted, Refused, door, progress_bars, show, write
@@ -183,13 +184,13 @@ def detect_fleet(units, method="joint", horizon=None, alarm=(1, 1), min_coverage
     models = {}
 
     def prepare(unit):
-        known = models.get(unit.model)
-        if known is None:
-            model = load_model(unit.model)
-            known = model, parity_relations(model, horizon)
-            if shared[unit.model] > 1:
-                models[unit.model] = known
-        return *known, read_recording(unit.recording, known[0])
+        model, relations = models.get(unit.model) or (load_model(unit.model), None)
+        recording = read_recording(unit.recording, model)
+        refuse_short(unit.recording, len(recording.time), model.horizon if horizon is None else horizon)
+        relations = relations or parity_relations(model, horizon)
+        if shared[unit.model] > 1:
+            models[unit.model] = model, relations
+        return model, relations, recording
 
     with ThreadPoolExecutor(1) as beside:
         waiting = deque()
@@ -208,8 +209,7 @@ def _tested(unit, job, method, alarm, min_coverage):
     try:
         model, relations, recording = job.result()
         s = relations.horizon
-        if len(recording.time) <= s:
-            raise ValueError(f"{unit.recording}: the recording has {len(recording.time)} samples, one window needs {s + 1}")
+        refuse_short(unit.recording, len(recording.time), s)
         res = detect(relations, recording.u, recording.y, method=method, starts=recording.starts)
         res = replace(res, aside=recording.aside(s))
         alarms = res.alarms(*alarm)

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxbound.models.seams import aside
 
-__all__ = ["Recording", "missing_hints", "missing_samples", "missing_sentences", "rounding_hints", "time_label"]
+__all__ = ["Recording", "missing_hints", "missing_samples", "missing_sentences", "refuse_short", "rounding_hints", "time_label"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +68,13 @@ def time_label(seconds, stamp, step):
         return str(stamp.astype("datetime64[ms]")).replace("T", " ").removesuffix(".000")
     text = f"{seconds:.{max(0, 2 - math.floor(math.log10(step)))}f}"
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text} s"
+
+
+def refuse_short(source, samples, horizon):
+    """Raise ValueError if a recording has no whole window; horizon None: not known yet. To be asked before relations are worked out."""
+    if horizon is not None and samples <= horizon:
+        needs = f"{horizon + 1}" if horizon < 10**15 else "more than 1e+15"
+        raise ValueError(f"{source}: the recording has {samples} samples, one window needs {needs}")
 
 
 def missing_hints(model, u, y, excluded=None):

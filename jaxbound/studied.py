@@ -12,6 +12,7 @@ from jaxbound.detecting import made, usable_device, workplace
 from jaxbound.modelfile import load_model
 from jaxbound.page import about, figure, frame, model_tables, percent, section, table
 from jaxbound.plots import to_png
+from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
 from jaxbound.studies.montecarlo import study
 from jaxbound.terminal import Refused, door, progress_bars, show, write
@@ -25,6 +26,8 @@ PROMISE = (
     "any unknowns within the bounds; no simulation can show more than that."
 )
 
+MOST = 10_000  # sizes of a fault
+
 
 def run(args):
     """Run `jaxbound study`; return the exit code."""
@@ -34,10 +37,11 @@ def run(args):
     if onset is not None and (len(onset) > 1 or any(x != int(x) for x in onset[0])):
         raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
     faults = [f.strip() for f in args.faults.split(",") if f.strip()]
-    with door(), made(args.out), progress_bars(("study", "report")) as step:
+    with door(), made(args.out), progress_bars(("relations", "study", "report")) as step:
         model = load_model(args.model)
         usable_device()
-        relations = parity_relations(model, args.horizon)
+        refuse_short("--samples", args.samples, model.horizon if args.horizon is None else args.horizon)
+        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
         span = span[0] if span is not None and len(span) == 1 else span
         onset = None if onset is None else tuple(map(int, onset[0]))
         res = study(
@@ -59,6 +63,8 @@ def _sizes(text):
     try:
         if ":" in text:
             lo, hi, count = text.split(":")
+            if int(count) > MOST:
+                raise Refused(f"--sizes asks for {int(count)} sizes of a fault: at most {MOST} are studied")
             return np.linspace(float(lo), float(hi), int(count)).tolist()
         return [float(x) for x in text.split(",")]
     except ValueError:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxbound.files import read_recording, write_whole
 from jaxbound.modelfile import load_model, model_text, number_text
 from jaxbound.plots import COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, style, to_png
+from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.status import Status
 from jaxbound.studies.tuning import tune
@@ -26,11 +27,13 @@ def run(args):
     if args.out.is_dir() or not args.out.parent.is_dir():
         raise Refused(f"--out {args.out} must be a model file to write, in a folder that exists")
     chosen = None if args.bounds is None else [name.strip() for name in args.bounds.split(",")]
-    with door(), progress_bars(("read", "tune")) as step:
-        relations = parity_relations(load_model(args.model), args.horizon)
-        files = [*args.healthy, *args.faulty]
-        read = lambda i: read_recording(files[i], relations.model, lambda share: step("read", (i + share) / len(files)))
+    with door(), progress_bars(("read", "relations", "tune")) as step:
+        model, files = load_model(args.model), [*args.healthy, *args.faulty]
+        read = lambda i: read_recording(files[i], model, lambda share: step("read", (i + share) / len(files)))
         recordings = [read(i) for i in range(len(files))]
+        longest = int(np.argmax([len(r.time) for r in recordings]))
+        refuse_short(files[longest], len(recordings[longest].time), model.horizon if args.horizon is None else args.horizon)
+        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
         given = [(x.u, x.y, x.starts) for x in recordings]
         healthy, faulty = given[: len(args.healthy)], given[len(args.healthy) :] or None
         res = tune(relations, healthy, faulty, _optimizer(args.optimizer, args.steps), args.steps, bounds=chosen, safety=args.safety,

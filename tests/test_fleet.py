@@ -140,8 +140,8 @@ class TestCommand:
         assert "1 of 9 units were tested" in capsys.readouterr().err
 
     def test_trouble_of_our_own_costs_one_unit_only(self, plant, monkeypatch):
-        parity = fleet.parity_relations
-        monkeypatch.setattr(fleet, "parity_relations", lambda m, h: {}["oops"] if "no-data" in m.name else parity(m, h))
+        read = fleet.read_recording
+        monkeypatch.setattr(fleet, "read_recording", lambda path, m: {}["oops"] if "no-data" in m.name else read(path, m))
         save_model(paper(name="no-data"), plant / "no-data.toml")
         manifest(plant, ["good", "no-data", "small"])
         assert command(plant) == 1

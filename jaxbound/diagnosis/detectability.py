@@ -21,6 +21,7 @@ from jaxbound.models import window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.relations.cost import SECONDS, affordable, relation_cost
 from jaxbound.relations.parity import parity_relations, relation_text
 from jaxbound.sets import exact
 from jaxbound.sets.chebyshev import chebyshev, subspace
@@ -90,6 +91,10 @@ def detectable(model, fault, horizon=None, operating_range=None):
     for s in (first,) if horizon is not None else range(first + 4 * model.n + 12):
         if s < first and not exact.left_null_space(window.unbounded(model, s)):
             continue
+        if best is None:
+            affordable(model, s)
+        elif relation_cost(model, s)[0] > SECONDS:
+            break
         size, h = _size(model, signal, s, reach)
         tried[s] = size
         if size is not None and (best is None or size < best[0] * Fraction(999, 1000)):

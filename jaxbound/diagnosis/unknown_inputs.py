@@ -18,6 +18,7 @@ import numpy as np
 from jaxbound.diagnosis.consistency import in_blocks
 from jaxbound.models import recording, window
 from jaxbound.models.conversion import as_model
+from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
 from jaxbound.sets import exact
 from jaxbound.sets.bank import bank_of, bank_range
@@ -104,6 +105,7 @@ def _positions(model, horizon):
     if horizon is not None:
         if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+        affordable(model, int(horizon))
         return int(horizon), _determined(model, int(horizon))
     longest = _determined(model, model.n + 1)
     wanted = [x is not None for x in longest]

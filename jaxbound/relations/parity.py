@@ -23,9 +23,11 @@ from jaxbound.models import window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import changed_bounds, model_bounds, window_test
+from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.uncertain import uncertain_relations
 from jaxbound.relations.window_test import forms
 from jaxbound.sets import exact
+from jaxbound.sets.chebyshev import PRIME
 from jaxbound.sets.interval import Interval
 from jaxbound.sets.separation import frame_of
 from jaxbound.sets.strips import strips_of
@@ -160,7 +162,7 @@ def _forms(test, u, y):
     return tuple(jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in (external, centre - width, centre + width))
 
 
-def parity_relations(model, horizon=None, form="first"):
+def parity_relations(model, horizon=None, form="first", progress=None):
     """Eliminate the unknown state from a window exactly: chooses the elimination that the model needs.
 
     Args:
@@ -169,13 +171,15 @@ def parity_relations(model, horizon=None, form="first"):
             which every output that can be checked is checked (and, with uncertainties, all states that can be seen are seen).
         form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set; the basis of the
             relations, and with it the box test, differs.
+        progress: called with the share of the work done: many states or a long window take minutes.
 
     Returns:
         A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers. UncertainRelations if
         the model has uncertainties.
 
     Raises:
-        ValueError: no relation at this horizon; uncertainties under which some state is seen at some values and not at others.
+        ValueError: no relation at this horizon; one so long that exact numbers would not end (`relations.cost`); uncertainties under which
+            some state is seen at some values and not at others.
 
     Source: Adrot, Maquin, Ragot 2000, (6), (13); Ploix, Adrot 2006, (2)-(3), (5).
 
@@ -185,7 +189,7 @@ def parity_relations(model, horizon=None, form="first"):
         >>> r.horizon, r.count, len(r.circuits)
         (1, 2, 4)
     """
-    model = as_model(model)
+    model, report = as_model(model), progress or (lambda share: None)
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
     if horizon is None:
@@ -195,33 +199,42 @@ def parity_relations(model, horizon=None, form="first"):
     if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
         raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
     horizon = int(horizon)
+    affordable(model, horizon)
     if model.uncertainties:
         if form != "first":
             raise ValueError("form 'second' is for models without uncertainties")
         return uncertain_relations(model, horizon)
-    if not _checked_outputs(model, window.unbounded(model, min(horizon, model.n))):
-        first = _first_horizon(model)
-        if first is None:
-            raise ValueError(f"no horizon gives a relation: {model.d} unknown inputs can explain whatever {model.p} outputs show")
-        free = len(window.unbounded(model, horizon)[0])
-        raise ValueError(
-            f"horizon {horizon} gives no relation: {(horizon + 1) * model.p} samples do not outnumber "
-            f"{f'the {free} states' if not model.d else f'{free} states and unknown inputs'}; the smallest horizon with one is {first}"
-        )
     if form == "first":
-        samples = _first(model, horizon)
-        H = window.first_form(model, horizon)[1]
-        K = exact.matmul(samples, H) if H[0] else tuple(() for _ in samples)
+        W, K = _first(model, horizon, lambda share: report(0.5 * share))
     else:
         samples, K = _second(model, horizon)
+        W = _with_disturbance(model, horizon, samples)
+    if not W:
+        raise ValueError(_without_relation(model, horizon))
+    report(0.5)
     bounds = model_bounds(model)
-    W = _with_disturbance(model, horizon, samples)
     E, known = window.unknowns(model, horizon)
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
+    report(0.6)
     if not circuits:
-        return ParityRelation(bounds, model, horizon, form, W, K, (), (), exact.frame(E, known))
+        searched = exact.frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
+        report(1.0)
+        return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched)
+    report(1.0)
     circuits_known = exact.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known)
+
+
+def _without_relation(model, horizon):
+    """Return why a window has no relation, and which one has."""
+    first = next((s for s in range(model.n + 1) if exact.left_null_space(window.unbounded(model, s))), None)
+    if first is None:
+        return f"no horizon gives a relation: {model.d} unknown inputs can explain whatever {model.p} outputs show"
+    free = model.n + model.d * window.unknown_lags(model, horizon)
+    return (
+        f"horizon {horizon} gives no relation: {(horizon + 1) * model.p} samples do not outnumber "
+        f"{f'the {free} states' if not model.d else f'{free} states and unknown inputs'}; the smallest horizon with one is {first}"
+    )
 
 
 def stated_relations(model, horizon, samples, K):
@@ -246,13 +259,20 @@ def _with_disturbance(model, horizon, relations):
     return tuple(h + tuple(-x for x in v) for h, v in zip(relations, through, strict=True))
 
 
-def _first(model, horizon):
-    """Return W, of minimal span: beyond n samples every further one brings p relations, the last ones once more, later."""
+def _first(model, horizon, report):
+    """Return (W, K), of minimal span: beyond n samples every further one brings p relations, the last ones once more, later."""
     short = min(horizon, model.n)
-    W = tuple(map(exact.presentable, exact.minimal_span(exact.left_null_space(window.unbounded(model, short)))))
-    newest = [row for row in W if any(row[short * model.p :])]
-    pad = lambda row, shift: (ZERO,) * (shift * model.p) + row + (ZERO,) * ((horizon - short - shift) * model.p)
-    return tuple(pad(row, 0) for row in W) + tuple(pad(row, shift) for shift in range(1, horizon - short + 1) for row in newest)
+    samples = tuple(map(exact.presentable, exact.minimal_span(exact.left_null_space(window.unbounded(model, short), report))))
+    newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
+    H = window.first_form(model, short)[1]
+    K = exact.matmul(samples, H) if H[0] and samples else tuple(() for _ in samples)
+    later = horizon - short
+    pad = lambda row, width, shift: (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
+    shifted = [(i, 0) for i in range(len(samples))] + [(i, shift) for shift in range(1, later + 1) for i in newest]
+    outputs = (short + 1) * model.p
+    whole = [(row[:outputs], row[outputs:]) for row in _with_disturbance(model, short, samples)]
+    W = tuple(pad(whole[i][0], model.p, shift) + pad(whole[i][1], model.g, shift) for i, shift in shifted)
+    return W, tuple(pad(K[i], model.m, shift) for i, shift in shifted)
 
 
 def _second(model, horizon):
@@ -270,16 +290,35 @@ def _second(model, horizon):
     return W, tuple(tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True))
 
 
-def _checked_outputs(model, O):
-    return {i % model.p for row in exact.left_null_space(O) for i, x in enumerate(row) if x}
-
-
 def _smallest_useful_horizon(model):
-    O = window.unbounded(model, model.n)
-    best = _checked_outputs(model, O)  # a longer window involves no further output (Cayley-Hamilton)
-    rank = lambda s: exact.rank([row[: model.n] for row in O[: (s + 1) * model.p]]) if model.uncertainties else 0
-    return next(s for s in range(model.n + 1) if _checked_outputs(model, O[: (s + 1) * model.p]) == best and rank(s) == rank(model.n))
+    """Return the smallest horizon at which as many outputs are checked as at any, and, with uncertainties, as many states are seen.
+
+    A relation checks an output iff the samples of that output raise the rank by less than their number. Ranks are taken modulo a prime: a
+    model that fools it gets another horizon, whose relations are exact all the same.
+    """
+    refuse_many_states(model)
+    O = window.unbounded(model, model.n)  # a longer window involves no further output (Cayley-Hamilton)
+    O = [[x.numerator * pow(x.denominator, -1, PRIME) % PRIME for x in row] for row in O]
+    whole = _ranks(O, model.p, model.n + 1)
+    others = [_ranks([row for j, row in enumerate(O) if j % model.p != i], model.p - 1, model.n + 1) for i in range(model.p)]
+    checked = lambda s: [whole[s] - other[s] <= s for other in others]
+    seen = _ranks([row[: model.n] for row in O], model.p, model.n + 1) if model.uncertainties else [0] * (model.n + 1)
+    return next(s for s in range(model.n + 1) if checked(s) == checked(model.n) and seen[s] == seen[model.n])
 
 
-def _first_horizon(model):
-    return next((s for s in range(model.n + 1) if _checked_outputs(model, window.unbounded(model, s))), None)
+def _ranks(rows, width, count):
+    """Return the ranks modulo PRIME of the first width, 2 width, .., count width rows."""
+    if not width:
+        return [0] * count
+    kept, out = {}, []
+    for i, row in enumerate(rows, 1):
+        for j, head in kept.items():
+            if f := row[j]:
+                row = [(x - f * y) % PRIME for x, y in zip(row, head, strict=True)]
+        lead = next((j for j, x in enumerate(row) if x), None)
+        if lead is not None:
+            scale = pow(row[lead], -1, PRIME)
+            kept[lead] = [x * scale % PRIME for x in row]
+        if i % width == 0:
+            out.append(len(kept))
+    return out

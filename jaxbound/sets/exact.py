@@ -73,8 +73,8 @@ def matmul(a, b):
     return tuple(tuple(Fraction(sum(map(mul, r, c)), p * q) for c, q in right) for r, p in left)
 
 
-def row_reduce(a):
-    """Return the reduced row echelon form of `a` without zero rows, and its pivot columns."""
+def row_reduce(a, progress=None):
+    """Return the reduced row echelon form of `a` without zero rows, and its pivot columns. progress: called with the share done."""
     rows = [primitive_scale(r)[0] for r in a]  # whole numbers, each row divided by its common factor: ten times as fast as fractions
     pivots, top = [], 0
     for j in range(len(rows[0]) if rows else 0):
@@ -91,6 +91,8 @@ def row_reduce(a):
                 rows[i] = [x // common for x in row] if common > 1 else row
         pivots.append(j)
         top += 1
+        if progress is not None:
+            progress(((j + 1) / len(rows[0])) ** 2)  # numbers grow
     return tuple(tuple(Fraction(x, r[j]) for x in r) for r, j in zip(rows[:top], pivots, strict=True)), tuple(pivots)
 
 
@@ -99,11 +101,11 @@ def rank(a):
     return len(row_reduce(a)[1])
 
 
-def left_null_space(a):
-    """Return a basis W of {w : w a = 0}, one row a basis vector (possibly no rows)."""
+def left_null_space(a, progress=None):
+    """Return a basis W of {w : w a = 0}, one row a basis vector (possibly no rows). progress: called with the share done."""
     m, n = len(a), len(a[0]) if a else 0
     augmented = [tuple(r) + tuple(Fraction(i == j) for j in range(m)) for i, r in enumerate(a)]
-    reduced, pivots = row_reduce(augmented)
+    reduced, pivots = row_reduce(augmented, progress)
     return tuple(r[n:] for r, p in zip(reduced, pivots, strict=True) if p >= n)
 
 
@@ -160,18 +162,31 @@ def circuits(a):
     m, r = len(a), len(basis[0]) if basis and basis[0] else 0
     if r == 0:
         return tuple(tuple(Fraction(i == j) for j in range(m)) for i in range(m))
-    whole = [primitive_scale(row) for row in basis]
     found = {}
-    for subset in combinations(range(m), r + 1):
-        h = _cofactors([whole[i][0] for i in subset])
-        if not any(h):
-            continue
-        row = [Fraction(0)] * m
-        for i, x in zip(subset, h, strict=True):
-            row[i] = Fraction(x) * whole[i][1]
-        row = primitive(row)
+    for row in _among_rows(basis, r) if r < m - r else _among_zeros(left_null_space(basis), m):
         found.setdefault(tuple(i for i, x in enumerate(row) if x), row)
     return tuple(found[k] for k in sorted(found))
+
+
+def _among_rows(basis, r):
+    """Yield the circuits, some more than once: each lies in r + 1 of the rows."""
+    whole = [primitive_scale(row) for row in basis]
+    for subset in combinations(range(len(basis)), r + 1):
+        h = _cofactors([whole[i][0] for i in subset])
+        if any(h):
+            row = [Fraction(0)] * len(basis)
+            for i, x in zip(subset, h, strict=True):
+                row[i] = Fraction(x) * whole[i][1]
+            yield primitive(row)
+
+
+def _among_zeros(null, m):
+    """Yield the circuits, some more than once: each vanishes at k - 1 columns of the null space (k, m), whose minors are small."""
+    whole, k = [[int(x) for x in primitive(row)] for row in null], len(null)
+    for subset in combinations(range(m), k - 1) if k else ():
+        c = _cofactors([[row[j] for j in subset] for row in whole]) if k > 1 else [1]
+        if any(c):
+            yield primitive([Fraction(sum(map(mul, c, column))) for column in zip(*whole, strict=True)])
 
 
 def primitive_scale(row):
@@ -215,12 +230,13 @@ class Frame:
     used: tuple
 
 
-def frame(E, K, largest=2):
+def frame(E, K, largest=2, progress=None):
     """Eliminate x from the rows y = E x + K u, with inner rows so chosen that no entry of R exceeds `largest` by much.
 
     Then neither rounding nor an unstable plant blows up: R is made of well-balanced combinations of samples, whatever the powers of A.
+    progress: called with the share done, of the elimination.
     """
-    reduced, pivots = row_reduce(transpose(E))
+    reduced, pivots = row_reduce(transpose(E), progress)
     outer = tuple(j for j in range(len(E)) if j not in set(pivots))
     R = tuple(tuple(row[j] for row in reduced) for j in outer)
     through = matmul(R, tuple(K[i] for i in pivots)) if K[0] and pivots else tuple((Fraction(0),) * len(K[0]) for _ in outer)

@@ -1,0 +1,96 @@
+"""What relations cost before they are made: seconds and bytes, from sizes alone, so that nobody waits for what will not end.
+
+Exact numbers grow with the window: powers of A have as many digits as samples, determinants as many as their rows have together. The
+constants were measured on one core of a desk computer; they are right within a factor of three or so, which is all that is asked of them.
+"""
+
+from math import comb
+
+from jaxbound.models import window
+
+__all__ = ["BYTES", "SECONDS", "affordable", "duration_text", "elimination_seconds", "refuse_many_states", "relation_cost"]
+
+SECONDS, BYTES = 600.0, 2e9
+"""What relations may take at most."""
+LONGEST = 10**12  # of a horizon in what is computed here: beyond, floats would overflow
+
+
+def elimination_seconds(model, horizon, unknown=0):
+    """Return how long the exact elimination of a window takes, with so many more unknown inputs."""
+    s = min(horizon, model.n)
+    rows, columns = (s + 1) * model.p, model.n + (model.d + unknown) * s
+    rank = min(rows, columns)
+    return 1e-6 * rank * rows * (rows + columns) * (1 + (_digits(model) * (s + 1) * rank / 160) ** 1.2)
+
+
+def relation_cost(model, horizon):
+    """Return (seconds, bytes) that `parity_relations` takes."""
+    s = min(horizon, LONGEST)
+    if model.uncertainties:
+        terms = _terms(model, s)
+        return 4e-3 * terms, 1e3 * terms
+    rows = (s + 1) * model.p + model.g * s
+    columns = model.n + model.g * s + model.d * window.unknown_lags(model, s)
+    known, left = model.m * window.input_lags(model, s), max(rows - columns, 0)
+    sparse = 2.5e-6 * columns * min(columns, rows) * rows * (1 + _digits(model) * s / 100 * (model.g > 0))
+    seconds = _power_seconds(model, s) + elimination_seconds(model, s) + sparse + 8e-6 * left * (columns + known)
+    return seconds, 16.0 * rows * (rows + known) + 150.0 * left * (columns + known)
+
+
+def affordable(model, horizon):
+    """Raise ValueError if relations of this horizon would take too long or too much memory."""
+    fits = lambda s: all(a <= b for a, b in zip(relation_cost(model, s), (SECONDS, BYTES), strict=True))
+    if fits(horizon):
+        return
+    low, high = 0, min(horizon, LONGEST)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    seconds, size = relation_cost(model, horizon)
+    needs = f"{duration_text(seconds)} and {size / 1e9:.2g} GB"
+    named = str(horizon) if horizon < LONGEST else f"beyond {LONGEST:.0e}"
+    few = "leave some uncertainties out, let them be constant, or " if model.uncertainties else ""
+    what = f"a window of {model.n} states, {model.p} outputs" + (f" and {model.g} disturbances" if model.g else "")
+    do = f"{few}choose a horizon of at most {low}" if low and fits(low) else "a model with fewer states is needed"
+    raise ValueError(f"horizon {named} is too long: exact relations for {what} would take {needs}; {do}")
+
+
+def refuse_many_states(model):
+    """Raise ValueError if even the shortest useful horizon would take too long to find."""
+    seconds = _power_seconds(model, model.n) + 2e-7 * (model.p + 1) * model.p * float(model.n) ** 3
+    if seconds > SECONDS:
+        raise ValueError(f"a model of {model.n} states is too large: to find its shortest useful horizon in exact numbers would take "
+                         f"{duration_text(seconds)}; reduce the model first")  # fmt: skip
+
+
+def duration_text(seconds):
+    """Return a rough duration as text.
+
+    Example:
+        >>> duration_text(5.2), duration_text(500), duration_text(2e4), duration_text(1e12)
+        ('about 5 seconds', 'about 8 minutes', 'about 6 hours', 'more than a year')
+    """
+    for size, name in ((1, "second"), (60, "minute"), (3600, "hour"), (86400, "day")):
+        if seconds < 100 * size:
+            count = max(round(seconds / size), 1)
+            return f"about {count} {name}{'s' * (count != 1)}"
+    return "more than a year" if seconds > 3.2e7 else f"about {round(seconds / 86400)} days"
+
+
+def _power_seconds(model, s):
+    """Return how long C A, .., C A^s take."""
+    return 1e-7 * s * model.p * model.n**2 * (1 + _digits(model) * s / 300)
+
+
+def _digits(model):
+    """Return how many decimal digits a number of A has, from its longest denominator and numerator."""
+    numbers = [x for a in (model.A, model.C, model.F) for row in a for x in row]
+    return 1 + max((max(x.numerator.bit_length(), x.denominator.bit_length()) for x in numbers), default=1) * 0.15
+
+
+def _terms(model, s):
+    """Return at least roughly how many monomials a window of an uncertain model has: they multiply from sample to sample."""
+    acts = lambda letter, varying: sum(1 for u in model.uncertainties if u.varying is varying and u.on(letter) is not None)
+    per_sample, constant = acts("A", True), acts("A", False) + acts("C", False)
+    grown = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample)) if per_sample else 1.0
+    return grown * comb(min(s, 10**4) + constant, constant) * (1 + acts("C", True)) + (s + 1) * len(model.uncertainties)

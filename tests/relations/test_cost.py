@@ -1,0 +1,130 @@
+"""What would not end is refused before it begins, and what is short is found out before relations are made."""
+
+import time
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.modelfile import save_model
+from jaxbound.relations.cost import affordable, relation_cost
+from jaxbound.sets import exact
+
+CHAIN = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], noise=0.1)
+DISTURBED = jb.LinearSystem([[0.5]], [[1]], [[1], [2]], noise=0.1, disturbance=([[1]], 0.1))
+UNCERTAIN = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[[0.1]])])
+UNKNOWN = jb.LinearSystem([[0.5]], [[1]], [[1], [2]], noise=0.1, unknown_inputs=[[1]])
+
+
+def dense(n, p, rng):
+    """Return a model without zeros, with numbers of two digits."""
+    numbers = lambda rows, columns: [[str(x) for x in row] for row in np.round(rng.uniform(-1, 1, (rows, columns)) / n**0.5, 2)]
+    return jb.LinearSystem(numbers(n, n), numbers(n, 1), numbers(p, n), noise=0.1)
+
+
+@pytest.mark.parametrize("model", [CHAIN, DISTURBED, UNCERTAIN, UNKNOWN])
+@pytest.mark.parametrize("horizon", [10**9, 10**400])
+def test_an_endless_horizon_is_refused_at_once_with_the_longest_that_will_do(model, horizon):
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="too long: .* choose a horizon of at most"):
+        jb.parity_relations(model, horizon)
+    assert time.perf_counter() - start < 1
+
+
+@pytest.mark.parametrize("ask", [
+    lambda: jb.detectable(CHAIN, "y1", horizon=10**9),
+    lambda: jb.unknown_inputs(UNKNOWN, np.zeros((9, 1)), np.zeros((9, 2)), horizon=10**9),
+    lambda: jb.validate(CHAIN, np.zeros((9, 1)), np.zeros((9, 2)), horizon=10**9),
+])  # fmt: skip
+def test_every_other_door_refuses_an_endless_horizon_at_once(ask):
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="horizon"):
+        ask()
+    assert time.perf_counter() - start < 1
+
+
+def test_the_longest_horizon_that_is_named_will_do():
+    with pytest.raises(ValueError, match="at most") as e:
+        affordable(CHAIN, 10**9)
+    longest = int(str(e.value).rsplit(" ", 1)[1])
+    affordable(CHAIN, longest)
+    with pytest.raises(ValueError):
+        affordable(CHAIN, longest + 1)
+
+
+@pytest.mark.parametrize("sizes", [(2, 2, 0), (40, 2, 0), (3, 1, 2)])
+def test_a_longer_window_never_costs_less(sizes, rng):
+    n, p, g = sizes
+    model = dense(n, p, rng)
+    model = jb.LinearSystem(model.A, model.B, model.C, disturbance=([[1] * g] * n, 1) if g else None)
+    costs = [relation_cost(model, s) for s in (0, 1, 5, 20, 50, 200, 10**9)]
+    assert costs == sorted(costs) and [size for _, size in costs] == sorted(size for _, size in costs)
+
+
+def test_a_model_of_too_many_states_is_refused_at_once():
+    n = 2000
+    model = jb.LinearSystem.__new__(jb.LinearSystem)  # as the door leaves it: reading four million numbers is not what is asked here
+    row = (Fraction(1, 10),) * n
+    model.__dict__.update(A=(row,) * n, C=(row,), F=((),) * n, n=n, m=0, p=1, g=0, d=0, horizon=None, uncertainties=())
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="a model of 2000 states is too large"):
+        jb.parity_relations(model)
+    assert time.perf_counter() - start < 10
+
+
+def test_few_relations_of_many_states_take_no_minors_of_their_size(rng):
+    a = exact.matrix(rng.integers(-99, 100, (33, 30)))
+    start = time.perf_counter()
+    found = exact.circuits(a)
+    assert time.perf_counter() - start < 5  # by minors of 30 rows: minutes
+    assert len(found) == 33 * 32 // 2 and all(not any(x) for x in exact.matmul(found, a))
+
+
+@pytest.mark.parametrize("shape", [(6, 2), (6, 4), (7, 5), (5, 4), (5, 5)])
+def test_circuits_have_minimal_supports_whichever_way_they_are_found(shape, rng):
+    a = exact.matrix(rng.integers(-1, 2, shape))
+    found = exact.circuits(a)
+    supports = [frozenset(i for i, x in enumerate(h) if x) for h in found]
+    assert len(set(supports)) == len(found) and not any(x < y for x in supports for y in supports)
+    assert all(not any(x) for x in exact.matmul(found, a)) and exact.rank(found) == len(exact.left_null_space(a)) if found else True
+
+
+def test_relations_of_long_windows_are_those_of_their_definition(rng):
+    """W Y = K U for every trajectory, with disturbances: W of the outputs alone annihilates the state."""
+    from jaxbound.models import window
+
+    model = jb.LinearSystem([[0.5, 0.1], [0.2, -0.3]], [[1], [2]], [[1, 0], [1, 1]], [[1], [0]], disturbance=([[1], [1]], 1))
+    r, s = jb.parity_relations(model, 6), 6
+    O, H = window.first_form(model, s)
+    V = window.disturbance_form(model, s)
+    outputs = tuple(row[: (s + 1) * 2] for row in r.W)
+    assert not any(x for row in exact.matmul(outputs, O) for x in row)
+    assert exact.matmul(outputs, H) == r.K
+    assert exact.matmul(outputs, V) == tuple(tuple(-x for x in row[(s + 1) * 2 :]) for row in r.W)
+    assert exact.rank(outputs) == r.count == (s + 1) * 2 - 2
+
+
+def test_progress_of_relations_rises_to_the_end():
+    told = []
+    jb.parity_relations(CHAIN, 30, progress=told.append)
+    assert len(told) > 3 and told == sorted(told) and told[-1] == 1
+
+
+def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, capsys, monkeypatch):
+    from jaxbound import cli, detecting
+
+    save_model(CHAIN, tmp_path / "m.toml")
+    (tmp_path / "r.csv").write_text("u1,y1,y2\n" + "0,0,0\n" * 201)
+    monkeypatch.setattr(detecting, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
+    for horizon in ("1000", "1" + "0" * 20):
+        args = ["detect", str(tmp_path / "m.toml"), str(tmp_path / "r.csv"), "--out", str(tmp_path / "out"), "--horizon", horizon]
+        assert cli.main(args) == 2
+        assert "the recording has 201 samples, one window needs" in capsys.readouterr().err
+
+
+def test_info_of_many_states_says_what_it_leaves_out(rng):
+    from jaxbound.describing import isolation_text
+
+    text = isolation_text(dense(60, 2, rng), 30)
+    assert "not worked out" in text and "would take about" in text
