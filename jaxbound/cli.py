@@ -1,7 +1,7 @@
 """The command line: jaxbound demo | detect | explain | fleet | fit | tune | study | info.
 
-Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted. What the user did
-wrong is one sentence on stderr; a report is written completely or not at all.
+Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted (129 by SIGHUP, 143
+by SIGTERM, as shells count). What the user did wrong is one sentence on stderr; a report is written completely or not at all.
 """
 
 import argparse
@@ -25,23 +25,30 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints
 from jaxbound.runfile import VALIDATION
 from jaxbound.sets.probe import Unverified
-from jaxbound.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, door, progress_bars, say, show, write
+from jaxbound.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, door, progress_bars, say, show, stoppable, write
 
 __all__ = ["main"]
 
-EPILOG = "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted"
-FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted (nothing is written)"
-TUNE_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted (the best bounds until then are written)"
-STUDY_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted (the same command goes on)"
+EPILOG = (
+    "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted, and as shells "
+    "count 129 by SIGHUP, 143 by SIGTERM"
+)
+FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (nothing is written)"
+TUNE_EPILOG = (
+    "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the best bounds until then are "
+    "written; the same command goes on)"
+)
+STUDY_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the same command goes on)"
 PIPE_EPILOG = (
-    ". With -: SIGINT (Ctrl-C) and SIGTERM end the input. Stopped in any way, kill -9 too, and started again with the same --out, "
+    ". With -: SIGINT (Ctrl-C), SIGTERM and SIGHUP end the input. Stopped in any way, kill -9 too, and started again with the same --out, "
     "verdicts.csv holds each line that was taken once, whether the sender begins again (what was judged is known by the first line and its "
     "number, or by its time) or goes on. On standard output each verdict stands once, after kill -9 at least once, if --out or --state is "
     "given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
 )
 FLEET_EPILOG = (
     "exit codes, the first that applies: 1 fault found in some unit, 2 some unit could not be tested (its row says why) or bad input or "
-    "usage, 3 too little evidence for some unit, 0 no fault; 70 internal error, 130 interrupted (what was tested is written)"
+    "usage, 3 too little evidence for some unit, 0 no fault; 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (what "
+    "was tested is written)"
 )
 
 
@@ -62,6 +69,12 @@ def main(argv=None):
     Returns:
         The exit code.
     """
+    with stoppable() as caught:
+        code = _main(argv)
+        return 128 + caught[0] if code == INTERRUPTED and caught else code
+
+
+def _main(argv):
     try:
         args = _parse(sys.argv[1:] if argv is None else list(argv))
         _configure()
@@ -92,32 +105,33 @@ def _parse(argv):
         metavar="demo | detect | explain | fleet | fit | tune | study | info", required=True, parser_class=Parser
     )
     c = commands.add_parser("demo", help="run the example of a paper and write its report", epilog="exit code: 0")
-    c.add_argument("--out", type=Path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
+    c.add_argument("--out", type=_path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
     c.add_argument("--runs", type=_whole(1), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
     c.set_defaults(run=run_demo)
     c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=EPILOG + PIPE_EPILOG)
-    c.add_argument("model", type=Path, metavar="MODEL.toml")
-    c.add_argument("data", metavar="DATA", help="a CSV file, a Parquet file, a folder of Parquet files, which follow each other by name, "
-                   "or -: lines of CSV from standard input, each judged as it comes, its verdict on standard output")  # fmt: skip
-    c.add_argument("--out", type=Path, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures; with -, if given, "
+    c.add_argument("model", type=_path, metavar="MODEL.toml")
+    c.add_argument("data", type=_named, metavar="DATA", help="a CSV file, a Parquet file, a folder of Parquet files, which follow each "
+                   "other by name, or -: lines of CSV from standard input, each judged as it comes, its verdict on standard "
+                   "output")  # fmt: skip
+    c.add_argument("--out", type=_path, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures; with -, if given, "
                    "for verdicts.csv and monitor.jsonl")  # fmt: skip
-    c.add_argument("--state", type=Path, metavar="FILE", help="with -: where to remember how to go on (default: DIR/monitor.jsonl)")
+    c.add_argument("--state", type=_path, metavar="FILE", help="with -: where to remember how to go on (default: DIR/monitor.jsonl)")
     c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 65536 at least (default: 1000000)")
     more = f"; {VALIDATION} bounds states and outputs, names the faulty sensor and says what it should have shown"
     _testing(c, more)
     c.set_defaults(run=run_detect)
     c = commands.add_parser("explain", help="print the certificate of one window", epilog="exit codes: 0, or 2 bad input")
-    c.add_argument("report", type=Path, metavar="DIR", help="folder that jaxbound detect wrote")
+    c.add_argument("report", type=_path, metavar="DIR", help="folder that jaxbound detect wrote")
     c.add_argument("--at", required=True, metavar="TIME", help="time or number of the sample at which the window ends")
     c.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
     c.set_defaults(run=_elsewhere("explaining"))
     c = commands.add_parser("fleet", help="test many units listed in a table", epilog=FLEET_EPILOG)
-    c.add_argument("manifest", type=Path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
-    c.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
+    c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
+    c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
     _testing(c)
     c.set_defaults(run=_elsewhere("fleet"))
     c = commands.add_parser("fit", help="find a model and its bounds from healthy recordings", epilog=FIT_EPILOG)
-    c.add_argument("data", type=Path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
+    c.add_argument("data", type=_path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
     c.add_argument("--inputs", default="", metavar="A,B", help="columns; or name=column, or name=expression like lift=Tsup-Tmix")
     c.add_argument("--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain")
     c.add_argument("--order", type=_whole(1), default=2, metavar="N", help="samples back that determine the next one (default: 2)")
@@ -130,31 +144,33 @@ def _parse(argv):
     c.add_argument("--held-out", type=_share, default=0.3, metavar="F", help="last share of each recording kept from a first fit, to see "
                    "what it makes of unseen data (default: 0.3)")  # fmt: skip
     c.add_argument("--method", default="auto", help="auto, least squares, windows, or filters (fast given dynamics: no error hides)")
-    c.add_argument("--out", type=Path, required=True, metavar="MODEL.toml", help="the model file to write")
+    c.add_argument("--out", type=_path, required=True, metavar="MODEL.toml", help="the model file to write")
     c.add_argument("--name", metavar="NAME", help="of the plant (default: that of the model file)")
-    c.add_argument("--plot", type=Path, metavar="PNG", help="picture: how much of the bounds each window needs")
+    c.add_argument("--plot", type=_path, metavar="PNG", help="picture: how much of the bounds each window needs")
+    c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
     c.set_defaults(run=_elsewhere("fitted"))
     c = commands.add_parser("tune", help="find the smallest bounds under which healthy recordings are consistent", epilog=TUNE_EPILOG)
-    c.add_argument("model", type=Path, metavar="MODEL.toml", help="its bounds are the start; those at 0 stay 0")
-    c.add_argument("healthy", type=Path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet")
-    c.add_argument("--faulty", type=Path, nargs="+", default=[], metavar="F", help="recordings with a fault, to be left outside")
-    c.add_argument("--out", type=Path, required=True, metavar="TUNED.toml", help="the model with its new bounds")
+    c.add_argument("model", type=_path, metavar="MODEL.toml", help="its bounds are the start; those at 0 stay 0")
+    c.add_argument("healthy", type=_path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet")
+    c.add_argument("--faulty", type=_path, nargs="+", default=[], metavar="F", help="recordings with a fault, to be left outside")
+    c.add_argument("--out", type=_path, required=True, metavar="TUNED.toml", help="the model with its new bounds")
     c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the model's, or the least)")
     c.add_argument("--steps", type=_whole(0), default=300, metavar="N", help="gradient steps (default: 300; 0: one factor on all bounds)")
     c.add_argument("--optimizer", default="adam", metavar="NAME", help="of optax: adam (default), sgd, lion, ...")
     c.add_argument("--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)")
     c.add_argument("--safety", type=float, default=1.25, metavar="F", help="factor on the smallest bounds (default: 1.25)")
     c.add_argument("--calibrate", type=_share, default=1 / 3, metavar="F", help="share of the data kept out of the search (default: 1/3)")
-    c.add_argument("--plot", type=Path, metavar="PNG", help="picture of the search and of the margins")
+    c.add_argument("--plot", type=_path, metavar="PNG", help="picture of the search and of the margins")
+    c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
     c.set_defaults(run=_elsewhere("tuned"))
     c = commands.add_parser("study", help="simulate a million scenarios and count what is detected", epilog=STUDY_EPILOG)
-    c.add_argument("model", type=Path, metavar="MODEL.toml", help="the plant and the bounds of its monitor")
+    c.add_argument("model", type=_path, metavar="MODEL.toml", help="the plant and the bounds of its monitor")
     c.add_argument("--faults", required=True, metavar="F,F", help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation")
     c.add_argument("--sizes", metavar="LO:HI:COUNT", help="or numbers with commas (default: twelve around the guaranteed size)")
     c.add_argument("--n", type=_whole(1), default=100_000, metavar="N", help="scenarios, spread over faults and sizes (default: 100000)")
-    c.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for summary.csv, delays.parquet and report.html")
+    c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for summary.csv, delays.parquet and report.html")
     c.add_argument("--samples", type=_whole(1), default=200, metavar="T", help="of a scenario (default: 200)")
     c.add_argument("--onset", metavar="LO:HI", help="the fault starts at a sample LO <= k < HI (default: the second quarter)")
     c.add_argument("--at", default="uniform", help="unknowns: uniform (default), vertices of their bounds, or adversarial")
@@ -166,7 +182,7 @@ def _parse(argv):
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
     c.set_defaults(run=_elsewhere("studied"))
     c = commands.add_parser("info", help="show what a model file says and what can be tested", epilog="exit codes: 0, or 2 bad input")
-    c.add_argument("model", type=Path, nargs="?", metavar="MODEL.toml")
+    c.add_argument("model", type=_path, nargs="?", metavar="MODEL.toml")
     c.add_argument("--template", action="store_true", help="print a commented model file")
     c.add_argument("--horizon", type=_whole(0), metavar="S")
     c.set_defaults(run=_info)
@@ -185,6 +201,16 @@ def _testing(c, more=""):
 def _elsewhere(module):
     """Return the `run` of a module that is imported only when its command is given."""
     return lambda args: importlib.import_module(f"jaxbound.{module}").run(args)
+
+
+def _named(text):
+    if not text.strip():
+        raise argparse.ArgumentTypeError("needs a name, not an empty text")
+    return text
+
+
+def _path(text):
+    return Path(_named(text))
 
 
 def _whole(least):

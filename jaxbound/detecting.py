@@ -1,18 +1,16 @@
 """The commands `jaxbound detect` and `jaxbound demo`: from files to verdicts, a report and an exit code.
 
-A report is written completely or not at all: its files are made in a folder of their own and moved at the end.
+A report is written completely or not at all, see `outputs`.
 """
 
 import argparse
 import json
 import os
 import shlex
-import shutil
-import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,6 +25,7 @@ from jaxbound.diagnosis.validation import least_horizon, validate
 from jaxbound.digest import digest
 from jaxbound.files import read_recording, write_alarms, write_verdicts
 from jaxbound.modelfile import load_model, save_model
+from jaxbound.outputs import made, output_folder
 from jaxbound.parquet import is_parquet, open_parquet
 from jaxbound.processes import Lost, Team, abandon, join_others
 from jaxbound.recordings import refuse_short
@@ -38,9 +37,10 @@ from jaxbound.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_pa
 from jaxbound.terminal import BAD_INPUT, Interrupted, Refused, door, progress_bars, show, write
 from jaxbound.validated import Validated, write_columns_of, write_page
 
-__all__ = ["CODES", "conclude", "run_demo", "run_detect", "usable_device", "workplace"]
+__all__ = ["CODES", "conclude", "run_demo", "run_detect", "usable_device"]
 
 CODES = {"no fault": 0, "fault": 1, "too little evidence": 3}
+REPORT = ("alarms.csv", "report.html", "run.json")  # and tested_model.toml, which may be the model that is tested again
 COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
 
 
@@ -65,21 +65,27 @@ def run_detect(args):
     if args.method == VALIDATION:
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
-        with workplace(args.out) as work, progress_bars(("read", "test", "report")) as step:
-            found = _validate(args, work, step)
-        _remove(args.out / VERDICTS)
+        found = _report(args, _validate, ("output1.png",))
     elif data.exists() and is_parquet(data):
-        with made(args.out), progress_bars(("relations", "test", "report")) as step:
+        with door(OSError), made(args.out), progress_bars(("relations", "test", "report")) as step:
             found = _stream(args, step)
         if isinstance(found, int):
             return found
     elif data.exists() and args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
-        with workplace(args.out) as work, progress_bars(("read", "relations", "test", "report")) as step:
-            found = _evaluate(args, work, step)
-        _remove(args.out / VERDICTS)
+        found = _report(args, _evaluate, ("margin.png", "residuals.png"))
     return conclude(args, *found)
+
+
+def _report(args, how, pictures):
+    """Let `how` read a recording as a whole, test it and write its report; return what the conclusion needs."""
+    names, inputs = ("verdicts.csv", *REPORT, *pictures), (args.model, args.data)
+    with door(OSError), output_folder(args.out, names, inputs) as folder:
+        with folder.work() as work, progress_bars(("read", "relations", "test", "report")) as step:
+            found = how(args, work, step)
+        folder.remove(VERDICTS)
+    return found
 
 
 def _stream(args, step):
@@ -89,14 +95,16 @@ def _stream(args, step):
     """
     try:
         with door(), Team(args.out) as team:
-            return _stream_with(team, args, step)
+            names, inputs = (VERDICTS, *REPORT, "margin.png", "residuals.png"), (args.model, args.data)
+            with nullcontext() if team.number else output_folder(args.out, names, inputs) as folder:
+                return _stream_with(team, folder, args, step)
     except Lost as e:
         if e.silent:
             abandon(BAD_INPUT)
         raise Refused(str(e)) from e
 
 
-def _stream_with(team, args, step):
+def _stream_with(team, folder, args, step):
     """Do the part of this process; the first of them makes the report of all."""
     model = load_model(args.model)
     usable_device()
@@ -110,7 +118,7 @@ def _stream_with(team, args, step):
             team.wait(lambda: team.said(0)[0] == "published")
             return int(team.said(0)[1])
         start = time.perf_counter()
-        with workplace(args.out) as work:
+        with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
             save_run(work, model, args.data, source.content, args.method, relations.horizon)
@@ -121,8 +129,8 @@ def _stream_with(team, args, step):
             share, where = percent(done / source.samples), args.out / PARTIAL
             raise Interrupted(f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from there") from None
         raise
-    publish(args.out)
-    _remove(args.out / "verdicts.csv")
+    publish(folder)
+    folder.remove("verdicts.csv")
     team.say("published", CODES[summary(found, found.alarms, found.label, args.min_coverage)[0]])
     seconds["report"] = time.perf_counter() - start
     return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds
@@ -246,55 +254,6 @@ def usable_device():
     refuse_unverified()
 
 
-def _remove(path):
-    """Remove what an earlier run wrote in another format."""
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-
-
-@contextmanager
-def made(out):
-    """Make a folder; remove it, and those above that are new too, if they are empty at the end."""
-    missing = [p for p in (out, *out.parents) if not p.exists()]
-    try:
-        with door(OSError):
-            if out.exists() and not out.is_dir():
-                raise Refused(f"--out {out} is a file: a folder is needed")
-            try:
-                out.mkdir(parents=True, exist_ok=True)
-                if not os.access(out, os.W_OK | os.X_OK):
-                    raise PermissionError(13, "Permission denied")
-            except OSError as e:
-                raise Refused(f"cannot write to --out {out}: {e.strerror.lower()}") from e
-            yield
-    finally:
-        for folder in missing:
-            try:
-                folder.rmdir()
-            except OSError:
-                break
-
-
-@contextmanager
-def workplace(out):
-    """Give a folder to write into; move its files to `out` at the end, one by one; leave nothing behind if that end is not reached."""
-    work = None
-    with made(out):
-        try:
-            try:
-                work = Path(tempfile.mkdtemp(prefix=f".{out.resolve().name}-", dir=out.resolve().parent))
-            except OSError:  # a folder of ours in one that is not
-                work = Path(tempfile.mkdtemp(prefix=".partial-", dir=out))
-            yield work
-            for file in sorted(work.iterdir()):
-                shutil.move(file, out / file.name)
-        finally:
-            if work is not None:
-                shutil.rmtree(work, ignore_errors=True)
-
-
 def _load_plotting():
     """Import matplotlib while the data are read: it takes as long as testing a million windows."""
     import matplotlib.backends.backend_agg
@@ -306,7 +265,9 @@ def run_demo(args):
     from jaxbound import demo
 
     threading.Thread(target=_load_plotting, daemon=True).start()
-    with workplace(args.out) as work, progress_bars(("simulate", "read", "relations", "test", "report")) as step:
+    names = ("model.toml", "run.csv", "verdicts.csv", *REPORT, "margin.png", "residuals.png", "figure_1.png", "figure_2.png")
+    stages = ("simulate", "read", "relations", "test", "report")
+    with door(OSError), output_folder(args.out, names) as folder, folder.work() as work, progress_bars(stages) as step:
         with door():
             usable_device()
         run = demo.demo_run(jax.random.key(2000))

@@ -1,6 +1,6 @@
 """Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
 
-import shutil
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from jaxbound.diagnosis.units import unit_hints
 from jaxbound.files import alarm_columns
 from jaxbound.models.seams import Clock, irregular, seam_hints, tick
 from jaxbound.models.stillness import signal_hints, windows_inside
+from jaxbound.outputs import made, output_folder
 from jaxbound.parquet import ParquetSource, open_parquet
 from jaxbound.parquetfiles import Damage
 from jaxbound.plots import Timeline
@@ -22,7 +23,7 @@ from jaxbound.recordings import missing_sentences, rounding_hints, time_label
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.status import Status
-from jaxbound.streaming import CHUNK, VERDICTS, part_files, publish, read_runs, write_parts
+from jaxbound.streaming import CHUNK, VERDICTS, forget_parts, part_files, publish, read_runs, write_parts
 
 __all__ = ["Digest", "detect_dataset", "digest"]
 
@@ -111,12 +112,12 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     check_rule(*alarm)
     refuse_unverified()
     report = progress or (lambda share: None)
-    with Team(Path(out)) as team:
+    with made(out), Team(Path(out)) as team, nullcontext() if team.number else output_folder(out, (VERDICTS,), (path,)) as place:
         source = open_parquet(path, relations.model)
         folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share), team)
         if team.number == 0:
             found = digest(relations, source, folder, method, alarm)
-            publish(out)
+            publish(place)
             team.say("published")
         else:
             team.wait(lambda: team.said(0)[0] == "published")
@@ -159,7 +160,7 @@ def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=N
     found = Digest(relations, method, source, first, {s.name: int(counts[s]) for s in Status}, worst and worst[2:], alarms, book.count, (),
                    line, times)  # fmt: skip
     if sentence := irregular(clock, found.label, source.row):
-        shutil.rmtree(folder)  # verdicts on such data are of no use
+        forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
     hints, aside = _signal_hints(found, folder)
     found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxbound.diagnosis.certificate import certify
 from jaxbound.diagnosis.uncertain_certificate import UncertainCertificate
 from jaxbound.files import Recording, read_recording
+from jaxbound.outputs import output_folder
 from jaxbound.parquet import is_parquet, open_parquet
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import percent
@@ -126,9 +127,10 @@ def run(args):
         return 0
     path = args.report / f"certificate-{k}.json"
     try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as e:
-        raise Refused(f"cannot write {path}: {e.strerror.lower()}; --json prints the certificate instead") from e
+        with door(OSError), output_folder(args.report) as folder, folder.work() as work:
+            (work / path.name).write_text(text + "\n", encoding="utf-8")
+    except Refused as e:
+        raise Refused(f"{e}; --json prints the certificate instead") from e
     headline, rows, table = readable(certificate, k, labels)
     show(headline, "bold", [*rows, ("certificate", str(path))], table)
     return 0

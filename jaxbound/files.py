@@ -4,7 +4,6 @@ A million rows of CSV are parsed column by column, only the columns that the mod
 what does not is streamed (`streaming`).
 """
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from jaxbound.recordings import Recording, missing_hints, rounding_hints
 from jaxbound.sets.status import Status
 from jaxbound.timestamps import parse_stamps, read_numbers
 
-__all__ = ["Recording", "alarm_columns", "read_recording", "read_signals", "write_alarms", "write_verdicts", "write_whole"]
+__all__ = ["Recording", "alarm_columns", "read_recording", "read_signals", "write_alarms", "write_verdicts"]
 
 
 def read_recording(path, model, progress=None):
@@ -159,16 +158,6 @@ def _values(layout, name, column):
     if np.isnan(x).all():
         raise ValueError(f"column {name!r} holds no number at all: all {len(x)} cells are blank or NaN")
     return x
-
-
-def write_whole(path, data):
-    """Write bytes into a file completely or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def write_verdicts(path, result, recording=None):

@@ -5,13 +5,15 @@ import re
 
 import numpy as np
 
-from jaxbound.files import read_signals, write_whole
+from jaxbound.files import read_signals
 from jaxbound.modelfile import model_text
 from jaxbound.models.expressions import expression
+from jaxbound.outputs import refuse_targets
 from jaxbound.plots import COLOURS, FAULTY, GRID, INK, canvas, style, to_png
 from jaxbound.sets.status import Status
 from jaxbound.studies.fitting import fit
-from jaxbound.terminal import Refused, door, progress_bars, show, write
+from jaxbound.studies.keeping import whole
+from jaxbound.terminal import door, progress_bars, show, write
 
 __all__ = ["plot_fit", "run", "signals"]
 
@@ -20,9 +22,7 @@ NAMED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
 
 def run(args):
     """Run `jaxbound fit`; return the exit code."""
-    for option, path in (("--out", args.out), ("--plot", args.plot)):
-        if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
-            raise Refused(f"{option} {path} must be a file to write, in a folder that exists")
+    refuse_targets({"--out": args.out, "--plot": args.plot}, args.data, args.force)
     with door(), progress_bars(("read", "fit")) as step:
         inputs, outputs = signals("--inputs", args.inputs), signals("--outputs", args.outputs)
         about = {key: value for key, value in (("time", args.time), ("where", args.where)) if value}
@@ -32,9 +32,11 @@ def run(args):
                     held_out=args.held_out, method=args.method, name=args.name or args.out.stem,
                     progress=lambda share: step("fit", share),
                     columns=about | dict(s for s in inputs + outputs if not isinstance(s, str)))  # fmt: skip
-        write_whole(args.out, model_text(model).encode())
+        with whole(args.out) as f:
+            f.write(model_text(model).encode())
         if args.plot:
-            write_whole(args.plot, to_png(plot_fit(model)))
+            with whole(args.plot) as f:
+                f.write(to_png(plot_fit(model)))
     hints = list(dict.fromkeys(h if len(found) == 1 else f"{path}: {h}" for path, r in zip(args.data, found, strict=True) for h in r.hints))
     if args.json:
         write(json.dumps(_summary(model, args, hints), indent=1, ensure_ascii=False, allow_nan=False) + "\n")

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxbound.detecting import CODES, usable_device, workplace
+from jaxbound.detecting import CODES, usable_device
 from jaxbound.diagnosis.consistency import METHODS, detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.files import read_recording
 from jaxbound.fleetpage import fleet_page
 from jaxbound.modelfile import load_model
 from jaxbound.models.recording import missing_column
+from jaxbound.outputs import output_folder
 from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints, coverage, percent, summary, worst
@@ -276,7 +277,8 @@ def run(args):
         units = read_manifest(args.manifest)
         usable_device()
     results = []
-    with workplace(args.out) as work:
+    inputs = [args.manifest, *(path for unit in units for path in (unit.model, unit.recording))]
+    with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html"), inputs) as folder, folder.work() as work:
         try:
             with progress_bars(("units",)) as step:
                 testing = detect_fleet(units, args.method, args.horizon, args.alarm, args.min_coverage, lambda share: step("units", share))

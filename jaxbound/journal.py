@@ -12,6 +12,7 @@ import os
 from pathlib import Path
 
 from jaxbound.relations.identity import differences
+from jaxbound.studies.keeping import whole
 from jaxbound.terminal import Refused
 
 __all__ = ["STATE", "VERDICTS", "Journal"]
@@ -77,12 +78,8 @@ class Journal:
         note = {"identity": self.identity, "length": self.length, "end": text(self.end), "rows": text(rows), "memory": memory}
         data = json.dumps(note).encode() + b"\n"
         if self.notes is None or self.noted > LARGEST or sync:
-            fresh = self.path.with_name(f"{self.path.name}.new")
-            with open(fresh, "wb", buffering=0) as f:
-                _write(f, data)
-                if sync:
-                    os.fsync(f.fileno())
-            os.replace(fresh, self.path)
+            with whole(self.path, sync) as f:
+                f.write(data)
             if self.notes is not None:
                 self.notes.close()
             self.notes, self.noted = open(self.path, "ab", buffering=0), 0  # noqa: SIM115

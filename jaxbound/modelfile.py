@@ -12,6 +12,7 @@ from pathlib import Path
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty, centred
+from jaxbound.studies.keeping import whole
 
 __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 
@@ -63,6 +64,8 @@ def load_model(path):
 def save_model(model, path):
     """Write a LinearSystem to a TOML file from which `load_model` reads the very same model.
 
+    What the file held before is replaced, completely or not at all; only the commands of the shell ask first.
+
     Args:
         model: a LinearSystem. path: of the file to write.
 
@@ -71,7 +74,8 @@ def save_model(model, path):
     """
     if not isinstance(model, LinearSystem):
         raise TypeError(f"save_model needs a LinearSystem, not {type(model).__name__}")
-    Path(path).write_text(model_text(model), encoding="utf-8")
+    with whole(path) as f:
+        f.write(model_text(model).encode())
 
 
 def number_text(x):

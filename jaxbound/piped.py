@@ -13,26 +13,28 @@ import stat
 import sys
 import threading
 import time
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
+from pathlib import Path
 
 import jax
 import numpy as np
 
 from jaxbound.columns import is_plain, to_arrow, words, write_rows
-from jaxbound.detecting import CODES, made, usable_device
+from jaxbound.detecting import CODES, usable_device
 from jaxbound.diagnosis.monitor import Monitor, MonitorState
 from jaxbound.diagnosis.result import suspected
-from jaxbound.journal import Journal
+from jaxbound.journal import STATE, VERDICTS, Journal
 from jaxbound.linetext import FEW
 from jaxbound.modelfile import load_model
 from jaxbound.models.seams import irregular, seam_hints
+from jaxbound.outputs import output_folder, refuse_targets
 from jaxbound.pipetext import PipeText
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints, percent
 from jaxbound.runfile import VALIDATION
 from jaxbound.sets.status import Status
-from jaxbound.terminal import Refused, door, say
+from jaxbound.terminal import ENDS, Refused, door, say
 
 __all__ = ["follow", "run"]
 
@@ -65,7 +67,7 @@ def follow(args, chunks, whole=True):
     Raises:
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a Monitor.
     """
-    with door(), made(args.out) if args.out is not None else nullcontext():
+    with door(), _place(args) as folder:
         model = load_model(args.model)
         relations = parity_relations(model, args.horizon)
         if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
@@ -73,7 +75,25 @@ def follow(args, chunks, whole=True):
         usable_device()
         monitor = Monitor(relations, args.method)
         with Journal(args.out, args.state, identity(relations, method=args.method)) as journal:
+            if folder is not None:
+                folder.claim(VERDICTS, STATE)
             return _Run(args, monitor, journal).to_the_end(chunks, whole)
+
+
+@contextmanager
+def _place(args):
+    """Make --out a folder whose verdicts this command may write, and see to it that nothing that is read is written."""
+    inputs = [Path(args.model), *([Path("/dev/stdin")] if stat.S_ISREG(os.fstat(0).st_mode) else [])]
+    if args.state is not None:
+        refuse_targets({"--state": Path(args.state)}, inputs, force=True)
+    if args.out is None:
+        yield None
+        return
+    with output_folder(args.out, (), inputs) as folder:
+        state = args.out / STATE if args.state is None else Path(args.state)
+        folder.check((VERDICTS, STATE), foreign=not state.exists())  # a state tells whether the verdicts are its own
+        yield folder
+        folder.settle(VERDICTS, STATE)
 
 
 class _Run:
@@ -261,10 +281,11 @@ def _chunks(fd, stopped, woken):
 
 @contextmanager
 def _signals():
-    """Give (an event that SIGINT and SIGTERM set, a file descriptor that can be read then): nothing is interrupted half-way."""
+    """Give (an event that SIGINT, SIGTERM and SIGHUP set, a file descriptor that can be read then): nothing is interrupted half-way."""
     stopped, (woken, waker) = threading.Event(), os.pipe()
     os.set_blocking(waker, False)
-    before = {n: signal.signal(n, lambda *_: stopped.set()) for n in (signal.SIGINT, signal.SIGTERM)}
+    ends = [n for n in ENDS if signal.getsignal(n) != signal.SIG_IGN]  # nohup
+    before = {n: signal.signal(n, lambda *_: stopped.set()) for n in (signal.SIGINT, *ends)}
     previous = signal.set_wakeup_fd(waker)
     try:
         yield stopped, woken

@@ -22,7 +22,7 @@ ENVIRONMENT = ("JAX_COORDINATOR_ADDRESS", "JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
 BEAT = 0.25  # seconds from one sign of life to the next
 SILENCE = 60.0  # seconds without one until a process is given up
 START = 300.0  # seconds until its first one
-FOLDER = ".processes"
+FOLDER = ".jaxbound-processes"
 
 
 class Lost(RuntimeError):
@@ -69,7 +69,8 @@ class Team:
 
     def __exit__(self, kind, e, trace):
         if not self.others:
-            shutil.rmtree(self.folder, ignore_errors=True)  # of a run that was killed
+            if e is None:
+                shutil.rmtree(self.folder, ignore_errors=True)  # of a run that was killed
             return
         try:
             if e is not None and not isinstance(e, Lost | KeyboardInterrupt):

@@ -7,8 +7,9 @@ those before it, and the parts are all the state there is: the same call makes t
 
 import json
 import os
-import shutil
+import re
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from functools import reduce
 from pathlib import Path
@@ -26,13 +27,15 @@ from jaxbound.parquet import PARTIAL, VERDICTS
 from jaxbound.processes import Team
 from jaxbound.relations.identity import differences, identity
 from jaxbound.sets.status import Status
+from jaxbound.studies.keeping import UNFINISHED, whole
 
-__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "kept", "part_files", "publish", "read_runs", "write_parts"]
+__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "forget_parts", "kept", "part_files", "publish", "read_runs", "write_parts"]
 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
 NOTE, RUNS = "_run.json", "runs"
+OURS = re.compile(rf"part-\d{{5,}}\.(parquet|\d+)|{NOTE}(\.\d+)?|\.(part-\d{{5,}}\.parquet|{NOTE}){UNFINISHED}")
 STREAMED = ("joint", "box")
 
 
@@ -70,10 +73,10 @@ def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=No
                 seconds = lap.seconds
     except ValueError as e:  # data that must be changed first: what was found in them is of no use then
         team.fail(e)
-        team.afterwards(lambda: shutil.rmtree(folder, ignore_errors=True))
+        team.afterwards(lambda: forget_parts(folder))
         raise
     except BaseException:
-        team.afterwards(lambda: part_files(folder) or shutil.rmtree(folder, ignore_errors=True))
+        team.afterwards(lambda: part_files(folder) or forget_parts(folder))
         raise
     return folder, seconds
 
@@ -145,13 +148,23 @@ def read_runs(parts):
     return [reduce(joined, signal) for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)]
 
 
-def publish(out):
-    """Turn the complete parts in `out` into its verdicts, in the place of older ones."""
-    out = Path(out)
-    (out / PARTIAL / NOTE).unlink()
-    if (out / VERDICTS).is_dir():
-        shutil.rmtree(out / VERDICTS)
-    os.replace(out / PARTIAL, out / VERDICTS)
+def publish(folder):
+    """Turn the complete parts in an `outputs.OutputFolder` into its verdicts, in the place of older ones."""
+    folder.put({VERDICTS: folder.path / PARTIAL})
+    (folder.path / VERDICTS / NOTE).unlink()
+
+
+def forget_parts(parts):
+    """Remove what `write_parts` wrote into a folder, and the folder if nothing else is in it."""
+    for file in _ours(parts):
+        file.unlink(missing_ok=True)
+    with suppress(OSError):
+        parts.rmdir()
+
+
+def _ours(parts):
+    """Return the files in a folder of parts that are called as `write_parts` calls them."""
+    return [parts / name for name in (os.listdir(parts) if parts.is_dir() else ()) if OURS.fullmatch(name)]
 
 
 class _Lap:
@@ -195,13 +208,8 @@ class _Pending:
         runs = [follow(Runs(self.done), np.ascontiguousarray(x)) for x in signals.T]
         note = json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist)
         table = pa.table(columns).replace_schema_metadata({RUNS: note})
-        name = self.folder / _name(self.done // PART)
-        fresh = name.with_suffix(f".{os.getpid()}")
-        with open(fresh, "wb") as f:
+        with whole(self.folder / _name(self.done // PART)) as f:
             pq.write_table(table, f, use_dictionary=["status"], write_page_checksum=True)
-            f.flush()
-            os.fsync(f.fileno())
-        os.replace(fresh, name)
         self.done += len(status)
 
 
@@ -221,18 +229,26 @@ def _begun(relations, source, out, method, team):
         raise ValueError(
             f"{folder} holds an unfinished run with another {changed}: choose another folder, or delete that one to begin anew"
         )
+    if team.number == 0:
+        _clear(folder, begun=before is not None)
     if team.number == 0 and before is None:
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        fresh = folder / f"{NOTE}.{os.getpid()}"
-        fresh.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
-        os.replace(fresh, folder / NOTE)
-    elif team.number == 0:
-        for stray in folder.glob("part-*"):  # what a killed run was writing
-            if stray.suffix != ".parquet":
-                stray.unlink()
+        folder.mkdir(parents=True, exist_ok=True)
+        with whole(folder / NOTE) as f:
+            f.write((json.dumps(now, indent=1) + "\n").encode())
     team.say("works")
     return folder
+
+
+def _clear(folder, begun):
+    """Remove what a killed run was writing; refuse a folder with anything else, in one that was not begun parts too."""
+    there, ours = sorted(os.listdir(folder)) if folder.is_dir() else [], {p.name for p in _ours(folder)}
+    strangers = [name for name in there if name not in ours or (name.endswith(".parquet") and not begun)]
+    if strangers or (folder.exists() and not folder.is_dir()):
+        what = f"holds {strangers[0]}, which was not written by jaxbound" if strangers else "is a file"
+        raise ValueError(f"{folder} {what}: move it, or choose another folder")
+    for file in _ours(folder):
+        if file.suffix != ".parquet" and file.name != NOTE:
+            file.unlink()
 
 
 def _note(relations, source, method, team):

@@ -8,8 +8,9 @@ import jax
 import numpy as np
 
 from jaxbound.curves import plot_study
-from jaxbound.detecting import made, usable_device, workplace
+from jaxbound.detecting import usable_device
 from jaxbound.modelfile import load_model
+from jaxbound.outputs import output_folder
 from jaxbound.page import about, figure, frame, model_tables, percent, section, table
 from jaxbound.plots import to_png
 from jaxbound.recordings import refuse_short
@@ -19,6 +20,7 @@ from jaxbound.terminal import Refused, door, progress_bars, show, write
 
 __all__ = ["run"]
 
+NAMES = ("summary.csv", "summary.parquet", "delays.parquet", "study.png", "report.html")
 HEAD = ("fault", "size", "scenarios", "detected", "95 %", "FAULT windows", "95 %", "median delay", "90 % by", "guaranteed")
 PROMISE = (
     "Counted is what the proved test calls FAULT. The shares are estimates for scenarios like these: inputs and unknowns as above, the "
@@ -37,7 +39,7 @@ def run(args):
     if onset is not None and (len(onset) > 1 or any(x != int(x) for x in onset[0])):
         raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
     faults = [f.strip() for f in args.faults.split(",") if f.strip()]
-    with door(), made(args.out), progress_bars(("relations", "study", "report")) as step:
+    with door(), output_folder(args.out, NAMES, (args.model,)) as folder, progress_bars(("relations", "study", "report")) as step:
         model = load_model(args.model)
         usable_device()
         refuse_short("--samples", args.samples, model.horizon if args.horizon is None else args.horizon)
@@ -49,7 +51,7 @@ def run(args):
             hold=args.hold, progress=lambda share: step("study", share), out=args.out, rows=args.rows)  # fmt: skip
         counted = time.perf_counter() - start
         step("report", 0.2)
-        with workplace(args.out) as work:
+        with folder.work() as work:
             _write(work, res, args.seed, counted)
         step("report", 1.0)
     _conclude(args, res, counted)

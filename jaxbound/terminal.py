@@ -1,17 +1,24 @@
 """What every command does at the terminal: refuse in one sentence, show a bar for each stage, print what was found."""
 
 import os
+import signal
 import sys
+import threading
 from contextlib import contextmanager
 
-__all__ = ["BAD_INPUT", "INTERNAL", "INTERRUPTED", "OK", "Interrupted", "Refused", "door", "progress_bars", "say", "show", "write"]
+__all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "OK", "Interrupted", "Refused", "Stopped", "door", "progress_bars", "say",
+           "show", "stoppable", "write"]  # fmt: skip
 
-
+ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))  # signals that ask for the end
 OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # exit codes of every command; those of verdicts: `detecting.CODES`
 
 
-class Refused(Exception):
+class Refused(ValueError):
     """What the user gave cannot be used; the message says why."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asks for the end, as Ctrl-C does."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -27,6 +34,30 @@ def door(*kinds):
     except kinds as e:
         system = isinstance(e, OSError) and e.filename and e.strerror
         raise Refused(f"{e.filename}: {e.strerror.lower()}" if system else str(e)) from e
+
+
+@contextmanager
+def stoppable():
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does; yields a list that gets the number of the signal.
+
+    What is ignored stays ignored (`nohup`). A second signal does not disturb the cleaning up of the first; Ctrl-C does.
+    """
+    caught = []
+    names = {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL} if threading.current_thread() is threading.main_thread() else ()
+
+    def stop(number, frame):
+        caught.append(number)
+        for n in names:
+            signal.signal(n, signal.SIG_IGN)
+        raise Stopped
+
+    for n in names:
+        signal.signal(n, stop)
+    try:
+        yield caught
+    finally:
+        for n in names:
+            signal.signal(n, signal.SIG_DFL)
 
 
 @contextmanager

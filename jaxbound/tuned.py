@@ -1,22 +1,26 @@
 """The command `jaxbound tune`, and the picture of a TuneResult."""
 
+import hashlib
 import json
 from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.files import read_recording, write_whole
+from jaxbound.files import read_recording
 from jaxbound.modelfile import load_model, model_text, number_text
+from jaxbound.outputs import refuse_targets
 from jaxbound.plots import COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, style, to_png
 from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.status import Status
+from jaxbound.studies.keeping import whole
 from jaxbound.studies.tuning import tune
-from jaxbound.terminal import INTERRUPTED, Refused, door, progress_bars, say, show, write
+from jaxbound.terminal import INTERRUPTED, door, progress_bars, say, show, write
 
 __all__ = ["OPTIMIZERS", "plot_tuning", "run"]
 
 OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
+MARK = b"# The search was interrupted: the same command goes on and replaces this file. %s\n"
 RATE = 0.1  # of the first step, on the logarithms of the bounds
 LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT], "#cc79a7", "#f0e442", "#0072b2", "#999999")
 
@@ -24,8 +28,9 @@ LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT], "
 def run(args):
     """Run `jaxbound tune`; return the exit code."""
     state = args.out.with_name(args.out.name + ".state.npz")
-    if args.out.is_dir() or not args.out.parent.is_dir():
-        raise Refused(f"--out {args.out} must be a model file to write, in a folder that exists")
+    inputs = [args.model, *args.healthy, *args.faulty]
+    refuse_targets({"--out": args.out, "--plot": args.plot}, inputs, args.force or (state.exists() and _unfinished(args.out)))
+    refuse_targets({"the state of --out,": state}, inputs, force=True)
     chosen = None if args.bounds is None else [name.strip() for name in args.bounds.split(",")]
     with door(), progress_bars(("read", "relations", "tune")) as step:
         model, files = load_model(args.model), [*args.healthy, *args.faulty]
@@ -38,9 +43,11 @@ def run(args):
         healthy, faulty = given[: len(args.healthy)], given[len(args.healthy) :] or None
         res = tune(relations, healthy, faulty, _optimizer(args.optimizer, args.steps), args.steps, bounds=chosen, safety=args.safety,
                    calibrate=args.calibrate, progress=lambda share: step("tune", share), state=state)  # fmt: skip
-        write_whole(args.out, model_text(res.model).encode())
+        with whole(args.out) as f:
+            f.write(_text_of(res))
         if args.plot:
-            write_whole(args.plot, to_png(plot_tuning(res)))
+            with whole(args.plot) as f:
+                f.write(to_png(plot_tuning(res)))
     hints = [f"{path}: {hint}" for path, x in zip(files, recordings, strict=True) for hint in x.hints]
     if args.json:
         write(json.dumps(_summary(res, args, hints), indent=1, ensure_ascii=False) + "\n")
@@ -51,6 +58,18 @@ def run(args):
         return INTERRUPTED
     state.unlink(missing_ok=True)
     return 0
+
+
+def _text_of(res):
+    """Return the model file: that of an interrupted search begins with a line by which the next call knows that nobody has changed it."""
+    text = model_text(res.model).encode()
+    return MARK % hashlib.sha256(text).hexdigest().encode() + text if res.stopped else text
+
+
+def _unfinished(path):
+    """Return whether a file is as an interrupted search has left it."""
+    text = path.read_bytes().split(b"\n", 1)[-1] if path.is_file() else b""
+    return path.is_file() and path.read_bytes() == MARK % hashlib.sha256(text).hexdigest().encode() + text
 
 
 def _optimizer(name, steps):

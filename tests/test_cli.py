@@ -18,7 +18,7 @@ from jaxbound import cli, detecting
 from jaxbound.modelfile import load_model, save_model, template
 
 HEADER = "t,u1,y1,y2"
-FILES = {"verdicts.csv", "alarms.csv", "report.html", "margin.png", "residuals.png", "run.json", "tested_model.toml"}
+FILES = {"verdicts.csv", "alarms.csv", "report.html", "margin.png", "residuals.png", "run.json", "tested_model.toml", ".jaxbound.json"}
 
 
 def rows(n=60, fault=(), missing=()):
@@ -268,7 +268,7 @@ class TestBadInput:
             raise OSError(28, "No space left on device", "verdicts.csv")
 
         monkeypatch.setattr(detecting, "write_verdicts", full)
-        self.refused(place, DETECT, "verdicts.csv: no space left on device", capsys, monkeypatch)
+        self.refused(place, DETECT, "out: no space left on device", capsys, monkeypatch)
 
 
 class TestOtherEnds:

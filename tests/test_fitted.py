@@ -76,7 +76,7 @@ def test_bad_input_is_one_sentence_and_writes_nothing(place, capsys, change, mes
     if change[0] in args:
         args[args.index(change[0]) + 1] = change[1]
         change = []
-    assert cli.main([*args, *change]) == 2
+    assert cli.main([*args, *change, "--force"]) == 2
     out, err = capsys.readouterr()
     assert out == "" and re.search(message, err) and err.count("\n") == 1, err
     assert (place / "tank.toml").read_text() == "kept" and sorted(p.name for p in place.iterdir()) == ["run.csv", "still.csv", "tank.toml"]

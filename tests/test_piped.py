@@ -319,6 +319,9 @@ class TestRestart:
             pipe(text, out=place / "out")
         jb.save_model(paper(noise=[0.2, 0.2]), "model.toml")
         (place / "out/monitor.jsonl").unlink()
+        with pytest.raises(Refused, match="verdicts.csv is in the way: it was not written by jaxbound, or was changed since"):
+            pipe(text, out=place / "out")
+        (place / "out/verdicts.csv").unlink()
         assert pipe(text, out=place / "out")[0] == 0
 
     @pytest.mark.parametrize("change, what", [("noise", "model"), ("horizon", "horizon"), ("version", "version of jaxbound"),

@@ -81,7 +81,7 @@ class TestSameFiles:
         for count in (2, 7):
             found = shared(monkeypatch, case, tmp_path / str(count), count, name, chunk=2000)
             assert parts_of(tmp_path / f"{count}/verdicts.parquet") == parts_of(tmp_path / "1/verdicts.parquet")
-            assert [p.name for p in (tmp_path / str(count)).iterdir()] == ["verdicts.parquet"]
+            assert {p.name for p in (tmp_path / str(count)).iterdir()} == {"verdicts.parquet", ".jaxbound.json"}
             for each in found:
                 assert (each.counts, each.worst, each.hints, each.alarm_count) == (one.counts, one.worst, one.hints, one.alarm_count)
         np.testing.assert_array_equal(verdicts(tmp_path / "2")[0], whole.status)
@@ -115,7 +115,7 @@ class TestTeam:
         said = shared(monkeypatch, broken, tmp_path / "out", 3, chunk=500)
         assert type(said[2]) is ValueError and "row 1001 of 3.parquet of column 'y1' is infinite" in str(said[2])
         assert [str(e) for e in said[:2]] == [f"process 2 stopped: {said[2]}"] * 2 and {type(e) for e in said[:2]} == {Lost}
-        assert not any((tmp_path / "out").iterdir())
+        assert not (tmp_path / "out").exists()
 
     def test_one_that_falls_silent_ends_all(self, quick, tmp_path, monkeypatch):
         monkeypatch.setattr(processes, "SILENCE", 0.7)
@@ -134,10 +134,10 @@ class TestTeam:
             assert isinstance(e, Lost) and e.silent and "process 1 has not been heard of for 0.7 s" in str(e)
 
     def test_what_an_earlier_run_left_behind_is_not_believed(self, quick, tmp_path):
-        (tmp_path / ".processes").mkdir()
+        (tmp_path / ".jaxbound-processes").mkdir()
         for i in range(3):
             old = {"word": "old", "heard": {str(j): "older" for j in range(3)}, "state": "failed", "said": "long ago", "beats": 9}
-            (tmp_path / ".processes" / str(i)).write_text(json.dumps(old))
+            (tmp_path / ".jaxbound-processes" / str(i)).write_text(json.dumps(old))
 
         def work(i):
             with Team(tmp_path, i, 2) as team:
@@ -250,4 +250,4 @@ def test_processes_of_jax_distributed(case, quick, tmp_path, count, killed):
     assert [code for code, _, _ in ended] == [1] * count and not any(said for _, said, _ in ended[1:])
     assert json.loads(ended[0][1])["counts"] == whole.counts
     assert parts_of(tmp_path / "out/verdicts.parquet") == parts_of(tmp_path / "one/verdicts.parquet")
-    assert not (tmp_path / "out/.processes").exists()
+    assert not (tmp_path / "out/.jaxbound-processes").exists()

@@ -14,6 +14,7 @@ from jaxbound import parquet, streaming
 from jaxbound.digest import detect_dataset, digest
 from jaxbound.files import read_recording, write_alarms
 from jaxbound.models.stillness import Runs, follow
+from jaxbound.outputs import output_folder
 from jaxbound.parquet import open_parquet
 from jaxbound.plots import Timeline
 from jaxbound.relations import identity
@@ -163,7 +164,8 @@ class TestResume:
         parts = part_files(out / "verdicts.partial")
         assert [pq.read_metadata(p).num_rows for p in parts] == [1024] * 5 + [N - 5 * 1024]
         found = digest(r, source, out / "verdicts.partial")
-        publish(out)
+        with output_folder(out) as place:
+            publish(place)
         status, margin = verdicts(out)
         np.testing.assert_array_equal(status, whole.status)
         np.testing.assert_array_equal(margin, whole.margin)
@@ -248,7 +250,7 @@ class TestResume:
         detect_dataset(r, folder, tmp_path, method="box")
         detect_dataset(r, folder, tmp_path)
         np.testing.assert_array_equal(verdicts(tmp_path)[0], whole.status)
-        assert [p.name for p in tmp_path.iterdir()] == ["verdicts.parquet"]
+        assert {p.name for p in tmp_path.iterdir()} == {"verdicts.parquet", ".jaxbound.json"}
 
     def test_bad_data_leave_nothing(self, case, small, tmp_path, monkeypatch):
         monkeypatch.setattr(parquet, "PROBE", 1000)
@@ -258,7 +260,7 @@ class TestResume:
         folder = write(tmp_path / "run", t, u, y)
         with pytest.raises(ValueError, match="row 1001 of 3.parquet of column 'y1' is infinite"):
             detect_dataset(r, folder, tmp_path / "out", chunk=500)
-        assert not any((tmp_path / "out").iterdir())
+        assert not (tmp_path / "out").exists()
 
     def test_irregular_data_leave_nothing(self, small, tmp_path, monkeypatch):
         monkeypatch.setattr(parquet, "PROBE", 1000)
@@ -266,7 +268,7 @@ class TestResume:
         t[1100:] = 20 + np.cumsum(np.tile([0.005, 0.015], (N - 1100) // 2))
         with pytest.raises(ValueError, match="the recording is not regular"):
             detect_dataset(jb.parity_relations(paper()), write(tmp_path / "run", t, u, y), tmp_path / "out")
-        assert not any((tmp_path / "out").iterdir())
+        assert not (tmp_path / "out").exists()
 
     def test_a_full_disk_keeps_what_is_there(self, case, small, tmp_path, monkeypatch):
         r, folder, whole, _ = case("section 5")

@@ -49,7 +49,7 @@ def unreported(monkeypatch):
 
 
 DETECT = ["detect", "model.toml", "run", "--out", "out"]
-FILES = {"verdicts.parquet", "alarms.csv", "report.html", "margin.png", "residuals.png", "run.json", "tested_model.toml"}
+FILES = {"verdicts.parquet", "alarms.csv", "report.html", "margin.png", "residuals.png", "run.json", "tested_model.toml", ".jaxbound.json"}
 
 
 class TestCommand:

@@ -65,6 +65,7 @@ def test_interrupted_writes_the_best_and_goes_on(plant, capsys, monkeypatch):
             raise KeyboardInterrupt
         return kept(*args)
 
+    (plant / "out.toml").unlink()
     monkeypatch.setattr(tuning, "descend", interrupted)
     assert tune(plant, *options) == 130
     said = capsys.readouterr()

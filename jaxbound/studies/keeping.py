@@ -1,23 +1,88 @@
-"""What a study keeps in a folder while it runs: enough to go on after a kill, and to tell whether it is the same study."""
+"""What a study keeps in a folder while it runs: enough to go on after a kill, and to tell whether it is the same study.
+
+Here is also the one way to write a file completely or not at all, for the floors above too.
+"""
 
 import os
+import shutil
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-__all__ = ["Keeper", "save_arrays"]
+__all__ = ["UNFINISHED", "Keeper", "locked", "save_arrays", "whole"]
 
 STATE, ROWS = "study.npz", "scenarios"
+UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
+
+
+def locked(path):
+    """Open a file that no other process writes meanwhile; a lock dies with its process, so a killed one leaves none.
+
+    Returns:
+        A binary file, to be closed. Where the system has no locks, nobody is kept away.
+
+    Raises:
+        BlockingIOError: another process has it.
+    """
+    opened = lambda: open(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b")
+    try:
+        import fcntl
+    except ImportError:
+        return opened()
+    while True:
+        file = opened()
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise
+        except OSError:  # a file system without locks
+            return file
+        if os.path.exists(path) and os.path.samestat(os.stat(path), os.fstat(file.fileno())):
+            return file
+        file.close()  # whoever had it has taken it away in between
+
+
+@contextmanager
+def whole(path, sync=True):
+    """Give a binary file whose bytes are found at `path` once the block has ended well; else what was there stays.
+
+    They are written beside it: what a killed process leaves there is taken over by the next one. Links are followed.
+
+    Args:
+        path: of the file. sync: force it to the disk first.
+
+    Raises:
+        ValueError: another process is writing it.
+    """
+    path = Path(os.path.realpath(path))
+    part = path.with_name(f".{path.name}{UNFINISHED}")
+    try:
+        file = locked(part)
+    except BlockingIOError:
+        raise ValueError(f"another process is writing {path}") from None
+    with file:
+        try:
+            file.truncate(0)
+            yield file
+            file.flush()
+            if sync:
+                os.fsync(file.fileno())
+            if path.exists():
+                shutil.copymode(path, part)
+            os.replace(part, path)
+        except BaseException as e:
+            part.unlink(missing_ok=True)
+            if isinstance(e, OSError) and e.errno and e.filename is None:
+                raise OSError(e.errno, os.strerror(e.errno), str(path)) from e
+            raise
 
 
 def save_arrays(path, **arrays):
     """Write arrays as `np.savez` does, completely or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    with open(partial, "wb") as f:
+    with whole(path) as f:
         np.savez(f, **arrays)
-        f.flush()
-        os.fsync(f.fileno())
-    os.replace(partial, path)
 
 
 class Keeper:
@@ -36,9 +101,10 @@ class Keeper:
             self._take_up()
         if rows:
             (self.folder / ROWS).mkdir(exist_ok=True)
-            for path in (self.folder / ROWS).glob("part-*"):
-                if int(path.stem.split("-")[1].split(".")[0]) >= self.parts:
-                    path.unlink()  # written after the last state
+            if not (self.folder / STATE).exists() and (there := sorted(os.listdir(self.folder / ROWS))):
+                raise ValueError(f"{self.folder / ROWS} holds {there[0]}, which is not of this study: choose another folder")
+            self._next_rows().unlink(missing_ok=True)  # written after the last state
+            self.first = self._arrays()
 
     def _take_up(self):
         try:
@@ -58,15 +124,22 @@ class Keeper:
     def save(self, done):
         """Write the counts of the first `done` tasks, and the rows since the last time: completely or not at all."""
         if self.rows and self.pending:
+            if not (self.folder / STATE).exists():  # rows without a state would be nobody's
+                save_arrays(self.folder / STATE, mark=np.array(self.mark), done=0, parts=0, **self.first)
             self._write_rows()
-        arrays = {f"{i}.{name}": x for i, tally in enumerate(self.tallies) for name, x in tally.arrays().items()}
-        save_arrays(self.folder / STATE, mark=np.array(self.mark), done=done, parts=self.parts, **arrays)
+        save_arrays(self.folder / STATE, mark=np.array(self.mark), done=done, parts=self.parts, **self._arrays())
         self.done = done
+
+    def _arrays(self):
+        return {f"{i}.{name}": np.array(x) for i, tally in enumerate(self.tallies) for name, x in tally.arrays().items()}
 
     def add_rows(self, label, sizes, number, onset, hits, false, delay):
         """Keep the rows of single scenarios until the next `save`."""
         if self.rows:
             self.pending.append((label, sizes, number, onset, hits, false, delay))
+
+    def _next_rows(self):
+        return self.folder / ROWS / f"part-{self.parts:05d}.parquet"
 
     def _write_rows(self):
         import pyarrow as pa
@@ -80,7 +153,6 @@ class Keeper:
             "fault": pa.array(labels).dictionary_encode(), "size": pa.array(join(columns[1])), "scenario": pa.array(join(columns[2])),
             "onset": pa.array(join(columns[3])), "fault_windows": pa.array(join(columns[4])), "false_alarms": pa.array(join(columns[5])),
             "delay": pa.array(delay, mask=delay < 0)}  # fmt: skip
-        path = self.folder / ROWS / f"part-{self.parts:05d}.parquet"
-        pq.write_table(pa.table(table), path.with_suffix(".partial"))
-        os.replace(path.with_suffix(".partial"), path)
+        with whole(self._next_rows()) as f:
+            pq.write_table(pa.table(table), f)
         self.parts, self.pending = self.parts + 1, []
