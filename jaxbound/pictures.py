@@ -1,14 +1,19 @@
 """Pictures of whatever can be drawn: results of a recording, banks of relations on a recording, tables of signatures."""
 
+import jax
 import numpy as np
 
 from jaxbound import plots
 from jaxbound.curves import plot_study
 from jaxbound.diagnosis.isolation import BankResult
 from jaxbound.fitted import plot_fit
-from jaxbound.plots import BINS, COLOURS, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
+from jaxbound.plots import BINS, COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
 from jaxbound.relations.decoupling import Isolability, Signatures
 from jaxbound.sets.status import Status
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
+from jaxbound.sets.zonotopes.extents import support
+from jaxbound.sets.zonotopes.shapes import vertices
+from jaxbound.sets.zonotopes.zonotope import Zonotope
 from jaxbound.studies.fitting import Fitted
 from jaxbound.studies.study_result import StudyResult
 from jaxbound.studies.tuning import TuneResult
@@ -17,16 +22,19 @@ from jaxbound.tuned import plot_tuning
 __all__ = ["plot"]
 
 PALE, HALF = "#eef1f4", "#8fb8d8"
+SERIES = (INK, FAULTY, COLOURS[Status.CONSISTENT], ENVELOPE, COLOURS[Status.UNDECIDED])
+SIDES = 360  # of the polygon drawn around a constrained zonotope
 
 
 def plot(thing, time=None, alarms=None):
-    """Draw a result, or a table of faults.
+    """Draw a result, a table of faults, or sets in the plane.
 
     Args:
         thing: a Result of one recording: the margin of every window over time with a ribbon of verdicts and the alarms. A BankResult:
             which relations are violated and which single faults remain, over time. Signatures or Isolability: the table as a heat map.
             A TuneResult: the search and the margins.
             A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against the size of a fault.
+            A Zonotope or ConstrainedZonotope in the plane, or a list of them: their outlines.
         time: (T,) seconds or datetime64; None: the index of the DataFrame, or sample numbers times dt.
         alarms: a list of Alarm for a Result; None: its own.
 
@@ -46,6 +54,8 @@ def plot(thing, time=None, alarms=None):
     """
     if isinstance(thing, StudyResult):
         return plot_study(thing)
+    if isinstance(thing, Zonotope | ConstrainedZonotope | list | tuple):
+        return _sets(thing if isinstance(thing, list | tuple) else [thing])
     if isinstance(thing, Signatures):
         level = thing.weak.astype(int) + thing.constant
         title = f"Which relation reacts to which fault: two faults differ in at least {thing.distance}"
@@ -64,6 +74,37 @@ def plot(thing, time=None, alarms=None):
     if isinstance(thing, TuneResult):
         return plot_tuning(thing)
     return plots.plot_result(thing, time, alarms)
+
+
+def _sets(sets):
+    for S in sets:
+        if not isinstance(S, Zonotope | ConstrainedZonotope) or np.shape(S.center) != (2,):
+            raise ValueError(f"sets of two coordinates can be drawn, not {type(S).__name__} {np.shape(getattr(S, 'center', ()))}: "
+                             "choose two with linear_map")  # fmt: skip
+    with style():
+        fig = canvas((5.2, 4.6))
+        ax = fig.subplots()
+        for number, S in enumerate(sets):
+            outline, colour = _outline(S), SERIES[number % len(SERIES)]
+            ax.fill(*outline.T, facecolor=colour, alpha=0.18)
+            ax.plot(*np.concatenate([outline, outline[:1]]).T, color=colour, lw=1.6)
+        ax.set_xlabel("first coordinate")
+        ax.set_ylabel("second coordinate")
+        ax.set_aspect("equal", "datalim")
+        fig.subplots_adjust(left=0.14, right=0.97, top=0.97, bottom=0.13)
+    return fig
+
+
+def _outline(S):
+    """Return the corners of a zonotope, or of a polygon that touches a constrained one on every side."""
+    if isinstance(S, Zonotope):
+        return vertices(S)
+    angle = 2 * np.pi * np.arange(SIDES) / SIDES
+    normal = np.column_stack([np.cos(angle), np.sin(angle)])
+    far = np.asarray(jax.vmap(support, (None, 0))(S, normal.astype(S.center.dtype)))
+    after = np.roll(far, -1)  # two neighbouring sides meet where both are touched
+    along = (after - far * np.cos(angle[1])) / np.sin(angle[1])
+    return far[:, None] * normal + along[:, None] * np.column_stack([-normal[:, 1], normal[:, 0]])
 
 
 def _heat_map(level, columns, rows, legend, title):

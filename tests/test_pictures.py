@@ -44,3 +44,14 @@ def test_residuals_from_elsewhere_need_no_model():
     assert [labels(ax.yaxis) for ax in fig.axes] == [["r1", "r2", "r3"], ["f1", "f2", "f3"]]
     with pytest.raises(ValueError, match="a plot shows one recording"):
         jb.plot(jb.detect(jb.redundancy(paper()), np.zeros((2, 9, 1)), np.zeros((2, 9, 2))))
+
+
+def test_sets_in_the_plane_are_drawn_with_their_outlines():
+    Z = jb.zonotope([1.0, 2.0], [[1.0, 0.5, 0.2], [0.0, 1.0, -0.4]])
+    C = jb.sets.intersect(Z, jb.sets.interval([2.8], [3.1]), [[1.0, 1.0]])
+    (ax,) = jb.plot([Z, C]).axes
+    outer, inner = (line.get_xydata() for line in ax.lines)
+    assert len(outer) == 7 and np.ptp(outer, 0).round(9).tolist() == [3.4, 2.8]
+    assert abs(inner.sum(1).min() - 2.8) < 0.02 and abs(inner.sum(1).max() - 3.1) < 0.02
+    with pytest.raises(ValueError, match="linear_map"):
+        jb.plot(jb.zonotope([0.0], [[1.0]]))

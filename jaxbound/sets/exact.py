@@ -15,6 +15,7 @@ import numpy as np
 __all__ = [
     "Frame",
     "circuits",
+    "determinant",
     "frame",
     "inverse",
     "left_null_space",
@@ -197,10 +198,10 @@ def primitive_scale(row):
 
 def _cofactors(rows):
     """Return the signed maximal minors of an (r + 1) x r integer matrix: its left null vector, or zeros if its rank is below r."""
-    return [(-1) ** i * _determinant([r for k, r in enumerate(rows) if k != i]) for i in range(len(rows))]
+    return [(-1) ** i * determinant([r for k, r in enumerate(rows) if k != i]) for i in range(len(rows))]
 
 
-def _determinant(rows):
+def determinant(rows):
     """Return the determinant of an integer matrix (Bareiss: every division is exact)."""
     a, sign, previous = [list(r) for r in rows], 1, 1
     for k in range(len(a) - 1):

@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.interval import Interval, interval, matmul
+from jaxbound.sets.interval import Interval, interval
 from jaxbound.sets.interval import sum as interval_sum
-from jaxbound.sets.probe import refuse_unverified
 
-__all__ = ["Zonotope", "support", "zonotope"]
+__all__ = ["Zonotope", "zonotope"]
 
 
 @jax.tree_util.register_dataclass
@@ -57,23 +56,3 @@ def finite_arrays(**arrays):
     single = all(x.dtype == np.float32 for x in arrays.values())
     dtype = jnp.result_type(*arrays.values(), np.float32 if single else float)
     return tuple(jnp.asarray(x, dtype) for x in arrays.values())
-
-
-def support(Z, direction):
-    """Return an upper bound, tight to rounding, of max direction . p over Z.
-
-    Args:
-        Z: a Zonotope; direction: (n,).
-
-    Raises:
-        ValueError: a direction of another dimension, NaN or infinity.
-
-    Example:
-        >>> float(support(zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]), [1.0, 1.0]))
-        13.0000...
-    """
-    refuse_unverified(Z, direction)
-    d = interval(direction)
-    if d.shape != Z.center.shape:
-        raise ValueError(f"direction must have shape {Z.center.shape}: its shape is {d.shape}")
-    return (matmul(d, interval(Z.center)) + interval_sum(abs(matmul(d, interval(Z.generators))))).hi

@@ -1,0 +1,175 @@
+"""Intersections of zonotopes and constrained zonotopes, and what it costs to forget a constraint.
+
+An intersection {p in S : M p in Y} is a constrained zonotope, exactly: M (c + G x) = d + H y, with the x of S and the y of Y, are more
+equations between coefficients. A computed row gets one more coefficient, as large as the row can be off by.
+
+Forgetting equations A x = b again encloses the set: whatever the gain K,
+
+    c + G x = (c + K b) + (G - K A) x    where A x = b,
+
+is a zonotope once A x = b is dropped. With the equations of one strip this is the family c + L (y - C c), [(I - L C) G, L diag(s)] of
+zonotopes around the intersection of a zonotope with strips (Alamo, Bravo, Camacho 2005; Combastel 2015; Wang et al. 2018).
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from jaxbound.sets import rounding
+from jaxbound.sets.interval import Interval, interval, matmul, mid, rad
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
+from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, parts, product, reach, up, whole
+from jaxbound.sets.zonotopes.zonotope import Zonotope
+
+__all__ = ["cancelled", "eliminate_constraints", "intersect", "strip_intersection"]
+
+
+def intersect(S, Y, matrix=None):
+    """Return {p in S : M p in Y}, exactly but for rounding, as a ConstrainedZonotope.
+
+    Args:
+        S: a Zonotope or ConstrainedZonotope of n coordinates.
+        Y: a set of r coordinates: a Zonotope, a ConstrainedZonotope, or an Interval (r,): strips, or half-spaces where a bound is infinite.
+            A measurement y = M p + v, v in V: Y = translate(scale(V, -1.0), y).
+        matrix: M (r, n), numbers or Interval; None: the identity.
+
+    Returns:
+        A ConstrainedZonotope of n coordinates with r constraints more; r generators more for an Interval, and r beside its own for a set.
+
+    Encloses: every p in S with M p in Y for some M of the matrix. Empty intersections stay enclosed: ask `is_empty`.
+
+    Raises:
+        ValueError: shapes that do not fit.
+
+    Source: Scott, Raimondo, Marseglia, Braatz 2016, (13); half-spaces: Raghuraman, Koeln 2022.
+
+    Example:
+        >>> from jaxbound import sets
+        >>> box = sets.zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]])
+        >>> sets.intersect(box, sets.interval([0.5], [2.0]), [[1.0, 1.0]]).constraints.round(3)
+        Array([[ 1.  ,  1.  , -0.75]], dtype=...)
+    """
+    n, M = dimension(S), None if matrix is None else interval(matrix)
+    if M is not None and (len(M.shape) != 2 or M.shape[1] != n):
+        raise ValueError(f"the matrix must have shape (r, {n}) for a set of {n} coordinates: its shape is {M.shape}")
+    shape = Y.shape if isinstance(Y, Interval) else (dimension(Y),)
+    if shape != (wanted := (n,) if M is None else M.shape[:1]):
+        raise ValueError(f"the other set must have {wanted[0]} coordinates: its shape is {shape}")
+    return _intersect(S, Y, M)
+
+
+@jax.jit
+def _intersect(S, Y, M):
+    dtype = jnp.result_type(S.center.dtype, *(x.dtype for x in jax.tree.leaves((Y, M))))
+    S, Y, M = jax.tree.map(lambda x: x.astype(dtype), (S, Y, M))
+    c, G, A, b = parts(S)
+    d, H, error = (c, G, jnp.zeros_like(c)) if M is None else mapped(mid(M), rad(M), c, G)  # M p = d + H x, off by `error`
+    if isinstance(Y, Interval):
+        Y = _bounded(Y, d, up(reach(jnp.zeros_like(d), H) + error))
+        y, spread, F, B, e = mid(Y), rad(Y), jnp.zeros((len(d), 0), dtype), jnp.zeros((0, 0), dtype), b[:0]
+    else:
+        (y, F, B, e), spread = parts(Y), jnp.zeros_like(d)
+    offset, more = added(y, -d)
+    slack = jnp.diag(up(up(spread + error) + more))
+    own = jnp.pad(blocks(A, B), ((0, 0), (0, len(d))))
+    rows = jnp.concatenate([own, jnp.concatenate([H, -F, -slack], 1)])
+    G = jnp.pad(G, ((0, 0), (0, F.shape[1] + len(d))))
+    return ConstrainedZonotope(c, G, rows, jnp.concatenate([b, e, offset]))
+
+
+def _bounded(Y, middle, radius):
+    """Return an Interval whose infinite bounds are where values within `radius` of `middle` cannot be anyway."""
+    spread = up(radius + 4 * rounding.unit(middle.dtype) * jnp.abs(middle))
+    lo = jnp.where(jnp.isfinite(Y.lo), Y.lo, jnp.minimum(middle - spread, Y.hi))
+    hi = jnp.where(jnp.isfinite(Y.hi), Y.hi, jnp.maximum(middle + spread, Y.lo))
+    return Interval(jnp.minimum(lo, hi), hi)
+
+
+def strip_intersection(Z, Y, matrix, gain=None):
+    """Return a Zonotope around {p in Z : M p in Y}: c + L (y - M c), [(I - L M) G, L diag(s)] for a gain L, and the rounding.
+
+    Args:
+        Z: a Zonotope of n coordinates. Y: Interval (r,) with middle y and radius s: strips, or half-spaces where a bound is infinite.
+        matrix: M (r, n), numbers or Interval. gain: L (n, r); None: the one that gives the least sum of squares of all generators.
+
+    Returns:
+        A Zonotope with r + n generators more.
+
+    Encloses: the intersection, for any gain.
+
+    Raises:
+        ValueError: shapes that do not fit. TypeError: a set with constraints.
+
+    Source: Alamo, Bravo, Camacho 2005 (one strip); Combastel 2015, Wang, Puig, Cembrano 2018 (several).
+    """
+    if not isinstance(Z, Zonotope):
+        raise TypeError(f"strip_intersection takes a Zonotope, not {type(Z).__name__}: use intersect, which is exact")
+    return eliminate_constraints(intersect(Z, Y, matrix), gain=gain)
+
+
+def eliminate_constraints(S, keep=0, gain=None):
+    """Return a set around a ConstrainedZonotope with `keep` constraints left: a Zonotope if none.
+
+    Args:
+        S: a ConstrainedZonotope with k constraints. keep: how many stay; those that say least about the set go first.
+        gain: (n, k) with keep=0: what multiplies b - A x before the constraints are dropped; None: the gain that gives the least sum
+            of squares of all generators (of the constraints that stay as well).
+
+    Returns:
+        A ConstrainedZonotope, or a Zonotope, with n generators more (and as many as constraints that stay).
+
+    Encloses: S, for any gain.
+
+    Raises:
+        ValueError: keep below 0, a gain of another shape, or one together with keep.
+    """
+    n, k = dimension(S), len(parts(S)[3])
+    if not 0 <= keep:
+        raise ValueError(f"keep must be 0 or more: it is {keep}")
+    if gain is not None and (keep or jnp.shape(gain) != (n, k)):
+        raise ValueError(f"the gain must have shape ({n}, {k}), with keep=0: its shape is {jnp.shape(gain)}, keep is {keep}")
+    if k <= keep:
+        return S
+    return _eliminate(S, None if gain is None else jnp.asarray(gain, S.center.dtype), keep)
+
+
+@partial(jax.jit, static_argnums=2)
+def _eliminate(S, gain, keep):
+    c, G, A, b = parts(S)
+    if keep:
+        strength = jnp.sum(product(G, A.T) ** 2, 0) / jnp.maximum(jnp.sum(A**2, 1), rounding.tiny(c.dtype))
+        order = jnp.argsort(strength)
+        A, b = A[order], b[order]
+    gone = len(b) - keep
+    rows, h = jnp.concatenate([G, A[gone:]]), jnp.concatenate([c, -b[gone:]])
+    A, b = A[:gone], b[:gone]
+    K = _least_squares(rows, A) if gain is None else gain
+    K = jnp.where(jnp.isfinite(K), K, 0)
+    h, rows, error = cancelled(h, rows, A, b, K)
+    return _with_slack(h, rows, error, len(c))
+
+
+def _with_slack(h, rows, error, n):
+    """Return the set of points (rows x + h)[:n] whose other coordinates are 0, each off by `error`."""
+    G = jnp.concatenate([rows, jnp.diag(error)], 1)
+    return whole(h[:n], G[:n], G[n:], -h[n:])
+
+
+def _least_squares(H, A):
+    """Return K with the least sum of squares of H - K A; no claim is made."""
+    gram = product(A, A.T)
+    room = 4 * len(gram) * rounding.unit(A.dtype) * jnp.trace(gram) + rounding.tiny(A.dtype)
+    return jnp.linalg.solve(gram + room * jnp.eye(len(gram), dtype=A.dtype), product(A, H.T)).T
+
+
+def cancelled(h, H, A, b, K):
+    """Return (h + K b, H - K A, error): the rounding of a row in sum, for every |x| <= 1."""
+    gamma, floor = rounding.product_error(A.shape[0] + 1, h.dtype)
+    top = lambda x: 1 + jnp.max(jnp.abs(x), initial=0)
+    far, load = reach(h, H), reach(b, A)
+    weight = gamma * jnp.abs(K)
+    error = up(up(matmul(Interval(weight, weight), Interval(load, load)).hi + gamma * far) + floor * (H.shape[1] + 1)
+               * top(K) * jnp.maximum(jnp.maximum(top(H), top(h)), jnp.maximum(top(A), top(b))))  # fmt: skip
+    both = jnp.concatenate([h[:, None], H], 1) + product(K, jnp.concatenate([b[:, None], -A], 1))
+    return both[:, 0], both[:, 1:], error

@@ -1,0 +1,267 @@
+"""Maps, sums and products of zonotopes and constrained zonotopes: every result encloses the exact one.
+
+A set is {c + G x : |x_j| <= 1, A x = b}, a zonotope one without constraints. Rounding follows one rule: where entries of row i of
+[c, G] are computed, the result gets one more generator along coordinate i, at least as long as all that these entries can be off by in sum,
+
+    e_i >= |dc_i| + sum_j |dG_ij|,
+
+for then c + G x lies in (c + dc) + (G + dG) x + e_i [-1, 1] for every x. A map or a sum of n coordinates so adds n generators, which come
+last; `reduce_order` merges them again. Nothing is added where entries are only copied. An overflow leaves infinities or NaN, with which
+nothing is ever decided.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets import rounding
+from jaxbound.sets.interval import Interval, interval, matmul, mid, rad
+from jaxbound.sets.interval import sum as interval_sum
+from jaxbound.sets.probe import refuse_unverified
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
+from jaxbound.sets.zonotopes.zonotope import Zonotope
+
+__all__ = ["added", "blocks", "cartesian_product", "convex_hull", "dimension", "from_interval", "linear_map", "mapped", "minkowski_sum",
+           "one_dtype", "parts", "product", "reach", "scale", "translate", "up", "whole"]  # fmt: skip
+
+SHORT = 16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
+
+
+def parts(S):
+    """Return (c, G, A, b) of one Zonotope, with no constraints, or of one ConstrainedZonotope."""
+    if not isinstance(S, Zonotope | ConstrainedZonotope):
+        raise TypeError(f"a Zonotope or a ConstrainedZonotope is needed, not {type(S).__name__}: build one with zonotope")
+    if jnp.ndim(S.center) != 1:
+        raise ValueError(f"one set is needed, with a center (n,): its shape is {jnp.shape(S.center)}; use jax.vmap for a batch of sets")
+    if isinstance(S, ConstrainedZonotope):
+        return S.center, S.generators, S.constraints, S.offsets
+    return S.center, S.generators, jnp.zeros((0, S.generators.shape[1]), S.center.dtype), jnp.zeros(0, S.center.dtype)
+
+
+def dimension(S):
+    """Return how many coordinates a set has, at the door of an operation: refused where arithmetic was not verified."""
+    refuse_unverified(S)
+    return len(parts(S)[0])
+
+
+def whole(c, G, A, b, error=None):
+    """Return the set {c + G x + diag(error) x' : A x = b}: a Zonotope where A has no rows, whatever it had before."""
+    if error is not None:
+        G = jnp.concatenate([G, jnp.diag(error)], 1)
+        A = jnp.concatenate([A, jnp.zeros((A.shape[0], len(error)), A.dtype)], 1)
+    return ConstrainedZonotope(c, G, A, b) if A.shape[0] else Zonotope(c, G)
+
+
+def reach(c, G):
+    """Return (n,) upper bounds of |c_i| + sum_j |G_ij|."""
+    row = jnp.abs(jnp.concatenate([c[:, None], G], 1))
+    return interval_sum(Interval(row, row), axis=1).hi
+
+
+def product(M, G):
+    """Return M G in floats, off by at most what `rounding.product_error` says, in whatever order it is added."""
+    if M.shape[1] > SHORT:
+        return M @ G
+    return jnp.sum(M[:, :, None] * G[None], 1)
+
+
+def mapped(M, spread, c, G):
+    """Return (M c, M G, error) for a matrix of floats and a matrix `spread` of radii around its entries."""
+    far, size = reach(c, G), M.shape[1]
+    gamma, floor = rounding.product_error(size, c.dtype)
+    weight = up(gamma * jnp.abs(M) + spread)
+    top = lambda *arrays: 1 + sum(jnp.max(jnp.abs(x), initial=0) for x in arrays)
+    floor = floor * (G.shape[1] + 1) * top(M, spread) * top(c, G)
+    error = up(matmul(Interval(weight, weight), Interval(far, far)).hi + floor)
+    both = product(M, jnp.concatenate([c[:, None], G], 1))
+    return both[:, 0], both[:, 1:], error
+
+
+def up(x):
+    """Round a computed bound up, past the error of the operation that gave it."""
+    return rounding.outward(x, x)[1]
+
+
+def linear_map(matrix, S, offset=None):
+    """Return the image {M p + offset : p in S}, M a matrix of numbers or of intervals.
+
+    Args:
+        matrix: (r, n) numbers or Interval: with intervals the result holds the images under every matrix inside.
+        S: a Zonotope or ConstrainedZonotope of n coordinates. offset: (r,) numbers or Interval, or None.
+
+    Returns:
+        A set of r coordinates of the same kind with r generators more, which hold the rounding and the intervals' radii.
+
+    Encloses: M p + offset for every p in S, exact arithmetic.
+
+    Raises:
+        ValueError: shapes that do not fit.
+
+    Source: Kuehn 1998; interval matrices: Althoff, Stursberg, Buss 2007 (middle and radius apart).
+
+    Example:
+        >>> from jaxbound import sets
+        >>> Z = sets.linear_map([[1.0, 1.0]], sets.zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]))
+        >>> print(Z.center, Z.generators[:, :2])
+        [3.] [[3. 7.]]
+    """
+    M, n = interval(matrix), dimension(S)
+    if len(M.shape) != 2 or M.shape[1] != n:
+        raise ValueError(f"the matrix must have shape (r, {n}) for a set of {n} coordinates: its shape is {M.shape}")
+    move = interval(np.zeros(M.shape[0], np.float32) if offset is None else offset)
+    if move.shape != (M.shape[0],):
+        raise ValueError(f"the offset must have shape ({M.shape[0]},): its shape is {move.shape}")
+    return _linear_map(M, S, move, offset is not None)
+
+
+def _linear_map(M, S, move, moved):
+    dtype = jnp.result_type(M.dtype, S.center.dtype, *([move.dtype] if moved else []))
+    M, S, move = jax.tree.map(lambda x: x.astype(dtype), (M, S, move))
+    return _moved_map(M, S, move) if moved else _plain_map(M, S)
+
+
+@jax.jit
+def _plain_map(M, S):
+    c, G, A, b = parts(S)
+    c, G, error = mapped(mid(M), rad(M), c, G)
+    return whole(c, G, A, b, error)
+
+
+@jax.jit
+def _moved_map(M, S, move):
+    c, G, A, b = parts(S)
+    c, G, error = mapped(mid(M), rad(M), c, G)
+    c, more = added(c, mid(move))
+    return whole(c, G, A, b, up(up(error + more) + rad(move)))
+
+
+def added(x, y):
+    """Return x + y and a bound of what its rounding, and subnormal numbers read as 0, can be off by."""
+    total = x + y
+    return total, 4 * rounding.unit(x.dtype) * jnp.abs(total) + 8 * rounding.tiny(x.dtype)
+
+
+def minkowski_sum(S, T):
+    """Return {p + r : p in S, r in T}; sets of one number n of coordinates, each a Zonotope or a ConstrainedZonotope.
+
+    Generators of S, then of T, then n for the rounding of the center. Source: Kuehn 1998; Scott, Raimondo, Marseglia, Braatz 2016, (12).
+
+    Raises:
+        ValueError: sets of different dimension.
+
+    Example:
+        >>> from jaxbound import sets
+        >>> sets.minkowski_sum(sets.zonotope([1.0], [[2.0]]), sets.zonotope([3.0], [[4.0]])).generators[:, :2]
+        Array([[2., 4.]], dtype=...)
+    """
+    n, m = dimension(S), dimension(T)
+    if n != m:
+        raise ValueError(f"only sets of one dimension can be added: they have {n} and {m} coordinates")
+    return _minkowski_sum(S, T)
+
+
+@jax.jit
+def _minkowski_sum(S, T):
+    (c, G, A, b), (d, H, B, e) = (parts(x) for x in one_dtype(S, T))
+    center, error = added(c, d)
+    return whole(center, jnp.concatenate([G, H], 1), blocks(A, B), jnp.concatenate([b, e]), error)
+
+
+def one_dtype(*sets):
+    """Return the sets in the wider of their dtypes."""
+    dtype = jnp.result_type(*(S.center.dtype for S in sets))
+    return (jax.tree.map(lambda x: x.astype(dtype), S) for S in sets)
+
+
+def blocks(A, B):
+    """Return the matrix with the blocks A and B on its diagonal."""
+    upper = jnp.concatenate([A, jnp.zeros((A.shape[0], B.shape[1]), A.dtype)], 1)
+    return jnp.concatenate([upper, jnp.concatenate([jnp.zeros((B.shape[0], A.shape[1]), B.dtype), B], 1)])
+
+
+def translate(S, vector):
+    """Return {p + vector : p in S} for (n,) numbers: a sum with a point. Raises ValueError for a vector of another dimension."""
+    vector = jnp.asarray(vector, S.center.dtype) if isinstance(vector, (list, tuple)) else jnp.asarray(vector)
+    return minkowski_sum(S, Zonotope(vector, jnp.zeros((*vector.shape, 0), vector.dtype)))
+
+
+def scale(S, factor):
+    """Return {factor * p : p in S}; factor a number, (n,) numbers one a coordinate, or an Interval of either shape.
+
+    Raises:
+        ValueError: a factor of another shape.
+    """
+    n, factor = dimension(S), interval(factor)
+    if factor.shape not in ((), (n,)):
+        raise ValueError(f"the factor must be one number or have shape ({n},): its shape is {factor.shape}")
+    return _scaled(S, factor)
+
+
+@jax.jit
+def _scaled(S, factor):
+    dtype = jnp.result_type(S.center.dtype, factor.dtype)
+    (c, G, A, b), factor = parts(jax.tree.map(lambda x: x.astype(dtype), S)), jax.tree.map(lambda x: x.astype(dtype), factor)
+    middle, spread = (jnp.broadcast_to(x, c.shape) for x in (mid(factor), rad(factor)))
+    gamma, floor = rounding.product_error(1, dtype)
+    floor = floor * (G.shape[1] + 1) * (1 + jnp.abs(middle) + spread) * (1 + jnp.max(jnp.abs(c)) + jnp.max(jnp.abs(G), initial=0))
+    error = up(up(up(gamma * jnp.abs(middle) + spread) * reach(c, G)) + floor)
+    return whole(middle * c, middle[:, None] * G, A, b, error)
+
+
+def cartesian_product(S, T):
+    """Return {(p, r) : p in S, r in T}, exactly: coordinates and generators of S, then those of T."""
+    dimension(S), dimension(T)
+    return _cartesian_product(S, T)
+
+
+@jax.jit
+def _cartesian_product(S, T):
+    (c, G, A, b), (d, H, B, e) = (parts(x) for x in one_dtype(S, T))
+    return whole(jnp.concatenate([c, d]), blocks(G, H), blocks(A, B), jnp.concatenate([b, e]))
+
+
+def from_interval(box):
+    """Return the Zonotope of a box, an Interval (n,): n generators, rounded outward.
+
+    Raises:
+        ValueError: an array of another rank.
+    """
+    refuse_unverified(box)
+    if len(box.shape) != 1:
+        raise ValueError(f"a box is an Interval of shape (n,): the shape is {box.shape}")
+    return _from_interval(box)
+
+
+@jax.jit
+def _from_interval(box):
+    return Zonotope(mid(box), jnp.diag(rad(box)))
+
+
+def convex_hull(Z, Y):
+    """Return a Zonotope that encloses the convex hull of two Zonotopes of one dimension.
+
+    {(p + r) / 2 + (p - r) s / 2} with generators taken in pairs: half their sums, half their differences, half the difference of the
+    centers; missing ones of the smaller are 0.
+
+    Raises:
+        ValueError: sets of different dimension. TypeError: a set with constraints.
+
+    Source: Girard 2005, section 3.
+    """
+    for S in (Z, Y):
+        if not isinstance(S, Zonotope):
+            raise TypeError(f"the hull of two Zonotopes is enclosed, not of {type(S).__name__}: eliminate its constraints first")
+    if (n := dimension(Z)) != (m := dimension(Y)):
+        raise ValueError(f"the sets must have one dimension: they have {n} and {m} coordinates")
+    return _convex_hull(Z, Y)
+
+
+@jax.jit
+def _convex_hull(Z, Y):
+    (c, G, *_), (d, H, *_) = (parts(x) for x in one_dtype(Z, Y))
+    G, H = (jnp.pad(x, ((0, 0), (0, max(G.shape[1], H.shape[1]) - x.shape[1]))) for x in (G, H))
+    c, d, G, H = 0.5 * c, 0.5 * d, 0.5 * G, 0.5 * H
+    columns = jnp.concatenate([(c - d)[:, None], G + H, G - H], 1)
+    center, error = added(c, d)
+    error = error + 4 * rounding.unit(c.dtype) * reach(center, columns) + 8 * columns.shape[1] * rounding.tiny(c.dtype)
+    return whole(center, columns, jnp.zeros((0, columns.shape[1]), c.dtype), c[:0], up(error))

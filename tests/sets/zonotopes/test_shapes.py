@@ -1,0 +1,94 @@
+"""Corners, volumes, samples and differences of small zonotopes, against exact values and strips."""
+
+from fractions import Fraction
+
+import jax
+import numpy as np
+import pytest
+
+from jaxbound import sets
+from jaxbound.sets.exact import transpose
+from jaxbound.sets.zonotopes.facets import exact_strips
+
+
+def along(normal, p):
+    return sum((a * Fraction(float(b)) for a, b in zip(normal, p, strict=True)), Fraction(0))
+
+
+def test_corners_are_the_published_ones(shared):
+    import json
+
+    for case in json.loads(shared("external/zonotope_cases.json").read_text()):
+        if case["kind"] == "vertices" and "A" not in case:
+            found = sets.vertices(sets.zonotope(case["c"], case["G"]))
+            assert sorted(map(tuple, found.round(9).tolist())) == sorted(map(tuple, case["vertices"]))
+
+
+def test_corners_go_round_and_touch_two_strips_each(rng):
+    Z = sets.zonotope(rng.normal(size=2), rng.normal(size=(2, 6)))
+    corners = sets.vertices(Z)
+    edges = np.roll(corners, -1, 0) - corners
+    after = np.roll(edges, -1, 0)
+    assert corners.shape == (12, 2) and (edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0] > 0).all()
+    normals, widths = sets.strips(Z)
+    touched = np.abs(np.abs((corners - np.asarray(Z.center)) @ normals.T) - widths) < 1e-12 * widths
+    assert (touched.sum(1) == 2).all()
+
+
+def test_volumes_are_the_published_ones_and_grow_with_the_cube_of_the_size(shared, rng):
+    import json
+
+    for case in json.loads(shared("external/zonotope_cases.json").read_text()):
+        if case["kind"] == "volume":
+            assert sets.volume(sets.zonotope(case["c"], case["G"])) == case["volume"]
+    G = rng.normal(size=(3, 6))
+    assert sets.volume(sets.zonotope(np.zeros(3), 2 * G)) == 8 * sets.volume(sets.zonotope(np.zeros(3), G))
+    assert sets.volume(sets.zonotope(np.zeros(3), G[:, :2])) == 0
+    with pytest.raises(ValueError, match="determinants"):
+        sets.volume(sets.zonotope(np.zeros(10), np.ones((10, 30))))
+
+
+def test_samples_lie_within_up_to_rounding(rng):
+    Z = sets.zonotope(rng.normal(size=3), rng.normal(size=(3, 7)))
+    points = sets.sample(Z, jax.random.key(1), 500)
+    assert points.shape == (500, 3) and (sets.membership(Z, points) > -1e-12).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("n, q", [(1, 3), (2, 5), (2, 2), (3, 3), (4, 4)])
+def test_a_difference_and_what_was_taken_off_fit_inside_and_fill_it(n, q, dtype, rng):
+    Z = sets.zonotope(rng.normal(size=n).astype(dtype), rng.normal(size=(n, q)).astype(dtype))
+    Y = sets.zonotope(rng.normal(size=n).astype(dtype), (0.01 * rng.normal(size=(n, 3))).astype(dtype))
+    D = sets.minkowski_difference(Z, Y)
+    c = [Fraction(float(a)) + Fraction(float(b)) - Fraction(float(z)) for a, b, z in zip(D.center, Y.center, Z.center, strict=True)]
+    G = [[Fraction(float(x)) for x in row] for row in np.concatenate([D.generators, Y.generators], 1)]
+    for normal, width in exact_strips(Z):
+        reached = sum((abs(sum(a * b for a, b in zip(normal, g, strict=True))) for g in transpose(G)), Fraction(0))
+        reached += abs(sum(a * b for a, b in zip(normal, c, strict=True)))
+        assert reached <= width
+        assert n > 2 or q > 2 or reached >= width * (1 - 100 * Fraction(float(np.finfo(dtype).eps)))
+    corners = exact_corners(D) if n == 2 else []
+    for p in corners:  # a hair further out is too far: the difference is all of it
+        assert any(abs(along(normal, p)) + taken(normal, Y) >= width * (1 - Fraction(1, 10**4)) for normal, width in exact_strips(Z))
+
+
+def exact_corners(D):
+    return sets.vertices(D) - np.asarray(D.center, float)
+
+
+def taken(normal, Y):
+    return sum((abs(along(normal, g)) for g in np.asarray(Y.generators).T), Fraction(0))
+
+
+def test_differences_are_the_published_ones():
+    Z, Y = sets.zonotope([0.0, 0.0], [[1.0, 3.0], [2.0, 4.0]]), sets.zonotope([0.0, 0.0], [[4.0, 0.0], [0.0, 6.0]])
+    assert sets.minkowski_difference(Z, Y) is None
+    assert not np.asarray(sets.minkowski_difference(Z, Z).generators).any()
+
+
+def test_a_difference_that_need_be_no_zonotope_is_refused(rng):
+    Z = sets.zonotope(np.zeros(3), rng.normal(size=(3, 5)))
+    with pytest.raises(ValueError, match="parallelotopes"):
+        sets.minkowski_difference(Z, Z)
+    with pytest.raises(ValueError, match="one dimension"):
+        sets.minkowski_difference(Z, sets.zonotope([0.0], [[1.0]]))
