@@ -22,6 +22,7 @@ import numpy as np
 from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval
 from jaxbound.sets.interval import contains as contains_number
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.zonotopes import proof
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
 from jaxbound.sets.zonotopes.decisions import Answer, Decision, Question, contains_points, flat, parts
@@ -83,7 +84,7 @@ def contains_set(Z, inner):
     batch = outer[0].shape[:-1]
     if inside[0].shape[:-1] != batch:
         raise ValueError(f"a batch needs as many inner as outer sets: leading axes are {batch} and {inside[0].shape[:-1]}")
-    rounding.refuse_other_modes()
+    refuse_unverified()
     question = Question("contains_set", (flat(outer, batch), flat(inside, batch)), None)
     solid = not outer[3].shape[-1]
     each = [_one(*(tuple(v[i] for v in x) for x in question.sets), solid) for i in range(math.prod(batch))]

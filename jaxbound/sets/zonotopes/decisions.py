@@ -20,6 +20,7 @@ import jax
 import numpy as np
 
 from jaxbound.sets import rounding
+from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.zonotopes import proof
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
 from jaxbound.sets.zonotopes.feasibility import feasible
@@ -230,7 +231,7 @@ def separate(X, Y):
 
 def _decide(question, shape, meets):
     """Answer a question; `meets` is the answer where there is an x."""
-    rounding.refuse_other_modes()
+    refuse_unverified()
     M, d = question.equations()
     image = proof.image(M)
     found = gauge_bounds(image, image.scaled(d))
