@@ -104,6 +104,7 @@ def seconds_of(f, arguments):
     return time.perf_counter() - start
 
 
+@timing.own_rounding()
 def scalar_libraries():
     """Return {library: {operation: seconds}} of libraries that work on one interval at a time."""
     out = {}
@@ -121,7 +122,6 @@ def scalar_libraries():
     try:
         import codac
 
-        timing.round_to_nearest()
         out["codac"] = {**add, **of_first(codac)}, codac.Interval(0.2, 0.4), codac.Interval(0.4, 0.6)
     except ImportError:
         print("codac is not installed")

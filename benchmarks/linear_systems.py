@@ -63,11 +63,10 @@ def flint(M, h):
     return run
 
 
+@timing.own_rounding()
 def codac(M, h, preconditioned):
     """Return a solver by codac's Gauss elimination contractor, from a box that says nothing."""
     from codac import CtcGaussElim, CtcLinearPrecond, Interval, IntervalMatrix, IntervalVector
-
-    timing.round_to_nearest()
 
     contractor, n = CtcGaussElim(), len(h[0][0])
     contractor = CtcLinearPrecond(contractor) if preconditioned else contractor
@@ -107,11 +106,13 @@ def fastest(solvers, repeats):
     for _ in range(repeats):
         for name, run in solvers.items():
             wall, cpu = time.perf_counter(), time.process_time()
-            found = run()
+            with timing.own_rounding():
+                found = run()
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             old = best.get(name, (np.inf, np.inf))
             best[name] = (min(wall, old[0]), min(cpu, old[1]), found)
-    return {name: (wall, cpu, found()) for name, (wall, cpu, found) in best.items()}
+    with timing.own_rounding():
+        return {name: (wall, cpu, found()) for name, (wall, cpu, found) in best.items()}
 
 
 def excess(n=4, count=256, widths=(0.001, 0.01, 0.05, 0.2)):

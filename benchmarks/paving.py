@@ -64,6 +64,7 @@ def python_sivia(lo, hi, region, eps):
     return inner, inner + boundary
 
 
+@timing.own_rounding()
 def peer_sivia(regions, eps):
     """Return the peer's name, its median seconds for all regions, and the areas (inner, outer) that it reaches."""
     try:
@@ -71,7 +72,6 @@ def peer_sivia(regions, eps):
     except ImportError:
         run = lambda: [python_sivia(*BOX, r, eps) for r in regions]
         return ("plain Python SIVIA", timing.clock(run, 3)[1], run())
-    timing.round_to_nearest()
     x = codac.VectorVar(2)
     f = codac.AnalyticFunction([x], [2 * codac.sqr(x[0]) + x[1], x[0] - x[1]])
     start = codac.IntervalVector([list(pair) for pair in zip(*BOX, strict=True)])

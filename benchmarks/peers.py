@@ -26,11 +26,9 @@ def load(name):
         return None
 
 
+@timing.own_rounding()
 def _import(name):
-    try:
-        return importlib.import_module(name)
-    finally:
-        timing.round_to_nearest()
+    return importlib.import_module(name)
 
 
 def present():

@@ -6,6 +6,7 @@ import json
 import platform
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import jax
@@ -14,18 +15,28 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 
-def round_to_nearest():
-    """Set the rounding mode of this process back: importing codac sets it to upward, and jaxbound refuses to prove anything then."""
-    ctypes.CDLL(ctypes.util.find_library("m")).fesetround(0)
+@contextmanager
+def own_rounding():
+    """Keep what a peer does to the processor's rounding mode to a block, or to a function that this decorates.
+
+    Importing codac sets it to upward, and so do its functions; jaxbound refuses to prove anything then.
+    """
+    library = ctypes.CDLL(ctypes.util.find_library("m"))
+    mode = library.fegetround()
+    try:
+        yield
+    finally:
+        library.fesetround(mode)
 
 
 def clock(run, repeats=7):
     """Return (first call, median, fastest, slowest) seconds of `run`, blocking on its result."""
     times = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        jax.block_until_ready(run())
-        times.append(time.perf_counter() - start)
+    with own_rounding():
+        for _ in range(repeats + 1):
+            start = time.perf_counter()
+            jax.block_until_ready(run())
+            times.append(time.perf_counter() - start)
     return times[0], float(np.median(times[1:])), min(times[1:]), max(times[1:])
 
 

@@ -134,11 +134,11 @@ def figures(windows):
     return out
 
 
+@timing.own_rounding()
 def set_inversion(u, y, eps=0.25):
     """Return which windows of u (T, 1), y (T, 1) no parameters explain, by codac's SIVIA of the relation, and seconds a window."""
     import codac
 
-    timing.round_to_nearest()
     v = codac.VectorVar(3)
     box = codac.IntervalVector([[-1, 1]] * 3)
     out, start = [], time.perf_counter()

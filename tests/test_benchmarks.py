@@ -1,8 +1,16 @@
 """The runner of the benchmarks: who takes part, the table, and where it goes; nothing is measured here."""
 
+import ctypes
+import ctypes.util
+import importlib
+import platform
+import sys
+from unittest.mock import MagicMock
+
+import numpy as np
 import pytest
 
-from benchmarks import drawing, peers
+from benchmarks import drawing, intervals, linear_systems, paving, peers, sweeps, timing, varying
 
 RESULTS = {
     "machine": {"cpu": "a CPU", "cores": 2, "device": "cpu", "jax": "0"},
@@ -48,3 +56,43 @@ def test_figures_are_drawn(tmp_path):
     fewer = RESULTS | {"sweeps": {"horizon": RESULTS["sweeps"]["horizon"]}}
     names = drawing.draw(fewer, tmp_path)
     assert names == ["horizon.png", "horizon_compile.png"] and all((tmp_path / n).stat().st_size > 5000 for n in names)
+
+
+UPWARD = 0x800
+LIBRARY = ctypes.CDLL(ctypes.util.find_library("m"))
+
+
+class RoundsUpward(MagicMock):
+    """Stands in for codac: the import, and each call of whatever it has, sets the processor to round upward."""
+
+    def _mock_call(self, *args, **options):
+        LIBRARY.fesetround(UPWARD)
+        return super()._mock_call(*args, **options)
+
+
+ONE = (np.ones((2, 1, 1)),) * 2, (np.ones((2, 1)),) * 2  # two systems of one unknown: the ends of the matrix, and of the right side
+CODAC = {
+    "peers": lambda: peers.load("codac"),
+    "paving": lambda: paving.peer_sivia([((0.0, 0.0), (1.0, 1.0))], 0.1),
+    "varying": lambda: varying.set_inversion(np.ones((4, 1)), np.ones((4, 1))),
+    "intervals": lambda: intervals.scalar_libraries(),
+    "linear systems": lambda: linear_systems.fastest({"codac": linear_systems.codac(*ONE, True)}, 1),
+    "sweeps": lambda: sweeps.Series("title", "x", "unit", (1,)).time("codac", 1, 1, sys.modules["codac"].eval, True, 1),
+}
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the numbers of the modes are those of this processor family")
+@pytest.mark.parametrize("benchmark", CODAC)
+def test_a_peer_that_leaves_the_processor_rounding_upward_leaves_it_so_for_itself_only(benchmark, monkeypatch):
+    peer = RoundsUpward()
+    monkeypatch.setitem(sys.modules, "codac", peer)
+    monkeypatch.setattr(intervals, "seconds", lambda f, a, b: f(a, b))
+    monkeypatch.setattr(importlib, "import_module", lambda name: peer())
+    try:
+        with timing.own_rounding():
+            peer()
+            assert LIBRARY.fegetround() == UPWARD
+        CODAC[benchmark]()
+        assert LIBRARY.fegetround() == 0
+    finally:
+        LIBRARY.fesetround(0)
