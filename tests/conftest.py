@@ -5,6 +5,7 @@ import os
 import zlib
 from pathlib import Path
 
+import hypothesis
 import jax
 import numpy as np
 import pytest
@@ -16,7 +17,12 @@ SHARED = Path(os.environ.get("JAXBOUND_SHARED", Path(__file__).resolve().parents
 
 
 def pytest_configure(config):
-    """Keep compiled kernels beside pytest's own cache: two workers, and the slow tests after the others, compile each once."""
+    """Keep compiled kernels beside pytest's own cache: two workers, and the slow tests after the others, compile each once.
+
+    Hypothesis draws from the test's name too, but for JAXBOUND_SEED=fresh.
+    """
+    hypothesis.settings.register_profile("named", derandomize=os.environ.get("JAXBOUND_SEED") != "fresh")
+    hypothesis.settings.load_profile("named")
     if not hasattr(config, "cache"):  # pytest was told to keep none
         return
     jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("kernels")))
@@ -45,7 +51,17 @@ def golden(shared):
 @pytest.fixture
 def rng(request):
     """Return a generator seeded by the test's name, or by JAXBOUND_SEED: a number, or "fresh" for a new one, printed to repeat it."""
-    chosen = os.environ.get("JAXBOUND_SEED", zlib.crc32(request.node.nodeid.encode()))
+    return np.random.default_rng(_seed(request.node))
+
+
+@pytest.fixture(scope="module")
+def module_seed(request):
+    """Return the seed, below 2^31, of what the tests of a file share: from the file's name, or from JAXBOUND_SEED."""
+    return _seed(request.node) % 2**31
+
+
+def _seed(node):
+    chosen = os.environ.get("JAXBOUND_SEED", zlib.crc32(node.nodeid.encode()))
     seed = np.random.SeedSequence().entropy % 2**32 if chosen == "fresh" else int(chosen)
-    print(f"{request.node.name}: JAXBOUND_SEED={seed}")
-    return np.random.default_rng(seed)
+    print(f"{node.name}: JAXBOUND_SEED={seed}")
+    return seed

@@ -162,7 +162,7 @@ BAD_DATA = {
     "infinity": (csv_text([*TIMED, "0.6,1,inf,2"]), "row 62 of column 'y1' is infinite or too large"),
     "ragged": (csv_text([*TIMED, "0.6,1"]), "row 62 has 2 cells, the header has 4"),
     "UTF-16": (csv_text(TIMED).encode("utf-16"), "the file is in UTF-16: save it as UTF-8"),
-    "binary": (os.urandom(64) + bytes(64), "binary file"),
+    "binary": (bytes(range(128, 192)) + bytes(64), "binary file"),
     "Parquet inside, truncated": (b"PAR1" + bytes(64), "bad.csv is a truncated Parquet file: its end is missing"),
 }  # fmt: skip
 BAD_MODEL = {

@@ -3,6 +3,7 @@
 from itertools import combinations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import MODELS, Plant, Windows, draw
@@ -138,16 +139,21 @@ def test_a_recording_shorter_than_a_window_is_missing(samples):
 
 
 @pytest.fixture(scope="module", params=[1, 2])
-def gradients(request):
+def gradients(request, module_seed):
     """Return r, u, y with holes, and the compiled sum of margins with its gradients by bounds, y and u."""
-    rng = np.random.default_rng(int(np.random.SeedSequence().entropy % 2**32))
+    rng = np.random.default_rng([module_seed, request.param])
     r, u, y = jb.parity_relations(paper(), horizon=request.param), rng.uniform(-1, 1, (64, 1)), rng.normal(size=(64, 2))
     y[rng.random(y.shape) < 0.15] = np.nan
     u[rng.random(u.shape) < 0.05] = np.nan
     y[20:25] = np.nan
-    both = jax.jit(jax.value_and_grad(lambda bounds, y, u: jax.numpy.nansum(jb.margins(r.with_bounds(bounds), u, y)), (0, 1, 2)))
-    bounds = {name: jax.numpy.asarray(b) for name, b in r.bounds.items()}
-    return bounds, u, y, lambda bounds, y, u: both(bounds, jax.numpy.asarray(y), jax.numpy.asarray(u))
+
+    def total(bounds, y, u, keep):
+        margins = jb.margins(r.with_bounds(bounds), u, y)
+        return jnp.nansum(jnp.where(keep, margins, 0)), margins
+
+    both = jax.jit(jax.value_and_grad(total, (0, 1, 2), has_aux=True))
+    bounds = {name: jnp.asarray(b) for name, b in r.bounds.items()}
+    return bounds, u, y, lambda bounds, y, u, keep=True: both(bounds, *map(jnp.asarray, (y, u)), np.broadcast_to(keep, 64))
 
 
 def test_gradient_of_margins_is_finite_with_missing_samples(gradients):
@@ -158,22 +164,38 @@ def test_gradient_of_margins_is_finite_with_missing_samples(gradients):
     assert all((np.asarray(g) > 0).all() for g in by_bounds.values())  # wider bounds, larger margins
 
 
+STEP = 1e-6
+
+
+def smooth(here, up, down):
+    """Return which windows have no kink within a step to either side, where another relation takes over: there the differences agree."""
+    bend, slope = abs(np.asarray(up - 2 * here + down)), abs(np.asarray(up - down))
+    keep = ~(bend > 1e-3 * slope + 1e-11)  # of a smooth margin it is 1e-4, of a kink 1; NaN is not counted anyway
+    assert keep.mean() > 0.9
+    return keep
+
+
 def test_gradient_by_the_bounds_equals_finite_differences(gradients):
     bounds, u, y, both = gradients
-    got, step = both(bounds, y, u)[1][0], 1e-6
+    here = both(bounds, y, u)[0][1]
     for field, i in [(f, i) for f in ("tolerance", "noise") for i in range(2)]:
-        up, down = (both({**bounds, field: bounds[field] + sign * step * np.eye(2)[i]}, y, u)[0] for sign in (1, -1))
-        np.testing.assert_allclose(got[field][i], (up - down) / (2 * step), rtol=1e-5)
+        up, down = ({**bounds, field: bounds[field] + sign * STEP * np.eye(2)[i]} for sign in (1, -1))
+        keep = smooth(here, *(both(b, y, u)[0][1] for b in (up, down)))
+        got = both(bounds, y, u, keep)[1][0][field][i]
+        difference = both(up, y, u, keep)[0][0] - both(down, y, u, keep)[0][0]
+        np.testing.assert_allclose(got, difference / (2 * STEP), rtol=1e-5)
 
 
 def test_gradient_by_the_samples_equals_finite_differences(gradients):
     bounds, u, y, both = gradients
-    _, by_y, by_u = both(bounds, y, u)[1]
+    here = both(bounds, y, u)[0][1]
     for k in (5, 10, 30, 40, 50):
-        for got, signal in ((by_y, y), (by_u, u)):
-            moved = [np.where(np.arange(64)[:, None] == k, signal + sign * 1e-6, signal) for sign in (1, -1)]
-            up, down = (both(bounds, v, u)[0] if signal is y else both(bounds, y, v)[0] for v in moved)
-            np.testing.assert_allclose(got[k].sum(), (up - down) / 2e-6, rtol=1e-4, atol=1e-5)
+        for which in range(2):
+            moved = [[v + sign * STEP * (np.arange(64)[:, None] == k) * (n == which) for n, v in enumerate((y, u))] for sign in (1, -1)]
+            keep = smooth(here, *(both(bounds, *data)[0][1] for data in moved))
+            got = both(bounds, y, u, keep)[1][1 + which][k].sum()
+            up, down = (both(bounds, *data, keep)[0][0] for data in moved)
+            np.testing.assert_allclose(got, (up - down) / (2 * STEP), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("rows", list(combinations(range(4), 2)))

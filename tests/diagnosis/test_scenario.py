@@ -19,17 +19,15 @@ FAULTS = {
 
 
 @pytest.fixture(scope="module")
-def scenario():
+def scenario(module_seed):
     """Return a function hold -> (u, y) of 3000 runs with the three faults, drawn once."""
-    seed = int(np.random.SeedSequence().entropy % 2**31)
-    print(f"seed {seed}")
     drawn = {}
 
     def draw(hold):
         if hold not in drawn:
-            rng = np.random.default_rng(seed + hold)
+            rng = np.random.default_rng(module_seed + hold)
             u = np.repeat(rng.uniform(-1, 1, (RUNS, SAMPLES // hold + 1, 1)), hold, 1)[:, :SAMPLES]
-            t = jb.simulate(paper(), u, jax.random.key(seed + hold), faults=list(FAULTS.values()))
+            t = jb.simulate(paper(), u, jax.random.key(module_seed + hold), faults=list(FAULTS.values()))
             drawn[hold] = np.asarray(t.u), np.asarray(t.y)
         return drawn[hold]
 
