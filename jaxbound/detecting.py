@@ -65,7 +65,7 @@ def run_detect(args):
     if args.method == VALIDATION:
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
-        found = _report(args, _validate, ("output1.png",))
+        found = _report(args, _validate, ("output1.png",), ("read", "test", "report"))
     elif data.exists() and is_parquet(data):
         with door(OSError), made(args.out), progress_bars(("relations", "test", "report")) as step:
             found = _stream(args, step)
@@ -74,15 +74,15 @@ def run_detect(args):
     elif data.exists() and args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
-        found = _report(args, _evaluate, ("margin.png", "residuals.png"))
+        found = _report(args, _evaluate, ("margin.png", "residuals.png"), ("read", "relations", "test", "report"))
     return conclude(args, *found)
 
 
-def _report(args, how, pictures):
+def _report(args, how, pictures, stages):
     """Let `how` read a recording as a whole, test it and write its report; return what the conclusion needs."""
     names, inputs = ("verdicts.csv", *REPORT, *pictures), (args.model, args.data)
     with door(OSError), output_folder(args.out, names, inputs) as folder:
-        with folder.work() as work, progress_bars(("read", "relations", "test", "report")) as step:
+        with folder.work() as work, progress_bars(stages) as step:
             found = how(args, work, step)
         folder.remove(VERDICTS)
     return found

@@ -91,6 +91,8 @@ def _place(args):
         return
     with output_folder(args.out, (), inputs) as folder:
         state = args.out / STATE if args.state is None else Path(args.state)
+        if os.path.realpath(state) == os.path.realpath(args.out / VERDICTS):
+            raise Refused(f"--state {state} is where the verdicts are written: give another name")
         folder.check((VERDICTS, STATE), foreign=not state.exists())  # a state tells whether the verdicts are its own
         yield folder
         folder.settle(VERDICTS, STATE)

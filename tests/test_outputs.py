@@ -18,7 +18,7 @@ from streaming_case import recording, shrink, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound import cli, detecting, fleet, processes, streaming
+from jaxbound import cli, detecting, fleet, piped, processes, streaming
 from jaxbound.studies import tuning
 
 MODEL = "# bounds measured by hand\n"  # a comment that no program would write again
@@ -222,6 +222,13 @@ class TestFolder:
         monkeypatch.setattr(sys, "stdin", io.StringIO())
         with untouched(place / "out"):
             refused(["detect", "model.toml", "-", "--out", "out"], "out/verdicts.csv is in the way", capsys)
+
+    @pytest.mark.parametrize("state", ["out/verdicts.csv", "out/../out/verdicts.csv", "model.toml"])
+    def test_a_state_is_no_other_file(self, place, capsys, monkeypatch, state):
+        monkeypatch.setattr(piped, "_chunks", lambda *args: [csv_text().encode()])
+        with untouched(place / "model.toml"):
+            assert cli.main(["detect", "model.toml", "-", "--out", "out", "--state", state]) == 2
+        assert capsys.readouterr().out == "" and not (place / "out").exists()
 
     def test_the_model_that_was_tested_may_be_tested_again(self, place, capsys):
         assert cli.main(DETECT) == 0
@@ -490,6 +497,16 @@ def test_models_and_states_are_written_whole(place, monkeypatch):
     with untouched(place / "other.toml"), pytest.raises(OSError, match="No space"):
         jb.save_model(paper(), place / "other.toml")
     assert not list(place.glob(".other*"))
+
+
+def test_the_library_writes_into_a_pipe_and_does_not_replace_it(place):
+    os.mkfifo("pipe")
+    reader = os.open("pipe", os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        jb.save_model(paper(), "pipe")
+        assert b"[matrices]" in os.read(reader, 1 << 16) and Path("pipe").is_fifo()
+    finally:
+        os.close(reader)
 
 
 def test_a_list_names_each_file_with_size_time_and_digest(place):

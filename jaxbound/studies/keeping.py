@@ -48,7 +48,8 @@ def locked(path):
 def whole(path, sync=True):
     """Give a binary file whose bytes are found at `path` once the block has ended well; else what was there stays.
 
-    They are written beside it: what a killed process leaves there is taken over by the next one. Links are followed.
+    They are written beside it: what a killed process leaves there is taken over by the next one. Links are followed; a pipe or a device
+    is no file to replace, and is written as it is.
 
     Args:
         path: of the file. sync: force it to the disk first.
@@ -56,6 +57,10 @@ def whole(path, sync=True):
     Raises:
         ValueError: another process is writing it.
     """
+    if os.path.exists(path) and not os.path.isfile(path):
+        with open(path, "wb") as file:
+            yield file
+        return
     path = Path(os.path.realpath(path))
     part = path.with_name(f".{path.name}{UNFINISHED}")
     try:
