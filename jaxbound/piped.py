@@ -13,7 +13,7 @@ import stat
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import jax
@@ -84,12 +84,12 @@ def follow(args, chunks, whole=True):
 def _place(args):
     """Make --out a folder whose verdicts this command may write, and see to it that nothing that is read is written."""
     inputs = [Path(args.model), *([Path("/dev/stdin")] if stat.S_ISREG(os.fstat(0).st_mode) else [])]
-    if args.state is not None:
-        refuse_targets({"--state": Path(args.state)}, inputs, force=True)
-    if args.out is None:
-        yield None
-        return
-    with output_folder(args.out, (), inputs) as folder:
+    with nullcontext() if args.out is None else output_folder(args.out, (), inputs) as folder:
+        if args.state is not None:
+            refuse_targets({"--state": Path(args.state)}, inputs, force=True)
+        if folder is None:
+            yield None
+            return
         state = args.out / STATE if args.state is None else Path(args.state)
         if os.path.realpath(state) == os.path.realpath(args.out / VERDICTS):
             raise Refused(f"--state {state} is where the verdicts are written: give another name")

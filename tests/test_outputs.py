@@ -228,7 +228,13 @@ class TestFolder:
         monkeypatch.setattr(piped, "_chunks", lambda *args: [csv_text().encode()])
         with untouched(place / "model.toml"):
             assert cli.main(["detect", "model.toml", "-", "--out", "out", "--state", state]) == 2
-        assert capsys.readouterr().out == "" and not (place / "out").exists()
+        out, err = capsys.readouterr()
+        assert out == "" and ("an input is never" in err or "is where the verdicts are written" in err) and not (place / "out").exists()
+
+    def test_a_state_may_lie_in_a_folder_that_is_made(self, place, capsysbinary, monkeypatch):
+        monkeypatch.setattr(piped, "_chunks", lambda *args: [csv_text().encode()])
+        assert cli.main(["detect", "model.toml", "-", "--out", "out", "--state", "out/s.jsonl"]) == 0
+        assert {p.name for p in (place / "out").iterdir()} == {".jaxbound.json", "verdicts.csv", "s.jsonl"}
 
     def test_the_model_that_was_tested_may_be_tested_again(self, place, capsys):
         assert cli.main(DETECT) == 0
