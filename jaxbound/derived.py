@@ -1,15 +1,13 @@
 """Which columns of a recording a model needs, and how its signals come out of them: as they are, or by an expression."""
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from jaxbound.models.expressions import Expression, expression, fails, find_column, is_expression
+from jaxbound.models.expressions import TIMES, Expression, expression, fails, find_column, is_expression, likely
+from jaxbound.models.recording import Signals
 
 __all__ = ["Signals", "Wanted", "wanted", "where_hints"]
-
-TIMES = (r"(date[ _-]?time|time[ _-]?stamp|time|zeit)\b.*", r"t(\s*[\[(/,].*)?", r"(date|datum)\b.*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,27 +63,6 @@ class Wanted:
         return u, y, excluded
 
 
-@dataclass(frozen=True)
-class Signals:
-    """What reading needs to know where there is no model yet.
-
-    Fields: inputs, outputs: names; columns: as of a LinearSystem; dt: sampling period in s, None: the median step of the recording.
-    """
-
-    inputs: tuple
-    outputs: tuple
-    columns: dict
-    dt: float | None = None
-    stated = "you gave"  # who says what dt is
-
-    m = property(lambda self: len(self.inputs))
-    resolution = property(lambda self: (np.inf,) * len(self.outputs))  # nothing is stated that could be too small
-
-    def column(self, signal):
-        """Return the column of a recording that holds a signal."""
-        return self.columns.get(signal, signal)
-
-
 def wanted(names, model):
     """Find the columns of a model among those of a recording.
 
@@ -104,8 +81,8 @@ def wanted(names, model):
     where = model.columns.get("where")
     named, here = model.columns.get("time"), "the recording"
     free = [name for name in names if name not in found.signals]
-    likely = [name for pattern in TIMES for name in free if re.fullmatch(pattern, name.lower().strip())]
-    time = find_column(named, names, here) if named is not None else find_column(likely[0], names, here) if likely else None
+    called = likely(free, TIMES)
+    time = find_column(named, names, here) if named is not None else find_column(called[0], names, here) if called else None
     return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time)
 
 

@@ -18,8 +18,7 @@ from jaxbound.diagnosis.residual_windows import residual_windows
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.uncertain_margins import uncertain_margins
 from jaxbound.diagnosis.uncertain_windows import uncertain_windows
-from jaxbound.models import recording
-from jaxbound.models.seams import all_starts, around, aside, crossing
+from jaxbound.models.recording import Recording
 from jaxbound.relations.decoupling import signatures
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -36,14 +35,14 @@ __all__ = ["detect", "in_blocks", "margins", "padded", "verdicts"]
 METHODS = ("joint", "box", "paving", "linearised")
 
 
-def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(), compensation=0.0):
+def detect(relations, u, y=None, method="joint", budget=None, progress=None, starts=(), compensation=0.0):
     """Decide for every window whether any behaviour inside the bounds explains it.
 
     Args:
         relations: from `parity_relations` or `residual`; or a bank from `structured_relations` or `redundancy`, whose relations are
             tested one by one: the Result then knows .violated and the .candidates, the single faults that can explain it.
-        u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or DataFrames with the model's columns. NaN marks a missing
-            sample. u is None for a model without inputs. Leading axes are recordings of their own.
+        u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or tables with the model's columns, see `Recording.of`. NaN marks a missing
+            sample. u is None for a model without inputs. Leading axes are recordings of their own. y None: u is a table of both.
         method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each
             relation alone: FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's
             adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED (but see uncertain parameters).
@@ -53,8 +52,8 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
         budget: for "paving", (q, max_boxes): stop at r > q - 1; default (3, 1_000_000). For a residual, or with uncertain parameters, boxes
             a window; default 1000, or 10 000.
         progress: called with the share of the work done, after each block.
-        starts: numbers of the samples that do not follow the one before, after a gap for example: windows across are MISSING. Where the
-            steps of a DataFrame's index of dates or time spans are not the same, this is found from the index.
+        starts: numbers of the samples that do not follow the one before, after a gap for example: windows across are MISSING. The gaps
+            that the index of a table shows are found from it.
         compensation: for "linearised", what each relation may be off by for the terms that it neglects, one number or one a relation.
 
     Returns:
@@ -63,7 +62,8 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
         with a missing input these prove FAULT, but not CONSISTENT.
 
     Raises:
-        ValueError: shapes or columns that do not fit, an infinite sample, an unknown method, starts that are no sample numbers.
+        ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite sample, an unknown method,
+            starts that are no sample numbers.
         RuntimeError: where rounding has not been verified: all devices but CPU, so far, fast-math flags, another rounding mode.
 
     Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
@@ -92,11 +92,9 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
         raise ValueError(f"compensation belongs to method='linearised'; {method!r} neglects nothing")
     if budget is not None and method != "paving" and not own:
         raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
-    relations = relations.named(u, y) if own else relations
-    excluded = recording.left_out(relations.model, u, y)
-    u, y, index = recording.arrays(relations.model, u, y, excluded)
+    relations, given = relations.recording(u, y, starts) if own else (relations, Recording.of(relations.model, u, y, starts))
     refuse_unverified()
-    u, y, words = np.asarray(u), np.asarray(y), np.zeros(0, np.uint32)
+    u, y, words = np.asarray(given.u), np.asarray(given.y), np.zeros(0, np.uint32)
     if bank is not None:
         test = bank_test(bank, y.dtype)
         dtypes = verdict_dtypes(test.shape, y.dtype)
@@ -118,24 +116,23 @@ def detect(relations, u, y, method="joint", budget=None, progress=None, starts=(
         if method == "box" and relations.count > 1:
             status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
     if (status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
-        recording.refuse_infinite("u", u, relations.model.inputs)
-        recording.refuse_infinite("y", y, relations.model.outputs)
-    if len(starts := np.union1d(all_starts(starts, index, y.shape[-2]), around(excluded))):
-        across = crossing(starts, relations.horizon, 0, y.shape[-2])
+        given.finite()
+    if len(given.starts):
+        across = given.across(relations.horizon)
         status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, np.nan, margin)
         words = np.where(across, np.uint32(0), words) if bank is not None else words
-    if bank is not None:
-        return BankResult(status, margin, method, relations, u, y, index, tuple(starts.tolist()), signatures(bank), words)
-    return Result(status, margin, method, relations, u, y, index, tuple(starts.tolist()), aside=aside(excluded, relations.horizon))
+    about = status, margin, method, relations, u, y, given.index, tuple(given.starts.tolist())
+    left_out = given.aside(relations.horizon)
+    return Result(*about, aside=left_out) if bank is None else BankResult(*about, signatures(bank), words, aside=left_out)
 
 
-def margins(relations, u, y):
+def margins(relations, u, y=None, starts=()):
     """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window just becomes consistent.
 
     The fast path: not rounded, no proof claimed. Differentiable in `relations.bounds`, y and u, under jit, vmap and grad.
 
     Args:
-        relations, u, y: as for `detect`.
+        relations, u, y, starts: as for `detect`.
 
     Returns:
         (..., T): > 0 inside, < 0 outside, NaN where the window has no usable data (the first `horizon` entries). With uncertain
@@ -156,12 +153,12 @@ def margins(relations, u, y):
         raise TypeError(f"margins needs relations from parity_relations, not {type(relations).__name__}; detect(...).margin has them")
     if relations.model.constant_tolerance:
         raise NotImplementedError("margins has no fast path for constant_tolerance yet; detect(...).margin has them")
-    excluded = recording.left_out(relations.model, u, y)
-    u, y, index = recording.arrays(relations.model, u, y, excluded)
+    given = Recording.of(relations.model, u, y, starts)
+    u, y = given.u, given.y
     traced = any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values()))
     if y.shape[-2] <= relations.horizon:
         return jnp.full(y.shape[:-1], jnp.nan, y.dtype)
-    across = crossing([*all_starts((), index, y.shape[-2]), *around(excluded), 0], relations.horizon, 0, y.shape[-2])  # and the warm-up
+    across = given.across(relations.horizon) | (np.arange(y.shape[-2]) < relations.horizon)
     if isinstance(relations, UncertainRelations):
         return uncertain_margins(relations, u, y).at[..., np.flatnonzero(across)].set(jnp.nan)
     test = relations.test("joint", y.dtype)

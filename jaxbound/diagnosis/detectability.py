@@ -12,6 +12,7 @@ is then enough, but not the smallest.
 """
 
 import math
+from collections.abc import Mapping
 from fractions import Fraction
 
 import numpy as np
@@ -19,6 +20,7 @@ import numpy as np
 from jaxbound.diagnosis.exact_window import dot
 from jaxbound.models import window
 from jaxbound.models.conversion import as_model
+from jaxbound.models.expressions import find_column
 from jaxbound.models.faults import Fault
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.relations.cost import SECONDS, affordable, relation_cost
@@ -55,7 +57,8 @@ def detectable(model, fault, horizon=None, operating_range=None):
         model: a LinearSystem.
         fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
         horizon: of the window, which the fault must fill; None: that of the model, or up to where longer windows see no smaller faults.
-        operating_range: largest |reading - offset| of the outputs, one number or one per output, with the fault. Needed with a tolerance;
+        operating_range: largest |reading - offset| of the outputs, one number, one per output or {output: number}, with the fault.
+            Needed with a tolerance;
             without one, readings are assumed below a million times the bounds, so that the rounding of the recording does not matter.
 
     Returns:
@@ -125,6 +128,8 @@ def _reach(model, given):
             )
         most = max((*model.noise, *model.resolution, *(max(abs(lo), abs(hi)) for lo, hi in model.disturbance)), default=ZERO)
         return (NEGLIGIBLE * most,) * model.p
+    if isinstance(given, Mapping) or hasattr(given, "index") and hasattr(given, "keys"):
+        given = [given[find_column(name, list(given.keys()), "operating_range")] for name in model.outputs]
     given = np.broadcast_to(np.asarray(given, object), (model.p,)) if np.ndim(given) == 0 else given
     if len(given) != model.p:
         raise ValueError(f"operating_range needs one number, or one for each of {', '.join(model.outputs)}: {len(given)} given")

@@ -13,6 +13,9 @@ import numpy as np
 
 from jaxbound.diagnosis.detectability import visible_sizes
 from jaxbound.diagnosis.result import Result
+from jaxbound.models.expressions import find_column
+from jaxbound.models.recording import floats
+from jaxbound.models.table import as_table, is_table, unlabelled
 from jaxbound.relations.decoupling import Signatures
 from jaxbound.sets.bank import PACKED, bank_of, bank_verdicts
 from jaxbound.sets.status import Status
@@ -150,9 +153,10 @@ def evaluate(residuals, hull, signatures):
     """Isolate from residuals that were computed elsewhere: which are outside what healthy data showed, and what faults explain that?
 
     Args:
-        residuals: (..., T, r). NaN: that residual is missing.
+        residuals: (..., T, r), or a table with a column for each. NaN: that residual is missing.
         hull: (r, 2) lowest and highest healthy value of each residual, or (r,) its largest magnitude.
         signatures: Signatures, or a table (r, N) of 0 and 1, a DataFrame with the names of the faults: whether a fault acts on a residual.
+            Rows of these two that are labelled are found by the names of the residuals, where these have some.
 
     Returns:
         A BankResult; FAULT says that a residual is outside its hull, as sure as the hull is. Its margin is 1 - the largest factor on the
@@ -166,7 +170,10 @@ def evaluate(residuals, hull, signatures):
         >>> res.status, res.names(1)
         (array([1, 3], dtype=int8), ('f1', 'f2'))
     """
-    residuals, hull = np.asarray(residuals), np.asarray(hull, float)
+    residuals = as_table(residuals, "residuals")
+    index, names = getattr(residuals, "index", None), list(residuals.columns) if is_table(residuals) else None
+    hull, signatures = (_rows_of(x, names, what) for x, what in ((hull, "the hull"), (signatures, "the table of signatures")))
+    residuals, hull = floats(residuals, "residuals"), np.asarray(hull, float)
     residuals = residuals if residuals.dtype in (np.float32, np.float64) else residuals.astype(float)
     r = residuals.shape[-1] if residuals.ndim > 1 else -1
     hull = np.stack([-hull, hull], -1) if hull.ndim == 1 else hull
@@ -190,7 +197,16 @@ def evaluate(residuals, hull, signatures):
     whole = np.where(absent.all(-1), Status.MISSING, np.where(outside.any(-1), Status.FAULT, Status.CONSISTENT)).astype(np.int8)
     margin = np.where(absent.all(-1), np.nan, 1 - worst)
     nothing = np.zeros((*residuals.shape[:-1], 0), residuals.dtype)
-    return BankResult(whole, margin, "box", None, nothing, residuals, None, (), table, words_of(np.moveaxis(status, -1, 0)))
+    return BankResult(whole, margin, "box", None, nothing, residuals, index, (), table, words_of(np.moveaxis(status, -1, 0)))
+
+
+def _rows_of(given, names, what):
+    """Return the rows of a labelled table in the order of names; anything else, a table without labels among it, as it is."""
+    given = given if isinstance(given, Signatures) else as_table(given, what)
+    if names is None or not hasattr(given, "iloc") or unlabelled(given.index):
+        return given
+    labels = list(given.index)
+    return given.iloc[[labels.index(find_column(name, labels, what)) for name in names]]
 
 
 def _table(given):

@@ -6,6 +6,7 @@ whatever the block. Measured, not promised by the compiler: from 4 windows on al
 rounds otherwise), so the short ones have 64 and 16. A verdict is a proof with any rounding.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -13,8 +14,9 @@ import numpy as np
 
 from jaxbound.diagnosis import consistency, exchange
 from jaxbound.diagnosis.consistency import METHODS, detect
-from jaxbound.models import recording
-from jaxbound.models.seams import TOLERATED_STEP, crossing
+from jaxbound.models.recording import Recording
+from jaxbound.models.seams import TOLERATED_STEP, all_starts, crossing
+from jaxbound.models.table import one_row, unlabelled
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.probe import refuse_unverified
@@ -25,6 +27,9 @@ __all__ = ["Monitor", "MonitorState", "Verdict"]
 
 SHORT, SHORT_SEARCH = 64, 16  # windows in a short block: strips; the exchange search, whose work grows with the block
 BURST = 8  # short blocks; more windows than in these are judged in long blocks
+
+
+NOWHERE = np.zeros(0, np.int64)
 
 
 class MonitorState(NamedTuple):
@@ -107,7 +112,8 @@ class Monitor:
         """Take the next sample.
 
         Args:
-            state: from `init` or the step before. u: (m,) inputs, None for a model without; y: (p,) outputs; NaN marks a missing sample.
+            state: from `init` or the step before. u: (m,) inputs, None for a model without; y: (p,) outputs; NaN marks a missing sample. A
+                Series (a row of a DataFrame, whose label is its time) and a dict are taken by name.
             new: the sample does not follow the one before: windows across are MISSING. time: of the sample in s: it is then new where it
                 is not dt (within 20 %) after the one before.
 
@@ -117,16 +123,16 @@ class Monitor:
         Raises:
             ValueError: shapes that do not fit the model, an infinite sample, y narrower than dtype. The state given is still good.
         """
-        take = lambda x: None if x is None else np.asarray(x)[None]
-        state, (status, margin) = self.run(state, take(u), take(y), starts=(0,) if new else (), time=take(time))
+        u, y = (one_row(x, name) for x, name in ((u, "u"), (y, "y")))
+        state, (status, margin) = self.run(state, u, y, starts=(0,) if new else (), time=None if time is None else [time])
         return state, Verdict(status[0], margin[0])
 
-    def run(self, state, u, y, *, starts=(), time=None):
+    def run(self, state, u, y=None, *, starts=(), time=None):
         """Take the next N samples at once.
 
         Args:
-            state: as for `step`. u: (N, m), y: (N, p), or DataFrames with the model's columns. starts: numbers, counted in these N, of
-                samples that do not follow the one before. time: (N,) in s.
+            state: as for `step`. u: (N, m), y: (N, p), or tables as for `detect`. starts: numbers, counted in these N, of samples that do
+                not follow the one before. time: (N,) in s; None: as the index of a table tells it.
 
         Returns:
             (state, Verdict of arrays (N,)): what N calls of `step` return.
@@ -134,18 +140,11 @@ class Monitor:
         Raises:
             ValueError: as `step`.
         """
-        model, s = self.relations.model, self.relations.horizon
-        u, y = self._samples(u, y)
-        count, starts, last = len(y), np.asarray(starts, np.int64).reshape(-1), state.time
-        if len(starts) and not 0 <= starts.min() <= starts.max() < count:
-            raise ValueError(f"starts needs the numbers of samples, 0 to {count - 1} here: it holds {starts}")
-        if time is not None and count:
-            time = np.asarray(time, np.float64).reshape(-1)
-            if len(time) != count:
-                raise ValueError(f"time needs one number a sample: {len(time)} for {count} samples")
-            seams = ~(np.abs(np.diff(time, prepend=last) - model.dt) <= TOLERATED_STEP * model.dt)
-            seams[0] &= not np.isnan(last)
-            starts, last = np.concatenate([starts, np.flatnonzero(seams)]) if seams.any() else starts, time[-1]
+        s = self.relations.horizon
+        given = self._recording(u, y, starts)
+        u, y = given.u, given.y
+        count, (seams, last) = len(y), self._seams(given, time, state)
+        starts = np.concatenate([given.starts, seams]) if len(seams) else given.starts
         all_u, all_y = np.concatenate([state.u, u]), np.concatenate([state.y, y])
         across = np.zeros(count, bool)
         if len(starts) or state.follows < s:
@@ -154,28 +153,44 @@ class Monitor:
         if across.any():
             status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, self.dtype.type(np.nan), margin)
         follows = count - starts.max() if len(starts) else count + state.follows
+        follows = 0 if given.excluded is not None and given.excluded[-1:].any() else follows
         keep = len(all_y) - s
         after = MonitorState(all_u[keep:].copy(), all_y[keep:].copy(), np.int64(min(follows, s)), state.samples + count, np.float64(last))
         return after, Verdict(status, margin)
 
-    def _samples(self, u, y):
-        """Return u (N, m), y (N, p) as arrays of our dtype, or refuse them."""
+    def _recording(self, u, y, starts):
+        """Return what is given as a Recording of our dtype, or refuse it."""
         model = self.relations.model
         fits = lambda x, n: type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == n
-        if not (fits(u, model.m) and fits(y, model.p) and len(u) == len(y)):
-            u, y, _ = recording.arrays(model, u, y)
-            if y.dtype.itemsize < self.dtype.itemsize:
+        if fits(u, model.m) and fits(y, model.p) and len(u) == len(y):
+            given = Recording(u, y, all_starts(starts, len(y)) if np.size(starts) else NOWHERE, model.inputs, model.outputs)
+        else:
+            given = Recording.of(model, u, y, starts, regular=False)
+            if given.y.dtype.itemsize < self.dtype.itemsize:
                 raise ValueError(
-                    f"y is in {y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, allows for: "
-                    f"build it as Monitor(relations, dtype=np.{y.dtype})"
+                    f"y is in {given.y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, allows for: "
+                    f"build it as Monitor(relations, dtype=np.{given.y.dtype})"
                 )
-            u, y = (np.asarray(x, self.dtype) for x in (u, y))
-            if y.ndim != 2:
-                raise ValueError(f"a Monitor follows one recording: y must have shape (N, {model.p}), not {y.shape}")
-        if np.isinf(u).any() or np.isinf(y).any():
-            recording.refuse_infinite("u", u, model.inputs)
-            recording.refuse_infinite("y", y, model.outputs)
-        return u, y
+            given = replace(given, u=np.asarray(given.u, self.dtype), y=np.asarray(given.y, self.dtype))
+            if given.y.ndim != 2:
+                raise ValueError(f"a Monitor follows one recording: y must have shape (N, {model.p}), not {given.y.shape}")
+        return given.finite() if np.isinf(given.u).any() or np.isinf(given.y).any() else given
+
+    def _seams(self, given, time, state):
+        """Return the samples that do not follow the one before by their time, and the time of the last one, in s."""
+        dt, count = self.relations.model.dt, len(given.y)
+        if not count or (time is None and given.time is None):
+            counted = given.index is not None and unlabelled(given.index) and not state.samples  # the numbers of later rows go on from here
+            return NOWHERE, (count - 1) * dt if counted and count else state.time
+        if time is None:
+            off = abs(given.origin - state.time - dt) - np.spacing(abs(given.origin))  # rows of one table were looked at already
+            return np.zeros(int(off > TOLERATED_STEP * dt), np.int64), given.origin + given.time[-1]
+        time = np.asarray(time, np.float64).reshape(-1)
+        if len(time) != count:
+            raise ValueError(f"time needs one number a sample: {len(time)} for {count} samples")
+        seams = ~(np.abs(np.diff(time, prepend=state.time) - dt) <= TOLERATED_STEP * dt)
+        seams[0] &= not np.isnan(state.time)
+        return np.flatnonzero(seams), time[-1]
 
     def _judge(self, u, y, across):
         """Return (status, margin) of all windows in samples that begin with the s before the first of them; those across need none."""

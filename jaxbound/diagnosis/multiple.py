@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.models.recording import Recording, Signals, floats
+from jaxbound.models.table import as_table, is_table
 from jaxbound.sets.interval import Interval, interval
 from jaxbound.sets.interval import sum as interval_sum
 from jaxbound.sets.linear_kernels import product
@@ -16,12 +18,12 @@ __all__ = ["validate_parts"]
 _held = jax.lax.optimization_barrier
 
 
-def validate_parts(model, u, y, x0, validate):
+def validate_parts(model, u, y, x0, validate, starts=()):
     """Validate every sub-model by its own partial outputs, and weigh what is found.
 
     Args:
         model: a MultiModel with partial=True. u: (..., T, m) or None. y: (..., T, L, p): C_i x_i as measured, for each of L sub-models.
-        x0: Interval (..., n) of all states, or None. validate: function of (sub-model, u, y (..., T, p), x0) that returns a Validation.
+        x0: Interval (..., n) of all states, or None. starts: as for `validate`, a function of (sub-model, u, y (..., T, p), x0=, starts=).
 
     Returns:
         A Validation: state of all sub-models; output, residual and corrected weighted as y is, of sum_i mu_i C_i x_i; faulty where a
@@ -34,15 +36,19 @@ def validate_parts(model, u, y, x0, validate):
     """
     p = model.models[0].p
     count = len(model.models)
-    y = np.asarray(y)  # in the type it was recorded in
-    if y.ndim < 3 or y.shape[-2:] != (count, p):
-        raise ValueError(f"y must have shape (..., T, {count}, {p}), each sub-model's own outputs: its shape is {y.shape}")
-    u = np.zeros((*y.shape[:-2], 0)) if u is None else np.asarray(u)
-    starts = np.cumsum([0, *(m.n for m in model.models)])
+    inputs, outputs = model.models[0].inputs, tuple(f"{i + 1}.{name}" for i, m in enumerate(model.models) for name in m.outputs)
+    y = as_table(y, "y", outputs)
+    if not is_table(y) and y is not None:
+        if (shape := np.shape(y))[-2:] != (count, p) or len(shape) < 3:
+            raise ValueError(f"y must have shape (..., T, {count}, {p}), each sub-model's own outputs: its shape is {shape}")
+        y = floats(y, "y").reshape(*shape[:-2], count * p)
+    given = Recording.of(Signals(inputs, outputs, {}), u, y, starts, narrow=False)  # in the type it was recorded in
+    u, y = np.asarray(given.u), np.asarray(given.y).reshape(*given.y.shape[:-1], count, p)
+    states = np.cumsum([0, *(m.n for m in model.models)])
     if x0 is not None and (x0 := interval(x0)).shape[-1:] != (model.n,):
         raise ValueError(f"x0 needs one interval for each of {model.n} states: its shape is {x0.shape}")
-    first = lambda i: None if x0 is None else x0[..., starts[i] : starts[i + 1]]
-    local = [validate(m, u, y[..., i, :], x0=first(i)) for i, m in enumerate(model.models)]
+    first = lambda i: None if x0 is None else x0[..., states[i] : states[i + 1]]
+    local = [validate(m, u, y[..., i, :], x0=first(i), starts=given.starts) for i, m in enumerate(model.models)]
     output, residual, corrected = _weighed(
         model.mu(np.asarray(u, model.models[0].A.dtype)), [(v.output, v.residual, v.corrected) for v in local]
     )

@@ -7,7 +7,6 @@ import numpy as np
 from jaxbound.diagnosis import certificate, residual_windows
 from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.diagnosis.units import unit_hints
-from jaxbound.models.seams import period_hints
 from jaxbound.models.stillness import still_hints
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
@@ -60,13 +59,13 @@ class Result:
 
     @property
     def hints(self):
-        """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands still, when and how long, which
-        seems to be in another unit than the model's, and an index of dates in other steps than its dt.
+        """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands still, when and how
+        long, and which seems to be in another unit than the model's.
 
         A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for each of its recordings.
         """
         label = lambda k: f"sample {k}" if self.index is None else str(self.index[k])
-        out = [] if isinstance(self.relations, Residual) else period_hints(self.index, self.relations.model.dt)
+        out = []
         if len(self.starts):
             first = label(int(self.starts[0]))
             out.append(f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are MISSING")

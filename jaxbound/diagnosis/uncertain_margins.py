@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis.uncertain_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
-from jaxbound.models import recording
-from jaxbound.models.seams import all_starts, crossing
+from jaxbound.models.recording import Recording
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets import polynomials
 from jaxbound.sets.probe import refuse_unverified
@@ -50,7 +49,7 @@ def uncertain_margins(relations, u, y):
     return out.reshape(shape)
 
 
-def compensation(relations, u, y, share=0.0):
+def compensation(relations, u, y=None, share=0.0, starts=()):
     """Return the smallest compensation under which the linearised test lets a healthy recording pass.
 
     `detect(relations, u, y, method="linearised", compensation=c)` neglects products of parameters, and marks healthy windows as suspect.
@@ -58,7 +57,7 @@ def compensation(relations, u, y, share=0.0):
     but the given share of them.
 
     Args:
-        relations: UncertainRelations. u (..., T, m), y (..., T, p): healthy recordings, as for `detect`.
+        relations: UncertainRelations. u (..., T, m), y (..., T, p), starts: healthy recordings, as for `detect`.
         share: of the windows, 0 <= share < 1, that may stay suspect.
 
     Returns:
@@ -84,12 +83,9 @@ def compensation(relations, u, y, share=0.0):
     if not 0 <= share < 1:
         raise ValueError(f"share is the part of the windows that may stay suspect: 0 <= share < 1, not {share}")
     refuse_unverified()
-    u, y, index = recording.arrays(relations.model, u, y)
-    u, y = np.asarray(u), np.asarray(y)
-    for name, x, channels in (("u", u, relations.model.inputs), ("y", y, relations.model.outputs)):
-        recording.refuse_infinite(name, x, channels)
+    given = Recording.of(relations.model, u, y, starts).finite()
+    u, y, across = np.asarray(given.u), np.asarray(given.y), given.across(relations.horizon)
     T = y.shape[-2]
-    across = crossing(all_starts((), index, T), relations.horizon, 0, T)
     u, y = (x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y))
     starts = relations.test(y.dtype).window.starts(0, len(y), T)
     starts = starts[~across[(starts + relations.horizon) % T]]

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording
+from jaxbound.models.recording import refuse_infinite
 from jaxbound.relations.uncertain import without
 from jaxbound.sets import polynomials, varying
 from jaxbound.sets.frontier import Verdicts, explore
@@ -53,8 +53,8 @@ def uncertain_windows(relations, u, y, method, budget, progress, allowance=0.0):
     allowance = np.asarray(allowance, float)
     if allowance.shape not in ((), (relations.count,)) or not (allowance >= 0).all() or not np.isfinite(allowance).all():
         raise ValueError(f"compensation must be one finite number >= 0, or one for each of {relations.count} relations, not {allowance}")
-    recording.refuse_infinite("u", u, relations.model.inputs)
-    recording.refuse_infinite("y", y, relations.model.outputs)
+    refuse_infinite("u", u, relations.model.inputs)
+    refuse_infinite("y", y, relations.model.outputs)
     s, shape = relations.horizon, y.shape[:-1]
     flat_u, flat_y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
     status, margin = np.full(len(flat_y), Status.MISSING, np.int8), np.full(len(flat_y), np.nan, y.dtype)

@@ -16,8 +16,9 @@ import jax
 import numpy as np
 
 from jaxbound.diagnosis.consistency import in_blocks
-from jaxbound.models import recording, window
+from jaxbound.models import window
 from jaxbound.models.conversion import as_model
+from jaxbound.models.recording import Recording
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
 from jaxbound.sets import exact
@@ -45,7 +46,7 @@ class UnknownInputs:
     lags: tuple
 
 
-def unknown_inputs(model, u, y, horizon=None, progress=None):
+def unknown_inputs(model, u, y=None, horizon=None, progress=None, starts=()):
     """Return intervals that contain the unknown inputs of a healthy plant.
 
     Args:
@@ -53,6 +54,7 @@ def unknown_inputs(model, u, y, horizon=None, progress=None):
         horizon: windows of horizon + 1 samples; None: one more than the shortest that determines all that can be determined. Longer ones
             are tighter, and take more time.
         progress: called with the share of the work done.
+        starts: as for `detect`: no window across says anything.
 
     Returns:
         UnknownInputs.
@@ -81,10 +83,8 @@ def unknown_inputs(model, u, y, horizon=None, progress=None):
     horizon, positions = _positions(model, horizon)
     if not any(x is not None for x in positions):
         raise ValueError(f"no window of horizon {horizon} determines an unknown input: other unknown inputs or the state can do the same")
-    u, y, _ = recording.arrays(model, u, y)
-    u, y = np.asarray(u), np.asarray(y)
-    recording.refuse_infinite("u", u, model.inputs)
-    recording.refuse_infinite("y", y, model.outputs)
+    given = Recording.of(model, u, y, starts).finite()
+    u, y, across = np.asarray(given.u), np.asarray(given.y), given.across(horizon)
     lo, hi = (np.full((*y.shape[:-1], model.d), side, y.dtype) for side in (-np.inf, np.inf))
     lags = tuple(None if t is None else horizon - t for t in positions)
     for j, (position, lag) in enumerate(zip(positions, lags, strict=True)):
@@ -96,6 +96,7 @@ def unknown_inputs(model, u, y, horizon=None, progress=None):
         empty = found[0] > found[1]
         for side, values, nothing in zip((lo, hi), found, (np.inf, -np.inf), strict=True):
             values[empty] = nothing
+            values[..., across] = -nothing
             side[..., position : y.shape[-2] - lag, j] = values[..., horizon:]
     return UnknownInputs(Interval(lo, hi), horizon, lags)
 

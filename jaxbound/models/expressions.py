@@ -12,7 +12,10 @@ from functools import reduce
 
 import numpy as np
 
-__all__ = ["Expression", "expression", "fails", "find_column", "is_expression", "missing_column"]
+__all__ = ["TIMES", "Expression", "expression", "fails", "find_column", "is_expression", "likely", "missing_column"]
+
+TIMES = (r"(date[ _-]?time|time[ _-]?stamp|time|zeit)\b.*", r"t(\s*[\[(/,].*)?", r"(date|datum)\b.*")
+"""What a column of times is called, the likeliest first."""
 
 FUNCTIONS = {name: getattr(np, name) for name in (
     "abs", "sqrt", "exp", "expm1", "log", "log1p", "log10", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh",
@@ -210,3 +213,8 @@ def missing_column(wanted, present, where):
     hint = f"; did you mean {near[0]!r}?" if near else ""
     return f"{where} has no column {wanted!r}{hint} It has {', '.join(repr(str(c)) for c in present)}." if hint else (
         f"{where} has no column {wanted!r}: it has {', '.join(repr(str(c)) for c in present)}")  # fmt: skip
+
+
+def likely(names, patterns):
+    """Return those of the names that follow one of the patterns, in the order of the patterns."""
+    return [name for pattern in patterns for name in names if re.fullmatch(pattern, str(name).lower().strip())]

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 __all__ = [
-    "Clock", "Seam", "all_starts", "around", "aside", "check_period", "crossing", "irregular", "period_hints", "seam_hints", "tick",
-    "usual_period",
+    "Clock", "Seam", "all_starts", "around", "aside", "check_period", "crossing", "irregular", "seam_hints", "tick", "usual_period",
 ]  # fmt: skip
 
 TOLERATED_DT = 0.05  # median step against the model's dt
@@ -126,15 +125,14 @@ def aside(excluded, horizon):
     return int(np.count_nonzero(before[horizon + 1 :] - before[: max(len(excluded) - horizon, 0)]))
 
 
-def all_starts(given, index, samples):
-    """Return the numbers of all samples that do not follow the one before: those given and those that a DataFrame's index shows.
+def all_starts(given, samples):
+    """Return the numbers of samples that do not follow the one before, ascending, each once.
 
     Args:
-        given: whole numbers. index: of a DataFrame, or None; dates and time spans are looked at, with their median step for dt: an index of
-            any other kind says nothing about time. samples: how many there are.
+        given: whole numbers. samples: how many there are.
 
     Raises:
-        ValueError: something else than numbers of samples; dates that do not increase.
+        ValueError: something else than numbers of samples.
     """
     given = np.asarray(given)
     if given.size and (given.dtype.kind not in "iu" or given.ndim != 1):
@@ -143,23 +141,7 @@ def all_starts(given, index, samples):
     if len(starts) and not 0 <= starts[0] <= starts[-1] < samples:
         wrong = starts[0] if starts[0] < 0 else starts[-1]
         raise ValueError(f"starts needs the numbers of samples, 0 to {samples - 1} here: it holds {wrong}")
-    if getattr(getattr(index, "dtype", None), "kind", None) in ("m", "M") and len(index) > 1:
-        time = np.asarray(index - index[0]) / np.timedelta64(1, "s")
-        step = float(np.median(np.diff(time)))
-        if not step > 0:
-            raise ValueError("the dates in the index must increase from row to row: sort the rows by time, or give arrays")
-        starts = np.union1d(starts, tick(Clock(step), time)[1])
     return starts
-
-
-def period_hints(index, dt):
-    """Return a sentence if the dates or time spans in the index of a DataFrame are not dt seconds apart, by their median step."""
-    if getattr(getattr(index, "dtype", None), "kind", None) not in ("m", "M") or len(index) < 2:
-        return []
-    step = float(np.median(np.diff(np.asarray(index - index[0]) / np.timedelta64(1, "s"))))
-    if abs(step - dt) <= TOLERATED_DT * dt:
-        return []
-    return [f"the rows are {step:.6g} s apart by their index, the model has dt = {dt:g} s: unless dt is wrong, these verdicts mean nothing"]
 
 
 def usual_period(time):

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording
 from jaxbound.models.conversion import as_model
+from jaxbound.models.recording import inputs_of, missing_column, refuse_infinite
 from jaxbound.sets import rounding
 
 __all__ = ["Trajectory", "simulate"]
@@ -45,7 +45,8 @@ def simulate(model, u, key, x0=None, at="uniform", faults=(), unknown_input=None
     Args:
         model: a LinearSystem.
         u: (..., T, m) inputs as recorded, offset included; leading axes are recordings of their own. A model without inputs
-            needs (..., T, 0). Its float dtype is that of the recording (float32 as it is, anything else the default float).
+            needs (..., T, 0). A table gives them by name.
+            Its float dtype is that of the recording (float32 as it is, anything else the default float).
         key: a jax.random key.
         x0: (n,) or (..., n) first state; default 0.
         at: "uniform" draws w, theta, noise and parameters uniformly; "vertices" at one of their bounds each sample.
@@ -69,11 +70,11 @@ def simulate(model, u, key, x0=None, at="uniform", faults=(), unknown_input=None
     model = as_model(model)
     if at not in ("uniform", "vertices"):
         raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
-    u = u if isinstance(u, jax.Array) else np.asarray(u, np.float64 if np.asarray(u).dtype != np.float32 else np.float32)
+    u = np.zeros(0) if u is None else inputs_of(model, u)
     if u.ndim < 2 or u.shape[-1] != model.m:
         raise ValueError(f"u must have shape (..., T, {model.m}), time first: its shape is {u.shape}")
-    u = jnp.asarray(u, jax.dtypes.canonicalize_dtype(u.dtype if np.issubdtype(u.dtype, np.floating) else np.float64))
-    recording.refuse_infinite("u", u, model.inputs) if not isinstance(u, jax.core.Tracer) else None
+    u = jnp.asarray(u, jax.dtypes.canonicalize_dtype(u.dtype))
+    refuse_infinite("u", u, model.inputs) if not isinstance(u, jax.core.Tracer) else None
     batch, (T, _) = u.shape[:-2], u.shape[-2:]
     x0 = jnp.zeros((model.n,), u.dtype) if x0 is None else jnp.asarray(x0, u.dtype)
     if x0.shape[-1:] != (model.n,) or (x0.ndim > 1 and x0.shape[:-1] != batch):
@@ -112,7 +113,7 @@ def _switches(model, faults, T):
     rows = []
     for f in faults:
         if f.signal not in model.outputs + model.inputs:
-            raise ValueError(recording.missing_column(f.signal, model.outputs + model.inputs, "the model"))
+            raise ValueError(missing_column(f.signal, model.outputs + model.inputs, "the model"))
         if f.kind == "tolerance" and f.signal not in model.outputs:
             raise ValueError(f"a tolerance fault needs an output, {f.signal!r} is an input")
         if f.start >= T:

@@ -93,26 +93,26 @@ class ParityRelation:
         """
         return dataclasses.replace(self, bounds=changed_bounds(self.model, self.bounds, bounds))
 
-    def external(self, u, y):
+    def external(self, u, y=None, starts=()):
         """Return p_ext (..., T, count), the residuals, NaN where a window is incomplete. Not rounded: for plots and studies.
 
         Args:
-            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs. Arrays or DataFrames.
+            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
 
         Source: Adrot 2000, (7), (14).
         """
-        return self._forms(u, y)[0]
+        return self._forms(u, y, starts)[0]
 
-    def internal(self, u, y):
+    def internal(self, u, y=None, starts=()):
         """Return the Interval (..., T, count) that each residual alone may have when the sensors are healthy. Not rounded: for plots.
 
         Source: Adrot 2000, (9), (15), with mu in [y - t_hi, y - t_lo].
         """
-        _, lo, hi = self._forms(u, y)
+        _, lo, hi = self._forms(u, y, starts)
         return Interval(lo, hi)
 
-    def _forms(self, u, y):
-        return forms(_forms, self, partial(self.test, "box"), u, y)
+    def _forms(self, u, y, starts):
+        return forms(_forms, self, partial(self.test, "box"), u, y, starts)
 
     def text(self, circuits=False):
         """Return the relations, one a line, as a reader would write them; all circuits instead if asked for.

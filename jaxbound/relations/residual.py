@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.models.recording import Recording, Signals
+from jaxbound.models.table import as_table, is_table
 from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval, interval, mid
 
@@ -35,6 +37,10 @@ class Channels:
 
     def of(self, u, y):
         """Return these channels with the names that are missing taken from the columns of u and y, or numbered."""
+        if y is None and None in (self.inputs, self.outputs):
+            if not hasattr(u, "outputs"):
+                raise ValueError("nothing says which columns are what: name the signals, residual(f, box, s, inputs=, outputs=)")
+            return dataclasses.replace(self, inputs=self.inputs or u.inputs, outputs=self.outputs or u.outputs)
         return dataclasses.replace(
             self,
             inputs=_names(u, "u") if self.inputs is None else self.inputs,
@@ -43,10 +49,11 @@ class Channels:
 
 
 def _names(data, letter):
+    data = as_table(data, letter)
     if data is None:
         return ()
-    if hasattr(data, "columns"):
-        return tuple(data.columns)
+    if is_table(data):
+        return tuple(data.select_dtypes(exclude=["datetime", "datetimetz", "timedelta"]).columns)
     return tuple(f"{letter}{i + 1}" for i in range(1 if np.ndim(data) < 2 else np.shape(data)[-1]))
 
 
@@ -84,9 +91,10 @@ class Residual:
         lo, hi = np.moveaxis(np.asarray(bounds["parameters"]), -1, 0)
         return dataclasses.replace(self, box=_bounded(interval(lo, hi)))
 
-    def named(self, u, y):
-        """Return the same residual with the names of the signals that it lacks taken from a recording."""
-        return dataclasses.replace(self, model=self.model.of(u, y))
+    def recording(self, u, y=None, starts=()):
+        """Return (relations, recording): the residual with the names of the signals that it lacks, taken from what becomes a Recording."""
+        model = self.model.of(u, y)
+        return dataclasses.replace(self, model=model), Recording.of(Signals(model.inputs, model.outputs, {}), u, y, starts)
 
     def shape(self, m, p):
         """Return the number of residuals for windows of m inputs and p outputs.
@@ -112,13 +120,14 @@ class Residual:
             raise ValueError("the number of residuals depends on that of the signals: name them, residual(f, box, s, inputs=, outputs=)")
         return self.shape(self.model.m, self.model.p)
 
-    def external(self, u, y):
+    def external(self, u, y=None, starts=()):
         """Return f at the middle of the box, (..., T, count), NaN where a window is incomplete. Not rounded: for plots and studies.
 
         Args:
-            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs.
+            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
         """
-        u, y = jnp.asarray(u if u is not None else np.zeros((*np.shape(y)[:-1], 0))), jnp.asarray(y)
+        given = self.recording(u, y, starts)[1]
+        u, y = jnp.asarray(given.u), jnp.asarray(given.y)
         s, T = self.horizon, y.shape[-2]
         count = self.shape(u.shape[-1], y.shape[-1])
         if T <= s:
@@ -126,7 +135,8 @@ class Residual:
         rows = np.arange(T - s)[:, None] + np.arange(s + 1)[None]
         windows = [x[..., rows, :].reshape(-1, s + 1, x.shape[-1]) for x in (u, y)]
         found = jax.vmap(flat(self.f), (None, 0, 0))(mid(self.box), *windows).reshape(*y.shape[:-2], T - s, count)
-        return jnp.concatenate([jnp.full((*y.shape[:-2], s, count), jnp.nan, found.dtype), found], -2)
+        found = jnp.concatenate([jnp.full((*y.shape[:-2], s, count), jnp.nan, found.dtype), found], -2)
+        return jnp.where(given.across(s)[:, None], jnp.nan, found) if len(given.starts) else found
 
     def text(self):
         """Return the relation as a reader would write it."""

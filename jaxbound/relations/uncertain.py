@@ -110,24 +110,24 @@ class UncertainRelations:
         complete = "sampled" if wider and self.complete == "proved" else self.complete
         return dataclasses.replace(self, bounds=fresh, complete=complete)
 
-    def external(self, u, y):
+    def external(self, u, y=None, starts=()):
         """Return (..., T, count), the residuals at the middle of all bounds, NaN where a window is incomplete. Not rounded: for plots.
 
         Args:
-            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs. Arrays or DataFrames.
+            u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
         """
-        return self._forms(u, y)[0]
+        return self._forms(u, y, starts)[0]
 
-    def internal(self, u, y):
+    def internal(self, u, y=None, starts=()):
         """Return the Interval (..., T, count) that contains each residual alone when the plant is healthy. Not rounded: for plots.
 
         Every monomial and noise is taken at its worst by itself. Source: Ploix, Adrot 2006, (14).
         """
-        _, lo, hi = self._forms(u, y)
+        _, lo, hi = self._forms(u, y, starts)
         return Interval(lo, hi)
 
-    def _forms(self, u, y):
-        return forms(_forms, self, self.test, u, y)
+    def _forms(self, u, y, starts):
+        return forms(_forms, self, self.test, u, y, starts)
 
     def text(self):
         """Return the relations, one a line, as a reader would write them.

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models import recording, sensor
+from jaxbound.models import sensor
+from jaxbound.models.recording import Recording
 from jaxbound.sets import rounding
 from jaxbound.sets.separation import Frame
 from jaxbound.sets.strips import Strips
@@ -100,12 +101,14 @@ class WindowTest:
         return mid, rad, scale, known, known_scale
 
 
-def forms(kernel, relations, test, u, y):
-    """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; all NaN if they are too short."""
-    u, y, _ = recording.arrays(relations.model, u, y)
-    u, y = jnp.asarray(u), jnp.asarray(y)
+def forms(kernel, relations, test, u, y, starts):
+    """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; NaN where there is no window."""
+    given = Recording.of(relations.model, u, y, starts)
+    u, y = jnp.asarray(given.u), jnp.asarray(given.y)
     if y.shape[-2] <= relations.horizon:
         return (jnp.full((*y.shape[:-1], relations.count), jnp.nan, y.dtype),) * 3
     for _ in range(y.ndim - 2):
         kernel = jax.vmap(kernel, (None, 0, 0))
-    return kernel(test(y.dtype), u, y)
+    found = kernel(test(y.dtype), u, y)
+    across = np.flatnonzero(given.across(relations.horizon))
+    return tuple(x.at[..., across, :].set(jnp.nan) for x in found) if len(across) else found

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxbound.diagnosis.consistency import detect
-from jaxbound.models import recording as door
-from jaxbound.models.seams import all_starts
+from jaxbound.models.recording import Recording, Signals, holds_both
+from jaxbound.models.seams import TOLERATED_DT
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.table import as_table, is_table
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.status import Status
@@ -66,7 +67,7 @@ class Fitted(LinearSystem):
     check: FitCheck
 
 
-def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=1.0, direct=False, safety=1.25, held_out=0.3, method="auto",
+def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=None, direct=False, safety=1.25, held_out=0.3, method="auto",
         name="fitted", units=None, columns=None, progress=None):  # fmt: skip
     """Find a nominal model and noise bounds from healthy recordings.
 
@@ -74,18 +75,18 @@ def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=1.0, d
     moves each by its own. They are multiplied by `safety` and verified: `detect` finds every window CONSISTENT.
 
     Args:
-        recordings: one or several of: (u (T, m), y (T, p)), u None without inputs; a DataFrame with the columns `inputs` and `outputs`; a
-            Recording from a file. NaN marks a missing sample. Windows do not cross gaps in an index of dates, nor a Recording's `starts`.
+        recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table with the columns `inputs` and
+            `outputs`; a Recording. NaN marks a missing sample. Windows do not cross gaps in an index, nor `starts`, as for `detect`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order * p states.
         horizon: s, the bounds are found for windows of s + 1 samples. Long windows see small faults; the model says for which it is made.
-        inputs, outputs: names; needed with DataFrames. dt: sampling period in s, of recordings that do not know it.
+        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what dates in the index or a Recording say, else 1.
         direct: whether inputs act on the outputs of the same sample (D).
         safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may deviate.
         held_out: the last share of each recording, kept back from a first fit to see what it makes of data that it has not seen. 0: none.
         method: "least squares" (ARX, one step ahead), "windows" (the same, refined over whole windows), "filters" (inputs through given
             filters that fade within a window, so that no state can follow a lasting error) or "auto": whichever sees the smallest jump and
             lasting error when its bounds cover the held-out parts too.
-        name, units, columns: as of a LinearSystem. progress: called with the share of the work done.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called with the share of the work done.
 
     Returns:
         A Fitted: a LinearSystem with `.horizon`, provenance "fitted ..." and `.check`.
@@ -103,7 +104,7 @@ def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=1.0, d
     """
     _check_options(order, horizon, safety, held_out, method)
     report = progress or (lambda share: None)
-    inputs, outputs, dt, records = _read(recordings, inputs, outputs, dt)
+    inputs, outputs, dt, records = _read(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name, horizon=horizon)
     refuse_unverified()  # at the end the bounds are verified
     scales = regression.scales_of(records)
@@ -154,47 +155,52 @@ def _check_options(order, horizon, safety, held_out, method):
         raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")
 
 
-def _read(recordings, inputs, outputs, dt):
+def _read(recordings, inputs, outputs, columns, dt):
     """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
-    table = lambda r: hasattr(r, "columns") and hasattr(r, "iloc")
     pair = lambda r: isinstance(r, tuple) and len(r) in (2, 3) and not isinstance(r[0], tuple) and not hasattr(r[0], "starts")
-    recordings = [recordings] if table(recordings) or pair(recordings) or hasattr(recordings, "starts") else list(recordings)
+    recordings = [recordings] if pair(recordings) or not isinstance(recordings, (list, tuple)) else list(recordings)
     if not recordings:
         raise ValueError("there is no recording: give at least one")
     names = lambda given: (given,) if isinstance(given, str) else None if given is None else tuple(given)
-    inputs, outputs, records = names(inputs), names(outputs), []
+    inputs, outputs, records, periods = names(inputs), names(outputs), [], []
     for number, r in enumerate(recordings):
-        where, starts = f"recording {number + 1}", ()
-        if table(r):
-            if outputs is None:
-                raise ValueError(f"{where} is a DataFrame: say with inputs=[...] and outputs=[...] which of its columns are what")
-            u, y, inputs = r, r, inputs or ()
-        elif hasattr(r, "starts"):
-            u, y, starts, dt = r.u, r.y, r.starts, dt if getattr(r, "dt", None) is None else r.dt
-        elif pair(r):
-            u, y, starts = (*r, ())[:3]
+        where = f"recording {number + 1}"
+        if pair(r):
+            parts = r
+        elif hasattr(r, "starts") or holds_both(r):
+            parts = (r,)
         else:
             raise ValueError(f"{where} must be a pair (u, y), a DataFrame or a Recording, not {type(r).__name__}")
-        u, y = (x[:, None] if np.ndim(x) == 1 and not hasattr(x, "iloc") else x for x in map(_array, (u, y)))
-        width = lambda x: 0 if x is None else np.shape(x)[-1]
-        inputs = tuple(f"u{i + 1}" for i in range(width(u))) if inputs is None else inputs
-        outputs = tuple(f"y{i + 1}" for i in range(width(y))) if outputs is None else outputs
-        shell = LinearSystem([[0]], [[0] * len(inputs)] if inputs else None, [[0]] * len(outputs), inputs=inputs, outputs=outputs)
+        inputs, outputs = _named(where, parts, inputs, outputs)
         try:
-            u, y, index = door.arrays(shell, u if inputs else None, y)
-            u, y = np.asarray(u, np.float64), np.asarray(y, np.float64)
-            door.refuse_infinite("u", u, inputs)
-            door.refuse_infinite("y", y, outputs)
-            if y.ndim != 2:
-                raise ValueError(f"y has shape {y.shape}, but time must be its first axis: give several recordings as a list")
-            records.append((u, y, all_starts(np.asarray(starts, np.int64), index, len(y))))
+            given = Recording.of(Signals(inputs, outputs, dict(columns or {}), dt), *parts).finite()
         except ValueError as e:
             raise ValueError(f"{where}: {e}") from None
-    return inputs, outputs, dt, records
+        if given.y.ndim != 2:
+            raise ValueError(f"{where}: y has shape {given.y.shape}, but time must be its first axis: give several recordings as a list")
+        records.append((np.asarray(given.u, np.float64), np.asarray(given.y, np.float64), given.starts))
+        periods += [] if given.dt is None else [(given.dt, where)]
+    (low, first), (high, last) = (min(periods), max(periods)) if periods else ((dt or 1.0, ""),) * 2
+    if high - low > TOLERATED_DT * low:
+        raise ValueError(f"{last} has a sample every {high:g} s, {first} every {low:g} s, and a model has one sampling period")
+    return inputs, outputs, periods[0][0] if dt is None and periods else dt or 1.0, records
 
 
-def _array(x):
-    return x if x is None or hasattr(x, "iloc") else np.asarray(x)
+def _named(where, parts, inputs, outputs):
+    """Return the names of inputs and outputs: those not given are a Recording's own, or numbered."""
+    tables = [is_table(as_table(x, where)) for x in parts[:2]]
+    if (outputs is None and tables[-1]) or (inputs is None and len(parts) > 1 and tables[0]):
+        raise ValueError(f"{where} is a DataFrame: say with inputs=[...] and outputs=[...] which of its columns are what")
+    if len(parts) == 1 and tables[0]:
+        return inputs or (), outputs
+    if len(parts) == 1:
+        own = parts[0]
+        inputs, outputs = inputs or getattr(own, "inputs", None), outputs or getattr(own, "outputs", None)
+        parts = own.u, own.y
+    width = lambda x: 0 if x is None else np.shape(x)[-1] if np.ndim(x) > 1 else 1
+    number = lambda letter, x: tuple(f"{letter}{i + 1}" for i in range(width(x)))
+    inputs = number("u", parts[0]) if inputs is None else inputs
+    return inputs, number("y", parts[1]) if outputs is None else outputs
 
 
 def _standing_still(records, inputs, outputs):

@@ -14,9 +14,9 @@ import jax
 import numpy as np
 
 from jaxbound.diagnosis.devices import everywhere, on_devices
-from jaxbound.models import recording
 from jaxbound.models.conversion import as_model
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.models.recording import inputs_of, refuse_infinite
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
@@ -52,7 +52,7 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
             or {"signal:kind": sequence}; None: a Fault's own, else twelve around the guaranteed size.
         onset: a sample, or (lo, hi): drawn uniformly from lo <= k < hi; None: a Fault's own start and stop, else the second quarter.
         at: "uniform" draws unknowns uniformly, "vertices" each at one of its bounds, "adversarial" chooses them to hide the fault.
-        inputs: (samples, m) for all scenarios; None: piecewise constant levels, each for `hold` samples, uniform in input_range.
+        inputs: (samples, m) for all, or a table; None: piecewise constant levels, each for `hold` samples, uniform in input_range.
         input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: from 1 below the offset to 1 above.
         confidence: of the intervals.
         progress: called with the share of the work done.
@@ -143,11 +143,11 @@ def _inputs(model, inputs, input_range, samples, dtype):
     """Return (u (T, m) or None, limits (m, 2), largest |u - offset| (m,))."""
     offset = np.array([float(x) for x in model.offset["u"]])
     if inputs is not None:
-        u = np.asarray(inputs, dtype)
+        u = np.asarray(inputs_of(model, inputs, "inputs"), dtype)
         if u.ndim != 2 or u.shape[1] != model.m:
             raise ValueError(f"inputs must have shape (samples, {model.m}), time first: their shape is {u.shape}")
         if not np.isfinite(u).all():
-            recording.refuse_infinite("inputs", u, model.inputs)
+            refuse_infinite("inputs", u, model.inputs)
             raise ValueError("inputs of a study must not be missing (NaN)")
         return u, np.zeros((model.m, 2), dtype), np.abs(u - offset).max(0, initial=0)
     limits = np.stack([offset - 1, offset + 1], 1) if input_range is None else np.asarray(input_range, float)

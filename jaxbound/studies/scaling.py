@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.diagnosis.consistency import detect, margins
-from jaxbound.models import recording
-from jaxbound.models.seams import all_starts, crossing
+from jaxbound.models.recording import Recording, holds_both
+from jaxbound.models.seams import crossing
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status
 
@@ -60,19 +60,19 @@ def windows_of(model, horizon, given, what="healthy"):
     """Lay recordings end to end.
 
     Args:
-        given: a tuple (u, y) or (u, y, starts), batched or not, or a list of such tuples. what: their name in sentences.
+        given: a tuple (u, y) or (u, y, starts), batched or not, a table or a Recording that holds both, or a list of these. what: their
+            name in sentences.
 
     Raises:
         ValueError: anything else, samples that do not fit the model or are infinite, not one complete window.
     """
-    several = given if isinstance(given, list) else [given]
-    if not several or not all(isinstance(one, tuple) and len(one) in (2, 3) for one in several):
+    several = [one if isinstance(one, tuple) else (one,) for one in (given if isinstance(given, list) else [given])]
+    if not several or not all(len(one) in (2, 3) or (len(one) == 1 and holds_both(one[0])) for one in several):
         raise ValueError(f"{what} needs a tuple (u, y) or a list of such tuples, one a recording; (u, y, starts) where samples are lost")
     us, ys, starts, first, at = [], [], [], [], 0
     for one in several:
-        u, y, index = recording.arrays(model, *one[:2])
-        length = y.shape[-2]
-        seams = all_starts(one[2] if len(one) == 3 else (), index, length)
+        found = Recording.of(model, *one).finite()
+        u, y, length, seams = found.u, found.y, found.y.shape[-2], found.starts
         u, y = (np.asarray(x).reshape(int(np.prod(x.shape[:-1])), x.shape[-1]) for x in (u, y))
         for begin in range(at, at + len(y), max(length, 1)):
             first.append(begin)
@@ -82,8 +82,6 @@ def windows_of(model, horizon, given, what="healthy"):
         ys.append(y)
     inner = np.unique(np.array([s for s in starts if 0 < s < at], np.int64))
     found = Windows(np.concatenate(us), np.concatenate(ys), inner, np.array(first))
-    recording.refuse_infinite("u", found.u, model.inputs)
-    recording.refuse_infinite("y", found.y, model.outputs)
     if found.without(horizon).all():
         raise ValueError(f"the {what} data hold no window of {horizon + 1} samples in a row: give longer recordings, or a shorter horizon")
     return found

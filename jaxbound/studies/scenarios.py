@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis.detectability import detectable
-from jaxbound.models import recording
 from jaxbound.models.faults import KINDS, Fault
+from jaxbound.models.recording import missing_column
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.studies import recursion
 
@@ -136,7 +136,7 @@ def _fault(model, given):
             signal, _, kind = given.rpartition(":")
         given = Fault(signal, kind)
     if given.signal not in model.outputs + model.inputs:
-        raise ValueError(recording.missing_column(given.signal, model.outputs + model.inputs, "the model"))
+        raise ValueError(missing_column(given.signal, model.outputs + model.inputs, "the model"))
     if given.kind == "tolerance" and given.signal not in model.outputs:
         raise ValueError(f"a tolerance fault needs an output, {given.signal!r} is an input")
     return given

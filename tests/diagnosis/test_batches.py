@@ -126,7 +126,7 @@ def test_the_input_takes_the_type_of_the_output(rng):
 
 def test_columns_of_a_frame_are_found_by_name(rng):
     u, y = recording((40,), rng)
-    index = pd.date_range("2024-01-01", periods=40, freq="s")
+    index = pd.date_range("2024-01-01", periods=40, freq="10ms")
     frame = pd.DataFrame({"y2": y[:, 1], "other": 1.0, "u1": u[:, 0], "y1": y[:, 0]}, index=index)
     r = jb.parity_relations(paper())
     res = jb.detect(r, frame, frame)

@@ -82,7 +82,7 @@ def test_parts_are_weighed_and_the_verdict_is_the_worst(rng):
     band = lambda m: Interval(*np.sort(rng.normal(size=(2, T, 2)), 0))
     said = [[0, 1, 2, 2], [0, 3, 2, 1]]
 
-    def fake(m, u, y, x0):
+    def fake(m, u, y, x0, starts):
         i = len(given)
         found = jb.Validation(*(band(m) for _ in range(3)), rng.random((T, 2)) < 0.3, band(m), np.array(said[i], np.int8))
         given[i] = found, y, x0

@@ -3,7 +3,6 @@
 from dataclasses import astuple
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from jaxbound.models.seams import Clock, all_starts, check_period, crossing, irregular, seam_hints, tick
@@ -104,23 +103,7 @@ class TestSentences:
         check_period(np.array([3.0]), 1.0)
 
 
-class TestIndex:
-    @pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
-    def test_gaps_of_an_index_of_dates_are_seams(self, zone):
-        morning = pd.date_range("2024-03-31", periods=60, freq="5min", tz=zone)  # the clock is put forward in between: no seam
-        index = morning.append(pd.date_range("2024-04-02", periods=9, freq="5min", tz=zone))
-        assert all_starts((), index, 69).tolist() == [60]
-        assert all_starts([7], index - index[0], 69).tolist() == [7, 60]
-
-    @pytest.mark.parametrize("index", [None, pd.RangeIndex(9), pd.Index([0.0, 1, 2, 50]), pd.Index(list("abc")), pd.DatetimeIndex([])])
-    def test_other_indexes_say_nothing(self, index):
-        assert all_starts((), index, 9).tolist() == []
-
-    def test_dates_that_run_backwards_are_refused(self):
-        with pytest.raises(ValueError, match="must increase from row to row: sort the rows"):
-            all_starts((), pd.date_range("2024-01-01", periods=9)[::-1], 9)
-
-    @pytest.mark.parametrize("starts", [[1.5], [True, False], [[1]], ["a"], [9], [3, -1]])
-    def test_starts_that_are_no_sample_numbers_are_refused(self, starts):
-        with pytest.raises(ValueError, match="starts needs the numbers of samples"):
-            all_starts(starts, None, 9)
+@pytest.mark.parametrize("starts", [[1.5], [True, False], [[1]], ["a"], [9], [3, -1]])
+def test_starts_that_are_no_sample_numbers_are_refused(starts):
+    with pytest.raises(ValueError, match="starts needs the numbers of samples"):
+        all_starts(starts, 9)

@@ -1,0 +1,272 @@
+"""Every verb on one healthy recording with a gap, an excluded stretch, a missing sample and shuffled columns, in whatever a user holds it.
+
+The gap is a jump of the plant, the excluded stretch nonsense: a verb that forgets one, or takes a column by position, finds a fault.
+"""
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxbound as jb
+
+T, GAP, OFF, LOST = 40, 14, slice(22, 27), (33, 1)
+STARTS = [GAP, OFF.start, OFF.stop]
+PIECES = [slice(0, GAP), slice(GAP, OFF.start), slice(OFF.stop, T)]
+TIME = pd.date_range("2024-01-01", periods=T, freq="s") + pd.to_timedelta(np.where(np.arange(T) < GAP, 0, 3600), "s")
+KINDS = ("pandas", "two frames", "polars-like", "pyarrow", "dict", "masked", "recording")
+PLANT = dict(A=[[0.8, 0.5], [0, 0.2]], B=[[0], [1]], C=[[1, 0], [0, 1]], noise=[0.1, 0.1], inputs=["valve"], outputs=["level", "flow"])
+WHERE = {"where": "mode == 'on'"}
+MISSING = np.isin(np.arange(T), [0, *range(OFF.start, OFF.stop), *STARTS])  # windows of two samples that are none
+
+
+def plant(**changes):
+    return jb.LinearSystem(**PLANT | {"columns": WHERE} | changes)
+
+
+def course(v=None):
+    """Return healthy u, x, y: the plant is elsewhere after the gap, and its sensors show anything in the excluded stretch."""
+    rng = np.random.default_rng(1)
+    u, x = np.repeat(rng.uniform(-3, 3, (T // 4, 1)), 4, 0), np.zeros((T + 1, 2))
+    for k in range(T):
+        if k in (GAP, OFF.stop):
+            x[k] = rng.uniform(20, 40, 2)
+        x[k + 1] = np.array(PLANT["A"], float) @ x[k] + [v[k] if v is not None else 0, u[k, 0]]
+    y = x[:-1] + rng.uniform(-0.09, 0.09, (T, 2))
+    y[OFF] = 1e3 * rng.normal(size=y[OFF].shape)
+    return u, x[:-1], y
+
+
+class Polars:
+    """What jaxbound sees of a polars.DataFrame."""
+
+    def __init__(self, frame):
+        self._frame = frame.reset_index()
+
+    columns = property(lambda self: list(self._frame.columns))
+
+    def to_pandas(self):
+        return self._frame
+
+
+def held(kind, u, y):
+    """Return what a user passes: (u, y, starts) or one table."""
+    lost = y.copy()
+    lost[LOST] = np.nan
+    mode = np.where(np.isin(np.arange(T), np.arange(OFF.start, OFF.stop)), "off", "on")
+    frame = pd.DataFrame({"flow": lost[:, 1], "mode": mode, "valve": u[:, 0], "level": lost[:, 0]}, TIME.rename("time"))
+    if kind == "masked":
+        off = np.zeros((T, 1), bool)
+        off[OFF] = True
+        y = np.where(np.isnan(lost), -9999, lost)
+        return np.ma.array(u, mask=off), np.ma.array(y, mask=off | (y == -9999)), STARTS
+    if kind == "recording":
+        return jb.models.recording.Recording.of(plant(), frame), None, ()
+    if kind == "pyarrow":
+        import pyarrow as pa
+
+        return pa.Table.from_pandas(frame.reset_index()), None, ()
+    if kind == "two frames":
+        return frame[["valve"]].iloc[::-1], frame[["mode", "flow", "level"]], ()
+    one = {"pandas": frame, "polars-like": Polars(frame), "dict": frame.reset_index().to_dict("list")}[kind]
+    if kind == "dict":
+        one["time"] = pd.DatetimeIndex(one["time"])
+    return one, None, ()
+
+
+@pytest.fixture(params=KINDS)
+def given(request):
+    u, _, y = course()
+    return held(request.param, u, y)
+
+
+def clean(u, y):
+    """Return (u, y, starts) as plain arrays that say the same."""
+    u, y = u.copy(), y.copy()
+    u[OFF], y[OFF], y[LOST] = np.nan, np.nan, np.nan
+    return u, y, STARTS
+
+
+def apart(verdicts):
+    """Return what a function of (u, y) gives for the clean pieces, MISSING or NaN between them."""
+    u, y, _ = clean(*course()[::2])
+    found = [verdicts(u[p], y[p]) for p in PIECES]
+    nothing = np.full((OFF.stop - OFF.start, *found[0].shape[1:]), 0 if found[0].dtype.kind in "iu" else np.nan, found[0].dtype)
+    return np.concatenate([found[0], found[1], nothing, found[2]])
+
+
+def test_detect(given):
+    u, y, starts = given
+    r = jb.parity_relations(plant(), 1)
+    res = jb.detect(r, u, y, starts=starts)
+    np.testing.assert_array_equal(res.status, apart(lambda u, y: jb.detect(r, u, y).status))
+    np.testing.assert_array_equal(res.margin, apart(lambda u, y: jb.detect(r, u, y).margin))
+    assert res.counts["FAULT"] == 0 and (res.status[~MISSING] != 0).all() and (res.status[MISSING] == 0).all()
+
+
+def test_margins(given):
+    u, y, starts = given
+    r = jb.parity_relations(plant(), 1)
+    found = np.asarray(jb.margins(r, u, y, starts=starts))
+    np.testing.assert_array_equal(found, apart(lambda u, y: np.asarray(jb.margins(r, u, y))))
+    assert np.nanmin(found) > 0
+
+
+def test_the_forms_of_a_relation(given):
+    u, y, starts = given
+    r = jb.parity_relations(plant(), 1)
+    outside, inside = np.asarray(r.external(u, y, starts)), r.internal(u, y, starts)
+    plain = np.where(MISSING[:, None], np.nan, r.external(*clean(*course()[::2])[:2]))
+    np.testing.assert_array_equal(outside, plain)
+    known = ~np.isnan(outside)
+    assert known.sum() > 50 and ((np.asarray(inside.lo) <= outside) & (outside <= np.asarray(inside.hi)))[known].all()
+
+
+def test_a_bank(given):
+    u, y, starts = given
+    bank = jb.structured_relations(plant())
+    res = jb.detect(bank, u, y, starts=starts)
+    np.testing.assert_array_equal(res.violated, apart(lambda u, y: jb.detect(bank, u, y).violated.astype(np.int8)).astype(bool))
+    assert res.counts["FAULT"] == 0
+
+
+def test_a_residual(given):
+    u, y, starts = given
+    f = lambda z, u, y: y[1, 1] - z[1] - 0.2 * (y[0, 1] - z[0]) - u[0, 0]
+    r = jb.residual(f, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1, inputs=["valve"], outputs=["level", "flow"])
+    shown = jb.models.recording.Recording.of(plant(), u, y, starts)  # a residual has no `where`
+    res = jb.detect(r, shown)
+    u, y, starts = clean(*course()[::2])
+    np.testing.assert_array_equal(res.status, np.where(MISSING, 0, jb.detect(r, u, y).status))
+    assert res.counts["FAULT"] == 0 and res.counts["CONSISTENT"] > 20
+    np.testing.assert_array_equal(np.isnan(np.asarray(r.external(shown))).any(-1), res.status == 0)
+
+
+@pytest.mark.parametrize("size", [1, 9, T])
+def test_a_monitor_in_pieces_of_any_size(given, size):
+    u, y, starts = given
+    r = jb.parity_relations(plant(), 1)
+    if hasattr(u, "to_pandas"):
+        u = u.to_pandas().set_index("time")
+    elif isinstance(u, dict):
+        u = pd.DataFrame(u).set_index("time")
+    monitor, status = jb.Monitor(r), []
+    state = monitor.init()
+    if hasattr(u, "outputs"):
+        cut = lambda k: (u.u[k : k + size], u.y[k : k + size])
+        starts = u.starts
+    elif y is None:
+        cut = lambda k: (u.iloc[k : k + size], None)
+    elif hasattr(y, "iloc"):
+        cut = lambda k: (u.sort_index().iloc[k : k + size], y.iloc[k : k + size])
+    else:
+        cut = lambda k: (u[k : k + size], y[k : k + size])
+    for k in range(0, T, size):
+        state, verdict = monitor.run(state, *cut(k), starts=[s - k for s in starts if k <= s < k + size])
+        status.append(verdict.status)
+    np.testing.assert_array_equal(np.concatenate(status), apart(lambda u, y: jb.detect(r, u, y).status))
+
+
+def test_a_monitor_takes_rows_by_name_and_by_their_time():
+    u, _, y = course()
+    r = jb.parity_relations(plant(), 1)
+    table, monitor, status = held("pandas", u, y)[0], jb.Monitor(r), []
+    state = monitor.init()
+    for k in range(T):
+        row = table.iloc[k]
+        state, verdict = monitor.step(state, row, row if k % 2 else None)
+        status.append(verdict.status)
+    np.testing.assert_array_equal(status, jb.detect(r, table).status)
+    state, verdict = monitor.step(monitor.init(), {"valve": 0.0}, {"flow": 2.0, "mode": "on", "level": 1.0})
+    np.testing.assert_array_equal(state.y, [[1.0, 2.0]])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_unknown_inputs(kind):
+    v = np.random.default_rng(2).normal(size=T)
+    u, _, y = course(v)
+    model = plant(unknown_inputs=[[1], [0]])
+    found = jb.unknown_inputs(model, *held(kind, u, y)[:2], starts=held(kind, u, y)[2], horizon=1).values
+    lo, hi = np.asarray(found.lo)[:, 0], np.asarray(found.hi)[:, 0]
+    inside = np.delete(np.arange(T), OFF)
+    assert ((lo <= v) & (v <= hi))[inside].all()
+    assert np.isinf(lo[[GAP - 1, *range(OFF.start - 1, OFF.stop), T - 1]]).all() and np.isfinite(lo[: LOST[0] - 1]).sum() > 20
+
+
+def test_validate(given):
+    u, y, starts = given
+    _, x, _ = course()
+    found = jb.validate(plant(), u, y, horizon=2, method="sequential", starts=starts)
+    state, status = found.state, np.asarray(found.status)
+    inside = ((np.asarray(state.lo) <= x) & (x <= np.asarray(state.hi))).all(-1)
+    assert inside[np.delete(np.arange(T), OFF)].all() and not np.asarray(found.faulty).any()
+    begin = np.isin(np.arange(T), [0, 1, GAP, GAP + 1, *range(OFF.start, OFF.stop), OFF.stop, OFF.stop + 1])
+    np.testing.assert_array_equal(status == jb.Status.MISSING, begin)
+    assert (status != jb.Status.FAULT).all() and np.isfinite(np.asarray(state.lo)[~begin]).all()
+
+
+def test_compensation(given):
+    u, y, starts = given
+    r = jb.parity_relations(plant(uncertainties=[jb.Uncertainty("gain", B=[[0], [0.05]])]), 1)
+    plain = clean(*course()[::2])
+    assert jb.compensation(r, u, y, starts=starts) == jb.compensation(r, *plain[:2], starts=plain[2]) < 1
+
+
+def test_tune(given):
+    r = jb.parity_relations(plant(), 1)
+    healthy = given if given[1] is not None else given[0]
+    assert jb.tune(r, healthy, steps=0).scale == jb.tune(r, clean(*course()[::2]), steps=0).scale <= 1
+
+
+@pytest.mark.parametrize("kind", ["pandas", "polars-like", "masked", "recording"])
+def test_fit(kind):
+    u, _, y = course()
+    given = held(kind, u, y)
+    options = dict(order=1, horizon=2, inputs=["valve"], outputs=["level", "flow"], held_out=0, method="least squares")
+    model = jb.fit(given if given[1] is not None else given[0], **options, columns=WHERE)
+    plain = jb.fit(clean(u, y), **options)
+    assert model.A == plain.A and model.noise == plain.noise and max(map(float, plain.noise)) < 1 and model.dt == 1
+
+
+def test_simulate_takes_inputs_by_name():
+    u, _, _ = course()
+    model = plant(inputs=["valve", "heat"], B=[[0, 1], [1, 0]])
+    both = np.concatenate([u, 2 * u], 1)
+    table = pd.DataFrame({"heat": both[:, 1], "valve": both[:, 0]})
+    key = jax.random.key(0)
+    np.testing.assert_array_equal(jb.simulate(model, table, key).u, both)
+
+
+@pytest.mark.slow
+def test_a_study_takes_inputs_by_name():
+    u, _, _ = course()
+    model = plant(inputs=["valve", "heat"], B=[[0, 1], [1, 0]])
+    both = np.concatenate([u, 2 * u], 1)
+    table = pd.DataFrame({"heat": both[:, 1], "valve": both[:, 0]})
+    counts = [jb.study(model, (), 8, 0, samples=T, inputs=x).settings["inputs"] for x in (table, both)]
+    assert counts[0] == counts[1]
+
+
+def test_evaluate_takes_residuals_by_name_and_a_mask_for_missing():
+    values = np.array([[0.1, 5.0], [0.2, 0.3], [9.0, 9.0]])
+    hull, table = pd.Series({"b": 1.0, "a": 10.0}), pd.DataFrame({"f": [0, 1], "g": [1, 1]}, index=["a", "b"])
+    named = pd.DataFrame({"b": values[:, 0], "a": values[:, 1]})
+    res = jb.evaluate(named, hull, table)
+    np.testing.assert_array_equal(res.status, [1, 1, 3])
+    assert res.names(2) == ("f", "g") and res.index is named.index
+    masked = np.ma.array(values, mask=values == 9.0)
+    np.testing.assert_array_equal(jb.evaluate(masked, [1.0, 10.0], [[1, 0], [1, 1]]).status, [1, 1, 0])
+    with pytest.raises(ValueError, match="the hull has no column 'b'"):
+        jb.evaluate(named, pd.Series({"a": 1.0, "c": 1.0}), table)
+
+
+def test_an_operating_range_is_taken_by_name():
+    model = plant(tolerance=[0.01, 0.2])
+    one = jb.detectable(model, "level", 1, operating_range={"flow": 1.0, "level": 50.0})
+    assert (
+        one
+        == jb.detectable(model, "level", 1, operating_range=[50.0, 1.0])
+        == jb.detectable(model, "level", 1, operating_range=pd.Series({"flow": 1.0, "level": 50.0}))
+    )
+    with pytest.raises(ValueError, match="operating_range has no column 'flow'"):
+        jb.detectable(model, "level", 1, operating_range={"level": 50.0})
