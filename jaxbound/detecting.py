@@ -23,6 +23,7 @@ from jaxbound.diagnosis.consistency import METHODS, detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.diagnosis.validation import least_horizon, validate
 from jaxbound.digest import digest
+from jaxbound.endings import ending_counts, ending_hints, sizes_seen
 from jaxbound.files import read_recording, write_alarms, write_verdicts
 from jaxbound.modelfile import load_model, save_model
 from jaxbound.outputs import made, output_folder
@@ -121,8 +122,10 @@ def _stream_with(team, folder, args, step):
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
+            sizes = sizes_seen(found, found.alarms)
+            found = replace(found, hints=(*found.hints, *ending_hints(found, found.alarms, sizes)))
             save_run(work, model, args.data, source.content, args.method, relations.horizon)
-            write_report(work, found, found, found.alarms, hints=found.hints, seconds=seconds, min_coverage=args.min_coverage,
+            write_report(work, found, found, found.alarms, hints=found.hints, sizes=sizes, seconds=seconds, min_coverage=args.min_coverage,
                          progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
     except KeyboardInterrupt:
         if done := kept(args.out / PARTIAL, source.samples):
@@ -133,7 +136,7 @@ def _stream_with(team, folder, args, step):
     folder.remove("verdicts.csv")
     team.say("published", CODES[summary(found, found.alarms, found.label, args.min_coverage)[0]])
     seconds["report"] = time.perf_counter() - start
-    return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds
+    return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds, sizes
 
 
 def _evaluate(args, work, step, extra=lambda res: ()):
@@ -155,6 +158,8 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     recording = replace(recording, hints=(*recording.hints, *unit_hints(res)))
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    sizes = sizes_seen(res, alarms)
+    recording = replace(recording, hints=(*recording.hints, *ending_hints(res, alarms, sizes)))
     hints = [*recording.hints, *bound_hints(model)]
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
         table = beside.submit(write_verdicts, work / "verdicts.csv", res, recording)
@@ -162,11 +167,11 @@ def _evaluate(args, work, step, extra=lambda res: ()):
         save_run(work, model, args.data, held, args.method, relations.horizon)
         step("report", 0.1)
         write_report(work, res, recording, alarms, hints=recording.hints, seconds=seconds, min_coverage=args.min_coverage, extra=extra(res),
-                     progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
+                     sizes=sizes, progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
         table.result()
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
-    return res, recording, alarms, hints, seconds
+    return res, recording, alarms, hints, seconds, sizes
 
 
 def _validate(args, work, step):
@@ -209,8 +214,8 @@ def _complete(data, names, samples, recording, why):
         raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
 
 
-def conclude(args, res, recording, alarms, hints, seconds):
-    """Print what was found and return the exit code."""
+def conclude(args, res, recording, alarms, hints, seconds, sizes=None):
+    """Print what was found and return the exit code. sizes: from `sizes_seen`."""
     validated = isinstance(res, Validated)
     summed = res.summary if validated else partial(summary, res)
     verdict, sentence = summed(alarms, recording.label, args.min_coverage)
@@ -224,7 +229,9 @@ def conclude(args, res, recording, alarms, hints, seconds):
             "method": res.method, "horizon": res.relations.horizon, "samples": samples(res), "counts": counts,
             "decided": coverage(res), "worst": deepest, "alarms": alarm_count, "hints": hints,
             **({"tested": res.tested, "faulty": res.blamed} if validated else {}),
-            "seconds": {k: round(v, 3) for k, v in seconds.items()}, "out": str(args.out)}  # fmt: skip
+            "seconds": {k: round(v, 3) for k, v in seconds.items()}, "out": str(args.out),
+            "ended": ending_counts(res, alarms),
+            "always_seen": sizes and {name: size if np.isfinite(size) else None for name, size in sizes.items()}}  # fmt: skip
         write(json.dumps(found, indent=2, allow_nan=False) + "\n")
         return code
     decided = f"{percent(coverage(res))} of {windows(res)} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"
@@ -278,7 +285,7 @@ def run_demo(args):
         detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, method="joint", alarm=(1, 1),
                                        min_coverage=0.5)  # fmt: skip
         extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
-        res, recording, alarms, hints, seconds = _evaluate(detecting, work, step, extra)
+        res, recording, alarms, *_ = _evaluate(detecting, work, step, extra)
     verdict, sentence = summary(res, alarms, recording.label)
     again = ["jaxbound", "detect", *(str(args.out / f) for f in ("model.toml", "run.csv")), "--out", str(args.out)]
     rows = [("false alarms", f"{false_alarms} in {clean} windows without a fault ({args.runs} runs)"),

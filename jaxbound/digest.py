@@ -1,14 +1,14 @@
 """Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from jaxbound.columns import from_arrow, to_arrow, write_columns
 from jaxbound.derived import where_hints
-from jaxbound.diagnosis.alarms import Alarm, check_rule, stretches
+from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follows, stretches
 from jaxbound.diagnosis.consistency import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.files import alarm_columns
@@ -28,7 +28,7 @@ from jaxbound.streaming import CHUNK, VERDICTS, forget_parts, part_files, publis
 __all__ = ["Digest", "detect_dataset", "digest"]
 
 DEEPEST = 200  # alarms kept in memory
-FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at")  # of an Alarm, and their seconds
+FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at", "ended")  # of an Alarm, and their seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,7 @@ class Digest:
         alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints: sentences for the user.
         line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when asked for.
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
+        ended: {ending of an Alarm: how many of all alarms have it}.
     """
 
     relations: ParityRelation
@@ -55,6 +56,7 @@ class Digest:
     line: Timeline
     time: dict
     aside: int = 0
+    ended: dict = field(default_factory=dict)
 
     def label(self, k):
         """Return the time of sample k as text."""
@@ -140,7 +142,7 @@ def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=N
     """
     report, first = progress or (lambda share: None), 0
     counts, times, worst = np.zeros(len(Status), np.int64), _Times(source), None
-    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), _AlarmBook(*alarm, relations.model.dt, alarms_csv)
+    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), _AlarmBook(*alarm, relations, alarms_csv)
     for part in part_files(folder):
         written, status, margin = _read(part)
         time, stamps = source.times(first, written)
@@ -151,14 +153,14 @@ def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=N
         named = {0, source.samples - 1, *(worst[2:3] if worst else ()), *(seam.sample for seam in clock.seams)}
         times |= {k: float(time[k - first]) for k in named if first <= k < first + len(status)}
         line.add(first, time if stamps is None else stamps, status, margin)
-        line.mark(book.add(first, written, time, status == Status.FAULT, margin))
+        line.mark(book.add(first, written, time, status, margin))
         first += len(status)
         report(first / source.samples)
     line.mark(book.close())
     alarms, named = book.alarms()
     times |= named
     found = Digest(relations, method, source, first, {s.name: int(counts[s]) for s in Status}, worst and worst[2:], alarms, book.count, (),
-                   line, times)  # fmt: skip
+                   line, times, ended=book.ended)  # fmt: skip
     if sentence := irregular(clock, found.label, source.row):
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
@@ -224,25 +226,26 @@ def _worst(status, margin, first):
 class _AlarmBook:
     """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next shows how it goes on."""
 
-    def __init__(self, k, n, dt, path):
-        self.rule, self.dt, self.path = (k, n), dt, path
+    def __init__(self, k, n, relations, path):
+        self.rule, self.dt, self.horizon, self.path = (k, n), relations.model.dt, relations.horizon, path
+        self.ended = {}
         self.before, self.held, self.count, self.kept, self.first = np.zeros(0, bool), None, 0, [], []
 
-    def add(self, first, written, time, fault, margin):
+    def add(self, first, written, time, status, margin):
         """Take the next part, which begins at sample `first`; return the samples at which alarms that ended are deepest."""
-        k, n = self.rule
-        start, end, windows, depth, worst = stretches(fault, margin, k, n, 0, 1, self.before)
+        (k, n), fault, missing = self.rule, status == Status.FAULT, status == Status.MISSING
+        start, end, windows, depth, worst, begun, last = stretches(fault, margin, k, n, 0, 1, self.before)
         self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
         take = lambda at: written.take(to_arrow(at))
         found = {"start": take(start), "end": take(end), "worst": take(worst), "from": time[start], "to": time[end], "at": time[worst],
                  "first_sample": start + first, "last_sample": end + first, "worst_sample": worst + first, "windows": windows,
-                 "depth": depth}  # fmt: skip
+                 "depth": depth, "begun": begun + first, "last": last + first, "after": follows(missing, end)}  # fmt: skip
         closed = []
         if self.held is not None:
             if len(start) and start[0] == 0:
                 found = _joined(self.held, found)
             else:
-                closed = [self.held]
+                closed = [self.held | {"after": follows(missing[:1], [-1])}]
             self.held = None
         if len(end) and end[-1] == len(fault) - 1:
             found, self.held = ({name: x[part] for name, x in found.items()} for part in (slice(0, -1), slice(-1, None)))
@@ -253,13 +256,16 @@ class _AlarmBook:
         return self._close(self.held) if self.held is not None else np.zeros(0, int)
 
     def _close(self, alarms):
+        alarms["ended"] = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
+        for code, n in enumerate(np.bincount(alarms["ended"], minlength=len(ENDINGS)).tolist()):
+            self.ended |= {ENDINGS[code]: self.ended.get(ENDINGS[code], 0) + n} if n else {}
         if self.path is not None:
             write_columns(self.path, alarm_columns(alarms, self.dt), append=self.count > 0)
         self.count += len(alarms["windows"])
         deepest = np.argsort(alarms["depth"])[:DEEPEST]
         picked = np.unique([*deepest, *range(min(1, len(alarms["windows"])))]).astype(int)
         rows = zip(*(alarms[f][picked].tolist() for f in FIELDS), strict=True)
-        fresh = [(Alarm(*row[:5]), row[5:]) for row in rows]
+        fresh = [(Alarm(*row[:5], ended=ENDINGS[row[8]]), row[5:8]) for row in rows]
         self.first = self.first or fresh[:1]
         self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
         return alarms["worst_sample"]
@@ -278,7 +284,7 @@ def _joined(held, found):
     import pyarrow as pa
 
     deeper = not held["windows"][0] or (found["windows"][0] and found["depth"][0] < held["depth"][0])
-    keep = ("start", "from", "first_sample", *(() if deeper else ("worst", "at", "worst_sample", "depth")))
+    keep = ("start", "from", "first_sample", "begun", *(() if deeper else ("worst", "at", "worst_sample", "depth")))
     out = {}
     for name, x in found.items():
         if name == "windows":

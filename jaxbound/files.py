@@ -12,6 +12,7 @@ import numpy as np
 from jaxbound.columns import from_arrow, to_arrow, valid, words, write_columns
 from jaxbound.csvtext import is_number, parse_columns, sniff
 from jaxbound.derived import Signals, wanted, where_hints
+from jaxbound.diagnosis.alarms import ENDINGS
 from jaxbound.models.seams import TOLERATED_DT, Clock, around, check_period, irregular, seam_hints, tick, usual_period
 from jaxbound.models.stillness import still_hints
 from jaxbound.parquet import is_parquet, open_parquet
@@ -179,14 +180,15 @@ def write_verdicts(path, result, recording=None):
 def write_alarms(path, alarms, recording, dt):
     """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and when it was reached.
 
-    `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt.
+    `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt; `ended`: see `Alarm`.
     """
     column = lambda name, kind=np.int64: np.array([getattr(a, name) for a in alarms], kind)
     written = recording.written if recording.written is not None else to_arrow(recording.time)
     starts, ends, depth = column("start"), column("end"), column("depth", np.float64)
     when = {name: written.take(to_arrow(column(name))) for name in ("start", "end", "worst")}
     seconds = {"from": recording.time[starts], "to": recording.time[ends]}
-    found = {"first_sample": starts, "last_sample": ends, "windows": column("windows"), "depth": depth}
+    ended = np.array([ENDINGS.index(a.ended) for a in alarms], np.int64)
+    found = {"first_sample": starts, "last_sample": ends, "windows": column("windows"), "depth": depth, "ended": ended}
     write_columns(path, alarm_columns({**when, **seconds, **found}, dt))
 
 
@@ -195,7 +197,7 @@ def alarm_columns(alarms, dt):
 
     Args:
         alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds, "first_sample", "last_sample",
-            "windows", "depth": NumPy}, one entry an alarm.
+            "windows", "depth", "ended" (numbers of ENDINGS): NumPy}, one entry an alarm.
     """
     return {
         "start": alarms["start"],
@@ -207,4 +209,5 @@ def alarm_columns(alarms, dt):
         "depth": to_arrow(alarms["depth"]),
         "factor": to_arrow(1 - alarms["depth"]),
         "worst": alarms["worst"],
+        "ended": words(ENDINGS, alarms["ended"]),
     }

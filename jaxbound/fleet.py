@@ -16,6 +16,7 @@ from typing import NamedTuple
 from jaxbound.detecting import CODES, usable_device
 from jaxbound.diagnosis.consistency import METHODS, detect
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.endings import ending_hints
 from jaxbound.files import read_recording
 from jaxbound.fleetpage import fleet_page
 from jaxbound.modelfile import load_model
@@ -35,7 +36,7 @@ NOT_TESTED = 2
 COLOUR = {"fault": "bold red", "not tested": "bold magenta", "too little evidence": "bold yellow", "no fault": "bold green"}
 SHOWN = 10  # units in the table on the terminal
 FIELDS = ("unit", "verdict", "margin", "factor", "FAULT", "CONSISTENT", "UNDECIDED", "MISSING", "decided", "alarms", "first_alarm", "worst",
-          "sentence", "hints", "model", "recording")  # fmt: skip
+          "sentence", "hints", "model", "recording", "ended")  # fmt: skip
 
 
 class Unit(NamedTuple):
@@ -52,7 +53,8 @@ class UnitResult:
 
     Fields: unit; verdict: "fault", "no fault", "too little evidence" or "not tested"; sentence: what an engineer should know, or why it was
     not tested; margin: of the worst window, NaN if there is none; counts: windows by status; decided: share of windows proved one way or
-    the other; alarms: how many; first_alarm, worst: text of the times of the first alarm and the worst window; hints: sentences.
+    the other; alarms: how many; first_alarm, worst: text of the times of the first alarm and the worst window; hints: sentences; ended: why
+    the last alarm is over, see `Alarm`.
     """
 
     unit: Unit
@@ -65,6 +67,7 @@ class UnitResult:
     first_alarm: str = ""
     worst: str = ""
     hints: tuple = ()
+    ended: str = ""
 
 
 def read_manifest(path):
@@ -219,7 +222,8 @@ def _tested(unit, job, method, alarm, min_coverage):
         return UnitResult(
             unit, verdict, sentence, float(margin), tuple(res.counts.values()), coverage(res), len(alarms),
             recording.label(alarms[0].start) if alarms else "", "" if at is None else recording.label(at),
-            (*recording.hints, *unit_hints(res), *bound_hints(model)))  # fmt: skip
+            (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms)),
+            alarms[-1].ended if alarms else "")  # fmt: skip
     except (OSError, ValueError, NotImplementedError, TypeError) as e:
         system = isinstance(e, OSError) and e.filename and e.strerror
         return UnitResult(unit, "not tested", f"{e.filename}: {e.strerror.lower()}" if system else str(e))
@@ -265,7 +269,8 @@ def write_fleet(directory, results, title="fleet"):
             missing, consistent, undecided, fault = r.counts
             table.writerow((
                 r.unit.name, r.verdict, number(r.margin), number(1 - r.margin), fault, consistent, undecided, missing, number(r.decided),
-                r.alarms, r.first_alarm, r.worst, r.sentence, " | ".join(r.hints), r.unit.model, r.unit.recording))  # fmt: skip
+                r.alarms, r.first_alarm, r.worst, r.sentence, " | ".join(r.hints), r.unit.model, r.unit.recording,
+                r.ended))  # fmt: skip
     (Path(directory) / "fleet.html").write_text(fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8")
 
 
@@ -304,10 +309,10 @@ def _conclude(args, results):
         found = {"verdict": verdict, "exit_code": code, "summary": sentence, "units": list(map(_plain, ordered)), "out": str(args.out)}
         write(json.dumps(found, indent=2, allow_nan=False) + "\n")
         return code
-    table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm")]
+    table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm", "the last alarm")]
     for r in ordered[:SHOWN]:
         margin = "" if math.isnan(r.margin) else f"{r.margin:.3g}"
-        table.append((r.unit.name, r.verdict, margin, str(r.counts[3]), percent(r.decided), r.first_alarm))
+        table.append((r.unit.name, r.verdict, margin, str(r.counts[3]), percent(r.decided), r.first_alarm, r.ended))
     rows = [("not tested", f"{r.unit.name}: {r.sentence}") for r in ordered if r.verdict == "not tested"][:SHOWN]
     rows += [("", f"and {len(ordered) - SHOWN} more units")] if len(ordered) > SHOWN else []
     rows += [("table", str(args.out / "fleet.csv")), ("page", str(args.out / "fleet.html"))]
@@ -321,4 +326,5 @@ def _plain(r):
     return {
         "unit": r.unit.name, "verdict": r.verdict, "summary": r.sentence, "margin": r.margin if math.isfinite(r.margin) else None,
         "counts": dict(zip(names, r.counts, strict=True)), "decided": r.decided, "alarms": r.alarms, "first_alarm": r.first_alarm or None,
-        "worst": r.worst or None, "hints": list(r.hints), "model": str(r.unit.model), "recording": str(r.unit.recording)}  # fmt: skip
+        "worst": r.worst or None, "hints": list(r.hints), "model": str(r.unit.model), "recording": str(r.unit.recording),
+        "ended": r.ended or None}  # fmt: skip

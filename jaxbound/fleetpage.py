@@ -69,6 +69,7 @@ def _row(r):
     if r.hints:
         items = "".join(f"<li>{escape(h)}</li>" for h in r.hints)
         hints = f"<details><summary>{len(r.hints)} hint{'s' * (len(r.hints) > 1)}</summary><ul>{items}</ul></details>"
+    plain += f" The last alarm: {r.ended}." if r.ended else ""
     cells = (
         f"<b>{escape(r.unit.name)}</b>", f'<b class="{CLASS[r.verdict]}">{r.verdict}</b>', factor and f"× {factor}", bar,
         r.alarms or "", escape(r.first_alarm), escape(plain[:1].upper() + plain[1:]) + hints)  # fmt: skip

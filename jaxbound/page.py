@@ -200,7 +200,7 @@ table { border-collapse: collapse; margin: 8px 0; font-size: 13.5px; font-varian
 th { text-align: left; color: var(--soft); font-weight: 600 }
 th, td { padding: 4px 18px 4px 0; border-bottom: 1px solid var(--line); vertical-align: top }
 .alarms { width: 100% } .alarms td:nth-child(-n+7) { white-space: nowrap }
-.alarms td:last-child { font: 12px/1.45 ui-monospace, "DejaVu Sans Mono", monospace }
+.alarms td:nth-child(8) { font: 12px/1.45 ui-monospace, "DejaVu Sans Mono", monospace }
 .about td:first-child { color: var(--soft); white-space: nowrap } .about thead { display: none }
 .matrices { display: flex; flex-wrap: wrap; gap: 10px 34px; margin: 12px 0 }
 .matrix { display: flex; align-items: center; gap: 8px }

@@ -21,8 +21,10 @@ import numpy as np
 
 from jaxbound.columns import is_plain, to_arrow, words, write_rows
 from jaxbound.detecting import CODES, usable_device
+from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
 from jaxbound.diagnosis.monitor import Monitor, MonitorState
 from jaxbound.diagnosis.result import suspected
+from jaxbound.endings import endings_said
 from jaxbound.journal import STATE, VERDICTS, Journal
 from jaxbound.linetext import FEW
 from jaxbound.modelfile import load_model
@@ -111,7 +113,7 @@ class _Run:
         self.state = MonitorState(*map(read, empty, before["state"])) if before else empty
         counts = dict.fromkeys(NAMES, 0)
         nothing = {"counts": counts, "aside": 0, "recent": [], "left out": 0, "first": None, "worst": None, "last": None}
-        self.found = before.get("found", nothing)
+        self.found = before.get("found", nothing | {"on": 0, "on before": 0, "endings": {}})
 
     def to_the_end(self, chunks, whole):
         m = self.monitor.relations.model
@@ -164,6 +166,10 @@ class _Run:
         text = self.text.reader.is_text
         when = lambda k: piece.written[k].as_py().strip() if text else float(piece.time[k])
         found["last"] = when(len(status) - 1)
+        found["on before"] = found["on"]
+        for code in status.tolist() if found["on"] or (status == FAULT).any() else ():
+            found["on"], ended = _followed(found["on"], code, s)
+            found["endings"] |= {ended: found["endings"].get(ended, 0) + 1} if ended else {}
         fault = np.flatnonzero(status == FAULT)
         if len(fault):
             worst = int(fault[np.argmin(verdict.margin[fault])])
@@ -177,10 +183,11 @@ class _Run:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
         number = lambda x: float(x) if x else None
         when = str if self.text.reader.is_text else number
-        return "".join(
-            json.dumps({"time": when(t), "status": status, "margin": number(margin)}) + "\n"
-            for t, status, margin, _ in csv.reader(io.StringIO(rows.decode()))
-        ).encode()
+        on, out = self.found["on before"], []
+        for t, status, margin, _ in csv.reader(io.StringIO(rows.decode())):
+            on, ended = _followed(on, Status[status], self.monitor.relations.horizon)
+            out.append(json.dumps({"time": when(t), "status": status, "margin": number(margin), "ended": ended}) + "\n")
+        return "".join(out).encode()
 
     def emit(self, data):
         """Print, with the header before the first; where a reader has gone away, go on only if the verdicts are written elsewhere too."""
@@ -219,7 +226,7 @@ class _Run:
         hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *bound_hints(relations.model)]
         lost = found["left out"]
         hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
-        for hint in filter(None, hints):
+        for hint in filter(None, (*hints, *endings_said(found["endings"], sum(found["endings"].values()) + bool(found["on"])))):
             say(hint)
         few = share < self.args.min_coverage
         verdict = "fault" if counts["FAULT"] else "too little evidence" if few else "no fault"
@@ -231,6 +238,14 @@ class _Run:
         }[verdict]
         say(f"{sentence}. {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
         return CODES[verdict]
+
+
+def _followed(on, status, horizon):
+    """Return (FAULT windows in a row up to this one, why the alarm that they were is over, None if none ended here)."""
+    if status == FAULT:
+        return on + 1, None
+    after = np.array([NO_DATA if status == Status.MISSING else OTHER])
+    return 0, ENDINGS[endings(0, on - 1, after, horizon)[0]] if on else None
 
 
 def _rows(written, verdict):

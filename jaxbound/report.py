@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxbound.digest import Digest
+from jaxbound.endings import sizes_text
 from jaxbound.page import GUARANTEE, about, duration, figure, frame, model_tables, opening, percent, section, table, tiles, times
 from jaxbound.plots import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
 from jaxbound.relations.uncertain import UncertainRelations
@@ -19,7 +20,8 @@ ROWS = 200  # alarms in the table
 PATIENCE = 1.0  # seconds for the exact certificates of the table
 MEANING = {
     Status.FAULT: "proved: no state and no sensor error inside the stated bounds explains the samples of this window",
-    Status.CONSISTENT: "proved: the model explains the samples with every error inside its bounds",
+    Status.CONSISTENT: "proved: the model explains the samples with every error inside its bounds; that is no proof that a fault "
+    "before it is repaired",
     Status.UNDECIDED: "not settled by the method that was chosen, or on the boundary within rounding",
     Status.MISSING: "no usable data: the first samples of a recording or after a gap in time, or missing values",
 }
@@ -101,7 +103,7 @@ def bound_hints(model):
     return [none] if bare else []
 
 
-def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, min_coverage=0.5, extra=(), progress=None):
+def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, min_coverage=0.5, extra=(), sizes=None, progress=None):
     """Write report.html, margin.png and residuals.png.
 
     Args:
@@ -109,7 +111,7 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
         recording: with .label(k), .axis and .time, as `read_recording` returns it; for a Digest itself.
         hints: sentences for the reader. seconds: {stage: seconds}. min_coverage: as for `summary`.
         extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections of one's own.
-        progress: called with the share of the work done.
+        sizes: from `sizes_seen`. progress: called with the share of the work done.
 
     Returns:
         The names of the files written.
@@ -125,13 +127,13 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
     report(0.7)
     for name, data in pictures.items():
         (directory / name).write_bytes(data)
-    page = _page(res, recording, alarms, [*hints, *bound_hints(res.relations.model)], seconds or {}, min_coverage, pictures, extra)
+    page = _page(res, recording, alarms, [*hints, *bound_hints(res.relations.model)], seconds or {}, min_coverage, pictures, extra, sizes)
     (directory / "report.html").write_text(page, encoding="utf-8")
     report(1.0)
     return ["report.html", *pictures]
 
 
-def _page(res, recording, alarms, hints, seconds, min_coverage, pictures, extra):
+def _page(res, recording, alarms, hints, seconds, min_coverage, pictures, extra, sizes):
     model, s = res.relations.model, res.relations.horizon
     verdict, sentence = summary(res, alarms, recording.label, min_coverage)
     counted = tiles(res.counts, s, MEANING, f"{percent(coverage(res))} of all full windows are decided by proof.")
@@ -142,7 +144,7 @@ def _page(res, recording, alarms, hints, seconds, min_coverage, pictures, extra)
         section("Margin", figure(pictures["margin.png"], "margin over time",
             "How far each window is inside (above 0) or outside (below 0) of what the bounds allow. At a margin of -1, all bounds would "
             "have to be twice as wide to explain the samples.")),
-        section(f"Alarms ({alarm_total(res, alarms)})", _alarms(res, recording, alarms)),
+        section(f"Alarms ({alarm_total(res, alarms)})", _alarms(res, recording, alarms, sizes)),
         section("Residuals" + ", around the worst window" * isinstance(res, Digest),
                  figure(pictures["residuals.png"], "residuals and their envelopes",
             "Each residual is computed from measurements alone; the blue band is what healthy sensors inside their bounds can make of it. "
@@ -156,7 +158,7 @@ def _page(res, recording, alarms, hints, seconds, min_coverage, pictures, extra)
     return frame(model.name, verdict, sections)
 
 
-def _alarms(res, recording, alarms):
+def _alarms(res, recording, alarms, sizes):
     if not alarms:
         return "<p>None.</p>"
     depth = [a.depth if a.depth == a.depth else 0.0 for a in alarms]
@@ -172,7 +174,7 @@ def _alarms(res, recording, alarms):
         a = alarms[i]
         factor = "" if a.depth != a.depth else f"× {times(1 - a.depth).removesuffix(' times')}"
         lasts = duration(float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt)
-        rows.append((i + 1, recording.label(a.start), recording.label(a.end), lasts, a.windows, factor, *why.get(i, ("", ""))))
+        rows.append((i + 1, recording.label(a.start), recording.label(a.end), lasts, a.windows, factor, *why.get(i, ("", "")), a.ended))
     total = alarm_total(res, alarms)
     note = f"<p>The {ROWS} deepest of {total} alarms; alarms.csv has all of them, and a larger n in --alarm k/n joins neighbours.</p>"
     note = note if total > ROWS else ""
@@ -180,10 +182,16 @@ def _alarms(res, recording, alarms):
             "the smallest error of that sensor alone that would explain it too, or an actuator that did something else than was recorded; "
             "a signal that is not named cannot explain it, whatever its error. "
             "Violated relation: what those samples contradict most; it must hold for some true values inside the bounds. The whole proof "
-            "of a window: <code>jaxbound explain DIR --at TIME</code>, with the folder of this report.</p>")  # fmt: skip
+            "of a window: <code>jaxbound explain DIR --at TIME</code>, with the folder of this report. "
+            f"Ended: {escape(sizes_text(res, sizes))}; the alarm of a smaller one may end when its onset leaves the window, "
+            "while the fault lasts.</p>")  # fmt: skip
     return (
         note
-        + table(("", "from", "to", "lasts", "FAULT windows", "bounds needed", "one sensor wrong by", "violated relation"), rows, "alarms")
+        + table(
+            ("", "from", "to", "lasts", "FAULT windows", "bounds needed", "one sensor wrong by", "violated relation", "ended"),
+            rows,
+            "alarms",
+        )
         + text
     )
 

@@ -67,7 +67,7 @@ class Validated:
 
     def alarms(self, k=1, n=1):
         """Group FAULT windows. See `Result.alarms`."""
-        return group_alarms(self, k, n, 0, 1)
+        return group_alarms(self, k, n, 0, 1, 0)
 
     def explain(self, at):
         """Refuse: there is no certificate of a verdict that rests on all samples before it."""

@@ -310,7 +310,8 @@ class TestWriting:
 
     def test_no_alarms_is_a_header(self, tmp_path):
         write_alarms(tmp_path / "a.csv", [], Recording(np.arange(4.0), None, np.zeros((4, 0)), np.zeros((4, 1))), 1)
-        assert (tmp_path / "a.csv").read_text().splitlines() == ["start,end,duration_s,first_sample,last_sample,windows,depth,factor,worst"]
+        header = "start,end,duration_s,first_sample,last_sample,windows,depth,factor,worst,ended"
+        assert (tmp_path / "a.csv").read_text().splitlines() == [header]
 
 
 def test_reading_a_file_does_not_import_pandas(tmp_path):

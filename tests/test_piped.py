@@ -139,9 +139,20 @@ class TestVerdicts:
     def test_json_lines(self, samples, place, pipe):
         code, out, _ = pipe(lines(samples)[:12], json=True)
         rows = [json.loads(row) for row in out.splitlines()]
-        assert code == 0 and len(rows) == 11 and rows[0] == {"time": 0.0, "status": "MISSING", "margin": None}
+        assert code == 0 and len(rows) == 11 and rows[0] == {"time": 0.0, "status": "MISSING", "margin": None, "ended": None}
         res = jb.detect(jb.parity_relations(paper()), samples[1][:11], samples[2][:11])
         assert [r["margin"] for r in rows[1:]] == res.margin[1:].tolist()
+
+    def test_json_lines_and_the_end_say_why_an_alarm_is_over(self, samples, place, pipe, rng):
+        text = lines(samples)
+        res = jb.detect(jb.parity_relations(paper()), samples[1][:220], samples[2][:220], starts=[100, 120])
+        alarms = res.alarms()
+        text = [text[0], *text[1:221]]
+        for cuts in ((), sorted(rng.integers(0, len("".join(text)), 9).tolist())):
+            _, out, err = pipe(text, cuts=cuts, json=True)
+            said = {k: row["ended"] for k, row in enumerate(map(json.loads, out.splitlines())) if row["ended"]}
+            assert said == {a.end + 1: a.ended for a in alarms if a.end < 219} and len(set(said.values())) > 1
+            assert "ended because the onset left the window: repaired or lasting" in " ".join(err.split())
 
     def test_exit_codes(self, samples, place, pipe):
         text = lines(samples)

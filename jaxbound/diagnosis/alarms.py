@@ -8,7 +8,28 @@ import numpy as np
 
 from jaxbound.sets.status import Status
 
-__all__ = ["Alarm", "check_rule", "group_alarms", "stretches"]
+__all__ = [
+    "ENDINGS",
+    "NO_DATA",
+    "NO_LONGER",
+    "ONSET_LEFT",
+    "OTHER",
+    "Alarm",
+    "check_rule",
+    "endings",
+    "follows",
+    "group_alarms",
+    "stretches",
+]
+
+ENDINGS = (
+    "still on at the last sample",
+    "no data after it",
+    "its onset may have left the window: repaired or lasting",
+    "seen beyond its onset and no longer: repaired or hidden",
+)
+ONSET_LEFT, NO_LONGER = ENDINGS[2:]
+NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 
 
 @dataclass(frozen=True)
@@ -16,7 +37,14 @@ class Alarm:
     """A stretch of FAULT windows.
 
     Fields: start, end: first and last sample (inclusive); windows: how many are FAULT; depth: the worst margin (< 0), reached
-    at sample `worst`; recording: index of the recording in a batch, () for a single one; result: what the alarm was found in.
+    at sample `worst`; recording: index of the recording in a batch, () for a single one; result: what the alarm was found in; ended: why it
+    is over, of which no verdict is a proof, one of
+
+    - "still on at the last sample", "no data after it";
+    - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first one, so a fault that lasts
+      would look the same. From which size on a lasting one is sure to be seen: `detectable`;
+    - "seen beyond its onset and no longer: repaired or hidden": a window without the onset is FAULT too, so the fault was seen while it
+      lasted; now it is gone, or noise within the bounds hides it.
     """
 
     start: int
@@ -26,6 +54,7 @@ class Alarm:
     worst: int
     recording: tuple = ()
     result: object = field(default=None, repr=False, compare=False)
+    ended: str = field(default="", repr=False)
 
     @cached_property
     def certificate(self):
@@ -59,23 +88,46 @@ def check_rule(k, n, hold=0, clear=1):
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
 
 
-def group_alarms(result, k, n, hold, clear):
-    """See `Result.alarms`. Array operations over time; the loop is over alarms."""
+def group_alarms(result, k, n, hold, clear, horizon):
+    """See `Result.alarms`. Array operations over time; the loop is over alarms.
+
+    Args:
+        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no window.
+    """
     check_rule(k, n, hold, clear)
     shape = result.status.shape
     recordings = math.prod(shape[:-1])
     fault = (result.status == Status.FAULT).reshape(recordings, shape[-1])
+    missing = (result.status == Status.MISSING).reshape(recordings, shape[-1])
     margin = result.margin.reshape(recordings, shape[-1])
     alarms = []
     for row in np.flatnonzero(fault.any(1)):
         recording = tuple(int(i) for i in np.unravel_index(row, shape[:-1])) if len(shape) > 1 else ()
-        columns = (x.tolist() for x in stretches(fault[row], margin[row], k, n, hold, clear))
-        alarms += [Alarm(*a, recording, result) for a in zip(*columns, strict=True)]
+        *columns, first, last = stretches(fault[row], margin[row], k, n, hold, clear)
+        codes = endings(first, last, follows(missing[row], columns[1]), horizon)
+        columns = (x.tolist() for x in (*columns, codes))
+        alarms += [Alarm(*a, recording, result, ENDINGS[code]) for *a, code in zip(*columns, strict=True)]
     return alarms
 
 
+def follows(missing, end):
+    """Return what comes after the alarms that end at samples `end`; missing: (T,) bool, windows without data."""
+    return np.append(np.where(missing, NO_DATA, OTHER), NO_SAMPLE)[np.asarray(end, int) + 1]
+
+
+def endings(first, last, after, horizon):
+    """Return for each alarm the number of its entry in ENDINGS.
+
+    Args:
+        first, last: its first and last FAULT window. after: NO_SAMPLE, NO_DATA or OTHER. horizon: of the windows. The onset is no later
+            than `first`, and a window that ends at `first + horizon` or later has no sample before that.
+    """
+    return np.where(after == OTHER, np.where(last - first < horizon, 2, 3), after)
+
+
 def stretches(fault, margin, k, n, hold, clear, before=()):
-    """Return (start, end, windows, depth, worst) of the alarms of one recording, an array each, as in `Alarm`.
+    """Return (start, end, windows, depth, worst, first, last) of the alarms of one recording, an array each: as in `Alarm`, and the first
+    and the last FAULT window that made it.
 
     Args:
         fault: (T,) bool. margin: (T,). k, n, hold, clear: see `Result.alarms`.
@@ -84,7 +136,7 @@ def stretches(fault, margin, k, n, hold, clear, before=()):
     count = np.cumsum(np.concatenate([np.zeros(n - len(before), int), before, fault]).astype(int))
     on = np.flatnonzero(count[n:] - count[:-n] >= k)
     if not len(on):
-        return on, on, on, margin[on], on
+        return on, on, on, margin[on], on, on, on
     breaks = np.flatnonzero(np.diff(on) > hold + clear)  # the quiet samples between two on-samples: their distance - 1
     starts = on[np.concatenate([[0], breaks + 1])]
     ends = np.minimum(on[np.concatenate([breaks, [len(on) - 1]])] + hold, len(fault) - 1)
@@ -95,4 +147,8 @@ def stretches(fault, margin, k, n, hold, clear, before=()):
     first = np.cumsum(lengths) - lengths
     deepest = np.flatnonzero(depth == np.minimum.reduceat(depth, first)[alarm])
     worst = rows[deepest[np.searchsorted(alarm[deepest], np.arange(len(starts)))]]
-    return starts, ends, np.add.reduceat(fault[rows].astype(int), first), margin[worst], worst
+    at = np.flatnonzero(np.concatenate([before, fault])) - len(
+        before
+    )  # of all FAULT windows: the rule counts some that an alarm begins after
+    made = at[np.searchsorted(at, starts - n + 1)], at[np.searchsorted(at, ends, "right") - 1]
+    return starts, ends, np.add.reduceat(fault[rows].astype(int), first), margin[worst], worst, *made

@@ -28,7 +28,7 @@ from jaxbound.relations.parity import parity_relations, relation_text
 from jaxbound.sets import exact
 from jaxbound.sets.chebyshev import chebyshev, subspace
 
-__all__ = ["GuaranteedSize", "detectable", "visible_sizes"]
+__all__ = ["GuaranteedSize", "always_seen", "detectable", "visible_sizes"]
 
 ZERO = Fraction(0)
 ROUNDING = RECORDER_ULPS + 256
@@ -36,6 +36,8 @@ ROUNDING = RECORDER_ULPS + 256
 NEGLIGIBLE = 10**6
 SETTLED = 4
 """Longer windows that bring less than 0.1 % after which the search for the best horizon ends."""
+EFFORT = 10**6
+"""Cubed rows of a window, times signals, up to which `always_seen` works: about a second of exact arithmetic."""
 
 
 class GuaranteedSize(float):
@@ -110,6 +112,35 @@ def detectable(model, fault, horizon=None, operating_range=None):
     out.sizes = {s: math.inf if x is None else float(x) for s, x in tried.items()}
     out.relation = "" if best is None else _text(model, *best[1:])
     return out
+
+
+def always_seen(relations, method="joint", readings=None):
+    """Return {signal: size of a lasting error from which on every complete window that it fills is FAULT}; inf: no size is sure to be seen.
+
+    Args:
+        relations: from `parity_relations`. method: of the test. readings: (T, p), NaN where missing: with a tolerance, how large they get.
+
+    Returns:
+        The sizes of `detectable` at the horizon of the relations, outputs first; None where they are not known: another method than
+        "joint", an uncertain model, or windows so long that more than about a second would be spent.
+
+    Example:
+        >>> from jaxbound import LinearSystem
+        >>> sizes = always_seen(parity_relations(LinearSystem([["1/2"]], None, [[1], [1]], noise=0.1), 0))
+        >>> {signal: round(size, 6) for signal, size in sizes.items()}
+        {'y1': 0.4, 'y2': 0.4}
+    """
+    model, s = relations.model, relations.horizon
+    signals, rows = model.outputs + model.inputs, (s + 1) * model.p + s * model.g
+    if method != "joint" or model.uncertainties or rows**3 * (1 + model.d) * len(signals) > EFFORT:
+        return None
+    reach = None
+    if any(model.tolerance):
+        if readings is None or not np.size(readings):
+            return None
+        offset = np.array(model.offset["y"], float)
+        reach = np.fmax.reduce(abs(np.asarray(readings, float) - offset), axis=0, initial=np.finfo(np.float32).tiny).tolist()
+    return {signal: float(detectable(model, signal, s, reach)) for signal in signals}
 
 
 def _text(model, s, h):

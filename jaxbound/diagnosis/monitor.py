@@ -48,7 +48,10 @@ class MonitorState(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Of the window that ends at a sample: status (a `Status` as int8) and margin, as in the Result of `detect`; (N,) for N samples."""
+    """Of the window that ends at a sample: status (a `Status` as int8) and margin, as in the Result of `detect`; (N,) for N samples.
+
+    CONSISTENT after FAULT does not say that a fault is repaired: see `Alarm`.
+    """
 
     status: np.ndarray
     margin: np.ndarray

@@ -89,7 +89,7 @@ class Result:
         Raises:
             ValueError: numbers outside these ranges.
         """
-        return group_alarms(self, k, n, hold, clear)
+        return group_alarms(self, k, n, hold, clear, self.relations.horizon)
 
     def explain(self, at):
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in exact rationals.

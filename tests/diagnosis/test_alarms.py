@@ -7,17 +7,17 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.sets.status import Status
 
-RELATIONS = jb.parity_relations(paper())
+RELATIONS, LONG = jb.parity_relations(paper()), jb.parity_relations(paper(), 3)
 
 
-def result(pattern, margin=None):
+def result(pattern, margin=None, relations=RELATIONS):
     """Build a Result: F is FAULT, . CONSISTENT, ? UNDECIDED, - MISSING; margin -1 at each F unless given."""
     verdict = {".": Status.CONSISTENT, "F": Status.FAULT, "?": Status.UNDECIDED, "-": Status.MISSING}
     status = np.array([[verdict[c] for c in row] for row in np.atleast_1d(pattern)], np.int8)
     margin = np.where(status == 3, -1.0, 0.5) if margin is None else np.atleast_2d(np.array(margin, float))
     if isinstance(pattern, str):
         status, margin = status[0], margin[0]
-    return jb.Result(status, margin, "joint", RELATIONS, np.zeros((*status.shape, 1)), np.zeros((*status.shape, 2)))
+    return jb.Result(status, margin, "joint", relations, np.zeros((*status.shape, 1)), np.zeros((*status.shape, 2)))
 
 
 def spans(pattern, **rule):
@@ -112,6 +112,25 @@ def test_depth_is_the_worst_margin_of_the_faults_and_worst_its_sample():
 
 def test_each_alarm_has_a_depth_of_its_own():
     assert [(a.depth, a.worst) for a in result("FF..FF", [-1, -2, 0, 0, -4, -3]).alarms()] == [(-2, 1), (-4, 4)]
+
+
+@pytest.mark.parametrize("pattern, expected", [
+    ("..FFF", "still on at the last sample"), ("..FFF-", "no data after it"), ("..FF-.", "no data after it"),
+    ("..FFF.", "its onset may have left the window: repaired or lasting"),
+    ("..FFF?", "its onset may have left the window: repaired or lasting"),
+    ("..FFFF.", "seen beyond its onset and no longer: repaired or hidden"),
+])  # fmt: skip
+def test_an_alarm_says_why_it_is_over(pattern, expected):
+    assert [a.ended for a in result(pattern, relations=LONG).alarms()] == [expected]
+
+
+@pytest.mark.parametrize("rule, expected", [
+    ({"clear": 2}, ("seen beyond", "still on")), ({"hold": 3}, ("seen beyond", "still on")), ({"k": 2, "n": 3}, ("seen beyond",)),
+    ({}, ("its onset", "its onset", "still on")),
+])  # fmt: skip
+def test_what_an_alarm_rule_adds_does_not_count_as_seen(rule, expected):
+    found = [a.ended for a in result("..FF.F......F", relations=LONG).alarms(**rule)]
+    assert len(found) == len(expected) and all(a.startswith(b) for a, b in zip(found, expected, strict=True))
 
 
 def test_alarms_of_a_batch_name_their_recording_and_come_in_order():
