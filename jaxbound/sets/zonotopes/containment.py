@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import rounding
+from jaxbound.sets.comparisons import contains as contains_number
 from jaxbound.sets.interval import Interval
-from jaxbound.sets.interval import contains as contains_number
 from jaxbound.sets.probe import refuse_unverified
 from jaxbound.sets.zonotopes import proof
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
