@@ -22,8 +22,7 @@ from jaxbound.sets.zonotopes.shapes import minkowski_difference, sample, vertice
 from jaxbound.sets.zonotopes.zonotope import Zonotope, zonotope
 
 __all__ = [*_interval, *_comparisons, *_elementary, "Answer", "ConstrainedZonotope", "Decision", "Inclusion", "Paving", "Separation",
-           "Solution",
-           "Solvability", "Status", "Zonotope", "cartesian_product", "constrained_zonotope", "contains", "convex_hull",
-           "eliminate_constraints", "from_interval", "inclusion", "intersects", "interval_hull", "is_empty", "linear_map",
+           "Solution", "Solvability", "Status", "Zonotope", "cartesian_product", "constrained_zonotope", "contains", "convex_hull",
+           "eliminate_constraints", "from_interval", "inclusion", "intersection", "intersects", "interval_hull", "is_empty", "linear_map",
            "membership", "minkowski_difference", "minkowski_sum", "pave", "reduce_order", "sample", "scale", "separate", "solve_interval",
            "strip_intersection", "strips", "support", "translate", "vertices", "volume", "zonotope"]  # fmt: skip

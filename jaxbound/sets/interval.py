@@ -19,7 +19,7 @@ from jaxbound.sets import approximations, rounding
 from jaxbound.sets.bounds import bound, check
 
 __all__ = [
-    "Interval", "abs", "add", "div", "hull", "intersection", "interval", "mag", "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown",
+    "Interval", "abs", "add", "div", "hull", "interval", "mag", "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown",
     "rad", "recip", "sqr", "sub", "sum", "wid",
 ]  # fmt: skip
 
