@@ -20,12 +20,26 @@ from jaxbound.describing import isolation_text
 from jaxbound.detecting import run_demo, run_detect
 from jaxbound.diagnosis.consistency import METHODS
 from jaxbound.modelfile import load_model, template
+from jaxbound.plaintext import clipped
 from jaxbound.plots import distinct_relations
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints
 from jaxbound.runfile import VALIDATION
 from jaxbound.sets.probe import Unverified
-from jaxbound.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, door, progress_bars, say, show, stoppable, write
+from jaxbound.terminal import (
+    BAD_INPUT,
+    INTERNAL,
+    INTERRUPTED,
+    OK,
+    Refused,
+    door,
+    progress_bars,
+    say,
+    show,
+    stoppable,
+    system_trouble,
+    write,
+)
 
 __all__ = ["main"]
 
@@ -59,6 +73,11 @@ class Parser(argparse.ArgumentParser):
         """Raise Refused instead of printing the usage."""
         raise Refused(f"{message.removeprefix('argument ').replace(': ', ' ', message.startswith('argument '))}; see {self.prog} --help")
 
+    def _print_message(self, message, file=None):
+        """Print help and version as everything is printed."""
+        if message:
+            write(message)
+
 
 def main(argv=None):
     """Run one command.
@@ -88,6 +107,13 @@ def _main(argv):
     except KeyboardInterrupt as e:
         say(str(e) or "interrupted: nothing was written")
         return INTERRUPTED
+    except MemoryError as e:
+        said = clipped(str(e)) or "no more was given"
+        say(f"this needs more memory than there is ({said}): ask for less at once, or use a larger machine")
+        return BAD_INPUT
+    except OSError as e:  # a disk that fills up, say, while a report is written
+        say(system_trouble(e))
+        return BAD_INPUT
     except Exception as e:
         with tempfile.NamedTemporaryFile("w", prefix="jaxbound-traceback-", suffix=".txt", delete=False) as f:
             traceback.print_exc(file=f)
@@ -106,7 +132,7 @@ def _parse(argv):
     )
     c = commands.add_parser("demo", help="run the example of a paper and write its report", epilog="exit code: 0")
     c.add_argument("--out", type=_path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
-    c.add_argument("--runs", type=_whole(1), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
+    c.add_argument("--runs", type=_whole(1, 10**7), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
     c.set_defaults(run=run_demo)
     c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=EPILOG + PIPE_EPILOG)
     c.add_argument("model", type=_path, metavar="MODEL.toml")
@@ -134,7 +160,7 @@ def _parse(argv):
     c.add_argument("data", type=_path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
     c.add_argument("--inputs", default="", metavar="A,B", help="columns; or name=column, or name=expression like lift=Tsup-Tmix")
     c.add_argument("--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain")
-    c.add_argument("--order", type=_whole(1), default=2, metavar="N", help="samples back that determine the next one (default: 2)")
+    c.add_argument("--order", type=_whole(1, 1000), default=2, metavar="N", help="samples back that determine the next one (default: 2)")
     c.add_argument("--horizon", type=_whole(1), default=15, metavar="S", help="bounds are found for windows of S + 1 samples (default: 15)")
     c.add_argument("--direct", action="store_true", help="inputs act on outputs of the same sample")
     c.add_argument("--where", metavar="EXPR", help="condition on columns: samples where it does not hold are no part of the recording")
@@ -156,7 +182,9 @@ def _parse(argv):
     c.add_argument("--faulty", type=_path, nargs="+", default=[], metavar="F", help="recordings with a fault, to be left outside")
     c.add_argument("--out", type=_path, required=True, metavar="TUNED.toml", help="the model with its new bounds")
     c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the model's, or the least)")
-    c.add_argument("--steps", type=_whole(0), default=300, metavar="N", help="gradient steps (default: 300; 0: one factor on all bounds)")
+    c.add_argument(
+        "--steps", type=_whole(0, 10**7), default=300, metavar="N", help="gradient steps (default: 300; 0: one factor on all bounds)"
+    )
     c.add_argument("--optimizer", default="adam", metavar="NAME", help="of optax: adam (default), sgd, lion, ...")
     c.add_argument("--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)")
     c.add_argument("--safety", type=float, default=1.25, metavar="F", help="factor on the smallest bounds (default: 1.25)")
@@ -171,7 +199,7 @@ def _parse(argv):
     c.add_argument("--sizes", metavar="LO:HI:COUNT", help="or numbers with commas (default: twelve around the guaranteed size)")
     c.add_argument("--n", type=_whole(1), default=100_000, metavar="N", help="scenarios, spread over faults and sizes (default: 100000)")
     c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for summary.csv, delays.parquet and report.html")
-    c.add_argument("--samples", type=_whole(1), default=200, metavar="T", help="of a scenario (default: 200)")
+    c.add_argument("--samples", type=_whole(1, 10**6), default=200, metavar="T", help="of a scenario (default: 200)")
     c.add_argument("--onset", metavar="LO:HI", help="the fault starts at a sample LO <= k < HI (default: the second quarter)")
     c.add_argument("--at", default="uniform", help="unknowns: uniform (default), vertices of their bounds, or adversarial")
     c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
@@ -213,10 +241,12 @@ def _path(text):
     return Path(_named(text))
 
 
-def _whole(least):
+def _whole(least, most=10**15):
     def parse(text):
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f"needs a whole number >= {least}, not {text!r}")
+        if not text.isdecimal() or len(text) < 20 and int(text) < least:
+            raise argparse.ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")
+        if len(text) >= 20 or int(text) > most:
+            raise argparse.ArgumentTypeError(f"needs a whole number of at most {most}, not {text[:40]}")
         return int(text)
 
     return parse

@@ -1,6 +1,11 @@
 """Columns between pyarrow and NumPy, by their buffers: pyarrow's own conversions import pandas, which takes longer than parsing a file."""
 
+import csv
+import io
+
 import numpy as np
+
+from jaxbound.plaintext import cell
 
 __all__ = ["categories", "from_arrow", "is_plain", "to_arrow", "valid", "words", "write_columns", "write_rows"]
 
@@ -67,7 +72,9 @@ def write_columns(path, columns, append=False):
     """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has its header already."""
     with open(path, "ab" if append else "wb") as f:
         if not append:
-            f.write((",".join(columns) + "\n").encode())
+            names = io.StringIO()
+            csv.writer(names, lineterminator="\n").writerow(map(cell, columns))
+            f.write(names.getvalue().encode("utf-8", "backslashreplace"))
         write_rows(f, columns)
 
 

@@ -9,11 +9,13 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["Layout", "is_number", "parse_columns", "sniff"]
+from jaxbound.models.naming import listed
+
+__all__ = ["Layout", "cells_of", "is_number", "parse_columns", "sniff"]
 
 WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "#N/A", "None", "none")
 MISSING_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
-ENOUGH = 1 << 18  # bytes of a file that show how it is written
+ENOUGH, LINES, LONGEST = 1 << 18, 8, 1 << 26  # bytes and lines of a file that show how it is written; bytes looked at at most
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
 SIGNATURES = {
     b"PAR1": "a Parquet file",
@@ -47,6 +49,8 @@ def sniff(path, head=None):
     if head is None:
         with open(path, "rb") as f:
             head = f.read(ENOUGH)
+            while head.count(b"\n") < LINES and len(head) < LONGEST and (more := f.read(ENOUGH)):  # a header of many columns
+                head += more
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
         raise ValueError("the file is empty")
     for magic, kind in SIGNATURES.items():
@@ -61,24 +65,26 @@ def sniff(path, head=None):
     hints, encoding = [], "utf-8"
     try:
         text = head.removeprefix(b"\xef\xbb\xbf")
-        text = (text if len(head) < ENOUGH else text[: text.rfind(b"\n") + 1]).decode()
+        text = (text if len(head) < ENOUGH or b"\n" not in text else text[: text.rfind(b"\n") + 1]).decode()
     except UnicodeDecodeError:
         if sum(b < 9 for b in head) or sum(b > 127 for b in head) > len(head) // 4:
             raise ValueError("this is not a text file: give a CSV file in UTF-8") from None
         encoding, text = "cp1252", head.decode("cp1252", "replace")
         hints.append("the file is not in UTF-8: it is read as Windows-1252, which matters for column names only")
     lines = re.split(r"\r\n|\n|\r", text, maxsplit=1000)  # enough of them; splitting all takes longer than parsing
-    skip = next(i for i, line in enumerate(lines) if line.strip())
+    skip = next((i for i, line in enumerate(lines) if line.strip()), None)
+    if skip is None:
+        raise ValueError(f"the file begins with {len(lines)} blank lines: a header is needed")
     delimiter = None
     if (m := re.fullmatch(r"sep=(.)\s*", lines[skip])) and len(lines) > skip + 1:  # as Excel writes it
         delimiter, skip = m[1], skip + 1
     header = lines[skip]
     delimiter = delimiter or next((d for d in (";", "\t", ",") if d in header), ",")
-    names = [name.strip() for name in _cells(header, delimiter)]
-    data = [_cells(line, delimiter) for line in lines[skip + 1 : skip + 200] if line.strip()]
+    names = [name.strip() for name in cells_of(header, delimiter)]
+    data = [cells_of(line, delimiter) for line in lines[skip + 1 : skip + 200] if line.strip()]
     decimal = "," if delimiter != "," and any(re.fullmatch(r"\s*[-+]?\d*,\d+([eE].*)?\s*", c) for row in data for c in row) else "."
     if all(is_number(name, decimal) for name in names):
-        raise ValueError(f"the first row must hold the names of the columns: it holds numbers ({', '.join(names[:3])}). "
+        raise ValueError(f"the first row must hold the names of the columns: it holds numbers ({listed(names[:3], str)}). "
                          f"Put a line above it, such as: {', '.join(['time', *('abcdefgh'[: len(names) - 1])])}")  # fmt: skip
     if not data:
         raise ValueError("the file has a header but no row of data")
@@ -86,8 +92,12 @@ def sniff(path, head=None):
     return Layout(path, names, delimiter, decimal, encoding, skip + 1, first, hints)
 
 
-def _cells(line, delimiter):
-    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+def cells_of(line, delimiter):
+    """Return the cells of a line; of one that csv cannot read, what lies between the delimiters."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:  # a cell of more than 128 KiB
+        return line.split(delimiter)
 
 
 def is_number(cell, decimal):
@@ -101,7 +111,8 @@ def parse_columns(layout, index, texts):
     import pyarrow.csv as pc
 
     key = {name: f"f{i}" for name, i in index.items()}
-    read = pc.ReadOptions(column_names=[f"f{i}" for i in range(len(layout.names))], skip_rows=layout.skip, encoding=layout.encoding)
+    read = pc.ReadOptions(column_names=[f"f{i}" for i in range(len(layout.names))], skip_rows=layout.skip, encoding=layout.encoding,
+                          block_size=max(1 << 20, 64 * len(layout.names), 16 * sum(map(len, layout.names))))  # fmt: skip
     failure = None
     for decimal in (layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",):
         convert = pc.ConvertOptions(
@@ -110,7 +121,7 @@ def parse_columns(layout, index, texts):
         try:
             table = pc.read_csv(layout.path, read, pc.ParseOptions(delimiter=layout.delimiter, newlines_in_values=False), convert)
             return {name: table[k].combine_chunks() for name, k in key.items()}
-        except pa.ArrowInvalid as e:
+        except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as e:
             failure = failure or e
     raise ValueError(_bad_row(layout, index, texts) or str(failure).splitlines()[0])
 
@@ -119,7 +130,13 @@ def _bad_row(layout, index, texts):
     """Return a sentence on the first row that cannot be read: the slow second pass."""
     with open(layout.path, encoding="utf-8-sig" if layout.encoding == "utf-8" else layout.encoding, errors="replace", newline="") as f:
         reader = csv.reader(f, delimiter=layout.delimiter)
-        for row in reader:
+        while True:
+            try:
+                row = next(reader, None)
+            except csv.Error as e:
+                return f"row {reader.line_num} cannot be read: {e}"
+            if row is None:
+                return None
             if reader.line_num <= layout.skip or not row:
                 continue
             if len(row) != len(layout.names):
@@ -128,4 +145,3 @@ def _bad_row(layout, index, texts):
                 cell = row[i]
                 if name not in texts and cell not in MISSING_CELLS and not is_number(cell, layout.decimal):
                     return f"row {reader.line_num} of column {name!r} holds {cell.strip()[:60]!r}, which is not a number"
-    return None

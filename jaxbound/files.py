@@ -4,6 +4,9 @@ A million rows of CSV are parsed column by column, only the columns that the mod
 what does not is streamed (`streaming`).
 """
 
+import shutil
+import tempfile
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,13 +48,30 @@ def read_recording(path, model, progress=None):
         raise NotImplementedError("reading from standard input is not implemented yet: give the name of a file")
     if not path.exists():
         raise FileNotFoundError(f"there is no data file {path}")
+    if not path.is_file() and not path.is_dir():
+        with _kept(path) as file:
+            return replace(_read_file(file, model, report, path), source=path.name)
+    return _read_file(path, model, report, path)
+
+
+@contextmanager
+def _kept(path):
+    """Give a file with all that comes out of a pipe, like bash's <(zcat run.csv.gz): it can be read once, and reading needs more."""
+    with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
+        with open(path, "rb") as pipe:
+            shutil.copyfileobj(pipe, file)
+        file.flush()
+        yield Path(file.name)
+
+
+def _read_file(path, model, report, named):
     if is_parquet(path):
         source = open_parquet(path, model)
         return source.read(0, source.samples, report)
     try:
         return _read(path, model, report)
     except ValueError as e:
-        raise ValueError(f"{path}: {e}") from None
+        raise ValueError(f"{named}: {e}") from None
 
 
 def read_signals(paths, inputs, outputs, columns=None, dt=None, progress=None):

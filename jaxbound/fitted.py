@@ -39,7 +39,7 @@ def run(args):
                 f.write(to_png(plot_fit(model)))
     hints = list(dict.fromkeys(h if len(found) == 1 else f"{path}: {h}" for path, r in zip(args.data, found, strict=True) for h in r.hints))
     if args.json:
-        write(json.dumps(_summary(model, args, hints), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        write(json.dumps(_summary(model, args, hints), indent=1, allow_nan=False) + "\n")
     else:
         _tell(model, args, hints)
     return 0

@@ -22,6 +22,7 @@ from jaxbound.fleetpage import fleet_page
 from jaxbound.modelfile import load_model
 from jaxbound.models.recording import missing_column
 from jaxbound.outputs import output_folder
+from jaxbound.plaintext import cell
 from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints, coverage, percent, summary, worst
@@ -103,6 +104,8 @@ def read_manifest(path):
         return _units(rows, path.parent)
     except UnicodeDecodeError:
         raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no manifest") from None
+    except (RecursionError, csv.Error) as e:
+        raise ValueError(f"{path}: this is no manifest: {e}") from None
     except ValueError as e:
         raise ValueError(f"{path}: {e}") from None
 
@@ -262,15 +265,15 @@ def write_fleet(directory, results, title="fleet"):
     """
     ordered = worst_first(results)
     number = lambda x: "" if math.isnan(x) else repr(float(x))
-    with open(Path(directory) / "fleet.csv", "w", newline="", encoding="utf-8") as f:
+    with open(Path(directory) / "fleet.csv", "w", newline="", encoding="utf-8", errors="backslashreplace") as f:
         table = csv.writer(f, lineterminator="\n")
         table.writerow(FIELDS)
         for r in ordered:
             missing, consistent, undecided, fault = r.counts
+            texts = (r.first_alarm, r.worst, r.sentence, " | ".join(r.hints), str(r.unit.model), str(r.unit.recording))
             table.writerow((
-                r.unit.name, r.verdict, number(r.margin), number(1 - r.margin), fault, consistent, undecided, missing, number(r.decided),
-                r.alarms, r.first_alarm, r.worst, r.sentence, " | ".join(r.hints), r.unit.model, r.unit.recording,
-                r.ended))  # fmt: skip
+                cell(r.unit.name), r.verdict, number(r.margin), number(1 - r.margin), fault, consistent, undecided, missing,
+                number(r.decided), r.alarms, *map(cell, texts), r.ended))  # fmt: skip
     (Path(directory) / "fleet.html").write_text(fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8")
 
 

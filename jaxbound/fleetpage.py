@@ -3,9 +3,9 @@
 import math
 import shlex
 import time as clock
-from html import escape
 
 from jaxbound.page import CSS, GUARANTEE, percent, times
+from jaxbound.plaintext import escape
 
 __all__ = ["fleet_page"]
 

@@ -1,6 +1,5 @@
 """How the lines of CSV of one stream are written, and what stands in some of them."""
 
-import csv
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxbound.columns import from_arrow
-from jaxbound.csvtext import MISSING_CELLS, is_number, sniff
+from jaxbound.csvtext import MISSING_CELLS, cells_of, is_number, sniff
 from jaxbound.derived import wanted
 
 __all__ = ["FEW", "SOURCE", "LineReader", "WrongCells"]
@@ -65,7 +64,7 @@ class LineReader:
     def cells(self, line):
         """Return the cells of a line as texts."""
         text = line.decode(self.layout.encoding, "replace")
-        return next(csv.reader([text], delimiter=self.layout.delimiter, skipinitialspace=True), [])
+        return cells_of(text, self.layout.delimiter)
 
     def fits(self, line):
         """Return whether a line has as many cells as the header."""

@@ -57,6 +57,8 @@ def load_model(path):
         raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no model file") from None
     except tomllib.TOMLDecodeError as e:
         raise ValueError(f"{path}: this is not valid TOML: {e}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: this is no model file: its lists are nested too deeply") from None
     except ValueError as e:
         raise ValueError(f"{path}: {e}") from None
 

@@ -4,11 +4,11 @@ import base64
 import platform
 import re
 import time as clock
-from html import escape
 
 import numpy as np
 
 from jaxbound.modelfile import number_text
+from jaxbound.plaintext import escape
 from jaxbound.sets.status import Status
 
 __all__ = ["CSS", "GUARANTEE", "TITLE", "about", "duration", "figure", "frame", "model_tables", "opening", "percent", "section", "table",

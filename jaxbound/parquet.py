@@ -30,6 +30,8 @@ def is_parquet(path):
     """Return whether a path is to be read as Parquet: a folder, or a file that is called or that begins like one."""
     if path.is_dir() or path.suffix.lower() in SUFFIXES:
         return True
+    if not path.is_file():
+        return False  # a pipe: what is read from it is gone
     with open(path, "rb") as f:
         return f.read(4) == b"PAR1"
 

@@ -36,7 +36,7 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.report import bound_hints, percent
 from jaxbound.runfile import VALIDATION
 from jaxbound.sets.status import Status
-from jaxbound.terminal import ENDS, Refused, door, say
+from jaxbound.terminal import ENDS, Refused, door, nobody_reads, say, system_trouble
 
 __all__ = ["follow", "run"]
 
@@ -195,11 +195,16 @@ class _Run:
             return
         data, self.header = self.header + data, b""
         try:
+            if sys.stdout is None:
+                raise BrokenPipeError("closed from the start")
             sys.stdout.flush()
             sys.stdout.buffer.write(data)
             sys.stdout.buffer.flush()
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        except OSError as e:
+            if sys.stdout is not None:
+                nobody_reads()
+            if not isinstance(e, BrokenPipeError):
+                raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
             if self.args.out is None:
                 raise KeyboardInterrupt("nobody reads the verdicts any more: stopped") from None
 

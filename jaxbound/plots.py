@@ -157,8 +157,22 @@ def to_png(fig, dpi=130):
     out = io.BytesIO()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # a name in letters that the font does not have
+        _plain_where_no_formula(fig)
         fig.savefig(out, format="png", dpi=dpi, facecolor="white")
     return out.getvalue()
+
+
+def _plain_where_no_formula(fig):
+    """Show a name with dollar signs as it is, unless what is between them can be set as a formula."""
+    from matplotlib.mathtext import MathTextParser
+    from matplotlib.text import Text
+
+    for text in fig.findobj(Text):
+        if "$" in text.get_text():
+            try:
+                MathTextParser("path").parse(text.get_text())
+            except ValueError:
+                text.set_parse_math(False)
 
 
 def style():

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxbound.models.naming import listed
 from jaxbound.models.seams import aside
 
 __all__ = ["Recording", "missing_hints", "missing_samples", "missing_sentences", "refuse_short", "rounding_hints", "time_label"]
@@ -106,7 +107,7 @@ def rounding_hints(model, y):
         if step and float(model.resolution[i]) < step / 2 * (1 - 1e-9):
             found.setdefault(f"{step:.6g}", []).append(name)
     return [
-        f"every sample of {', '.join(names)} is a multiple of {step}, more than the resolution that the model states: "
+        f"every sample of {listed(names, str)} is a multiple of {step}, more than the resolution that the model states: "
         f"if the recorder rounds, add `resolution = {float(step) / 2:.6g}` there in the model file"
         for step, names in found.items()
     ]

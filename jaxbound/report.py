@@ -2,7 +2,6 @@
 
 import contextlib
 import time as clock
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from jaxbound.digest import Digest
 from jaxbound.endings import sizes_text
 from jaxbound.page import GUARANTEE, about, duration, figure, frame, model_tables, opening, percent, section, table, tiles, times
+from jaxbound.plaintext import escape
 from jaxbound.plots import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.status import Status

@@ -2,7 +2,6 @@
 
 import json
 import time
-from html import escape
 
 import jax
 import numpy as np
@@ -12,6 +11,7 @@ from jaxbound.detecting import usable_device
 from jaxbound.modelfile import load_model
 from jaxbound.outputs import output_folder
 from jaxbound.page import about, figure, frame, model_tables, percent, section, table
+from jaxbound.plaintext import cell, escape
 from jaxbound.plots import to_png
 from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
@@ -36,7 +36,7 @@ def run(args):
     start = time.perf_counter()
     sizes, span = _sizes(args.sizes), _pairs("--input-range", args.input_range)
     onset = _pairs("--onset", args.onset)
-    if onset is not None and (len(onset) > 1 or any(x != int(x) for x in onset[0])):
+    if onset is not None and (len(onset) > 1 or not all(x.is_integer() for x in onset[0])):
         raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
     faults = [f.strip() for f in args.faults.split(",") if f.strip()]
     with door(), output_folder(args.out, NAMES, (args.model,)) as folder, progress_bars(("relations", "study", "report")) as step:
@@ -114,7 +114,10 @@ def _write(work, res, seed, seconds):
     import pyarrow.parquet as pq
 
     found, png = res.to_pandas(), to_png(plot_study(res))
-    found.to_csv(work / "summary.csv", index=False)
+    named = found.select_dtypes(exclude="number").columns
+    found.assign(**{c: found[c].astype(object).map(lambda x: cell(x) if isinstance(x, str) else x) for c in named}).to_csv(
+        work / "summary.csv", index=False
+    )
     pq.write_table(pa.Table.from_pandas(found, preserve_index=False), work / "summary.parquet")
     pq.write_table(pa.Table.from_pandas(res.delays(), preserve_index=False), work / "delays.parquet")
     (work / "study.png").write_bytes(png)

@@ -1,13 +1,16 @@
 """What every command does at the terminal: refuse in one sentence, show a bar for each stage, print what was found."""
 
+import io
 import os
 import signal
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
-__all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "OK", "Interrupted", "Refused", "Stopped", "door", "progress_bars", "say",
-           "show", "stoppable", "write"]  # fmt: skip
+from jaxbound.plaintext import clipped, printable
+
+__all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "OK", "Interrupted", "Refused", "Stopped", "door", "nobody_reads",
+           "progress_bars", "say", "show", "stoppable", "system_trouble", "write"]  # fmt: skip
 
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))  # signals that ask for the end
 OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # exit codes of every command; those of verdicts: `detecting.CODES`
@@ -32,8 +35,13 @@ def door(*kinds):
     try:
         yield
     except kinds as e:
-        system = isinstance(e, OSError) and e.filename and e.strerror
-        raise Refused(f"{e.filename}: {e.strerror.lower()}" if system else str(e)) from e
+        raise Refused(system_trouble(e)) from e
+
+
+def system_trouble(e):
+    """Return what an exception says; of the file system's, which file and what is wrong with it."""
+    system = isinstance(e, OSError) and e.strerror
+    return f"{e.filename}: {e.strerror.lower()}" if system and e.filename else e.strerror.lower() if system else str(e)
 
 
 @contextmanager
@@ -63,7 +71,7 @@ def stoppable():
 @contextmanager
 def progress_bars(stages):
     """Show a bar for each stage on a terminal's stderr; yields a function of (stage, share)."""
-    if not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty():
         yield lambda stage, share: None
         return
     from rich.console import Console
@@ -76,11 +84,27 @@ def progress_bars(stages):
 
 
 def write(text):
-    """Write to stdout; a reader that has gone away is no trouble."""
+    """Write to stdout; a reader that has gone away, or a closed stdout, is no trouble: the exit code stays what it is.
+
+    Raises:
+        Refused: a full device.
+    """
+    if sys.stdout is None:  # closed from the start
+        return
     try:
-        sys.stdout.write(text)
+        encoding = sys.stdout.encoding or "utf-8"
+        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))  # letters that it cannot show
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
+        nobody_reads()
+    except OSError as e:
+        nobody_reads()
+        raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
+
+
+def nobody_reads():
+    """Let what is held back for stdout go nowhere: else the interpreter complains of it at its end."""
+    with suppress(OSError):  # a stand-in for stdout has no number
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -90,28 +114,31 @@ def show(headline, style, rows, table=None, text=""):
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    console = console if console.is_terminal else Console(width=160)
+    page, shown = io.StringIO(), Console()  # what rich itself writes to stdout, a full or closed one would break
+    terminal = shown.is_terminal
+    console = Console(file=page, force_terminal=terminal, width=shown.width if terminal else 160)
     grid = Table.grid(padding=(0, 2))
     for name, value in rows:
-        grid.add_row(Text(name, "dim"), Text(value, overflow="fold"))
-    with console.capture() as page:
-        console.print(Text(headline, style), soft_wrap=not console.is_terminal)
-        if table:
-            rates = Table(box=None, padding=(0, 2), pad_edge=False)
-            for i, name in enumerate(table[0]):
-                rates.add_column(name, justify="right" if i else "left")
-            for row in table[1:]:
-                rates.add_row(*map(Text, row))
-            console.print(rates)
-        console.print(grid)
-        if text:
-            console.print(Text(text), soft_wrap=True)
-    write(page.get() if console.is_terminal else "\n".join(line.rstrip() for line in page.get().split("\n")))
+        grid.add_row(Text(printable(name), "dim"), Text(printable(value), overflow="fold"))
+    console.print(Text(printable(headline), style), soft_wrap=not terminal)
+    if table:
+        rates = Table(box=None, padding=(0, 2), pad_edge=False)
+        for i, name in enumerate(table[0]):
+            rates.add_column(Text(printable(name)), justify="right" if i else "left")
+        for row in table[1:]:
+            rates.add_row(*(Text(printable(cell)) for cell in row))
+        console.print(rates)
+    console.print(grid)
+    if text:
+        console.print(Text(printable(text, "\n")), soft_wrap=True)
+    write(page.getvalue() if terminal else "\n".join(line.rstrip() for line in page.getvalue().split("\n")))
 
 
 def say(sentence):
-    """Print a sentence to stderr."""
+    """Print a sentence to stderr, a very long one in part."""
+    if sys.stderr is None:
+        return
     from rich.console import Console
 
-    Console(stderr=True).print(f"jaxbound: {sentence}", soft_wrap=True, markup=False, highlight=False)
+    with suppress(OSError):  # there is no place left to say it
+        Console(stderr=True).print(f"jaxbound: {printable(clipped(sentence))}", soft_wrap=True, markup=False, highlight=False)

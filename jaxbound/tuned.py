@@ -50,7 +50,7 @@ def run(args):
                 f.write(to_png(plot_tuning(res)))
     hints = [f"{path}: {hint}" for path, x in zip(files, recordings, strict=True) for hint in x.hints]
     if args.json:
-        write(json.dumps(_summary(res, args, hints), indent=1, ensure_ascii=False) + "\n")
+        write(json.dumps(_summary(res, args, hints), indent=1) + "\n")
     else:
         _tell(res, args, hints)
     if res.stopped:

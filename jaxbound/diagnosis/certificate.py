@@ -120,7 +120,7 @@ class Certificate(Witnessed):
             >>> json.loads(c.to_json())["numbers"]["relation"]["h"]
             [['1'], ['-2']]
         """
-        return json.dumps(self.to_dict(times, sample, errors), indent=1, ensure_ascii=False)
+        return json.dumps(self.to_dict(times, sample, errors), indent=1)
 
     def _relation_dict(self, h, output=0, error=None):
         w, model = self.window, self.window.model

@@ -22,6 +22,7 @@ from jaxbound.models import window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.expressions import find_column
 from jaxbound.models.faults import Fault
+from jaxbound.models.naming import listed
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.relations.cost import SECONDS, affordable, relation_cost
 from jaxbound.relations.parity import parity_relations, relation_text
@@ -82,7 +83,7 @@ def detectable(model, fault, horizon=None, operating_range=None):
     model = as_model(model)
     signal, kind = (fault.signal, fault.kind) if isinstance(fault, Fault) else (fault, "bias")
     if signal not in model.outputs + model.inputs:
-        raise ValueError(f"the model has no signal {signal!r}: it has {', '.join(model.outputs + model.inputs)}")
+        raise ValueError(f"the model has no signal {signal!r}: it has {listed(model.outputs + model.inputs, str)}")
     if kind != "bias":
         raise NotImplementedError(f"guaranteed sizes are known for faults of kind 'bias', not {kind!r}")
     if model.uncertainties:
@@ -163,7 +164,7 @@ def _reach(model, given):
         given = [given[find_column(name, list(given.keys()), "operating_range")] for name in model.outputs]
     given = np.broadcast_to(np.asarray(given, object), (model.p,)) if np.ndim(given) == 0 else given
     if len(given) != model.p:
-        raise ValueError(f"operating_range needs one number, or one for each of {', '.join(model.outputs)}: {len(given)} given")
+        raise ValueError(f"operating_range needs one number, or one for each of {listed(model.outputs, str)}: {len(given)} given")
     reach = tuple(exact.rational(x) for x in given)
     if min(reach) <= 0:
         raise ValueError(f"operating_range must be positive, not {float(min(reach)):g}")

@@ -147,7 +147,7 @@ class UncertainCertificate(Witnessed):
 
     def to_json(self, times=None, sample=None, errors=True):
         """Return `to_dict` as text."""
-        return json.dumps(self.to_dict(times, sample), indent=1, ensure_ascii=False)
+        return json.dumps(self.to_dict(times, sample), indent=1)
 
     def _polynomial_dict(self, k, number):
         """Return the polynomials of one relation on the outputs, disturbances and inputs of each sample."""

@@ -12,6 +12,8 @@ from functools import reduce
 
 import numpy as np
 
+from jaxbound.models.naming import listed, shown
+
 __all__ = ["TIMES", "Expression", "expression", "fails", "find_column", "is_expression", "likely", "missing_column"]
 
 TIMES = (r"(date[ _-]?time|time[ _-]?stamp|time|zeit)\b.*", r"t(\s*[\[(/,].*)?", r"(date|datum)\b.*")
@@ -27,6 +29,7 @@ COMPARISONS = {ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.
                ast.NotEq: np.not_equal}  # fmt: skip
 ALLOWED = (ast.Expression, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.Call, ast.Name, ast.Load, ast.Constant, ast.Not,
            *ARITHMETIC, *LOGIC, *COMPARISONS)  # fmt: skip
+LARGEST = int(np.finfo(float).max)
 PIECES = re.compile(r"""'[^']*'|"[^"]*"|`[^`]*`|&|\|""")
 
 
@@ -70,7 +73,7 @@ class Expression:
                 raise ValueError(f"{self.text!r}: column {name!r} {kind}")
         with np.errstate(all="ignore"):
             try:
-                out = self._value(self.tree, columns)
+                out = self._value(columns)
             except TypeError:
                 raise ValueError(f"{self.text!r}: a time or a text stands where a number is needed") from None
             out = np.where(out, 1.0, 0.0) if np.asarray(out).dtype == bool else np.asarray(out, np.float64)
@@ -80,21 +83,34 @@ class Expression:
             known = known & (x != None if x.dtype == object else ~np.isnat(x) if x.dtype.kind == "M" else ~np.isnan(x))  # noqa: E711
         return np.where(known, out, np.nan)
 
-    def _value(self, node, columns):
+    def _value(self, columns):
+        """Return the value of the tree, without recursion: a sum of thousands of terms is as many levels deep."""
+        found, waiting = {}, [self.tree]
+        while waiting:
+            node = waiting[-1]
+            parts = _parts(node)
+            missing = [x for x in parts if id(x) not in found]
+            if missing:
+                waiting += missing
+                continue
+            found[id(node)] = self._combined(node, [found.pop(id(x)) for x in parts], columns)
+            waiting.pop()
+        return found[id(self.tree)]
+
+    def _combined(self, node, parts, columns):
+        """Return the value of a node from those of its parts."""
         if isinstance(node, ast.Constant):
             return node.value if isinstance(node.value, str) else np.float64(node.value)
         if isinstance(node, ast.Name):
             return columns[self.names[node.id]]
         if isinstance(node, ast.Call):
-            return FUNCTIONS[node.func.id](*(self._value(x, columns) for x in node.args))
+            return FUNCTIONS[node.func.id](*parts)
         if isinstance(node, ast.BoolOp):
-            return reduce(LOGIC[type(node.op)], (self._value(x, columns) for x in node.values))
+            return reduce(LOGIC[type(node.op)], parts)
         if isinstance(node, ast.Compare):
-            sides = [self._value(x, columns) for x in (node.left, *node.comparators)]
-            return reduce(np.logical_and, (self._compared(op, a, b) for op, a, b in zip(node.ops, sides, sides[1:], strict=False)))
+            return reduce(np.logical_and, (self._compared(op, a, b) for op, a, b in zip(node.ops, parts, parts[1:], strict=False)))
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            return np.logical_not(self._value(node.operand, columns))
-        parts = [self._value(x, columns) for x in ((node.operand,) if isinstance(node, ast.UnaryOp) else (node.left, node.right))]
+            return np.logical_not(*parts)
         return ARITHMETIC[type(node.op)](*(x.astype(float) if x.dtype == bool else x for x in parts))
 
     def _compared(self, op, a, b):
@@ -107,6 +123,22 @@ class Expression:
             except ValueError:
                 raise ValueError(f"{self.text!r}: {texts[0]!r} is no date: write it like '2017-09-20' or '2017-09-20 08:00'") from None
         return COMPARISONS[type(op)](a, b)
+
+
+def _parts(node):
+    """Return the operands of a node."""
+    match node:
+        case ast.Call():
+            return node.args
+        case ast.BoolOp():
+            return node.values
+        case ast.Compare():
+            return [node.left, *node.comparators]
+        case ast.UnaryOp():
+            return [node.operand]
+        case ast.BinOp():
+            return [node.left, node.right]
+    return []
 
 
 def fails(values):
@@ -149,10 +181,16 @@ def expression(text):
     code = PIECES.sub(plain, text)
     try:
         tree = ast.parse(code.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
+    except (RecursionError, MemoryError):
+        raise ValueError(f"the expression {shown(text)} cannot be read, too long or too deep: compute it beforehand, as a column") from None
+    except (SyntaxError, ValueError) as e:
+        if "too many nested" in str(e):
+            raise ValueError(
+                f"the expression {shown(text)} cannot be read, nested too deeply: compute it beforehand, as a column"
+            ) from None
         wrong = "one = is no comparison, write ==" if re.search(r"(?<![<>=!])=(?!=)", code) else (
             "names with blanks, colons or other signs stand in backticks, like `Supply Temp`")  # fmt: skip
-        raise ValueError(f"the expression {text!r} cannot be read: {wrong}") from None
+        raise ValueError(f"the expression {shown(text)} cannot be read: {wrong}") from None
     called, texts = _checked(text, tree)
     names = {node.id: node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called}
     names |= {key: name for name, key in quoted.items()}
@@ -185,6 +223,8 @@ def _checked(text, tree):
             if isinstance(node.value, str):
                 raise ValueError(f"the expression {text!r} holds the text {node.value!r}: text can only be compared with a column")
             _refuse(text, f"{node.value!r}")
+        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not abs(node.value) <= LARGEST:
+            raise ValueError(f"the expression {shown(text)} holds a number beyond the range of floats")
     return called, texts
 
 
@@ -203,16 +243,17 @@ def find_column(wanted, present, where):
     if not found:
         raise ValueError(missing_column(wanted, present, where))
     if len(found) > 1:
-        raise ValueError(f"{len(found)} columns are called {wanted!r}: a signal needs exactly one")
+        raise ValueError(f"{len(found)} columns are called {shown(wanted)}: a signal needs exactly one")
     return found[0]
 
 
 def missing_column(wanted, present, where):
     """Return the sentence for a column that is not there, with the nearest name."""
-    near = difflib.get_close_matches(wanted, list(map(str, present)), n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return f"{where} has no column {wanted!r}{hint} It has {', '.join(repr(str(c)) for c in present)}." if hint else (
-        f"{where} has no column {wanted!r}: it has {', '.join(repr(str(c)) for c in present)}")  # fmt: skip
+    near = difflib.get_close_matches(wanted, [str(c) for c in present if len(str(c)) < 200][:10_000], n=1, cutoff=0.5)
+    here = listed(list(map(str, present)))
+    if near:
+        return f"{where} has no column {shown(wanted)}; did you mean {shown(near[0])}? It has {here}."
+    return f"{where} has no column {shown(wanted)}: it has {here}"
 
 
 def likely(names, patterns):

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxbound.models.expressions import expression, fails, find_column, is_expression, missing_column
+from jaxbound.models.naming import listed
 from jaxbound.models.seams import Clock, all_starts, around, aside, check_period, crossing, irregular, tick, usual_period
 from jaxbound.models.table import as_table, is_table, paired, time_like, unlabelled
 
@@ -222,7 +223,7 @@ def _arrays(model, u, y, narrow):
     u = _columns(model, u, "u", model.inputs) if u is not None else None
     if u is None:
         if model.inputs:
-            raise ValueError(f"u is missing: the model has the inputs {', '.join(model.inputs)}")
+            raise ValueError(f"u is missing: the model has the inputs {listed(model.inputs, str)}")
         u = np.zeros((*y.shape[:-1], 0), y.dtype)
     u = _channels(u, "u", model.inputs)
     if u.shape[-2] != y.shape[-2]:

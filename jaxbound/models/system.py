@@ -5,6 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 from jaxbound.models.expressions import expression, is_expression
+from jaxbound.models.naming import listed
 from jaxbound.models.uncertainty import centred, influences
 from jaxbound.models.unknown import decoupled, unbounded_inputs, without_descriptor
 from jaxbound.sets import exact
@@ -103,7 +104,7 @@ class LinearSystem:
         everyone = self.inputs + self.outputs
         twice = sorted({x for x in everyone if everyone.count(x) > 1})
         if twice:
-            raise ValueError(f"a signal name may stand for one signal only: {', '.join(map(repr, twice))} is used twice")
+            raise ValueError(f"a signal name may stand for one signal only: {listed(twice)} is used twice")
         self.tolerance = self._bound("tolerance", tolerance)
         if not isinstance(constant_tolerance, (bool, np.bool_)):
             raise ValueError(f"constant_tolerance must be True or False, not {constant_tolerance!r}")
@@ -143,7 +144,7 @@ class LinearSystem:
         table = {str(k): str(v) for k, v in dict(table or {}).items()}
         unknown = sorted(set(table) - set(known))
         if unknown:
-            raise ValueError(f"{field} speaks of {', '.join(map(repr, unknown))}, but the model knows only {', '.join(map(repr, known))}")
+            raise ValueError(f"{field} speaks of {listed(unknown)}, but the model knows only {listed(known)}")
         return table
 
     @property
@@ -189,7 +190,7 @@ def _vector(field, value, names):
         return (_number(field, value),) * len(names)
     values = list(value)
     if len(values) != len(names):
-        raise ValueError(f"{field} needs one number, or one for each of {', '.join(names)}: {len(values)} given")
+        raise ValueError(f"{field} needs one number, or one for each of {listed(names, str)}: {len(values)} given")
     return tuple(_number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
 
 
@@ -236,5 +237,5 @@ def _names(field, given, count, letter):
     if len(names) != count:
         raise ValueError(f"{field} needs {count} names, one for each: {len(names)} given")
     if len(set(names)) < count:
-        raise ValueError(f"{field} must have different names: {list(names)}")
+        raise ValueError(f"{field} must have different names: {listed(names)}")
     return names

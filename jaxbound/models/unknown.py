@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from jaxbound.models.naming import listed
 from jaxbound.sets import exact
 
 __all__ = ["decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
@@ -40,7 +41,7 @@ def decoupled(uncertainties, names, F, D_v):
     names = (names,) if isinstance(names, str) else tuple(names)
     known = [u.name for u in uncertainties]
     if strange := [name for name in names if name not in known]:
-        raise ValueError(f"decouple names {strange[0]!r}, but the uncertainties are {', '.join(map(repr, known)) or 'none'}")
+        raise ValueError(f"decouple names {strange[0]!r}, but the uncertainties are {listed(known) or 'none'}")
     n, p = len(F), len(D_v)
     rows = [list(row) for row in F + D_v]
     for u in uncertainties:

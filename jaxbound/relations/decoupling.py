@@ -17,6 +17,7 @@ from math import comb
 import numpy as np
 
 from jaxbound.models.conversion import as_model
+from jaxbound.models.naming import listed
 from jaxbound.relations import shift
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy, basis, redundancy
@@ -60,7 +61,7 @@ def structured_relations(model, insensitive_to=None):
         names = (names,) if isinstance(names, str) else tuple(names)
         found = _ignoring(model, names)
         if not found:
-            raise ValueError(f"no relation ignores {', '.join(names)}: that many unknown signals can explain whatever is left")
+            raise ValueError(f"no relation ignores {listed(names, str)}: that many unknown signals can explain whatever is left")
         rows += found
         ignored += [names] * len(found)
     return Redundancy(model, tuple(rows), tuple(ignored))
@@ -76,7 +77,7 @@ def _ignoring(model, names):
         elif name in model.outputs:
             through, direct = [Fraction(0)] * model.n, [Fraction(int(o == name)) for o in model.outputs]
         else:
-            raise ValueError(f"the model has no signal {name!r}: it has {', '.join(model.outputs + model.inputs)}")
+            raise ValueError(f"the model has no signal {name!r}: it has {listed(model.outputs + model.inputs, str)}")
         for row, x in zip(F + D_v, through + direct, strict=True):
             row.append(x)
     found = basis(model, tuple(map(tuple, F)), tuple(map(tuple, D_v)))

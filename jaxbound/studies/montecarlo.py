@@ -30,6 +30,7 @@ from jaxbound.studies.tally import Tally
 __all__ = ["study"]
 
 AT = ("uniform", "vertices", "adversarial")
+LONGEST = 10**6  # samples of a scenario
 ATTACKED = 256  # scenarios that an adversary works on at once: the descent's memory is theirs times their length
 EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, tasks in a part
 
@@ -131,6 +132,8 @@ def _check(model, relations, n, samples, hold, at, confidence):
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
             raise ValueError(f"{name} must be a whole number >= 1, not {value!r}")
+    if samples > LONGEST:
+        raise ValueError(f"samples must be at most {LONGEST}, not {samples}: a fault that is not seen by then never is")
     if n >= 2**32:
         raise ValueError(f"n must be below 2^32, not {n}: run several studies with different keys")
     if at not in AT:

@@ -117,7 +117,7 @@ def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, 
     save_model(CHAIN, tmp_path / "m.toml")
     (tmp_path / "r.csv").write_text("u1,y1,y2\n" + "0,0,0\n" * 201)
     monkeypatch.setattr(detecting, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
-    for horizon in ("1000", "1" + "0" * 20):
+    for horizon in ("1000", "1" + "0" * 15):
         args = ["detect", str(tmp_path / "m.toml"), str(tmp_path / "r.csv"), "--out", str(tmp_path / "out"), "--horizon", horizon]
         assert cli.main(args) == 2
         assert "the recording has 201 samples, one window needs" in capsys.readouterr().err

@@ -1,0 +1,54 @@
+"""Names that users wrote, fit to be shown: no control characters, no formula in a spreadsheet, no sentence without end."""
+
+import html
+
+__all__ = ["cell", "clipped", "escape", "printable"]
+
+FORMULAS = ("=", "+", "-", "@")
+"""A cell that begins so is computed, not shown, by a spreadsheet."""
+LONGEST = 2000  # characters of a sentence
+
+
+def printable(text, keep=""):
+    r"""Return a text with control characters, and what UTF-8 cannot hold, written as escapes; those in `keep` stay.
+
+    A name from a file may hold what would move the cursor of a terminal, or hide what follows.
+
+    Example:
+        >>> printable("y1\x1b[2J")
+        'y1\\x1b[2J'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c in keep or _harmless(c) else c.encode("unicode_escape").decode() for c in text)
+
+
+def _harmless(c):
+    code = ord(c)
+    control = code < 32 or 127 <= code < 160 or code in (0x2028, 0x2029)
+    return not (control or 0xD800 <= code < 0xE000 or 0x200E <= code <= 0x200F or 0x202A <= code <= 0x202E or 0x2066 <= code <= 0x2069)
+
+
+def clipped(text):
+    """Return a text without its middle if it is very long."""
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[: LONGEST // 2]} [.. {len(text) - LONGEST} characters ..] {text[-LONGEST // 2 :]}"
+
+
+def escape(text):
+    """Return a text for a page of HTML."""
+    return html.escape(printable(text, "\n"))
+
+
+def cell(text):
+    """Return a text as a cell of CSV that no spreadsheet takes for a formula: an apostrophe before = + - @, control characters escaped.
+
+    Source: OWASP, CSV injection.
+
+    Example:
+        >>> cell("=1+1"), cell("pump 7")
+        ("'=1+1", 'pump 7')
+    """
+    text = printable(text)
+    return f"'{text}" if text.startswith(FORMULAS) else text
