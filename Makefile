@@ -1,7 +1,7 @@
 # On a machine with nothing but Python 3.11+: `make demo` or `make test`. Without make, run the lines yourself.
 PYTHON ?= python3
 
-.PHONY: demo test slow long lint docs bench clean
+.PHONY: demo test slow long lowest newest nightly lint docs bench clean
 
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
@@ -14,6 +14,14 @@ slow: .venv/tested
 
 long: .venv/tested
 	.venv/bin/python -m pytest -n auto -m long
+
+lowest:
+	.ci/versions lowest
+
+newest:
+	.ci/versions newest
+
+nightly: test slow long lowest newest
 
 lint: .venv/tested
 	.venv/bin/pip install --quiet ".[dev]"
@@ -56,4 +64,4 @@ bench: .venv/tested
 	touch $@
 
 clean:
-	rm -rf .venv build dist *.egg-info demo-report site
+	rm -rf .venv .venv-lowest .venv-newest .lowest.txt build dist *.egg-info demo-report site

@@ -184,7 +184,7 @@ def _steady(step, carry):
 
 
 def _scan(values, params):
-    consts, carry, xs = _split(values, params["num_consts"], params["num_carry"])
+    consts, carry, xs = _split(values, *_counts(params))
     inner = params["jaxpr"]
     one = lambda carry, x: evaluate(inner.jaxpr, inner.consts, [*consts, *carry, *x])
     x = jax.tree.map(lambda v: jax.ShapeDtypeStruct(v.shape[1:], v.dtype), xs)
@@ -196,6 +196,14 @@ def _scan(values, params):
 
     carry, (ys, fine) = jax.lax.scan(step, carry, xs, params["length"], params["reverse"])
     return [*carry, *ys], jnp.all(fine)
+
+
+def _counts(params):
+    """Return how many of the values of a scan are constants, and how many are its carry; jax 0.12 says it in another form."""
+    if "num_consts" in params:
+        return params["num_consts"], params["num_carry"]
+    consts, carry, _ = params["ft_in"].unpack()
+    return len(consts), len(carry)
 
 
 def _split(values, *counts):

@@ -1,0 +1,11 @@
+"""Print the lowest versions that pyproject.toml states, of the package and of its tests, as constraints of pip."""
+
+import tomllib
+from pathlib import Path
+
+project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+for requirement in [*project["dependencies"], *project["optional-dependencies"]["test"]]:
+    name, stated, version = requirement.partition(">=")
+    if not stated or "," in version:
+        raise SystemExit(f"pyproject.toml must state one lowest version: {requirement}")
+    print(f"{name}=={version}")
