@@ -21,7 +21,7 @@ def pytest_configure(config):
 
     Hypothesis draws from the test's name too, but for JAXBOUND_SEED=fresh.
     """
-    hypothesis.settings.register_profile("named", derandomize=os.environ.get("JAXBOUND_SEED") != "fresh")
+    hypothesis.settings.register_profile("named", derandomize=os.environ.get("JAXBOUND_SEED") != "fresh", deadline=None)
     hypothesis.settings.load_profile("named")
     if not hasattr(config, "cache"):  # pytest was told to keep none
         return
