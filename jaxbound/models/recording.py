@@ -13,7 +13,7 @@ import numpy as np
 from jaxbound.models.expressions import expression, fails, find_column, is_expression, missing_column
 from jaxbound.models.naming import listed
 from jaxbound.models.seams import Clock, all_starts, around, aside, check_period, crossing, irregular, tick, usual_period
-from jaxbound.models.table import as_table, is_table, paired, time_like, unlabelled
+from jaxbound.models.table import as_table, is_table, paired, time_like, unlabelled, usual_step
 
 __all__ = ["Recording", "Signals", "floats", "holds_both", "inputs_of", "missing_column", "recorded_type", "refuse_infinite"]
 
@@ -191,11 +191,8 @@ def _counted(labels, seconds, dt):
 
     Their unit is not known: their usual step is dt. Of less than three there is none: they count rows then, or seconds.
     """
-    steps = np.diff(labels)
-    usual = float(np.median(steps)) if len(steps) > 1 else dt if seconds else 1.0
-    if not usual > 0 or np.count_nonzero(np.abs(steps - usual) <= 0.2 * usual) < len(steps) / 2 and len(steps) > 1:
-        return None
-    return labels * (dt / usual)
+    usual = usual_step(labels) if len(labels) > 2 else dt if seconds else 1.0
+    return None if usual is None else labels * (dt / usual)
 
 
 def holds_both(data):

@@ -11,8 +11,9 @@ import jax
 import numpy as np
 
 from jaxbound.models.expressions import TIMES, find_column, likely
+from jaxbound.models.seams import TOLERATED_STEP
 
-__all__ = ["as_table", "is_table", "one_row", "paired", "time_like", "unlabelled"]
+__all__ = ["as_table", "is_table", "one_row", "paired", "time_like", "unlabelled", "usual_step"]
 
 EPOCHS = (1.0, 1e3, 1e6, 1e9)
 
@@ -88,6 +89,8 @@ def one_row(data, name):
     """
     if data is None:
         return None
+    if (type(data) is np.ndarray and data.dtype.names is None) or isinstance(data, (list, tuple)):
+        return np.asarray(data)[None]
     if hasattr(data, "iloc") and not hasattr(data, "columns") and any(isinstance(c, str) for c in data.index):
         row = data.to_frame().T
         return row if data.name is not None else row.reset_index(drop=True)
@@ -164,7 +167,8 @@ def _dated(frame, model):
     signals = {name for signal in (*model.inputs, *model.outputs) for name in (signal, of_signal(signal))}
     free = [c for c in frame.columns if c not in signals]
     dates = [c for c in free if kind(c) in ("m", "M")]
-    called = likely(dates if dates else [c for c in free if kind(c) in ("i", "u", "f") or time_like(frame[c].iloc[0])], TIMES)
+    counts = lambda c: kind(c) in ("i", "u", "f") and usual_step(frame[c].to_numpy(np.float64, na_value=np.nan)) is not None
+    called = likely(dates, TIMES) if dates else [c for c in likely(free, TIMES) if counts(c) or time_like(frame[c].iloc[0])]
     column = dates[0] if len(dates) == 1 else called[0] if called else None
     return frame if column is None else frame.set_axis(_time_index(frame[column], column))
 
@@ -182,6 +186,13 @@ def _time_index(x, column, checked=False):
         return pd.Index(seconds, name=column)
     scale = next((s for s in EPOCHS if 1e9 * s <= seconds[0] < 5e9 * s), 1.0)  # seconds, or an epoch in s, ms, us, ns
     return pd.TimedeltaIndex(np.round(seconds * (1e9 / scale)).astype("timedelta64[ns]"), name=column)
+
+
+def usual_step(labels):
+    """Return the median step of labels that are numbers, None where they run backwards or more than half of their steps are others."""
+    steps = np.diff(labels)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return usual if usual > 0 and 2 * np.count_nonzero(np.abs(steps - usual) <= TOLERATED_STEP * usual) >= len(steps) else None
 
 
 def time_like(label):

@@ -181,6 +181,20 @@ def test_a_monitor_takes_rows_by_name_and_by_their_time():
     np.testing.assert_array_equal(state.y, [[1.0, 2.0]])
 
 
+@pytest.mark.parametrize("index", [pd.RangeIndex(T), pd.Index(np.arange(T) / 10), TIME - TIME[0], TIME.tz_localize("UTC")])
+def test_a_monitor_sees_rows_that_are_left_out_between_two_calls(index):
+    u, _, y = course()
+    r = jb.parity_relations(plant(dt=0.1) if index.dtype == float else plant(), 1)
+    table = held("pandas", u, y)[0].set_axis(index)
+    monitor = jb.Monitor(r)
+    state, status = monitor.init(), []
+    for rows in (slice(0, 5), slice(5, 9), slice(11, 14), slice(14, 22), slice(27, T)):
+        state, verdict = monitor.run(state, table.iloc[rows])
+        status.append(verdict.status)
+    missing = np.flatnonzero(np.concatenate(status) == jb.Status.MISSING).tolist()
+    assert missing == [0, 9, *([12] if isinstance(index, (pd.DatetimeIndex, pd.TimedeltaIndex)) else []), 20]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_unknown_inputs(kind):
     v = np.random.default_rng(2).normal(size=T)

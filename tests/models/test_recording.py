@@ -201,6 +201,10 @@ class TestTime:
             with pytest.raises(ValueError, match=sentence):
                 Recording.of(MODEL, given)
 
+    def test_a_column_that_is_only_called_like_a_time_is_none(self):
+        table = frame().assign(T=[20.0, 20.1, 20.1, 20.0, 19.9, 20.0])
+        assert Recording.of(MODEL, table).index is table.index and Recording.of(MODEL, table, table.copy()).time is None
+
     def test_the_time_column_that_the_model_names_is_checked(self):
         model = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, outputs=["level"], columns={"time": "clock"})
         given = {"level": Y[:, 0], "clock": 1.7e9 + np.array([0.0, 1, 2, 3, 60, 61])}
