@@ -46,7 +46,7 @@ def work(n, q, rng):
         "reduce_order girard": (lambda Z: sets.reduce_order(Z, 3), girard, lambda z, Z: Z.reduce_order(3 * n)),
         "reduce_order last": (lambda Z: sets.reduce_order(Z, 3, "last"), None, None),
         "strip_intersection": (lambda Z: sets.strip_intersection(Z, strip, C, gain), meet, None),
-        "intersect": (lambda Z: sets.intersect(Z, Z, M), common, lambda z, Z: z.intersection(Z, Z, M)),
+        "intersection": (lambda Z: sets.intersection(Z, Z, M), common, lambda z, Z: z.intersection(Z, Z, M)),
         "interval_hull": (sets.interval_hull, lambda c, G: np.abs(G).sum(2), lambda z, Z: Z.bounding_box()),
     }  # fmt: skip
 

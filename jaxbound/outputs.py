@@ -32,13 +32,13 @@ def made(path):
     missing = [p for p in (path, *path.parents) if not p.exists()]
     try:
         if path.exists() and not path.is_dir():
-            raise Refused(f"--out {path} is a file: a folder is needed")
+            raise Refused(f"{path} is a file: a folder is needed")
         try:
             path.mkdir(parents=True, exist_ok=True)
             if not os.access(path, os.W_OK | os.X_OK):
                 raise PermissionError(13, "Permission denied")
         except OSError as e:
-            raise Refused(f"cannot write to --out {path}: {e.strerror.lower()}") from e
+            raise Refused(f"cannot write into {path}: {e.strerror.lower()}") from e
         yield path
     finally:
         for folder in missing:

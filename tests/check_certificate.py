@@ -7,6 +7,9 @@ one sensor).
 With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i. FAULT
 is then a tree of boxes of v, each with a combination of relations, polynomials in v, that cannot be 0 in it; CONSISTENT is parameters with
 which the first state explains the samples.
+
+YES or NO to a question about sets {center + generators x : every |x_i| <= 1, constraints x = offsets}: an x, or a combination l of the
+equations that no x keeps.
 """
 
 import json
@@ -18,6 +21,8 @@ from math import prod
 
 def confirm(document):
     """Raise an exception unless the certificate proves what it says."""
+    if "question" in document:
+        return decide(document)
     c, fault = numbers(document["numbers"], seen := []), {"FAULT": True, "CONSISTENT": False}[document["certificate"]]
     insist(sum(seen) == 2 * c["sum"], "the numbers do not add up: one was changed")
     if "uncertainties" in c:
@@ -115,6 +120,38 @@ def exclude(proof, relations, lo, hi):
         low, high = low - reach, high + reach
     insist([low, high] == [proof["low"], proof["high"]], "the range of a combination is wrong")
     insist(low > 0 or high < 0, "a combination may be 0")
+
+
+def decide(document):
+    """Check an answer about sets: equations M x = d of what was asked, and an x in [-1, 1]^q or a direction l with l d > sum |l M|."""
+    c, yes = numbers(document["numbers"], seen := []), {"YES": True, "NO": False}[document["certificate"]]
+    insist(sum(seen) == 2 * c["sum"], "the numbers do not add up: one was changed")
+    first, *others = c["sets"]
+    G, A, b = first["generators"], first["constraints"], first["offsets"]
+    insist(all(len(row) == len(G[0]) for row in G + A), "a row of a set is too short")
+    if document["question"] == "is_empty":
+        M, D, yes = A, [[v] for v in b], not yes
+    elif document["question"] == "contains":
+        M, D = G + A, [[v] for v in add(c["point"], [-v for v in first["center"]]) + b]
+    else:
+        (second,) = others
+        G2, A2 = second["generators"], second["constraints"]
+        shift = add(second["center"], [-v for v in first["center"]])
+        if document["question"] == "contains_set":
+            insist(not A2, "the inner set must be a zonotope")
+            M, D = G + A, [[v, *row] for v, row in zip(shift + b, G2 + [[F(0)] * len(G2[0]) for _ in b], strict=True)]
+        else:
+            insist(document["question"] == "intersects", "this question is not known")
+            M = [row + [-v for v in other] for row, other in zip(G, G2, strict=True)]
+            M += [row + [F(0)] * len(G2[0]) for row in A] + [[F(0)] * len(G[0]) + row for row in A2]
+            D = [[v] for v in shift + b + second["offsets"]]
+    if yes:
+        X = c["X"] if "X" in c else [[v] for v in c["x"]]
+        insist([dots(turned(X), row) for row in M] == D, "x does not keep the equations")
+        insist(all(sum(map(abs, row)) <= 1 for row in X), "x is out of its bounds")
+    else:
+        along, (d, *spread) = dots(turned(M), c["l"]), dots(turned(D), c["l"])
+        insist(d + sum(map(abs, spread)) > sum(map(abs, along)), "the equations might hold")
 
 
 class Polynomial:

@@ -204,7 +204,7 @@ BAD_USAGE = {
     "info of nothing": (["info"], "needs either a model file or --template"),
     "out is a file": (["detect", "model.toml", "good.csv", "--out", "good.csv"], "good.csv is a file: a folder is needed"),
     "out below a file": (["detect", "model.toml", "good.csv", "--out", "good.csv/out"],
-                         "cannot write to --out good.csv/out: not a directory"),
+                         "cannot write into good.csv/out: not a directory"),
 }  # fmt: skip
 
 

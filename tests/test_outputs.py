@@ -305,6 +305,11 @@ class TestFolder:
         with untouched(place / "out"):
             refused(explain, "--json prints the certificate instead", capsys)
 
+    def test_a_report_that_cannot_be_written_into_says_so_without_options_of_others(self, place, capsys, monkeypatch):
+        assert cli.main(DETECT) == 0
+        monkeypatch.setattr(os, "access", lambda *args: False)
+        refused(["explain", "out", "--at", "30"], "cannot write into out: permission denied; --json prints", capsys)
+
     def test_verdicts_of_the_library_replace_no_folder_of_somebody(self, parquet):
         (parquet / "out/verdicts.parquet").mkdir(parents=True)
         (parquet / "out/verdicts.parquet/notes.txt").write_text("years of work")

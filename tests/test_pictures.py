@@ -48,7 +48,7 @@ def test_residuals_from_elsewhere_need_no_model():
 
 def test_sets_in_the_plane_are_drawn_with_their_outlines():
     Z = jb.zonotope([1.0, 2.0], [[1.0, 0.5, 0.2], [0.0, 1.0, -0.4]])
-    C = jb.sets.intersect(Z, jb.sets.interval([2.8], [3.1]), [[1.0, 1.0]])
+    C = jb.sets.intersection(Z, jb.sets.interval([2.8], [3.1]), [[1.0, 1.0]])
     (ax,) = jb.plot([Z, C]).axes
     outer, inner = (line.get_xydata() for line in ax.lines)
     assert len(outer) == 7 and np.ptp(outer, 0).round(9).tolist() == [3.4, 2.8]

@@ -247,6 +247,10 @@ class Killed(BaseException):
 class TestRestart:
     """A process that ends, is stopped or is killed at any point, and another one that goes on."""
 
+    def test_a_signal_before_the_first_sample_is_an_end_as_any(self, place, pipe):
+        code, out, err = pipe(None, chunks=[None], out=place / "out")
+        assert (code, out) == (3, "") and "Too little evidence: 0 % of the windows are decided. 0 samples" in err
+
     @pytest.mark.parametrize("again", ["from the beginning", "where it stopped", "where it stopped, no header", "somewhere before"])
     @pytest.mark.parametrize("timed", [True, False], ids=["time", "no time"])
     @pytest.mark.parametrize("within", [1, 4, 9], ids=["between lines", "in the time", "in a number"])

@@ -198,7 +198,7 @@ def irregular(clock, label, where):
         clock: the Clock after all samples. label: number of a sample -> text of its time. where: number of a sample -> "row 7".
     """
     count = sum(seam.count for seam in clock.seams)
-    if count <= (clock.samples - 1) / 2:
+    if count <= max(clock.samples - 1, 0) / 2:
         return ""
     seam = min(clock.seams, key=lambda s: s.sample)
     return (

@@ -37,6 +37,7 @@ def _elementary(f):
 
     @jax.jit
     def compiled(*xs):
+        xs = [Interval(*rounding.readable(x.lo, x.hi)) for x in xs]
         out = f(*xs)
         lo = jnp.where(reduce(jnp.logical_or, [x.lo == jnp.inf for x in xs]), jnp.inf, out.lo)
         return Interval(lo, jnp.where(reduce(jnp.logical_or, [x.hi == -jnp.inf for x in xs]), -jnp.inf, out.hi))
@@ -59,7 +60,7 @@ def _joined(xs):
         out.append(interval(x))
     dtype = jnp.result_type(*(x.dtype for x in out))
     shape = jnp.broadcast_shapes(*(x.shape for x in out))
-    return [Interval(*(jnp.broadcast_to(end, shape).astype(dtype) for end in (x.lo, x.hi))) for x in out]
+    return [Interval(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (x.lo, x.hi))) for x in out]
 
 
 def _widen(name, lo, hi, least=-np.inf, largest=np.inf):

@@ -17,9 +17,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets import rounding
+from jaxbound.sets.comparisons import subset
 from jaxbound.sets.frontier import Verdicts
 from jaxbound.sets.inclusion import inclusion
-from jaxbound.sets.interval import Interval, hull, intersection, mag, mid, rad, subset, wid
+from jaxbound.sets.interval import Interval, hull, intersection, mag, mid, rad, wid
 
 __all__ = ["components", "continuous", "is_interval_function", "search"]
 

@@ -44,8 +44,9 @@ def inclusion(f, method="natural"):
         ValueError: an unknown method. TypeError: f cannot be called.
 
     Encloses: every value of the real function f over the part of the box where it is defined, in float32 and float64, compiled
-        or not. Where continuity over the whole box is not proved (an undecided where, floor across a step, a division by an
-        interval with 0), "mean_value" and "best" are "natural".
+        or not. A NaN or an infinity inside, of which f makes a number again (nan_to_num, nanmax, where(isnan(...), ...)), counts
+        with what f makes of it, wherever it may arise. Where continuity over the whole box is not proved (an undecided where, floor
+        across a step, a division by an interval with 0), "mean_value" and "best" are "natural".
 
     Example:
         >>> import jax.numpy as jnp
@@ -137,6 +138,8 @@ def _leaf(x):
         return x
     if np.isnan(host).any():
         raise ValueError(f"a point must be a number, not NaN: {np.isnan(host).sum()} of {host.size} entries violate it")
+    if np.isinf(host).any():
+        return settled(jnp.asarray(host))
     exact = host.dtype == jax.dtypes.canonicalize_dtype(host.dtype) and ((abs(host) >= np.finfo(host.dtype).tiny) | (host == 0)).all()
     return x if exact else interval(host)
 
@@ -162,7 +165,10 @@ class _Traced:
     def outputs(self, leaves):
         """Return (outs, continuous) over the leaves."""
         outs, continuous = evaluate(self.jaxpr, self.consts, leaves)
-        return [enclose(o) if i in self.real else o for i, o in enumerate(outs)], jnp.asarray(continuous)
+        outs = [enclose(o) if i in self.real else o for i, o in enumerate(outs)]
+        for i in self.real:  # a constant NaN, say: nowhere defined
+            continuous = continuous & ~jnp.any(outs[i].is_empty)
+        return outs, jnp.asarray(continuous)
 
     def vector(self):
         """Return the Interval (n,) of all numbers that vary."""

@@ -2,6 +2,9 @@
 
 Empty is lo = +inf, hi = -inf; entire is [-inf, inf]. Operations follow IEEE 1788-2015 (set-based flavour); edges of domains
 give the tightest set, so 1 / [0, 1] is [1, inf] and x / [0, 0] is empty.
+
+Compiled code reads a subnormal number as 0. Operations therefore move such a bound outward first (`_read`; what rounds sums outward
+has room for it), and comparisons look at the bits. So it does not matter who built an Interval, the factory or the class.
 """
 
 import operator
@@ -13,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import approximations, rounding
+from jaxbound.sets.bounds import bound, check
 
 __all__ = [
-    "Interval", "abs", "add", "contains", "disjoint", "div", "equal", "hull", "interior", "intersection", "interval", "less", "mag",
-    "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown", "precedes", "rad", "recip", "sqr", "sub", "subset", "sum", "wid",
+    "Interval", "abs", "add", "div", "hull", "interval", "mag", "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown",
+    "rad", "recip", "sqr", "sub", "sum", "wid",
 ]  # fmt: skip
 
 _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operations of the same name
@@ -25,14 +29,17 @@ _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operati
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`.
+    """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`, which checks what it is given.
 
     Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the exact results, eagerly
-    and compiled.
+    and compiled, for every two floats lo <= hi (not one and the same infinity), subnormal ones included; relations are exact for them.
+    A bound that is NaN bounds nothing: it counts as infinite, results are entire or have NaN for a bound again; no relation holds.
     """
 
     lo: jax.Array
     hi: jax.Array
+
+    _settled = False  # see `computed`
 
     mid = property(lambda self: mid(self), doc="A float inside, near the middle; NaN if empty.")
     rad = property(lambda self: rad(self), doc="Half the width, rounded up: [mid - rad, mid + rad] encloses; NaN if empty.")
@@ -77,7 +84,7 @@ class Interval:
         return pown(self, n)
 
     def __getitem__(self, index):
-        return Interval(self.lo[index], self.hi[index])
+        return (computed if self._settled else Interval)(self.lo[index], self.hi[index])
 
     def __len__(self):
         return len(self.lo)
@@ -113,47 +120,36 @@ def interval(lo, hi=None):
             raise ValueError("an Interval already has an upper bound: give numbers as lo and hi, or use hull")
         return lo
     hi = lo if hi is None else hi
-    lo, hi = _bound(lo, rounding.round_down), _bound(hi, rounding.round_up)
+    lo, hi = bound(lo, rounding.round_down), bound(hi, rounding.round_up)
     if not isinstance(lo, jax.core.Tracer) and not isinstance(hi, jax.core.Tracer):
-        _check(np.asarray(lo), np.asarray(hi))
+        check(np.asarray(lo), np.asarray(hi))
     shape, dtype = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi)), jnp.result_type(lo, hi)
-    return Interval(*rounding.settle_subnormals(*(jnp.broadcast_to(end, shape).astype(dtype) for end in (lo, hi))))
+    return computed(*rounding.settle_subnormals(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi))))
 
 
-def _check(lo, hi):
-    empty = (lo == np.inf) & (hi == -np.inf)
-    for bad, rule in (
-        (np.isnan(lo) | np.isnan(hi), "bounds must be numbers, not NaN"),
-        ((lo > hi) & ~empty, "lo must be <= hi"),
-        (((lo == np.inf) | (hi == -np.inf)) & ~empty, "a point must be finite"),
-    ):
-        if bad.any():
-            first = tuple(int(i) for i in np.argwhere(bad)[0])
-            raise ValueError(f"{rule}: {bad.sum()} of {bad.size} entries violate it, first at {first}")
-
-
-def _bound(x, directed):
-    """Convert to a float32 or float64 array; a number that does not fit is rounded in the given direction."""
-    if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
-        return x if x.dtype.itemsize >= 4 else x.astype(jnp.float32)
-    if isinstance(x, jax.core.Tracer):  # integers: one step outward where a float does not hold them all
-        near = x.astype(jnp.result_type(float))
-        step = 2 * rounding.unit(near.dtype) * jnp.abs(near) * (1 if directed is rounding.round_up else -1)
-        return near + jnp.where(jnp.abs(step) < 1, 0, step)
-    x = np.asarray(x)
-    narrow = jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize <= 4
-    wanted = jax.dtypes.canonicalize_dtype(np.float32 if narrow else np.float64)
-    return x if x.dtype == wanted else directed(x, wanted)
-
-
-def _pair(x, y):
+def pair(x, y):
     """Return both as Intervals; a plain number takes the dtype of its partner, outward."""
     if not isinstance(x, Interval):
-        x, y = _pair(y, x)[::-1] if isinstance(y, Interval) else (interval(x), y)
+        x, y = pair(y, x)[::-1] if isinstance(y, Interval) else (interval(x), y)
     if not isinstance(y, Interval):
         number = isinstance(y, (int, float)) and not isinstance(y, bool)
         y = interval(rounding.round_down(y, x.dtype), rounding.round_up(y, x.dtype)) if number else interval(y)
+    if x.dtype != y.dtype:
+        dtype = jnp.result_type(x.dtype, y.dtype)
+        x, y = (jax.tree.map(lambda end: rounding.widened(end, dtype), v) for v in (x, y))
     return x, y
+
+
+def computed(lo, hi):
+    """Return an Interval of bounds that an operation computed: none is subnormal towards the inside, so that the next need not look."""
+    out = Interval(lo, hi)
+    object.__setattr__(out, "_settled", True)  # forgotten by a PyTree's round trip, after which the bounds are looked at again
+    return out
+
+
+def _read(x):
+    """Return x with bounds that compiled code reads as they are or further out."""
+    return x if x._settled else computed(*rounding.settle_subnormals(x.lo, x.hi))
 
 
 def _close(lo, hi, *arguments):
@@ -164,48 +160,58 @@ def _close(lo, hi, *arguments):
 
 def _or_empty(lo, hi, *arguments):
     """Make the result empty where an argument is; only an empty set has lo = inf, or hi = -inf, so that no bound asks for the other."""
-    return Interval(
+    return computed(
         jnp.where(reduce(operator.or_, [x.lo == jnp.inf for x in arguments]), jnp.inf, lo),
         jnp.where(reduce(operator.or_, [x.hi == -jnp.inf for x in arguments]), -jnp.inf, hi),
     )
 
 
 def _empty_where(empty, lo, hi):
-    return Interval(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
+    return computed(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
 def add(x, y):
     """Return the sum. Source: IEEE 1788 add."""
-    x, y = _pair(x, y)
+    x, y = pair(x, y)
     return _close(x.lo + y.lo, x.hi + y.hi, x, y)
 
 
 def sub(x, y):
     """Return the difference. Source: IEEE 1788 sub."""
-    x, y = _pair(x, y)
+    x, y = pair(x, y)
     return _close(x.lo - y.hi, x.hi - y.lo, x, neg(y))
 
 
 def neg(x):
     """Return -x, exactly. Source: IEEE 1788 neg."""
-    return Interval(-x.hi, -x.lo)
+    return (computed if x._settled else Interval)(-x.hi, -x.lo)
 
 
 def mul(x, y):
     """Return the product; 0 times an infinite bound is 0. Source: IEEE 1788 mul."""
-    x, y = _pair(x, y)
-    products = [a * b for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
-    out = _close(*_range([jnp.where(jnp.isnan(p), 0, p) for p in products]), x, y)
-    # outward rounding must not cross 0, so that 1 / (x * y) stays half-bounded
+    x, y = map(_read, pair(x, y))
     (above, below), (up, down) = ((v.lo >= 0, v.hi <= 0) for v in (x, y))
+    beyond = x.hi >= 0
+    least = _times(x.lo, jnp.where(above, y.lo, y.hi)), _times(x.hi, jnp.where(beyond, y.lo, y.hi))
+    most = _times(x.lo, jnp.where(above, y.hi, y.lo)), _times(x.hi, jnp.where(beyond, y.hi, y.lo))
+    out = _close(jnp.minimum(*least), jnp.maximum(*most), x, y)
+    # outward rounding must not cross 0, so that 1 / (x * y) stays half-bounded
     zero = (above & below) | (up & down)
     lo = jnp.where((above & up) | (below & down) | zero, jnp.maximum(out.lo, 0), out.lo)
-    return Interval(lo, jnp.where((above & down) | (below & up) | zero, jnp.minimum(out.hi, 0), out.hi))
+    hi = jnp.where((above & down) | (below & up) | zero, jnp.minimum(out.hi, 0), out.hi)
+    known = (x.lo == x.lo) & (x.hi == x.hi) & (y.lo == y.lo) & (y.hi == y.hi)
+    return computed(jnp.where(known, lo, jnp.nan), jnp.where(known, hi, jnp.nan))
+
+
+def _times(a, b):
+    """Return a b, and 0 for 0 times infinity."""
+    product = a * b
+    return jnp.where(jnp.isnan(product), 0, product)
 
 
 def div(x, y):
     """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE 1788 div."""
-    x, y = _pair(x, y)
+    x, y = (computed(*rounding.readable(v.lo, v.hi)) for v in pair(x, y))
     down = y.hi <= 0  # x / y = (-x) / (-y)
     a, b, c, d = (jnp.where(down, -p, q) for p, q in ((x.hi, x.lo), (x.lo, x.hi), (y.hi, y.lo), (y.lo, y.hi)))
     nowhere, across = x.is_empty | y.is_empty | ((c == 0) & (d == 0)), (c < 0) & ~((a == 0) & (b == 0))
@@ -214,7 +220,7 @@ def div(x, y):
     high = _quotient(over(b, 1), jnp.where(across, 1, jnp.where(b > 0, c, d)), jnp.inf)
     lo, hi = rounding.outward(low, high)
     lo, hi = jnp.where(jnp.signbit(low), lo, jnp.maximum(lo, 0)), jnp.where(jnp.signbit(high), jnp.minimum(hi, 0), hi)
-    return Interval(jnp.where(jnp.isnan(low), jnp.inf, lo), jnp.where(jnp.isnan(high), -jnp.inf, hi))
+    return computed(jnp.where(jnp.isnan(low), jnp.inf, lo), jnp.where(jnp.isnan(high), -jnp.inf, hi))
 
 
 def _quotient(a, b, over_zero):
@@ -230,23 +236,16 @@ def _quotient(a, b, over_zero):
     return a / b
 
 
-def _range(values):
-    lo = hi = values[0]
-    for v in values[1:]:
-        lo, hi = jnp.minimum(lo, v), jnp.maximum(hi, v)
-    return lo, hi
-
-
 def recip(x):
     """Return 1 / x. Source: IEEE 1788 recip."""
-    return div(Interval(jnp.ones_like(x.lo), jnp.ones_like(x.hi)), x)
+    return div(computed(jnp.ones_like(x.lo), jnp.ones_like(x.hi)), x)
 
 
 def sqr(x):
     """Return x^2, never negative, and 0 for 0 (so that [0, 0]^-2 is empty). Source: IEEE 1788 sqr."""
     near, far = mig(x), mag(x)
     out = _close(near * near, far * far, x)
-    return Interval(jnp.maximum(out.lo, 0), jnp.where(far == 0, 0, out.hi))
+    return computed(jnp.maximum(out.lo, 0), jnp.where(far == 0, 0, out.hi))
 
 
 def pown(x, n):
@@ -264,6 +263,7 @@ def pown(x, n):
 
 @partial(jax.jit, static_argnums=1)
 def _power(x, n):
+    x = _read(x)
     near, far = (x.lo, x.hi) if n % 2 else (mig(x), mag(x))
     power = lambda v: jnp.where(v < 0, -1, 1) * approximations.power(jnp.abs(v), n)
     lo, hi = rounding.outward(power(near), power(far), approximations.UNITS["power"] + 16 * n * rounding.unit(x.dtype))
@@ -278,13 +278,13 @@ def abs(x):
 
 def min(x, y):
     """Return the range of the smaller, exactly. Source: IEEE 1788 min."""
-    x, y = _pair(x, y)
+    x, y = map(_read, pair(x, y))
     return _or_empty(jnp.minimum(x.lo, y.lo), jnp.minimum(x.hi, y.hi), x, y)
 
 
 def max(x, y):
     """Return the range of the larger, exactly. Source: IEEE 1788 max."""
-    x, y = _pair(x, y)
+    x, y = map(_read, pair(x, y))
     return _or_empty(jnp.maximum(x.lo, y.lo), jnp.maximum(x.hi, y.hi), x, y)
 
 
@@ -295,7 +295,7 @@ def sum(x, axis=0):
 
 def matmul(x, y):
     """Return the matrix product of (..., n, k) or (k,) and (..., k, m) or (k,): every entry an enclosed sum of products."""
-    x, y = _pair(x, y)
+    x, y = pair(x, y)
     if not x.shape or not y.shape or x.shape[-1] != y.shape[-2:][0]:
         raise ValueError(f"matmul needs (..., n, k) or (k,) and (..., k, m) or (k,): the shapes are {x.shape} and {y.shape}")
     vector = len(y.shape) == 1
@@ -309,90 +309,54 @@ def matmul(x, y):
 def mid(x):
     """Return a float inside x near its middle (half-line: the largest float, entire: 0, empty: NaN). Source: IEEE 1788 mid."""
     top = np.finfo(x.dtype).max
+    unbounded = jnp.isnan(x.lo) | (x.lo == -jnp.inf), jnp.isnan(x.hi) | (x.hi == jnp.inf)
     lo, hi = jnp.maximum(x.lo, -top), jnp.minimum(x.hi, top)
     left, right = jax.lax.optimization_barrier((lo * 0.5, hi * 0.5))  # the compiler would make it (lo + hi) * 0.5, which overflows
     middle = jnp.clip(left + right, lo, hi)
-    ends = jnp.where(x.lo == -jnp.inf, jnp.where(x.hi == jnp.inf, 0, -top), jnp.where(x.hi == jnp.inf, top, middle))
+    # subnormal bounds, which clip reads as 0
+    middle = jnp.where(rounding.above(x.lo, middle), x.lo, jnp.where(rounding.above(middle, x.hi), x.hi, middle))
+    ends = jnp.where(unbounded[0], jnp.where(unbounded[1], 0, -top), jnp.where(unbounded[1], top, middle))
     return jnp.where(x.is_empty, jnp.nan, ends)
 
 
 def rad(x):
     """Return a radius, rounded up, with x inside [mid - rad, mid + rad]; NaN for empty. Source: IEEE 1788 rad."""
     m = mid(x)
-    spread = _close(jnp.zeros_like(m), jnp.maximum(m - x.lo, x.hi - m), x).hi
-    return jnp.where(x.is_empty, jnp.nan, jnp.where(x.lo == x.hi, 0, spread))
+    return _spread(x, jnp.maximum(m - x.lo, x.hi - m))
 
 
 def wid(x):
     """Return hi - lo, rounded up; NaN for empty. Source: IEEE 1788 wid."""
-    width = _close(jnp.zeros_like(x.lo), x.hi - x.lo, x).hi
-    return jnp.where(x.is_empty, jnp.nan, jnp.where(x.lo == x.hi, 0, width))
+    return _spread(x, x.hi - x.lo)
+
+
+def _spread(x, size):
+    """Return at least the size, off by two subnormal numbers read as 0: nothing for a point, infinite where a bound is not known."""
+    out = _close(jnp.zeros_like(size), jnp.where(jnp.isnan(size), jnp.inf, size), x).hi
+    return jnp.where(x.is_empty, jnp.nan, jnp.where(rounding.above(x.hi, x.lo), out, 0))
 
 
 def mag(x):
-    """Return the largest absolute value; NaN for empty. Source: IEEE 1788 mag."""
+    """Return the largest absolute value, rounded up if subnormal; NaN for empty. Source: IEEE 1788 mag."""
+    x = _read(x)
     return jnp.where(x.is_empty, jnp.nan, jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi)))
 
 
 def mig(x):
-    """Return the smallest absolute value; NaN for empty. Source: IEEE 1788 mig."""
+    """Return the smallest absolute value, rounded down if subnormal; NaN for empty. Source: IEEE 1788 mig."""
+    x = _read(x)
     return jnp.where(x.is_empty, jnp.nan, jnp.maximum(jnp.maximum(x.lo, -x.hi), 0))
 
 
 def hull(x, y):
     """Return the smallest interval that holds both. Source: IEEE 1788 convexHull."""
-    x, y = _pair(x, y)
-    return Interval(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi))
+    x, y = map(_read, pair(x, y))
+    return computed(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi))
 
 
 def intersection(x, y):
     """Return what both share, possibly empty. Source: IEEE 1788 intersection."""
-    x, y = _pair(x, y)
-    lo, hi = jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi)
-    return _empty_where(lo > hi, lo, hi)
-
-
-def equal(x, y):
-    """True where both are the same set. Source: IEEE 1788 equal."""
-    x, y = _pair(x, y)
-    return (x.is_empty & y.is_empty) | ((x.lo == y.lo) & (x.hi == y.hi))
-
-
-def subset(x, y):
-    """True where x lies in y. Source: IEEE 1788 subset."""
-    x, y = _pair(x, y)
-    return x.is_empty | ((x.lo >= y.lo) & (x.hi <= y.hi))
-
-
-def interior(x, y):
-    """True where x lies in the interior of y. Source: IEEE 1788 interior."""
-    x, y = _pair(x, y)
-    below = (x.lo > y.lo) | (y.lo == -jnp.inf)
-    above = (x.hi < y.hi) | (y.hi == jnp.inf)
-    return x.is_empty | (below & above & ~y.is_empty)
-
-
-def disjoint(x, y):
-    """True where no point is shared. Source: IEEE 1788 disjoint."""
-    x, y = _pair(x, y)
-    return x.is_empty | y.is_empty | (x.hi < y.lo) | (y.hi < x.lo)
-
-
-def less(x, y):
-    """True where x is weakly below y: both ends are. Source: IEEE 1788 less."""
-    x, y = _pair(x, y)
-    return (x.is_empty & y.is_empty) | (~x.is_empty & ~y.is_empty & (x.lo <= y.lo) & (x.hi <= y.hi))
-
-
-def precedes(x, y):
-    """True where every point of x is <= every point of y. Source: IEEE 1788 precedes."""
-    x, y = _pair(x, y)
-    return x.is_empty | y.is_empty | (x.hi <= y.lo)
-
-
-def contains(x, point):
-    """True where the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
-    # a number between two floats lies in x where both do
-    below, above = _bound(point, rounding.round_down), _bound(point, rounding.round_up)
-    below, above = rounding.settle_subnormals(jnp.asarray(below), jnp.asarray(above))
-    return (x.lo <= below) & (above <= x.hi) & (jnp.isfinite(below) | jnp.isfinite(above))
+    x, y = pair(x, y)
+    apart = x.is_empty | y.is_empty | rounding.above(x.lo, y.hi) | rounding.above(y.lo, x.hi)
+    x, y = map(_read, (x, y))
+    return _empty_where(apart, jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi))

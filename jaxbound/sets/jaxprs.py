@@ -1,7 +1,8 @@
 """Evaluate the jaxpr of a function over Intervals: equation by equation, through calls, branches and loops.
 
 Beside the enclosures, every evaluation says whether it proved the function defined and continuous over the box: derivatives
-speak about a function only there.
+speak about a function only there. It also follows where a number may be NaN (`undefined`), which comparisons, is_finite and
+conversions observe: a program may turn NaN back into a number.
 """
 
 import functools
@@ -12,9 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from jaxbound.sets.interval import Interval
+from jaxbound.sets import rounding
+from jaxbound.sets.interval import Interval, computed
 from jaxbound.sets.lifted import enclose, least, most, settled, whole
 from jaxbound.sets.primitives import CONTINUOUS, MOVED, RISING, RULES, WHOLE
+from jaxbound.sets.undefined import OBSERVED, either, possible
 
 __all__ = ["bind", "body", "evaluate", "refuse_unsupported"]
 
@@ -37,14 +40,38 @@ def evaluate(jaxpr, consts, args):
 
     Encloses: the real function that the jaxpr writes down, its constants being the floats they are.
     """
-    env = dict(zip(jaxpr.constvars, map(_constant, consts), strict=True)) | dict(zip(jaxpr.invars, args, strict=True))
-    read = lambda v: _constant(np.asarray(v.val, v.aval.dtype)) if isinstance(v, Literal) else env[v]
+    outs, _, continuous = _follow(jaxpr, consts, [_door(x) for x in args], [None if isinstance(x, Interval) else _absent(x) for x in args])
+    return outs, continuous
+
+
+def _door(x):
+    """Return an argument that compiled code reads as it is; a bound that is NaN bounds nothing."""
+    return Interval(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
+
+
+def _follow(jaxpr, consts, args, absent):
+    """Return (outs, absent, continuous); absent: None, or a boolean array, True where the number may be NaN, for each of args and outs."""
+    known = lambda x: (_constant(x), _absent(x))
+    env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(zip(jaxpr.invars, zip(args, absent, strict=True), strict=True))
+    read = lambda v: known(np.asarray(v.val, v.aval.dtype)) if isinstance(v, Literal) else env[v]
     continuous = True
     for eqn in jaxpr.eqns:
-        outs, fine = _apply(eqn, [read(v) for v in eqn.invars])
-        env.update(zip(eqn.outvars, outs, strict=True))
+        values, missing = zip(*map(read, eqn.invars), strict=True) if eqn.invars else ((), ())
+        outs, found, fine = _apply(eqn, list(values), list(missing))
+        env.update(zip(eqn.outvars, zip(outs, found, strict=True), strict=True))
         continuous = continuous & fine
-    return [read(v) for v in jaxpr.outvars], continuous
+    outs, absent = zip(*map(read, jaxpr.outvars), strict=True) if jaxpr.outvars else ((), ())
+    return list(outs), list(absent), continuous
+
+
+def _absent(x):
+    """Return where a constant is NaN, None if nowhere."""
+    if isinstance(x, Interval) or not jnp.issubdtype(x.dtype, jnp.floating):
+        return None
+    if isinstance(x, jax.core.Tracer):
+        return jnp.isnan(x)
+    host = np.isnan(np.asarray(x))
+    return jnp.asarray(host) if host.any() else None
 
 
 def body(eqn):
@@ -99,30 +126,35 @@ def _inexact(aval):
 
 
 def _constant(x):
-    """Return a constant as itself if floats can say it, as an Interval otherwise (NaN: empty; a subnormal number; unknown yet)."""
+    """Return a constant as itself if floats can say it, as an Interval otherwise (NaN, infinite, subnormal, unknown yet)."""
     if isinstance(x, Interval) or not jnp.issubdtype(x.dtype, jnp.floating):
         return x
     if isinstance(x, jax.core.Tracer):
         return settled(x)
     host = np.asarray(x)
-    plain = (np.abs(host) >= np.finfo(host.dtype).tiny) | (host == 0)
+    plain = (np.abs(host) >= np.finfo(host.dtype).tiny) & np.isfinite(host) | (host == 0)
     return host if plain.all() else settled(jnp.asarray(host))
 
 
-def _apply(eqn, values):
-    """Return (outs, continuous) of one equation."""
+def _apply(eqn, values, absent):
+    """Return (outs, absent, continuous) of one equation."""
     name, inner = eqn.primitive.name, body(eqn)
     if inner is not None:
-        return evaluate(inner.jaxpr, inner.consts, values)
+        return _follow(inner.jaxpr, inner.consts, values, absent)
     if name in CONTROL:
-        return CONTROL[name](values, eqn.params)
+        return CONTROL[name](values, absent, eqn.params)
     if not any(isinstance(v, Interval) for v in values) and _exact(eqn):
-        return bind(eqn, *values), True
-    if name in MOVED:
-        return _moved(eqn, values), True
+        outs = bind(eqn, *values)
+        made = name == "bitcast_convert_type" and _inexact(eqn.outvars[0].aval)  # any bits: NaN, infinite and subnormal numbers too
+        return [settled(o) for o in outs] if made else outs, [jnp.isnan(o) if made else None for o in outs], True
     about = {**eqn.params, "bind": lambda *v: bind(eqn, *v)[0], "numbers": [_number(v) for v in values]}
     about |= {"known": [not isinstance(v, Interval) for v in values], "same": len(values) == 2 and eqn.invars[0] is eqn.invars[1]}
+    if name in MOVED:
+        return _moved(eqn, values, absent)
     sets = [v if name == "scatter-add" and i == 1 else enclose(v) for i, v in enumerate(values)]
+    if name == "sort":  # NaN comes last, infinities at the ends
+        loose = lambda x, a: Interval(jnp.where(a, -jnp.inf, x.lo), jnp.where(a, jnp.inf, x.hi))
+        sets = [x if a is None else loose(x, a) for x, a in zip(sets, absent, strict=True)]
     if name in RISING and not _by_key(eqn):
         outs = [Interval(*ends) for ends in zip(bind(eqn, *(v.lo for v in sets)), bind(eqn, *(v.hi for v in sets)), strict=True)]
     elif name in (rules := WHOLE if whole(sets[0]) else RULES):
@@ -132,7 +164,16 @@ def _apply(eqn, values):
         raise NotImplementedError(
             f"inclusion has no rule for the primitive {name} of {kind} that depend on an interval: write it with others"
         )
-    return outs, jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
+    if name in OBSERVED and any(a is not None for a in absent):
+        outs = [OBSERVED[name](enclose(outs[0]), sets, absent, **about)]
+    fine = jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
+    shown = [_computed(o) if isinstance(o, Interval) and not whole(o) else o for o in outs]
+    found = [possible(name, enclose(o), sets, absent, about) if _inexact(v.aval) else None for o, v in zip(outs, eqn.outvars, strict=True)]
+    return shown, found, fine
+
+
+def _computed(x):
+    return computed(x.lo, x.hi)
 
 
 def _exact(eqn):
@@ -155,15 +196,25 @@ def _number(value):
     return float(value.ravel()[0]) if isinstance(value, np.ndarray | np.generic) and value.size == 1 else None
 
 
-def _moved(eqn, values):
-    """Move the lower and the upper bounds alike."""
+def _moved(eqn, values, absent):
+    """Move the lower and the upper bounds alike, and where they may be NaN; a gather beyond the end fills with NaN."""
     places = MOVED[eqn.primitive.name]
     moved = range(len(values)) if places is None else places
     if any(isinstance(v, Interval) for i, v in enumerate(values) if i not in moved):
         raise NotImplementedError(f"inclusion cannot follow {eqn.primitive.name} where an index depends on an interval: use jnp.where")
     ready = [enclose(v) if i in moved else v for i, v in enumerate(values)]
-    ends = (bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready))) for end in ("lo", "hi"))
-    return [Interval(*pair) for pair in zip(*ends, strict=True)]
+    lower, upper = (bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready))) for end in ("lo", "hi"))
+    outs = [Interval(*pair) for pair in zip(lower, upper, strict=True)]
+    floating = [_inexact(v.aval) for v in eqn.outvars]
+    filled = eqn.primitive.name == "gather" and floating[0]
+    if not filled and all(a is None for a in absent):
+        return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], [None] * len(outs), True
+    mark = lambda v, a: jnp.zeros_like(v.lo) if a is None else jnp.broadcast_to(a, v.shape).astype(v.dtype)
+    marks = [mark(v, a) if i in moved else v for i, (v, a) in enumerate(zip(ready, absent, strict=True))]
+    found = [mark != 0 if f else None for mark, f in zip(bind(eqn, *marks), floating, strict=True)]
+    if filled:
+        outs = [Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi)) for o in outs]
+    return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], found, True
 
 
 def _as(value, kind):
@@ -183,19 +234,30 @@ def _steady(step, carry):
         carry = grown
 
 
-def _scan(values, params):
-    consts, carry, xs = _split(values, *_counts(params))
-    inner = params["jaxpr"]
-    one = lambda carry, x: evaluate(inner.jaxpr, inner.consts, [*consts, *carry, *x])
-    x = jax.tree.map(lambda v: jax.ShapeDtypeStruct(v.shape[1:], v.dtype), xs)
-    carry = _steady(lambda carry: one(carry, jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), x))[0][: len(carry)], carry)
+def _marked(values, absent):
+    """Return where each value of a loop's carry may be NaN as an array, None for what is never NaN."""
+    shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
+    return [jnp.broadcast_to(False if a is None else a, shape(v)) if _inexact(v) else None for v, a in zip(values, absent, strict=True)]
 
-    def step(carry, x):
-        outs, fine = one(carry, x)
-        return [_as(o, c) for o, c in zip(outs, carry, strict=False)], (outs[len(carry) :], jnp.asarray(fine))
 
-    carry, (ys, fine) = jax.lax.scan(step, carry, xs, params["length"], params["reverse"])
-    return [*carry, *ys], jnp.all(fine)
+def _scan(values, absent, params):
+    (consts, carry, xs), (no_consts, no_carry, no_xs) = (_split(v, *_counts(params)) for v in (values, absent))
+    inner, count = params["jaxpr"], len(carry)
+    one = lambda carry, x, away, gone: _follow(inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *gone])
+    gone = [None if a is None else jnp.broadcast_to(a, x.shape) for a, x in zip(no_xs, xs, strict=True)]
+    first = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], v.dtype), xs)
+    missing = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], bool), gone)
+    carry = _steady(lambda carry: one(carry, first, _marked(carry, [None] * count), missing)[0][:count], carry)
+
+    def step(state, x):
+        (carry, away), (x, gone) = state, x
+        outs, found, fine = one(carry, x, away, gone)
+        after = [_as(o, c) for o, c in zip(outs, carry, strict=False)], _marked(carry, found[:count])
+        return after, (outs[count:], _marked(outs[count:], found[count:]), jnp.asarray(fine))
+
+    start, rows = (carry, _marked(carry, no_carry)), (xs, gone)
+    (carry, away), (ys, found, fine) = jax.lax.scan(step, start, rows, params["length"], params["reverse"])
+    return [*carry, *ys], [*away, *found], jnp.all(fine)
 
 
 def _counts(params):
@@ -214,63 +276,88 @@ def _split(values, *counts):
     return *out, values
 
 
-def _while(values, params):
-    """Follow a loop; where its end depends on an interval, collect every state in which it may stop."""
-    cond_consts, body_consts, carry = _split(values, params["cond_nconsts"], params["body_nconsts"])
+def _while(values, absent, params):
+    """Follow a loop; where its end depends on an interval, collect every state in which it may stop. Under vmap each entry ends alone."""
+    counts = params["cond_nconsts"], params["body_nconsts"]
+    (cond_consts, body_consts, carry), (no_cond, no_body, away) = (_split(v, *counts) for v in (values, absent))
     cond, inner = params["cond_jaxpr"], params["body_jaxpr"]
-    test = lambda carry: evaluate(cond.jaxpr, cond.consts, [*cond_consts, *carry])[0][0]
-    step = lambda carry: evaluate(inner.jaxpr, inner.consts, [*body_consts, *carry])
-    carry = _steady(lambda c: step(c)[0], carry)
-    if not isinstance(jax.eval_shape(test, carry), Interval):
+    test = lambda carry, away: _follow(cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away])[0][0]
+    step = lambda carry, away: _follow(inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away])
+    nowhere = lambda carry: _marked(carry, [None] * len(carry))
+    carry = _steady(lambda c: step(c, nowhere(c))[0], carry)
+    away = _marked(carry, away)
 
-        def turn(state):
-            outs, fine = step(state[0])
-            return [_as(o, c) for o, c in zip(outs, state[0], strict=True)], state[1] & fine
+    def turn(going, carry, away):
+        """Return the state after one more step of the entries that may go on."""
+        outs, found, fine = step(carry, away)
+        outs = [_where(going, _as(o, c), c) for o, c in zip(outs, carry, strict=True)]
+        return outs, [a if a is None else _where(going, f, a) for f, a in zip(_marked(carry, found), away, strict=True)], fine
 
-        return jax.lax.while_loop(lambda state: test(state[0]), turn, (carry, jnp.asarray(True)))
+    if not isinstance(jax.eval_shape(test, carry, away), Interval):
+
+        def once(state):
+            carry, away, fine = turn(test(*state[:2]), *state[:2])
+            return carry, away, state[2] & fine
+
+        carry, away, fine = jax.lax.while_loop(lambda state: jnp.any(test(*state[:2])), once, (carry, away, jnp.asarray(True)))
+        return carry, away, fine
     carry = [enclose(c) for c in carry]
+    away = _marked(carry, away)
+
+    def gather(going, carry, away, ended, gone):
+        """Add the states in which the loop may stop to those that were met before."""
+        ended = [_hull_where(~going.lo, c, e) for c, e in zip(carry, ended, strict=True)]
+        return ended, [g if g is None else g | _where(going.lo, jnp.zeros_like(a), a) for a, g in zip(away, gone, strict=True)]
 
     def follow(state):
-        carry, ended, fine, count = state
-        going = test(carry)
-        outs, continuous = step(carry)
-        ended = [_hull_where(~going.lo, c, e) for c, e in zip(carry, ended, strict=True)]
-        fine = fine & continuous & (going.lo == going.hi)
-        return [_as(o, c) for o, c in zip(outs, carry, strict=True)], ended, fine, count + 1
+        carry, away, ended, gone, fine, count = state
+        going = test(carry, away)
+        ended, gone = gather(going, carry, away, ended, gone)
+        carry, away, continuous = turn(going.hi, carry, away)
+        return carry, away, ended, gone, fine & continuous & jnp.all(going.lo == going.hi), count + 1
 
     nothing = [Interval(jnp.full_like(c.lo, most(c.dtype)), jnp.full_like(c.hi, least(c.dtype))) for c in carry]
-    running = lambda state: test(state[0]).hi & (state[3] < LOOPS)
-    carry, ended, fine, _ = jax.lax.while_loop(running, follow, (carry, nothing, jnp.asarray(True), 0))
-    going = test(carry)
-    ended = [_hull_where(~going.lo, c, e) for c, e in zip(carry, ended, strict=True)]
+    running = lambda state: jnp.any(test(*state[:2]).hi) & (state[5] < LOOPS)
+    start = carry, away, nothing, nowhere(carry), jnp.asarray(True), 0
+    carry, away, ended, gone, fine, _ = jax.lax.while_loop(running, follow, start)
+    going = test(carry, away)
+    ended, gone = gather(going, carry, away, ended, gone)
     anything = [Interval(jnp.full_like(c.lo, least(c.dtype)), jnp.full_like(c.hi, most(c.dtype))) for c in carry]
-    return [_hull_where(going.hi, a, e) for a, e in zip(anything, ended, strict=True)], fine & ~going.hi
+    ended = [_hull_where(going.hi, a, e) for a, e in zip(anything, ended, strict=True)]
+    gone = [g if g is None else g | _where(going.hi, jnp.ones_like(g), g) for g in gone]
+    return ended, gone, fine & ~jnp.any(going.hi)
+
+
+def _where(chosen, x, y):
+    """Choose x or y; the axes of `chosen` are the first ones of theirs."""
+    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(chosen, tuple(range(chosen.ndim, jnp.ndim(a)))), a, b), x, y)
 
 
 def _hull_where(possible, x, y):
     """Return the hull of y and, where possible, x."""
-    joined = Interval(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi))
-    return jax.tree.map(lambda j, e: jnp.where(possible, j, e), joined, y)
+    return _where(possible, Interval(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi)), y)
 
 
-def _cond(values, params):
-    index, operands = values[0], values[1:]
-    branches = [lambda ops, b=b: evaluate(b.jaxpr, b.consts, ops) for b in params["branches"]]
+def _cond(values, absent, params):
+    index, operands, away = values[0], values[1:], absent[1:]
+    branches = [lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away) for b in params["branches"]]
     if isinstance(index, Interval):
-        found = [branch(operands) for branch in branches]
-        outs = [RULES["select_n"](index, *map(enclose, cases)) for cases in zip(*(outs for outs, _ in found), strict=True)]
-        return outs, functools.reduce(operator.and_, (fine for _, fine in found), index.lo == index.hi)
-    shapes = [jax.eval_shape(lambda ops, b=b: b(ops)[0], operands) for b in branches]
+        found = [branch(operands, away) for branch in branches]
+        outs = [RULES["select_n"](index, *map(enclose, cases)) for cases in zip(*(outs for outs, *_ in found), strict=True)]
+        gone = [either(*cases) for cases in zip(*(gone for _, gone, _ in found), strict=True)]
+        return outs, gone, functools.reduce(operator.and_, (fine for *_, fine in found), index.lo == index.hi)
+    shapes = [jax.eval_shape(lambda ops, b=b: b(ops, away)[0], operands) for b in branches]
     sets = [any(isinstance(o, Interval) or _inexact(o) for o in outs) for outs in zip(*shapes, strict=True)]
 
     def chosen(branch):
-        def run(ops):
-            outs, fine = branch(ops)
-            return [enclose(o) if s else jnp.asarray(o) for o, s in zip(outs, sets, strict=True)], jnp.asarray(fine)
+        def run(ops, away):
+            outs, gone, fine = branch(ops, away)
+            outs = [enclose(o) if s else jnp.asarray(o) for o, s in zip(outs, sets, strict=True)]
+            return outs, _marked(outs, gone), jnp.asarray(fine)
 
         return run
 
-    return jax.lax.switch(index, list(map(chosen, branches)), operands)
+    return jax.lax.switch(index, list(map(chosen, branches)), operands, away)
 
 
 CONTROL = {"scan": _scan, "while": _while, "cond": _cond}

@@ -12,26 +12,27 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import rounding
-from jaxbound.sets.elementary import atanh, exp, log, sqrt, tanh
+from jaxbound.sets.elementary import atan2, atanh, exp, log, sqrt, tanh
 from jaxbound.sets.interval import Interval, add, div, hull, intersection, mag, mul, neg, pown, recip, sqr, sub
 from jaxbound.sets.interval import sum as total
 
 __all__ = [
-    "added", "comparison", "contracted", "converted", "cube_root", "divided", "enclose", "equals", "expm1", "extreme", "integers",
-    "integral", "least", "log1p", "logistic", "most", "multiplied", "negated", "of", "power", "predicates", "product", "remainder",
+    "added", "angle", "comparison", "contracted", "converted", "cube_root", "divided", "enclose", "equals", "expm1", "extreme", "integers",
+    "integral", "least", "log1p", "logistic", "most", "multiplied", "negated", "of", "poles", "power", "predicates", "product", "remainder",
     "scanned", "scattered", "selected", "settled", "subtracted", "summed", "whole",
 ]  # fmt: skip
 
 
 def enclose(x):
-    """Return an Interval that is `x` or the number x, neither NaN nor subnormal."""
+    """Return an Interval that is `x` or the number x, finite and not subnormal."""
     return x if isinstance(x, Interval) else Interval(jnp.asarray(x), jnp.asarray(x))
 
 
 def settled(x):
-    """Return an Interval that holds any float `x`: NaN becomes the empty set, a subnormal number its neighbours."""
+    """Return an Interval that holds any float `x`: NaN becomes the empty set, infinity all numbers too large for a float."""
     lo, hi = rounding.settle_subnormals(x, x)
-    absent = jnp.isnan(x)
+    absent, top = jnp.isnan(x), np.finfo(x.dtype).max
+    lo, hi = jnp.where(x == jnp.inf, top, lo), jnp.where(x == -jnp.inf, -top, hi)
     return Interval(jnp.where(absent, jnp.inf, lo), jnp.where(absent, -jnp.inf, hi))
 
 
@@ -104,7 +105,8 @@ def divided(x, y, known=(False, False), numbers=(None, None), **_):
     """Return the quotient; a divisor that is one number of ordinary size needs two quotients instead of four."""
     c = numbers[1]
     if not known[1] or c is None or not 2.0**-60 < abs(c) < 2.0**60:
-        return div(x, y)
+        out, pole = div(x, y), (y.lo == 0) & (y.hi == 0) & ~x.is_empty  # of which a program may make a number
+        return Interval(jnp.where(pole, -jnp.inf, out.lo), jnp.where(pole, jnp.inf, out.hi))
     if math.frexp(c)[0] in (0.5, -0.5):
         return scaled(x, 1 / c)
     lo, hi = jax.lax.optimization_barrier((x.lo, x.hi) if c > 0 else (-x.hi, -x.lo))  # else merged with a quotient that made x
@@ -306,12 +308,42 @@ def power(x, y, numbers=(None, None), **_):
     if whole(y):
         n = Interval(y.lo.astype(x.dtype), y.hi.astype(x.dtype))
         power = lambda v: exp(mul(n, log(v)))
-        even, odd = (_signed_power(x, power, odd, n.lo > 0) for odd in (False, True))
-        either = hull(even, odd)
+        even, odd = (_signed_power(x, power, odd, n.hi > 0) for odd in (False, True))
+        either = _with(hull(even, odd), 1, _meets_zero(n))
         known, parity = n.lo == n.hi, jnp.abs(n.lo) % 2 == 1
         pick = lambda e, o, b: jnp.where(known, jnp.where(n.lo == 0, 1, jnp.where(parity, o, e)), b)
         return Interval(pick(even.lo, odd.lo, either.lo), pick(even.hi, odd.hi, either.hi))
-    return _signed_power(_cut(x, 0, jnp.inf), lambda v: exp(mul(y, log(v))), False, y.hi > 0)
+    out = _signed_power(_cut(x, 0, jnp.inf), lambda v: exp(mul(y, log(v))), False, y.hi > 0)
+    left = exp(mul(y, log(_cut(neg(x), 0, jnp.inf))))  # of a negative number where y is an integer, even or odd
+    some = (jnp.ceil(y.lo) <= jnp.floor(y.hi)) & ~left.is_empty
+    out = Interval(jnp.where(some, jnp.minimum(out.lo, -left.hi), out.lo), jnp.where(some, jnp.maximum(out.hi, left.hi), out.hi))
+    return _with(out, 1, _meets_zero(x) & _meets_zero(y))  # 0^0
+
+
+def angle(y, x, **_):
+    """Return atan2, 0 at the origin."""
+    return _with(atan2(y, x), 0, _meets_zero(y) & _meets_zero(x))
+
+
+def _with(x, number, present):
+    """Add a number where it is present."""
+    return Interval(jnp.where(present, jnp.minimum(x.lo, number), x.lo), jnp.where(present, jnp.maximum(x.hi, number), x.hi))
+
+
+def _meets_zero(x):
+    return (x.lo <= 0) & (x.hi >= 0)
+
+
+def poles(f, *places):
+    """Lift a function that is infinite at its poles, where it would be empty."""
+
+    def rule(x, **_):
+        out, top = f(x), np.finfo(x.dtype).max
+        for place, sign in places:
+            out = _with(_with(out, sign * np.inf, here := (x.lo <= place) & (x.hi >= place)), sign * top, here)
+        return out
+
+    return rule
 
 
 def integral(exponent):

@@ -18,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, disjoint, intersection, mag, mig
+from jaxbound.sets.comparisons import disjoint
+from jaxbound.sets.interval import Interval, intersection, mag, mig
 from jaxbound.sets.interval import sum as interval_sum
 from jaxbound.sets.linear_products import apart, at, extremes, minus, over, preconditioner, product, reciprocal, solved_for, times, where
 from jaxbound.sets.unrolled import most, total

@@ -14,10 +14,11 @@ import operator
 import jax.numpy as jnp
 
 from jaxbound.sets import elementary
+from jaxbound.sets.interval import Interval, div, mul, neg, pown, recip, sqr
 from jaxbound.sets.interval import abs as absolute
-from jaxbound.sets.interval import div, mul, neg, pown, recip, sqr
 from jaxbound.sets.lifted import (
     added,
+    angle,
     comparison,
     contracted,
     converted,
@@ -33,6 +34,7 @@ from jaxbound.sets.lifted import (
     multiplied,
     negated,
     of,
+    poles,
     power,
     predicates,
     product,
@@ -93,11 +95,12 @@ RULES = COMPARISONS | {
     "cumprod": scanned(mul),
     "dot_general": contracted,
     "scatter-add": scattered,
-    "is_finite": lambda x, **_: jnp.ones(x.shape, bool),
+    "is_finite": lambda x, **_: Interval(jnp.isfinite(x.lo) & jnp.isfinite(x.hi), (x.lo < jnp.inf) & (x.hi > -jnp.inf)),
 }
 ELEMENTARY = ("sqrt", "exp", "exp2", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh",
               "atanh")  # fmt: skip
-RULES |= {name: of(getattr(elementary, name)) for name in ELEMENTARY}
+RULES |= {name: of(getattr(elementary, name)) for name in ELEMENTARY} | {"atan2": angle}
+RULES |= {"log": poles(elementary.log, (0, -1)), "atanh": poles(elementary.atanh, (-1, -1), (1, 1)), "log1p": poles(log1p, (-1, -1))}
 
 WHOLE = COMPARISONS | {
     "add": integers(jnp.add),

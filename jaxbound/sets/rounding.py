@@ -26,17 +26,20 @@ import jax.numpy as jnp
 import numpy as np
 
 __all__ = [
+    "above",
     "dd_add",
     "dd_mul",
     "fraction_to_float",
     "mantissa_exponent",
     "nearest_normal",
+    "order",
     "outward",
     "outward_sum",
     "product_error",
     "positive",
     "power_of_two",
     "quotient",
+    "readable",
     "residual_error",
     "root",
     "round_down",
@@ -48,6 +51,7 @@ __all__ = [
     "two_prod",
     "two_sum",
     "unit",
+    "widened",
 ]
 
 
@@ -67,6 +71,7 @@ def outward(lo, hi, units=4):
     The bounds may be off by (units - 1.16) u |f| + tiny: four units fit one operation; `approximations` states its own.
     A bound that overflowed to the wrong infinity falls back to the largest finite number.
     """
+    lo, hi = jnp.asarray(lo), jnp.asarray(hi)
     u4, t2, top = np.asarray(units, lo.dtype)[()] * unit(lo.dtype), 2 * tiny(lo.dtype), np.finfo(lo.dtype).max
     lo_out = jnp.where(lo == jnp.inf, top, lo - (u4 * jnp.abs(lo) + t2))
     hi_out = jnp.where(hi == -jnp.inf, -top, hi + (u4 * jnp.abs(hi) + t2))
@@ -146,11 +151,44 @@ def settle_subnormals(lo, hi):
 
 
 def _settle(x, up):
-    bits, mantissa, exponent = {8: (jnp.int64, 52, 0x7FF), 4: (jnp.int32, 23, 0xFF)}[x.dtype.itemsize]
-    pattern = jax.lax.bitcast_convert_type(x, bits)
-    subnormal = ((pattern >> mantissa) & exponent == 0) & (pattern & ((1 << mantissa) - 1) != 0)
-    edge = tiny(x.dtype)
-    return jnp.where(subnormal & ((pattern >= 0) == up), edge if up else -edge, x)
+    pattern, least, first = _pattern(x)
+    subnormal = (pattern > 0) & (pattern < least) if up else (pattern > first) & (pattern < first + least)
+    return jnp.where(subnormal, tiny(x.dtype) if up else -tiny(x.dtype), x)
+
+
+def readable(lo, hi):
+    """Return bounds that compiled code reads as they are or further out: subnormal ones settled, none (infinite) for NaN."""
+    lo, hi = settle_subnormals(lo, hi)
+    return jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi)
+
+
+def _pattern(x):
+    """Return the bits of floats as integers, those of the smallest normal number and those of -0."""
+    bits = {8: np.int64, 4: np.int32, 2: np.int16}[x.dtype.itemsize]
+    return jax.lax.bitcast_convert_type(x, bits), bits(1 << jnp.finfo(x.dtype).nmant), np.iinfo(bits).min
+
+
+def order(x):
+    """Return integers in the order of the floats x, subnormal ones included; -0 is 0. NaN is beyond all others of its sign."""
+    pattern, _, first = _pattern(x)
+    return jnp.where(pattern < 0, first - pattern, pattern)
+
+
+def above(x, y):
+    """True where x > y, subnormal numbers included; never for NaN."""
+    return (order(x) > order(y)) & (x == x) & (y == y)
+
+
+def widened(x, dtype):
+    """Convert float32 to float64 exactly, subnormal numbers included, which compiled code converts to 0."""
+    if x.dtype == dtype or x.dtype.itemsize != 4:
+        return x.astype(dtype)
+    pattern, least, _ = _pattern(x)
+    as_float = lambda v: jax.lax.bitcast_convert_type(v, x.dtype)
+    small = (pattern & np.int32(0x7FFFFFFF)) < least
+    digits = as_float(jnp.where(small, pattern | np.float32(2.0**23).view(np.int32), pattern))
+    counted = (digits.astype(dtype) - jnp.copysign(2.0**23, digits).astype(dtype)) * 2.0**-149
+    return jnp.where(small, counted, digits.astype(dtype))
 
 
 def positive(x):

@@ -13,12 +13,13 @@ from collections import Counter
 from fractions import Fraction
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from elementary_cases import COUNT, box
 
 from jaxbound import sets
-from jaxbound.sets import interval, rounding
+from jaxbound.sets import Interval, interval, rounding
 
 TINY, TINY_32 = (float(np.finfo(dtype).tiny) for dtype in (np.float64, np.float32))
 ELEMENTARY = ["exp", "exp2", "exp10", "log", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
@@ -66,15 +67,19 @@ def cases(itl, shared):
     return by_op
 
 
-def batch(cases, k):
+def batch(cases, k, build=interval):
     """Return the k-th arguments of cases as one Interval, repeated up to one length for all."""
-    return box(*zip(*((float(c.inputs[k].lo), float(c.inputs[k].hi)) for c in cases), strict=True))
+    ends = [np.array([float(getattr(c.inputs[k], end)) for c in cases]) for end in ("lo", "hi")]
+    return box(*ends) if build is interval else Interval(*(jnp.asarray(np.resize(end, max(COUNT, len(end)))) for end in ends))
 
 
-def results(cases, f, arguments, mode="jit"):
+def results(cases, f, arguments, mode="jit", build=interval):
     run = {"eager": f, "jit": jax.jit(f), "vmap": jax.jit(jax.vmap(f))}[mode]
-    z = run(*(batch(cases, k) for k in range(arguments)))
+    z = run(*(batch(cases, k, build) for k in range(arguments)))
     return jax.tree.map(lambda v: v[: len(cases)], z)
+
+
+built_both_ways = pytest.mark.parametrize("build", [interval, Interval], ids=["factory", "class"])
 
 
 def unsound(cases, z):
@@ -94,11 +99,12 @@ def widest(itl, cases, z):
     return worst
 
 
+@built_both_ways
 @pytest.mark.parametrize(("op", "mode"), RUNS)
-def test_the_tightest_result_is_contained_and_within_the_stated_ulps(itl, cases, op, mode):
+def test_the_tightest_result_is_contained_and_within_the_stated_ulps(itl, cases, op, mode, build):
     ours, ulps = SETS[op]
     some = cases[op]
-    z = results(some, getattr(sets, ours), len(some[0].inputs), mode)
+    z = results(some, getattr(sets, ours), len(some[0].inputs), mode, build)
     worst = widest(itl, some, z)
     print(f"{op}: {len(some)} cases, at most {worst} ulps wide of the tightest bound")
     assert not unsound(some, z) and worst <= ulps
@@ -143,29 +149,32 @@ def by_exponent(some):
     return {n: [c for c in some if c.inputs[1] == n] for n in sorted({int(c.inputs[1]) for c in some})}
 
 
+@built_both_ways
 @pytest.mark.parametrize("mode", ["eager", *(pytest.param(mode, marks=pytest.mark.long) for mode in ("jit", "vmap"))])
-def test_tightest_powers_are_contained_and_within_eight_ulps(itl, cases, mode):
+def test_tightest_powers_are_contained_and_within_eight_ulps(itl, cases, mode, build):
     for n, some in by_exponent(cases[POWERS]).items():
-        z = results(some, lambda x, n=n: sets.pown(x, n), 1, mode)
+        z = results(some, lambda x, n=n: sets.pown(x, n), 1, mode, build)
         assert not unsound(some, z)
         worst = widest(itl, some, z)
         print(f"pown {n}: {len(some)} cases, at most {worst} ulps wide of the tightest bound")
         assert worst <= (8 if n < 0 else 5 if n > 1 else 0)
 
 
+@built_both_ways
 @pytest.mark.parametrize("op", RELATIONS)
-def test_relations_agree_subnormals_included(cases, op):
+def test_relations_agree_subnormals_included(cases, op, build):
     ours = {"isEmpty": lambda x: x.is_empty, "isEntire": lambda x: sets.equal(x, interval(-np.inf, np.inf))}.get(op) or getattr(sets, op)
     some = cases[op]
-    got = results(some, ours, len(some[0].inputs)).tolist()
+    got = results(some, ours, len(some[0].inputs), build=build).tolist()
     assert got == [c.expected[0] for c in some] and {True, False} == set(got)
 
 
+@built_both_ways
 @pytest.mark.parametrize("op", NUMBERS)
-def test_numbers_agree_within_the_stated_ulps_upward(itl, cases, op):
+def test_numbers_agree_within_the_stated_ulps_upward(itl, cases, op, build):
     ours = {"inf": lambda x: x.lo, "sup": lambda x: x.hi}.get(op) or getattr(sets, op)
     some = cases[op]
-    for c, got in zip(some, results(some, ours, 1).tolist(), strict=True):
+    for c, got in zip(some, results(some, ours, 1, build=build).tolist(), strict=True):
         want = float(c.expected[0])
         if math.isnan(want):
             assert math.isnan(got), c
@@ -174,9 +183,10 @@ def test_numbers_agree_within_the_stated_ulps_upward(itl, cases, op):
             assert outward and (abs(itl.ulps(want, got)) <= NUMBERS[op] or abs(got - want) <= 3 * TINY), c
 
 
-def test_mid_and_rad_together_cover(cases):
+@built_both_ways
+def test_mid_and_rad_together_cover(cases, build):
     some = cases["midRad"]
-    m, r = results(some, lambda x: (x.mid, x.rad), 1)
+    m, r = results(some, lambda x: (x.mid, x.rad), 1, build=build)
     for c, mid, rad in zip(some, m.tolist(), r.tolist(), strict=True):
         x = c.inputs[0]
         if x.empty:

@@ -13,21 +13,16 @@ single question, on the boundary or in a flat set, is settled in exact numbers (
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from fractions import Fraction
-from functools import singledispatch
 
-import jax
 import numpy as np
 
 from jaxbound.sets import rounding
 from jaxbound.sets.probe import refuse_unverified
-from jaxbound.sets.zonotopes import proof
-from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
-from jaxbound.sets.zonotopes.feasibility import feasible
+from jaxbound.sets.zonotopes import certificate, proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
-from jaxbound.sets.zonotopes.zonotope import Zonotope
+from jaxbound.sets.zonotopes.questions import Question, flat, parts
 
-__all__ = ["Answer", "Decision", "Question", "Separation", "contains_points", "intersects", "is_empty", "separate"]
+__all__ = ["Answer", "Decision", "Separation", "contains_points", "intersects", "is_empty", "separate"]
 
 EXACT = 100_000
 """How large m^2 (m + q) may be for exact numbers: a second or so."""
@@ -44,33 +39,6 @@ class Answer(IntEnum):
     NO = -1
     UNDECIDED = 0
     YES = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Question:
-    """What was asked, "contains", "contains_set", "is_empty" or "intersects", of sets [(c, G, A, b)], each with one batch axis.
-
-    Fields: name; sets; points (S, N, n), None for all but "contains".
-    """
-
-    name: str
-    sets: tuple
-    points: np.ndarray | None
-
-    def equations(self):
-        """Return M (S, m, q) and d (S, N, m), the latter rounded once."""
-        c, G, A, b = self.sets[0]
-        if self.name == "is_empty":
-            return A, b[:, None]
-        if self.name == "contains":
-            beside = np.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
-            with np.errstate(over="ignore"):
-                return np.concatenate([G, A], 1), np.concatenate([self.points - c[:, None], beside], 2)
-        c2, G2, A2, b2 = self.sets[1]
-        zeros = lambda rows, columns: np.zeros((len(c), rows.shape[1], columns.shape[2]))
-        M = np.concatenate([np.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1)
-        with np.errstate(over="ignore"):
-            return M, np.concatenate([c2 - c, b, b2], 1)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +73,25 @@ class Decision:
         if self.answer.shape or not self.answer:
             raise ValueError("neither yes nor no: ask .yes or .no, which are False where a decision is UNDECIDED")
         return bool(self.yes)
+
+    def certificate(self, at=()):
+        """Return what proves one answer, ready for JSON: all its numbers as exact text, to be checked by fractions alone.
+
+        Args:
+            at: which of the answers, an index.
+
+        Raises:
+            ValueError: it is UNDECIDED. NotImplementedError: no short proof is known (a zonotope in another by all facets of that).
+        """
+        answer = Answer(int(self.answer[at]))
+        if answer == Answer.UNDECIDED:
+            raise ValueError("an answer that is UNDECIDED has no certificate")
+        at = tuple(np.arange(self.answer.size).reshape(self.answer.shape)[at].ravel().tolist())
+        if len(at) != 1:
+            raise ValueError(f"a certificate is of one answer: these are {len(at)}")
+        one = lambda v: v.reshape((self.answer.size, *v.shape[self.answer.ndim :]))[at[0]]
+        where = divmod(at[0], self.answer.size // len(self.question.sets[0][0]))
+        return certificate.document(self.question, where, answer.name, one(self.direction), one(self.point))
 
     def __repr__(self):
         if not self.answer.shape:
@@ -240,7 +227,7 @@ def _decide(question, shape, meets):
     direction = _unscaled(found.l, image.powers)
     m, q = M.shape[1:]
     if inside.size == 1 and not (inside | outside).any() and m * m * (m + q) <= EXACT:
-        x, l = exactly(question, found.x[0, 0])
+        x, l = certificate.exactly(question, (0, 0), found.x[0, 0])
         inside, outside = np.full((1, 1), x is not None), np.full((1, 1), l is not None)
         if x is not None:
             found.x[0, 0] = [float(v) for v in x]
@@ -252,33 +239,6 @@ def _decide(question, shape, meets):
     return Decision(lay(answer), lay(margin * meets), question, lay(direction), lay(found.x))
 
 
-def exactly(question, guess, at=(0, 0)):
-    """Answer one of the questions in exact numbers: (x, None) or (None, l), as `feasibility.feasible`."""
-    M, d = exact_equations(question, at)
-    return feasible(M, d, guess.tolist(), np.argsort(abs(guess), kind="stable").tolist())
-
-
-def exact_equations(question, at):
-    """Return M and d of one question in Fractions, nothing rounded."""
-    exact = lambda v: [Fraction(x) for x in v.tolist()]
-    i, j = at
-    one = Question(
-        question.name,
-        tuple(tuple(v[i : i + 1] for v in x) for x in question.sets),
-        None if question.points is None else question.points[i : i + 1, j : j + 1],
-    )
-    M, _ = one.equations()
-    c, _, _, b = (v[0] for v in one.sets[0])
-    if question.name == "is_empty":
-        d = exact(b)
-    elif question.name == "contains":
-        d = [p - q for p, q in zip(exact(one.points[0, 0]), exact(c), strict=True)] + exact(b)
-    else:
-        c2, _, _, b2 = (v[0] for v in one.sets[1])
-        d = [p - q for p, q in zip(exact(c2), exact(c), strict=True)] + exact(b) + exact(b2)
-    return [exact(row) for row in M[0]], d
-
-
 def _unscaled(l, powers):
     """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
     mantissa, exponent = np.frexp(l)
@@ -286,35 +246,6 @@ def _unscaled(l, powers):
     top = np.where(l != 0, exponent, np.iinfo(np.int32).min).max(2, initial=np.iinfo(np.int32).min, keepdims=True)
     with np.errstate(under="ignore"):
         return np.where(l != 0, np.ldexp(mantissa, np.where(l != 0, exponent - top, 0)), 0.0)
-
-
-@singledispatch
-def parts(Z):
-    """Return (c, G, A, b) of a concrete set in float64, exactly; a zonotope has no rows in A and b."""
-    raise TypeError(f"a zonotope or a constrained zonotope is needed: this is {type(Z).__name__}")
-
-
-@parts.register
-def _(Z: Zonotope):
-    c, G = _concrete(Z)
-    return c, G, np.zeros((*c.shape[:-1], 0, G.shape[-1])), np.zeros((*c.shape[:-1], 0))
-
-
-@parts.register
-def _(Z: ConstrainedZonotope):
-    return tuple(_concrete(Z))
-
-
-def _concrete(Z):
-    leaves = jax.tree.leaves(Z)
-    if any(isinstance(x, jax.core.Tracer) for x in leaves):
-        raise TypeError("a decision needs concrete sets: take it outside jit, grad and vmap; leading axes are a batch")
-    return [np.asarray(x, float) for x in leaves]
-
-
-def flat(sets, batch):
-    """Give the parts of a set one batch axis in place of those of `batch`."""
-    return tuple(x.reshape((math.prod(batch), *x.shape[len(batch) :])) for x in sets)
 
 
 def _place(bad):

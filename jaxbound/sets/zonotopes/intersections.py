@@ -11,25 +11,27 @@ is a zonotope once A x = b is dropped. With the equations of one strip this is t
 zonotopes around the intersection of a zonotope with strips (Alamo, Bravo, Camacho 2005; Combastel 2015; Wang et al. 2018).
 """
 
-from functools import partial
+from functools import partial, singledispatch
 
 import jax
 import jax.numpy as jnp
 
 from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval, interval, matmul, mid, rad
+from jaxbound.sets.interval import intersection as interval_intersection
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
 from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, parts, product, reach, up, whole
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["cancelled", "eliminate_constraints", "intersect", "strip_intersection"]
+__all__ = ["cancelled", "eliminate_constraints", "intersection", "strip_intersection"]
 
 
-def intersect(S, Y, matrix=None):
-    """Return {p in S : M p in Y}, exactly but for rounding, as a ConstrainedZonotope.
+@singledispatch
+def intersection(S, Y, matrix=None):
+    """Return {p in S : M p in Y}, exactly but for rounding, as a ConstrainedZonotope; of two Intervals their common Interval.
 
     Args:
-        S: a Zonotope or ConstrainedZonotope of n coordinates.
+        S: a Zonotope or ConstrainedZonotope of n coordinates (or an Interval: IEEE 1788 intersection, no matrix).
         Y: a set of r coordinates: a Zonotope, a ConstrainedZonotope, or an Interval (r,): strips, or half-spaces where a bound is infinite.
             A measurement y = M p + v, v in V: Y = translate(scale(V, -1.0), y).
         matrix: M (r, n), numbers or Interval; None: the identity.
@@ -47,9 +49,17 @@ def intersect(S, Y, matrix=None):
     Example:
         >>> from jaxbound import sets
         >>> box = sets.zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]])
-        >>> sets.intersect(box, sets.interval([0.5], [2.0]), [[1.0, 1.0]]).constraints.round(3)
+        >>> sets.intersection(box, sets.interval([0.5], [2.0]), [[1.0, 1.0]]).constraints.round(3)
         Array([[ 1.  ,  1.  , -0.75]], dtype=...)
     """
+    if matrix is not None:
+        raise TypeError(f"a matrix maps a Zonotope or a ConstrainedZonotope, not {type(S).__name__}: use from_interval")
+    return interval_intersection(S, Y)
+
+
+@intersection.register(Zonotope)
+@intersection.register(ConstrainedZonotope)
+def _(S, Y, matrix=None):
     n, M = dimension(S), None if matrix is None else interval(matrix)
     if M is not None and (len(M.shape) != 2 or M.shape[1] != n):
         raise ValueError(f"the matrix must have shape (r, {n}) for a set of {n} coordinates: its shape is {M.shape}")
@@ -104,8 +114,8 @@ def strip_intersection(Z, Y, matrix, gain=None):
     Source: Alamo, Bravo, Camacho 2005 (one strip); Combastel 2015, Wang, Puig, Cembrano 2018 (several).
     """
     if not isinstance(Z, Zonotope):
-        raise TypeError(f"strip_intersection takes a Zonotope, not {type(Z).__name__}: use intersect, which is exact")
-    return eliminate_constraints(intersect(Z, Y, matrix), gain=gain)
+        raise TypeError(f"strip_intersection takes a Zonotope, not {type(Z).__name__}: use intersection, which is exact")
+    return eliminate_constraints(intersection(Z, Y, matrix), gain=gain)
 
 
 def eliminate_constraints(S, keep=0, gain=None):

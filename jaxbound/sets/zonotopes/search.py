@@ -82,37 +82,34 @@ def _advance(M, d, state, enough):
     L = jnp.linalg.cholesky(N + jnp.eye(m, dtype=x.dtype) * (jnp.trace(N) * (4 * eps / m)))
     v = M @ lean
     lack, slope, total = d - M @ x, l @ M - u + w, 1 - jnp.sum(u + w)
+    curve, gap = jnp.sum(4 * alpha * beta * s), jnp.sum(a * u + b * w)
 
-    def newton(ra, rb, Nv=None):
-        """Return the step for a du + u da = ra, b dw + w db = rb, and inv(N) v."""
+    def newton(_, carry):
+        """Take the step with a du + u da = ra and b dw + w db = rb; return what to correct it by, it, and how far it may go."""
+        ra, rb, *_ = carry
         ra, rb = ra / a, rb / b
         h = slope - ra + rb
-        f = lack - M @ (s * h)
-        columns = f[:, None] if Nv is not None else jnp.stack([f, v], 1)
-        solved = jax.scipy.linalg.cho_solve((L, True), columns)
-        Nf, Nv = solved[:, 0], solved[:, 1] if Nv is None else Nv
-        dt = (v @ Nf - (total - lean @ h - jnp.sum(ra + rb))) / (v @ Nv + jnp.sum(4 * alpha * beta * s))
-        dl = Nf - Nv * dt
+        f, Nv = jax.scipy.linalg.cho_solve((L, True), jnp.stack([lack - M @ (s * h), v], 1)).T
+        dt = (v @ f - (total - lean @ h - jnp.sum(ra + rb))) / (v @ Nv + curve)
+        dl = f - Nv * dt
         dx = s * (dl @ M + h) + lean * dt
-        return (dx, dt, dl, ra - alpha * (dt - dx), rb - beta * (dt + dx)), Nv
+        da, db, du, dw = dt - dx, dt + dx, ra - alpha * (dt - dx), rb - beta * (dt + dx)
+        p, r = jnp.minimum(_room(a, da), _room(b, db)), jnp.minimum(_room(u, du), _room(w, dw))
+        ahead = jnp.sum((a + p * da) * (u + r * du) + (b + p * db) * (w + r * dw))
+        target = (ahead / gap) ** 3 * gap / (2 * q)
+        return target - a * u - da * du, target - b * w - db * dw, dx, dt, dl, du, dw, p, r
 
-    def room(x, dx):
-        return jnp.min(jnp.where(dx < 0, -x / jnp.where(dx < 0, dx, 1), 2))
-
-    def lengths(dx, dt, du, dw):
-        return jnp.minimum(room(a, dt - dx), room(b, dt + dx)), jnp.minimum(room(u, du), room(w, dw))
-
-    gap = jnp.sum(a * u + b * w)
-    (dx, dt, dl, du, dw), Nv = newton(-a * u, -b * w)
-    p, r = (jnp.minimum(k, 1) for k in lengths(dx, dt, du, dw))
-    ahead = jnp.sum((a + p * (dt - dx)) * (u + r * du) + (b + p * (dt + dx)) * (w + r * dw))
-    target = (ahead / gap) ** 3 * gap / (2 * q)
-    (dx, dt, dl, du, dw), _ = newton(target - a * u - (dt - dx) * du, target - b * w - (dt + dx) * dw, Nv)
-    p, r = (jnp.minimum(0.995 * k, 1) for k in lengths(dx, dt, du, dw))
+    one = jnp.ones_like(t)
+    *_, dx, dt, dl, du, dw, p, r = jax.lax.fori_loop(0, 2, newton, (-a * u, -b * w, x, t, l, u, w, one, one))
+    p, r = 0.995 * p, 0.995 * r
     new = x + p * dx, t + p * dt, l + r * dl, u + r * du, w + r * dw
-    fine = jnp.isfinite(jnp.sum(new[0]) + jnp.sum(new[2]) + new[1])
-    keep = done | ~fine
+    keep = done | ~jnp.isfinite(jnp.sum(new[0]) + jnp.sum(new[2]) + new[1])
     x, t, l, u, w = (jnp.where(keep, old, now) for old, now in zip(state, new, strict=False))
     least, most = l @ d / jnp.maximum(jnp.sum(jnp.abs(l @ M)), eps), jnp.max(jnp.abs(x))
     settled = (most * size < 1 - enough) | (least * size > 1 + enough)
     return x, t, l, u, w, size, keep | settled | (most - least <= 2.0**-16 * eps**0.5 * most)
+
+
+def _room(x, dx):
+    """Return how far x + p dx stays positive, at most 1."""
+    return jnp.min(jnp.where(dx < 0, jnp.minimum(-x / jnp.where(dx < 0, dx, 1), 1), 1))

@@ -141,7 +141,7 @@ def test_an_intersection_holds_every_common_point(way, dtype, rng):
         exact = image(Y, y)
         near = np.array([float(a - b) for a, b in zip(p, exact, strict=True)])  # Y moves so that M p is the point of y, nearly
         Y = Zonotope(Y.center + jnp.asarray(near, dtype), Y.generators)
-        C = WAYS[way](lambda S, T, M=M: sets.intersect(S, T, M), Z, Y)
+        C = WAYS[way](lambda S, T, M=M: sets.intersection(S, T, M), Z, Y)
         rows, b, size = rational(C.constraints), rational(C.offsets), np.asarray(C.constraints)
         slack = -np.diag(size[:, q + 3 :])
         gap = [abs(a - e) for a, e in zip(p, image(Y, y), strict=True)]  # what they miss each other by
@@ -159,7 +159,7 @@ def test_strips_and_half_spaces_keep_what_they_hold(dtype, rng):
         lo, hi = (np.array([float(v) for v in at]) + s * np.array([0.5, np.inf, 1e-3]) for s in (-1, 1))
         hi[1] = float(at[1]) + 0.1
         Y = sets.interval(np.nextafter(lo.astype(dtype), dtype(-np.inf)), np.nextafter(hi.astype(dtype), dtype(np.inf)))
-        C = sets.intersect(Z, Y, M)
+        C = sets.intersection(Z, Y, M)
         rows = list(zip(rational(C.constraints), rational(C.offsets), -np.diag(np.asarray(C.constraints)[:, q:]), strict=True))
         assert all(abs(dot(row[:q], x) - b) <= Fraction(float(s)) for row, b, s in rows)
         for gain in (None, rng.normal(size=(n, 3)).astype(dtype), np.zeros((n, 3), dtype)):
@@ -310,8 +310,8 @@ def test_a_scan_needs_no_sort_and_compiles_once(rng):
     (lambda Z: sets.reduce_order(Z, 0.5), "at least 1"),
     (lambda Z: sets.reduce_order(Z, 1, "pca"), "at least 2"),
     (lambda Z: sets.reduce_order(Z, 2, "sort"), "method must be one of"),
-    (lambda Z: sets.intersect(Z, sets.interval([0.0], [1.0])), "2 coordinates"),
-    (lambda Z: sets.intersect(Z, Z, np.eye(3)), "shape"),
+    (lambda Z: sets.intersection(Z, sets.interval([0.0], [1.0])), "2 coordinates"),
+    (lambda Z: sets.intersection(Z, Z, np.eye(3)), "shape"),
     (lambda Z: sets.support(Z, [1.0]), "direction"),
     (lambda Z: sets.linear_map(np.eye(2), Zonotope(jnp.zeros((5, 2)), jnp.zeros((5, 2, 3)))), "vmap"),
     (lambda Z: sets.eliminate_constraints(Z, keep=-1), "keep"),

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from test_zonotope import program
+from zonotope_cases import program
 
 from jaxbound import sets
 

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from corners import MODES, Counted, misses
-from scipy.optimize import linprog
-from zonotope_cases import each_dtype, margin
+from zonotope_cases import degenerate, each_dtype, margin, program
 
 from jaxbound import sets
 from jaxbound.sets import support
@@ -18,21 +17,6 @@ from jaxbound.sets.zonotopes.facets import _membership
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 # strips
-
-
-def degenerate(rng, n, q):
-    """Draw small integer generators: general, with zero and parallel columns, dependent, and flat ones."""
-    G = rng.integers(-4, 5, (n, q))
-    kind = rng.integers(0, 5)
-    if kind == 1:
-        G[:, rng.integers(0, q)] = 0
-    if kind == 2 and q > 1:
-        G[:, 0] = rng.choice([-2, 1, 3]) * G[:, 1]
-    if kind == 3 and n > 1:
-        G[-1] = G[:-1].sum(0) - 2 * G[0]  # flat
-    if kind == 4:
-        G = np.outer(rng.integers(-2, 3, n), rng.integers(-2, 3, q))  # a segment
-    return G
 
 
 def brute_strips(G):
@@ -87,16 +71,6 @@ def test_strips_of_decimal_generators_are_those_of_the_exact_floats():
 
 
 # margins
-
-
-def program(G, p):
-    """Return the gauge by linear programming: min t, G x = p, |x| <= t; inf where p is outside the plane."""
-    n, q = G.shape
-    inequalities = np.vstack([np.hstack([s * np.eye(q), -np.ones((q, 1))]) for s in (1, -1)])
-    equations = np.hstack([G, np.zeros((n, 1))])
-    found = linprog(np.r_[np.zeros(q), 1], A_ub=inequalities, b_ub=np.zeros(2 * q), A_eq=equations, b_eq=p, bounds=(None, None))
-    assert found.status in (0, 2), found.message
-    return found.fun if found.status == 0 else np.inf
 
 
 @pytest.mark.parametrize("trial", range(30))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from corners import DTYPES
+from scipy.optimize import linprog
 from scipy.spatial import HalfspaceIntersection
 
 from jaxbound import sets
@@ -30,3 +31,28 @@ def polytope(Z):
 def widths_along(Z, normals):
     """Return how far Z reaches along each normal: sum |normal . g|."""
     return abs(normals @ np.asarray(Z.generators)).sum(1)
+
+
+def degenerate(rng, n, q):
+    """Draw small integer generators: general, with zero and parallel columns, dependent, and flat ones."""
+    G = rng.integers(-4, 5, (n, q))
+    kind = rng.integers(0, 5)
+    if kind == 1:
+        G[:, rng.integers(0, q)] = 0
+    if kind == 2 and q > 1:
+        G[:, 0] = rng.choice([-2, 1, 3]) * G[:, 1]
+    if kind == 3 and n > 1:
+        G[-1] = G[:-1].sum(0) - 2 * G[0]  # flat
+    if kind == 4:
+        G = np.outer(rng.integers(-2, 3, n), rng.integers(-2, 3, q))  # a segment
+    return G
+
+
+def program(G, p):
+    """Return the gauge by linear programming: min t, G x = p, |x| <= t; inf where p is outside the plane."""
+    n, q = G.shape
+    inequalities = np.vstack([np.hstack([s * np.eye(q), -np.ones((q, 1))]) for s in (1, -1)])
+    equations = np.hstack([G, np.zeros((n, 1))])
+    found = linprog(np.r_[np.zeros(q), 1], A_ub=inequalities, b_ub=np.zeros(2 * q), A_eq=equations, b_eq=p, bounds=(None, None))
+    assert found.status in (0, 2), found.message
+    return found.fun if found.status == 0 else np.inf

@@ -1,0 +1,97 @@
+"""What is asked of zonotopes and constrained zonotopes, as equations M x = d for x in [-1, 1]^q: rounded once, or exact."""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import singledispatch
+
+import jax
+import numpy as np
+
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
+from jaxbound.sets.zonotopes.zonotope import Zonotope
+
+__all__ = ["Question", "flat", "parts"]
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What was asked, "contains", "contains_set", "is_empty" or "intersects", of sets [(c, G, A, b)], each with one batch axis.
+
+    Fields: name; sets; points (S, N, n), None for all but "contains".
+    """
+
+    name: str
+    sets: tuple
+    points: np.ndarray | None
+
+    def equations(self):
+        """Return M (S, m, q) and d (S, N, m), the latter rounded once."""
+        c, G, A, b = self.sets[0]
+        if self.name == "is_empty":
+            return A, b[:, None]
+        if self.name == "contains":
+            beside = np.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
+            with np.errstate(over="ignore"):
+                return np.concatenate([G, A], 1), np.concatenate([self.points - c[:, None], beside], 2)
+        c2, G2, A2, b2 = self.sets[1]
+        zeros = lambda rows, columns: np.zeros((len(c), rows.shape[1], columns.shape[2]))
+        M = np.concatenate([np.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1)
+        with np.errstate(over="ignore"):
+            return M, np.concatenate([c2 - c, b, b2], 1)[:, None]
+
+    def exact(self, at):
+        """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first column of D.
+
+        Of "contains_set" each generator of the inner set is one more column.
+        """
+        i, j = at
+        (c, G, A, b), *others = [tuple(_exact(v[i]) for v in x) for x in self.sets]
+        beside = lambda rows, columns: [[Fraction(0)] * columns for _ in rows]
+        less = lambda v, w: [x - y for x, y in zip(v, w, strict=True)]
+        if self.name == "is_empty":
+            return A, [[v] for v in b]
+        if self.name == "contains":
+            return G + A, [[v] for v in less(_exact(self.points[i, j]), c) + b]
+        ((c2, G2, A2, b2),) = others
+        if self.name == "contains_set":
+            columns = len(G2[0])
+            return G + A, [[v, *row] for v, row in zip(less(c2, c) + b, G2 + beside(b, columns), strict=True)]
+        q, q2 = len(G[0]), len(G2[0])
+        M = [[*row, *(-v for v in other)] for row, other in zip(G, G2, strict=True)]
+        M += [[*row, *zeros] for row, zeros in zip(A, beside(A, q2), strict=True)]
+        M += [[*zeros, *row] for row, zeros in zip(A2, beside(A2, q), strict=True)]
+        return M, [[v] for v in less(c2, c) + b + b2]
+
+
+def _exact(x):
+    return [_exact(row) for row in x] if x.ndim > 1 else [Fraction(v) for v in x.tolist()]
+
+
+@singledispatch
+def parts(Z):
+    """Return (c, G, A, b) of a concrete set in float64, exactly; a zonotope has no rows in A and b."""
+    raise TypeError(f"a zonotope or a constrained zonotope is needed: this is {type(Z).__name__}")
+
+
+@parts.register
+def _(Z: Zonotope):
+    c, G = _concrete(Z)
+    return c, G, np.zeros((*c.shape[:-1], 0, G.shape[-1])), np.zeros((*c.shape[:-1], 0))
+
+
+@parts.register
+def _(Z: ConstrainedZonotope):
+    return tuple(_concrete(Z))
+
+
+def _concrete(Z):
+    leaves = jax.tree.leaves(Z)
+    if any(isinstance(x, jax.core.Tracer) for x in leaves):
+        raise TypeError("a decision needs concrete sets: take it outside jit, grad and vmap; leading axes are a batch")
+    return [np.asarray(x, float) for x in leaves]
+
+
+def flat(sets, batch):
+    """Give the parts of a set one batch axis in place of those of `batch`."""
+    return tuple(x.reshape((math.prod(batch), *x.shape[len(batch) :])) for x in sets)
