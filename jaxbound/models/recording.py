@@ -4,6 +4,7 @@ Tables in (`table`), checked arrays out. What a table says beyond its numbers is
 columns, gaps in the time of its rows, samples that the model's `where` leaves out, samples that are masked or null.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,9 +14,9 @@ import numpy as np
 from jaxbound.models.expressions import expression, fails, find_column, is_expression, missing_column
 from jaxbound.models.naming import listed
 from jaxbound.models.seams import Clock, all_starts, around, aside, check_period, crossing, irregular, tick, usual_period
-from jaxbound.models.table import as_table, is_table, paired, time_like, unlabelled, usual_step
+from jaxbound.models.table import as_table, is_date, is_table, paired, time_like, unlabelled, usual_step
 
-__all__ = ["Recording", "Signals", "floats", "holds_both", "inputs_of", "missing_column", "recorded_type", "refuse_infinite"]
+__all__ = ["Recording", "Signals", "floats", "holds_both", "inputs_of", "is_made", "missing_column", "recorded_type", "refuse_infinite"]
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Recording:
             ValueError: a column that is not there, names that are not understood, text, a shape that does not fit the model or the other
                 array, indexes that hold different rows, a wrong sampling period, starts that are no numbers of samples.
         """
-        if y is None and hasattr(u, "u") and hasattr(u, "y") and not is_table(u):
+        if y is None and is_made(u):
             return cls._again(model, u, starts, narrow)
         one = u is y or y is None
         u = as_table(u, "u", model.inputs)
@@ -145,6 +146,8 @@ class Recording:
     def _timed(self, dt, whose, regular):
         """Find the time of the rows from their index, and where they do not follow each other."""
         index = self.index.to_timestamp() if hasattr(self.index, "to_timestamp") else self.index  # periods
+        if len(index) and index.dtype == object and is_date(index[0]):
+            index = _as_dates(index)
         kind = getattr(getattr(index, "dtype", None), "kind", None)
         if kind in ("m", "M"):
             time, origin = _seconds(index)
@@ -153,7 +156,7 @@ class Recording:
                 found = usual_period(time) if dt is None else dt
                 check_period(time, found, whose)
             clock, seams = tick(Clock(found or dt or 1.0), time)
-            if regular and (sentence := irregular(clock, lambda k: str(self.index[k]), lambda k: f"row {k}")):
+            if regular and len(time) > 1 and (sentence := irregular(clock, lambda k: str(self.index[k]), lambda k: f"row {k}")):
                 raise ValueError(sentence)
         elif len(index) and time_like(index[0]):
             raise ValueError("the index holds times as text: turn it into times with pandas.to_datetime first")
@@ -170,6 +173,12 @@ class Recording:
 
 def _union(*starts):
     return np.unique(np.concatenate([np.asarray(x, np.int64) for x in starts]))
+
+
+def _as_dates(index):
+    import pandas as pd
+
+    return pd.DatetimeIndex(index)
 
 
 def _seconds(index):
@@ -195,9 +204,14 @@ def _counted(labels, seconds, dt):
     return None if usual is None else labels * (dt / usual)
 
 
+def is_made(data):
+    """Return whether this is a Recording, or the like: it has .u and .y, which are no columns of a table."""
+    return not is_table(data) and not isinstance(data, Mapping) and hasattr(data, "u") and hasattr(data, "y")
+
+
 def holds_both(data):
     """Return whether one thing has the inputs and the outputs of a recording: a table, or a Recording."""
-    return (hasattr(data, "u") and hasattr(data, "y")) or is_table(as_table(data, "u"))
+    return is_made(data) or is_table(as_table(data, "u"))
 
 
 def inputs_of(model, u, name="u"):

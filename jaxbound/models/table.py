@@ -13,14 +13,14 @@ import numpy as np
 from jaxbound.models.expressions import TIMES, find_column, likely
 from jaxbound.models.seams import TOLERATED_STEP
 
-__all__ = ["as_table", "is_table", "one_row", "paired", "time_like", "unlabelled", "usual_step"]
+__all__ = ["as_table", "is_date", "is_table", "one_row", "paired", "time_like", "unlabelled", "usual_step"]
 
 EPOCHS = (1.0, 1e3, 1e6, 1e9)
 
 
 def is_table(data):
     """Return whether this is a DataFrame of pandas, or behaves like one."""
-    return hasattr(data, "columns") and hasattr(data, "iloc")
+    return hasattr(data, "iloc") and hasattr(data, "columns")  # in this order: some tables work out their columns when asked
 
 
 def as_table(data, name, channels=None):
@@ -35,9 +35,9 @@ def as_table(data, name, channels=None):
     if data is None or isinstance(data, (list, tuple, jax.Array)):
         return data
     if isinstance(data, np.ndarray):
-        return data if data.dtype.names is None else _of_mapping({c: data[c] for c in data.dtype.names})
+        return data if data.dtype.names is None else _of_mapping({c: data[c] for c in data.dtype.names}, name)
     if isinstance(data, Mapping) and not hasattr(data, "to_pandas"):
-        return _of_mapping(data)
+        return _of_mapping(data, name)
     if hasattr(data, "iloc") and hasattr(data, "to_numpy"):
         return _named(data, channels)
     if hasattr(data, "to_pandas"):
@@ -53,7 +53,7 @@ def as_table(data, name, channels=None):
             return pa.table(data).to_pandas()
         except (pa.ArrowInvalid, TypeError, ValueError):  # a column alone
             return pa.chunked_array(data).to_numpy() if hasattr(data, "__arrow_c_stream__") else pa.array(data).to_numpy(False)
-    if any(hasattr(data, x) for x in ("columns", "column_names", "collect", "keys", "iloc")):
+    if any(hasattr(type(data), x) or x in getattr(data, "__dict__", ()) for x in ("columns", "column_names", "collect", "keys", "iloc")):
         raise ValueError(f"{name} is {_kind(data)}, whose names are not understood: give a DataFrame of pandas, or an array")
     return data
 
@@ -62,10 +62,13 @@ def _kind(data):
     return f"a {type(data).__name__} of {type(data).__module__.split('.')[0]}"
 
 
-def _of_mapping(columns):
+def _of_mapping(columns, name):
     import pandas as pd
 
-    return pd.DataFrame({c: x if np.ndim(x) else [x] for c, x in columns.items()})
+    columns = {c: x if np.ndim(x) else [x] for c, x in columns.items()}
+    if len(lengths := {len(x) for x in columns.values()}) > 1:
+        raise ValueError(f"the columns of {name} must have the same number of samples: they have {min(lengths)} to {max(lengths)}")
+    return pd.DataFrame(columns)
 
 
 def _named(data, channels, dims=()):
@@ -166,7 +169,7 @@ def _dated(frame, model):
     of_signal = getattr(model, "column", lambda signal: signal)
     signals = {name for signal in (*model.inputs, *model.outputs) for name in (signal, of_signal(signal))}
     free = [c for c in frame.columns if c not in signals]
-    dates = [c for c in free if kind(c) in ("m", "M")]
+    dates = [c for c in free if kind(c) in ("m", "M") or is_date(frame[c].iloc[0])]
     counts = lambda c: kind(c) in ("i", "u", "f") and usual_step(frame[c].to_numpy(np.float64, na_value=np.nan)) is not None
     called = likely(dates, TIMES) if dates else [c for c in likely(free, TIMES) if counts(c) or time_like(frame[c].iloc[0])]
     column = dates[0] if len(dates) == 1 else called[0] if called else None
@@ -178,6 +181,8 @@ def _time_index(x, column, checked=False):
 
     if getattr(x.dtype, "kind", None) in ("m", "M"):
         return pd.Index(x, name=column)
+    if is_date(x.iloc[0]):
+        return pd.DatetimeIndex(x, name=column)
     try:
         seconds = x.to_numpy(np.float64, na_value=np.nan)
     except (ValueError, TypeError):
@@ -193,6 +198,11 @@ def usual_step(labels):
     steps = np.diff(labels)
     usual = float(np.median(steps)) if len(steps) else 0.0
     return usual if usual > 0 and 2 * np.count_nonzero(np.abs(steps - usual) <= TOLERATED_STEP * usual) >= len(steps) else None
+
+
+def is_date(label):
+    """Return whether a label is a date of Python or pandas."""
+    return hasattr(label, "isoformat")
 
 
 def time_like(label):

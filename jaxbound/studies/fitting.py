@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxbound.diagnosis.consistency import detect
-from jaxbound.models.recording import Recording, Signals, holds_both
+from jaxbound.models.recording import Recording, Signals, holds_both, is_made
 from jaxbound.models.seams import TOLERATED_DT
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.table import as_table, is_table
@@ -157,7 +157,7 @@ def _check_options(order, horizon, safety, held_out, method):
 
 def _read(recordings, inputs, outputs, columns, dt):
     """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
-    pair = lambda r: isinstance(r, tuple) and len(r) in (2, 3) and not isinstance(r[0], tuple) and not hasattr(r[0], "starts")
+    pair = lambda r: isinstance(r, tuple) and len(r) in (2, 3) and not isinstance(r[0], tuple) and not is_made(r[0])
     recordings = [recordings] if pair(recordings) or not isinstance(recordings, (list, tuple)) else list(recordings)
     if not recordings:
         raise ValueError("there is no recording: give at least one")
@@ -167,7 +167,7 @@ def _read(recordings, inputs, outputs, columns, dt):
         where = f"recording {number + 1}"
         if pair(r):
             parts = r
-        elif hasattr(r, "starts") or holds_both(r):
+        elif holds_both(r):
             parts = (r,)
         else:
             raise ValueError(f"{where} must be a pair (u, y), a DataFrame or a Recording, not {type(r).__name__}")

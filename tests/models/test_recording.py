@@ -122,6 +122,18 @@ class TestNames:
         with pytest.raises(ValueError, match="y is a Lazy of test_recording, whose names are not understood: give a DataFrame of pandas"):
             Recording.of(MODEL, U, Lazy())
 
+    def test_signals_called_u_and_y_are_columns_of_a_table_all_the_same(self):
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, inputs=["u"], outputs=["y"])
+
+        class Dataset(dict):
+            u, y = np.zeros((1, 9)), np.zeros((1, 9))
+
+        np.testing.assert_array_equal(Recording.of(model, Dataset(u=U[:, 0], y=Y[:, 0])).y, Y[:, :1])
+
+    def test_columns_of_different_lengths_are_refused(self):
+        with pytest.raises(ValueError, match="the columns of u must have the same number of samples: they have 5 to 6"):
+            Recording.of(MODEL, {"valve": U[:5, 0], "level": Y[:, 0], "flow": Y[:, 1]})
+
     def test_dates_are_no_numbers(self):
         with pytest.raises(ValueError, match="y must be numbers, not times"):
             Recording.of(MODEL, U, frame().assign(flow=SECONDS, level=SECONDS))
@@ -179,6 +191,14 @@ class TestTime:
     def test_another_sampling_period_is_refused_as_in_the_shell(self, step, sentence):
         with pytest.raises(ValueError, match=sentence):
             starts(pd.date_range("2024-01-01", periods=6, freq=step))
+
+    def test_dates_that_are_objects_of_python_tell_gaps_too(self):
+        late = (SECONDS + pd.to_timedelta([0, 0, 0, 60, 60, 60], "s")).to_pydatetime()
+        assert starts(pd.Index(late, dtype=object)) == [3]
+        assert Recording.of(MODEL, frame().assign(when=pd.Series(late, dtype=object))).starts.tolist() == [3]
+
+    def test_no_row_is_no_recording_but_no_mistake(self):
+        assert Recording.of(MODEL, frame(SECONDS).iloc[:0]).y.shape == (0, 2)
 
     def test_a_row_without_a_time_is_refused(self):
         with pytest.raises(ValueError, match="the index has no time in 1 of 6 rows, the first is row 2: leave them out"):
