@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.diagnosis import constant, gridding
+from jaxbound.diagnosis import constant, gridding, whole_numbers
 from jaxbound.diagnosis.devices import everywhere, on_devices
 from jaxbound.diagnosis.exchange import exchange_margins, exchange_windows
 from jaxbound.diagnosis.isolation import BankResult, bank_test, bank_windows, status_of_words
@@ -59,7 +59,8 @@ def detect(relations, u, y=None, method="joint", budget=None, progress=None, sta
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends at sample k. The
         first `horizon` entries are MISSING. A window with missing samples is judged by the circuits that do not need them;
-        with a missing input these prove FAULT, but not CONSISTENT.
+        with a missing input these prove FAULT, but not CONSISTENT. Where bounds are as thin as the rounding of floats, as those of a
+        sensor without noise are, "joint" and "box" decide in whole numbers: exact, but some 10 to 100 microseconds a window.
 
     Raises:
         ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite sample, an unknown method,
@@ -113,6 +114,8 @@ def detect(relations, u, y=None, method="joint", budget=None, progress=None, sta
     else:
         test = relations.test(method, y.dtype)
         status, margin = in_blocks(verdicts, test, u, y, (np.int8, y.dtype), (Status.MISSING, np.nan), progress)
+        flat = (x.reshape(math.prod(x.shape[:-1]), x.shape[-1]) for x in (u, y))
+        whole_numbers.settle(relations, test, method, *flat, status.reshape(-1), margin.reshape(-1), progress)
         if method == "box" and relations.count > 1:
             status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
     if (status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else

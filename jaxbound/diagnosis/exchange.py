@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.diagnosis import whole_numbers
 from jaxbound.diagnosis.devices import everywhere, on_devices
 from jaxbound.sets import exact, separation
 from jaxbound.sets.probe import usable_devices
@@ -40,14 +41,24 @@ def exchange_windows(relations, u, y, progress):
         if progress is not None:
             progress(0.95 * min(first + SLAB, len(y)) / len(y))
     starts = np.concatenate([*left_open, np.zeros(0, np.int64)])
+    _settle(relations, test, u, y, flat)
     for frame, chosen in _frames(relations, test, u, y, starts):
-        again = starts[chosen]
+        again, frame = starts[chosen], _rounded(relations, frame, y.dtype)
         for finer in FINER:
             again = _run(dataclasses.replace(test, shape=frame), u, y, again, flat, PATIENCE * (k + 10), finer)
             again = again[flat[again + s] == 0]  # what is proved needs no other search
     if progress is not None:
         progress(1.0)
     return np.asarray(status_of(margin)), margin
+
+
+def _settle(relations, test, u, y, margin):
+    """Decide what rounding leaves open far from the boundary."""
+    starts = np.flatnonzero(margin == 0) - test.horizon
+    if len(starts):
+        starts = starts[whole_numbers.thin(test, *test.gather(u, y, starts))]
+    for frame, chosen in _frames(relations, test, u, y, starts):
+        margin[starts[chosen] + test.horizon] = whole_numbers.exact_search(relations, test, frame, *test.gather(u, y, starts[chosen]))
 
 
 def exchange_margins(test, u, y):
@@ -111,7 +122,7 @@ def _block_size(test):
 
 
 def _frames(relations, test, u, y, starts):
-    """Return [(frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
+    """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
     if not len(starts):
         return []
     missing, absent = (np.isnan(x).reshape(-1, len(starts)).T for x in test.gather(u, y, starts))
@@ -127,9 +138,13 @@ def _frames(relations, test, u, y, starts):
             by_inputs.setdefault(inputs, []).append(number)
         numbers.append(number)
     chosen = np.array(numbers)[which.ravel()]
-    k = len(relations.frame.inner)
-    width = lambda f: k + (1 << (len(f.inner) - k - 1).bit_length() if len(f.inner) > k else 0)  # few widths, few compilations
-    return [(separation.frame_of(frames[i], y.dtype, width(frames[i])), np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
+    return [(frames[i], np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
+
+
+def _rounded(relations, frame, dtype):
+    """Return a frame in floats, of one of few widths, so that few are compiled."""
+    k, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
+    return separation.frame_of(frame, dtype, k + (1 << (more - 1).bit_length() if more > 0 else 0))
 
 
 def _fits(frame, gone, inputs):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.diagnosis import consistency, exchange
+from jaxbound.diagnosis import consistency, exchange, whole_numbers
 from jaxbound.diagnosis.consistency import METHODS, detect
 from jaxbound.models.recording import Recording
 from jaxbound.models.seams import TOLERATED_STEP, all_starts, crossing
@@ -213,7 +213,10 @@ class Monitor:
         """Return (status, margin) of at most `size` windows, tested circuit by circuit."""
         stop = min(first + size, len(y) - (s := self.relations.horizon)) + s
         blocks = (consistency.padded(x, first, stop, size + s) for x in (u, y))
-        return tuple(np.asarray(x)[: stop - s - first] for x in consistency.verdicts(self._on_device, *blocks))
+        status, margin = (np.array(x)[: stop - s - first] for x in consistency.verdicts(self._on_device, *blocks))
+        status, margin = (np.concatenate([np.zeros(s, x.dtype), x]) for x in (status, margin))  # the first window ends at sample s
+        whole_numbers.settle(self.relations, self._test, self.method, u[first:stop], y[first:stop], status, margin)
+        return status[s:], margin[s:]
 
     def _searched(self, u, y, across, first, size):
         """Return (status, margin) of at most `size` windows, tested by the exchange search; what it leaves open, as `detect` does."""
@@ -226,7 +229,7 @@ class Monitor:
         one, given = np.ones(size, self.dtype), (self._on_device, 2 * len(test.shape.inner) + 6, 1.0)
         margin, settled = exchange.verdicts(given, one, *windows, *exchange.candidates(given, one, *windows))
         margin, settled = np.array(margin)[: len(chosen)], np.asarray(settled)[: len(chosen)]
-        for i in np.flatnonzero(~settled & ~across[chosen]):
+        for i in np.flatnonzero((~settled | (margin == 0)) & ~across[chosen]):
             window = [x[chosen[i] : chosen[i] + s + 1] for x in (u, y)]
             nothing = np.isnan(window[1]).all()
             margin[i] = np.nan if nothing else exchange.exchange_windows(self.relations, *window, None)[1][s]

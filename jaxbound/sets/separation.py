@@ -31,7 +31,7 @@ import numpy as np
 from jaxbound.sets import rounding
 from jaxbound.sets.unrolled import largest, most, total
 
-__all__ = ["Frame", "frame_of", "separation_margin", "separation_search", "separation_verdict"]
+__all__ = ["Frame", "exchange_search", "frame_of", "separation_margin", "separation_search", "separation_verdict"]
 
 
 @jax.tree_util.register_dataclass
@@ -72,7 +72,7 @@ def separation_margin(frame, mid, rad, known, steps=1000):
     absent, missing = jnp.isnan(mid), jnp.isnan(known)
     z, r_outer, r_inner, present, complete = _image(frame, mid, rad, known, absent, missing)
     stop = jax.lax.stop_gradient  # the best h stays the best for a small change: envelope theorem
-    h, _, _ = _search(stop(frame.R), *map(stop, (z, r_outer, r_inner)), present, jnp.ones_like(stop(z[0])), steps)
+    h, _, _ = exchange_search(stop(frame.R), *map(stop, (z, r_outer, r_inner)), present, jnp.ones_like(stop(z[0])), steps)
     return jnp.where(complete & present.any(0), 1 - _factor(total(h * z), _width(frame.R, h, r_outer, r_inner)), jnp.nan)
 
 
@@ -85,7 +85,7 @@ def separation_search(frame, mid, rad, known, one, steps, finer=1.0):
             search may go round in circles.
     """
     z, r_outer, r_inner, present, _ = _image(frame, mid, rad, known, jnp.isnan(mid), jnp.isnan(known))
-    return _search(frame.R, z / one[None], r_outer / one[None], r_inner / one[None], present, one, steps, finer)
+    return exchange_search(frame.R, z / one[None], r_outer / one[None], r_inner / one[None], present, one, steps, finer)
 
 
 def separation_verdict(frame, mid, rad, scale, known, known_scale, lift, one, h, d, done):
@@ -103,7 +103,7 @@ def separation_verdict(frame, mid, rad, scale, known, known_scale, lift, one, h,
     c, k = frame.R.shape
     absent, missing = jnp.isnan(scale), jnp.isnan(known_scale)  # NaN is absence, never overflow
     z, r_outer, r_inner, present, complete = _image(frame, mid, rad, known, absent, missing)
-    z, r_outer, r_inner = z / one[None], r_outer / one[None], r_inner / one[None]  # see `_search`
+    z, r_outer, r_inner = z / one[None], r_outer / one[None], r_inner / one[None]  # see `exchange_search`
     real = frame.real[:, None] & ~absent[frame.inner]
     s_inner, s_outer = jnp.where(real, scale[frame.inner], 0), jnp.where(present, scale[frame.outer], 0)
     size = jnp.abs(frame.R)
@@ -120,7 +120,7 @@ def separation_verdict(frame, mid, rad, scale, known, known_scale, lift, one, h,
     excess = jnp.where(present, gap + gamma * magnitude + floor[None] - r_outer, -jnp.inf)
     excess = jnp.concatenate([excess, jnp.abs(d) + gamma * s_inner + floor[None] - r_inner]) / one[None]
     inside = most(excess) <= 0
-    margin, least = 1 - _factor(residual, width), jnp.finfo(mid.dtype).eps
+    margin, least = jnp.nan_to_num(1 - _factor(residual, width), nan=0.0), jnp.finfo(mid.dtype).eps  # NaN says absent: sums may overflow
     margin = jnp.where(outside, jnp.minimum(margin, -least), jnp.where(inside, jnp.maximum(margin, least), 0))
     margin = jnp.where(complete, margin, 0)
     nothing = complete & ~present.any(0)
@@ -153,7 +153,7 @@ def _factor(residual, width):
     return jnp.abs(residual) / jnp.where(width > 0, width, 1)
 
 
-def _search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
+def exchange_search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
     """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where done.
 
     `/ one` in here is nothing but a sign to the compiler: it does not work out a quotient again for each of its uses.
