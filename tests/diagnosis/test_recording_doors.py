@@ -130,8 +130,9 @@ def test_a_bank(given):
     assert res.counts["FAULT"] == 0
 
 
-def test_a_residual(given):
-    u, y, starts = given
+@pytest.mark.parametrize("kind", ["two frames", "masked"])
+def test_a_residual(kind):
+    u, y, starts = held(kind, *course()[::2])
     f = lambda z, u, y: y[1, 1] - z[1] - 0.2 * (y[0, 1] - z[0]) - u[0, 0]
     r = jb.residual(f, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1, inputs=["valve"], outputs=["level", "flow"])
     shown = jb.models.recording.Recording.of(plant(), u, y, starts)  # a residual has no `where`
