@@ -25,6 +25,8 @@ __all__ = ["FitCheck", "Fitted", "fit"]
 
 DIGITS = 6
 """Coefficients are rounded to this many digits behind the largest effect that they could have, relative to the spread of the output."""
+EXACT, LEAST = 1e-14, 1e-3
+"""The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits exactly."""
 KINDS = ("least squares", "windows", "filters")
 FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
 """Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this number of windows that do not
@@ -250,14 +252,16 @@ def _candidate(records, scales, order, horizon, direct, kind, about):
             f"too few samples: {total}, hold {len(windows.y)} complete windows of {horizon + 1} samples, and {len(steps.y)} steps "
             f"for {unknowns} coefficients an output, twice as many of which are needed: record longer, or choose a lower order or horizon"
         )
+    digits = EXACT * np.array([np.nanmax(np.abs(y)) for y in np.concatenate([y for _, y, _ in records]).T])  # where all fits exactly
     if kind == "filters":
         spec, spread = _realised_filters(records, scales, filters.poles_of(order, horizon), direct)
+        spread = np.maximum(spread, digits)
         return spec | about, parity_relations(LinearSystem(**spec | about)).with_bounds({"noise": spread}), spread
     theta, _ = regression.least_squares(steps, order, direct)
     spread = regression.window_spread(theta, windows, order, direct)
     if kind == "windows":
         theta, spread = regression.refined(theta, windows, order, direct)
-    spec, spread = _realised(theta, scales, order, direct, m, p) | about, spread * scales.y_spread
+    spec, spread = _realised(theta, scales, order, direct, m, p) | about, np.maximum(spread * scales.y_spread, digits)
     return spec, parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread}), spread
 
 
@@ -318,7 +322,7 @@ def _needs(relations, parts):
 
 def _most(needs):
     found = np.concatenate(needs)
-    return float(np.nanmax(found)) if np.isfinite(found).any() else math.nan
+    return max(float(np.nanmax(found)), LEAST) if np.isfinite(found).any() else math.nan
 
 
 def _verified(spec, noise, records, safety):

@@ -232,3 +232,9 @@ class TestCautions:
 def test_what_cannot_be_fitted_is_refused_in_a_sentence(change, message):
     with pytest.raises(ValueError, match=message):
         jb.fit(**{"recordings": [], "order": 1, "horizon": 4} | change)
+
+
+def test_a_plant_that_fits_without_any_error_has_bounds_of_rounding(rng):
+    u = rng.integers(-3, 4, (120, 1)).astype(float)
+    model = jb.fit([(u, np.vstack([[[0.0]], u[:-1]]))], order=1, horizon=2, method="least squares")
+    assert 0 < float(model.noise[0]) < 1e-9 and model.check.held_out["fault"] == 0
