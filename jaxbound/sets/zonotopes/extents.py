@@ -25,7 +25,7 @@ def support(S, direction):
         S: a Zonotope or ConstrainedZonotope. direction: (n,).
 
     Returns:
-        A scalar; far below every bound of the set, or -inf, only if the set is empty.
+        A scalar. Along direction 0 it is below 0 only if the set is proved empty: an `is_empty` for jit, scan and vmap.
 
     Raises:
         ValueError: a direction of another dimension, NaN or infinity.
@@ -79,7 +79,8 @@ def _multipliers(g, A, b):
     Predictor and corrector steps (Mehrotra 1992) for max g'x over A x = b, |x| <= 1 with multipliers v, w >= 0 of 1 + x and 1 - x:
     g = A'l + w - v. With D = v / (1 + x) + w / (1 - x), a step solves (A D^-1 A') dl = A D^-1 h - (b - A x).
     """
-    size = jnp.maximum(jnp.max(jnp.abs(g)), rounding.tiny(g.dtype))
+    size = jnp.max(jnp.abs(g))
+    size = jnp.where(size > 0, size, 1)
     times = lambda M, x: product(M, x[:, None])[:, 0]
     value = lambda l: jnp.sum(l * b) + jnp.sum(jnp.abs(g - times(A.T, l)))
     zero = jnp.zeros_like(b)

@@ -275,6 +275,15 @@ def test_repeated_constraints_and_points_have_supports_too():
     assert 1.5 <= float(sets.support(S, [1.0])) < 1.5 + 1e-6
 
 
+def test_a_support_along_zero_proves_sets_empty_under_jit_and_vmap(rng):
+    A, x = rng.normal(size=(20, 2, 6)), rng.uniform(-1, 1, (20, 6))
+    b = np.einsum("skq,sq->sk", A, x)
+    b[10:, 0] = np.abs(A[10:, 0]).sum(1) * 1.001
+    S = ConstrainedZonotope(*map(jnp.asarray, (np.zeros((20, 2)), rng.normal(size=(20, 2, 6)), A, b)))
+    far = jax.jit(jax.vmap(lambda S: sets.support(S, [0.0, 0.0])))(S)
+    assert (far[:10] >= 0).all() and (far[10:] < 0).all()
+
+
 def test_a_box_becomes_a_zonotope_that_holds_it(rng):
     lo = rng.normal(size=4)
     box = sets.interval(lo, lo + rng.exponential(size=4))
