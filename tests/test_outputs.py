@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from interruptions import interrupted_descend
 from streaming_case import recording, shrink, write
 from systems import paper
 
 import jaxbound as jb
 from jaxbound import cli, detecting, fleet, piped, processes, streaming
-from jaxbound.studies import tuning
 
 MODEL = "# bounds measured by hand\n"  # a comment that no program would write again
 
@@ -115,17 +115,9 @@ class TestOneFile:
         assert Path("pipe").is_fifo()
 
     def test_an_interrupted_search_replaces_its_own_file_and_no_other(self, place, capsys, monkeypatch):
-        kept, calls = tuning.descend, []
-
-        def interrupted(*args):
-            calls.append(1)
-            if len(calls) > 1:
-                raise KeyboardInterrupt
-            return kept(*args)
-
         args = ["tune", "model.toml", "run.csv", "--steps", "20", "--out", "new.toml"]
         with monkeypatch.context() as patch:
-            patch.setattr(tuning, "descend", interrupted)
+            interrupted_descend(patch)
             assert cli.main(args) == 130
         text = (place / "new.toml").read_text()
         (place / "new.toml").write_text(text + "# a thought\n")

@@ -8,7 +8,7 @@ import pytest
 import jaxbound as jb
 from jaxbound import tuned
 from jaxbound.cli import main
-from jaxbound.studies import tuning
+from tests.interruptions import interrupted_descend
 from tests.oracles import Plant
 from tests.studies import tuning_case
 from tests.systems import PAPER, paper
@@ -57,21 +57,13 @@ def test_interrupted_writes_the_best_and_goes_on(plant, capsys, monkeypatch):
     options = ("--steps", "30", "--json")
     assert tune(plant, *options) == 0
     whole = json.loads(capsys.readouterr().out)
-    kept, calls = tuning.descend, []
-
-    def interrupted(*args):
-        calls.append(1)
-        if len(calls) > 1:
-            raise KeyboardInterrupt
-        return kept(*args)
-
     (plant / "out.toml").unlink()
-    monkeypatch.setattr(tuning, "descend", interrupted)
-    assert tune(plant, *options) == 130
+    with monkeypatch.context() as patch:
+        interrupted_descend(patch)
+        assert tune(plant, *options) == 130
     said = capsys.readouterr()
     assert json.loads(said.out)["steps"] == 10 and "the same command goes on" in said.err
     assert jb.load_model(plant / "out.toml").provenance["noise"].startswith("fitted") and (plant / "out.toml.state.npz").exists()
-    monkeypatch.setattr(tuning, "descend", kept)
     assert tune(plant, *options) == 0
     assert json.loads(capsys.readouterr().out)["smallest"] == whole["smallest"]
     assert not (plant / "out.toml.state.npz").exists()

@@ -180,7 +180,7 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
 
     Pieces are filled up behind their end to few lengths, with absent samples: few compilations, and no sample tells of those before it.
     """
-    batch, T, p = y.shape[:-2], *y.shape[-2:]
+    batch, (T, p) = y.shape[:-2], y.shape[-2:]
     whole = (~np.isnan(y)).all(-1).reshape(-1, T).all(0)
     groups = {}
     for a, b in zip([0, *starts.tolist()], [*starts.tolist(), T], strict=True):
