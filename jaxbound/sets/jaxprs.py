@@ -17,7 +17,7 @@ from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval, computed
 from jaxbound.sets.lifted import enclose, least, most, settled, whole
 from jaxbound.sets.primitives import CONTINUOUS, MOVED, RISING, RULES, WHOLE
-from jaxbound.sets.undefined import OBSERVED, either, possible
+from jaxbound.sets.undefined import OBSERVED, either, observes, possible
 
 __all__ = ["bind", "body", "evaluate", "refuse_unsupported"]
 
@@ -40,7 +40,8 @@ def evaluate(jaxpr, consts, args):
 
     Encloses: the real function that the jaxpr writes down, its constants being the floats they are.
     """
-    outs, _, continuous = _follow(jaxpr, consts, [_door(x) for x in args], [None if isinstance(x, Interval) else _absent(x) for x in args])
+    absent = [None if isinstance(x, Interval) else _absent(x) for x in args]
+    outs, _, continuous = _follow(jaxpr, consts, [_door(x) for x in args], absent, [False] * len(jaxpr.outvars))
     return outs, continuous
 
 
@@ -49,19 +50,43 @@ def _door(x):
     return Interval(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
 
 
-def _follow(jaxpr, consts, args, absent):
-    """Return (outs, absent, continuous); absent: None, or a boolean array, True where the number may be NaN, for each of args and outs."""
+def _follow(jaxpr, consts, args, absent, asked):
+    """Return (outs, absent, continuous).
+
+    absent: None, or a boolean array, True where the number may be NaN, for each of args and outs. asked: of which outs it is needed.
+    """
+    watched = _watched(jaxpr, asked)
     known = lambda x: (_constant(x), _absent(x))
     env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(zip(jaxpr.invars, zip(args, absent, strict=True), strict=True))
     read = lambda v: known(np.asarray(v.val, v.aval.dtype)) if isinstance(v, Literal) else env[v]
     continuous = True
     for eqn in jaxpr.eqns:
         values, missing = zip(*map(read, eqn.invars), strict=True) if eqn.invars else ((), ())
-        outs, found, fine = _apply(eqn, list(values), list(missing))
+        outs, found, fine = _apply(eqn, list(values), list(missing), [v in watched for v in eqn.outvars])
         env.update(zip(eqn.outvars, zip(outs, found, strict=True), strict=True))
         continuous = continuous & fine
     outs, absent = zip(*map(read, jaxpr.outvars), strict=True) if jaxpr.outvars else ((), ())
     return list(outs), list(absent), continuous
+
+
+def _watched(jaxpr, asked):
+    """Return the variables that may not be NaN unnoticed: of outputs that are asked for, or of what a program observes."""
+    found = {v for v, a in zip(jaxpr.outvars, asked, strict=True) if a and not isinstance(v, Literal)}
+    for eqn in reversed(jaxpr.eqns):
+        called, passed = body(eqn), [v in found for v in eqn.outvars]
+        if called is not None:
+            inner = _watched(called.jaxpr, passed)
+            given = [v for v, w in zip(eqn.invars, called.jaxpr.invars, strict=True) if w in inner]
+        else:
+            given = eqn.invars if any(passed) or _observes(eqn) else ()
+        found.update(v for v in given if not isinstance(v, Literal) and _inexact(v.aval))
+    return found
+
+
+def _observes(eqn):
+    """True if a primitive, or anything inside it, asks whether a number is NaN."""
+    inner = _inside(eqn)
+    return observes(eqn) if inner is None else any(_observes(e) for part in inner for e in part.jaxpr.eqns)
 
 
 def _absent(x):
@@ -103,12 +128,17 @@ def _collect(jaxpr, missing, types):
     for eqn in jaxpr.eqns:
         name, variables = eqn.primitive.name, [v.aval for v in (*eqn.invars, *eqn.outvars)]
         types |= {str(a.dtype) for a in variables if _inexact(a) and a.dtype not in (np.float32, np.float64)}
-        inner = [*_jaxprs(eqn.params)] if name in CONTROL else [body(eqn)] if body(eqn) else None
+        inner = _inside(eqn)
         if inner is not None:
             for part in inner:
                 _collect(part.jaxpr, missing, types)
         elif any(map(_inexact, variables)) and (not any(name in t for t in (MOVED, RISING, RULES, POINTWISE)) or _by_key(eqn)):
             missing.add(name)
+
+
+def _inside(eqn):
+    """Return the jaxprs that a call, a branch or a loop evaluates; None for a primitive."""
+    return [*_jaxprs(eqn.params)] if eqn.primitive.name in CONTROL else [body(eqn)] if body(eqn) else None
 
 
 def _by_key(eqn):
@@ -136,13 +166,13 @@ def _constant(x):
     return host if plain.all() else settled(jnp.asarray(host))
 
 
-def _apply(eqn, values, absent):
+def _apply(eqn, values, absent, asked):
     """Return (outs, absent, continuous) of one equation."""
     name, inner = eqn.primitive.name, body(eqn)
     if inner is not None:
-        return _follow(inner.jaxpr, inner.consts, values, absent)
+        return _follow(inner.jaxpr, inner.consts, values, absent, asked)
     if name in CONTROL:
-        return CONTROL[name](values, absent, eqn.params)
+        return CONTROL[name](values, absent, eqn.params, any(asked) or _observes(eqn))
     if not any(isinstance(v, Interval) for v in values) and _exact(eqn):
         outs = bind(eqn, *values)
         made = name == "bitcast_convert_type" and _inexact(eqn.outvars[0].aval)  # any bits: NaN, infinite and subnormal numbers too
@@ -150,7 +180,7 @@ def _apply(eqn, values, absent):
     about = {**eqn.params, "bind": lambda *v: bind(eqn, *v)[0], "numbers": [_number(v) for v in values]}
     about |= {"known": [not isinstance(v, Interval) for v in values], "same": len(values) == 2 and eqn.invars[0] is eqn.invars[1]}
     if name in MOVED:
-        return _moved(eqn, values, absent)
+        return _moved(eqn, values, absent, asked)
     sets = [v if name == "scatter-add" and i == 1 else enclose(v) for i, v in enumerate(values)]
     if name == "sort":  # NaN comes last, infinities at the ends
         loose = lambda x, a: Interval(jnp.where(a, -jnp.inf, x.lo), jnp.where(a, jnp.inf, x.hi))
@@ -164,11 +194,11 @@ def _apply(eqn, values, absent):
         raise NotImplementedError(
             f"inclusion has no rule for the primitive {name} of {kind} that depend on an interval: write it with others"
         )
-    if name in OBSERVED and any(a is not None for a in absent):
+    if observes(eqn) and any(a is not None for a in absent):
         outs = [OBSERVED[name](enclose(outs[0]), sets, absent, **about)]
     fine = jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
     shown = [_computed(o) if isinstance(o, Interval) and not whole(o) else o for o in outs]
-    found = [possible(name, enclose(o), sets, absent, about) if _inexact(v.aval) else None for o, v in zip(outs, eqn.outvars, strict=True)]
+    found = [possible(name, enclose(o), sets, absent, about) if a else None for o, a in zip(outs, asked, strict=True)]
     return shown, found, fine
 
 
@@ -196,7 +226,7 @@ def _number(value):
     return float(value.ravel()[0]) if isinstance(value, np.ndarray | np.generic) and value.size == 1 else None
 
 
-def _moved(eqn, values, absent):
+def _moved(eqn, values, absent, asked):
     """Move the lower and the upper bounds alike, and where they may be NaN; a gather beyond the end fills with NaN."""
     places = MOVED[eqn.primitive.name]
     moved = range(len(values)) if places is None else places
@@ -206,14 +236,14 @@ def _moved(eqn, values, absent):
     lower, upper = (bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready))) for end in ("lo", "hi"))
     outs = [Interval(*pair) for pair in zip(lower, upper, strict=True)]
     floating = [_inexact(v.aval) for v in eqn.outvars]
-    filled = eqn.primitive.name == "gather" and floating[0]
-    if not filled and all(a is None for a in absent):
+    filled = eqn.primitive.name == "gather" and floating[0] and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
+    if filled:
+        outs = [Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi)) for o in outs]
+    if not any(asked) or not filled and all(a is None for a in absent):
         return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], [None] * len(outs), True
     mark = lambda v, a: jnp.zeros_like(v.lo) if a is None else jnp.broadcast_to(a, v.shape).astype(v.dtype)
     marks = [mark(v, a) if i in moved else v for i, (v, a) in enumerate(zip(ready, absent, strict=True))]
     found = [mark != 0 if f else None for mark, f in zip(bind(eqn, *marks), floating, strict=True)]
-    if filled:
-        outs = [Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi)) for o in outs]
     return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], found, True
 
 
@@ -234,28 +264,33 @@ def _steady(step, carry):
         carry = grown
 
 
-def _marked(values, absent):
-    """Return where each value of a loop's carry may be NaN as an array, None for what is never NaN."""
+def _marked(values, absent, asked):
+    """Return where each value of a loop's carry may be NaN as an array; None for what is never NaN, and where nobody asks."""
     shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
-    return [jnp.broadcast_to(False if a is None else a, shape(v)) if _inexact(v) else None for v, a in zip(values, absent, strict=True)]
+    return [
+        jnp.broadcast_to(False if a is None else a, shape(v)) if asked and _inexact(v) else None
+        for v, a in zip(values, absent, strict=True)
+    ]
 
 
-def _scan(values, absent, params):
+def _scan(values, absent, params, asked):
     (consts, carry, xs), (no_consts, no_carry, no_xs) = (_split(v, *_counts(params)) for v in (values, absent))
-    inner, count = params["jaxpr"], len(carry)
-    one = lambda carry, x, away, gone: _follow(inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *gone])
+    inner, count, marked = params["jaxpr"], len(carry), functools.partial(_marked, asked=asked)
+    one = lambda carry, x, away, gone: _follow(
+        inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *gone], [asked] * len(inner.jaxpr.outvars)
+    )
     gone = [None if a is None else jnp.broadcast_to(a, x.shape) for a, x in zip(no_xs, xs, strict=True)]
     first = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], v.dtype), xs)
     missing = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], bool), gone)
-    carry = _steady(lambda carry: one(carry, first, _marked(carry, [None] * count), missing)[0][:count], carry)
+    carry = _steady(lambda carry: one(carry, first, marked(carry, [None] * count), missing)[0][:count], carry)
 
     def step(state, x):
         (carry, away), (x, gone) = state, x
         outs, found, fine = one(carry, x, away, gone)
-        after = [_as(o, c) for o, c in zip(outs, carry, strict=False)], _marked(carry, found[:count])
-        return after, (outs[count:], _marked(outs[count:], found[count:]), jnp.asarray(fine))
+        after = [_as(o, c) for o, c in zip(outs, carry, strict=False)], marked(carry, found[:count])
+        return after, (outs[count:], marked(outs[count:], found[count:]), jnp.asarray(fine))
 
-    start, rows = (carry, _marked(carry, no_carry)), (xs, gone)
+    start, rows = (carry, marked(carry, no_carry)), (xs, gone)
     (carry, away), (ys, found, fine) = jax.lax.scan(step, start, rows, params["length"], params["reverse"])
     return [*carry, *ys], [*away, *found], jnp.all(fine)
 
@@ -276,22 +311,22 @@ def _split(values, *counts):
     return *out, values
 
 
-def _while(values, absent, params):
+def _while(values, absent, params, asked):
     """Follow a loop; where its end depends on an interval, collect every state in which it may stop. Under vmap each entry ends alone."""
     counts = params["cond_nconsts"], params["body_nconsts"]
     (cond_consts, body_consts, carry), (no_cond, no_body, away) = (_split(v, *counts) for v in (values, absent))
-    cond, inner = params["cond_jaxpr"], params["body_jaxpr"]
-    test = lambda carry, away: _follow(cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away])[0][0]
-    step = lambda carry, away: _follow(inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away])
-    nowhere = lambda carry: _marked(carry, [None] * len(carry))
+    cond, inner, marked = params["cond_jaxpr"], params["body_jaxpr"], functools.partial(_marked, asked=asked)
+    test = lambda carry, away: _follow(cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away], [False])[0][0]
+    step = lambda carry, away: _follow(inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away], [asked] * len(carry))
+    nowhere = lambda carry: marked(carry, [None] * len(carry))
     carry = _steady(lambda c: step(c, nowhere(c))[0], carry)
-    away = _marked(carry, away)
+    away = marked(carry, away)
 
     def turn(going, carry, away):
         """Return the state after one more step of the entries that may go on."""
         outs, found, fine = step(carry, away)
         outs = [_where(going, _as(o, c), c) for o, c in zip(outs, carry, strict=True)]
-        return outs, [a if a is None else _where(going, f, a) for f, a in zip(_marked(carry, found), away, strict=True)], fine
+        return outs, [a if a is None else _where(going, f, a) for f, a in zip(marked(carry, found), away, strict=True)], fine
 
     if not isinstance(jax.eval_shape(test, carry, away), Interval):
 
@@ -302,7 +337,7 @@ def _while(values, absent, params):
         carry, away, fine = jax.lax.while_loop(lambda state: jnp.any(test(*state[:2])), once, (carry, away, jnp.asarray(True)))
         return carry, away, fine
     carry = [enclose(c) for c in carry]
-    away = _marked(carry, away)
+    away = marked(carry, away)
 
     def gather(going, carry, away, ended, gone):
         """Add the states in which the loop may stop to those that were met before."""
@@ -338,9 +373,9 @@ def _hull_where(possible, x, y):
     return _where(possible, Interval(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi)), y)
 
 
-def _cond(values, absent, params):
+def _cond(values, absent, params, asked):
     index, operands, away = values[0], values[1:], absent[1:]
-    branches = [lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away) for b in params["branches"]]
+    branches = [lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away, [asked] * len(b.jaxpr.outvars)) for b in params["branches"]]
     if isinstance(index, Interval):
         found = [branch(operands, away) for branch in branches]
         outs = [RULES["select_n"](index, *map(enclose, cases)) for cases in zip(*(outs for outs, *_ in found), strict=True)]
@@ -353,7 +388,7 @@ def _cond(values, absent, params):
         def run(ops, away):
             outs, gone, fine = branch(ops, away)
             outs = [enclose(o) if s else jnp.asarray(o) for o, s in zip(outs, sets, strict=True)]
-            return outs, _marked(outs, gone), jnp.asarray(fine)
+            return outs, _marked(outs, gone, asked), jnp.asarray(fine)
 
         return run
 

@@ -14,11 +14,24 @@ import operator
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import Literal
 
 from jaxbound.sets.interval import Interval, hull, mag
 from jaxbound.sets.lifted import integral, least, most, whole
 
-__all__ = ["MADE", "OBSERVED", "either", "possible"]
+__all__ = ["MADE", "OBSERVED", "either", "observes", "possible"]
+
+
+def observes(eqn):
+    """True if the result of a primitive may be a number, a predicate or an integer though an operand is NaN."""
+    name, params = eqn.primitive.name, eqn.params
+    if name == "integer_pow":
+        return params["y"] == 0
+    if name == "convert_element_type":
+        return not jnp.issubdtype(params["new_dtype"], jnp.floating)
+    if name == "pow" and isinstance(eqn.invars[1], Literal):
+        return eqn.invars[1].val == 0
+    return name in OBSERVED or name == "sort"
 
 
 def either(*marks):

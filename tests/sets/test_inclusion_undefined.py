@@ -12,7 +12,7 @@ BOX = np.array([[-0.5, 0.0, -2.0, 1.0], [0.75, 0.0, -1.0, 2.0]])  # across 0, at
 
 
 def until(a):
-    return jax.lax.while_loop(lambda s: s[0] < 10, lambda s: (s[0] * 1.7 + 1, s[1] + 1.0), (a, 0.0))[1]
+    return jax.lax.while_loop(lambda s: s[0] < 10, lambda s: (s[0] * 1.7 + 4, s[1] + 1.0), (a, 0.0))[1]
 
 
 def steps(a, k):
