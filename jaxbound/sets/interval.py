@@ -211,7 +211,7 @@ def _times(a, b):
 
 def div(x, y):
     """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE 1788 div."""
-    x, y = (computed(*rounding.readable(v.lo, v.hi)) for v in pair(x, y))
+    x, y = (computed(*rounding.unbounded(v.lo, v.hi)) for v in map(_read, pair(x, y)))
     down = y.hi <= 0  # x / y = (-x) / (-y)
     a, b, c, d = (jnp.where(down, -p, q) for p, q in ((x.hi, x.lo), (x.lo, x.hi), (y.hi, y.lo), (y.lo, y.hi)))
     nowhere, across = x.is_empty | y.is_empty | ((c == 0) & (d == 0)), (c < 0) & ~((a == 0) & (b == 0))
@@ -357,6 +357,7 @@ def hull(x, y):
 def intersection(x, y):
     """Return what both share, possibly empty. Source: IEEE 1788 intersection."""
     x, y = pair(x, y)
-    apart = x.is_empty | y.is_empty | rounding.above(x.lo, y.hi) | rounding.above(y.lo, x.hi)
+    above = operator.gt if x._settled and y._settled else rounding.above
+    apart = x.is_empty | y.is_empty | above(x.lo, y.hi) | above(y.lo, x.hi)
     x, y = map(_read, (x, y))
     return _empty_where(apart, jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi))

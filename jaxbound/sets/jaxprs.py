@@ -47,15 +47,17 @@ def evaluate(jaxpr, consts, args):
 
 def _door(x):
     """Return an argument that compiled code reads as it is; a bound that is NaN bounds nothing."""
-    return Interval(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
+    return computed(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
 
 
 def _follow(jaxpr, consts, args, absent, asked):
     """Return (outs, absent, continuous).
 
     absent: None, or a boolean array, True where the number may be NaN, for each of args and outs. asked: of which outs it is needed.
+    The bounds of args are settled, whatever a loop or a branch made of them.
     """
     watched = _watched(jaxpr, asked)
+    args = [_computed(x) if isinstance(x, Interval) else x for x in args]
     known = lambda x: (_constant(x), _absent(x))
     env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(zip(jaxpr.invars, zip(args, absent, strict=True), strict=True))
     read = lambda v: known(np.asarray(v.val, v.aval.dtype)) if isinstance(v, Literal) else env[v]

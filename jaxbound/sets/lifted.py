@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxbound.sets import rounding
 from jaxbound.sets.elementary import atan2, atanh, exp, log, sqrt, tanh
-from jaxbound.sets.interval import Interval, add, div, hull, intersection, mag, mul, neg, pown, recip, sqr, sub
+from jaxbound.sets.interval import Interval, add, computed, div, hull, intersection, mag, mul, neg, pown, recip, sqr, sub
 from jaxbound.sets.interval import sum as total
 
 __all__ = [
@@ -25,7 +25,7 @@ __all__ = [
 
 def enclose(x):
     """Return an Interval that is `x` or the number x, finite and not subnormal."""
-    return x if isinstance(x, Interval) else Interval(jnp.asarray(x), jnp.asarray(x))
+    return x if isinstance(x, Interval) else computed(jnp.asarray(x), jnp.asarray(x))
 
 
 def settled(x):
@@ -33,7 +33,7 @@ def settled(x):
     lo, hi = rounding.settle_subnormals(x, x)
     absent, top = jnp.isnan(x), np.finfo(x.dtype).max
     lo, hi = jnp.where(x == jnp.inf, top, lo), jnp.where(x == -jnp.inf, -top, hi)
-    return Interval(jnp.where(absent, jnp.inf, lo), jnp.where(absent, -jnp.inf, hi))
+    return computed(jnp.where(absent, jnp.inf, lo), jnp.where(absent, -jnp.inf, hi))
 
 
 def whole(x):
@@ -180,7 +180,7 @@ def contracted(x, y, dimension_numbers, known=(False, False), **_):
     B, M, N, K = (math.prod(s) for s in (sizes(x, bx), sizes(x, fx), sizes(y, fy), sizes(x, cx)))
     left = jax.tree.map(lambda v: v.transpose(*bx, *fx, *cx).reshape(B, M, 1, K), x)
     right = jax.tree.map(lambda v: v.transpose(*by, *fy, *cy).reshape(B, 1, N, K), y)
-    out = summed(multiplied(left, right, known=known), axes=(3,))
+    out = summed(multiplied(*(computed(v.lo, v.hi) for v in (left, right)), known=known), axes=(3,))  # moved, and settled as before
     return jax.tree.map(lambda v: v.reshape(*sizes(x, bx), *sizes(x, fx), *sizes(y, fy)), out)
 
 

@@ -50,6 +50,7 @@ __all__ = [
     "tiny",
     "two_prod",
     "two_sum",
+    "unbounded",
     "unit",
     "widened",
 ]
@@ -158,7 +159,11 @@ def _settle(x, up):
 
 def readable(lo, hi):
     """Return bounds that compiled code reads as they are or further out: subnormal ones settled, none (infinite) for NaN."""
-    lo, hi = settle_subnormals(lo, hi)
+    return unbounded(*settle_subnormals(lo, hi))
+
+
+def unbounded(lo, hi):
+    """Return bounds of which none is NaN, but infinite there."""
     return jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi)
 
 
