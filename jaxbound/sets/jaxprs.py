@@ -196,7 +196,7 @@ def _apply(eqn, values, absent, asked):
         raise NotImplementedError(
             f"inclusion has no rule for the primitive {name} of {kind} that depend on an interval: write it with others"
         )
-    if observes(eqn) and any(a is not None for a in absent):
+    if name in OBSERVED and observes(eqn) and any(a is not None for a in absent):
         outs = [OBSERVED[name](enclose(outs[0]), sets, absent, **about)]
     fine = jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
     shown = [_computed(o) if isinstance(o, Interval) and not whole(o) else o for o in outs]

@@ -253,7 +253,11 @@ def test_a_bound_that_is_no_number_excludes_nothing():
 
 
 def test_a_function_undefined_all_over_the_box_has_no_image():
-    assert sets.pave(lambda z: [1 / (0 * z[0])], interval([1.0], [2.0]), [5.0], q=3).status == Status.FAULT
+    assert sets.pave(lambda z: [jnp.sqrt(0 * z[0] - 1)], interval([1.0], [2.0]), [5.0], q=3).status == Status.FAULT
+
+
+def test_a_pole_all_over_the_box_is_no_fault_because_a_program_goes_on_with_its_infinity():
+    assert sets.pave(lambda z: [jnp.exp(-1 / (0 * z[0]))], interval([1.0], [2.0]), [0.0], q=3).status != Status.FAULT
 
 
 def test_an_interval_target_is_a_fault_only_if_all_of_it_is_outside():
