@@ -8,7 +8,7 @@ import functools
 
 import numpy as np
 
-from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
 from jaxbound.sets import rounding
 from jaxbound.sets.interval import Interval, add, interval, matmul
@@ -64,7 +64,8 @@ def _pave(relations, U, Y, q, max_boxes, progress):
     measured = flat.shape[1]
     external = matmul(flat, Interval(W.lo[:, :measured].T, W.hi[:, :measured].T))
     if model.m and U.shape[1]:
-        known = interval(U) - encloses(model.offset["u"])[None, None]
+        slip = 2 * input_slip(U)  # 2: for the two differences
+        known = interval(U - slip, U + slip) - encloses(model.offset["u"])[None, None]
         K = encloses(relations.K)
         external = external - matmul(Interval(known.lo.reshape(count, -1), known.hi.reshape(count, -1)), Interval(K.lo.T, K.hi.T))
     bounds = {k: rounding.round_up(relations.bounds[k], dtype) for k in ("tolerance", "noise")}

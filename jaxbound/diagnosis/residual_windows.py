@@ -1,6 +1,6 @@
 """Verdicts on a user's own residual: adaptive bisection of its unknowns, all windows on one list of boxes.
 
-CONSISTENT is proved for the samples as recorded. FAULT is proved for all samples within what a recording rounds away, like everywhere
+CONSISTENT is proved for the samples that are computed with: as recorded, in the type of y. FAULT is proved for all samples within what a recording rounds away, like everywhere
 in this library: a window that only its last digits put outside is UNDECIDED.
 """
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.relations.residual import flat, recorded
 from jaxbound.sets.inclusion import inclusion
 from jaxbound.sets.interval import Interval
@@ -29,8 +29,8 @@ class _Thick:
 
     f: object
 
-    def __call__(self, z, u, y_lo, y_hi):
-        return inclusion(flat(self.f), "best")(z, u, Interval(y_lo, y_hi))
+    def __call__(self, z, u_lo, u_hi, y_lo, y_hi):
+        return inclusion(flat(self.f), "best")(z, Interval(u_lo, u_hi), Interval(y_lo, y_hi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +116,9 @@ def _search(relations, U, Y, budget, size=GROUPS[0]):
 
 
 def _exclude(relations, U, Y, budget, size):
-    """Exclude unknowns for all samples that round to the recorded ones."""
-    samples = recorded(Y, RECORDER_ULPS + 2)  # 2: for this computation
-    return _pave(relations, _Thick(relations.f), (U, *samples), budget, size, solutions="none", cut="widest")
+    """Exclude unknowns for all samples that round to the recorded ones, and all inputs that round to what is computed with."""
+    samples, slip = recorded(Y, RECORDER_ULPS + 2), 2 * input_slip(U)  # 2: for this computation
+    return _pave(relations, _Thick(relations.f), (U - slip, U + slip, *samples), budget, size, solutions="none", cut="widest")
 
 
 def _pave(relations, f, windows, budget, size, **options):

@@ -17,7 +17,7 @@ from math import ceil, lcm
 import jax
 import numpy as np
 
-from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets import rounding, separation
 from jaxbound.sets.status import Status
 from jaxbound.sets.strips import status_of
@@ -44,15 +44,6 @@ def thin(test, u, y):
     return small & ~np.isinf(y).any((0, 1)) & ~np.isinf(u).any((0, 1))
 
 
-def _wide(test, y):
-    """Say whether no window of a recording is thin, at the price of two passes over y."""
-    top = max(abs(float(np.fmax.reduce(y, None))), abs(float(np.fmin.reduce(y, None))))
-    bound = (np.asarray(test.noise, np.float64) + np.asarray(test.resolution, np.float64)).min()
-    scale = top + np.abs(np.asarray(test.offset_y, np.float64)).max()
-    enough = max(THIN[y.dtype] * float(rounding.unit(y.dtype)) * scale, 2.0**40 * float(rounding.tiny(y.dtype)))
-    return top < float(np.sqrt(np.finfo(y.dtype).max)) and bound > 1.01 * enough
-
-
 def settle(relations, test, method, u, y, status, margin, progress=None):
     """Decide what strips of NumPy recordings u (T, m), y (T, p) left open though it may be far from the boundary.
 
@@ -60,8 +51,6 @@ def settle(relations, test, method, u, y, status, margin, progress=None):
         method: "joint" or "box". status, margin: (T,), changed in place. progress: called with the share done, if this takes a while.
     """
     s = test.horizon
-    if not (status == Status.UNDECIDED).any() or _wide(test, y):
-        return
     left = np.flatnonzero((status == Status.UNDECIDED) & (margin == 0))
     if len(left):
         left = left[thin(test, *test.gather(u, y, left - s))]
@@ -99,7 +88,7 @@ def exact_search(relations, test, frame, u, y):
 class _Rows:
     """Rows in integers, to be divided by `scale`, and multiplied by their entry of `factor`.
 
-    Fields: twice, spread: hi + lo and hi - lo of each row, arrays (N,) of integers; factor: Fractions; known (l, N): v; absent (rows, N),
+    Fields: twice, spread: hi + lo and hi - lo of each row, arrays (N,) of integers; factor: Fractions; known, slip (l, N): v and how far it may be off; absent (rows, N),
     missing (l, N): bool; scale: an integer; floor: a Fraction, at least what is left out of a row's half-width.
     """
 
@@ -107,6 +96,7 @@ class _Rows:
     spread: list
     factor: list
     known: np.ndarray
+    slip: np.ndarray
     absent: np.ndarray
     missing: np.ndarray
     scale: int
@@ -118,8 +108,9 @@ def _rows_of(model, test, u, y):
     samples, p, N = y.shape
     shift = -int(np.log2(float(RECORDER_ULPS * rounding.unit(y.dtype))))  # a power of two
     bounds = [np.asarray(x, np.float64) for x in (test.noise, test.resolution, np.ravel(test.disturbance))]
+    slip = input_slip(np.where(np.isnan(u), 0, u))
     whole = lcm(*(x.denominator for x in (*model.offset["u"], *model.offset["y"])))
-    power = max(0, shift + max(map(_places, (u, y, *bounds))))
+    power = max(0, shift + max(map(_places, (u, slip, y, *bounds))))
     integers = lambda x: _integers(x, power) * whole
     offset = {name: [int(x * whole) << power for x in values] for name, values in model.offset.items()}
     noise, resolution, w = map(integers, bounds)
@@ -142,7 +133,7 @@ def _rows_of(model, test, u, y):
     known = U - np.array(offset["u"], object).reshape(1, -1, 1)
     none = np.zeros((len(twice) - samples * p, N), bool)
     largest = max(1 / (1 - Fraction(float(x))) for x in test.tolerance)
-    return _Rows(twice, spread, factor, known.reshape(-1, N), np.concatenate([absent.reshape(-1, N), none]), missing.reshape(-1, N),
+    return _Rows(twice, spread, factor, known.reshape(-1, N), integers(slip).reshape(-1, N), np.concatenate([absent.reshape(-1, N), none]), missing.reshape(-1, N),
                  whole << power, 2 * largest * Fraction(float(rounding.tiny(y.dtype))))  # fmt: skip
 
 
@@ -158,10 +149,11 @@ def _strips(rows, strips, dtype):
         middle = _total(x * rows.twice[i] for i, x in zip(support, exact, strict=False))
         middle = abs(middle - _total(2 * x * rows.known[b] for b, x in zip(inputs, exact[len(support) :], strict=True)))
         width = _total(abs(x) * rows.spread[i] for i, x in zip(support, exact, strict=False))
+        slip = _total(2 * abs(x) * rows.slip[b] for b, x in zip(inputs, exact[len(support) :], strict=True))
         floor = ceil(2 * rows.floor * sum(abs(h[i]) for i in support) * common * rows.scale)
         present = ~(rows.absent[support].any(0) | rows.missing[inputs].any(0))
-        out |= present & (middle - width > floor).astype(bool)
-        inside &= (middle <= width).astype(bool) | ~present
+        out |= present & (middle - width - slip > floor).astype(bool)
+        inside &= (middle + slip <= width).astype(bool) | ~present
         gauge = np.where(present, np.maximum(gauge, _ratio(middle, width)), gauge)
     return np.where(gauge < 0, np.nan, _signed(1 - gauge, out, inside, dtype))
 
@@ -177,6 +169,7 @@ def _searched(rows, frame, dtype):
     unit = 2 * rows.scale * common  # of twice and spread; z and outer radii are larger by `common` once more
     z = [common * twice[j] - _total(x * twice[i] for x, i in zip(R[a], inner, strict=True) if x)
          - _total(2 * x * common * v for x, v in zip(K[a], rows.known, strict=True) if x) for a, j in enumerate(outer)]  # fmt: skip
+    slip = [_total(2 * abs(x) * common * v for x, v in zip(row, rows.slip, strict=True) if x) + np.zeros(N, object) for row in K]
     present = np.array(frame.used, bool)[:, None] & ~rows.absent[outer]
     real = ~rows.absent[inner]
     lacking = np.array([[bool(x) for x in row] for row in R], int).reshape(c, k) @ ~real
@@ -200,7 +193,7 @@ def _searched(rows, frame, dtype):
             given = (x[:, part] for x in (z_float, r_outer, r_inner, present))
             h, d, _ = map(np.asarray, _candidates(R_float, *given, np.ones(len(part)), finer))
             take = lambda values, part=part: [v[part] for v in values]
-            z_i, s_outer, s_inner = (take(values) for values in (z, [spread[j] for j in outer], [spread[i] for i in inner]))
+            z_i, slip_i, s_outer, s_inner = map(take, (z, slip, [spread[j] for j in outer], [spread[i] for i in inner]))
             h, d = np.where(present[:, part] & np.isfinite(h), h, 0), np.where(np.isfinite(d), d, 0)
             power = _places(h)
             h_i = _integers(h, power)
@@ -208,8 +201,9 @@ def _searched(rows, frame, dtype):
             width = _total(common * abs(x) * s for x, s in zip(h_i, s_outer, strict=True))
             width = width + _total(abs(x) * s for x, s in zip(across, s_inner, strict=True))
             residual = abs(_total(x * v for x, v in zip(h_i, z_i, strict=True)))
+            lost = _total(abs(x) * v for x, v in zip(h_i, slip_i, strict=True))
             reach = _total(abs(x) * common for x in h_i) + _total(map(abs, across))
-            out[part] |= (residual - width > reach * ceil(unit * rows.floor)).astype(bool)
+            out[part] |= (residual - width - lost > reach * ceil(unit * rows.floor)).astype(bool)
             gauge[part] = np.maximum(gauge[part], _ratio(residual, width))
             power = _places(d)
             d_i, one = _integers(d, power) * fold, 1 << power
@@ -218,7 +212,7 @@ def _searched(rows, frame, dtype):
                 fits &= (abs(d_i[i]) * unit <= s_inner[i] * one).astype(bool) | ~real[i, part]
             for a in range(c):
                 gap = abs(z_i[a] * one - unit * _total(R[a][i] * d_i[i] for i in range(k) if R[a][i]))
-                fits &= (gap <= common * s_outer[a] * one).astype(bool) | ~present[a, part]
+                fits &= (gap + slip_i[a] * one <= common * s_outer[a] * one).astype(bool) | ~present[a, part]
             inside[part] |= fits
     margin = np.where(usable, _signed(1 - gauge, out, inside, dtype), 0)
     return np.where(present.any(0), margin, np.nan)

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxbound.sets import rounding
 
-__all__ = ["RECORDER_ULPS", "largest_error", "lift", "true_value"]
+__all__ = ["RECORDER_ULPS", "input_slip", "largest_error", "lift", "true_value"]
 
 RECORDER_ULPS = 4
 """A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the window plus noise."""
@@ -66,6 +66,17 @@ def largest_error(y, noise, recorded, horizon):
     coarsest = max(float(rounding.unit(recorded)), float(rounding.unit(y.dtype)))
     error = noise + RECORDER_ULPS * coarsest * (largest + noise) + float(rounding.tiny(y.dtype))
     return rounding.round_up(error * (1 + 2.0**-50), y.dtype)  # 2^-50: for these four operations
+
+
+def input_slip(u):
+    """Return at least the difference between inputs as given and u, what is computed with: an array like u.
+
+    Inputs are exact, but in float32 they may have been rounded to it once, for outputs in float32 or because JAX runs with x64 off: nothing
+    tells that from a recording that was in float32 all along.
+    """
+    if u.dtype == np.float64:
+        return np.zeros_like(u)
+    return 1.01 * rounding.unit(u.dtype) * np.abs(u) + rounding.tiny(u.dtype)
 
 
 def lift(tolerance):
