@@ -146,8 +146,9 @@ def _rows_of(model, test, u, y):
     known = U - np.array(offset["u"], object).reshape(1, -1, 1)
     none = np.zeros((len(twice) - samples * p, N), bool)
     largest = max(1 / (1 - Fraction(float(x))) for x in test.tolerance)
-    return _Rows(twice, spread, factor, known.reshape(-1, N), integers(slip).reshape(-1, N), np.concatenate([absent.reshape(-1, N), none]), missing.reshape(-1, N),
-                 whole << power, 2 * largest * Fraction(float(rounding.tiny(y.dtype))))  # fmt: skip
+    absent, known, slip, missing = (x.reshape(-1, N) for x in (absent, known, integers(slip), missing))
+    floor = 2 * largest * Fraction(float(rounding.tiny(y.dtype)))
+    return _Rows(twice, spread, factor, known, slip, np.concatenate([absent, none]), missing, whole << power, floor)
 
 
 def _strips(rows, strips, dtype):
