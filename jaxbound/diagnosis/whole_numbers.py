@@ -101,8 +101,9 @@ def exact_search(relations, test, frame, u, y):
 class _Rows:
     """Rows in integers, to be divided by `scale`, and multiplied by their entry of `factor`.
 
-    Fields: twice, spread: hi + lo and hi - lo of each row, arrays (N,) of integers; factor: Fractions; known, slip (l, N): v and how far it may be off; absent (rows, N),
-    missing (l, N): bool; scale: an integer; floor: a Fraction, at least what is left out of a row's half-width.
+    Fields: twice, spread: hi + lo and hi - lo of each row, arrays (N,) of integers; factor: Fractions; known, slip (l, N): v and how far
+    it may be off; absent (rows, N), missing (l, N): bool; scale: an integer; floor: a Fraction, at least what is left out of a row's
+    half-width.
     """
 
     twice: list
