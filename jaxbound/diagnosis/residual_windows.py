@@ -1,7 +1,7 @@
 """Verdicts on a user's own residual: adaptive bisection of its unknowns, all windows on one list of boxes.
 
-CONSISTENT is proved for the samples that are computed with: as recorded, in the type of y. FAULT is proved for all samples within what a recording rounds away, like everywhere
-in this library: a window that only its last digits put outside is UNDECIDED.
+CONSISTENT is proved for the samples that are computed with: as recorded, in the type of y. FAULT is proved for all samples within what a
+recording rounds away, like everywhere in this library: a window that only its last digits put outside is UNDECIDED.
 """
 
 import dataclasses
