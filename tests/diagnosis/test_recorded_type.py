@@ -113,3 +113,20 @@ def test_inputs_narrowed_for_float32_outputs_are_not_taken_as_exact(rng):
     values = jb.unknown_inputs(jb.LinearSystem(**BARE, unknown_inputs=[[1], [0]]), u, y).values
     assert ((values.lo <= 0) & (values.hi >= 0)).all()
     assert not np.asarray(jb.validate(jb.LinearSystem(**BARE), u, y).faulty).any()
+
+
+def test_a_dataset_of_float32_columns_without_noise_raises_no_fault(rng, tmp_path):
+    import pandas as pd
+
+    model, u, y, _ = recorded(rng)
+    pd.DataFrame({"y1": y[:, 0], "y2": y[:, 1], "u1": u[:, 0]}).to_parquet(tmp_path / "run.parquet")
+    found = jb.detect_dataset(jb.parity_relations(model), tmp_path / "run.parquet", tmp_path / "out")
+    assert found.counts["FAULT"] == 0 and found.counts["CONSISTENT"] > 0
+
+
+def test_uncertain_relations_and_their_compensation_count_the_rounding_of_float32(rng):
+    uncertain = jb.LinearSystem(**BARE, uncertainties=[jb.Uncertainty("a", A=[["0.01", 0], [0, 0]])])
+    relations, (_, u, y, _) = jb.parity_relations(uncertain), recorded(rng)
+    c = jb.compensation(relations, u, y)
+    assert not (jb.detect(relations, u, y, "linearised", compensation=c).status == jb.Status.FAULT).any()
+    assert not (jb.detect(relations, u, y).status == jb.Status.FAULT).any()
