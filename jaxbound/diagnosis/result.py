@@ -89,7 +89,8 @@ class Result:
         Raises:
             ValueError: numbers outside these ranges.
         """
-        return group_alarms(self, k, n, hold, clear, self.relations.horizon)
+        horizon = 0 if self.relations is None else self.relations.horizon  # of residuals that a user worked out nothing is known
+        return group_alarms(self, k, n, hold, clear, horizon)
 
     def explain(self, at):
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in exact rationals.

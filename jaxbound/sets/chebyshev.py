@@ -126,7 +126,9 @@ def _search(E, b, r, common, independent, start):
         return ()
     largest = [max(map(abs, row), default=0) or 1 for row in E]
     F = np.array([[x / top for x in row] for row, top in zip(E, largest, strict=True)]).reshape(m, N)
-    c, radius = (np.array([x / (top * common) for x, top in zip(v, largest, strict=True)]) for v in (b, r))
+    # numbers of one row over another's: whatever their unit is, it need not fit a float
+    unit = common * max(1, *(abs(x) // (top * common) for v in (b, r) for x, top in zip(v, largest, strict=True)))
+    c, radius = (np.array([x / (top * unit) for x, top in zip(v, largest, strict=True)]) for v in (b, r))
     weight = 1 / np.maximum(radius, radius.max() * 1e-12)  # enough to search; the exact steps know better
     c *= weight
     F, _ = np.linalg.qr(F * weight[:, None])

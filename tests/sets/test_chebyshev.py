@@ -116,3 +116,9 @@ def test_radii_must_be_positive():
         chebyshev([[one], [one]], [one, one], [one, Fraction(0)])
     with pytest.raises(ValueError, match="needs at least one row"):
         chebyshev([], [], [])
+
+
+def test_numbers_beyond_what_floats_hold_are_solved_too():
+    one, huge = Fraction(1), Fraction(10) ** 400
+    best = chebyshev([[one], [one], [one]], [0 * one, 3 * huge, one * huge], [huge, huge, huge])
+    assert best.t == Fraction(3, 2) and best.z == (Fraction(3, 2) * huge,)
