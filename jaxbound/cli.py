@@ -23,9 +23,9 @@ from jaxbound.modelfile import load_model, template
 from jaxbound.plaintext import clipped
 from jaxbound.plots import distinct_relations
 from jaxbound.relations.parity import parity_relations
-from jaxbound.report import bound_hints
 from jaxbound.runfile import VALIDATION
 from jaxbound.sets.probe import Unverified
+from jaxbound.summary import bound_hints
 from jaxbound.terminal import (
     BAD_INPUT,
     INTERNAL,

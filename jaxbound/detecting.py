@@ -28,15 +28,18 @@ from jaxbound.files import read_recording, write_alarms, write_verdicts
 from jaxbound.modelfile import load_model, save_model
 from jaxbound.outputs import made, output_folder
 from jaxbound.parquet import is_parquet, open_parquet
+from jaxbound.plaintext import percent, times
 from jaxbound.processes import Lost, Team, abandon, join_others
 from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
-from jaxbound.report import alarm_total, bound_hints, coverage, percent, samples, summary, times, windows, worst, write_report
+from jaxbound.reports.detection import write_report
+from jaxbound.reports.validation import write_page
 from jaxbound.runfile import VALIDATION, save_run
 from jaxbound.sets.probe import refuse_unverified
 from jaxbound.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
+from jaxbound.summary import alarm_total, bound_hints, coverage, samples, summary, windows, worst
 from jaxbound.terminal import BAD_INPUT, Interrupted, Refused, door, progress_bars, show, write
-from jaxbound.validated import Validated, write_columns_of, write_page
+from jaxbound.validated import Validated, write_columns_of
 
 __all__ = ["CODES", "conclude", "run_demo", "run_detect", "usable_device"]
 

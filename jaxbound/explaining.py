@@ -12,9 +12,9 @@ from jaxbound.diagnosis.uncertain_certificate import UncertainCertificate
 from jaxbound.files import Recording, read_recording
 from jaxbound.outputs import output_folder
 from jaxbound.parquet import is_parquet, open_parquet
+from jaxbound.plaintext import percent
+from jaxbound.plaintext import times as factor_text
 from jaxbound.relations.parity import parity_relations
-from jaxbound.report import percent
-from jaxbound.report import times as factor_text
 from jaxbound.runfile import VALIDATION, load_run
 from jaxbound.sets.status import Status
 from jaxbound.terminal import Refused, door, show, write

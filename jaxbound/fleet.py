@@ -18,14 +18,14 @@ from jaxbound.diagnosis.consistency import METHODS, detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.endings import ending_hints
 from jaxbound.files import read_recording
-from jaxbound.fleetpage import fleet_page
 from jaxbound.modelfile import load_model
 from jaxbound.models.recording import missing_column
 from jaxbound.outputs import output_folder
-from jaxbound.plaintext import cell
+from jaxbound.plaintext import cell, percent
 from jaxbound.recordings import refuse_short
 from jaxbound.relations.parity import parity_relations
-from jaxbound.report import bound_hints, coverage, percent, summary, worst
+from jaxbound.reports.fleet import fleet_page
+from jaxbound.summary import bound_hints, coverage, summary, worst
 from jaxbound.terminal import Interrupted, Refused, door, progress_bars, show, write
 
 __all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "run", "write_fleet"]

@@ -31,11 +31,12 @@ from jaxbound.modelfile import load_model
 from jaxbound.models.seams import irregular, seam_hints
 from jaxbound.outputs import output_folder, refuse_targets
 from jaxbound.pipetext import PipeText
+from jaxbound.plaintext import percent
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
-from jaxbound.report import bound_hints, percent
 from jaxbound.runfile import VALIDATION
 from jaxbound.sets.status import Status
+from jaxbound.summary import bound_hints
 from jaxbound.terminal import ENDS, Refused, door, nobody_reads, say, system_trouble
 
 __all__ = ["follow", "run"]

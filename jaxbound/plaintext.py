@@ -1,8 +1,8 @@
-"""Names that users wrote, fit to be shown: no control characters, no formula in a spreadsheet, no sentence without end."""
+"""Text that people read: names that users wrote without control characters, formulas or end, and numbers that read well."""
 
 import html
 
-__all__ = ["cell", "clipped", "escape", "printable"]
+__all__ = ["cell", "clipped", "duration", "escape", "percent", "printable", "times"]
 
 FORMULAS = ("=", "+", "-", "@")
 """A cell that begins so is computed, not shown, by a spreadsheet."""
@@ -52,3 +52,26 @@ def cell(text):
     """
     text = printable(text)
     return f"'{text}" if text.startswith(FORMULAS) else text
+
+
+def times(factor):
+    """Return "2.2 times", with no more digits than matter."""
+    if factor >= 1000:
+        return f"{factor:,.0f} times" if factor < 1e9 else f"{factor:.2g} times"
+    short = f"{factor:.3g}"
+    return f"{short if short != '1' else f'{factor:.7g}'} times"  # just above 1 is not 1
+
+
+def percent(share):
+    """Return a share as text that is 0 % or 100 % only where it is exactly that."""
+    if share in (0, 1):
+        return f"{share:.0%}".replace("%", " %")
+    return "<0.1 %" if share < 0.001 else ">99.9 %" if 0.999 < share < 1 else f"{100 * share:.3g} %"
+
+
+def duration(seconds):
+    """Return a time span in units that read well."""
+    for unit, size, limit in (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120)):
+        if seconds >= limit:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"

@@ -18,8 +18,8 @@ from jaxbound.outputs import output_folder
 from jaxbound.parquet import open_parquet
 from jaxbound.plots import Timeline
 from jaxbound.relations import identity
-from jaxbound.report import worst
 from jaxbound.streaming import part_files, publish, read_runs, write_parts
+from jaxbound.summary import worst
 
 
 def flip(path, at):

@@ -11,12 +11,12 @@ import pytest
 from jaxbound import cli
 from jaxbound.files import read_recording
 from jaxbound.fleet import Unit, UnitResult, write_fleet
-from jaxbound.fleetpage import fleet_page
 from jaxbound.modelfile import load_model, template
 from jaxbound.models.expressions import expression, missing_column
 from jaxbound.models.naming import listed
 from jaxbound.plaintext import cell, clipped, printable
 from jaxbound.plots import canvas, to_png
+from jaxbound.reports.fleet import fleet_page
 
 
 def shell(command, folder):

@@ -9,8 +9,9 @@ import jaxbound as jb
 from jaxbound import cli
 from jaxbound.bands import plot_output
 from jaxbound.files import Recording
+from jaxbound.reports.validation import write_page
 from jaxbound.sets.interval import Interval
-from jaxbound.validated import Validated, write_columns_of, write_page
+from jaxbound.validated import Validated, write_columns_of
 
 Status = jb.Status
 MODEL = jb.LinearSystem([["0.5"]], [[1]], [[1], [2]], noise="0.1", uncertainties=[jb.Uncertainty("a", A=[["0.05"]])], units={"y1": "bar"},

@@ -8,11 +8,10 @@ import time as clock
 import numpy as np
 
 from jaxbound.modelfile import number_text
-from jaxbound.plaintext import escape
+from jaxbound.plaintext import escape, percent
 from jaxbound.sets.status import Status
 
-__all__ = ["CSS", "GUARANTEE", "TITLE", "about", "duration", "figure", "frame", "model_tables", "opening", "percent", "section", "table",
-           "tiles", "times"]  # fmt: skip
+__all__ = ["CSS", "GUARANTEE", "TITLE", "about", "figure", "frame", "model_tables", "opening", "section", "table", "tiles"]  # fmt: skip
 
 TITLE = {"fault": "Fault proved", "no fault": "No fault found", "too little evidence": "Too little evidence"}
 GUARANTEE = (
@@ -20,29 +19,6 @@ GUARANTEE = (
     "never raises one. The proof is as good as the bounds it rests on, which are listed above with their origin; a small fault may hide "
     "inside them, so no FAULT does not prove that there is no fault."
 )
-
-
-def times(factor):
-    """Return "2.2 times", with no more digits than matter."""
-    if factor >= 1000:
-        return f"{factor:,.0f} times" if factor < 1e9 else f"{factor:.2g} times"
-    short = f"{factor:.3g}"
-    return f"{short if short != '1' else f'{factor:.7g}'} times"  # just above 1 is not 1
-
-
-def percent(share):
-    """Return a share as text that is 0 % or 100 % only where it is exactly that."""
-    if share in (0, 1):
-        return f"{share:.0%}".replace("%", " %")
-    return "<0.1 %" if share < 0.001 else ">99.9 %" if 0.999 < share < 1 else f"{100 * share:.3g} %"
-
-
-def duration(seconds):
-    """Return a time span in units that read well."""
-    for unit, size, limit in (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120)):
-        if seconds >= limit:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds:.3g} s"
 
 
 def section(title, body, rows=None):

@@ -4,8 +4,8 @@ import math
 import shlex
 import time as clock
 
-from jaxbound.page import CSS, GUARANTEE, percent, times
-from jaxbound.plaintext import escape
+from jaxbound.plaintext import escape, percent, times
+from jaxbound.reports.page import CSS, GUARANTEE
 
 __all__ = ["fleet_page"]
 
