@@ -24,9 +24,9 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks import timing
-from jaxbound.files import read_signals
-from jaxbound.models.seams import crossing
-from jaxbound.sets.status import Status
+from jaxbound.recordings.csvfiles import read_signals
+from jaxbound.recordings.seams import crossing
+from jaxbound.sets.floats.status import Status
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEEDS = range(5)

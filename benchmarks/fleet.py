@@ -22,9 +22,9 @@ import pyarrow.parquet
 
 import jaxbound as jb
 from benchmarks import timing
-from jaxbound.diagnosis import consistency
-from jaxbound.files import read_recording
-from jaxbound.fleet import detect_fleet, read_manifest
+from jaxbound.diagnosis import detection
+from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.runs.fleet import detect_fleet, read_manifest
 
 FAULTY = 20
 RNG = np.random.default_rng(0)
@@ -123,9 +123,9 @@ def main():
             wall[kind], table = shell(folder, kind)
             check(table, count)
         units = read_manifest(folder / "csv.csv")[: min(count, 100)]
-        before = consistency.verdicts._cache_size()
+        before = detection.verdicts._cache_size()
         list(detect_fleet(units))
-        traces = consistency.verdicts._cache_size() - before
+        traces = detection.verdicts._cache_size() - before
         alone = stages(folder, units)
     timing.save(
         "fleet",

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import timing
 from jaxbound import sets
-from jaxbound.sets.interval import Interval
+from jaxbound.sets.intervals.interval import Interval
 
 
 def mul(x, y):

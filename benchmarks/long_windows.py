@@ -14,7 +14,7 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks import opponents, timing
-from jaxbound.diagnosis import exchange
+from jaxbound.consistency import exchange
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "diagnosis"))

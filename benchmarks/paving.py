@@ -14,7 +14,7 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks import timing
-from jaxbound.diagnosis.gridding import internal_form
+from jaxbound.consistency.gridding import internal_form
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from systems import paper  # noqa: E402

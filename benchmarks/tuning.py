@@ -59,8 +59,9 @@ def main():
 
 def program(healthy, count):
     """Return the width of tune and of the linear program over noise and states, without tolerance, on the first windows."""
-    from tests.oracles import Plant
     from tests.studies.tuning_case import smallest_width, windows_of
+
+    from tests.oracles import Plant
 
     noise = [0.1, 0.1]
     u, y = healthy[0][: count + 1], healthy[1][: count + 1]

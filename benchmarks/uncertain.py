@@ -15,10 +15,10 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks.timing import option, save
+from jaxbound.exact.sparse import null_space
 from jaxbound.relations.annihilator import constraints
 from jaxbound.relations.polynomial import PolynomialMatrix, monomials
 from jaxbound.relations.uncertain_window import uncertain_window
-from jaxbound.sets.sparse import null_space
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from uncertain_systems import SYSTEMS, entry, model  # noqa: E402

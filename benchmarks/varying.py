@@ -19,8 +19,8 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks import timing
-from jaxbound.sets import varying
-from jaxbound.sets.gauge import gauge_search
+from jaxbound.sets.strips import varying
+from jaxbound.sets.strips.gauge import gauge_search
 
 SHAPES = ((1, 5), (2, 4), (2, 10), (3, 12), (4, 16), (5, 20))
 BLOCK = 2**11

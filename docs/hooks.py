@@ -69,7 +69,7 @@ def moved(text, up):
 
 def usage(command):
     """Return the help of a command, 84 columns wide."""
-    from jaxbound.cli import main
+    from jaxbound.cli.main import main
 
     out = io.StringIO()
     before, os.environ["COLUMNS"] = os.environ.get("COLUMNS"), "84"

@@ -12,7 +12,7 @@ import numpy as np
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.diagnosis import consistency, devices, exchange
+from jaxbound.consistency import devices, drive, exchange
 
 jax.config.update("jax_enable_x64", True)
 
@@ -45,13 +45,13 @@ CASES = {
 
 def digests(cases, block, samples, counts):
     """Return {case: [sha256 of all it returns, on so many devices]}, with the status names that occur."""
-    consistency.block_size = lambda test: block
+    drive.block_size = lambda test: block
     u, y = recording(samples)
     found = {}
     for case in cases:
         for count in counts:
             chosen = tuple(jax.local_devices()[:count])
-            consistency.usable_devices = exchange.usable_devices = lambda chosen=chosen: chosen
+            drive.usable_devices = exchange.usable_devices = lambda chosen=chosen: chosen
             arrays = [np.asarray(x) for x in CASES[case](u, y)]
             found.setdefault(case, []).append(hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest())
         found[case].append(len(np.unique(arrays[0])))

@@ -1,6 +1,6 @@
 """Commands that are stopped in the middle."""
 
-from jaxbound.studies import tuning
+from jaxbound.studies.tuning import tuning
 
 
 def interrupted_descend(patch):

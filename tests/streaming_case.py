@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 from systems import paper
 
 import jaxbound as jb
-from jaxbound import streaming
-from jaxbound.files import read_recording
+from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.runs import streaming
 
 N = 6000
 MODELS = {

@@ -10,8 +10,8 @@ import zlib
 
 import pytest
 
-from jaxbound import cli
-from jaxbound.modelfile import template
+from jaxbound.cli import main
+from jaxbound.models.modelfile import template
 
 HEAD = "time,Pump [%],level,flow\n"
 ROWS = "".join(f"{k},50,{1 + k / 100},{0.1 * k}\n" for k in range(6))
@@ -65,7 +65,7 @@ BYTES = [
 
 def refused(capsys, args):
     """Run a command; say that it ended in a sentence, or in a verdict."""
-    code = cli.main([os.fspath(a) for a in args])
+    code = main.main([os.fspath(a) for a in args])
     out, err = capsys.readouterr()
     assert code in (0, 1, 2, 3), (args, code, err)
     if code == 2:
@@ -165,8 +165,8 @@ def odd_columns():
 
 @pytest.mark.parametrize("role", ["time", "level", "Pump [%]"])
 def test_parquet_with_columns_of_any_type_is_read_or_refused_in_a_sentence(here, role):
-    from jaxbound.files import read_recording
-    from jaxbound.modelfile import load_model
+    from jaxbound.models.modelfile import load_model
+    from jaxbound.recordings.csvfiles import read_recording
 
     model = load_model(here / "m.toml")
     for name, column in odd_columns():

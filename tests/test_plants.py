@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound import cli
-from jaxbound.sets.status import Status
+from jaxbound.cli import main
+from jaxbound.sets.floats.status import Status
 
 HALF = 101
 
@@ -22,8 +22,8 @@ def statuses(folder):
 def shell(tmp_path, monkeypatch):
     """Return a function that runs a command in an empty folder and returns its exit code."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_configure", lambda: None)
-    return lambda *words: cli.main([str(w) for w in words])
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    return lambda *words: main.main([str(w) for w in words])
 
 
 @pytest.mark.slow

@@ -7,9 +7,11 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound import cli, detecting, fleet
-from jaxbound.files import read_recording, read_signals
-from jaxbound.modelfile import load_model, save_model
+from jaxbound.cli import detect as detecting
+from jaxbound.cli import main
+from jaxbound.models.modelfile import load_model, save_model
+from jaxbound.recordings.csvfiles import read_recording, read_signals
+from jaxbound.runs import fleet
 
 A, B = np.array([[0.9, 0.05], [0.05, 0.85]]), np.array([[0.1, 0.0], [0.0, 0.08]])
 N = 400
@@ -36,7 +38,7 @@ def healthy(rng):
 @pytest.fixture
 def detect(tmp_path, monkeypatch, capsys):
     """Return a function that writes a recording, runs `jaxbound detect` on it and returns (exit code, what --json prints or stderr)."""
-    monkeypatch.setattr(cli, "_configure", lambda: None)
+    monkeypatch.setattr(main, "_configure", lambda: None)
     monkeypatch.setattr(detecting, "write_report", lambda *args, **options: None)
 
     def run(t, u, y, model=None, name="run.csv"):
@@ -45,7 +47,7 @@ def detect(tmp_path, monkeypatch, capsys):
         frame = pd.DataFrame(np.column_stack([t, u, y]), columns=["time", *model.inputs, *model.outputs])
         path = tmp_path / name
         frame.to_csv(path, index=False) if path.suffix == ".csv" else frame.to_parquet(path)
-        code = cli.main(["detect", str(tmp_path / "model.toml"), str(path), "--out", str(tmp_path / "out"), "--json"])
+        code = main.main(["detect", str(tmp_path / "model.toml"), str(path), "--out", str(tmp_path / "out"), "--json"])
         out, err = capsys.readouterr()
         return code, err if code == 2 else json.loads(out)
 

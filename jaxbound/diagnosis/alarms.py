@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 __all__ = [
     "ENDINGS",

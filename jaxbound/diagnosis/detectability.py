@@ -17,17 +17,17 @@ from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.diagnosis.exact_window import dot
+from jaxbound.certificates.exact_window import dot
+from jaxbound.exact import linalg
+from jaxbound.exact.chebyshev import chebyshev, subspace
 from jaxbound.models import window
 from jaxbound.models.conversion import as_model
-from jaxbound.models.expressions import find_column
 from jaxbound.models.faults import Fault
-from jaxbound.models.naming import listed
 from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.recordings.expressions import find_column
+from jaxbound.recordings.naming import listed
 from jaxbound.relations.cost import SECONDS, affordable, relation_cost
 from jaxbound.relations.parity import parity_relations, relation_text
-from jaxbound.sets import exact
-from jaxbound.sets.chebyshev import chebyshev, subspace
 
 __all__ = ["GuaranteedSize", "always_seen", "detectable", "visible_sizes"]
 
@@ -95,7 +95,7 @@ def detectable(model, fault, horizon=None, operating_range=None):
     first = parity_relations(model, horizon).horizon  # says so if there is none
     tried, best = {}, None
     for s in (first,) if horizon is not None else range(first + 4 * model.n + 12):
-        if s < first and not exact.left_null_space(window.unbounded(model, s)):
+        if s < first and not linalg.left_null_space(window.unbounded(model, s)):
             continue
         if best is None:
             affordable(model, s)
@@ -145,9 +145,9 @@ def always_seen(relations, method="joint", readings=None):
 
 
 def _text(model, s, h):
-    h = exact.presentable(exact.primitive(h))
+    h = linalg.presentable(linalg.primitive(h))
     K = window.unknowns(model, s)[1]
-    k = exact.matmul((h,), K)[0] if K[0] else ()
+    k = linalg.matmul((h,), K)[0] if K[0] else ()
     return relation_text(model, s, h, k)
 
 
@@ -165,7 +165,7 @@ def _reach(model, given):
     given = np.broadcast_to(np.asarray(given, object), (model.p,)) if np.ndim(given) == 0 else given
     if len(given) != model.p:
         raise ValueError(f"operating_range needs one number, or one for each of {listed(model.outputs, str)}: {len(given)} given")
-    reach = tuple(exact.rational(x) for x in given)
+    reach = tuple(linalg.rational(x) for x in given)
     if min(reach) <= 0:
         raise ValueError(f"operating_range must be positive, not {float(min(reach)):g}")
     return reach

@@ -13,12 +13,12 @@ import numpy as np
 
 from jaxbound.diagnosis.detectability import visible_sizes
 from jaxbound.diagnosis.result import Result
-from jaxbound.models.expressions import find_column
-from jaxbound.models.recording import floats
-from jaxbound.models.table import as_table, is_table, unlabelled
+from jaxbound.recordings.expressions import find_column
+from jaxbound.recordings.recording import floats
+from jaxbound.recordings.table import as_table, is_table, unlabelled
 from jaxbound.relations.decoupling import Signatures
-from jaxbound.sets.bank import PACKED, bank_of, bank_verdicts
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.strips.bank import PACKED, bank_of, bank_verdicts
 
 __all__ = ["BankResult", "bank_test", "bank_windows", "evaluate", "status_of_words", "words_of"]
 

@@ -12,16 +12,17 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.diagnosis import consistency, exchange, whole_numbers
-from jaxbound.diagnosis.consistency import METHODS, detect
-from jaxbound.models.recording import Recording
-from jaxbound.models.seams import TOLERATED_STEP, all_starts, crossing
-from jaxbound.models.table import one_row, unlabelled
+from jaxbound.consistency import drive, exchange, whole_numbers
+from jaxbound.diagnosis import detection
+from jaxbound.diagnosis.detection import METHODS, detect
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.seams import TOLERATED_STEP, all_starts, crossing
+from jaxbound.recordings.table import one_row, unlabelled
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets.probe import refuse_unverified
-from jaxbound.sets.separation import Frame
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.strips.separation import Frame
 
 __all__ = ["Monitor", "MonitorState", "Verdict"]
 
@@ -212,8 +213,8 @@ class Monitor:
     def _in_strips(self, u, y, across, first, size):
         """Return (status, margin) of at most `size` windows, tested circuit by circuit."""
         stop = min(first + size, len(y) - (s := self.relations.horizon)) + s
-        blocks = (consistency.padded(x, first, stop, size + s) for x in (u, y))
-        status, margin = (np.array(x)[: stop - s - first] for x in consistency.verdicts(self._on_device, *blocks))
+        blocks = (drive.padded(x, first, stop, size + s) for x in (u, y))
+        status, margin = (np.array(x)[: stop - s - first] for x in detection.verdicts(self._on_device, *blocks))
         status, margin = (np.concatenate([np.zeros(s, x.dtype), x]) for x in (status, margin))  # the first window ends at sample s
         whole_numbers.settle(self.relations, self._test, self.method, u[first:stop], y[first:stop], status, margin)
         return status[s:], margin[s:]

@@ -4,13 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxbound.diagnosis import certificate, residual_windows
+from jaxbound.certificates import certificate
+from jaxbound.consistency import residual_windows
 from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.diagnosis.units import unit_hints
-from jaxbound.models.stillness import still_hints
+from jaxbound.recordings.stillness import still_hints
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["Result", "suspected"]
 

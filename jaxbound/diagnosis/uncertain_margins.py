@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.diagnosis.uncertain_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
-from jaxbound.models.recording import Recording
+from jaxbound.consistency.uncertain_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets import polynomials
-from jaxbound.sets.probe import refuse_unverified
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.strips import polynomials
 
 __all__ = ["compensation", "uncertain_margins"]
 

@@ -7,7 +7,7 @@ consistent is worth a sentence. A dead signal explained by a factor of 1/1000 is
 import numpy as np
 
 from jaxbound.relations.parity import ParityRelation
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["unit_hints"]
 
@@ -45,7 +45,7 @@ def unit_hints(result):
     Returns:
         A list of at most one sentence: which signals, which conversion, and what share of windows it makes consistent.
     """
-    from jaxbound.diagnosis.consistency import detect  # which a Result must not need
+    from jaxbound.diagnosis.detection import detect
 
     relations, status = result.relations, np.asarray(result.status)
     if result.method != "joint" or not isinstance(relations, ParityRelation) or relations.model.constant_tolerance or status.ndim != 1:

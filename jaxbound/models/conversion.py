@@ -10,9 +10,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from jaxbound.exact.exponential import exponential
+from jaxbound.exact.linalg import rational
 from jaxbound.models.system import LinearSystem
-from jaxbound.sets.exact import rational
-from jaxbound.sets.exponential import exponential
 
 __all__ = ["as_model", "from_control", "from_scipy", "hold"]
 

@@ -17,9 +17,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from jaxbound.exact.exponential import absolute_integral, exponential
+from jaxbound.exact.linalg import rational
 from jaxbound.models.conversion import hold
-from jaxbound.sets.exact import rational
-from jaxbound.sets.exponential import absolute_integral, exponential
 
 __all__ = ["Affine", "decimals", "held"]
 

@@ -5,8 +5,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.sets import exact, rounding
-from jaxbound.sets.interval import Interval, interval
+from jaxbound.exact import linalg
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.interval import Interval, interval
 
 __all__ = ["IntervalSystem", "as_intervals", "interval_system", "stacked"]
 
@@ -85,7 +86,7 @@ def _numbers(field, value, count):
     if len(values) != count:
         raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(values)} given")
     try:
-        values = [exact.rational(v) for v in values]
+        values = [linalg.rational(v) for v in values]
     except (ValueError, TypeError) as e:
         raise ValueError(f"{field}: {e}") from None
     if any(v < 0 for v in values):
@@ -103,7 +104,7 @@ def _entries(name, rows):
         return rows
     pair = lambda x: x if isinstance(x, (list, tuple, np.ndarray)) and np.ndim(x) else (x, x)
     try:
-        ends = [[tuple(exact.rational(v) for v in pair(x)) for x in row] for row in rows]
+        ends = [[tuple(linalg.rational(v) for v in pair(x)) for x in row] for row in rows]
     except (ValueError, TypeError) as e:
         raise ValueError(f"{name}: {e}") from None
     if not ends or any(len(row) != len(ends[0]) or not row for row in ends) or any(len(x) != 2 for row in ends for x in row):
@@ -136,7 +137,7 @@ def as_intervals(model):
         if not middle or not middle[0]:
             return interval(np.zeros((len(left or middle), 0)))
         if left:
-            middle, spread = exact.matmul(left, middle), [exact.matmul(left, s) for s in spread]
+            middle, spread = linalg.matmul(left, middle), [linalg.matmul(left, s) for s in spread]
         radius = [[sum((abs(s[i][j]) for s in spread), Fraction(0)) for j in range(len(row))] for i, row in enumerate(middle)]
         move = lambda sign: [[x + sign * r for x, r in zip(a, b, strict=True)] for a, b in zip(middle, radius, strict=True)]
         return _outward(move(-1), move(1))
@@ -146,7 +147,7 @@ def as_intervals(model):
         return _outward(*([sum((e[side] for e in row), Fraction(0)) for row in ends] for side in (0, 1)))
 
     w, left = pushed(model.G), _combinations(model)
-    moves = left and (hull("A", left), _outward(left, left), hull("B", left), pushed(exact.matmul(left, model.G)))
+    moves = left and (hull("A", left), _outward(left, left), hull("B", left), pushed(linalg.matmul(left, model.G)))
     noise = rounding.round_up(np.array([a + b for a, b in zip(model.noise, model.resolution, strict=True)], object))
     offset = {k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()}
     matrices = [hull(letter) for letter in "ABCD"]
@@ -161,14 +162,14 @@ def _combinations(model):
     where they are not, T would widen what is certain of a single row: all rows stay, those without any disturbance are added.
     """
     G, n, g = model.G, model.n, model.g
-    if not g or exact.rank(G) in (0, n):
+    if not g or linalg.rank(G) in (0, n):
         return None
     unit = [tuple(Fraction(i == j) for j in range(n)) for i in range(n)]
     columns = [(*row, *one) for row, one in zip(G, unit, strict=True)]
-    basis = exact.row_reduce(columns)[1]  # columns of G first
-    T = exact.inverse([[row[j] for j in basis] for row in columns])
-    free = T[exact.rank(G) :]
-    if exact.rank(G) == g and not any(u.on("A") or u.on("B") for u in model.uncertainties):
+    basis = linalg.row_reduce(columns)[1]  # columns of G first
+    T = linalg.inverse([[row[j] for j in basis] for row in columns])
+    free = T[linalg.rank(G) :]
+    if linalg.rank(G) == g and not any(u.on("A") or u.on("B") for u in model.uncertainties):
         return T
     return [*unit, *free]
 

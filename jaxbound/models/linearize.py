@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.exact.linalg import rational
 from jaxbound.models.discretise import Affine, decimals, held
 from jaxbound.models.remainder import derivatives, plane
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
-from jaxbound.sets.exact import rational
-from jaxbound.sets.probe import refuse_unverified
+from jaxbound.sets.floats.probe import refuse_unverified
 
 __all__ = ["linearize"]
 

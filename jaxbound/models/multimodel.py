@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.models.intervals import IntervalSystem, as_intervals
-from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, interval
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.interval import Interval, interval
 
 __all__ = ["MultiModel"]
 

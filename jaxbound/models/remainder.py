@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.derivatives import plain
-from jaxbound.sets.interval import Interval, add, interval, mid, mul, sub, sum
-from jaxbound.sets.jaxprs import evaluate, refuse_unsupported
-from jaxbound.sets.lifted import enclose
+from jaxbound.sets.inclusion.derivatives import plain
+from jaxbound.sets.inclusion.jaxprs import evaluate, refuse_unsupported
+from jaxbound.sets.inclusion.lifted import enclose
+from jaxbound.sets.intervals.interval import Interval, add, interval, mid, mul, sub, sum
 
 __all__ = ["Plane", "derivatives", "plane"]
 

@@ -12,7 +12,7 @@ without cancellation, without a case distinction and differentiable.
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import rounding
+from jaxbound.sets.floats import rounding
 
 __all__ = ["RECORDER_ULPS", "input_slip", "largest_error", "lift", "true_value"]
 

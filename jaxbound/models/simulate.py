@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models.conversion import as_model
-from jaxbound.models.recording import inputs_of, missing_column, refuse_infinite
-from jaxbound.sets import rounding
+from jaxbound.recordings.recording import inputs_of, missing_column, refuse_infinite
+from jaxbound.sets.floats import rounding
 
 __all__ = ["Trajectory", "simulate"]
 

@@ -4,11 +4,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.models.expressions import expression, is_expression
-from jaxbound.models.naming import listed
+from jaxbound.exact import linalg
 from jaxbound.models.uncertainty import centred, influences
 from jaxbound.models.unknown import decoupled, unbounded_inputs, without_descriptor
-from jaxbound.sets import exact
+from jaxbound.recordings.expressions import expression, is_expression
+from jaxbound.recordings.naming import listed
 
 __all__ = ["LinearSystem"]
 
@@ -173,14 +173,14 @@ class LinearSystem:
 
 def _number(field, x):
     try:
-        return exact.rational(x)
+        return linalg.rational(x)
     except ValueError as e:
         raise ValueError(f"{field}: {e}") from None
 
 
 def _matrix(field, a):
     try:
-        return exact.matrix(a)
+        return linalg.matrix(a)
     except (ValueError, TypeError) as e:
         raise ValueError(f"{field}: {e}") from None
 

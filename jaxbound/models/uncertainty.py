@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.sets import exact
+from jaxbound.exact import linalg
 
 __all__ = ["Uncertainty", "centred", "influences"]
 
@@ -53,7 +53,7 @@ class Uncertainty:
         for letter in LETTERS:
             given = getattr(self, letter)
             try:
-                keep(letter, None if given is None or not len(given) else exact.matrix(given))
+                keep(letter, None if given is None or not len(given) else linalg.matrix(given))
             except (ValueError, TypeError) as e:
                 raise ValueError(f"{letter} of uncertainty {name!r}: {e}") from None
         if not any(x for letter in LETTERS for row in getattr(self, letter) or () for x in row):
@@ -62,7 +62,7 @@ class Uncertainty:
             raise ValueError(f"varying of uncertainty {name!r} must be True or False, not {self.varying!r}")
         keep("varying", bool(self.varying))
         try:
-            lo, hi = (exact.rational(x) for x in self.between)
+            lo, hi = (linalg.rational(x) for x in self.between)
         except (ValueError, TypeError):
             raise ValueError(f"between of uncertainty {name!r} needs two numbers, lowest and highest: not {self.between!r}") from None
         if lo >= hi:

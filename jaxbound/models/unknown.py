@@ -4,8 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.models.naming import listed
-from jaxbound.sets import exact
+from jaxbound.exact import linalg
+from jaxbound.recordings.naming import listed
 
 __all__ = ["decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
 
@@ -50,7 +50,7 @@ def decoupled(uncertainties, names, F, D_v):
             part = lambda letter, count, pair, u=u, wide=wide: getattr(u, letter) or ((ZERO,) * wide(pair),) * count
             whole = [a + b for a, b in zip(part("A", n, "AC"), part("B", n, "BD"), strict=True)]
             whole += [a + b for a, b in zip(part("C", p, "AC"), part("D", p, "BD"), strict=True)]
-            for j in exact.row_reduce(whole)[1]:
+            for j in linalg.row_reduce(whole)[1]:
                 for row, x in zip(rows, whole, strict=True):
                     row.append(x[j])
     rest = tuple(u for u in uncertainties if u.name not in names)
@@ -69,21 +69,21 @@ def explicit(E, A, B, C, D, G, F, D_v):
     """
     r, n = len(E), len(E[0])
     unit = lambda i, count: tuple(Fraction(int(i == j)) for j in range(count))
-    reduced, pivots = exact.row_reduce([tuple(row) + unit(i, r) for i, row in enumerate(E)])
+    reduced, pivots = linalg.row_reduce([tuple(row) + unit(i, r) for i, row in enumerate(E)])
     kept = tuple(j for j in pivots if j < n)
     x, T = [row[:n] for row in reduced[: len(kept)]], [row[n:] for row in reduced]
-    back = exact.inverse(x + [unit(j, n) for j in range(n) if j not in kept])
+    back = linalg.inverse(x + [unit(j, n) for j in range(n) if j not in kept])
     rows = [a + b + g + f for a, b, g, f in zip(A, B, G, F, strict=True)]
     widths = len(B[0]), len(G[0]), len(F[0])
-    rows = [exact.matmul((row[:n],), back)[0] + row[n:] for row in exact.matmul(T, rows)]
-    outputs = [exact.matmul((c,), back)[0] + d + (ZERO,) * widths[1] + v for c, d, v in zip(C, D, D_v, strict=True)]
+    rows = [linalg.matmul((row[:n],), back)[0] + row[n:] for row in linalg.matmul(T, rows)]
+    outputs = [linalg.matmul((c,), back)[0] + d + (ZERO,) * widths[1] + v for c, d, v in zip(C, D, D_v, strict=True)]
     ends = [sum((len(kept), *widths[:i])) for i in range(4)]
     in_order = lambda row: row[: len(kept)] + row[n:] + row[len(kept) : n]  # x, u, w, then all that is unknown
     rows, outputs = [in_order(row) for row in rows], [in_order(row) for row in outputs]
     without = [row[ends[2] :] + row[: ends[2]] for row in rows[len(kept) :]]
     unknown = len(rows[0]) - ends[2]
     solved = {}
-    for row, j in zip(*exact.row_reduce(without), strict=True):
+    for row, j in zip(*linalg.row_reduce(without), strict=True):
         if j >= unknown:
             raise ValueError("an equation without x+ restricts the states themselves: use it, or its shifted form, to remove a state first")
         solved[j] = row[unknown:] + row[:unknown]
@@ -124,6 +124,6 @@ def without_descriptor(E, A, B, C, D, disturbance, given, states):
 
 def _matrix(letter, given):
     try:
-        return exact.matrix(given)
+        return linalg.matrix(given)
     except (ValueError, TypeError) as e:
         raise ValueError(f"{letter}{' of the unknown inputs' if letter in ('F', 'D_v') else ''}: {e}") from None

@@ -15,7 +15,7 @@ Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 
 from fractions import Fraction
 
-from jaxbound.sets import exact
+from jaxbound.exact import linalg
 
 __all__ = ["disturbance_form", "first_form", "input_lags", "second_form", "unbounded", "unknown_lags", "unknowns"]
 
@@ -43,7 +43,7 @@ def _outputs_on_state(model, horizon):
     """Return C, CA, .., CA^s."""
     out = [model.C]
     for _ in range(horizon):
-        out.append(exact.matmul(out[-1], model.A))
+        out.append(linalg.matmul(out[-1], model.A))
     return out
 
 
@@ -51,7 +51,7 @@ def _toeplitz(outputs_on_state, drive, direct, lags):
     """Return the rows of the outputs on a signal that acts by `drive` on the state and by `direct` on the outputs, `lags` samples of it."""
     width, p = len(direct[0]), len(direct)
     still = tuple((ZERO,) * width for _ in direct)
-    responses = [direct] + [exact.matmul(block, drive) if drive else still for block in outputs_on_state[:-1]] if width else []
+    responses = [direct] + [linalg.matmul(block, drive) if drive else still for block in outputs_on_state[:-1]] if width else []
     return tuple(
         tuple(responses[j - k][i][c] if j >= k else ZERO for k in range(lags) for c in range(width))
         for j in range(len(outputs_on_state))

@@ -20,10 +20,11 @@ from math import comb, lcm
 
 import numpy as np
 
+from jaxbound.exact import linalg
+from jaxbound.exact.sparse import null_space, pivot_columns
 from jaxbound.relations.polynomial import PolynomialMatrix, monomials
-from jaxbound.sets import exact, rounding
-from jaxbound.sets.probe import refuse_other_modes
-from jaxbound.sets.sparse import null_space, pivot_columns
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.probe import refuse_other_modes
 
 __all__ = ["Step", "annihilator", "constraints", "generic_rank", "rank_over_box"]
 
@@ -152,14 +153,14 @@ def _spans(P, points, target):
     at = np.einsum("pa,aij->pij", np.prod(np.array(points, float)[:, None, :] ** powers, -1), values)
     singular = np.linalg.svd(at, compute_uv=False)
     plain = singular[:, target - 1] > 1e-7 * singular[:, 0]
-    return all(ok or exact.rank(P.at(v)) >= target for ok, v in zip(plain, points, strict=True)), singular[:, target - 1].min()
+    return all(ok or linalg.rank(P.at(v)) >= target for ok, v in zip(plain, points, strict=True)), singular[:, target - 1].min()
 
 
 def generic_rank(E):
     """Return the rank of E at almost every v: its largest rank at a few random points."""
     draw = random.Random(7)
     point = lambda: [Fraction(draw.randrange(-999, 1000), 1000) for _ in range(E.variables)]
-    return max(exact.rank(E.at(point())) for _ in range(2)) if E.columns and E.rows else 0
+    return max(linalg.rank(E.at(point())) for _ in range(2)) if E.columns and E.rows else 0
 
 
 def _points(q):
@@ -189,7 +190,7 @@ def rank_over_box(P, rank):
     refuse_other_modes()
     points = _points(P.variables)
     if not _spans(P, points, rank)[0]:
-        return "drops", next(v for v in points if exact.rank(P.at(v)) < rank)
+        return "drops", next(v for v in points if linalg.rank(P.at(v)) < rank)
     alphas = sorted({low for a in P.terms for low in itertools.product(*(range(e + 1) for e in a))}, key=lambda a: (sum(a), a))
     values = np.array([P.coefficient(a) for a in alphas], float)
     powers = np.array(alphas, int).reshape(len(alphas), P.variables)
@@ -206,7 +207,7 @@ def rank_over_box(P, rank):
         left, singular, right = np.linalg.svd(here[0], full_matrices=False)
         exactly = tuple(map(Fraction, centre.tolist()))
         if singular[rank - 1] <= 1e-9 * singular[0]:
-            return ("drops" if exact.rank(P.at(exactly)) < rank else "open"), exactly
+            return ("drops" if linalg.rank(P.at(exactly)) < rank else "open"), exactly
         L, R = left.T[:rank] / singular[:rank, None], right[:rank].T
         N = L @ here @ R
         N[0] -= np.eye(rank)

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.window_test import WindowTest
 from jaxbound.models import window
-from jaxbound.relations.window_test import WindowTest
-from jaxbound.sets import rounding
+from jaxbound.sets.floats import rounding
 
 __all__ = ["changed_bounds", "checked_bound", "float_bound", "model_bounds", "window_test"]
 

@@ -16,12 +16,12 @@ from math import comb
 
 import numpy as np
 
+from jaxbound.exact import linalg
 from jaxbound.models.conversion import as_model
-from jaxbound.models.naming import listed
+from jaxbound.recordings.naming import listed
 from jaxbound.relations import shift
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy, basis, redundancy
-from jaxbound.sets import exact
 
 __all__ = ["Isolability", "Signatures", "Structure", "isolability", "signatures", "structured_relations", "structures"]
 
@@ -87,14 +87,14 @@ def _ignoring(model, names):
 def _supports(rows, columns):
     """Return the minimal supports (tuples of positions in `columns`) of the combinations of rows that do not vanish there."""
     numbers = [tuple(shift.at(row, SOMEWHERE)[c] for c in columns) for row in rows]
-    numbers = exact.row_reduce(numbers)[0] if numbers else ()
+    numbers = linalg.row_reduce(numbers)[0] if numbers else ()
     if not numbers:
         return []
-    null = exact.left_null_space(exact.transpose(numbers))  # what is orthogonal to all of them
-    a = exact.transpose(null) if null else tuple(() for _ in columns)
+    null = linalg.left_null_space(linalg.transpose(numbers))  # what is orthogonal to all of them
+    a = linalg.transpose(null) if null else tuple(() for _ in columns)
     if comb(len(a), len(a) - len(numbers) + 1) > SUBSETS:
         raise ValueError("too many relations to choose from: say which faults each part of the bank is to ignore")
-    return [tuple(j for j, x in enumerate(h) if x) for h in exact.circuits(a)]
+    return [tuple(j for j, x in enumerate(h) if x) for h in linalg.circuits(a)]
 
 
 def _best(model):

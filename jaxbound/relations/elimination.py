@@ -13,8 +13,8 @@ the elimination goes on until no state is left or C = 0 (stopping at a scalar st
 
 from fractions import Fraction
 
+from jaxbound.exact import linalg
 from jaxbound.relations import shift
-from jaxbound.sets import exact
 
 __all__ = ["eliminate"]
 
@@ -26,22 +26,26 @@ def eliminate(model):
     F = _independent_columns(model.F)
     outputs, rows = _independent_outputs(model)
     C = tuple(model.C[i] for i in outputs)
-    E = exact.left_null_space(F) if F[0] else _identity(model.n)
-    columns = exact.row_reduce(C)[1]
+    E = linalg.left_null_space(F) if F[0] else _identity(model.n)
+    columns = linalg.row_reduce(C)[1]
     hidden = tuple(j for j in range(model.n) if j not in columns)
     measured = len(outputs)
     P = _measured_first(C, columns, hidden)
-    EP, EAP = exact.matmul(E, P) if E else (), exact.matmul(exact.matmul(E, model.A), P) if E else ()
+    EP, EAP = linalg.matmul(E, P) if E else (), linalg.matmul(linalg.matmul(E, model.A), P) if E else ()
     E1, E2 = tuple(r[:measured] for r in EP), tuple(r[measured:] for r in EP)
-    if exact.rank(E2) < len(hidden):
-        CF = exact.matmul(model.C, F)
+    if linalg.rank(E2) < len(hidden):
+        CF = linalg.matmul(model.C, F)
         raise ValueError(
             f"the elimination needs rank(C F) = rank F, so that each unknown input shows in the next outputs: rank(C F) is "
-            f"{exact.rank(CF)}, rank F is {len(F[0])}; use method='window'"
+            f"{linalg.rank(CF)}, rank F is {len(F[0])}; use method='window'"
         )
     y = _signals(model, outputs)
     Q = _solving(E2)
-    E1, EAP, EB = exact.matmul(Q, E1), exact.matmul(Q, EAP), exact.matmul(Q, exact.matmul(E, model.B)) if model.m else tuple(() for _ in Q)
+    E1, EAP, EB = (
+        linalg.matmul(Q, E1),
+        linalg.matmul(Q, EAP),
+        linalg.matmul(Q, linalg.matmul(E, model.B)) if model.m else tuple(() for _ in Q),
+    )
     given = [
         _sum(shift.apply(tuple(r[:measured] for r in EAP), y, model.p + model.m), shift.apply(EB, _inputs(model), model.p + model.m)),
         shift.apply(E1, y, model.p + model.m),
@@ -64,7 +68,7 @@ def _relations(z, C):
     """Return the relations among z = C x, and the independent rows that are left."""
     if not C or not C[0]:
         return list(z), [], []
-    null = exact.left_null_space(C[::-1])  # reversed: each relation is led by the row that depends on those before it
+    null = linalg.left_null_space(C[::-1])  # reversed: each relation is led by the row that depends on those before it
     null = [row[::-1] for row in null]
     led, relations = set(), []
     for row in _echelon(null):
@@ -76,16 +80,16 @@ def _relations(z, C):
 
 def _echelon(rows):
     """Return a basis of the row space whose rows end at different columns."""
-    return [row[::-1] for row in exact.row_reduce([row[::-1] for row in rows])[0]] if rows else []
+    return [row[::-1] for row in linalg.row_reduce([row[::-1] for row in rows])[0]] if rows else []
 
 
 def _step(A, C, b, z):
     """Replace a part of the state by z: return (A, C, b, z) of what is left. Source: (16)-(20)."""
-    n, width, first = len(A), len(z[0]), exact.row_reduce(C)[1]
+    n, width, first = len(A), len(z[0]), linalg.row_reduce(C)[1]
     second = tuple(j for j in range(n) if j not in first)
     change = _measured_first(C, first, second)  # x = change (z, x2)
-    back = exact.inverse(change)
-    moved, drive = exact.matmul(exact.matmul(back, A), change), shift.apply(back, b, width)
+    back = linalg.inverse(change)
+    moved, drive = linalg.matmul(linalg.matmul(back, A), change), shift.apply(back, b, width)
     k = len(z)
     part = lambda rows, low, high: tuple(r[low:high] for r in rows)
     known = _sum(shift.apply(part(moved[:k], 0, k), z, width), drive[:k])
@@ -97,7 +101,7 @@ def _measured_first(C, columns, hidden):
     """Return P with x = P (C x, x of the hidden columns); C has full row rank on `columns`."""
     n = len(columns) + len(hidden)
     rows = list(C) + [tuple(Fraction(int(j == i)) for j in range(n)) for i in hidden]
-    return exact.inverse(rows)
+    return linalg.inverse(rows)
 
 
 def _solving(E2):
@@ -105,27 +109,27 @@ def _solving(E2):
     width, rows = len(E2[0]) if E2 else 0, len(E2)
     if not width:
         return _identity(rows)
-    bottom = exact.row_reduce(exact.transpose(E2))[1]
-    inverse = exact.inverse([E2[i] for i in bottom])
+    bottom = linalg.row_reduce(linalg.transpose(E2))[1]
+    inverse = linalg.inverse([E2[i] for i in bottom])
     spread = lambda values, at: tuple(sum((v for v, i in zip(values, at, strict=True) if i == j), Fraction(0)) for j in range(rows))
     Q = []
     for i in range(rows):
         if i not in bottom:
-            share = exact.matmul((E2[i],), inverse)[0]
+            share = linalg.matmul((E2[i],), inverse)[0]
             Q.append(tuple(a - b for a, b in zip(_identity(rows)[i], spread(share, bottom), strict=True)))
     return tuple(Q) + tuple(spread(row, bottom) for row in inverse)
 
 
 def _independent_columns(F):
     """Return F without the columns that depend on others."""
-    return tuple(tuple(row[j] for j in exact.row_reduce(F)[1]) for row in F) if F[0] else F
+    return tuple(tuple(row[j] for j in linalg.row_reduce(F)[1]) for row in F) if F[0] else F
 
 
 def _independent_outputs(model):
     """Return the outputs whose rows of C are independent, and the relations that the others give at once."""
-    kept, rows = list(exact.row_reduce(exact.transpose(model.C))[1]), []
+    kept, rows = list(linalg.row_reduce(linalg.transpose(model.C))[1]), []
     y = _signals(model, range(model.p))
-    for row in _echelon(exact.left_null_space(model.C)):
+    for row in _echelon(linalg.left_null_space(model.C)):
         rows += shift.apply((row,), y, model.p + model.m)
     return kept, rows
 

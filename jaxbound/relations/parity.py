@@ -6,7 +6,7 @@
 
 A disturbance w counts as rows of its own: relations and circuits have the coefficients of Y first, then those of w_k .. w_{k+s-1}.
 W is a rational left null space, so W O = 0 exactly for the decimals of the model; floats appear only as nearest
-values of exact coefficients, whose error `sets.rounding` counts. Source: Adrot, Maquin, Ragot 2000, (6)-(9), (13)-(15).
+values of exact coefficients, whose error `sets.floats.rounding` counts. Source: Adrot, Maquin, Ragot 2000, (6)-(9), (13)-(15).
 """
 
 import dataclasses
@@ -19,18 +19,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.window_test import forms
+from jaxbound.exact import linalg
+from jaxbound.exact.chebyshev import PRIME
 from jaxbound.models import window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import changed_bounds, model_bounds, window_test
 from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.uncertain import uncertain_relations
-from jaxbound.relations.window_test import forms
-from jaxbound.sets import exact
-from jaxbound.sets.chebyshev import PRIME
-from jaxbound.sets.interval import Interval
-from jaxbound.sets.separation import frame_of
-from jaxbound.sets.strips import strips_of
+from jaxbound.sets.intervals.interval import Interval
+from jaxbound.sets.strips.separation import frame_of
+from jaxbound.sets.strips.strips import strips_of
 
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
@@ -48,7 +48,7 @@ class ParityRelation:
     Fields: bounds {"tolerance": (p,), "noise": (p,)}, and "disturbance": (g, 2) if the model has one (floats, never tighter than the
     model's decimals), model, horizon, form, W (count, (s+1)p + gs) and K (count, l): W (Y, w) = K U for an exact plant, with exact
     entries; p_ext = W (Y, 0) - K U. circuits, circuits_known: the strips, none where they are too many; frame: then what the exchange
-    search needs (`sets.separation`), else None.
+    search needs (`sets.strips.separation`), else None.
     """
 
     bounds: dict
@@ -59,7 +59,7 @@ class ParityRelation:
     K: tuple = field(metadata={"static": True})
     circuits: tuple = field(metadata={"static": True})
     circuits_known: tuple = field(metadata={"static": True})
-    frame: exact.Frame | None = field(default=None, metadata={"static": True})
+    frame: linalg.Frame | None = field(default=None, metadata={"static": True})
 
     @property
     def count(self):
@@ -217,17 +217,17 @@ def parity_relations(model, horizon=None, form="first", progress=None):
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
     report(0.6)
     if not circuits:
-        searched = exact.frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
+        searched = linalg.frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched)
     report(1.0)
-    circuits_known = exact.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
+    circuits_known = linalg.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known)
 
 
 def _without_relation(model, horizon):
     """Return why a window has no relation, and which one has."""
-    first = next((s for s in range(model.n + 1) if exact.left_null_space(window.unbounded(model, s))), None)
+    first = next((s for s in range(model.n + 1) if linalg.left_null_space(window.unbounded(model, s))), None)
     if first is None:
         return f"no horizon gives a relation: {model.d} unknown inputs can explain whatever {model.p} outputs show"
     free = model.n + model.d * window.unknown_lags(model, horizon)
@@ -244,28 +244,28 @@ def stated_relations(model, horizon, samples, K):
 
 def _few_circuits(E, most):
     """Return the circuits of the rows E, or none if they are more than `most`."""
-    rank = exact.rank(E)
+    rank = linalg.rank(E)
     if rank and math.comb(len(E), rank + 1) > SUBSETS:
         return ()
-    circuits = exact.circuits(E)
-    return tuple(map(exact.presentable, circuits)) if not rank or len(circuits) <= most else ()
+    circuits = linalg.circuits(E)
+    return tuple(map(linalg.presentable, circuits)) if not rank or len(circuits) <= most else ()
 
 
 def _with_disturbance(model, horizon, relations):
     """Append to relations h Y = k U the coefficients of the disturbances: Y = .. + V w."""
     if not model.g or not horizon:
         return relations
-    through = exact.matmul(relations, window.disturbance_form(model, horizon))
+    through = linalg.matmul(relations, window.disturbance_form(model, horizon))
     return tuple(h + tuple(-x for x in v) for h, v in zip(relations, through, strict=True))
 
 
 def _first(model, horizon, report):
     """Return (W, K), of minimal span: beyond n samples every further one brings p relations, the last ones once more, later."""
     short = min(horizon, model.n)
-    samples = tuple(map(exact.presentable, exact.minimal_span(exact.left_null_space(window.unbounded(model, short), report))))
+    samples = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))))
     newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
     H = window.first_form(model, short)[1]
-    K = exact.matmul(samples, H) if H[0] and samples else tuple(() for _ in samples)
+    K = linalg.matmul(samples, H) if H[0] and samples else tuple(() for _ in samples)
     later = horizon - short
     pad = lambda row, width, shift: (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
     shifted = [(i, 0) for i in range(len(samples))] + [(i, shift) for shift in range(1, later + 1) for i in newest]
@@ -278,15 +278,15 @@ def _first(model, horizon, report):
 def _second(model, horizon):
     """Return (W~_L, action on U) of the second static form. Source: (13)-(14)."""
     L, M, N, F = window.second_form(model, horizon)
-    stacked = exact.left_null_space(L + M)
+    stacked = linalg.left_null_space(L + M)
     rows = len(L)
     W = tuple(r[:rows] for r in stacked)
     if not F[0]:
         return W, tuple(() for _ in W)
-    direct = exact.matmul(W, F)
+    direct = linalg.matmul(W, F)
     if not M:
         return W, direct
-    through = exact.matmul(tuple(r[rows:] for r in stacked), N)
+    through = linalg.matmul(tuple(r[rows:] for r in stacked), N)
     return W, tuple(tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True))
 
 

@@ -18,12 +18,12 @@ from math import gcd
 
 import numpy as np
 
+from jaxbound.exact import linalg
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations import shift
 from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import stated_relations
-from jaxbound.sets import exact
 
 __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
 
@@ -149,14 +149,14 @@ def basis(model, F=None, D_v=None):
     F, D_v = (model.F, model.D_v) if F is None else (F, D_v)
     A, C, n, p = model.A, model.C, model.n, model.p
     free = len(D_v[0])
-    most = p - (exact.rank(_pencil(model, F, D_v)) - n) if free else p  # a rank at one q can only be too small, and `most` too large
+    most = p - (linalg.rank(_pencil(model, F, D_v)) - n) if free else p  # a rank at one q can only be too small, and `most` too large
     reached, responses = C, [D_v]
     waiting, kept, rows = list(range(p)), [], []
     for j in range(n + 1):
         again = []
         for i in waiting:
             through = tuple(x for k in range(j + 1) for x in responses[j - k][i])
-            row, scale = exact.primitive_scale(reached[i] + through)
+            row, scale = linalg.primitive_scale(reached[i] + through)
             row, used = _reduced(list(row), {j * p + i: scale}, kept)
             pivot = next((c for c, x in enumerate(row) if x), None)
             if pivot is None:
@@ -167,8 +167,8 @@ def basis(model, F=None, D_v=None):
         waiting = again
         if len(rows) >= most:
             break
-        responses.append(exact.matmul(reached, F) if free else tuple(() for _ in range(p)))
-        reached = exact.matmul(reached, A)
+        responses.append(linalg.matmul(reached, F) if free else tuple(() for _ in range(p)))
+        reached = linalg.matmul(reached, A)
     return tuple(rows)
 
 
@@ -215,4 +215,4 @@ def known_side(model, h):
 
 
 def _times(row, matrix, width):
-    return exact.matmul((row,), matrix)[0] if matrix else (Fraction(0),) * width
+    return linalg.matmul((row,), matrix)[0] if matrix else (Fraction(0),) * width

@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.models.recording import Recording, Signals
-from jaxbound.models.table import as_table, is_table
-from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, interval, mid
+from jaxbound.consistency.residual_windows import flat
+from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.table import as_table, is_table
+from jaxbound.sets.intervals.interval import Interval, interval, mid
 
 __all__ = ["Channels", "Residual", "residual"]
 
@@ -147,17 +147,6 @@ class Residual:
         return f"{'f' if name == '<lambda>' else name}(z, u{span}, y{span}) = 0 for some z in {box}"
 
 
-@dataclass(frozen=True)
-class flat:
-    """f with everything it returns in one array; two of one f are equal, so that they share a compilation."""
-
-    f: object
-
-    def __call__(self, z, u, y):
-        parts = [jnp.ravel(x) for x in jax.tree.leaves(self.f(z, u, y))]
-        return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
-
-
 def residual(f, box, horizon=0, inputs=None, outputs=None, dt=1.0, name="residual"):
     """Describe healthy windows by an equation that must hold for some value of bounded unknowns.
 
@@ -198,9 +187,3 @@ def _bounded(box):
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
         raise ValueError(f"box must be a bounded, non-empty Interval of shape (n,): its shape is {lo.shape}")
     return box
-
-
-def recorded(y, ulps):
-    """Return (lo, hi) of what was recorded as y (N, s + 1, p): samples are known to so many unit roundoffs of the largest in the window."""
-    spread = ulps * rounding.unit(y.dtype) * np.abs(y).max(1, keepdims=True) + 2 * rounding.tiny(y.dtype)
-    return y - spread, y + spread

@@ -6,7 +6,7 @@ A polynomial is a tuple of Fractions by ascending powers without trailing zeros,
 from fractions import Fraction
 from itertools import zip_longest
 
-from jaxbound.sets import exact
+from jaxbound.exact import linalg
 
 __all__ = ["add", "apply", "at", "coefficients", "degree", "matmul", "minus_shift", "presentable", "relation_text", "text"]
 
@@ -81,7 +81,7 @@ def coefficients(row):
 
 def presentable(row):
     """Scale a row to coprime integers, or to largest entry 1 where these are long; the first leading coefficient is positive."""
-    scaled = exact.presentable(exact.primitive([c for p in row for c in p]))
+    scaled = linalg.presentable(linalg.primitive([c for p in row for c in p]))
     numbers = iter(scaled if scaled[len(next(p for p in row if p)) - 1] > 0 else [-x for x in scaled])
     return tuple(tuple(next(numbers) for _ in p) for p in row)
 

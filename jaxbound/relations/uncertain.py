@@ -12,17 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.uncertain_test import UncertainTest
+from jaxbound.consistency.window_test import forms
+from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import changed_bounds, float_bound, model_bounds, window_test
 from jaxbound.relations.polynomial import PolynomialMatrix, stacked
-from jaxbound.relations.uncertain_test import UncertainTest
 from jaxbound.relations.uncertain_window import uncertain_window
-from jaxbound.relations.window_test import forms
-from jaxbound.sets import exact, rounding
-from jaxbound.sets.interval import Interval
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["UncertainRelations", "uncertain_relations", "without"]
+__all__ = ["UncertainRelations", "uncertain_relations"]
 
 
 @jax.tree_util.register_dataclass
@@ -84,6 +85,24 @@ class UncertainRelations:
         outputs = (self.horizon + 1) * self.model.p
         used = {j for entries in self.N.terms.values() for _, j in entries}
         return tuple(j for j in range(self.N.columns) if j in used and (j >= outputs or j % self.model.p not in quiet))
+
+    def without(self, rows, inputs):
+        """Return relations of the same window that need neither these of its rows nor these of its inputs, or None if there are none.
+
+        Args:
+            rows: a set of numbers of samples (s+1)p, time-major. inputs: a set of numbers of the l inputs; they may be anything.
+        """
+        _, E, H, V = uncertain_window(self.model, self.horizon)
+        left = [i for i in range(E.rows) if i not in rows]
+        reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
+        omega, steps, complete = annihilator(reduced)
+        if not omega.rows:
+            return None
+        if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
+            complete = "sampled"
+        whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
+        omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
+        return dataclasses.replace(self, N=_on_rows(omega, V), K=omega @ H, steps=steps, complete=complete)
 
     def polynomials(self, u, y):
         """Return (value, error, spread, rad), the relations of N windows as polynomials: see `UncertainTest.polynomials`.
@@ -193,25 +212,6 @@ def uncertain_relations(model, horizon):
     return UncertainRelations(model_bounds(model), model, horizon, variables, _on_rows(omega, V), omega @ H, steps, complete, notes)
 
 
-def without(relations, rows, inputs):
-    """Return relations of the same window that need neither these of its rows nor these of its inputs, or None if there are none.
-
-    Args:
-        rows: a set of numbers of samples (s+1)p, time-major. inputs: a set of numbers of the l inputs; they may be anything.
-    """
-    _, E, H, V = uncertain_window(relations.model, relations.horizon)
-    left = [i for i in range(E.rows) if i not in rows]
-    reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
-    omega, steps, complete = annihilator(reduced)
-    if not omega.rows:
-        return None
-    if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
-        complete = "sampled"
-    whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
-    omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
-    return dataclasses.replace(relations, N=_on_rows(omega, V), K=omega @ H, steps=steps, complete=complete)
-
-
 def _on_rows(omega, V):
     """Return N = [Omega, -Omega V], what relations do with the true outputs and disturbances."""
     return stacked([[omega, -(omega @ V)]]) if V.columns else omega
@@ -220,7 +220,7 @@ def _on_rows(omega, V):
 def _without_unseen(E, model):
     """Return E in fewer unknowns with the same left null space: combinations that act on no sample, whatever v, are left out."""
     rows = tuple(row for a in E.terms for row in E.coefficient(a) if any(row))
-    pivots = exact.row_reduce(rows)[1] if rows else ()
+    pivots = linalg.row_reduce(rows)[1] if rows else ()
     hidden = model.n - sum(j < model.n for j in pivots)
     some = f"{hidden} of {model.n} states act" if hidden > 1 else f"1 of {model.n} states acts"
     note = f"{some} on no output within the horizon, whatever the parameters: relations and verdicts say nothing about it"

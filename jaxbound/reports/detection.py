@@ -4,14 +4,14 @@ import contextlib
 import time as clock
 from pathlib import Path
 
-from jaxbound.digest import Digest
-from jaxbound.endings import sizes_text
-from jaxbound.plaintext import duration, escape, percent, times
-from jaxbound.plots import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
+from jaxbound.plots.canvas import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
+from jaxbound.recordings.plaintext import duration, escape, percent, times
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.page import GUARANTEE, about, figure, frame, model_tables, opening, section, table, tiles
-from jaxbound.sets.status import Status
-from jaxbound.summary import alarm_total, bound_hints, coverage, samples, summary, worst_window
+from jaxbound.runs.digest import Digest
+from jaxbound.runs.endings import sizes_text
+from jaxbound.runs.summary import alarm_total, bound_hints, coverage, samples, summary, worst_window
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["write_report"]
 

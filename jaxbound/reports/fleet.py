@@ -4,7 +4,7 @@ import math
 import shlex
 import time as clock
 
-from jaxbound.plaintext import escape, percent, times
+from jaxbound.recordings.plaintext import escape, percent, times
 from jaxbound.reports.page import CSS, GUARANTEE
 
 __all__ = ["fleet_page"]

@@ -7,9 +7,9 @@ import time as clock
 
 import numpy as np
 
-from jaxbound.modelfile import number_text
-from jaxbound.plaintext import escape, percent
-from jaxbound.sets.status import Status
+from jaxbound.models.modelfile import number_text
+from jaxbound.recordings.plaintext import escape, percent
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["CSS", "GUARANTEE", "TITLE", "about", "figure", "frame", "model_tables", "opening", "section", "table", "tiles"]  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxbound.plaintext import escape, percent
+from jaxbound.recordings.plaintext import escape, percent
 from jaxbound.reports.page import about, figure, frame, model_tables, section, table
 
 __all__ = ["HEAD", "sentence", "study_page", "study_rows"]

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxbound.bands import plot_output
-from jaxbound.plaintext import duration, percent
-from jaxbound.plots import PANELS, to_png
+from jaxbound.plots.bands import plot_output
+from jaxbound.plots.canvas import PANELS, to_png
+from jaxbound.recordings.plaintext import duration, percent
 from jaxbound.reports.page import about, figure, frame, model_tables, opening, section, table, tiles
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["write_page"]
 

@@ -1,15 +1,15 @@
 """Rigorous sets and kernels, useful without any plant: intervals, zonotopes, strips, pavings."""
 
-from jaxbound.sets.comparisons import *  # noqa: F403
-from jaxbound.sets.comparisons import __all__ as _comparisons
-from jaxbound.sets.elementary import *  # noqa: F403
-from jaxbound.sets.elementary import __all__ as _elementary
-from jaxbound.sets.inclusion import Inclusion, inclusion
-from jaxbound.sets.interval import *  # noqa: F403
-from jaxbound.sets.interval import __all__ as _interval
-from jaxbound.sets.linear_systems import Solution, Solvability, solve_interval
-from jaxbound.sets.paving import Paving, pave
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.inclusion.inclusion import Inclusion, inclusion
+from jaxbound.sets.intervals.comparisons import *  # noqa: F403
+from jaxbound.sets.intervals.comparisons import __all__ as _comparisons
+from jaxbound.sets.intervals.elementary import *  # noqa: F403
+from jaxbound.sets.intervals.elementary import __all__ as _elementary
+from jaxbound.sets.intervals.interval import *  # noqa: F403
+from jaxbound.sets.intervals.interval import __all__ as _interval
+from jaxbound.sets.linear_systems.solve import Solution, Solvability, solve_interval
+from jaxbound.sets.paving.paving import Paving, pave
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, constrained_zonotope
 from jaxbound.sets.zonotopes.containment import contains
 from jaxbound.sets.zonotopes.decisions import Answer, Decision, Separation, intersects, is_empty, separate

@@ -5,7 +5,7 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 RELATIONS, LONG = jb.parity_relations(paper()), jb.parity_relations(paper(), 3)
 

@@ -11,7 +11,7 @@ from oracles import MODELS, Plant, Program, floats
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 PLANTS = {
     "leak": dict(A=[[0.9, 0.2, 0], [0, 0.7, 0.1], [0.3, 0, 0.5]], B=[[0, 1], [1, 0], [0.5, 0]], C=[[1, 0, 0], [0, 1, 0], [0, 1, 1]],

@@ -7,7 +7,7 @@ from oracles import MODELS, Plant, Windows, draw
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 RUNS, SAMPLES = 2500, 201
 SHARP = {"paper": (1e-11, 2e-4), "three states": (1e-11, 2e-4), "offsets": (1e-11, 1e-3)}  # float64, float32; signals around 3 and 12

@@ -10,10 +10,10 @@ from oracles import MODELS, Plant, Windows, draw
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.diagnosis.certificate import certify
+from jaxbound.certificates.certificate import certify
+from jaxbound.certificates.exact_window import exact_window
 from jaxbound.diagnosis.detectability import visible_sizes
-from jaxbound.diagnosis.exact_window import exact_window
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.recordings.recording import Recording
 
 T, GAP, OFF, LOST = 40, 14, slice(22, 27), (33, 1)
 STARTS = [GAP, OFF.start, OFF.stop]
@@ -61,7 +62,7 @@ def held(kind, u, y):
         y = np.where(np.isnan(lost), -9999, lost)
         return np.ma.array(u, mask=off), np.ma.array(y, mask=off | (y == -9999)), STARTS
     if kind == "recording":
-        return jb.models.recording.Recording.of(plant(), frame), None, ()
+        return Recording.of(plant(), frame), None, ()
     if kind == "pyarrow":
         import pyarrow as pa
 
@@ -135,7 +136,7 @@ def test_a_residual(kind):
     u, y, starts = held(kind, *course()[::2])
     f = lambda z, u, y: y[1, 1] - z[1] - 0.2 * (y[0, 1] - z[0]) - u[0, 0]
     r = jb.residual(f, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1, inputs=["valve"], outputs=["level", "flow"])
-    shown = jb.models.recording.Recording.of(plant(), u, y, starts)  # a residual has no `where`
+    shown = Recording.of(plant(), u, y, starts)  # a residual has no `where`
     res = jb.detect(r, shown)
     u, y, starts = clean(*course()[::2])
     np.testing.assert_array_equal(res.status, np.where(MISSING, 0, jb.detect(r, u, y).status))

@@ -9,7 +9,7 @@ from oracles import MODELS, Plant, draw
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 RUNS, SAMPLES = 3000, 201
 FAULTS = {

@@ -8,7 +8,7 @@ import pytest
 from oracles import Plant, Windows
 
 import jaxbound as jb
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 HALF, JUMP = 100, 2.0
 

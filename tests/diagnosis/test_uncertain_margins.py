@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_uncertain_windows import record
+from ploix_experiment import record
 from uncertain_systems import relations
 
 import jaxbound as jb
-from jaxbound.sets.status import Status
+from jaxbound.sets.floats.status import Status
 
 
 def noisy(rng, name, noise, runs=2):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
+from jaxbound.exact.exponential import absolute_integral, exponential
 from jaxbound.models.linearize import linearize
 from jaxbound.models.remainder import plane
-from jaxbound.sets.exponential import absolute_integral, exponential
 
 integrate = pytest.importorskip("scipy.integrate")
 linalg = pytest.importorskip("scipy.linalg")

@@ -9,7 +9,7 @@ from systems import PAPER
 from uncertain_systems import SYSTEMS, model, trajectory
 
 import jaxbound as jb
-from jaxbound.modelfile import model_text
+from jaxbound.models.modelfile import model_text
 
 GAIN = dict(name="gain", B=[[1], [0]], D=[[0.5], [0]], between=(2, 6))
 ALL = [

@@ -9,8 +9,8 @@ from oracles import times
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.exact import linalg
 from jaxbound.models.uncertainty import Uncertainty
-from jaxbound.sets import exact
 
 
 def draw(rng, *shape):
@@ -21,8 +21,8 @@ def test_eliminating_unknown_inputs_and_going_back_gives_the_same_relations(shar
     """(4a), then (5)-(7): the singular system of the example has the relations of the system with the unknown input."""
     s = json.loads(shared("golden/ragot1993.json").read_text())["system"]
     m = jb.LinearSystem(s["A"], s["B"], s["C"], unknown_inputs=s["F"])
-    E = exact.left_null_space(m.F)
-    d = jb.LinearSystem(exact.matmul(E, m.A), exact.matmul(E, m.B), s["C"], E=E)
+    E = linalg.left_null_space(m.F)
+    d = jb.LinearSystem(linalg.matmul(E, m.A), linalg.matmul(E, m.B), s["C"], E=E)
     assert (d.n, d.d) == (4, 1)
     assert jb.redundancy(d).rows == jb.redundancy(m).rows
 
@@ -35,7 +35,7 @@ def test_a_trajectory_of_the_descriptor_system_is_one_of_the_model(square, rng):
         r = n if square else 3
         E, A, C, D = draw(rng, r, n), draw(rng, r, n), draw(rng, p, n), draw(rng, p, r)
         E[-1] = [Fraction(0)] * n
-        if exact.rank(E) < r - 1 or exact.rank([*E[:-1], A[-1]]) < r:  # then the equation without x+ may restrict the states
+        if linalg.rank(E) < r - 1 or linalg.rank([*E[:-1], A[-1]]) < r:  # then the equation without x+ may restrict the states
             continue
         done += 1
         B = [[Fraction(int(i == j)) for j in range(r)] for i in range(r)]
@@ -43,7 +43,7 @@ def test_a_trajectory_of_the_descriptor_system_is_one_of_the_model(square, rng):
         u = [[a[0] - b[0] for a, b in zip(times(E, z[k + 1]), times(A, z[k]), strict=True)] for k in range(T)]
         y = [[a[0] + b[0] for a, b in zip(times(C, z[k]), times(D, [[v] for v in u[k]]), strict=True)] for k in range(T)]
         m = jb.LinearSystem(A, B, C, D, E=E, noise="1e-9")
-        assert m.n == exact.rank(E) and m.d == n - m.n - 1  # one equation without x+ solves for one unknown
+        assert m.n == linalg.rank(E) and m.d == n - m.n - 1  # one equation without x+ solves for one unknown
         for k in range(3, T):
             for h, K in zip(*jb.redundancy(m).windows(), strict=True):
                 s = len(h) // p - 1

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.modelfile import save_model
+from jaxbound.exact import linalg
+from jaxbound.models.modelfile import save_model
 from jaxbound.relations.cost import affordable, relation_cost
-from jaxbound.sets import exact
 
 CHAIN = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], noise=0.1)
 DISTURBED = jb.LinearSystem([[0.5]], [[1]], [[1], [2]], noise=0.1, disturbance=([[1]], 0.1))
@@ -74,20 +74,20 @@ def test_a_model_of_too_many_states_is_refused_at_once():
 
 
 def test_few_relations_of_many_states_take_no_minors_of_their_size(rng):
-    a = exact.matrix(rng.integers(-99, 100, (33, 30)))
+    a = linalg.matrix(rng.integers(-99, 100, (33, 30)))
     start = time.perf_counter()
-    found = exact.circuits(a)
+    found = linalg.circuits(a)
     assert time.perf_counter() - start < 5  # by minors of 30 rows: minutes
-    assert len(found) == 33 * 32 // 2 and all(not any(x) for x in exact.matmul(found, a))
+    assert len(found) == 33 * 32 // 2 and all(not any(x) for x in linalg.matmul(found, a))
 
 
 @pytest.mark.parametrize("shape", [(6, 2), (6, 4), (7, 5), (5, 4), (5, 5)])
 def test_circuits_have_minimal_supports_whichever_way_they_are_found(shape, rng):
-    a = exact.matrix(rng.integers(-1, 2, shape))
-    found = exact.circuits(a)
+    a = linalg.matrix(rng.integers(-1, 2, shape))
+    found = linalg.circuits(a)
     supports = [frozenset(i for i, x in enumerate(h) if x) for h in found]
     assert len(set(supports)) == len(found) and not any(x < y for x in supports for y in supports)
-    assert all(not any(x) for x in exact.matmul(found, a)) and exact.rank(found) == len(exact.left_null_space(a)) if found else True
+    assert all(not any(x) for x in linalg.matmul(found, a)) and linalg.rank(found) == len(linalg.left_null_space(a)) if found else True
 
 
 def test_relations_of_long_windows_are_those_of_their_definition(rng):
@@ -99,10 +99,10 @@ def test_relations_of_long_windows_are_those_of_their_definition(rng):
     O, H = window.first_form(model, s)
     V = window.disturbance_form(model, s)
     outputs = tuple(row[: (s + 1) * 2] for row in r.W)
-    assert not any(x for row in exact.matmul(outputs, O) for x in row)
-    assert exact.matmul(outputs, H) == r.K
-    assert exact.matmul(outputs, V) == tuple(tuple(-x for x in row[(s + 1) * 2 :]) for row in r.W)
-    assert exact.rank(outputs) == r.count == (s + 1) * 2 - 2
+    assert not any(x for row in linalg.matmul(outputs, O) for x in row)
+    assert linalg.matmul(outputs, H) == r.K
+    assert linalg.matmul(outputs, V) == tuple(tuple(-x for x in row[(s + 1) * 2 :]) for row in r.W)
+    assert linalg.rank(outputs) == r.count == (s + 1) * 2 - 2
 
 
 def test_progress_of_relations_rises_to_the_end():
@@ -112,19 +112,19 @@ def test_progress_of_relations_rises_to_the_end():
 
 
 def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, capsys, monkeypatch):
-    from jaxbound import cli, detecting
+    from jaxbound.cli import detect, main
 
     save_model(CHAIN, tmp_path / "m.toml")
     (tmp_path / "r.csv").write_text("u1,y1,y2\n" + "0,0,0\n" * 201)
-    monkeypatch.setattr(detecting, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
+    monkeypatch.setattr(detect, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
     for horizon in ("1000", "1" + "0" * 15):
         args = ["detect", str(tmp_path / "m.toml"), str(tmp_path / "r.csv"), "--out", str(tmp_path / "out"), "--horizon", horizon]
-        assert cli.main(args) == 2
+        assert main.main(args) == 2
         assert "the recording has 201 samples, one window needs" in capsys.readouterr().err
 
 
 def test_info_of_many_states_says_what_it_leaves_out(rng):
-    from jaxbound.describing import isolation_text
+    from jaxbound.cli.info import isolation_text
 
     text = isolation_text(dense(60, 2, rng), 30)
     assert "not worked out" in text and "would take about" in text

@@ -9,7 +9,7 @@ from uncertain_systems import EXAMPLE, SYSTEMS, entry, relations, trajectory
 
 import jaxbound as jb
 from jaxbound.models import window
-from jaxbound.sets import polynomials
+from jaxbound.sets.strips import polynomials
 
 NOISY = dict(noise=[0.05, "0.01"], tolerance=[0.02, 0], offset={"u": [1], "y": [2, "1/3"]}, resolution=[0, "1/300"])
 LEAKY = dict(NOISY, disturbance=([[1], [0], [0.5]], [[-0.1, 0.3]]))

@@ -10,10 +10,10 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.diagnosis.result import Result
-from jaxbound.files import Recording
-from jaxbound.plaintext import duration, percent, times
+from jaxbound.recordings.csvfiles import Recording
+from jaxbound.recordings.plaintext import duration, percent, times
 from jaxbound.reports.detection import write_report
-from jaxbound.summary import bound_hints, coverage, summary, worst_window
+from jaxbound.runs.summary import bound_hints, coverage, summary, worst_window
 
 FAULT, MISSING, CONSISTENT, UNDECIDED = jb.Status.FAULT, jb.Status.MISSING, jb.Status.CONSISTENT, jb.Status.UNDECIDED
 

@@ -3,7 +3,8 @@
 import numpy as np
 from flint import arb, ctx
 
-from jaxbound.sets import angles, interval
+from jaxbound.sets import interval
+from jaxbound.sets.intervals import angles
 
 COUNT = 1500  # one shape for most tests: every function is compiled once for each precision
 BITS = 200

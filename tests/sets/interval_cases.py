@@ -10,7 +10,7 @@ import pytest
 from corners import DTYPES, MODES, bounds, members
 
 from jaxbound import sets
-from jaxbound.sets.interval import Interval
+from jaxbound.sets.intervals.interval import Interval
 
 BINARY = {
     "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": lambda a, b: a / b if b else None, "min": min, "max": max,

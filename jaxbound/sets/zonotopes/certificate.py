@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from jaxbound.sets import exact
+from jaxbound.exact import linalg
 from jaxbound.sets.zonotopes.feasibility import feasible
 
 __all__ = ["document", "exactly"]
@@ -67,7 +67,7 @@ def _either(question, at, meets, direction, point):
 def _direction(question, at, direction):
     M, D = question.exact(at)
     l = [Fraction(v) for v in direction.tolist()]
-    along = lambda W: exact.matmul([l], W)[0] if W and W[0] else ()
+    along = lambda W: linalg.matmul([l], W)[0] if W and W[0] else ()
     d, *spread = along(D)
     if d + sum(map(abs, spread)) <= sum(map(abs, along(M))):
         raise NotImplementedError(BY_FACETS)
@@ -78,15 +78,15 @@ def _matrix(question, at, X):
     """Return X with M X = D exactly, near a given one: its rows with most room are solved for."""
     M, D = question.exact(at)
     order = np.argsort(abs(X).sum(1), kind="stable").tolist()
-    _, pivots = exact.row_reduce([[row[j] for j in order] for row in M])
+    _, pivots = linalg.row_reduce([[row[j] for j in order] for row in M])
     if len(pivots) < len(M):
         raise NotImplementedError(BY_FACETS)
     basis = [order[j] for j in pivots]
     out = _exact(X.tolist())
     rest = [j for j in range(len(X)) if j not in basis]
-    known = exact.matmul([[row[j] for j in rest] for row in M], [out[j] for j in rest]) if rest else None
+    known = linalg.matmul([[row[j] for j in rest] for row in M], [out[j] for j in rest]) if rest else None
     short = [[v - (known[i][k] if rest else 0) for k, v in enumerate(row)] for i, row in enumerate(D)]
-    for j, row in zip(basis, exact.matmul(exact.inverse([[row[j] for j in basis] for row in M]), short), strict=True):
+    for j, row in zip(basis, linalg.matmul(linalg.inverse([[row[j] for j in basis] for row in M]), short), strict=True):
         out[j] = list(row)
     if any(sum(map(abs, row)) > 1 for row in out):
         raise NotImplementedError(BY_FACETS)

@@ -19,10 +19,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import rounding
-from jaxbound.sets.comparisons import contains as contains_number
-from jaxbound.sets.interval import Interval
-from jaxbound.sets.probe import refuse_unverified
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.intervals.comparisons import contains as contains_number
+from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes import proof
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
 from jaxbound.sets.zonotopes.decisions import Answer, Decision, contains_points

@@ -16,8 +16,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from jaxbound.sets import rounding
-from jaxbound.sets.probe import refuse_unverified
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.zonotopes import certificate, proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import Question, flat, parts

@@ -8,8 +8,8 @@ the bound wider, never wrong.
 import jax
 import jax.numpy as jnp
 
-from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, interval, mid, rad
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
 from jaxbound.sets.zonotopes.intersections import cancelled
 from jaxbound.sets.zonotopes.maps import dimension, mapped, parts, product, reach, up
 

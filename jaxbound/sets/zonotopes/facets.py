@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import exact, rounding
-from jaxbound.sets.probe import refuse_unverified
-from jaxbound.sets.strips import UNROLLED, Strips, strip_verdict
+from jaxbound.exact import linalg
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.strips.strips import UNROLLED, Strips, strip_verdict
 from jaxbound.sets.zonotopes import proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
 
@@ -49,12 +50,12 @@ def exact_strips(Z):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
     G = [[Fraction(x) for x in row] for row in _floats(Z.generators).tolist()]
     n, q = np.shape(Z.generators)
-    flat = exact.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
+    flat = linalg.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
     out = []
     if q and any(any(row) for row in G):
-        kernel = exact.transpose(exact.left_null_space(exact.transpose(G)))  # G kernel = 0
-        shadows = exact.circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
-        basis, pivots = exact.row_reduce([(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)])
+        kernel = linalg.transpose(linalg.left_null_space(linalg.transpose(G)))  # G kernel = 0
+        shadows = linalg.circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
+        basis, pivots = linalg.row_reduce([(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)])
         for g in shadows:  # normal' G = g: combine the reduced rows with the entries of g at their pivots
             normal = [sum((g[p] * row[q + j] for row, p in zip(basis, pivots, strict=True) if p < q), Fraction(0)) for j in range(n)]
             out.append((normal, sum(map(abs, g))))
@@ -112,7 +113,7 @@ def _searched(Z, points):
     margin = np.where(found.lower > 1, 1 - found.lower, np.maximum(1 - found.upper, 0))[0].astype(Z.center.dtype)
     if np.isfinite(image.loss[0]):
         return margin
-    flat = exact.left_null_space([[Fraction(x) for x in row] for row in G[0].tolist()])
+    flat = linalg.left_null_space([[Fraction(x) for x in row] for row in G[0].tolist()])
     return _beside_the_plane([(normal, Fraction(0)) for normal in flat], Z, points, margin)
 
 

@@ -16,9 +16,9 @@ from functools import partial, singledispatch
 import jax
 import jax.numpy as jnp
 
-from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, interval, matmul, mid, rad
-from jaxbound.sets.interval import intersection as interval_intersection
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.interval import Interval, interval, matmul, mid, rad
+from jaxbound.sets.intervals.interval import intersection as interval_intersection
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
 from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, parts, product, reach, up, whole
 from jaxbound.sets.zonotopes.zonotope import Zonotope

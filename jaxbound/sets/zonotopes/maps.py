@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, interval, matmul, mid, rad
-from jaxbound.sets.interval import sum as interval_sum
-from jaxbound.sets.probe import refuse_unverified
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.intervals.interval import Interval, interval, matmul, mid, rad
+from jaxbound.sets.intervals.interval import sum as interval_sum
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxbound.sets import rounding
+from jaxbound.sets.floats import rounding
 
 __all__ = ["Image", "gauge_above", "gauge_below", "image", "vertices"]
 

@@ -10,8 +10,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from jaxbound.sets import rounding
-from jaxbound.sets.interval import Interval, matmul
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.interval import Interval, matmul
 from jaxbound.sets.zonotopes.maps import dimension, parts, product, reach, up, whole
 
 __all__ = ["reduce_order"]

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets import exact, rounding
+from jaxbound.exact import linalg
+from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes.facets import exact_strips
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
@@ -82,10 +83,10 @@ def volume(Z):
     n, q = Z.generators.shape
     if comb(q, n) > DETERMINANTS:
         raise ValueError(f"{q} generators in {n} coordinates have {comb(q, n)} determinants, more than {DETERMINANTS}: reduce_order first")
-    columns = [exact.primitive_scale([Fraction(float(x)) for x in g]) for g in np.asarray(Z.generators).T]
+    columns = [linalg.primitive_scale([Fraction(float(x)) for x in g]) for g in np.asarray(Z.generators).T]
     total = Fraction(0)
     for chosen in combinations(columns, n):
-        total += abs(Fraction(exact.determinant([g for g, _ in chosen]), np.prod([s for _, s in chosen], dtype=object)))
+        total += abs(Fraction(linalg.determinant([g for g, _ in chosen]), np.prod([s for _, s in chosen], dtype=object)))
     return float(2**n * total)
 
 
@@ -127,7 +128,7 @@ def minkowski_difference(Z, Y):
         raise ValueError(
             f"the difference is a zonotope in the plane and for parallelotopes: this set has {len(found)} strips in {n} dimensions"
         )
-    H = exact.transpose([[Fraction(float(x)) for x in row] for row in np.asarray(Y.generators)])
+    H = linalg.transpose([[Fraction(float(x)) for x in row] for row in np.asarray(Y.generators)])
     along = lambda normal, p: sum((a * b for a, b in zip(normal, p, strict=True)), Fraction(0))
     left = [(normal, width - sum((abs(along(normal, h)) for h in H), Fraction(0))) for normal, width in found]
     if any(width < 0 for _, width in left):
@@ -139,7 +140,7 @@ def minkowski_difference(Z, Y):
 
 def _columns(strips):
     """Return the generators of a parallelotope from its n strips."""
-    inverse = exact.inverse([normal for normal, _ in strips])
+    inverse = linalg.inverse([normal for normal, _ in strips])
     return [[row[j] * width for row in inverse] for j, (_, width) in enumerate(strips)]
 
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.interval import Interval, interval
-from jaxbound.sets.interval import sum as interval_sum
+from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.intervals.interval import sum as interval_sum
 
 __all__ = ["Zonotope", "zonotope"]
 

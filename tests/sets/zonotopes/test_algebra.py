@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxbound import sets
+from jaxbound.exact.linalg import transpose
 from jaxbound.sets import ConstrainedZonotope, Interval, Zonotope
-from jaxbound.sets.exact import transpose
 
 SHAPES = [(2, 0), (1, 3), (3, 7), (4, 2)]
 DTYPES = [np.float64, np.float32]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxbound import sets
-from jaxbound.sets.exact import transpose
+from jaxbound.exact.linalg import transpose
 from jaxbound.sets.zonotopes.facets import exact_strips
 
 

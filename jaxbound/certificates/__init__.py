@@ -1,0 +1,1 @@
+"""Exact proofs of one window, for people and as JSON."""

@@ -1,0 +1,195 @@
+"""One window in exact rationals: what its samples and bounds say, and how far the model is from explaining them.
+
+    (Y, w) = E z + K U,   z = (first state, disturbances, unknown inputs, missing inputs)      rows: true outputs Y, disturbances w
+    lo <= (Y, w) <= hi                                                           what samples and bounds say
+
+The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y = (1 + theta) t + delta with |theta| <= sigma,
+|delta| <= rho says t in [-f(rho - y), f(rho + y)], f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma).
+"""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from math import lcm
+
+import numpy as np
+
+from jaxbound.exact import linalg
+from jaxbound.exact.chebyshev import chebyshev, subspace
+from jaxbound.models import window
+from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.system import LinearSystem
+from jaxbound.sets.floats import rounding
+
+__all__ = ["ExactWindow", "Explanation", "dot", "exact_window", "stretched"]
+
+ZERO = Fraction(0)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The nearest that a window comes to its bounds.
+
+    Fields: factor, on all bounds, at which it just becomes consistent; h, k: the tightest relation h (Y, w) = k U of an exact plant (zeros
+    where there is none); residual, width: its value at the middles and the largest that the bounds allow, factor = |residual| / width;
+    z: unknowns that keep all rows within factor times their bounds; reference: a start for a similar window.
+    """
+
+    factor: Fraction
+    h: tuple
+    k: tuple
+    residual: Fraction
+    width: Fraction
+    z: tuple
+    reference: tuple
+
+
+@dataclass(frozen=True, eq=False)
+class ExactWindow:
+    """The samples and bounds of one window, every number a Fraction.
+
+    Fields: model, horizon; u (l,) and y ((s+1)p,): the recorded samples time-major, None where missing; tolerance, noise, resolution (p,);
+    disturbance (g, 2); unit: the roundoff of the recording's float type; floor: its smallest normal number, in every bound; drive: what
+    the inputs that are there make of each row; error (p,): what is allowed to a sensor beyond its bounds.
+    """
+
+    model: LinearSystem
+    horizon: int
+    u: tuple
+    y: tuple
+    tolerance: tuple
+    noise: tuple
+    resolution: tuple
+    disturbance: tuple
+    unit: Fraction
+    floor: Fraction
+    drive: tuple
+    error: tuple = ()
+
+    def with_error(self, i, e):
+        """Return the window with an error of up to e allowed to output i."""
+        return replace(self, error=tuple(e if j == i else ZERO for j in range(self.model.p)))
+
+    def without_input(self, i):
+        """Return the window with every sample of input i missing: whatever the actuator did."""
+        m, offset = self.model.m, self.model.offset["u"]
+        u = tuple(None if j % m == i else v for j, v in enumerate(self.u))
+        known = [ZERO if v is None else v - offset[j % m] for j, v in enumerate(u)]
+        return replace(self, u=u, drive=tuple(dot(row, known) for row in self.forms[1]))
+
+    def readings(self):
+        """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest |delta|."""
+        p, out = self.model.p, [None] * len(self.y)
+        for i in range(p):
+            samples = self.y[i::p]
+            largest = max((abs(v) for v in samples if v is not None), default=ZERO)
+            rho = self.noise[i] + self.resolution[i] + RECORDER_ULPS * self.unit * (largest + self.noise[i]) + self.floor
+            rho += self.error[i] if self.error else 0
+            for j, v in enumerate(samples):
+                out[j * p + i] = None if v is None else v - self.model.offset["y"][i], rho
+        return out
+
+    @cached_property
+    def limits(self):
+        """(lo, hi) of each row of (Y, w), in deviations from the offset; None where a sample is missing."""
+        out = []
+        for row, (d, rho) in enumerate(self.readings()):
+            sigma = self.tolerance[row % self.model.p]
+            out.append(None if d is None else (-stretched(rho - d, sigma), stretched(rho + d, sigma)))
+        return out + [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance] * self.horizon
+
+    def solve(self, start=None):
+        """Return the Explanation of this window. `start`: the reference of a similar one (same samples missing)."""
+        rows = tuple(i for i, x in enumerate(self.limits) if x is not None)
+        ends = [self.limits[i] for i in rows]
+        best = chebyshev(
+            self.space(rows),
+            [(lo + hi) / 2 - self.drive[i] for i, (lo, hi) in zip(rows, ends, strict=True)],
+            [(hi - lo) / 2 for lo, hi in ends],
+            start,
+        )
+        h = [ZERO] * len(self.limits)
+        for i, x in zip(rows, best.h, strict=True):
+            h[i] = x
+        h = linalg.presentable(linalg.primitive(h)) if any(h) else tuple(h)
+        return Explanation(best.t, h, *self.relation(h), best.z, best.reference)
+
+    @property
+    def forms(self):
+        """(E, K): (Y, w) = E z + K U, with z = (first state, disturbances, unknown inputs)."""
+        return _forms(self.model, self.horizon)
+
+    def space(self, rows):
+        """Return the Subspace of some rows over all unknowns."""
+        return _subspace(self.model, self.horizon, rows, self.missing_inputs)
+
+    @property
+    def constant(self):
+        """Whether a tolerance keeps one value over the window: then these limits are wider than what the samples say together."""
+        return self.model.constant_tolerance and any(self.tolerance)
+
+    @property
+    def missing_inputs(self):
+        """The numbers of the inputs that are missing and matter."""
+        return tuple(j for j, v in enumerate(self.u) if v is None and any(row[j] for row in self.forms[1]))
+
+    def action(self, h):
+        """Return k, what a relation h does with the inputs: h (Y, w) = k U."""
+        return tuple(dot(h, [row[j] for row in self.forms[1]]) for j in range(len(self.u)))
+
+    def relation(self, h):
+        """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample."""
+        used = [(x, *self.limits[i]) for i, x in enumerate(h) if x]
+        middle = dot([x / 2 for x, _, _ in used] * 2, [lo for _, lo, _ in used] + [hi for _, _, hi in used])
+        width = dot([abs(x) / 2 for x, _, _ in used] * 2, [-lo for _, lo, _ in used] + [hi for _, _, hi in used])
+        return self.action(h), middle - dot(h, self.drive), width
+
+    def rows_at(self, z):
+        """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
+        (E, K), missing = self.forms, self.missing_inputs
+        return tuple(dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d)) for e, k, d in zip(E, K, self.drive, strict=True))
+
+    def explained_by(self, z):
+        """Return True if unknowns z keep every row within its limits."""
+        return all(x is None or x[0] <= v <= x[1] for x, v in zip(self.limits, self.rows_at(z), strict=True))
+
+
+def dot(a, b):
+    """Return the sum of products exactly: one common denominator, so that nothing is reduced in between."""
+    pairs = [(x, y) for x, y in zip(a, b, strict=True) if x and y]
+    common = lcm(*(x.denominator * y.denominator for x, y in pairs))
+    return Fraction(sum(x.numerator * y.numerator * (common // (x.denominator * y.denominator)) for x, y in pairs), common)
+
+
+def stretched(v, sigma):
+    """Return f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma): the largest t of a reading, increasing in v."""
+    return v / (1 - sigma) if v > 0 else v / (1 + sigma)
+
+
+def exact_window(relations, u, y):
+    """Return the ExactWindow of samples u (s+1, m), y (s+1, p). The bounds are those that the kernel takes, to the last bit."""
+    model, s = relations.model, relations.horizon
+    dtype = y.dtype
+    exactly = lambda values: tuple(None if np.isnan(v) else Fraction(float(v)) for v in np.ravel(values))
+    upward = lambda values: exactly(rounding.round_up(values, dtype))
+    bounds = {name: np.asarray(value, np.float64) for name, value in relations.bounds.items()}
+    pairs = np.reshape(bounds.get("disturbance", np.zeros((0, 2))), (-1, 2))
+    down = rounding.round_down(pairs[:, 0], dtype)
+    u = exactly(u[: window.input_lags(model, s)])
+    known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(u)]
+    return ExactWindow(
+        model, s, u, exactly(y), upward(bounds["tolerance"]), upward(bounds["noise"]), upward(list(model.resolution)),
+        tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)), Fraction(float(np.finfo(dtype).eps)) / 2,
+        Fraction(float(np.finfo(dtype).tiny)), tuple(dot(row, known) for row in _forms(model, s)[1]))  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def _forms(model, horizon):
+    return window.unknowns(model, horizon)
+
+
+@lru_cache(maxsize=64)
+def _subspace(model, horizon, rows, missing):
+    """Return the span of the unknowns over the rows that are there."""
+    E, K = _forms(model, horizon)
+    return subspace([E[i] + tuple(K[i][j] for j in missing) for i in rows])

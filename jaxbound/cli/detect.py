@@ -1,0 +1,287 @@
+"""The commands `jaxbound detect` and `jaxbound demo`: from files to verdicts, a report and an exit code.
+
+A report is written completely or not at all, see `outputs`.
+"""
+
+import argparse
+import json
+import shlex
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxbound.cli.terminal import BAD_INPUT, door, progress_bars, show, usable_device, write
+from jaxbound.cli.validate import Validated, write_columns_of
+from jaxbound.diagnosis.detection import METHODS, detect
+from jaxbound.diagnosis.units import unit_hints
+from jaxbound.estimation.validation import least_horizon, validate
+from jaxbound.models.modelfile import load_model, save_model
+from jaxbound.processes import Lost, Team, abandon, join_others
+from jaxbound.recordings.contents import content
+from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.parquet import is_parquet, open_parquet
+from jaxbound.recordings.plaintext import percent, times
+from jaxbound.relations.parity import parity_relations
+from jaxbound.reports.detection import write_report
+from jaxbound.reports.validation import write_page
+from jaxbound.runs.digest import digest
+from jaxbound.runs.endings import ending_counts, ending_hints, sizes_seen
+from jaxbound.runs.outputs import made, output_folder
+from jaxbound.runs.refusals import Interrupted, Refused
+from jaxbound.runs.runfile import VALIDATION, save_run
+from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
+from jaxbound.runs.summary import CODES, alarm_total, bound_hints, coverage, samples, summary, windows, worst
+from jaxbound.runs.verdictfiles import write_alarms, write_verdicts
+
+__all__ = ["conclude", "run_demo", "run_detect"]
+
+REPORT = ("alarms.csv", "report.html", "run.json")  # and tested_model.toml, which may be the model that is tested again
+COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
+
+
+def run_detect(args):
+    """Run `jaxbound detect`; return the exit code."""
+    if args.data == "-":
+        from jaxbound.cli import pipe
+
+        return pipe.run(args)
+    if args.out is None:
+        raise Refused("the following arguments are required: --out; see jaxbound detect --help")
+    if args.state is not None:
+        raise Refused("--state is for samples that come through a pipe: give - as DATA")
+    if args.method not in (*METHODS, VALIDATION):
+        raise Refused(f"--method must be one of {', '.join((*METHODS, VALIDATION))}, not {args.method!r}")
+    with door():
+        join_others()
+    threading.Thread(target=_load_plotting, daemon=True).start()
+    data = Path(args.data)
+    if jax.distributed.is_initialized() and (args.method == VALIDATION or not data.exists() or not is_parquet(data)):
+        raise Refused(f"several processes share the work on Parquet only: {args.data} is read as a whole, by one")
+    if args.method == VALIDATION:
+        if args.chunk is not None:
+            raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
+        found = _report(args, _validate, ("output1.png",), ("read", "test", "report"))
+    elif data.exists() and is_parquet(data):
+        with door(OSError), made(args.out), progress_bars(("relations", "test", "report")) as step:
+            found = _stream(args, step)
+        if isinstance(found, int):
+            return found
+    elif data.exists() and args.chunk is not None:
+        raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
+    else:
+        found = _report(args, _evaluate, ("margin.png", "residuals.png"), ("read", "relations", "test", "report"))
+    return conclude(args, *found)
+
+
+def _report(args, how, pictures, stages):
+    """Let `how` read a recording as a whole, test it and write its report; return what the conclusion needs."""
+    names, inputs = ("verdicts.csv", *REPORT, *pictures), (args.model, args.data)
+    with door(OSError), output_folder(args.out, names, inputs) as folder:
+        with folder.work() as work, progress_bars(stages) as step:
+            found = how(args, work, step)
+        folder.remove(VERDICTS)
+    return found
+
+
+def _stream(args, step):
+    """Test a Parquet recording chunk by chunk and write everything into --out; return what the conclusion needs.
+
+    One of several processes does its part; but for process 0 it returns the exit code at which that one arrived.
+    """
+    try:
+        with door(), Team(args.out) as team:
+            names, inputs = (VERDICTS, *REPORT, "margin.png", "residuals.png"), (args.model, args.data)
+            with nullcontext() if team.number else output_folder(args.out, names, inputs) as folder:
+                return _stream_with(team, folder, args, step)
+    except Lost as e:
+        if e.silent:
+            abandon(BAD_INPUT)
+        raise Refused(str(e)) from e
+
+
+def _stream_with(team, folder, args, step):
+    """Do the part of this process; the first of them makes the report of all."""
+    model = load_model(args.model)
+    usable_device()
+    source = open_parquet(args.data, model)
+    refuse_short(args.data, source.samples, model.horizon if args.horizon is None else args.horizon)
+    relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+    try:
+        chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
+        parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress, team)
+        if team.number:
+            team.wait(lambda: team.said(0)[0] == "published")
+            return int(team.said(0)[1])
+        start = time.perf_counter()
+        with folder.work() as work:
+            progress = lambda share: step("report", 0.4 * share)
+            found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
+            sizes = sizes_seen(found, found.alarms)
+            found = replace(found, hints=(*found.hints, *ending_hints(found, found.alarms, sizes)))
+            save_run(work, model, args.data, source.content, args.method, relations.horizon)
+            write_report(work, found, found, found.alarms, hints=found.hints, sizes=sizes, seconds=seconds, min_coverage=args.min_coverage,
+                         progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
+    except KeyboardInterrupt:
+        if done := kept(args.out / PARTIAL, source.samples):
+            share, where = percent(done / source.samples), args.out / PARTIAL
+            raise Interrupted(f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from there") from None
+        raise
+    publish(folder)
+    folder.remove("verdicts.csv")
+    team.say("published", CODES[summary(found, found.alarms, found.label, args.min_coverage)[0]])
+    seconds["report"] = time.perf_counter() - start
+    return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds, sizes
+
+
+def _evaluate(args, work, step, extra=lambda res: ()):
+    """Read, test and write everything into the folder `work`; return what the conclusion needs."""
+    seconds, start = {}, time.perf_counter()
+    with door():
+        model = load_model(args.model)
+        held = content(Path(args.data))
+        recording = read_recording(args.data, model, lambda share: step("read", share))
+        refuse_short(args.data, len(recording.time), model.horizon if args.horizon is None else args.horizon)
+        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+        refuse_short(args.data, len(recording.time), relations.horizon)
+        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
+        usable_device()
+        res = detect(relations, recording.u, recording.y, method=args.method, progress=lambda share: step("test", share),
+                     starts=recording.starts)  # fmt: skip
+    step("test", 1.0)
+    res = replace(res, aside=recording.aside(relations.horizon))
+    recording = replace(recording, hints=(*recording.hints, *unit_hints(res)))
+    alarms = res.alarms(*args.alarm)
+    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    sizes = sizes_seen(res, alarms)
+    recording = replace(recording, hints=(*recording.hints, *ending_hints(res, alarms, sizes)))
+    hints = [*recording.hints, *bound_hints(model)]
+    with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
+        table = beside.submit(write_verdicts, work / "verdicts.csv", res, recording)
+        write_alarms(work / "alarms.csv", alarms, recording, model.dt)
+        save_run(work, model, args.data, held, args.method, relations.horizon)
+        step("report", 0.1)
+        write_report(work, res, recording, alarms, hints=recording.hints, seconds=seconds, min_coverage=args.min_coverage, extra=extra(res),
+                     sizes=sizes, progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
+        table.result()
+    step("report", 1.0)
+    seconds["report"] = time.perf_counter() - start
+    return res, recording, alarms, hints, seconds, sizes
+
+
+def _validate(args, work, step):
+    """Read, validate and write everything into the folder `work`; return what the conclusion needs."""
+    seconds, start = {}, time.perf_counter()
+    with door():
+        model = load_model(args.model)
+        held = content(Path(args.data))
+        recording = read_recording(args.data, model, lambda share: step("read", share))
+        if len(recording.starts):
+            at, condition = recording.label(recording.starts[0]), recording.excluded is not None and recording.excluded.any()
+            why = f"{model.columns['where']!r} does not hold all the time, see" if condition else "there is a gap in time before"
+            raise ValueError(f"{args.data}: validation carries the state from sample to sample, but {why} {at}: "
+                             "cut the recording there, or choose another method")  # fmt: skip
+        horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
+        _complete(args.data, model.inputs, recording.u, recording, "every sample of every input is needed")
+        _complete(args.data, model.outputs, recording.y[: horizon + 1], recording,
+                  f"the first {horizon + 1} samples say where the state is: begin the recording later")  # fmt: skip
+        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
+        usable_device()
+        found = validate(model, recording.u, recording.y, horizon)
+        res = Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found))
+    step("test", 1.0)
+    alarms = res.alarms(*args.alarm)
+    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    assumed = f"the first {horizon + 1} samples are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
+    hints = [*recording.hints, *bound_hints(model), assumed]
+    write_columns_of(work / "verdicts.csv", res, recording)
+    write_alarms(work / "alarms.csv", alarms, recording, model.dt)
+    save_run(work, model, args.data, held, args.method, horizon)
+    write_page(work, res, recording, alarms, hints=hints, seconds=seconds, min_coverage=args.min_coverage,
+               progress=lambda share: step("report", share))  # fmt: skip
+    seconds["report"] = time.perf_counter() - start
+    return res, recording, alarms, hints, seconds
+
+
+def _complete(data, names, samples, recording, why):
+    """Raise ValueError if a sample that validation cannot do without is missing."""
+    for k, j in np.argwhere(np.isnan(samples))[:1]:
+        raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
+
+
+def conclude(args, res, recording, alarms, hints, seconds, sizes=None):
+    """Print what was found and return the exit code. sizes: from `sizes_seen`."""
+    validated = isinstance(res, Validated)
+    summed = res.summary if validated else partial(summary, res)
+    verdict, sentence = summed(alarms, recording.label, args.min_coverage)
+    (at, margin), code, counts, alarm_count = worst(res), CODES[verdict], res.counts, alarm_total(res, alarms)
+    margin = margin if np.isfinite(margin) else None
+    if args.json:
+        deepest = None if at is None else {"sample": at, "time": recording.label(at), "margin": margin,
+                                           "factor": None if margin is None else 1 - margin}  # fmt: skip
+        found = {
+            "verdict": verdict, "exit_code": code, "summary": sentence, "model": res.relations.model.name, "data": str(args.data),
+            "method": res.method, "horizon": res.relations.horizon, "samples": samples(res), "counts": counts,
+            "decided": coverage(res), "worst": deepest, "alarms": alarm_count, "hints": hints,
+            **({"tested": res.tested, "faulty": res.blamed} if validated else {}),
+            "seconds": {k: round(v, 3) for k, v in seconds.items()}, "out": str(args.out),
+            "ended": ending_counts(res, alarms),
+            "always_seen": sizes and {name: size if np.isfinite(size) else None for name, size in sizes.items()}}  # fmt: skip
+        write(json.dumps(found, indent=2, allow_nan=False) + "\n")
+        return code
+    decided = f"{percent(coverage(res))} of {windows(res)} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"
+    whom = ", ".join(f"{name} in {n} samples" for name, n in res.blamed.items()) if validated else ""
+    rows = [
+        ("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s])),
+        ("faulty", whom or "no sensor") if validated else ("decided", decided),
+        ("alarms", f"{alarm_count}" + (f", the first at {recording.label(alarms[0].start)}" if alarms else "")),
+    ]
+    if margin is not None:
+        what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
+        rows.append(("worst window" if margin < 0 else "tightest", f"{recording.label(at)}: margin {margin:.3g}, {what}"))
+    if verdict == "fault" and at is not None and not validated and not res.relations.model.uncertainties:
+        rows.append(("proof", f"jaxbound explain {shlex.quote(str(args.out))} --at {at}"))
+    rows += [("hint", h) for h in hints]
+    rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]
+    show(sentence, COLOUR[verdict], rows)
+    return code
+
+
+def _load_plotting():
+    """Import matplotlib while the data are read: it takes as long as testing a million windows."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # noqa: F401
+
+
+def run_demo(args):
+    """Run `jaxbound demo`; return the exit code."""
+    from jaxbound.cli import demo
+
+    threading.Thread(target=_load_plotting, daemon=True).start()
+    names = ("model.toml", "run.csv", "verdicts.csv", *REPORT, "margin.png", "residuals.png", "figure_1.png", "figure_2.png")
+    stages = ("simulate", "read", "relations", "test", "report")
+    with door(OSError), output_folder(args.out, names) as folder, folder.work() as work, progress_bars(stages) as step:
+        with door():
+            usable_device()
+        run = demo.demo_run(jax.random.key(2000))
+        rates, (false_alarms, clean) = demo.detection_rates(args.runs, jax.random.key(5), lambda share: step("simulate", share))
+        save_model(demo.demo_model(), work / "model.toml")
+        demo.write_run(work / "run.csv", run)
+
+        detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, method="joint", alarm=(1, 1),
+                                       min_coverage=0.5)  # fmt: skip
+        extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
+        res, recording, alarms, *_ = _evaluate(detecting, work, step, extra)
+    verdict, sentence = summary(res, alarms, recording.label)
+    again = ["jaxbound", "detect", *(str(args.out / f) for f in ("model.toml", "run.csv")), "--out", str(args.out)]
+    rows = [("false alarms", f"{false_alarms} in {clean} windows without a fault ({args.runs} runs)"),
+            ("report", str(args.out / "report.html")), ("try it", shlex.join(again))]  # fmt: skip
+    show(f"Section 5 of Adrot, Maquin, Ragot 2000. {sentence}", "bold", rows, demo.rate_table(rates))
+    return 0

@@ -1,0 +1,116 @@
+"""The command `jaxbound fit`: from recordings to a model file, and the picture of a fit."""
+
+import json
+import re
+
+import numpy as np
+
+from jaxbound.cli.terminal import door, progress_bars, show, write
+from jaxbound.models.modelfile import model_text
+from jaxbound.plots.canvas import to_png
+from jaxbound.plots.fit import plot_fit
+from jaxbound.recordings.csvfiles import read_signals
+from jaxbound.recordings.expressions import expression
+from jaxbound.recordings.keeping import whole
+from jaxbound.runs.outputs import refuse_targets
+from jaxbound.studies.identification.fitting import fit
+
+__all__ = ["plot_fit", "run", "signals"]
+
+NAMED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
+
+
+def run(args):
+    """Run `jaxbound fit`; return the exit code."""
+    refuse_targets({"--out": args.out, "--plot": args.plot}, args.data, args.force)
+    with door(), progress_bars(("read", "fit")) as step:
+        inputs, outputs = signals("--inputs", args.inputs), signals("--outputs", args.outputs)
+        about = {key: value for key, value in (("time", args.time), ("where", args.where)) if value}
+        found = read_signals(args.data, inputs, outputs, about, args.dt, lambda share: step("read", share))
+        names = [[name if isinstance(name, str) else name[0] for name in side] for side in (inputs, outputs)]
+        model = fit(found, args.order, args.horizon, inputs=names[0], outputs=names[1], direct=args.direct, safety=args.safety,
+                    held_out=args.held_out, method=args.method, name=args.name or args.out.stem,
+                    progress=lambda share: step("fit", share),
+                    columns=about | dict(s for s in inputs + outputs if not isinstance(s, str)))  # fmt: skip
+        with whole(args.out) as f:
+            f.write(model_text(model).encode())
+        if args.plot:
+            with whole(args.plot) as f:
+                f.write(to_png(plot_fit(model)))
+    hints = list(dict.fromkeys(h if len(found) == 1 else f"{path}: {h}" for path, r in zip(args.data, found, strict=True) for h in r.hints))
+    if args.json:
+        write(json.dumps(_summary(model, args, hints), indent=1, allow_nan=False) + "\n")
+    else:
+        _tell(model, args, hints)
+    return 0
+
+
+def signals(option, text):
+    """Return the signals of an option: names, or (name, column) where it says name=column or name=expression.
+
+    Raises:
+        ValueError: an empty entry.
+
+    Example:
+        >>> signals("--inputs", "fan, lift=Tsup - `T mixed`, T1=Temperature 1")
+        ['fan', ('lift', '= Tsup - `T mixed`'), ('T1', 'Temperature 1')]
+    """
+    if not text.strip():
+        return []
+    entries = [e.strip() for e in re.split(r",(?=(?:[^`]*`[^`]*`)*[^`]*$)(?![^()]*\))", text)]
+    if not all(entries):
+        raise ValueError(f"{option} needs names, or name=column or name=expression, with commas between them: {text!r} has an empty entry")
+    return [(match[1], _column(match[2])) if (match := NAMED.fullmatch(e)) else re.sub(r"^`([^`]+)`$", r"\1", e) for e in entries]
+
+
+def _column(text):
+    """Return what a model file says of a signal: "= expression", or the name of a column, which may have blanks in it."""
+    if re.fullmatch(r"`[^`]+`", text):
+        return text[1:-1]
+    try:
+        expression(text)
+    except ValueError:
+        return text
+    return text if text.isidentifier() else f"= {text}"
+
+
+def _finite(x):
+    return x if np.isfinite(x) else None
+
+
+def _summary(model, args, hints):
+    """Return what --json prints."""
+    check, bounds = model.check, dict(zip(model.outputs, map(float, model.noise), strict=True))
+    held_out = check.held_out and {k: _finite(v) for k, v in check.held_out.items()}
+    return {
+        "out": str(args.out), "order": args.order, "horizon": model.horizon, "states": model.n, "dt": model.dt, "method": check.method,
+        "noise": bounds, "smallest": check.smallest, "safety": check.safety, "held_out": held_out,
+        "recordings": [{"data": str(path)} | {k: _finite(v) for k, v in r.items()}
+                       for path, r in zip(args.data, check.recordings, strict=True)],
+        "jump": {k: _finite(v) for k, v in check.jump.items()}, "steady": {k: _finite(v) for k, v in check.steady.items()},
+        "warnings": list(check.sentences), "hints": hints}  # fmt: skip
+
+
+def _tell(model, args, hints):
+    """Print what was found."""
+    check = model.check
+    size = lambda x, name: "never" if not np.isfinite(x) else f"{x:.3g} {model.unit(name)}".rstrip()
+    table = [("output", "smallest bound", "written", "jump always seen", "steady error always seen")]
+    for name, bound in zip(model.outputs, model.noise, strict=True):
+        sizes = (size(x[name], name) for x in (check.jump, check.steady))
+        table.append((name, f"{check.smallest[name]:.4g}", f"{float(bound):.4g}", *sizes))
+    unseen = check.held_out
+    rows = [
+        ("model", f"{model.n} states, order {args.order}, coefficients by {check.method}"),
+        ("windows", f"{model.horizon + 1} samples, {model.dt:g} s apart: all of them CONSISTENT, by the proved test"),
+        *[(f"{path}", f"{r['windows']} windows, {100 * r['used']:.3g} % of the bounds used" if r["windows"] else "no window")
+          for path, r in zip(args.data, check.recordings, strict=True)],
+        ("held out", "nothing" if unseen is None else
+         f"a first fit, to the first {100 * (1 - args.held_out):.3g} % of each, found {100 * unseen['fault']:.3g} % FAULT in "
+         f"{unseen['windows']} windows of the rest, which used {100 * unseen['growth']:.3g} % of its bounds; the model is fitted to all"),
+        ("safety", f"{check.safety:g} times the smallest bounds"),
+        ("written", str(args.out) + (f" and {args.plot}" if args.plot else "")),
+        *[("caution", s) for s in check.sentences],
+        *[("hint", h) for h in hints],
+    ]  # fmt: skip
+    show(f"{model.name}: fitted to {len(check.recordings)} recording{'s' * (len(check.recordings) > 1)}", "bold", rows, table=table)

@@ -1,0 +1,97 @@
+"""The command `jaxbound fleet`: many units in one command, a table and a page with the worst first."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
+from jaxbound.diagnosis.detection import METHODS
+from jaxbound.recordings.plaintext import cell, percent
+from jaxbound.reports.fleet import fleet_page
+from jaxbound.runs.fleet import UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
+from jaxbound.runs.outputs import output_folder
+from jaxbound.runs.refusals import Interrupted, Refused
+
+__all__ = ["run", "write_fleet"]
+
+COLOUR = {"fault": "bold red", "not tested": "bold magenta", "too little evidence": "bold yellow", "no fault": "bold green"}
+SHOWN = 10  # units in the table on the terminal
+FIELDS = ("unit", "verdict", "margin", "factor", "FAULT", "CONSISTENT", "UNDECIDED", "MISSING", "decided", "alarms", "first_alarm", "worst",
+          "sentence", "hints", "model", "recording", "ended")  # fmt: skip
+
+
+def write_fleet(directory, results, title="fleet"):
+    """Write fleet.csv, a row a unit, and fleet.html, both with the worst unit first.
+
+    Args:
+        directory: an existing folder. results: UnitResults in any order. title: for the page.
+    """
+    ordered = worst_first(results)
+    number = lambda x: "" if math.isnan(x) else repr(float(x))
+    with open(Path(directory) / "fleet.csv", "w", newline="", encoding="utf-8", errors="backslashreplace") as f:
+        table = csv.writer(f, lineterminator="\n")
+        table.writerow(FIELDS)
+        for r in ordered:
+            missing, consistent, undecided, fault = r.counts
+            texts = (r.first_alarm, r.worst, r.sentence, " | ".join(r.hints), str(r.unit.model), str(r.unit.recording))
+            table.writerow((
+                cell(r.unit.name), r.verdict, number(r.margin), number(1 - r.margin), fault, consistent, undecided, missing,
+                number(r.decided), r.alarms, *map(cell, texts), r.ended))  # fmt: skip
+    (Path(directory) / "fleet.html").write_text(fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8")
+
+
+def run(args):
+    """Run `jaxbound fleet`; return the exit code."""
+    if args.method not in METHODS:
+        raise Refused(f"--method must be one of {', '.join(METHODS)}, not {args.method!r}")
+    with door():
+        units = read_manifest(args.manifest)
+        usable_device()
+    results = []
+    inputs = [args.manifest, *(path for unit in units for path in (unit.model, unit.recording))]
+    with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html"), inputs) as folder, folder.work() as work:
+        try:
+            with progress_bars(("units",)) as step:
+                testing = detect_fleet(units, args.method, args.horizon, args.alarm, args.min_coverage, lambda share: step("units", share))
+                for result in testing:
+                    results.append(result)
+        except KeyboardInterrupt:
+            done = len(results)
+            results += [UnitResult(unit, "not tested", "interrupted before its turn") for unit in units[done:]]
+            write_fleet(work, results, args.manifest.stem)
+            stopped = Interrupted(f"interrupted: {done} of {len(units)} units were tested; {args.out / 'fleet.csv'} has them")
+        else:
+            write_fleet(work, results, args.manifest.stem)
+            stopped = None
+    if stopped is not None:
+        raise stopped
+    return _conclude(args, results)
+
+
+def _conclude(args, results):
+    verdict, code, sentence = fleet_verdict(results)
+    ordered = worst_first(results)
+    if args.json:
+        found = {"verdict": verdict, "exit_code": code, "summary": sentence, "units": list(map(_plain, ordered)), "out": str(args.out)}
+        write(json.dumps(found, indent=2, allow_nan=False) + "\n")
+        return code
+    table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm", "the last alarm")]
+    for r in ordered[:SHOWN]:
+        margin = "" if math.isnan(r.margin) else f"{r.margin:.3g}"
+        table.append((r.unit.name, r.verdict, margin, str(r.counts[3]), percent(r.decided), r.first_alarm, r.ended))
+    rows = [("not tested", f"{r.unit.name}: {r.sentence}") for r in ordered if r.verdict == "not tested"][:SHOWN]
+    rows += [("", f"and {len(ordered) - SHOWN} more units")] if len(ordered) > SHOWN else []
+    rows += [("table", str(args.out / "fleet.csv")), ("page", str(args.out / "fleet.html"))]
+    show(sentence, COLOUR[verdict], rows, table)
+    return code
+
+
+def _plain(r):
+    """Return a UnitResult as JSON has it."""
+    names = ("MISSING", "CONSISTENT", "UNDECIDED", "FAULT")
+    return {
+        "unit": r.unit.name, "verdict": r.verdict, "summary": r.sentence, "margin": r.margin if math.isfinite(r.margin) else None,
+        "counts": dict(zip(names, r.counts, strict=True)), "decided": r.decided, "alarms": r.alarms, "first_alarm": r.first_alarm or None,
+        "worst": r.worst or None, "hints": list(r.hints), "model": str(r.unit.model), "recording": str(r.unit.recording),
+        "ended": r.ended or None}  # fmt: skip

@@ -1,0 +1,333 @@
+"""The command line: jaxbound demo | detect | explain | fleet | fit | tune | study | info.
+
+Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted (129 by SIGHUP, 143
+by SIGTERM, as shells count). What the user did wrong is one sentence on stderr; a report is written completely or not at all.
+"""
+
+import argparse
+import gc
+import importlib
+import os
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+
+import jax
+
+from jaxbound import __version__
+from jaxbound.cli.detect import run_demo, run_detect
+from jaxbound.cli.info import isolation_text
+from jaxbound.cli.terminal import (
+    BAD_INPUT,
+    INTERNAL,
+    INTERRUPTED,
+    OK,
+    Refused,
+    door,
+    progress_bars,
+    say,
+    show,
+    stoppable,
+    system_trouble,
+    write,
+)
+from jaxbound.diagnosis.detection import METHODS
+from jaxbound.models.modelfile import load_model, template
+from jaxbound.plots.canvas import distinct_relations
+from jaxbound.recordings.plaintext import clipped
+from jaxbound.relations.parity import parity_relations
+from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.summary import bound_hints
+from jaxbound.sets.floats.probe import Unverified
+
+__all__ = ["main"]
+
+EPILOG = (
+    "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted, and as shells "
+    "count 129 by SIGHUP, 143 by SIGTERM"
+)
+FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (nothing is written)"
+TUNE_EPILOG = (
+    "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the best bounds until then are "
+    "written; the same command goes on)"
+)
+STUDY_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the same command goes on)"
+PIPE_EPILOG = (
+    ". With -: SIGINT (Ctrl-C), SIGTERM and SIGHUP end the input. Stopped in any way, kill -9 too, and started again with the same --out, "
+    "verdicts.csv holds each line that was taken once, whether the sender begins again (what was judged is known by the first line and its "
+    "number, or by its time) or goes on. On standard output each verdict stands once, after kill -9 at least once, if --out or --state is "
+    "given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
+)
+FLEET_EPILOG = (
+    "exit codes, the first that applies: 1 fault found in some unit, 2 some unit could not be tested (its row says why) or bad input or "
+    "usage, 3 too little evidence for some unit, 0 no fault; 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (what "
+    "was tested is written)"
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports wrong usage in one sentence."""
+
+    def error(self, message):
+        """Raise Refused instead of printing the usage."""
+        raise Refused(f"{message.removeprefix('argument ').replace(': ', ' ', message.startswith('argument '))}; see {self.prog} --help")
+
+    def _print_message(self, message, file=None):
+        """Print help and version as everything is printed."""
+        if message:
+            write(message)
+
+
+def main(argv=None):
+    """Run one command.
+
+    Args:
+        argv: the arguments after the program's name; None: those of the process.
+
+    Returns:
+        The exit code.
+    """
+    with stoppable() as caught:
+        code = _main(argv)
+        return 128 + caught[0] if code == INTERRUPTED and caught else code
+
+
+def _main(argv):
+    try:
+        args = _parse(sys.argv[1:] if argv is None else list(argv))
+        _configure()
+        gc.freeze()  # what is imported stays: the collector need not look through it again and again
+        return args.run(args)
+    except SystemExit as e:  # --help, --version
+        return e.code if isinstance(e.code, int) else OK
+    except (Refused, Unverified) as e:
+        say(str(e))
+        return BAD_INPUT
+    except KeyboardInterrupt as e:
+        say(str(e) or "interrupted: nothing was written")
+        return INTERRUPTED
+    except MemoryError as e:
+        said = clipped(str(e)) or "no more was given"
+        say(f"this needs more memory than there is ({said}): ask for less at once, or use a larger machine")
+        return BAD_INPUT
+    except OSError as e:  # a disk that fills up, say, while a report is written
+        say(system_trouble(e))
+        return BAD_INPUT
+    except Exception as e:
+        with tempfile.NamedTemporaryFile("w", prefix="jaxbound-traceback-", suffix=".txt", delete=False) as f:
+            traceback.print_exc(file=f)
+        say(f"internal error, {type(e).__name__}: please report it with the traceback in {f.name}")
+        return INTERNAL
+
+
+def _parse(argv):
+    for i in reversed(range(1, len(argv))):
+        if argv[i - 1] in ("--input-range", "--sizes") and argv[i][:1] == "-":  # argparse takes -1:1 for an option
+            argv[i - 1 : i + 1] = [f"{argv[i - 1]}={argv[i]}"]
+    parser = Parser("jaxbound", description="Guaranteed fault detection: every FAULT is a proof.", epilog=EPILOG)
+    parser.add_argument("--version", action="version", version=f"jaxbound {__version__}")
+    commands = parser.add_subparsers(
+        metavar="demo | detect | explain | fleet | fit | tune | study | info", required=True, parser_class=Parser
+    )
+    c = commands.add_parser("demo", help="run the example of a paper and write its report", epilog="exit code: 0")
+    c.add_argument("--out", type=_path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
+    c.add_argument("--runs", type=_whole(1, 10**7), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
+    c.set_defaults(run=run_demo)
+    c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=EPILOG + PIPE_EPILOG)
+    c.add_argument("model", type=_path, metavar="MODEL.toml")
+    c.add_argument("data", type=_named, metavar="DATA", help="a CSV file, a Parquet file, a folder of Parquet files, which follow each "
+                   "other by name, or -: lines of CSV from standard input, each judged as it comes, its verdict on standard "
+                   "output")  # fmt: skip
+    c.add_argument("--out", type=_path, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures; with -, if given, "
+                   "for verdicts.csv and monitor.jsonl")  # fmt: skip
+    c.add_argument("--state", type=_path, metavar="FILE", help="with -: where to remember how to go on (default: DIR/monitor.jsonl)")
+    c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 65536 at least (default: 1000000)")
+    more = f"; {VALIDATION} bounds states and outputs, names the faulty sensor and says what it should have shown"
+    _testing(c, more)
+    c.set_defaults(run=run_detect)
+    c = commands.add_parser("explain", help="print the certificate of one window", epilog="exit codes: 0, or 2 bad input")
+    c.add_argument("report", type=_path, metavar="DIR", help="folder that jaxbound detect wrote")
+    c.add_argument("--at", required=True, metavar="TIME", help="time or number of the sample at which the window ends")
+    c.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
+    c.set_defaults(run=_elsewhere("explain"))
+    c = commands.add_parser("fleet", help="test many units listed in a table", epilog=FLEET_EPILOG)
+    c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
+    c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
+    _testing(c)
+    c.set_defaults(run=_elsewhere("fleet"))
+    c = commands.add_parser("fit", help="find a model and its bounds from healthy recordings", epilog=FIT_EPILOG)
+    c.add_argument("data", type=_path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
+    c.add_argument("--inputs", default="", metavar="A,B", help="columns; or name=column, or name=expression like lift=Tsup-Tmix")
+    c.add_argument("--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain")
+    c.add_argument("--order", type=_whole(1, 1000), default=2, metavar="N", help="samples back that determine the next one (default: 2)")
+    c.add_argument("--horizon", type=_whole(1), default=15, metavar="S", help="bounds are found for windows of S + 1 samples (default: 15)")
+    c.add_argument("--direct", action="store_true", help="inputs act on outputs of the same sample")
+    c.add_argument("--where", metavar="EXPR", help="condition on columns: samples where it does not hold are no part of the recording")
+    c.add_argument("--time", metavar="COLUMN", help="of the time stamps (default: a column that looks like time)")
+    c.add_argument("--dt", type=float, metavar="SECONDS", help="sampling period (default: the median step of the time)")
+    c.add_argument("--safety", type=float, default=1.25, metavar="F", help="factor on the smallest bounds (default: 1.25)")
+    c.add_argument("--held-out", type=_share, default=0.3, metavar="F", help="last share of each recording kept from a first fit, to see "
+                   "what it makes of unseen data (default: 0.3)")  # fmt: skip
+    c.add_argument("--method", default="auto", help="auto, least squares, windows, or filters (fast given dynamics: no error hides)")
+    c.add_argument("--out", type=_path, required=True, metavar="MODEL.toml", help="the model file to write")
+    c.add_argument("--name", metavar="NAME", help="of the plant (default: that of the model file)")
+    c.add_argument("--plot", type=_path, metavar="PNG", help="picture: how much of the bounds each window needs")
+    c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
+    c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+    c.set_defaults(run=_elsewhere("fit"))
+    c = commands.add_parser("tune", help="find the smallest bounds under which healthy recordings are consistent", epilog=TUNE_EPILOG)
+    c.add_argument("model", type=_path, metavar="MODEL.toml", help="its bounds are the start; those at 0 stay 0")
+    c.add_argument("healthy", type=_path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet")
+    c.add_argument("--faulty", type=_path, nargs="+", default=[], metavar="F", help="recordings with a fault, to be left outside")
+    c.add_argument("--out", type=_path, required=True, metavar="TUNED.toml", help="the model with its new bounds")
+    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the model's, or the least)")
+    c.add_argument(
+        "--steps", type=_whole(0, 10**7), default=300, metavar="N", help="gradient steps (default: 300; 0: one factor on all bounds)"
+    )
+    c.add_argument("--optimizer", default="adam", metavar="NAME", help="of optax: adam (default), sgd, lion, ...")
+    c.add_argument("--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)")
+    c.add_argument("--safety", type=float, default=1.25, metavar="F", help="factor on the smallest bounds (default: 1.25)")
+    c.add_argument("--calibrate", type=_share, default=1 / 3, metavar="F", help="share of the data kept out of the search (default: 1/3)")
+    c.add_argument("--plot", type=_path, metavar="PNG", help="picture of the search and of the margins")
+    c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
+    c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+    c.set_defaults(run=_elsewhere("tune"))
+    c = commands.add_parser("study", help="simulate a million scenarios and count what is detected", epilog=STUDY_EPILOG)
+    c.add_argument("model", type=_path, metavar="MODEL.toml", help="the plant and the bounds of its monitor")
+    c.add_argument("--faults", required=True, metavar="F,F", help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation")
+    c.add_argument("--sizes", metavar="LO:HI:COUNT", help="or numbers with commas (default: twelve around the guaranteed size)")
+    c.add_argument("--n", type=_whole(1), default=100_000, metavar="N", help="scenarios, spread over faults and sizes (default: 100000)")
+    c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for summary.csv, delays.parquet and report.html")
+    c.add_argument("--samples", type=_whole(1, 10**6), default=200, metavar="T", help="of a scenario (default: 200)")
+    c.add_argument("--onset", metavar="LO:HI", help="the fault starts at a sample LO <= k < HI (default: the second quarter)")
+    c.add_argument("--at", default="uniform", help="unknowns: uniform (default), vertices of their bounds, or adversarial")
+    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
+    c.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="of the scenarios (default: 0)")
+    c.add_argument("--input-range", metavar="LO:HI", help="levels of the inputs, one pair for all or one each with commas")
+    c.add_argument("--hold", type=_whole(1), default=20, metavar="H", help="samples that a level lasts (default: 20)")
+    c.add_argument("--rows", action="store_true", help="keep a row for each scenario in DIR/scenarios/")
+    c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+    c.set_defaults(run=_elsewhere("study"))
+    c = commands.add_parser("info", help="show what a model file says and what can be tested", epilog="exit codes: 0, or 2 bad input")
+    c.add_argument("model", type=_path, nargs="?", metavar="MODEL.toml")
+    c.add_argument("--template", action="store_true", help="print a commented model file")
+    c.add_argument("--horizon", type=_whole(0), metavar="S")
+    c.set_defaults(run=_info)
+    return parser.parse_args(argv)
+
+
+def _testing(c, more=""):
+    """Add the options of every command that tests recordings."""
+    c.add_argument("--method", default="joint", help=f"{', '.join(METHODS)} (default: joint, the exact test){more}")
+    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
+    c.add_argument("--alarm", type=_k_of_n, default=(1, 1), metavar="k/n", help="an alarm needs k FAULT among n windows (default: 1/1)")
+    c.add_argument("--min-coverage", type=_share, default=0.5, metavar="F", help="least share of decided windows (default: 0.5)")
+    c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+
+
+def _elsewhere(module):
+    """Return the `run` of a module that is imported only when its command is given."""
+    return lambda args: importlib.import_module(f"jaxbound.cli.{module}").run(args)
+
+
+def _named(text):
+    if not text.strip():
+        raise argparse.ArgumentTypeError("needs a name, not an empty text")
+    return text
+
+
+def _path(text):
+    return Path(_named(text))
+
+
+def _whole(least, most=10**15):
+    def parse(text):
+        if not text.isdecimal() or len(text) < 20 and int(text) < least:
+            raise argparse.ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")
+        if len(text) >= 20 or int(text) > most:
+            raise argparse.ArgumentTypeError(f"needs a whole number of at most {most}, not {text[:40]}")
+        return int(text)
+
+    return parse
+
+
+def _k_of_n(text):
+    k, slash, n = text.partition("/")
+    if not slash or not k.isdecimal() or not n.isdecimal() or not 1 <= int(k) <= int(n):
+        raise argparse.ArgumentTypeError(f"needs k/n with 1 <= k <= n, like 3/5, not {text!r}")
+    return int(k), int(n)
+
+
+def _share(text):
+    try:
+        share = float(text)
+    except ValueError:
+        share = -1.0
+    if not 0 <= share <= 1:
+        raise argparse.ArgumentTypeError(f"needs a share between 0 and 1, not {text!r}")
+    return share
+
+
+def _configure():
+    """Switch on float64, the CPU unless the user chose otherwise, and a cache of compiled kernels that lasts."""
+    jax.config.update("jax_enable_x64", True)
+    if not os.environ.get("JAX_PLATFORMS"):
+        jax.config.update("jax_platforms", "cpu")
+    if jax.config.jax_compilation_cache_dir is not None:
+        return
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbound"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _info(args):
+    if args.template == (args.model is not None):
+        raise Refused("jaxbound info needs either a model file or --template")
+    if args.template:
+        write(template())
+        return OK
+    with door(), progress_bars(("relations",)) as step:
+        m = load_model(args.model)
+        r = parity_relations(m, args.horizon, progress=lambda share: step("relations", share))
+    exact = lambda names, values: ", ".join(f"{n} {float(v):.6g}" for n, v in zip(names, values, strict=True) if v) or "none"
+    signals = lambda names: ", ".join(f"{n} [{m.unit(n)}]" if m.unit(n) else n for n in names) or "none"
+    origin = lambda field: f"({m.provenance.get(field, 'origin not stated')})"
+    bounds = [(b, f"{exact(m.outputs, getattr(m, b))}   {origin(b)}") for b in ("tolerance", "noise", "resolution")]
+    ranges = ", ".join(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]" for j, (lo, hi) in enumerate(m.disturbance))
+    bounds += [("disturbance", f"{ranges}   {origin('disturbance')}")] if m.g else []
+    bounds += [("unknown inputs", f"{m.d}, of which nothing is known")] if m.d else []
+    bounds += [
+        ("parameter", f"{p.name} in [{float(p.between[0]):.6g}, {float(p.between[1]):.6g}], {'varies' if p.varying else 'constant'}")
+        for p in m.uncertainties
+    ]
+    if m.uncertainties:
+        tested = f"polynomials of order {r.order} in {len(r.variables)} uncertain numbers"
+    else:
+        tested = f"{len(r.circuits)} combinations tested" if r.frame is None else "combinations too many to list, the worst is searched for"
+    rows = [
+        ("states", f"{m.n}: {', '.join(m.states)}"), ("inputs", f"{m.m}: {signals(m.inputs)}"), ("outputs", f"{m.p}: {signals(m.outputs)}"),
+        ("dt", f"{m.dt:g} s"), ("matrices", f"A {m.n}x{m.n}, B {m.n}x{m.m}, C {m.p}x{m.n}, D {'present' if m.has_feedthrough else 'zero'}"
+         f"   {origin('model')}"), *bounds,
+        ("offset", exact(m.inputs + m.outputs, m.offset["u"] + m.offset["y"])),
+        *[(f"column of {s}" if s in m.inputs + m.outputs else s, c) for s, c in m.columns.items()],
+        ("horizon", f"{r.horizon}: a window has {r.horizon + 1} samples"),
+        ("relations", f"{r.count} independent, {tested}"),
+        *[("note", n) for n in getattr(r, "notes", ())], *[("hint", h) for h in bound_hints(m)]]  # fmt: skip
+    distinct = distinct_relations(r)
+    if len(distinct) < r.count:
+        rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
+    text = "\n".join(r.text().splitlines()[j] for j in distinct)
+    show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon)}")
+    return OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

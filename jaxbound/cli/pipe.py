@@ -1,0 +1,320 @@
+"""The command `jaxbound detect MODEL.toml -`: verdicts on lines of CSV as they come through a pipe.
+
+What is there is read, judged as one burst and printed: one sample where the sender is slow, thousands where it is ahead.
+"""
+
+import csv
+import io
+import json
+import os
+import select
+import signal
+import stat
+import sys
+import threading
+import time
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxbound.cli.terminal import ENDS, door, nobody_reads, say, system_trouble, usable_device
+from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
+from jaxbound.diagnosis.monitor import Monitor, MonitorState
+from jaxbound.diagnosis.result import suspected
+from jaxbound.models.modelfile import load_model
+from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows
+from jaxbound.recordings.linetext import FEW
+from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.plaintext import percent
+from jaxbound.recordings.seams import irregular, seam_hints
+from jaxbound.relations.identity import identity
+from jaxbound.relations.parity import parity_relations
+from jaxbound.runs.endings import endings_said
+from jaxbound.runs.journal import STATE, VERDICTS, Journal
+from jaxbound.runs.outputs import output_folder, refuse_targets
+from jaxbound.runs.refusals import Refused
+from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.summary import CODES, bound_hints
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["follow", "run"]
+
+AT_ONCE = 1 << 18  # bytes read at once
+PIPE = 1 << 20  # bytes that the pipe should hold
+NAMES, FAULT = [x.name for x in Status], int(Status.FAULT)
+TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
+
+
+def run(args):
+    """Run `jaxbound detect MODEL.toml -`; return the exit code."""
+    if args.method == VALIDATION:
+        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
+    for option, given in (("--chunk", args.chunk is not None), ("--alarm", args.alarm != (1, 1))):
+        if given:
+            raise Refused(f"{option} is for recordings: give a file instead of -")
+    with door(OSError):
+        whole = stat.S_ISREG(os.fstat(0).st_mode)
+    with _signals() as (stopped, woken):
+        return follow(args, _chunks(0, stopped, woken), whole)
+
+
+def follow(args, chunks, whole=True):
+    """Judge bytes as they come; return the exit code.
+
+    Args:
+        args: .model, .horizon, .method, .out, .state (paths or None), .min_coverage, .json. chunks: iterable of bytes; None in it ends the
+            run as a signal does. whole: the last line is complete without a line end, as in a file; in a pipe half of a number may be.
+
+    Raises:
+        Refused: a model, a header, a sampling period or a state that does not fit, a method without a Monitor.
+    """
+    with door(), _place(args) as folder:
+        model = load_model(args.model)
+        relations = parity_relations(model, args.horizon)
+        if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
+            jax.config.update("jax_cpu_enable_async_dispatch", False)
+        usable_device()
+        monitor = Monitor(relations, args.method)
+        with Journal(args.out, args.state, identity(relations, method=args.method)) as journal:
+            if folder is not None:
+                folder.claim(VERDICTS, STATE)
+            return _Run(args, monitor, journal).to_the_end(chunks, whole)
+
+
+@contextmanager
+def _place(args):
+    """Make --out a folder whose verdicts this command may write, and see to it that nothing that is read is written."""
+    inputs = [Path(args.model), *([Path("/dev/stdin")] if stat.S_ISREG(os.fstat(0).st_mode) else [])]
+    with nullcontext() if args.out is None else output_folder(args.out, (), inputs) as folder:
+        if args.state is not None:
+            refuse_targets({"--state": Path(args.state)}, inputs, force=True)
+        if folder is None:
+            yield None
+            return
+        state = args.out / STATE if args.state is None else Path(args.state)
+        if os.path.realpath(state) == os.path.realpath(args.out / VERDICTS):
+            raise Refused(f"--state {state} is where the verdicts are written: give another name")
+        folder.check((VERDICTS, STATE), foreign=not state.exists())  # a state tells whether the verdicts are its own
+        yield folder
+        folder.settle(VERDICTS, STATE)
+
+
+class _Run:
+    """One run: what it counts, says and remembers."""
+
+    def __init__(self, args, monitor, journal):
+        before = journal.before or {}
+        self.args, self.monitor, self.journal, self.spoken = args, monitor, journal, {}
+        self.header = b"" if args.json else b"time,status,margin\n"
+        self.text = PipeText(monitor.relations.model, self.complain, before.get("text"))
+        empty = monitor.init()
+        read = lambda old, text: np.frombuffer(bytes.fromhex(text), old.dtype).reshape(old.shape)
+        self.state = MonitorState(*map(read, empty, before["state"])) if before else empty
+        counts = dict.fromkeys(NAMES, 0)
+        nothing = {"counts": counts, "aside": 0, "recent": [], "left out": 0, "first": None, "worst": None, "last": None}
+        self.found = before.get("found", nothing | {"on": 0, "on before": 0, "endings": {}})
+
+    def to_the_end(self, chunks, whole):
+        m = self.monitor.relations.model
+        self.monitor.run(self.monitor.init(), np.zeros((1, m.m)), np.zeros((1, m.p)))  # compiled before a sample waits for it
+        if self.journal.before is not None:
+            say(f"going on after {self.text.clock.samples} samples, the last at {self._label(self.found['last'])}")
+            self.emit(self._printed(self.journal.pending))
+        ended, data = True, b""
+        for data in chunks:
+            if data is None:
+                ended = False
+                break
+            self.burst(self.text.take(data))
+        if ended and whole:
+            self.burst(self.text.take(b"", end=True))
+        elif ended and self.text.tail.strip():
+            self.complain("line", "the last line has no end: it is not judged")
+        if ended:
+            self.text.end()
+        return self.conclude()
+
+    def _label(self, when):
+        return when if isinstance(when, str) or when is None else self.text.label(when)
+
+    def burst(self, piece):
+        """Judge samples, remember them, write and print their verdicts."""
+        rows = b""
+        if piece is not None:
+            self.state, verdict = self.monitor.run(self.state, piece.u, piece.y, starts=piece.starts)
+            self._count(piece, verdict)
+            rows = _rows(piece.written, verdict)
+        if self.text.reader is not None and not self.text.skip:  # what is sent again is remembered already
+            self.journal.add(self.memory(), rows)
+        self.emit(self._printed(rows))
+
+    def memory(self):
+        """Return what another process needs to go on, fit for JSON."""
+        return {"text": self.text.memory(), "state": [x.tobytes().hex() for x in self.state], "found": self.found}
+
+    def _count(self, piece, verdict):
+        found, status, s = self.found, verdict.status, self.monitor.relations.horizon
+        for name, n in zip(NAMES, np.bincount(status, minlength=len(NAMES)).tolist(), strict=True):
+            found["counts"][name] += n
+        if piece.excluded is not None:
+            reach = np.concatenate([np.array(found["recent"], bool), piece.excluded])
+            before, ends = np.cumsum(np.append(0, reach)), np.arange(len(found["recent"]), len(reach))
+            warm = max(s - self.text.clock.samples + len(status), 0)  # of these windows are none
+            found["aside"] += int(np.count_nonzero((before[ends + 1] > before[np.maximum(ends - s, 0)])[warm:]))
+            found["recent"] = reach[len(reach) - min(s, len(reach)) :].tolist()
+        text = self.text.reader.is_text
+        when = lambda k: piece.written[k].as_py().strip() if text else float(piece.time[k])
+        found["last"] = when(len(status) - 1)
+        found["on before"] = found["on"]
+        for code in status.tolist() if found["on"] or (status == FAULT).any() else ():
+            found["on"], ended = _followed(found["on"], code, s)
+            found["endings"] |= {ended: found["endings"].get(ended, 0) + 1} if ended else {}
+        fault = np.flatnonzero(status == FAULT)
+        if len(fault):
+            worst = int(fault[np.argmin(verdict.margin[fault])])
+            found["first"] = when(int(fault[0])) if found["first"] is None else found["first"]
+            if found["worst"] is None or verdict.margin[worst] < found["worst"][1]:
+                found["worst"] = [when(worst), float(verdict.margin[worst])]
+
+    def _printed(self, rows):
+        """Return rows of verdicts.csv as they go to stdout."""
+        if not self.args.json or not rows:
+            return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
+        number = lambda x: float(x) if x else None
+        when = str if self.text.reader.is_text else number
+        on, out = self.found["on before"], []
+        for t, status, margin, _ in csv.reader(io.StringIO(rows.decode())):
+            on, ended = _followed(on, Status[status], self.monitor.relations.horizon)
+            out.append(json.dumps({"time": when(t), "status": status, "margin": number(margin), "ended": ended}) + "\n")
+        return "".join(out).encode()
+
+    def emit(self, data):
+        """Print, with the header before the first; where a reader has gone away, go on only if the verdicts are written elsewhere too."""
+        if not data:
+            return
+        data, self.header = self.header + data, b""
+        try:
+            if sys.stdout is None:
+                raise BrokenPipeError("closed from the start")
+            sys.stdout.flush()
+            sys.stdout.buffer.write(data)
+            sys.stdout.buffer.flush()
+        except OSError as e:
+            if sys.stdout is not None:
+                nobody_reads()
+            if not isinstance(e, BrokenPipeError):
+                raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
+            if self.args.out is None:
+                raise KeyboardInterrupt("nobody reads the verdicts any more: stopped") from None
+
+    def complain(self, kind, sentence):
+        """Say a sentence, unless many of its kind were said a moment ago."""
+        count, last, silent = self.spoken.get(kind, (0, 0.0, 0))
+        self.found["left out"] += kind == "line"
+        if count >= TALKATIVE and time.monotonic() - last < QUIET:
+            self.spoken[kind] = count, last, silent + 1
+            return
+        more = f" ({silent} more like it before)" if silent else ""
+        say(sentence + more + ("; of more like it, one a minute is shown" if count == TALKATIVE - 1 else ""))
+        self.spoken[kind] = count + 1, time.monotonic(), 0
+
+    def conclude(self):
+        """Say what was found and return the exit code."""
+        found, clock, relations = self.found, self.text.clock, self.monitor.relations
+        if self.text.reader is not None:
+            self.journal.finish(self.memory())
+        counts, total = found["counts"], clock.samples - relations.horizon - found["aside"]
+        decided = counts["CONSISTENT"] + counts["FAULT"]
+        share = decided / total if total > 0 else 0.0
+        where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
+        hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *bound_hints(relations.model)]
+        lost = found["left out"]
+        hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
+        for hint in filter(None, (*hints, *endings_said(found["endings"], sum(found["endings"].values()) + bool(found["on"])))):
+            say(hint)
+        few = share < self.args.min_coverage
+        verdict = "fault" if counts["FAULT"] else "too little evidence" if few else "no fault"
+        at, margin = found["worst"] or (None, np.nan)
+        sentence = {
+            "fault": f"Fault proved, first at {self._label(found['first'])}, worst at {self._label(at)}, margin {margin:.3g}",
+            "no fault": "No fault found",
+            "too little evidence": f"Too little evidence: {percent(share)} of the windows are decided",
+        }[verdict]
+        say(f"{sentence}. {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
+        return CODES[verdict]
+
+
+def _followed(on, status, horizon):
+    """Return (FAULT windows in a row up to this one, why the alarm that they were is over, None if none ended here)."""
+    if status == FAULT:
+        return on + 1, None
+    after = np.array([NO_DATA if status == Status.MISSING else OTHER])
+    return 0, ENDINGS[endings(0, on - 1, after, horizon)[0]] if on else None
+
+
+def _rows(written, verdict):
+    """Return rows of verdicts.csv as `write_verdicts` writes them."""
+    import pyarrow as pa
+
+    texts = isinstance(written, pa.Array)
+    if len(written) <= FEW and (not texts or is_plain(written)):  # by hand, which is sooner done
+        times = written.to_pylist() if texts else map(_number, written.tolist())
+        return "".join(
+            f"{when},{NAMES[status]},{_number(margin)},{'true' if status == FAULT or margin < 0 else 'false'}\n"
+            for when, status, margin in zip(times, verdict.status.tolist(), verdict.margin.tolist(), strict=True)
+        ).encode()
+    columns = {"time": written if texts else to_arrow(written), "status": words(NAMES, verdict.status), "margin": to_arrow(verdict.margin)}
+    sink = pa.BufferOutputStream()
+    write_rows(sink, columns | {"suspect": to_arrow(suspected(*verdict))})
+    return sink.getvalue().to_pybytes()
+
+
+def _number(x):
+    """Return a float as pyarrow writes it, NaN as nothing."""
+    if x != x:
+        return ""
+    if x == 0 or 1e-4 <= abs(x) < 1e9:
+        return repr(x).removesuffix(".0")
+    import pyarrow as pa
+
+    return pa.array([x]).cast(pa.string())[0].as_py()
+
+
+def _chunks(fd, stopped, woken):
+    """Yield what can be read, as soon as something can; None, at the end, if a signal ended it."""
+    try:
+        import fcntl
+
+        fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE)
+    except (ImportError, AttributeError, OSError):  # no pipe, or none that can grow: the usual 64 kB will do
+        pass
+    while True:
+        ready, _, _ = select.select([fd, woken], [], [])
+        if stopped.is_set():
+            yield None
+            return
+        if fd in ready:
+            data = os.read(fd, AT_ONCE)
+            if not data:
+                return
+            yield data
+
+
+@contextmanager
+def _signals():
+    """Give (an event that SIGINT, SIGTERM and SIGHUP set, a file descriptor that can be read then): nothing is interrupted half-way."""
+    stopped, (woken, waker) = threading.Event(), os.pipe()
+    os.set_blocking(waker, False)
+    ends = [n for n in ENDS if signal.getsignal(n) != signal.SIG_IGN]  # nohup
+    before = {n: signal.signal(n, lambda *_: stopped.set()) for n in (signal.SIGINT, *ends)}
+    previous = signal.set_wakeup_fd(waker)
+    try:
+        yield stopped, woken
+    finally:
+        signal.set_wakeup_fd(previous)
+        for n, handler in before.items():
+            signal.signal(n, handler)
+        os.close(woken)
+        os.close(waker)

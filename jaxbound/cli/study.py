@@ -1,0 +1,109 @@
+"""The command `jaxbound study`: a Monte-Carlo study of a monitor, from a model file to tables and a page."""
+
+import json
+import time
+
+import jax
+import numpy as np
+
+from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
+from jaxbound.models.modelfile import load_model
+from jaxbound.plots.canvas import to_png
+from jaxbound.plots.curves import plot_study
+from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.plaintext import cell
+from jaxbound.relations.parity import parity_relations
+from jaxbound.reports.study import HEAD, sentence, study_page, study_rows
+from jaxbound.runs.outputs import output_folder
+from jaxbound.runs.refusals import Refused
+from jaxbound.studies.montecarlo.montecarlo import study
+
+__all__ = ["run"]
+
+NAMES = ("summary.csv", "summary.parquet", "delays.parquet", "study.png", "report.html")
+MOST = 10_000  # sizes of a fault
+
+
+def run(args):
+    """Run `jaxbound study`; return the exit code."""
+    start = time.perf_counter()
+    sizes, span = _sizes(args.sizes), _pairs("--input-range", args.input_range)
+    onset = _pairs("--onset", args.onset)
+    if onset is not None and (len(onset) > 1 or not all(x.is_integer() for x in onset[0])):
+        raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
+    faults = [f.strip() for f in args.faults.split(",") if f.strip()]
+    with door(), output_folder(args.out, NAMES, (args.model,)) as folder, progress_bars(("relations", "study", "report")) as step:
+        model = load_model(args.model)
+        usable_device()
+        refuse_short("--samples", args.samples, model.horizon if args.horizon is None else args.horizon)
+        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+        span = span[0] if span is not None and len(span) == 1 else span
+        onset = None if onset is None else tuple(map(int, onset[0]))
+        res = study(
+            model, faults, args.n, args.seed, relations, samples=args.samples, sizes=sizes, onset=onset, at=args.at, input_range=span,
+            hold=args.hold, progress=lambda share: step("study", share), out=args.out, rows=args.rows)  # fmt: skip
+        counted = time.perf_counter() - start
+        step("report", 0.2)
+        with folder.work() as work:
+            _write(work, res, args.seed, counted)
+        step("report", 1.0)
+    _conclude(args, res, counted)
+    return 0
+
+
+def _sizes(text):
+    """Read sizes: lo:hi:count, or numbers with commas."""
+    if text is None:
+        return None
+    try:
+        if ":" in text:
+            lo, hi, count = text.split(":")
+            if int(count) > MOST:
+                raise Refused(f"--sizes asks for {int(count)} sizes of a fault: at most {MOST} are studied")
+            return np.linspace(float(lo), float(hi), int(count)).tolist()
+        return [float(x) for x in text.split(",")]
+    except ValueError:
+        raise Refused(f"--sizes needs lo:hi:count, like 0.1:1:10, or numbers with commas, not {text!r}") from None
+
+
+def _pairs(option, text):
+    """Read lo:hi, or several such pairs with commas."""
+    if text is None:
+        return None
+    try:
+        pairs = [tuple(map(float, part.split(":"))) for part in text.split(",")]
+    except ValueError:
+        pairs = [()]
+    if any(len(p) != 2 for p in pairs):
+        raise Refused(f"{option} needs lo:hi, like -1:1, not {text!r}")
+    return pairs
+
+
+def _write(work, res, seed, seconds):
+    """Write the tables, the picture and the page of a study."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    found, png = res.to_pandas(), to_png(plot_study(res))
+    named = found.select_dtypes(exclude="number").columns
+    found.assign(**{c: found[c].astype(object).map(lambda x: cell(x) if isinstance(x, str) else x) for c in named}).to_csv(
+        work / "summary.csv", index=False
+    )
+    pq.write_table(pa.Table.from_pandas(found, preserve_index=False), work / "summary.parquet")
+    pq.write_table(pa.Table.from_pandas(res.delays(), preserve_index=False), work / "delays.parquet")
+    (work / "study.png").write_bytes(png)
+    (work / "report.html").write_text(study_page(res, found, png, seed, seconds), encoding="utf-8")
+
+
+def _conclude(args, res, seconds):
+    found = res.to_pandas()
+    if args.json:
+        false, clean = res.false_alarms
+        plain = found.astype(object).where(np.isfinite(found.select_dtypes("number")).reindex(columns=found.columns, fill_value=True), None)
+        told = {"scenarios": res.scenarios, "samples": res.samples, "at": res.at, "horizon": res.horizon, "false_alarms": false,
+                "clean_windows": clean, "cells": plain.to_dict("records"), "report": str(args.out / "report.html")}  # fmt: skip
+        write(json.dumps(told, indent=1, default=float) + "\n")
+        return
+    speed = f"{res.scenarios * res.samples / max(seconds, 1e-9) / 1e6:.3g} million samples a second on {jax.local_device_count()} device"
+    rows = [("study", sentence(res)), ("seconds", f"{seconds:.1f}, {speed}"), ("report", str(args.out / "report.html"))]
+    show(res.model.name, "bold", rows, table=[HEAD, *study_rows(found)])

@@ -1,0 +1,145 @@
+"""What every command does at the terminal: refuse in one sentence, show a bar for each stage, print what was found."""
+
+import io
+import os
+import signal
+import sys
+import threading
+from contextlib import contextmanager, suppress
+
+import jax
+
+from jaxbound.recordings.plaintext import clipped, printable
+from jaxbound.runs.refusals import Refused, Stopped
+from jaxbound.sets.floats.probe import refuse_unverified
+
+__all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "OK", "door", "nobody_reads",
+           "progress_bars", "say", "show", "stoppable", "system_trouble", "usable_device", "write"]  # fmt: skip
+
+ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))  # signals that ask for the end
+OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # exit codes of every command; those of verdicts: `detecting.CODES`
+
+
+@contextmanager
+def door(*kinds):
+    """Turn what the library or the file system refuses into a sentence for the user."""
+    kinds = kinds or (OSError, ValueError, NotImplementedError, TypeError)
+    try:
+        yield
+    except kinds as e:
+        raise Refused(system_trouble(e)) from e
+
+
+def system_trouble(e):
+    """Return what an exception says; of the file system's, which file and what is wrong with it."""
+    system = isinstance(e, OSError) and e.strerror
+    return f"{e.filename}: {e.strerror.lower()}" if system and e.filename else e.strerror.lower() if system else str(e)
+
+
+@contextmanager
+def stoppable():
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does; yields a list that gets the number of the signal.
+
+    What is ignored stays ignored (`nohup`). A second signal does not disturb the cleaning up of the first; Ctrl-C does.
+    """
+    caught = []
+    names = {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL} if threading.current_thread() is threading.main_thread() else ()
+
+    def stop(number, frame):
+        caught.append(number)
+        for n in names:
+            signal.signal(n, signal.SIG_IGN)
+        raise Stopped
+
+    for n in names:
+        signal.signal(n, stop)
+    try:
+        yield caught
+    finally:
+        for n in names:
+            signal.signal(n, signal.SIG_DFL)
+
+
+@contextmanager
+def progress_bars(stages):
+    """Show a bar for each stage on a terminal's stderr; yields a function of (stage, share)."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield lambda stage, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:>8}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        tasks = {stage: bars.add_task(stage, total=1.0) for stage in stages}
+        yield lambda stage, share: bars.update(tasks[stage], completed=share)
+
+
+def write(text):
+    """Write to stdout; a reader that has gone away, or a closed stdout, is no trouble: the exit code stays what it is.
+
+    Raises:
+        Refused: a full device.
+    """
+    if sys.stdout is None:  # closed from the start
+        return
+    try:
+        encoding = sys.stdout.encoding or "utf-8"
+        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))  # letters that it cannot show
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
+        nobody_reads()
+    except OSError as e:
+        nobody_reads()
+        raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
+
+
+def nobody_reads():
+    """Let what is held back for stdout go nowhere: else the interpreter complains of it at its end."""
+    with suppress(OSError):  # a stand-in for stdout has no number
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def show(headline, style, rows, table=None, text=""):
+    """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names are not markup."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    page, shown = io.StringIO(), Console()  # what rich itself writes to stdout, a full or closed one would break
+    terminal = shown.is_terminal
+    console = Console(file=page, force_terminal=terminal, width=shown.width if terminal else 160)
+    grid = Table.grid(padding=(0, 2))
+    for name, value in rows:
+        grid.add_row(Text(printable(name), "dim"), Text(printable(value), overflow="fold"))
+    console.print(Text(printable(headline), style), soft_wrap=not terminal)
+    if table:
+        rates = Table(box=None, padding=(0, 2), pad_edge=False)
+        for i, name in enumerate(table[0]):
+            rates.add_column(Text(printable(name)), justify="right" if i else "left")
+        for row in table[1:]:
+            rates.add_row(*(Text(printable(cell)) for cell in row))
+        console.print(rates)
+    console.print(grid)
+    if text:
+        console.print(Text(printable(text, "\n")), soft_wrap=True)
+    write(page.getvalue() if terminal else "\n".join(line.rstrip() for line in page.getvalue().split("\n")))
+
+
+def say(sentence):
+    """Print a sentence to stderr, a very long one in part."""
+    if sys.stderr is None:
+        return
+    from rich.console import Console
+
+    with suppress(OSError):  # there is no place left to say it
+        Console(stderr=True).print(f"jaxbound: {printable(clipped(sentence))}", soft_wrap=True, markup=False, highlight=False)
+
+
+def usable_device():
+    """Raise ValueError if JAX finds no device, Unverified if it runs where nothing is proved."""
+    try:
+        jax.default_backend()
+    except RuntimeError:
+        raise ValueError(f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS')} names no device of this machine: unset it, or use cpu") from None
+    refuse_unverified()

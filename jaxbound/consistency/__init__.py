@@ -1,0 +1,1 @@
+"""Can anything within the bounds explain a window? One file a test."""

@@ -1,0 +1,84 @@
+"""The paper's own test: pave the space of the unknowns theta and delta of a window.
+
+Sound and slow; the exact joint test replaces it. Kept because it is the method of Adrot, Maquin, Ragot 2000, section 4, and
+because it converges from outside to what the joint test computes.
+"""
+
+import functools
+
+import numpy as np
+
+from jaxbound.models.sensor import RECORDER_ULPS, input_slip
+from jaxbound.models.window import input_lags
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval, add, interval, matmul
+from jaxbound.sets.paving.paving import pave
+
+__all__ = ["internal_form", "pave_windows"]
+
+
+def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi, w_lo=(), w_hi=()):
+    """Enclose p_int = W (mu, -w), mu = (theta y + rho delta) / (1 + theta), w = (w_hi + w_lo + (w_hi - w_lo) omega) / 2.
+
+    z = (theta / tolerance, delta, omega) in [-1, 1]; `tolerance` has an entry a row, or one an output if theta is the same in all its
+    rows. Source: (9); a disturbance w enters the relations as it is.
+    """
+    rows, shared = y_lo.shape[0], tolerance.shape[0]
+    y, sigma, rho, W = Interval(y_lo, y_hi), interval(tolerance), interval(rho), Interval(W_lo, W_hi)
+    mu = []
+    for i in range(rows):
+        theta, delta = z[i % shared] * sigma[i % shared], z[shared + i]
+        mu.append((theta * y[i] + rho[i] * delta) / (1 + theta))
+    for j in range(len(w_lo)):
+        lo, hi = interval(w_lo[j]), interval(w_hi[j])
+        mu.append(-0.5 * (hi + lo + (hi - lo) * z[shared + rows + j]))
+    return [functools.reduce(add, (W[r, i] * mu[i] for i in range(len(mu)))) for r in range(W.shape[0])]
+
+
+def pave_windows(relations, u, y, q, max_boxes, progress):
+    """Return (status, margin) of all windows by adaptive paving; windows with NaN are MISSING. The margin is NaN: no gauge is measured."""
+    model, s, dtype = relations.model, relations.horizon, y.dtype
+    status = np.full(y.shape[:-1], Status.MISSING, np.int8)
+    if y.shape[-2] > s:
+        Y, U = (np.moveaxis(np.lib.stride_tricks.sliding_window_view(x, s + 1, -2), -1, -2) for x in (y, u))  # (..., N, s + 1, channels)
+        U = U[..., : input_lags(model, s), :]
+        usable = ~(np.isnan(Y).any((-1, -2)) | np.isnan(U).any((-1, -2)))
+        found = np.zeros(usable.shape, np.int8)
+        if usable.any():
+            found[usable] = _pave(relations, U[usable], Y[usable], q, max_boxes, progress)
+        status[..., s:] = found
+    return status, np.full(status.shape, np.nan, dtype)
+
+
+def _pave(relations, U, Y, q, max_boxes, progress):
+    if max_boxes < 1:
+        raise ValueError(f"the budget of the paving needs at least one box, not {max_boxes}")
+    model, windows, dtype = relations.model, len(Y), Y.dtype
+    count = 2 ** max(windows - 1, 127).bit_length()  # powers of two, so that few sizes compile
+    U, Y = (np.concatenate([x, np.zeros((count - windows, *x.shape[1:]), dtype)]) for x in (U, Y))
+    encloses = lambda exact: interval(rounding.round_down(exact, dtype), rounding.round_up(exact, dtype))
+    W = encloses(relations.W)
+    flat = interval(Y) - encloses(model.offset["y"])[None, None]
+    flat = Interval(flat.lo.reshape(count, -1), flat.hi.reshape(count, -1))
+    measured = flat.shape[1]
+    external = matmul(flat, Interval(W.lo[:, :measured].T, W.hi[:, :measured].T))
+    if model.m and U.shape[1]:
+        slip = 2 * input_slip(U)  # 2: for the two differences
+        known = interval(U - slip, U + slip) - encloses(model.offset["u"])[None, None]
+        K = encloses(relations.K)
+        external = external - matmul(Interval(known.lo.reshape(count, -1), known.hi.reshape(count, -1)), Interval(K.lo.T, K.hi.T))
+    bounds = {k: rounding.round_up(relations.bounds[k], dtype) for k in ("tolerance", "noise")}
+    largest = abs(Y).max(1) + bounds["noise"]
+    rho = bounds["noise"] + rounding.round_up(list(model.resolution), dtype) + (RECORDER_ULPS + 4) * rounding.unit(dtype) * largest
+    lo, hi = relations.bounds.get("disturbance", np.zeros((0, 2))).T
+    w_lo, w_hi = (np.tile(x, relations.horizon) for x in (rounding.round_down(lo, dtype), rounding.round_up(hi, dtype)))
+    rows = Y.shape[1]
+    each = lambda x: np.broadcast_to(x, (count, *x.shape))
+    tolerance = bounds["tolerance"] if model.constant_tolerance else np.tile(bounds["tolerance"], rows)
+    args = (flat.lo, flat.hi, each(tolerance), np.tile(rho, rows), each(W.lo), each(W.hi), each(w_lo), each(w_hi))
+    edge = np.ones(len(tolerance) + measured + len(w_lo), dtype)
+    filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
+    target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
+    budget = max_boxes + count - windows
+    return pave(internal_form, interval(-edge, edge), target, q=q, max_boxes=budget, args=args, progress=progress).status[:windows]

@@ -1,0 +1,152 @@
+"""Verdicts on a user's own residual: adaptive bisection of its unknowns, all windows on one list of boxes.
+
+CONSISTENT is proved for the samples that are computed with: as recorded, in the type of y. FAULT is proved for all samples within what a
+recording rounds away, like everywhere in this library: a window that only its last digits put outside is UNDECIDED.
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.models.sensor import RECORDER_ULPS, input_slip
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.inclusion.inclusion import inclusion
+from jaxbound.sets.intervals.interval import Interval
+from jaxbound.sets.paving.paving import pave
+
+__all__ = ["BUDGET", "Explanation", "explain_residual", "residual_windows"]
+
+BUDGET = 1000
+"""Boxes a window that may be evaluated, on average over a group of windows."""
+GROUPS = (2**8, 2**13)
+
+
+@dataclass(frozen=True)
+class _Thick:
+    """The residual over boxes and intervals of samples, as a function of Intervals: it can exclude, and needs no slopes of the samples."""
+
+    f: object
+
+    def __call__(self, z, u_lo, u_hi, y_lo, y_hi):
+        return inclusion(flat(self.f), "best")(z, Interval(u_lo, u_hi), Interval(y_lo, y_hi))
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Why a window of a residual has its verdict.
+
+    Fields: status; witness: Interval (n,) that is proved to hold values of the unknowns that explain the window, or None; evaluated:
+    boxes it took. errors, candidates: empty, a residual does not say which sensor is wrong.
+    """
+
+    status: Status
+    witness: Interval | None
+    evaluated: int
+    errors: dict = field(default_factory=dict)
+    candidates: tuple = ()
+
+    def __str__(self):
+        """Return one sentence."""
+        if self.witness is not None:
+            at = ", ".join(f"{float(v):.6g}" for v in np.asarray(self.witness.mid))
+            return f"explained by the unknowns ({at})"
+        end = "no value of the unknowns explains it" if self.status == Status.FAULT else "no answer"
+        return f"{end} after {self.evaluated} boxes"
+
+
+def residual_windows(relations, u, y, budget=None, progress=None):
+    """Return (status, margin) of all windows; the margin is NaN: no gauge is measured.
+
+    Args:
+        relations: a Residual. u (..., T, m), y (..., T, p): arrays of one dtype, NaN where a sample is missing.
+        budget: boxes a window, on average over a group of windows.
+
+    Raises:
+        ValueError: a budget that is no whole number >= 1.
+    """
+    budget = BUDGET if budget is None else budget
+    if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or budget < 1:
+        raise ValueError(f"budget must be a whole number of boxes a window >= 1, not {budget!r}")
+    s, shape = relations.horizon, y.shape[:-1]
+    status = np.full(shape, Status.MISSING, np.int8)
+    relations.shape(u.shape[-1], y.shape[-1])
+    if shape[-1] > s:
+        U, Y = (np.moveaxis(np.lib.stride_tricks.sliding_window_view(x, s + 1, -2), -1, -2) for x in (u, y))
+        usable = np.isfinite(Y).all((-1, -2)) & np.isfinite(U).all((-1, -2))
+        found = np.where(np.isinf(Y).any((-1, -2)) | np.isinf(U).any((-1, -2)), np.int8(Status.UNDECIDED), np.int8(Status.MISSING))
+        if usable.any():
+            found[usable] = _judged(relations, U[usable], Y[usable], budget, progress)
+        status[..., s:] = found
+    return status, np.full(shape, np.nan, y.dtype)
+
+
+def explain_residual(result, at):
+    """Return the Explanation of one window of a Result on a Residual; see `Result.explain`."""
+    at = at if isinstance(at, tuple) else (at,)
+    status = Status(int(result.status[at]))
+    if status == Status.MISSING:
+        raise ValueError(f"window {at[0] if len(at) == 1 else at} is MISSING: there is nothing to explain")
+    rows = slice(at[-1] - result.relations.horizon, at[-1] + 1)
+    U, Y = (x[at[:-1]][rows][None] for x in (result.u, result.y))
+    found = _search(result.relations, U, Y, 100 * BUDGET)
+    witness = found.witness[0] if status == Status.CONSISTENT and found.witness is not None else None
+    return Explanation(status, witness, int(found.evaluated[0]))
+
+
+def _judged(relations, U, Y, budget, progress):
+    """Return the status of windows (N, s + 1, channels), worked off in groups of two fixed sizes, which alone are compiled."""
+    size = GROUPS[0] if len(Y) <= GROUPS[0] else GROUPS[1]
+    status = np.empty(len(Y), np.int8)
+    for start in range(0, len(Y), size):
+        part = slice(start, start + size)
+        status[part] = _search(relations, U[part], Y[part], budget, size).status
+        outside = start + np.flatnonzero(status[part] == Status.FAULT)
+        if len(outside):
+            status[outside] = _exclude(relations, U[outside], Y[outside], budget, size).status
+        if progress is not None:
+            progress(min(start + size, len(Y)) / len(Y))
+    return status
+
+
+def _search(relations, U, Y, budget, size=GROUPS[0]):
+    """Search for unknowns that explain each window."""
+    return _pave(relations, flat(relations.f), (U, Y), budget, size, solutions="one", cut="smear")
+
+
+def _exclude(relations, U, Y, budget, size):
+    """Exclude unknowns for all samples that round to the recorded ones, and all inputs that round to what is computed with."""
+    samples, slip = recorded(Y, RECORDER_ULPS + 2), 2 * input_slip(U)  # 2: for this computation
+    return _pave(relations, _Thick(relations.f), (U - slip, U + slip, *samples), budget, size, solutions="none", cut="widest")
+
+
+def _pave(relations, f, windows, budget, size, **options):
+    """Pave for every window, their number filled up to `size` by targets that are empty, which the first box excludes."""
+    count, dtype = len(windows[0]), np.result_type(relations.box.dtype, windows[-1].dtype)
+    box = Interval(*(np.asarray(end).astype(dtype) for end in (relations.box.lo, relations.box.hi)))
+    args = tuple(np.concatenate([x, np.zeros((size - count, *x.shape[1:]), x.dtype)]) for x in windows)
+    filler = np.repeat((np.arange(size) >= count)[:, None], relations.shape(windows[0].shape[-1], windows[-1].shape[-1]), 1)
+    target = Interval(np.where(filler, np.inf, 0).astype(dtype), np.where(filler, -np.inf, 0).astype(dtype))
+    depth = box.shape[0] * (np.finfo(dtype).nmant + 1) // 2
+    found = pave(f, box, target, max_boxes=budget * count + size, max_depth=depth, args=args, **options)
+    return dataclasses.replace(found, status=found.status[:count], evaluated=found.evaluated[:count])
+
+
+@dataclass(frozen=True)
+class flat:
+    """f with everything it returns in one array; two of one f are equal, so that they share a compilation."""
+
+    f: object
+
+    def __call__(self, z, u, y):
+        parts = [jnp.ravel(x) for x in jax.tree.leaves(self.f(z, u, y))]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
+
+
+def recorded(y, ulps):
+    """Return (lo, hi) of what was recorded as y (N, s + 1, p): samples are known to so many unit roundoffs of the largest in the window."""
+    spread = ulps * rounding.unit(y.dtype) * np.abs(y).max(1, keepdims=True) + 2 * rounding.tiny(y.dtype)
+    return y - spread, y + spread

@@ -1,0 +1,115 @@
+"""What a kernel needs of uncertain relations, and the polynomials of every window.
+
+With the true outputs and disturbances z_j = mid_j + rad_j xi_j, |xi_j| <= 1, a healthy window satisfies for some v in the box
+
+    sum over alpha of v^alpha (N_alpha z - K_alpha U) = 0.
+
+Source: Ploix, Adrot 2006, (6), (14).
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.consistency.window_test import WindowTest
+from jaxbound.sets.floats import rounding
+
+__all__ = ["UncertainTest"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class UncertainTest:
+    """Uncertain relations in floats: arrays are traced, so models of one shape share a compilation.
+
+    Fields: window, how rows z are read; N (count, K, R) and K (count, K, l), nearest to the exact coefficients; size (nv,), the bounds
+    |v_i| <= size_i; exponents, K tuples of which the first is all zeros; noisy, the rows whose xi_j is kept as a variable: the others
+    are known to a few units roundoff, which count as rounding.
+    """
+
+    window: WindowTest
+    N: jax.Array
+    K: jax.Array
+    size: jax.Array
+    exponents: tuple = field(metadata={"static": True})
+    noisy: tuple = field(metadata={"static": True})
+
+    @property
+    def horizon(self):
+        """A window has horizon + 1 samples."""
+        return self.window.horizon
+
+    @property
+    def count(self):
+        """Number of relations."""
+        return self.N.shape[0]
+
+    def polynomials(self, u, y):
+        """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within [-1, 1].
+
+        A window is consistent with the relations iff for some |v_i| <= 1 and |xi_j| <= 1, all relations k at once,
+
+            sum_a value[k, a] v^exponents[a] + sum_j (sum_a spread[k, a, j] v^exponents[a]) rad[j] xi_j = 0.
+
+        Args:
+            u: (lags or more, m, N) and y: (s + 1, p, N), samples of N windows as recorded, NaN where missing; one dtype.
+
+        Returns:
+            value (count, K, N), where value[k, 0] is NaN if relation k needs a missing sample (what else is said of k then means nothing);
+            error (count, K, N); spread (count, K, R') and rad (R', N) for the noisy rows.
+
+        Encloses: with coefficients and bounds as exact as the model's, in real arithmetic, the value of relation k at v and xi is within
+        sum_a error[k, a] |v^exponents[a]| of the above. With an infinite sample all errors are infinite.
+
+        Proof: value is a sum of products as in `rounding.residual_error`, each factor of size^alpha one more rounding of a coefficient;
+        a coefficient or product that is flushed costs tiny times the magnitudes that it multiplies, which `floor` counts. The bound is
+        taken twice: for value, and for the noise terms, whose magnitudes are part of `scale`.
+        """
+        mid, rad, scale, known, known_scale = self.window.block(u[: self.window.lags], y)
+        N, K = self._scaled(self.N), self._scaled(self.K)
+        mid, rad, scale, gone, broken = _finite(mid, rad, scale)
+        known, _, known_scale, unknown, worse = _finite(known, known, known_scale)
+        value, size, absent = 0, 0, jnp.zeros((self.count, mid.shape[1]), bool)
+        for coefficients, x, magnitude, lost, sign in ((N, mid, scale, gone, 1), (K, known, known_scale, unknown, -1)):
+            uses = jnp.any(coefficients != 0, 1)
+            for j in range(x.shape[0]):
+                value = value + sign * coefficients[:, :, j, None] * x[j][None, None]
+                size = size + abs(coefficients[:, :, j, None]) * magnitude[j][None, None]
+                absent |= uses[:, j, None] & lost[j][None]
+        order = max(map(sum, self.exponents))
+        gamma, floor = rounding.residual_error(self.N.shape[2] + self.K.shape[2] + order + 2, mid.dtype)
+        floor = (floor * (1 + jnp.sum(scale, 0) + jnp.sum(known_scale, 0)) * self._lift(order))[None, None]
+        error = jnp.where((broken | worse)[None, None], jnp.inf, 2 * (gamma * size + floor))
+        quiet = [j for j in range(mid.shape[0]) if j not in self.noisy]
+        if quiet:
+            rest = sum(jnp.sum(abs(N[:, :, j]), 1)[:, None] * rad[j][None] for j in quiet)
+            error = error.at[:, 0].add((1 + gamma) * rest)
+        noisy = np.array(self.noisy, int)
+        return value.at[:, 0].set(jnp.where(absent, jnp.nan, value[:, 0])), error, N[:, :, noisy], rad[noisy]
+
+    def _scaled(self, coefficients):
+        """Return coefficients for v in [-1, 1]: times size^alpha."""
+        powers = []
+        for alpha in self.exponents:
+            power = jnp.ones((), self.size.dtype)
+            for i, e in enumerate(alpha):
+                for _ in range(e):
+                    power = power * self.size[i]
+            powers.append(power)
+        return coefficients * jnp.stack(powers)[None, :, None]
+
+    def _lift(self, order):
+        """At least every factor that multiplies something after its own rounding."""
+        power = jnp.ones((), self.size.dtype)
+        for _ in range(order):
+            power = power * jnp.maximum(1, jnp.max(self.size, initial=0))
+        return self.window.lift * (1 + jnp.max(abs(self.N), initial=0) + jnp.max(abs(self.K), initial=0)) * power
+
+
+def _finite(x, rad, scale):
+    """Return them with zeros for what is missing or infinite, where it is missing, and the windows with an infinite sample."""
+    gone = jnp.isnan(scale)
+    fine = jnp.isfinite(x) & jnp.isfinite(rad) & jnp.isfinite(scale)
+    return *(jnp.where(fine, part, 0) for part in (x, rad, scale)), gone, jnp.any(~fine & ~gone, 0)

@@ -1,0 +1,114 @@
+"""What a kernel needs of a relation, and how it reads a window."""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.models import sensor
+from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.strips.separation import Frame
+from jaxbound.sets.strips.strips import Strips
+
+__all__ = ["WindowTest", "forms"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class WindowTest:
+    """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
+
+    Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise, resolution, offset_y (p,);
+    disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window.
+    """
+
+    shape: Strips | Frame
+    tolerance: jax.Array
+    noise: jax.Array
+    resolution: jax.Array
+    disturbance: jax.Array
+    offset_u: jax.Array
+    offset_y: jax.Array
+    horizon: int = field(metadata={"static": True})
+    lags: int = field(metadata={"static": True})
+
+    @property
+    def lift(self):
+        """At least every factor that multiplies a row after its own rounding."""
+        return sensor.lift(self.tolerance)
+
+    def starts(self, first, stop, length):
+        """Return the samples first..stop-1 of recordings of one length, laid end to end, at which a whole window starts."""
+        samples = np.arange(first, stop)
+        return samples[samples % length < length - self.horizon] if length else samples
+
+    def gather(self, u, y, starts):
+        """Return the samples u (lags, m, N), y (s + 1, p, N) of N windows of NumPy recordings."""
+        take = lambda x, lags: np.ascontiguousarray(np.moveaxis(x[starts + np.arange(lags)[:, None]], 1, 2))
+        return take(u, self.lags), take(y, self.horizon + 1)
+
+    def silenced(self, known):
+        """Say which windows lack a known value that some circuit needs: the circuits that are left do not describe their set exactly."""
+        silenced = jnp.zeros_like(known[0], bool) if len(known) else jnp.zeros((), bool)
+        for b, value in enumerate(known):
+            silenced |= jnp.isnan(value) & jnp.any(self.shape.k[:, b] != 0)
+        return silenced
+
+    def stretch(self, u, y):
+        """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`."""
+        count = y.shape[0] - self.horizon
+        return self.rows(
+            [[u[j : j + count, i] for i in range(u.shape[1])] for j in range(self.lags)],
+            [[y[j : j + count, i] for i in range(y.shape[1])] for j in range(self.horizon + 1)],
+        )
+
+    def block(self, u, y):
+        """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few operations, whatever s."""
+        per_output = []
+        for i in range(y.shape[1]):
+            largest = jnp.max(jnp.where(jnp.isnan(y[:, i]), 0, abs(y[:, i])), 0, keepdims=True)
+            bounds = self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]
+            per_output.append(sensor.true_value([y[:, i]], *bounds, largest))
+        rows = [jnp.stack([output[part][0] for output in per_output], 1).reshape(-1, y.shape[2]) for part in range(3)]
+        if self.horizon and len(self.disturbance):
+            rows = [jnp.concatenate([x, *[w] * self.horizon]) for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)]
+        known = [u - self.offset_u[None, :, None], abs(u) + abs(self.offset_u)[None, :, None]]
+        return *rows, *(x.reshape(-1, y.shape[2]) for x in known)
+
+    def _disturbance(self, like):
+        """Return (mid, rad, scale) of one sample of the disturbances, (g, N) each."""
+        lo, hi, one = self.disturbance[:, 0], self.disturbance[:, 1], jnp.ones_like(like)
+        tiny = rounding.tiny(like.dtype)
+        return [x[:, None] * one[None] for x in (0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, abs(lo) + abs(hi) + tiny)]
+
+    def rows(self, u, y):
+        """Return (mid, rad, scale, known, known_scale), lists of (N,), of windows with the samples u[lag][input], y[lag][output].
+
+        Rows are the true outputs, time-major, then the disturbances w_k .. w_{k+s-1}.
+        """
+        per_output = []
+        for i in range(len(self.noise)):
+            samples = [now[i] for now in y]
+            per_output.append(sensor.true_value(samples, self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]))
+        mid, rad, scale = ([output[part][j] for j in range(self.horizon + 1) for output in per_output] for part in range(3))
+        if len(self.disturbance):
+            for rows, w in zip((mid, rad, scale), self._disturbance(jnp.ones_like(y[0][0])), strict=True):
+                rows.extend([*w] * self.horizon)
+        known = [v - self.offset_u[i] for now in u for i, v in enumerate(now)]
+        known_scale = [abs(v) + abs(self.offset_u[i]) for now in u for i, v in enumerate(now)]
+        return mid, rad, scale, known, known_scale
+
+
+def forms(kernel, relations, test, u, y, starts):
+    """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; NaN where there is no window."""
+    given = Recording.of(relations.model, u, y, starts)
+    u, y = jnp.asarray(given.u), jnp.asarray(given.y)
+    if y.shape[-2] <= relations.horizon:
+        return (jnp.full((*y.shape[:-1], relations.count), jnp.nan, y.dtype),) * 3
+    for _ in range(y.ndim - 2):
+        kernel = jax.vmap(kernel, (None, 0, 0))
+    found = kernel(test(y.dtype), u, y)
+    across = np.flatnonzero(given.across(relations.horizon))
+    return tuple(x.at[..., across, :].set(jnp.nan) for x in found) if len(across) else found

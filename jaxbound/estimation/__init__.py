@@ -1,0 +1,1 @@
+"""Set-membership estimation: data validation, multiple models, unknown inputs."""

@@ -1,0 +1,239 @@
+"""Data validation: where can the state be, which sensor does not fit, and what should it have said?
+
+Every window is an interval linear system in its states (`models.intervals.stacked`). The states found so far, propagated by the model,
+are a box; the newest samples are tested against it one by one and together; a sensor that does not fit is left out from there on, and the
+interval that the state gives for its output stands in for it.
+
+What is promised: if the first window is fault-free (or x0 holds), the parameters are within bounds and every faulty sample was found, the
+true state is inside. A fault too small to be proved is accepted, and may move the enclosure past the true state. Nobody can promise more.
+In the first window the newest samples are tested against its older ones; a fault in these is taken for the truth, until what comes
+contradicts it: then the recording is marked FAULT, but sound sensors may be blamed.
+
+Source: Alhaj-Dibo, Maquin, Ragot 2004.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.estimation.multiple import validate_parts
+from jaxbound.estimation.validation_windows import slide, weighted
+from jaxbound.models.intervals import as_intervals, stacked
+from jaxbound.models.multimodel import MultiModel
+from jaxbound.models.sensor import largest_error
+from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.recordings.seams import around
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.linear_systems.fixed_systems import prepare
+
+__all__ = ["Validation", "validate"]
+
+BLOCK = {"joint": 32, "sequential": 512}
+"""Recordings side by side: linear programs of a block go on until the last is solved."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """What `validate` found, time first: entry k comes from the window that ends at sample k.
+
+    Fields: state Interval (..., T, n). output Interval (..., T, p): what a perfect sensor would show. residual Interval (..., T, p): the
+    sample minus what the samples before it allow. faulty (..., T, p) bool: sensors whose residual excludes 0, that contradict the samples
+    before them in a sharper test, or without which alone a contradiction of all sensors ends. corrected Interval (..., T, p): `output`,
+    where a sample was accepted also within what it says; corrected.mid is the point value. status (..., T) int8, see `Status`: FAULT is
+    a proof that not all samples of the window fit the model, those before being as accepted (if nobody is to blame, its newest samples
+    are left out); UNDECIDED: nothing was proved; MISSING: no sample, and the first s. CONSISTENT is never said: it would need a behaviour
+    from the first sample on that explains all, and an enclosure holds points that none reaches. `detect` proves it, window by window.
+    """
+
+    state: Interval
+    output: Interval
+    residual: Interval
+    faulty: jax.Array
+    corrected: Interval
+    status: jax.Array
+
+
+def validate(model, u, y=None, horizon=None, method="joint", x0=None, correction="interval", starts=()):
+    """Enclose the state over time, find the sensor that does not fit, and say what it should have shown.
+
+    Args:
+        model: `interval_system(...)`, a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no unknown inputs), or a
+            MultiModel (its .state holds the states of all sub-models; joint only, unless its partial outputs are measured).
+        u: (..., T, m) or None. y: (..., T, p), or (..., T, L, p) for the partial outputs of a MultiModel; NaN: that sample is absent.
+            Recordings on leading axes run side by side. Tables as for `detect`; partial outputs are called like "1.y1", "2.y1" there.
+        horizon: s of windows of s + 1 samples; None: the smallest with s >= n / p and p (s + 1) > n.
+        method: "joint": the newest samples, the older ones and the propagated state at once, by the hull of their linear programs.
+            "sequential": the paper's square systems, one for each further row, against a reference; wider, faster.
+        x0: Interval (..., n) that holds the first state. None: the first window is taken to be fault-free, and must be complete.
+        correction: what stands in for a faulty sample. "interval": all that the state allows there. "centre": the middle of it, as if it
+            had been measured; the paper's, and not a proof: the true state may be outside, `faulty` is a suspicion, and nothing is FAULT.
+        starts: as for `detect`. What comes behind a gap is a recording of its own: it begins with its first complete window, taken to be
+            fault-free; x0 is that of the first.
+
+    Returns:
+        A Validation.
+
+    Encloses: every state of every behaviour within the bounds that gives the samples accepted as sound, rounding included; nothing with
+    correction="centre".
+
+    Raises:
+        ValueError: shapes that do not fit, a first window that does not bound the state, an unknown method. TypeError: no model.
+
+    Source: Alhaj-Dibo, Maquin, Ragot 2004, (6)-(11).
+
+    Example:
+        >>> from jaxbound import interval_system
+        >>> m = interval_system([[[0.89, 0.91]]], [[1]], [[1], [1]], noise=0.1)
+        >>> y = np.tile(10 - 9 * 0.9 ** np.arange(8)[:, None], 2)
+        >>> y[5, 1] += 2
+        >>> validate(m, np.ones((8, 1)), y).faulty[5].tolist()
+        [False, True]
+    """
+    refuse_unverified()
+    several = isinstance(model, MultiModel)
+    if several and model.partial:
+        options = dict(horizon=horizon, method=method, correction=correction)
+        return validate_parts(model, u, y, x0, partial(validate, **options), starts)
+    m = model.joined() if several else as_intervals(model)
+    if method not in ("joint", "sequential"):
+        raise ValueError(f"method must be 'joint' or 'sequential', not {method!r}")
+    if correction not in ("interval", "centre"):
+        raise ValueError(f"correction must be 'interval' or 'centre', not {correction!r}")
+    signals = model if hasattr(model, "columns") and not several else Signals(m.inputs, m.outputs, {})
+    given = Recording.of(signals, u, y, starts, narrow=False)
+    u, y, recorded = np.asarray(given.u), np.asarray(given.y, m.A.dtype), given.y.dtype
+    T = y.shape[-2]
+    left_out = (np.isnan(u).any(-1) & np.isnan(y).all(-1)).reshape(-1, T).all(0)  # nothing is known there: like a gap
+    left_out |= False if given.excluded is None else given.excluded
+    seams = np.union1d(given.starts, around(left_out)) if left_out.any() else given.starts
+    if not np.isfinite(u[..., ~left_out, :]).all():
+        gone = (~np.isfinite(u[..., ~left_out, :])).sum()
+        raise ValueError(f"validate needs every input: {gone} samples of u are missing or infinite")
+    if np.isinf(y).any():
+        raise ValueError(f"y must be numbers, or NaN where a sample is absent: {np.isinf(y).sum()} are infinite")
+    s = least_horizon(m.n, m.p) if horizon is None else horizon
+    if several and method == "sequential":
+        raise ValueError("a MultiModel has another matrix in every window: use method='joint'")
+    if not isinstance(s, (int, np.integer)) or s < 1 or T <= s:
+        raise ValueError(f"horizon must be a whole number >= 1 with more samples than it ({T}), not {s!r}")
+    gapless = not len(seams) or seams[0] > s
+    if x0 is None and gapless and np.isnan(y[..., : s + 1, :]).any():
+        raise ValueError(f"the first {s + 1} samples must be complete, or x0 must say where the first state is")
+    if method == "sequential" and s * m.p < m.n:
+        raise ValueError(f"the square systems need a horizon of at least n / p ({-(-m.n // m.p)}), not {s}: see (9) of the paper")
+    run = partial(_side_by_side, model if several else None, m, recorded, int(s), method, correction == "centre")
+    if not len(seams):
+        return run(u, y, x0)
+    return _piecewise(run, u, y, x0, seams, left_out, int(s), m.n)
+
+
+def _side_by_side(multiple, m, recorded, s, method, centre, u, y, x0):
+    """Validate recordings without a gap, u (..., T, m), y (..., T, p) in the type of the model. multiple: a MultiModel, or None."""
+    *lead, _, _ = y.shape
+    count = int(np.prod(lead))
+    flat = lambda a: None if a is None else jax.tree.map(lambda v: np.asarray(v).reshape(count, *v.shape[len(lead) :]), a)
+    if x0 is not None:
+        x0 = interval(x0)
+        if x0.shape[-1:] != (m.n,):
+            raise ValueError(f"x0 needs one interval for each of {m.n} states: its shape is {x0.shape}")
+        x0 = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a, y.dtype), (*lead, m.n)), x0)
+    plant = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"]}
+    if m.moves and method == "joint":
+        plant |= {"H": m.moves[2], "d": m.moves[3]}
+    plant |= {"tolerance": rounding.round_up(m.tolerance, y.dtype)}
+    error = largest_error(y, m.noise, recorded, s)
+    pushed = Interval(rounding.round_down(u, y.dtype), rounding.round_up(u, y.dtype))  # a point, unless it had to be narrowed
+    u = u.astype(y.dtype)
+    M = stacked(m, s, m.moves if method == "joint" else None)
+    given = flat(pushed), flat(y), flat(error), flat(multiple.columns(u) if multiple else None), flat(x0)
+    shared = None
+    if method == "sequential":
+        shared = prepare(M[..., None], m.p * (s + 1) - m.n + 1)
+    elif x0 is None and not multiple:
+        shared = _first_window(M[..., None], m.p)
+
+    def kernel(u, y, error, weight, start):
+        systems = shared
+        if multiple and start is None:
+            early = jax.tree.map(lambda a: np.moveaxis(a[:, : s + 1], 0, -1), weight)
+            systems = _first_window(weighted(M[..., None], early, m.p), m.p)
+        return slide(plant, M, systems, u, y, error, weight, start, s, method, centre)
+
+    found, bounded = _blocks(kernel, given, count, min(BLOCK[method], 1 << (count - 1).bit_length()))
+    if not bounded.all():
+        raise ValueError(f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
+    state, output, residual, corrected, faulty, status = jax.tree.map(lambda a: jnp.asarray(a.reshape(*lead, *a.shape[1:])), found)
+    return Validation(state, output, residual, faulty, corrected, status)
+
+
+def _piecewise(run, u, y, x0, starts, left_out, s, n):
+    """Validate what lies between gaps, each piece as a recording of its own; where there is none, every interval is entire.
+
+    Pieces are filled up behind their end to few lengths, with absent samples: few compilations, and no sample tells of those before it.
+    """
+    batch, (T, p) = y.shape[:-2], y.shape[-2:]
+    whole = (~np.isnan(y)).all(-1).reshape(-1, T).all(0)
+    groups = {}
+    for a, b in zip([0, *starts.tolist()], [*starts.tolist(), T], strict=True):
+        if a == b or left_out[a]:
+            continue
+        known = x0 is not None and a == 0
+        complete = np.convolve(whole[a:b], np.ones(s + 1, int), "valid") == s + 1 if b - a > s else np.zeros(0, bool)
+        if known and b - a > s or complete.any():
+            begin = a if known else a + int(complete.argmax())
+            groups.setdefault((known, max(16, 1 << (b - begin - 1).bit_length())), []).append((begin, b))
+    if not groups:
+        raise ValueError(f"no stretch of {s + 1} complete samples in a row: the windows reach across gaps, or samples are missing in all")
+    entire = lambda size: Interval(np.full((*batch, T, size), -np.inf, y.dtype), np.full((*batch, T, size), np.inf, y.dtype))
+    out = Validation(
+        entire(n), entire(p), entire(p), np.zeros((*batch, T, p), bool), entire(p), np.full((*batch, T), Status.MISSING, np.int8)
+    )
+    for (known, length), pieces in groups.items():
+        rows = np.minimum(np.array([a for a, _ in pieces])[:, None] + np.arange(length), np.array([b for _, b in pieces])[:, None] - 1)
+        behind = np.arange(length) >= np.array([b - a for a, b in pieces])[:, None]
+        take = lambda x, rows=rows: np.moveaxis(x[..., rows, :], -3, 0)
+        some = np.where(behind.reshape(len(pieces), *[1] * len(batch), length, 1), np.nan, take(y)).astype(y.dtype)
+        found = run(take(u), some, x0 if known else None)
+        for to, value in zip(jax.tree.leaves(out), jax.tree.leaves(found), strict=True):
+            for i, (a, b) in enumerate(pieces):
+                at = (*[slice(None)] * len(batch), slice(a, b))
+                to[at] = np.asarray(value[i])[(*[slice(None)] * len(batch), slice(0, b - a))]
+    return jax.tree.map(jnp.asarray, out)
+
+
+def least_horizon(n, p):
+    """Return the smallest s with s >= n / p and p (s + 1) > n, for n states and p outputs. Source: (9) of the paper, section 2."""
+    s = max(-(-n // p), 1)
+    return s + (p * (s + 1) <= n)
+
+
+def _first_window(M, p):
+    """Prepare the rows of the first window as one system, without the newest samples if that will do: so these can be tested against it."""
+    if M.shape[0] - p >= M.shape[1]:
+        older = prepare(M[:-p])
+        if np.isfinite(older.scale.lo).all():
+            return older
+    return prepare(M)
+
+
+def _blocks(kernel, given, count, size):
+    """Run blocks of one size, on all cores: what a block works on stays in the cache, and another number of recordings traces nothing."""
+
+    def block(first):
+        chosen = np.minimum(np.arange(first, first + size), count - 1)
+        found = jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda a: a[chosen], given)))
+        return jax.tree.map(lambda a: a[: count - first], found)
+
+    done = [block(0)]  # compiled here, once
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
+        done += threads.map(block, range(size, count, size))
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *done) if len(done) > 1 else done[0]

@@ -1,0 +1,259 @@
+"""The exact Chebyshev problem: by which factor must boxes grow until a point of a subspace lies in them? Rationals, no rounding.
+
+    t = min over z of max_i |b_i - E_i z| / r_i                 (primal: z)
+      = max over h with h E = 0 of |h b| / sum_i |h_i| r_i      (dual: h, a circuit)
+
+**Method** (single exchange; Source: Stiefel 1959, the dual simplex method on references of N + 1 rows, N the rank of E). N independent rows
+S and one more row q determine a circuit h, its ratio t and a point z whose errors on these rows are t times their radii. The row that z
+misses most enters, the one whose multiplier first falls to zero leaves. The search runs in floats; exact integers then go on from where it
+stopped, usually for a single step, and accept an optimum only if z keeps every row. What floats got wrong costs steps, never truth.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from math import lcm
+
+import numpy as np
+
+from jaxbound.exact import linalg
+
+__all__ = ["Optimum", "Subspace", "chebyshev", "subspace"]
+
+PRIME = 2**61 - 1
+"""Ranks are guessed modulo this prime; what rests on a guess is checked exactly."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Fields: t, a Fraction; h (m,), coprime integers as Fractions with h E = 0 and |h b| = t sum |h_i| r_i, zeros where no circuit
+    exists; z (N,) with |b_i - E_i z| <= t r_i for all i; reference: the rows that determine both and the signs of
+    their errors, a start for a similar problem.
+    """
+
+    t: Fraction
+    h: tuple
+    z: tuple
+    reference: tuple
+
+
+@dataclass(frozen=True, eq=False)
+class Subspace:
+    """E prepared once for many problems. Build it with `subspace`.
+
+    Fields: rows: E as integers, a row each multiplied by its entry of `scales`; columns, independent: of a regular minor of largest size.
+    """
+
+    rows: tuple
+    scales: tuple
+    columns: list
+    independent: list
+
+
+def subspace(E):
+    """Return the Subspace of rows E (m, N) of Fractions."""
+    rows, scales = zip(*map(linalg.primitive_scale, E), strict=True)
+    return Subspace(rows, scales, *_independent(rows))
+
+
+def chebyshev(E, b, r, start=None):
+    """Solve min over z of max |b_i - E_i z| / r_i exactly.
+
+    Args:
+        E (m, N): rows of Fractions, of any rank, or their `subspace`. b, r (m,): Fractions, r > 0. start: the reference of a similar
+            problem.
+
+    Returns:
+        An Optimum. Columns of E that depend on earlier ones get z = 0.
+
+    Raises:
+        ValueError: no row, or a radius that is not positive.
+
+    Example:
+        >>> one = Fraction(1)
+        >>> best = chebyshev([[one], [one], [one]], [one * 0, one * 3, one * 1], [one, one, one])
+        >>> best.t, best.z, best.h
+        (Fraction(3, 2), (Fraction(3, 2),), (Fraction(1, 1), Fraction(-1, 1), Fraction(0, 1)))
+    """
+    if not len(b) or min(r) <= 0:
+        raise ValueError("a Chebyshev problem needs at least one row, and radii > 0")
+    space = E if isinstance(E, Subspace) else subspace(E)
+    common = lcm(*(x.denominator for x in (*b, *r)))
+    b, r = ([x.numerator * (common // x.denominator) * f for x, f in zip(v, space.scales, strict=True)] for v in (b, r))
+    while True:
+        kept = [[row[j] for j in space.columns] for row in space.rows]
+        reference = _search(kept, b, r, common, space.independent, start)
+        t, h, z, reference = _settle(kept, b, r, reference, space.independent)
+        unused = set(range(len(space.rows[0]))) - set(space.columns)
+        if all(sum(x * row[j] for x, row in zip(h, space.rows, strict=True) if x) == 0 for j in unused):
+            break
+        columns, independent = (
+            list(linalg.row_reduce(a)[1]) for a in (space.rows, linalg.transpose(space.rows))
+        )  # the prime divided a minor
+        space, start = Subspace(space.rows, space.scales, columns, independent), None
+    out = [Fraction(0)] * len(space.rows[0])
+    for j, x in zip(space.columns, z, strict=True):
+        out[j] = x / common
+    h = linalg.primitive([Fraction(x * f) for x, f in zip(h, space.scales, strict=True)])
+    return Optimum(t, h, tuple(out), reference)
+
+
+def _independent(rows):
+    """Return (columns, rows) of a largest minor that is not zero modulo a prime."""
+    work = [[x % PRIME for x in row] for row in rows]
+    left, columns, found = list(range(len(work))), [], []
+    for j in range(len(work[0])):
+        i = next((i for i in left if work[i][j]), None)
+        if i is None:
+            continue
+        left.remove(i), columns.append(j), found.append(i)
+        inverse = pow(work[i][j], -1, PRIME)
+        head = [(k, x * inverse % PRIME) for k, x in enumerate(work[i]) if x]
+        for a in left:
+            if f := work[a][j]:
+                row = work[a]
+                for k, x in head:
+                    row[k] = (row[k] - f * x) % PRIME
+    return columns, found
+
+
+def _search(E, b, r, common, independent, start):
+    """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error. The exchange in floats.
+
+    Source: the dual simplex method; a reference determines multipliers >= 0, and (z, t) with all its errors at t times their radii.
+    """
+    m, N = len(E), len(E[0])
+    if N == m:
+        return ()
+    largest = [max(map(abs, row), default=0) or 1 for row in E]
+    F = np.array([[x / top for x in row] for row, top in zip(E, largest, strict=True)]).reshape(m, N)
+    # numbers of one row over another's: whatever their unit is, it need not fit a float
+    unit = common * max(1, *(abs(x) // (top * common) for v in (b, r) for x, top in zip(v, largest, strict=True)))
+    c, radius = (np.array([x / (top * unit) for x, top in zip(v, largest, strict=True)]) for v in (b, r))
+    weight = 1 / np.maximum(radius, radius.max() * 1e-12)  # enough to search; the exact steps know better
+    c *= weight
+    F, _ = np.linalg.qr(F * weight[:, None])
+    # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of them leaves: no cycles.
+    nudge = np.append(1e-9 * np.random.default_rng(0).uniform(0.5, 1, N), 1)
+    try:
+        own, signs = _spread_reference(F, c) if start is None or len(start) != N + 1 else map(np.array, zip(*start, strict=True))
+        for _ in range(50 + 20 * N):
+            inverse = np.linalg.inv(np.column_stack([signs[:, None] * F[own], np.ones(N + 1)]))
+            *z, t = inverse @ (signs * c[own])
+            gap = c - F @ np.array(z)
+            j = int(np.argmax(np.abs(gap)))
+            if abs(gap[j]) <= t * (1 + 1e-12) + 1e-14 * np.abs(c).max():
+                break
+            multipliers, share = nudge @ inverse, np.append(np.sign(gap[j]) * F[j], 1) @ inverse
+            ratio = np.where(share > 1e-10, share / np.maximum(multipliers, 1e-15), 0)
+            leaves = int(np.argmax(ratio))
+            own[leaves], signs[leaves] = j, np.sign(gap[j])
+    except np.linalg.LinAlgError:
+        return _plain(m, independent)
+    last = int(np.argmax(np.abs(inverse[-1])))  # the row of the largest multiplier: the others are independent
+    order = [*range(last), *range(last + 1, N + 1), last]
+    return tuple((int(own[i]), int(signs[i])) for i in order)
+
+
+def _plain(m, independent):
+    """Return a reference without any search."""
+    return tuple((i, 1) for i in (*independent, next(i for i in range(m) if i not in independent)))
+
+
+def _spread_reference(F, c):
+    """Return (rows, signs): N rows of F (m, N), each the farthest from the span of those before, and the worst at their z."""
+    rest, S = F.copy(), []
+    for _ in range(F.shape[1]):
+        size = (rest**2).sum(1)
+        size[S] = -1
+        S.append(int(np.argmax(size)))
+        axis = rest[S[-1]] / (np.linalg.norm(rest[S[-1]]) or 1)
+        rest -= np.outer(rest @ axis, axis)
+    inverse = np.linalg.inv(F[S])
+    away = np.abs(c - F @ (inverse @ c[S]))
+    away[S] = -1
+    own = np.array([*S, np.argmax(away)])
+    h = np.append(-F[own[-1]] @ inverse, 1)
+    return own, np.where(h < 0, -1, 1) * (-1 if h @ c[own] < 0 else 1)
+
+
+def _settle(E, b, r, reference, independent):
+    """Return (t, h, z, reference) of the optimum: exact exchanges on integers, from a reference on."""
+    m = len(E)
+    if not reference:  # as many rows as unknowns: everything fits
+        Z, det = _solve(E, b)
+        return Fraction(0), [0] * m, [Fraction(x, det) for x in Z], reference
+    (*S, q), signs, steps = [i for i, _ in reference], [1] * m, 0
+    for i, sign in reference:
+        signs[i] = sign
+    while True:
+        solved = _solve(linalg.transpose([E[i] for i in S]), E[q])
+        if solved is None:
+            *S, q = [i for i, _ in _plain(m, independent)]
+            continue
+        T, det = solved
+        h = {**{i: -x for i, x in zip(S, T, strict=True)}, q: det}
+        total = sum(x * b[i] for i, x in h.items())
+        if total < 0:
+            total, h = -total, {i: -x for i, x in h.items()}
+        for i, x in h.items():
+            signs[i] = signs[i] if x == 0 else 1 if x > 0 else -1
+        size = sum(abs(x) * r[i] for i, x in h.items())
+        Z, det = _solve([E[i] for i in S], [b[i] * size - signs[i] * total * r[i] for i in S])
+        gaps = [b[i] * size * det - sum(x * y for x, y in zip(E[i], Z, strict=True) if x) for i in range(m)]
+        limit = total * abs(det)
+        out = [i for i in range(m) if abs(gaps[i]) > limit * r[i]]
+        if not out:
+            full = [h.get(i, 0) for i in range(m)]
+            return Fraction(total, size), full, [Fraction(x, det * size) for x in Z], tuple((i, signs[i]) for i in (*S, q))
+        steps += 1
+        worst = max(out, key=lambda i: Fraction(abs(gaps[i]), r[i])) if steps < 200 else out[0]  # by number: cannot cycle
+        signs[worst] = 1 if (gaps[worst] > 0) == (det > 0) else -1
+        share, det = _solve(linalg.transpose([E[i] for i in S]), E[worst])
+        shares = [(i, signs[worst] * signs[i] * x * (1 if det > 0 else -1)) for i, x in zip(S, share, strict=True)]
+        growing = [(i, x) for i, x in shares if x > 0]
+        if not growing:
+            q = worst
+            continue
+        at_once = [i for i, _ in growing if h[i] == 0]
+        leaves = min(at_once) if at_once else max(growing, key=lambda c: (Fraction(c[1], abs(h[c[0]])), -c[0]))[0]
+        S[S.index(leaves)] = worst
+
+
+def _solve(M, right):
+    """Return (x, det) of integers with M x = right * det, or None if M is singular (Bareiss: every division is exact).
+
+    det is the determinant up to its sign; pivots come from the sparsest row, so that identity rows cost nothing.
+    """
+    n = len(M)
+    rows = [[*row, y] for row, y in zip(M, right, strict=True)]
+    order, previous = [], 1
+    free = list(range(n))
+    for k in range(n):
+        counts = [(sum(1 for j in free if row[j]), i) for i, row in enumerate(rows[k:], k)]
+        fewest, i = min(counts)
+        if not fewest:
+            return None
+        rows[k], rows[i] = rows[i], rows[k]
+        head = rows[k]
+        j = min((j for j in free if head[j]), key=lambda j: abs(head[j]))
+        pivot = head[j]
+        free.remove(j), order.append(j)
+        support = [c for c in (*free, n) if head[c]]
+        for a in range(k + 1, n):
+            row = rows[a]
+            f = row[j]
+            for c in (*free, n):
+                row[c] = row[c] * pivot
+            if f:
+                for c in support:
+                    row[c] -= f * head[c]
+            if previous != 1:
+                for c in (*free, n):
+                    row[c] //= previous
+        previous = pivot
+    x = [0] * n
+    for k in reversed(range(n)):
+        head = rows[k]
+        rest = head[n] * previous - sum(head[c] * x[c] for c in order[k + 1 :] if head[c])
+        x[order[k]] = rest // head[order[k]]
+    return x, previous

@@ -1,0 +1,1 @@
+"""Pictures of results. They take results, never the other way round."""

@@ -1,0 +1,38 @@
+"""The picture of a fit."""
+
+import numpy as np
+
+from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, canvas, style
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["plot_fit"]
+
+
+def plot_fit(model):
+    """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by a first fit, in what was held out."""
+    check = model.check
+    rows = [("final model, all recordings", check.used, INK)]
+    if check.held_out is not None:
+        rows.append(("first fit, on the parts held out", check.held_out_used, COLOURS[Status.UNDECIDED]))
+    with style():
+        fig = canvas((11, 0.6 + 2.1 * len(rows)))
+        axes = fig.subplots(len(rows), 2, squeeze=False, width_ratios=(3, 1))
+        for (title, parts, colour), (line, bars) in zip(rows, axes, strict=True):
+            edges = np.cumsum([0, *map(len, parts)])
+            every = np.concatenate(parts)
+            bins = np.unique(np.linspace(0, len(every), min(len(every), 4000), endpoint=False).astype(int))
+            line.plot(bins, np.fmax.reduceat(every, bins), color=colour, lw=0.9)
+            line.axhline(1, color=FAULTY, lw=1)
+            for edge in edges[1:-1]:
+                line.axvline(edge, color=GRID, lw=1.2)
+            line.set_xlim(0, max(len(every), 1))
+            line.set_title(f"Share of the bounds that a window needs: {title}")
+            bars.hist(every[np.isfinite(every)], bins=30, color=colour)
+            bars.axvline(1, color=FAULTY, lw=1)
+            for ax in (line, bars):
+                ax.grid(axis="y", color=GRID)
+                ax.set_ylim(bottom=0)
+        axes[-1][0].set_xlabel("sample, recordings one after the other")
+        axes[-1][1].set_xlabel("share, > 1: FAULT")
+        fig.subplots_adjust(left=0.05, right=0.98, top=1 - 0.3 / fig.get_figheight(), bottom=0.5 / fig.get_figheight(), hspace=0.45)
+    return fig

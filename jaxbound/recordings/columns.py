@@ -1,0 +1,96 @@
+"""Columns between pyarrow and NumPy, by their buffers: pyarrow's own conversions import pandas, which takes longer than parsing a file."""
+
+import csv
+import io
+
+import numpy as np
+
+from jaxbound.recordings.plaintext import cell
+
+__all__ = ["categories", "from_arrow", "is_plain", "to_arrow", "valid", "words", "write_columns", "write_rows"]
+
+
+def from_arrow(column):
+    """Return a pyarrow column of floats or time stamps as NumPy floats or datetime64; null becomes NaN or NaT."""
+    import pyarrow as pa
+
+    stamps = pa.types.is_timestamp(column.type)
+    dtype = np.dtype(f"datetime64[{column.type.unit}]" if stamps else np.float32 if pa.types.is_float32(column.type) else np.float64)
+    x = np.frombuffer(column.buffers()[1], dtype, len(column), dtype.itemsize * column.offset)
+    return np.where(valid(column), x, np.array("NaT" if stamps else np.nan, dtype)) if column.null_count else x
+
+
+def valid(column):
+    """Return (N,) bool: False where a pyarrow column is null."""
+    if not column.null_count:
+        return np.ones(len(column), bool)
+    bits = np.unpackbits(np.frombuffer(column.buffers()[0], np.uint8), bitorder="little")
+    return bits[column.offset : column.offset + len(column)].astype(bool)
+
+
+def to_arrow(x):
+    """Return floats (NaN becomes null), whole numbers or bools as a pyarrow array."""
+    import pyarrow as pa
+
+    x = np.ascontiguousarray(x)
+    bits = lambda mask: pa.py_buffer(np.packbits(mask, bitorder="little"))
+    if x.dtype == bool:
+        return pa.Array.from_buffers(pa.bool_(), len(x), [None, bits(x)])
+    if x.dtype.kind == "f":
+        x = x.astype(np.float64)
+        return pa.Array.from_buffers(pa.float64(), len(x), [bits(~np.isnan(x)), pa.py_buffer(x)])
+    return pa.Array.from_buffers(pa.int64(), len(x), [None, pa.py_buffer(x.astype(np.int64))])
+
+
+def words(names, codes):
+    """Return the pyarrow array of the ASCII names[code].
+
+    Example:
+        >>> words(["no", "yes"], np.array([1, 0])).to_pylist()
+        ['yes', 'no']
+    """
+    import pyarrow as pa
+
+    ends = np.cumsum([0, *map(len, names)]).astype(np.int32)
+    return pa.StringArray.from_buffers(len(names), pa.py_buffer(ends), pa.py_buffer("".join(names).encode())).take(to_arrow(codes))
+
+
+def categories(names, codes):
+    """Return names[code] for int8 codes as a pyarrow array that holds every name once.
+
+    Example:
+        >>> categories(["no", "yes"], np.array([1, 0], np.int8)).to_pylist()
+        ['yes', 'no']
+    """
+    import pyarrow as pa
+
+    indices = pa.Array.from_buffers(pa.int8(), len(codes), [None, pa.py_buffer(np.ascontiguousarray(codes, np.int8))])
+    return pa.DictionaryArray.from_arrays(indices, words(names, np.arange(len(names))))
+
+
+def write_columns(path, columns, append=False):
+    """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has its header already."""
+    with open(path, "ab" if append else "wb") as f:
+        if not append:
+            names = io.StringIO()
+            csv.writer(names, lineterminator="\n").writerow(map(cell, columns))
+            f.write(names.getvalue().encode("utf-8", "backslashreplace"))
+        write_rows(f, columns)
+
+
+def write_rows(sink, columns):
+    """Write {name: pyarrow array} as lines of CSV without a header into what pyarrow can write to."""
+    import pyarrow as pa
+    import pyarrow.csv
+
+    plain = all(map(is_plain, columns.values()))
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none" if plain else "needed")
+    pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), sink, options)
+
+
+def is_plain(column):
+    """Return whether no cell of a pyarrow column needs quotes in a CSV file."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    return not pa.types.is_string(column.type) or not pc.any(pc.match_substring_regex(column, '[",\r\n]')).as_py()

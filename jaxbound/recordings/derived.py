@@ -1,0 +1,104 @@
+"""Which columns of a recording a model needs, and how its signals come out of them: as they are, or by an expression."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxbound.recordings.expressions import TIMES, Expression, expression, fails, find_column, is_expression, likely
+from jaxbound.recordings.recording import Signals
+
+__all__ = ["Signals", "Wanted", "wanted", "where_hints"]
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What is read of a recording. Build it with `wanted`.
+
+    Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the condition, or None; time: the column of
+    the time, or None.
+    """
+
+    inputs: tuple
+    outputs: tuple
+    where: Expression | None
+    time: str | None
+
+    @property
+    def signals(self):
+        """Names of the columns that signals need, each once, in the order of the inputs and outputs."""
+        return list(dict.fromkeys(c for s in self.inputs + self.outputs for c in (s.columns if isinstance(s, Expression) else (s,))))
+
+    @property
+    def numbers(self):
+        """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the samples is not among them."""
+        where = [c for c in self.where.columns if c not in self.where.texts] if self.where else []
+        return list(dict.fromkeys(self.signals + where))
+
+    @property
+    def texts(self):
+        """Names of the columns that are compared with text, the time left out."""
+        expressions = [s for s in (*self.inputs, *self.outputs, self.where) if isinstance(s, Expression)]
+        return list(dict.fromkeys(c for e in expressions for c in e.columns if c in e.texts and c != self.time))
+
+    @property
+    def columns(self):
+        """Names of all columns that are read, each once, the time last."""
+        return list(dict.fromkeys(self.numbers + self.texts + ([] if self.time is None else [self.time])))
+
+    def samples(self, columns, count, dtype=np.float64):
+        """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool, left out by `where`, or None.
+
+        Args:
+            columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. dtype: of y; u is as wide as its widest column.
+
+        Raises:
+            ValueError: see `Expression.values`.
+        """
+        value = lambda s: s.values(columns) if isinstance(s, Expression) else columns[s]
+        stack = lambda signals, to: np.stack([value(s) for s in signals], 1, dtype=to) if signals else np.zeros((count, 0), to)
+        u, y, excluded = stack(self.inputs, None), stack(self.outputs, dtype), None
+        if self.where is not None:
+            excluded = fails(self.where.values(columns))
+            u[excluded], y[excluded] = np.nan, np.nan
+        return u, y, excluded
+
+
+def wanted(names, model):
+    """Find the columns of a model among those of a recording.
+
+    Args:
+        names: of the columns that there are. model: with .inputs, .outputs, .columns and .column(signal).
+
+    Returns:
+        A Wanted. A signal whose column is not there is taken from the one called like the signal. Time: the column that the model names, or
+        one that looks like it.
+
+    Raises:
+        ValueError: a column is not there, or there twice.
+    """
+    inputs, outputs = (tuple(_source(s, names, model) for s in side) for side in (model.inputs, model.outputs))
+    found = Wanted(inputs, outputs, None, None)
+    where = model.columns.get("where")
+    named, here = model.columns.get("time"), "the recording"
+    free = [name for name in names if name not in found.signals]
+    called = likely(free, TIMES)
+    time = find_column(named, names, here) if named is not None else find_column(called[0], names, here) if called else None
+    return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time)
+
+
+def _source(signal, names, model):
+    named = model.column(signal)
+    e = expression(named) if is_expression(named) else None
+    try:
+        return find_column(named, names, "the recording") if e is None else e.among(names)
+    except ValueError:
+        if signal in names and signal != named and (e is not None or named not in names):
+            return find_column(signal, names, "the recording")
+        raise
+
+
+def where_hints(where, left_out, samples):
+    """Return a sentence on the samples that are no part of the recording. Args: where: the condition as text; left_out: how many."""
+    if not left_out:
+        return []
+    return [f"{left_out} of {samples} samples are set aside by the condition {where!r}: windows with them are MISSING"]

@@ -1,0 +1,140 @@
+"""How the lines of CSV of one stream are written, and what stands in some of them."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxbound.recordings.columns import from_arrow
+from jaxbound.recordings.csvtext import MISSING_CELLS, cells_of, is_number, sniff
+from jaxbound.recordings.derived import wanted
+
+__all__ = ["FEW", "SOURCE", "LineReader", "WrongCells"]
+
+FEW = 8  # lines that are read one by one
+PLAIN = re.compile(r" *[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)? *")
+SOURCE = "standard input"
+
+
+class WrongCells(ValueError):
+    """The first row of data does not fit the header."""
+
+
+class LineReader:
+    """Reads lines without their ends.
+
+    Args:
+        head: the header and the first line of data, before them perhaps one with the delimiter, as bytes. model: whose signals are wanted.
+
+    Fields: head; plan (`derived.Wanted`); is_text: the time is written as text; layout (`csvtext.Layout`).
+
+    Raises:
+        WrongCells: the first line of data has more or fewer cells than the header. ValueError: a column is not there, no header, no text.
+    """
+
+    def __init__(self, head, model):
+        import pyarrow as pa
+        import pyarrow.csv as pc
+
+        try:
+            layout = sniff(Path(SOURCE), b"\n".join(head) + b"\n")
+            plan = wanted(layout.names, model)
+        except ValueError as e:
+            raise ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}") from None
+        self.layout = layout
+        if not self.fits(head[-1]):
+            raise WrongCells(self.trouble(head[-1]))
+        if plan.time is None and layout.names[0] == "" and layout.first[0] and not is_number(layout.first[0], layout.decimal):
+            plan = replace(plan, time="")
+        index = {name: layout.names.index(name) for name in plan.columns}
+        text = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
+        strings = {*plan.texts, *([plan.time] if text else [])}
+        self.head, self.plan, self.is_text, self.index = head, plan, text, index
+        names = [f"f{i}" for i in range(len(layout.names))]
+        self.reading = pc.ReadOptions(column_names=names, encoding=layout.encoding, use_threads=False)
+        self.parsing = pc.ParseOptions(delimiter=layout.delimiter, newlines_in_values=False)
+        kinds = {f"f{i}": pa.string() if name in strings else pa.float64() for name, i in index.items()}
+        self.converting = [
+            pc.ConvertOptions(include_columns=list(kinds), decimal_point=d, null_values=list(MISSING_CELLS),
+                              strings_can_be_null=True, column_types=kinds)
+            for d in ((layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",))
+        ]  # fmt: skip
+
+    def cells(self, line):
+        """Return the cells of a line as texts."""
+        text = line.decode(self.layout.encoding, "replace")
+        return cells_of(text, self.layout.delimiter)
+
+    def fits(self, line):
+        """Return whether a line has as many cells as the header."""
+        return len(self.cells(line)) == len(self.layout.names)
+
+    def columns(self, lines):
+        """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts, or None where it is a column of numbers or none).
+
+        Raises:
+            ValueError: some line cannot be read, or holds an infinite number.
+        """
+        columns, stamps = (len(lines) <= FEW and self._few(lines)) or self._many(lines)
+        for name, x in columns.items():
+            if x.dtype != object and np.isinf(x).any():
+                raise ValueError(f"of column {name!r} is infinite")
+        return columns, stamps
+
+    def trouble(self, line):
+        """Return what is wrong with a line, as far as its cells show; or ""."""
+        cells = self.cells(line)
+        if len(cells) != len(self.layout.names):
+            return f"has {len(cells)} cells, the header has {len(self.layout.names)} columns"
+        for name, i in self.index.items():
+            cell = cells[i].strip()
+            text = name in self.plan.texts or (name == self.plan.time and self.is_text)
+            if not text and cell not in MISSING_CELLS and not is_number(cell, self.layout.decimal):
+                return f"of column {name!r} holds {cell[:60]!r}, which is not a number"
+        return ""
+
+    def _few(self, lines):
+        """Return what `_many` returns, of a few lines that are plain, sooner than pyarrow gets going; None where it must look at them."""
+        import pyarrow as pa
+
+        if self.plan.texts:
+            return None
+        rows = []
+        for line in lines:
+            cells = line.decode(self.layout.encoding, "replace").rstrip("\r").split(self.layout.delimiter)
+            if len(cells) != len(self.layout.names) or b'"' in line:
+                return None
+            rows.append([cells[i] for i in self.index.values()])
+        columns, stamps = {}, None
+        for name, cells in zip(self.index, zip(*rows, strict=True), strict=True):
+            if name == self.plan.time and self.is_text:
+                stamps = pa.array([None if c in MISSING_CELLS else c for c in cells], pa.string())
+                continue
+            if self.layout.decimal == ",":
+                cells = [c.replace(",", ".") for c in cells]
+            if not all(PLAIN.fullmatch(c) or c in MISSING_CELLS for c in cells):
+                return None
+            columns[name] = np.array([np.nan if c in MISSING_CELLS else float(c) for c in cells])
+        return columns, stamps
+
+    def _many(self, lines):
+        """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts or None)."""
+        import pyarrow as pa
+        import pyarrow.csv as pc
+
+        body = b"\n".join(lines) + b"\n"
+        for convert in self.converting:
+            try:
+                table = pc.read_csv(pa.BufferReader(body), self.reading, self.parsing, convert)
+                break
+            except pa.ArrowInvalid:
+                continue
+        else:
+            raise ValueError("cannot be read")
+        if table.num_rows != len(lines):
+            raise ValueError("has a quotation mark that is not closed")
+        found = {name: table[f"f{i}"].combine_chunks() for name, i in self.index.items()}
+        stamps = found.pop(self.plan.time) if self.is_text else None
+        columns = {name: from_arrow(x) for name, x in found.items() if name not in self.plan.texts}
+        return columns | {name: np.array(found[name].to_pylist(), object) for name in self.plan.texts}, stamps

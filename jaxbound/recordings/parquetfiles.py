@@ -1,0 +1,102 @@
+"""Parquet files as they lie on a disk: which belong to a recording, which are damaged, which columns they have.
+
+A page that was damaged on the disk is noticed where its writer left a checksum in it, or where it cannot be unpacked any more. Of another
+page nothing tells at the first reading; at every later one the digest of the recording does (`contents`).
+
+Names are sorted as people do, part-9 before part-10. Names that begin with a dot or an underscore, and verdicts of ours, are left out.
+"""
+
+import re
+from dataclasses import replace
+
+from jaxbound.recordings.derived import wanted
+
+__all__ = ["INDEX", "PARTIAL", "SUFFIXES", "VERDICTS", "Damage", "checked", "files_of", "opened", "plan_of"]
+
+SUFFIXES = (".parquet", ".pq")
+VERDICTS, PARTIAL = "verdicts.parquet", "verdicts.partial"  # folders that we write, complete and not
+INDEX = "__index_level_0__"  # where pandas puts an index without a name
+
+
+def files_of(path):
+    """Return the files of a recording in order, of a folder all in its subfolders too; refuse one without any."""
+    if not path.exists():
+        raise FileNotFoundError(f"there is no data file {path}")
+    if not path.is_dir():
+        return (path,)
+    skipped = lambda part: part[0] in "._" or part in (VERDICTS, PARTIAL)
+    inside = [p for p in path.rglob("*") if p.is_file() and not any(map(skipped, p.relative_to(path).parts))]
+    files = [p for p in inside if p.suffix.lower() in SUFFIXES]
+    if not files:
+        names = ", ".join(sorted(p.name for p in inside)[:3])
+        raise ValueError(f"{path} is a folder without Parquet files: " + (f"it has {names}" if names else "it is empty"))
+    natural = lambda p: [(int(t), "") if t.isdecimal() else (-1, t) for t in re.split(r"(\d+)", p.relative_to(path).as_posix())]
+    return tuple(sorted(files, key=natural))
+
+
+class Damage:
+    """Turns what pyarrow says of a damaged file into a sentence."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, e, trace):
+        import pyarrow as pa
+
+        if kind is not None and issubclass(kind, (pa.ArrowException, OSError)) and not getattr(e, "filename", None):
+            raise ValueError(f"{self.name} is a damaged Parquet file: {str(e).splitlines()[0].rstrip('.')}") from None
+
+
+def opened(file, name):
+    """Return a pyarrow.parquet.ParquetFile that reads row group by row group; refuse what is no whole Parquet file."""
+    import pyarrow.parquet as pq
+
+    with open(file, "rb") as f:
+        begins = f.read(4) == b"PAR1"
+        f.seek(max(file.stat().st_size - 4, 0))
+        ends = f.read(4) == b"PAR1" and file.stat().st_size > 8
+    if not begins or not ends:
+        raise ValueError(f"{name} is a truncated Parquet file: its end is missing" if begins else f"{name} is no Parquet file")
+    with Damage(name):  # not pre_buffer: pyarrow would hold whole row groups
+        return pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True)
+
+
+def checked(schema, model, name):
+    """Return {column: type} of the wanted columns of a file, the signals first; refuse types that are not numbers or time."""
+    import pyarrow as pa
+
+    kinds = pa.types
+    plan = plan_of(schema.names, {f.name: f.type for f in schema}, model)
+    time = plan.time
+    for column in plan.numbers:
+        kind = schema.field(column).type
+        if column == time and (kinds.is_temporal(kind) or kinds.is_string(kind)):
+            continue
+        if kinds.is_float16(kind):
+            raise ValueError(f"column {column!r} is in half precision: write it as float32 and state in `resolution` what was rounded away")
+        if not any(is_kind(kind) for is_kind in (kinds.is_integer, kinds.is_floating, kinds.is_decimal, kinds.is_boolean, kinds.is_null)):
+            raise ValueError(f"column {column!r} holds {_kind(kind)}: numbers are needed")
+    found = {column: schema.field(column).type for column in plan.columns}
+    if time is not None:
+        kind = found[time] = schema.field(time).type
+        text = kinds.is_string(kind) or kinds.is_large_string(kind)
+        if not (kinds.is_timestamp(kind) or kinds.is_date(kind) or kinds.is_integer(kind) or kinds.is_floating(kind) or text):
+            raise ValueError(f"the time column {time!r} holds {_kind(kind)}: time stamps or numbers are needed")
+    return found
+
+
+def plan_of(names, types, model):
+    """Return the Wanted of a file with these columns; the time may be an index without a name."""
+    import pyarrow as pa
+
+    plan = wanted(names, model)
+    return replace(plan, time=INDEX) if plan.time is None and INDEX in types and pa.types.is_temporal(types[INDEX]) else plan
+
+
+def _kind(kind):
+    import pyarrow as pa
+
+    return f"text ({kind})" if pa.types.is_string(kind) or pa.types.is_large_string(kind) else f"values of type {kind}"

@@ -1,0 +1,128 @@
+"""Time stamps of a recording: text of any usual format, or numbers, to seconds."""
+
+from datetime import datetime
+
+import numpy as np
+
+from jaxbound.recordings.columns import from_arrow
+from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
+
+__all__ = ["epoch_scale", "parse_stamps", "read_numbers"]
+
+DATES = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
+         "%m/%d/%y", "%d/%m/%y", "%d.%m.%y", "%Y%m%d")  # fmt: skip
+CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
+FORMATS = [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS] + list(DATES[:-1]) + list(CLOCKS[:4])
+EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
+
+
+def parse_stamps(cells, dt, where):
+    """Return (time, stamps, hint) of text cells.
+
+    Args:
+        cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and month/day; None: the median step.
+        where: called with an index, returns "row 7" of the file.
+
+    Returns:
+        time: seconds since the first sample; stamps: datetime64[ns], None for a clock without a date; hint: a sentence or "".
+
+    Raises:
+        ValueError: no known format, or a cell that does not follow that of the first.
+    """
+    import pyarrow as pa
+
+    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):  # ISO 8601, with or without a zone
+        try:
+            return _since_first(from_arrow(cells.cast(kind)), "")
+        except pa.ArrowInvalid:
+            pass
+    whole, fraction = _split_fraction(cells)
+    first = whole[0].as_py()
+    formats = [f for f in FORMATS if _fits(first, f)]
+    if not formats:
+        raise ValueError(f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
+                         "(2017-09-12 08:00:00, 9/12/2017 8:00, 12.09.2017 8:00, ...)")  # fmt: skip
+    read = [(f, _parse(whole, fraction, f)) for f in formats]
+    complete = [(f, x) for f, x in read if not np.isnat(x).any()]
+    if not complete:
+        bad = max(int(np.argmax(np.isnat(x))) for _, x in read)
+        odd, usual = cells[bad].as_py(), cells[0].as_py()
+        raise ValueError(f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}")
+    seams = [_seams(x, dt) for _, x in complete]
+    smoothest = [c for c, n in zip(complete, seams, strict=True) if n == min(seams)]
+    form, stamps = smoothest[0]
+    hint = ""
+    if len(smoothest) > 1 and "%d" in form and stamps[0] != smoothest[1][1][0]:
+        hint = f"time stamps like {cells[0].as_py()!r} are read as {_words(form)}; they could also be {_words(smoothest[1][0])}"
+    return _since_first(stamps, hint, dated="%d" in form)
+
+
+def epoch_scale(values, dt):
+    """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns), else None: it is in seconds."""
+    step = np.median(np.diff(values)) if len(values) > 1 else dt
+    for scale in EPOCHS:
+        if 1e9 * scale <= values[0] < 5e9 * scale and (scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt):
+            return scale
+    return None
+
+
+def read_numbers(values, dt):
+    """Return (time, stamps, hint) of a numeric time column: seconds, or an epoch in s, ms, us or ns."""
+    scale = epoch_scale(values, dt)
+    if scale is None:
+        return values, None, ""
+    stamps = np.round(values * (1e9 / scale)).astype("int64").astype("datetime64[ns]")
+    return (values - values[0]) / scale, stamps, "" if scale == 1 else f"the time column is read as an epoch in {EPOCHS[scale]}"
+
+
+def _split_fraction(cells):
+    """Split "12:00:01.25" into "12:00:01" and 0.25 s, if the first cell has a fraction of a second."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    cells = pc.utf8_trim_whitespace(cells)
+    if not pc.match_substring_regex(cells[:1], r":\d\d[.,]\d+$")[0].as_py():
+        return cells, None
+    parts = pc.extract_regex(cells, r"^(?P<whole>.*?:\d\d)[.,]?(?P<fraction>\d*)$")
+    digits = pc.struct_field(parts, "fraction")
+    seconds = pc.binary_join_element_wise("0.", pc.coalesce(digits, "0"), "0", "").cast(pa.float64())
+    return pc.coalesce(pc.struct_field(parts, "whole"), ""), (from_arrow(seconds) * 1e9).round().astype("timedelta64[ns]")
+
+
+def _fits(text, form):
+    try:
+        datetime.strptime(text, form)
+    except ValueError:
+        return False
+    return True
+
+
+def _parse(whole, fraction, form):
+    import pyarrow.compute as pc
+
+    stamps = from_arrow(pc.strptime(whole, format=form, unit="s", error_is_null=True)).astype("datetime64[ns]")
+    return stamps if fraction is None else stamps + fraction
+
+
+def _seconds(stamps):
+    return (stamps - stamps[0]) / np.timedelta64(1, "s")
+
+
+def _seams(stamps, dt):
+    """Return how many steps are not dt."""
+    steps = np.diff(_seconds(stamps))
+    dt = dt if dt is not None else np.median(steps) if len(steps) else 1.0
+    return int((np.abs(steps - dt) > TOLERATED_STEP * abs(dt)).sum())
+
+
+def _since_first(stamps, hint, dated=True):
+    time = _seconds(stamps)
+    if dated:
+        return time, stamps, hint
+    return time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)]), None, hint  # a clock that passed midnight
+
+
+def _words(form):
+    for code, word in {"%Y": "year", "%y": "year", "%m": "month", "%d": "day", "%b": "month"}.items():
+        form = form.replace(code, word)
+    return form.split(" %")[0].split("T%")[0]

@@ -1,0 +1,296 @@
+"""Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
+
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follows, stretches
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.units import unit_hints
+from jaxbound.plots.canvas import Timeline
+from jaxbound.processes import Team
+from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
+from jaxbound.recordings.derived import where_hints
+from jaxbound.recordings.hints import missing_sentences, rounding_hints, time_label
+from jaxbound.recordings.parquet import ParquetSource, open_parquet
+from jaxbound.recordings.parquetfiles import Damage
+from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
+from jaxbound.recordings.stillness import signal_hints, windows_inside
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.runs.outputs import made, output_folder
+from jaxbound.runs.streaming import CHUNK, VERDICTS, forget_parts, part_files, publish, read_runs, write_parts
+from jaxbound.runs.verdictfiles import alarm_columns
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["Digest", "detect_dataset", "digest"]
+
+DEEPEST = 200  # alarms kept in memory
+FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at", "ended")  # of an Alarm, and their seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Digest:
+    """What was found in a recording larger than memory; the verdicts themselves are in files.
+
+    Fields:
+        relations, method: as tested. data: the ParquetSource. samples: their number. counts: {status name: number of windows}.
+        worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window), or None.
+        alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints: sentences for the user.
+        line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when asked for.
+        aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
+        ended: {ending of an Alarm: how many of all alarms have it}.
+    """
+
+    relations: ParityRelation
+    method: str
+    data: ParquetSource
+    samples: int
+    counts: dict
+    worst: tuple | None
+    alarms: list
+    alarm_count: int
+    hints: tuple
+    line: Timeline
+    time: dict
+    aside: int = 0
+    ended: dict = field(default_factory=dict)
+
+    def label(self, k):
+        """Return the time of sample k as text."""
+        return time_label(self.time[k], self.data.stamp(self.time[k]), self.relations.model.dt)
+
+    @property
+    def source(self):
+        """The name of the file or folder that was tested."""
+        return self.data.path.name
+
+    def around(self, k, samples=600):
+        """Return (Result, Recording) of so many samples around sample k, read and tested anew."""
+        s = self.relations.horizon
+        first = max(min(k - samples // 2, self.samples - samples), 0)
+        r = self.data.read(max(first - s, 0), min(first + samples, self.samples))
+        return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts), r
+
+    def explain(self, k):
+        """Return the Certificate of the window that ends at sample k. See `Result.explain`."""
+        s = self.relations.horizon
+        first = max(k - s, 0)
+        r = self.data.read(first, k + 1)
+        return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
+
+
+def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 1), progress=None):
+    """Test a Parquet recording of any size and write its verdicts as Parquet.
+
+    Args:
+        relations: from `parity_relations`. path: a Parquet file, or a folder of them that follow each other by name.
+        out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
+            A call that was stopped is continued by the same call. All processes of one `jax.distributed` that make it share the work.
+        method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
+            depend on it.
+        alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
+
+    Returns:
+        A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in time are MISSING.
+
+    Raises:
+        TypeError: other relations. OSError, ValueError: data that cannot be read; an unfinished run of other data, another model or other
+        options in `out`; no alarm rule. RuntimeError: another process failed.
+
+    Example:
+        >>> import tempfile, pandas as pd, jaxbound as jb
+        >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     pd.DataFrame({"y1": [1.0, 0.5, 0.9, 0.45]}).to_parquet(f"{folder}/run.parquet")
+        ...     found = detect_dataset(jb.parity_relations(m), f"{folder}/run.parquet", f"{folder}/out")
+        >>> found.counts["FAULT"], found.worst[0]
+        (1, 2)
+    """
+    if not isinstance(relations, ParityRelation):
+        raise TypeError(f"detect_dataset needs parity relations, not {type(relations).__name__}")
+    check_rule(*alarm)
+    refuse_unverified()
+    report = progress or (lambda share: None)
+    with made(out), Team(Path(out)) as team, nullcontext() if team.number else output_folder(out, (VERDICTS,), (path,)) as place:
+        source = open_parquet(path, relations.model)
+        folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share), team)
+        if team.number == 0:
+            found = digest(relations, source, folder, method, alarm)
+            publish(place)
+            team.say("published")
+        else:
+            team.wait(lambda: team.said(0)[0] == "published")
+    if team.number:
+        found = digest(relations, source, Path(out) / VERDICTS, method, alarm)
+    report(1.0)
+    return found
+
+
+def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=None, progress=None):
+    """Read the verdicts of a ParquetSource once.
+
+    Args:
+        relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as `write_parts` left it.
+        alarm: (k, n), an alarm needs k FAULT among n windows. alarms_csv: where to write all alarms, or None.
+        progress: called with the share of the work done.
+
+    Returns:
+        A Digest.
+    """
+    report, first = progress or (lambda share: None), 0
+    counts, times, worst = np.zeros(len(Status), np.int64), _Times(source), None
+    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), _AlarmBook(*alarm, relations, alarms_csv)
+    for part in part_files(folder):
+        written, status, margin = _read(part)
+        time, stamps = source.times(first, written)
+        counts += np.bincount(status, minlength=len(Status))
+        here = _worst(status, margin, first)
+        worst = here if worst is None or (here is not None and here[:2] > worst[:2]) else worst
+        clock, _ = tick(clock, time)
+        named = {0, source.samples - 1, *(worst[2:3] if worst else ()), *(seam.sample for seam in clock.seams)}
+        times |= {k: float(time[k - first]) for k in named if first <= k < first + len(status)}
+        line.add(first, time if stamps is None else stamps, status, margin)
+        line.mark(book.add(first, written, time, status, margin))
+        first += len(status)
+        report(first / source.samples)
+    line.mark(book.close())
+    alarms, named = book.alarms()
+    times |= named
+    found = Digest(relations, method, source, first, {s.name: int(counts[s]) for s in Status}, worst and worst[2:], alarms, book.count, (),
+                   line, times, ended=book.ended)  # fmt: skip
+    if sentence := irregular(clock, found.label, source.row):
+        forget_parts(folder)  # verdicts on such data are of no use
+        raise ValueError(f"{source.path}: {sentence}")
+    hints, aside = _signal_hints(found, folder)
+    found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)
+    if found.counts["FAULT"] and (units := unit_hints(found.around(found.worst[0])[0])):
+        found = replace(found, hints=(*found.hints, *units))
+    found.alarms[:] = [replace(a, result=found) for a in found.alarms]
+    return found
+
+
+class _Times(dict):
+    """{sample: seconds}; what is not there is read."""
+
+    def __init__(self, source):
+        self.source = source
+
+    def __missing__(self, k):
+        self[k] = self.source.time(k) if self.source.time_name else k * self.source.model.dt
+        return self[k]
+
+
+def _signal_hints(found, folder):
+    """Return (sentences on missing samples, on what the recorder seems to round and on signals that stand still; windows set aside)."""
+    model, out, where, aside, samples = found.relations.model, [], found.data.plan.where, 0, found.samples
+    names = model.inputs + model.outputs + (("where",) if where else ())
+    runs = dict(zip(names, read_runs(part_files(folder)), strict=True))
+    if where:
+        kept = runs.pop("where")
+        samples, aside = kept.present, found.samples - found.relations.horizon - windows_inside(kept, found.relations.horizon)
+    out += missing_sentences({name: samples - r.present for name, r in runs.items()}, samples)
+    out += rounding_hints(model, found.data.probe().y)
+    for name in model.outputs + model.inputs:
+        out += signal_hints(name, runs[name], found.label, driven=name in model.inputs)
+    return out + (where_hints(where.text, found.samples - samples, found.samples) if where else []), aside
+
+
+def _read(part):
+    """Return (time column, status, margin) of a part."""
+    import pyarrow.parquet as pq
+
+    # not read_table: it would import pandas, which takes longer than to read a part
+    with Damage(str(part)), pq.ParquetFile(part, page_checksum_verification=True) as f:
+        table = f.read()
+    column = lambda name: table.column(name).combine_chunks()
+    status = column("status")
+    codes = np.array([Status[name] for name in status.dictionary.to_pylist()], np.int8)
+    indices = status.indices.cast("int32")
+    picked = codes[np.frombuffer(indices.buffers()[1], np.int32, len(indices), 4 * indices.offset)]
+    return column("time"), picked, from_arrow(column("margin"))
+
+
+def _worst(status, margin, first):
+    """Return (FAULT or not, -margin, sample, margin) of the worst window of a part, or None."""
+    fault = status == Status.FAULT
+    among = np.where(fault if fault.any() else True, margin, np.nan)
+    if not np.isnan(among).all():
+        k = int(np.nanargmin(among))
+        return bool(fault.any()), -float(margin[k]), first + k, float(margin[k])
+    return (True, -np.inf, first + int(np.argmax(fault)), np.nan) if fault.any() else None
+
+
+class _AlarmBook:
+    """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next shows how it goes on."""
+
+    def __init__(self, k, n, relations, path):
+        self.rule, self.dt, self.horizon, self.path = (k, n), relations.model.dt, relations.horizon, path
+        self.ended = {}
+        self.before, self.held, self.count, self.kept, self.first = np.zeros(0, bool), None, 0, [], []
+
+    def add(self, first, written, time, status, margin):
+        """Take the next part, which begins at sample `first`; return the samples at which alarms that ended are deepest."""
+        (k, n), fault, missing = self.rule, status == Status.FAULT, status == Status.MISSING
+        start, end, windows, depth, worst, begun, last = stretches(fault, margin, k, n, 0, 1, self.before)
+        self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
+        take = lambda at: written.take(to_arrow(at))
+        found = {"start": take(start), "end": take(end), "worst": take(worst), "from": time[start], "to": time[end], "at": time[worst],
+                 "first_sample": start + first, "last_sample": end + first, "worst_sample": worst + first, "windows": windows,
+                 "depth": depth, "begun": begun + first, "last": last + first, "after": follows(missing, end)}  # fmt: skip
+        closed = []
+        if self.held is not None:
+            if len(start) and start[0] == 0:
+                found = _joined(self.held, found)
+            else:
+                closed = [self.held | {"after": follows(missing[:1], [-1])}]
+            self.held = None
+        if len(end) and end[-1] == len(fault) - 1:
+            found, self.held = ({name: x[part] for name, x in found.items()} for part in (slice(0, -1), slice(-1, None)))
+        return np.concatenate([self._close(x) for x in (*closed, found)])
+
+    def close(self):
+        """Close what is open; return the sample at which it is deepest, if any."""
+        return self._close(self.held) if self.held is not None else np.zeros(0, int)
+
+    def _close(self, alarms):
+        alarms["ended"] = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
+        for code, n in enumerate(np.bincount(alarms["ended"], minlength=len(ENDINGS)).tolist()):
+            self.ended |= {ENDINGS[code]: self.ended.get(ENDINGS[code], 0) + n} if n else {}
+        if self.path is not None:
+            write_columns(self.path, alarm_columns(alarms, self.dt), append=self.count > 0)
+        self.count += len(alarms["windows"])
+        deepest = np.argsort(alarms["depth"])[:DEEPEST]
+        picked = np.unique([*deepest, *range(min(1, len(alarms["windows"])))]).astype(int)
+        rows = zip(*(alarms[f][picked].tolist() for f in FIELDS), strict=True)
+        fresh = [(Alarm(*row[:5], ended=ENDINGS[row[8]]), row[5:8]) for row in rows]
+        self.first = self.first or fresh[:1]
+        self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
+        return alarms["worst_sample"]
+
+    def alarms(self):
+        """Return ([Alarm], {sample: seconds}) of the first and the deepest in order of time."""
+        pairs = {alarm.start: (alarm, times) for alarm, times in (*self.first, *self.kept)}
+        named = {}
+        for a, times in pairs.values():
+            named |= dict(zip((a.start, a.end, a.worst), times, strict=True))
+        return [pairs[start][0] for start in sorted(pairs)], named
+
+
+def _joined(held, found):
+    """Return alarms, the first of them joined with the one that was held."""
+    import pyarrow as pa
+
+    deeper = not held["windows"][0] or (found["windows"][0] and found["depth"][0] < held["depth"][0])
+    keep = ("start", "from", "first_sample", "begun", *(() if deeper else ("worst", "at", "worst_sample", "depth")))
+    out = {}
+    for name, x in found.items():
+        if name == "windows":
+            out[name] = np.concatenate([held[name] + x[:1], x[1:]])
+        elif name in keep:
+            out[name] = (np.concatenate if isinstance(x, np.ndarray) else pa.concat_arrays)([held[name], x[1:]])
+        else:
+            out[name] = x
+    return out

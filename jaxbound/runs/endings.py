@@ -1,0 +1,62 @@
+"""What may be said of alarms that are over: whether a fault was repaired or lasts, a CONSISTENT window often cannot tell."""
+
+from collections import Counter
+
+import numpy as np
+
+from jaxbound.diagnosis.alarms import NO_LONGER, ONSET_LEFT
+from jaxbound.diagnosis.detectability import always_seen
+from jaxbound.runs.digest import Digest
+
+__all__ = ["ending_counts", "ending_hints", "endings_said", "sizes_seen", "sizes_text"]
+
+
+def ending_counts(res, alarms):
+    """Return {why it is over: number of alarms}; see `Alarm`. A Digest counts those too that it does not keep."""
+    return res.ended if isinstance(res, Digest) else dict(Counter(a.ended for a in alarms))
+
+
+def sizes_seen(res, alarms):
+    """Return the sizes of `always_seen`; None where there is no alarm, as nobody needs them then, or where they are not known.
+
+    Args:
+        res: a Result of one recording, or a Digest, of which the samples around the first alarm say how large readings get.
+        alarms: its alarms.
+    """
+    if not alarms:
+        return None
+    return always_seen(res.relations, res.method, res.around(alarms[0].worst)[1].y if isinstance(res, Digest) else res.y)
+
+
+def ending_hints(res, alarms, sizes=None):
+    """Return a sentence on alarms after which CONSISTENT windows do not mean that the fault is repaired.
+
+    Args:
+        res, alarms: as for `sizes_seen`, which returns sizes; None: not asked for.
+    """
+    counts = ending_counts(res, alarms)
+    return [f"{said}; {sizes_text(res, sizes)}" for said in endings_said(counts, sum(counts.values()))]
+
+
+def endings_said(counts, total):
+    """Return a sentence, or none, on those of so many alarms that are over. counts: {why: how many}."""
+    some = lambda n: "the alarm" if total == 1 else f"all {total} alarms" if n == total else f"{n} of {total} alarms"
+    said = []
+    if n := counts.get(ONSET_LEFT):
+        said.append(f"{some(n)} may have ended because the onset left the window: repaired or lasting")
+    if n := counts.get(NO_LONGER):
+        said.append(f"{some(n)} ended after windows without the onset: repaired, or hidden within the bounds")
+    return ["; ".join(said)] if said else []
+
+
+def sizes_text(res, sizes):
+    """Say from which size on windows are sure to show an error that lasts."""
+    these = f"windows of {res.relations.horizon + 1} samples"
+    if sizes is None:
+        return f"{these} alone cannot tell"
+    unit = res.relations.model.unit
+    seen = ", ".join(f"{name} {size:.3g} {unit(name)}".strip() for name, size in sizes.items() if np.isfinite(size))
+    never = ", ".join(name for name, size in sizes.items() if not np.isfinite(size))
+    if not seen:
+        return f"{these} are sure of no constant error that lasts, whatever its size"
+    return f"{these} are sure to show a constant error that lasts from {seen} on" + (f", of {never} at no size" if never else "")

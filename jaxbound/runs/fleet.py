@@ -1,0 +1,247 @@
+"""Many units in one command: a manifest in, a table with a row a unit out, the worst first.
+
+Units of one shape share one compiled kernel, whatever their numbers. What is wrong with a unit (no such file, a bad model) becomes the
+sentence of its row, and the others are tested. While one unit is tested, the next ones are read.
+"""
+
+import csv
+import math
+from collections import Counter, deque
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.units import unit_hints
+from jaxbound.models.modelfile import load_model
+from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.recording import missing_column
+from jaxbound.relations.parity import parity_relations
+from jaxbound.runs.endings import ending_hints
+from jaxbound.runs.summary import CODES, bound_hints, coverage, summary, worst
+
+__all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "worst_first"]
+
+COLUMNS = ("unit", "model", "recording")
+AHEAD = 4  # units that are read while another is tested
+ORDER = ("fault", "not tested", "too little evidence", "no fault")
+NOT_TESTED = 2
+
+
+class Unit(NamedTuple):
+    """One row of a manifest: the unit's name, its model file and its recording."""
+
+    name: str
+    model: Path
+    recording: Path
+
+
+@dataclass(frozen=True)
+class UnitResult:
+    """What was found about a unit.
+
+    Fields: unit; verdict: "fault", "no fault", "too little evidence" or "not tested"; sentence: what an engineer should know, or why it was
+    not tested; margin: of the worst window, NaN if there is none; counts: windows by status; decided: share of windows proved one way or
+    the other; alarms: how many; first_alarm, worst: text of the times of the first alarm and the worst window; hints: sentences; ended: why
+    the last alarm is over, see `Alarm`.
+    """
+
+    unit: Unit
+    verdict: str
+    sentence: str
+    margin: float = math.nan
+    counts: tuple = (0, 0, 0, 0)
+    decided: float = 0.0
+    alarms: int = 0
+    first_alarm: str = ""
+    worst: str = ""
+    hints: tuple = ()
+    ended: str = ""
+
+
+def read_manifest(path):
+    r"""Read the units of a fleet from a CSV or TOML file.
+
+    CSV: a header with the columns unit, model and recording, then a row a unit. TOML: a block [[units]] with these fields for each.
+    Files are looked for beside the manifest.
+
+    Args:
+        path: of the manifest; .toml is read as TOML, anything else as CSV.
+
+    Returns:
+        A list of Unit. Their files need not exist.
+
+    Raises:
+        OSError: no such file. ValueError: unknown or missing columns, an empty cell, a name used twice, no unit.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "fleet.csv"
+        >>> _ = path.write_text("unit,model,recording\nP-101,pump.toml,p101.csv\n")
+        >>> [unit.name for unit in read_manifest(path)]
+        ['P-101']
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder: a manifest is a CSV or TOML file with a unit, a model and a recording in each row")
+    if not path.exists():
+        raise FileNotFoundError(f"there is no manifest {path}")
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+        rows = _toml_rows(text) if path.suffix.lower() == ".toml" else _csv_rows(text)
+        return _units(rows, path.parent)
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no manifest") from None
+    except (RecursionError, csv.Error) as e:
+        raise ValueError(f"{path}: this is no manifest: {e}") from None
+    except ValueError as e:
+        raise ValueError(f"{path}: {e}") from None
+
+
+def _csv_rows(text):
+    """Yield (where, {column: cell}) of each row."""
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    delimiter = next((d for d in (";", "\t", ",") if d in header), ",")
+    reader = csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True)
+    rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    if not rows:
+        raise ValueError(f"the manifest is empty: it needs the columns {', '.join(COLUMNS)} and a row a unit")
+    names = [name.strip() for name in rows[0][1]]
+    _known("the manifest", names)
+    for line, row in rows[1:]:
+        if len(row) != len(names):
+            raise ValueError(f"row {line} has {len(row)} cells, the header has {len(names)} columns")
+        yield f"row {line}", dict(zip(names, map(str.strip, row), strict=True))
+
+
+def _toml_rows(text):
+    """Yield (where, {field: value}) of each [[units]] block."""
+    import tomllib
+
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise ValueError(f"this is not valid TOML: {e}") from None
+    if unknown := [name for name in table if name != "units"]:
+        raise ValueError(f"the manifest has the unknown field {unknown[0]!r}: it is made of [[units]] blocks")
+    blocks = table.get("units", [])
+    if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
+        raise ValueError("units must be a list of blocks: write [[units]] above each of them")
+    for i, block in enumerate(blocks):
+        where = f"number {i + 1} of units"
+        _known(where, list(block))
+        for field, value in block.items():
+            if not isinstance(value, str):
+                raise ValueError(f"{field} of {where} must be text in quotes, not {value!r}")
+        yield where, block
+
+
+def _known(where, names):
+    """Refuse a column that is unknown, missing or there twice."""
+    for name in names:
+        if name not in COLUMNS:
+            raise ValueError(f"{where} has the unknown column {name!r}; known columns are {', '.join(COLUMNS)}")
+        if names.count(name) > 1:
+            raise ValueError(f"{where} has {names.count(name)} columns {name!r}")
+    for name in COLUMNS:
+        if name not in names:
+            raise ValueError(missing_column(name, names, where))
+
+
+def _units(rows, folder):
+    units, found = [], {}
+    for where, row in rows:
+        for column in COLUMNS:
+            if not row[column]:
+                raise ValueError(f"{where} has no {column}")
+        if row["unit"] in found:
+            raise ValueError(f"{where} names unit {row['unit']!r}, as {found[row['unit']]} does: every unit needs a name of its own")
+        found[row["unit"]] = where
+        units.append(Unit(row["unit"], folder / row["model"], folder / row["recording"]))
+    if not units:
+        raise ValueError("the manifest names no unit: it has a header but no row")
+    return units
+
+
+def detect_fleet(units, method="joint", horizon=None, alarm=(1, 1), min_coverage=0.5, progress=None):
+    """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
+
+    Args:
+        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`. horizon: as for `parity_relations`.
+        alarm: (k, n), an alarm needs k FAULT among n windows.
+        min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
+        progress: called with the share of the units done.
+
+    Yields:
+        UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
+    """
+    report, shared = progress or (lambda share: None), Counter(unit.model for unit in units)
+    models = {}
+
+    def prepare(unit):
+        model, relations = models.get(unit.model) or (load_model(unit.model), None)
+        recording = read_recording(unit.recording, model)
+        refuse_short(unit.recording, len(recording.time), model.horizon if horizon is None else horizon)
+        relations = relations or parity_relations(model, horizon)
+        if shared[unit.model] > 1:
+            models[unit.model] = model, relations
+        return model, relations, recording
+
+    with ThreadPoolExecutor(1) as beside:
+        waiting = deque()
+        try:
+            for i, unit in enumerate(units):
+                while len(waiting) < AHEAD and i + len(waiting) < len(units):
+                    waiting.append(beside.submit(prepare, units[i + len(waiting)]))
+                yield _tested(unit, waiting.popleft(), method, alarm, min_coverage)
+                report((i + 1) / len(units))
+        finally:
+            for job in waiting:
+                job.cancel()
+
+
+def _tested(unit, job, method, alarm, min_coverage):
+    try:
+        model, relations, recording = job.result()
+        s = relations.horizon
+        refuse_short(unit.recording, len(recording.time), s)
+        res = detect(relations, recording.u, recording.y, method=method, starts=recording.starts)
+        res = replace(res, aside=recording.aside(s))
+        alarms = res.alarms(*alarm)
+        verdict, sentence = summary(res, alarms, recording.label, min_coverage)
+        at, margin = worst(res)
+        return UnitResult(
+            unit, verdict, sentence, float(margin), tuple(res.counts.values()), coverage(res), len(alarms),
+            recording.label(alarms[0].start) if alarms else "", "" if at is None else recording.label(at),
+            (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms)),
+            alarms[-1].ended if alarms else "")  # fmt: skip
+    except (OSError, ValueError, NotImplementedError, TypeError) as e:
+        system = isinstance(e, OSError) and e.filename and e.strerror
+        return UnitResult(unit, "not tested", f"{e.filename}: {e.strerror.lower()}" if system else str(e))
+    except Exception as e:  # one unit's trouble must not cost the others their answer
+        return UnitResult(unit, "not tested", f"internal error, please report it: {type(e).__name__}: {e}")
+
+
+def worst_first(results):
+    """Return the results sorted: faults (the deepest first), units not tested, too little evidence, no fault (the tightest first)."""
+    return sorted(results, key=lambda r: (ORDER.index(r.verdict), math.inf if math.isnan(r.margin) else r.margin))
+
+
+def fleet_verdict(results):
+    """Return (verdict, exit code, sentence) of a whole fleet.
+
+    A fault counts before a unit that could not be tested, and that before too little evidence.
+    """
+    count = Counter(r.verdict for r in results)
+    verdict = next(v for v in ORDER if count[v])
+    code = NOT_TESTED if verdict == "not tested" else CODES[verdict]
+    several = lambda n: f"{n} unit{'s' * (n != 1)}"
+    parts = [f"{several(len(results))} listed"]
+    told = {"fault": "with a proved fault", "no fault": "with no fault found", "too little evidence": "with too little evidence",
+            "not tested": "could not be tested"}  # fmt: skip
+    parts += [f"{count[v]} {told[v]}" for v in ("fault", "no fault", "too little evidence", "not tested") if count[v]]
+    deepest = min((r for r in results if r.verdict == "fault"), key=lambda r: r.margin, default=None)
+    worst_unit = f"; the worst is {deepest.unit.name}" if deepest else ""
+    return verdict, code, f"{parts[0]}: {', '.join(parts[1:])}{worst_unit}."

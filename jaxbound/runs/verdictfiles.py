@@ -1,0 +1,61 @@
+"""Verdicts and alarms as files: CSV with the times of the recording as its owner wrote them."""
+
+import numpy as np
+
+from jaxbound.diagnosis.alarms import ENDINGS
+from jaxbound.recordings.columns import to_arrow, words, write_columns
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["alarm_columns", "write_alarms", "write_verdicts"]
+
+
+def write_verdicts(path, result, recording=None):
+    """Write one row a sample: time (as the recording has it), status, margin (blank where there is none), suspect.
+
+    Args:
+        path: of the CSV file to write. result: of one recording. recording: from `read_recording`; None: sample numbers.
+    """
+    written = to_arrow(np.arange(len(result.status))) if recording is None else recording.written
+    columns = {
+        "time": to_arrow(recording.time) if written is None else written,
+        "status": words([x.name for x in Status], result.status),
+        "margin": to_arrow(result.margin),
+        "suspect": to_arrow(result.suspect),
+    }
+    write_columns(path, columns)
+
+
+def write_alarms(path, alarms, recording, dt):
+    """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and when it was reached.
+
+    `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt; `ended`: see `Alarm`.
+    """
+    column = lambda name, kind=np.int64: np.array([getattr(a, name) for a in alarms], kind)
+    written = recording.written if recording.written is not None else to_arrow(recording.time)
+    starts, ends, depth = column("start"), column("end"), column("depth", np.float64)
+    when = {name: written.take(to_arrow(column(name))) for name in ("start", "end", "worst")}
+    seconds = {"from": recording.time[starts], "to": recording.time[ends]}
+    ended = np.array([ENDINGS.index(a.ended) for a in alarms], np.int64)
+    found = {"first_sample": starts, "last_sample": ends, "windows": column("windows"), "depth": depth, "ended": ended}
+    write_columns(path, alarm_columns({**when, **seconds, **found}, dt))
+
+
+def alarm_columns(alarms, dt):
+    """Return the columns of alarms.csv.
+
+    Args:
+        alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds, "first_sample", "last_sample",
+            "windows", "depth", "ended" (numbers of ENDINGS): NumPy}, one entry an alarm.
+    """
+    return {
+        "start": alarms["start"],
+        "end": alarms["end"],
+        "duration_s": to_arrow(np.round(alarms["to"] - alarms["from"] + dt, 9)),
+        "first_sample": to_arrow(alarms["first_sample"]),
+        "last_sample": to_arrow(alarms["last_sample"]),
+        "windows": to_arrow(alarms["windows"]),
+        "depth": to_arrow(alarms["depth"]),
+        "factor": to_arrow(1 - alarms["depth"]),
+        "worst": alarms["worst"],
+        "ended": words(ENDINGS, alarms["ended"]),
+    }

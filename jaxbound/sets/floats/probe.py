@@ -1,0 +1,164 @@
+"""May this process prove anything? What `rounding` assumes of processor, device and compiler, asked before every proof.
+
+**The rounding mode** of the processor is asked at every call: it takes a microsecond, and an import can change it at any time.
+**The device** has to be of a kind whose arithmetic was examined: CPU, so far.
+**Flags of XLA** that give arithmetic up are refused by name: what they allow, a compiler need not do to the kernels of a probe.
+**The probe** (`measure`), one small kernel, catches what names do not. It runs once a process for each device and setting, with the flags
+in force.
+
+The options of jax itself need no question: on CPU `jax_default_matmul_precision` changes no product (measured), and what is proved by one
+asks for the highest precision; the others round nothing.
+"""
+
+import os
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.floats import rounding
+
+__all__ = ["Unverified", "measure", "refuse_other_modes", "refuse_unverified", "usable_devices", "verified"]
+
+EXAMINED = ("cpu",)
+GIVES_UP = {
+    "xla_cpu_enable_fast_math": ("false", "0"),
+    "xla_cpu_fast_math_honor_nans": ("", "true", "1"),
+    "xla_cpu_fast_math_honor_infs": ("", "true", "1"),
+    "xla_cpu_fast_math_honor_division": ("", "true", "1"),
+    "xla_cpu_fast_math_honor_functions": ("", "true", "1"),
+    "xla_cpu_experimental_onednn_fusion_type": ("",),
+    "xla_cpu_experimental_xnn_fusion_type": ("",),
+    "xla_cpu_experimental_ynn_fusion_type": ("",),
+    "xla_cpu_experimental_xnn_graph_fusion_mode": ("", "XNN_GRAPH_FUSION_MODE_DISABLED"),
+}
+"""Flags of XLA after which nothing is known of a rounding, and the values that leave it alone. fusion_type and graph_fusion_mode hand
+operations to libraries whose exp, for one, is another."""
+
+
+class Unverified(RuntimeError):
+    """Nothing can be proved in this process, or on this device; the message says why, and what to do."""
+
+
+def refuse_unverified(*given):
+    """Raise Unverified if a proof from these arguments would rest on arithmetic that was not verified.
+
+    Args:
+        given: PyTrees; where jax arrays among them lie, the work is done. Without any: on the devices of `usable_devices`.
+    """
+    refuse_other_modes()
+    devices = {usable_devices()[0]}
+    for x in jax.tree.leaves(given):
+        if isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer):
+            devices |= x.devices()
+    for device in devices:
+        if why := _doubt(device):
+            raise Unverified(why)
+
+
+def refuse_other_modes():
+    """Raise Unverified if this process does not round to the nearest float, on which every bound in `rounding` rests.
+
+    Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on, in threads to come too.
+    """
+    one, half = float(np.ones(())), float(np.finfo(np.float64).eps) / 4
+    if one + half != one or one - half != one:
+        raise Unverified(
+            "this process does not round to nearest: some library that was imported (codac does it) has changed the rounding mode of the "
+            "processor, so nothing can be proved here; run it in another process, or set the mode back to nearest (fesetround)"
+        )
+
+
+def usable_devices():
+    """Return the devices that work goes to: all of this process, or the one of `jax.default_device` where that is set."""
+    chosen = jax.config.jax_default_device
+    if chosen is None:
+        return tuple(jax.local_devices())
+    return tuple(jax.local_devices(backend=chosen)[:1]) if isinstance(chosen, str) else (chosen,)
+
+
+def verified(device):
+    """Return whether what is computed on a device may carry a proof; the first question about a device takes a tenth of a second."""
+    return not _doubt(device)
+
+
+def _doubt(device):
+    """Return why a device proves nothing, in a sentence; empty where it may."""
+    return _found(device, os.environ.get("XLA_FLAGS", ""), bool(jax.config.jax_enable_x64))
+
+
+@lru_cache
+def _found(device, flags, x64):
+    if device.platform not in EXAMINED:
+        return (
+            f"proofs need a device whose rounding was verified, so far only CPU, not {device.platform}: set JAX_PLATFORMS=cpu, or give "
+            'NumPy arrays under `with jax.default_device("cpu")`; margins gives unproved values anywhere'
+        )
+    if loose := _loose(flags):
+        return f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start without, nothing can be proved so"
+    measured = measure(device, jnp.result_type(float))
+    if broken := [f"{name}: {value:.3g}, at most {most:g} assumed" for name, (value, most) in measured.items() if not value <= most]:
+        return (
+            f"compiled arithmetic in this process is not what proofs rest on ({'; '.join(broken)}), so nothing can be proved: "
+            f"start without {f'XLA_FLAGS={flags}' if flags else 'what changes the compiler'}"
+        )
+    return ""
+
+
+def _loose(flags):
+    """Return the flags that give arithmetic up, of XLA_FLAGS: the flags themselves, or the name of a file with them."""
+    if flags and flags.split() and not flags.split()[0].startswith("-"):
+        file = Path(flags)
+        flags = file.read_text() if file.is_file() else ""
+    found = []
+    for flag in flags.replace('"', " ").replace("'", " ").split():
+        name, given, value = flag.lstrip("-").partition("=")
+        harmless = GIVES_UP.get(name)
+        if harmless is not None and (value if given else "true") not in harmless:
+            found.append(flag)
+    return found
+
+
+COUNT = 16
+
+
+def measure(device, dtype):
+    """Return {what `rounding` assumes: (what a compiled kernel did on a device, the most that is assumed)}, errors in units u.
+
+    Few numbers, and a kernel that compiles fast: it stands before every first verdict. `tests/sets/test_probe.py` asks more, of thousands.
+    """
+    k, info = np.arange(1, COUNT + 1), np.finfo(dtype)
+    numbers = lambda step, low, high: np.exp2(low + (high - low) * (k * step % 1)).astype(dtype)
+    a, b = numbers(0.618, -8, 8) * np.where(k % 3, 1, -1).astype(dtype), numbers(0.414, -8, 8)
+    small, top = numbers(0.732, info.minexp + 1, info.minexp + 3.9), np.full(COUNT, info.max, dtype)
+    odd = np.where(k % 2, np.nan, np.inf).astype(dtype)
+    given = a, b, b[:1], small, np.full(1, -16, dtype), top, odd
+    with jax.ensure_compile_time_eval(), jax.default_device(device), jax.debug_nans(False), jax.debug_infs(False), jax.disable_jit(False):
+        found = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
+    *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*found[:6], a, b, small))
+    total, rest, quotient, share, root, flushed = exact
+    u, smallest, pairs = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny)), list(zip(A, B, strict=True))
+    error = lambda found, want: max(float(abs(f - w) / abs(f) / u) if f else np.inf for f, w in zip(found, want, strict=True))
+    lost = sum(s + e != x + y for s, e, (x, y) in zip(total, rest, pairs, strict=True))
+    underflow = max(abs(f + x / 16) for f, x in zip(flushed, least, strict=True)) / smallest
+    return {
+        "error of a sum": (error(total, [x + y for x, y in pairs]), 2.84),
+        "error of a quotient": (error(quotient, [x / y for x, y in pairs]), 2.84),
+        "error of a quotient by one number": (error(share, [x / B[0] for x in A]), 2.84),
+        "error of the square of a root": (error([x * x for x in root], B), 5.7),
+        "sums that two_sum loses digits of": (lost, 0),
+        "error of an underflow, in smallest numbers": (float(underflow), 1),
+        "underflows that lose their sign": (int((~np.signbit(found[5])).sum()), 0),
+        "overflows that are finite": (int((found[6] != np.inf).sum()), 0),
+        "NaN that are lost": (int((~np.isnan(found[7])).sum()), 0),
+    }
+
+
+@jax.jit
+def _kernel(a, b, one, small, sixteen, top, odd):
+    """Return (8, COUNT) results: more of them would be spread over several loops, and take four times as long to compile."""
+    lost = jnp.maximum(odd - odd, b)  # odd: NaN and infinite
+    return jnp.stack([*rounding.two_sum(a, b), a / b, a / one, jnp.sqrt(b), small / sixteen, top + top, lost])

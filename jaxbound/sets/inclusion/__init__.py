@@ -1,0 +1,1 @@
+"""Enclosures of JAX functions over boxes."""

@@ -1,0 +1,73 @@
+"""A function prepared so that the derivative that JAX takes of it is that of its mathematics.
+
+Custom rules and stop_gradient may state another derivative than the function has; they are dropped. max, min and clamp become
+selections by a comparison, which an interval can decide.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Literal
+
+from jaxbound.sets.inclusion.jaxprs import bind, body
+
+__all__ = ["plain"]
+
+
+def plain(jaxpr, consts, args):
+    """Evaluate a jaxpr on numbers like JAX does, with the primitives replaced whose derivative would not serve."""
+    env = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, args, strict=True))
+    read = lambda v: jnp.asarray(v.val, v.aval.dtype) if isinstance(v, Literal) else env[v]
+    for eqn in jaxpr.eqns:
+        env.update(zip(eqn.outvars, _apply(eqn, [read(v) for v in eqn.invars]), strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def _apply(eqn, values):
+    name, inner = eqn.primitive.name, body(eqn)
+    if inner is not None:
+        return plain(inner.jaxpr, inner.consts, values)
+    if name == "stop_gradient":
+        return values
+    if name in SELECTED and jnp.issubdtype(values[0].dtype, jnp.floating):
+        return [SELECTED[name](*values, **eqn.params)]
+    return bind(eqn, *values, **{k: _plain_param(v) for k, v in eqn.params.items() if _holds_jaxpr(v)})
+
+
+def _holds_jaxpr(value):
+    return isinstance(value, ClosedJaxpr) or isinstance(value, tuple) and any(isinstance(v, ClosedJaxpr) for v in value)
+
+
+def _plain_param(value):
+    if isinstance(value, tuple):
+        return tuple(map(_plain_param, value))
+    return jax.make_jaxpr(lambda *args: plain(value.jaxpr, value.consts, args))(*value.in_avals)
+
+
+def _greater(x, y, **_):
+    return jnp.where(x > y, x, y)
+
+
+def _less(x, y, **_):
+    return jnp.where(x < y, x, y)
+
+
+def _clamp(low, x, high, **_):
+    return _less(_greater(x, low), high)
+
+
+def _folded(pick):
+    """Reduce along axes by comparing halves."""
+
+    def reduce(x, axes, **_):
+        for axis in sorted(axes, reverse=True):
+            while (count := x.shape[axis]) > 1:
+                part = lambda a, b, x=x, axis=axis: jax.lax.slice_in_dim(x, a, b, axis=axis)
+                best = pick(part(0, count // 2), part(count // 2, count // 2 * 2))
+                x = jnp.concatenate([best, part(count - 1, count)], axis) if count % 2 else best
+            x = jnp.squeeze(x, axis)
+        return x
+
+    return reduce
+
+
+SELECTED = {"max": _greater, "min": _less, "clamp": _clamp, "reduce_max": _folded(_greater), "reduce_min": _folded(_less)}

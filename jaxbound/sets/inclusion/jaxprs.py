@@ -1,0 +1,400 @@
+"""Evaluate the jaxpr of a function over Intervals: equation by equation, through calls, branches and loops.
+
+Beside the enclosures, every evaluation says whether it proved the function defined and continuous over the box: derivatives
+speak about a function only there. It also follows where a number may be NaN (`undefined`), which comparisons, is_finite and
+conversions observe: a program may turn NaN back into a number.
+"""
+
+import functools
+import operator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.inclusion.lifted import enclose, least, most, settled, whole
+from jaxbound.sets.inclusion.primitives import CONTINUOUS, MOVED, RISING, RULES, WHOLE
+from jaxbound.sets.inclusion.undefined import OBSERVED, either, observes, possible
+from jaxbound.sets.intervals.interval import Interval, computed
+
+__all__ = ["bind", "body", "evaluate", "refuse_unsupported"]
+
+CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call", "custom_vjp_call",
+         "custom_vjp_call_jaxpr"}  # fmt: skip
+POINTWISE = {"abs", "neg", "max", "min", "select_n", "iota", "bitcast_convert_type", "argmax", "argmin", "is_finite"}  # exact on numbers
+LOOPS = 10_000
+"""A while loop whose end depends on an interval is followed this far; one that may still run has any result."""
+
+
+def evaluate(jaxpr, consts, args):
+    """Return (outs, continuous): enclosures of the outputs of a jaxpr.
+
+    Args:
+        jaxpr, consts: as in a ClosedJaxpr.
+        args: an array (exact) or an Interval for each input.
+
+    Returns:
+        outs: an array or an Interval for each output. continuous: True, or a boolean array (): proved over all of args.
+
+    Encloses: the real function that the jaxpr writes down, its constants being the floats they are.
+    """
+    absent = [None if isinstance(x, Interval) else _absent(x) for x in args]
+    outs, _, continuous = _follow(jaxpr, consts, [_door(x) for x in args], absent, [False] * len(jaxpr.outvars))
+    return outs, continuous
+
+
+def _door(x):
+    """Return an argument that compiled code reads as it is; a bound that is NaN bounds nothing."""
+    return computed(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
+
+
+def _follow(jaxpr, consts, args, absent, asked):
+    """Return (outs, absent, continuous).
+
+    absent: None, or a boolean array, True where the number may be NaN, for each of args and outs. asked: of which outs it is needed.
+    The bounds of args are settled, whatever a loop or a branch made of them.
+    """
+    watched = _watched(jaxpr, asked)
+    args = [_computed(x) if isinstance(x, Interval) else x for x in args]
+    known = lambda x: (_constant(x), _absent(x))
+    env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(zip(jaxpr.invars, zip(args, absent, strict=True), strict=True))
+    read = lambda v: known(np.asarray(v.val, v.aval.dtype)) if isinstance(v, Literal) else env[v]
+    continuous = True
+    for eqn in jaxpr.eqns:
+        values, missing = zip(*map(read, eqn.invars), strict=True) if eqn.invars else ((), ())
+        outs, found, fine = _apply(eqn, list(values), list(missing), [v in watched for v in eqn.outvars])
+        env.update(zip(eqn.outvars, zip(outs, found, strict=True), strict=True))
+        continuous = continuous & fine
+    outs, absent = zip(*map(read, jaxpr.outvars), strict=True) if jaxpr.outvars else ((), ())
+    return list(outs), list(absent), continuous
+
+
+def _watched(jaxpr, asked):
+    """Return the variables that may not be NaN unnoticed: of outputs that are asked for, or of what a program observes."""
+    found = {v for v, a in zip(jaxpr.outvars, asked, strict=True) if a and not isinstance(v, Literal)}
+    for eqn in reversed(jaxpr.eqns):
+        called, passed = body(eqn), [v in found for v in eqn.outvars]
+        if called is not None:
+            inner = _watched(called.jaxpr, passed)
+            given = [v for v, w in zip(eqn.invars, called.jaxpr.invars, strict=True) if w in inner]
+        else:
+            given = eqn.invars if any(passed) or _observes(eqn) else ()
+        found.update(v for v in given if not isinstance(v, Literal) and _inexact(v.aval))
+    return found
+
+
+def _observes(eqn):
+    """True if a primitive, or anything inside it, asks whether a number is NaN."""
+    inner = _inside(eqn)
+    return observes(eqn) if inner is None else any(_observes(e) for part in inner for e in part.jaxpr.eqns)
+
+
+def _absent(x):
+    """Return where a constant is NaN, None if nowhere."""
+    if isinstance(x, Interval) or not jnp.issubdtype(x.dtype, jnp.floating):
+        return None
+    if isinstance(x, jax.core.Tracer):
+        return jnp.isnan(x)
+    host = np.isnan(np.asarray(x))
+    return jnp.asarray(host) if host.any() else None
+
+
+def body(eqn):
+    """Return the ClosedJaxpr that a call evaluates, or None."""
+    if eqn.primitive.name not in CALLS:
+        return None
+    inner = next(eqn.params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in eqn.params)
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+
+
+def bind(eqn, *values, **changed):
+    """Apply the primitive of an equation to numbers; always a list of outputs."""
+    out = eqn.primitive.bind(*values, **{**eqn.params, **changed})
+    return out if eqn.primitive.multiple_results else [out]
+
+
+def refuse_unsupported(jaxpr, name, advice):
+    """Raise one error that names everything in a jaxpr that has no rule."""
+    missing, types = set(), set()
+    _collect(jaxpr, missing, types)
+    if types:
+        raise NotImplementedError(f"inclusion works in float32 and float64, but {name} computes in {', '.join(sorted(types))}")
+    if missing:
+        word = "primitive" if len(missing) == 1 else "primitives"
+        raise NotImplementedError(f"inclusion has no rule for the {word} {', '.join(sorted(missing))}, used by {name}: {advice}")
+
+
+def _collect(jaxpr, missing, types):
+    for eqn in jaxpr.eqns:
+        name, variables = eqn.primitive.name, [v.aval for v in (*eqn.invars, *eqn.outvars)]
+        types |= {str(a.dtype) for a in variables if _inexact(a) and a.dtype not in (np.float32, np.float64)}
+        inner = _inside(eqn)
+        if inner is not None:
+            for part in inner:
+                _collect(part.jaxpr, missing, types)
+        elif any(map(_inexact, variables)) and (not any(name in t for t in (MOVED, RISING, RULES, POINTWISE)) or _by_key(eqn)):
+            missing.add(name)
+
+
+def _inside(eqn):
+    """Return the jaxprs that a call, a branch or a loop evaluates; None for a primitive."""
+    return [*_jaxprs(eqn.params)] if eqn.primitive.name in CONTROL else [body(eqn)] if body(eqn) else None
+
+
+def _by_key(eqn):
+    """True for a sort that moves other arrays along."""
+    return eqn.primitive.name == "sort" and len(eqn.invars) > 1
+
+
+def _jaxprs(params):
+    for value in params.values():
+        yield from (v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, ClosedJaxpr))
+
+
+def _inexact(aval):
+    return hasattr(aval, "dtype") and jnp.issubdtype(aval.dtype, jnp.inexact)
+
+
+def _constant(x):
+    """Return a constant as itself if floats can say it, as an Interval otherwise (NaN, infinite, subnormal, unknown yet)."""
+    if isinstance(x, Interval) or not jnp.issubdtype(x.dtype, jnp.floating):
+        return x
+    if isinstance(x, jax.core.Tracer):
+        return settled(x)
+    host = np.asarray(x)
+    plain = (np.abs(host) >= np.finfo(host.dtype).tiny) & np.isfinite(host) | (host == 0)
+    return host if plain.all() else settled(jnp.asarray(host))
+
+
+def _apply(eqn, values, absent, asked):
+    """Return (outs, absent, continuous) of one equation."""
+    name, inner = eqn.primitive.name, body(eqn)
+    if inner is not None:
+        return _follow(inner.jaxpr, inner.consts, values, absent, asked)
+    if name in CONTROL:
+        return CONTROL[name](values, absent, eqn.params, any(asked) or _observes(eqn))
+    if not any(isinstance(v, Interval) for v in values) and _exact(eqn):
+        outs = bind(eqn, *values)
+        made = name == "bitcast_convert_type" and _inexact(eqn.outvars[0].aval)  # any bits: NaN, infinite and subnormal numbers too
+        return [settled(o) for o in outs] if made else outs, [jnp.isnan(o) if made else None for o in outs], True
+    about = {**eqn.params, "bind": lambda *v: bind(eqn, *v)[0], "numbers": [_number(v) for v in values]}
+    about |= {"known": [not isinstance(v, Interval) for v in values], "same": len(values) == 2 and eqn.invars[0] is eqn.invars[1]}
+    if name in MOVED:
+        return _moved(eqn, values, absent, asked)
+    sets = [v if name == "scatter-add" and i == 1 else enclose(v) for i, v in enumerate(values)]
+    if name == "sort":  # NaN comes last, infinities at the ends
+        loose = lambda x, a: Interval(jnp.where(a, -jnp.inf, x.lo), jnp.where(a, jnp.inf, x.hi))
+        sets = [x if a is None else loose(x, a) for x, a in zip(sets, absent, strict=True)]
+    if name in RISING and not _by_key(eqn):
+        outs = [Interval(*ends) for ends in zip(bind(eqn, *(v.lo for v in sets)), bind(eqn, *(v.hi for v in sets)), strict=True)]
+    elif name in (rules := WHOLE if whole(sets[0]) else RULES):
+        outs = [rules[name](*sets, **about)]
+    else:
+        kind = "integers or predicates" if whole(sets[0]) else "numbers"
+        raise NotImplementedError(
+            f"inclusion has no rule for the primitive {name} of {kind} that depend on an interval: write it with others"
+        )
+    if name in OBSERVED and observes(eqn) and any(a is not None for a in absent):
+        outs = [OBSERVED[name](enclose(outs[0]), sets, absent, **about)]
+    fine = jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
+    shown = [_computed(o) if isinstance(o, Interval) and not whole(o) else o for o in outs]
+    found = [possible(name, enclose(o), sets, absent, about) if a else None for o, a in zip(outs, asked, strict=True)]
+    return shown, found, fine
+
+
+def _computed(x):
+    return computed(x.lo, x.hi)
+
+
+def _exact(eqn):
+    """True if a primitive of numbers is computed without rounding."""
+    name, avals = eqn.primitive.name, [v.aval for v in (*eqn.invars, *eqn.outvars)]
+    if name in MOVED or name in RISING or name in POINTWISE or not any(map(_inexact, avals)):
+        return True
+    if name != "convert_element_type":
+        return False
+    old, new = avals
+    return not _inexact(new) or old.dtype == bool or _inexact(old) and new.dtype.itemsize >= old.dtype.itemsize or _small(eqn.invars[0])
+
+
+def _small(v):
+    return isinstance(v, Literal) and abs(v.val) <= 2**24
+
+
+def _number(value):
+    """Return a value as a float if it is one number that is known while tracing, else None."""
+    return float(value.ravel()[0]) if isinstance(value, np.ndarray | np.generic) and value.size == 1 else None
+
+
+def _moved(eqn, values, absent, asked):
+    """Move the lower and the upper bounds alike, and where they may be NaN; a gather beyond the end fills with NaN."""
+    places = MOVED[eqn.primitive.name]
+    moved = range(len(values)) if places is None else places
+    if any(isinstance(v, Interval) for i, v in enumerate(values) if i not in moved):
+        raise NotImplementedError(f"inclusion cannot follow {eqn.primitive.name} where an index depends on an interval: use jnp.where")
+    ready = [enclose(v) if i in moved else v for i, v in enumerate(values)]
+    lower, upper = (bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready))) for end in ("lo", "hi"))
+    outs = [Interval(*pair) for pair in zip(lower, upper, strict=True)]
+    floating = [_inexact(v.aval) for v in eqn.outvars]
+    filled = eqn.primitive.name == "gather" and floating[0] and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
+    if filled:
+        outs = [Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi)) for o in outs]
+    if not any(asked) or not filled and all(a is None for a in absent):
+        return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], [None] * len(outs), True
+    mark = lambda v, a: jnp.zeros_like(v.lo) if a is None else jnp.broadcast_to(a, v.shape).astype(v.dtype)
+    marks = [mark(v, a) if i in moved else v for i, (v, a) in enumerate(zip(ready, absent, strict=True))]
+    found = [mark != 0 if f else None for mark, f in zip(bind(eqn, *marks), floating, strict=True)]
+    return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], found, True
+
+
+def _as(value, kind):
+    """Return `value` in the form of `kind`: an Interval if that is one, of its type."""
+    value = enclose(value) if isinstance(kind, Interval) else value
+    return jax.tree.map(lambda v, k: jax.lax.convert_element_type(v, k.dtype), value, kind)
+
+
+def _steady(step, carry):
+    """Return the carry of a loop in a form that its step keeps: an Interval wherever one can arise."""
+    carry = [enclose(c) if _inexact(c) else c for c in carry]
+    while True:
+        after = jax.eval_shape(step, carry)
+        grown = [enclose(c) if isinstance(a, Interval) else c for c, a in zip(carry, after, strict=True)]
+        if all(type(c) is type(g) for c, g in zip(carry, grown, strict=True)):
+            return [jax.tree.map(jnp.asarray, c) for c in grown]
+        carry = grown
+
+
+def _marked(values, absent, asked):
+    """Return where each value of a loop's carry may be NaN as an array; None for what is never NaN, and where nobody asks."""
+    shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
+    return [
+        jnp.broadcast_to(False if a is None else a, shape(v)) if asked and _inexact(v) else None
+        for v, a in zip(values, absent, strict=True)
+    ]
+
+
+def _scan(values, absent, params, asked):
+    (consts, carry, xs), (no_consts, no_carry, no_xs) = (_split(v, *_counts(params)) for v in (values, absent))
+    inner, count, marked = params["jaxpr"], len(carry), functools.partial(_marked, asked=asked)
+    one = lambda carry, x, away, gone: _follow(
+        inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *gone], [asked] * len(inner.jaxpr.outvars)
+    )
+    gone = [None if a is None else jnp.broadcast_to(a, x.shape) for a, x in zip(no_xs, xs, strict=True)]
+    first = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], v.dtype), xs)
+    missing = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], bool), gone)
+    carry = _steady(lambda carry: one(carry, first, marked(carry, [None] * count), missing)[0][:count], carry)
+
+    def step(state, x):
+        (carry, away), (x, gone) = state, x
+        outs, found, fine = one(carry, x, away, gone)
+        after = [_as(o, c) for o, c in zip(outs, carry, strict=False)], marked(carry, found[:count])
+        return after, (outs[count:], marked(outs[count:], found[count:]), jnp.asarray(fine))
+
+    start, rows = (carry, marked(carry, no_carry)), (xs, gone)
+    (carry, away), (ys, found, fine) = jax.lax.scan(step, start, rows, params["length"], params["reverse"])
+    return [*carry, *ys], [*away, *found], jnp.all(fine)
+
+
+def _counts(params):
+    """Return how many of the values of a scan are constants, and how many are its carry; jax 0.12 says it in another form."""
+    if "num_consts" in params:
+        return params["num_consts"], params["num_carry"]
+    consts, carry, _ = params["ft_in"].unpack()
+    return len(consts), len(carry)
+
+
+def _split(values, *counts):
+    out = []
+    for n in counts:
+        out.append(values[:n])
+        values = values[n:]
+    return *out, values
+
+
+def _while(values, absent, params, asked):
+    """Follow a loop; where its end depends on an interval, collect every state in which it may stop. Under vmap each entry ends alone."""
+    counts = params["cond_nconsts"], params["body_nconsts"]
+    (cond_consts, body_consts, carry), (no_cond, no_body, away) = (_split(v, *counts) for v in (values, absent))
+    cond, inner, marked = params["cond_jaxpr"], params["body_jaxpr"], functools.partial(_marked, asked=asked)
+    test = lambda carry, away: _follow(cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away], [False])[0][0]
+    step = lambda carry, away: _follow(inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away], [asked] * len(carry))
+    nowhere = lambda carry: marked(carry, [None] * len(carry))
+    carry = _steady(lambda c: step(c, nowhere(c))[0], carry)
+    away = marked(carry, away)
+
+    def turn(going, carry, away):
+        """Return the state after one more step of the entries that may go on."""
+        outs, found, fine = step(carry, away)
+        outs = [_where(going, _as(o, c), c) for o, c in zip(outs, carry, strict=True)]
+        return outs, [a if a is None else _where(going, f, a) for f, a in zip(marked(carry, found), away, strict=True)], fine
+
+    if not isinstance(jax.eval_shape(test, carry, away), Interval):
+
+        def once(state):
+            carry, away, fine = turn(test(*state[:2]), *state[:2])
+            return carry, away, state[2] & fine
+
+        carry, away, fine = jax.lax.while_loop(lambda state: jnp.any(test(*state[:2])), once, (carry, away, jnp.asarray(True)))
+        return carry, away, fine
+    carry = [enclose(c) for c in carry]
+    away = marked(carry, away)
+
+    def gather(going, carry, away, ended, gone):
+        """Add the states in which the loop may stop to those that were met before."""
+        ended = [_hull_where(~going.lo, c, e) for c, e in zip(carry, ended, strict=True)]
+        return ended, [g if g is None else g | _where(going.lo, jnp.zeros_like(a), a) for a, g in zip(away, gone, strict=True)]
+
+    def follow(state):
+        carry, away, ended, gone, fine, count = state
+        going = test(carry, away)
+        ended, gone = gather(going, carry, away, ended, gone)
+        carry, away, continuous = turn(going.hi, carry, away)
+        return carry, away, ended, gone, fine & continuous & jnp.all(going.lo == going.hi), count + 1
+
+    nothing = [Interval(jnp.full_like(c.lo, most(c.dtype)), jnp.full_like(c.hi, least(c.dtype))) for c in carry]
+    running = lambda state: jnp.any(test(*state[:2]).hi) & (state[5] < LOOPS)
+    start = carry, away, nothing, nowhere(carry), jnp.asarray(True), 0
+    carry, away, ended, gone, fine, _ = jax.lax.while_loop(running, follow, start)
+    going = test(carry, away)
+    ended, gone = gather(going, carry, away, ended, gone)
+    anything = [Interval(jnp.full_like(c.lo, least(c.dtype)), jnp.full_like(c.hi, most(c.dtype))) for c in carry]
+    ended = [_hull_where(going.hi, a, e) for a, e in zip(anything, ended, strict=True)]
+    gone = [g if g is None else g | _where(going.hi, jnp.ones_like(g), g) for g in gone]
+    return ended, gone, fine & ~jnp.any(going.hi)
+
+
+def _where(chosen, x, y):
+    """Choose x or y; the axes of `chosen` are the first ones of theirs."""
+    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(chosen, tuple(range(chosen.ndim, jnp.ndim(a)))), a, b), x, y)
+
+
+def _hull_where(possible, x, y):
+    """Return the hull of y and, where possible, x."""
+    return _where(possible, Interval(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi)), y)
+
+
+def _cond(values, absent, params, asked):
+    index, operands, away = values[0], values[1:], absent[1:]
+    branches = [lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away, [asked] * len(b.jaxpr.outvars)) for b in params["branches"]]
+    if isinstance(index, Interval):
+        found = [branch(operands, away) for branch in branches]
+        outs = [RULES["select_n"](index, *map(enclose, cases)) for cases in zip(*(outs for outs, *_ in found), strict=True)]
+        gone = [either(*cases) for cases in zip(*(gone for _, gone, _ in found), strict=True)]
+        return outs, gone, functools.reduce(operator.and_, (fine for *_, fine in found), index.lo == index.hi)
+    shapes = [jax.eval_shape(lambda ops, b=b: b(ops, away)[0], operands) for b in branches]
+    sets = [any(isinstance(o, Interval) or _inexact(o) for o in outs) for outs in zip(*shapes, strict=True)]
+
+    def chosen(branch):
+        def run(ops, away):
+            outs, gone, fine = branch(ops, away)
+            outs = [enclose(o) if s else jnp.asarray(o) for o, s in zip(outs, sets, strict=True)]
+            return outs, _marked(outs, gone, asked), jnp.asarray(fine)
+
+        return run
+
+    return jax.lax.switch(index, list(map(chosen, branches)), operands, away)
+
+
+CONTROL = {"scan": _scan, "while": _while, "cond": _cond}

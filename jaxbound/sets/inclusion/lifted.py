@@ -1,0 +1,385 @@
+"""Primitives of JAX lifted from numbers to sets of numbers, of integers and of predicates.
+
+An Interval of predicates says in `lo` what surely holds and in `hi` what possibly does; an Interval of integers holds all integers
+from lo to hi. Operations that `interval` and `elementary` offer as they are do not appear here.
+"""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.elementary import atan2, atanh, exp, log, sqrt, tanh
+from jaxbound.sets.intervals.interval import Interval, add, computed, div, hull, intersection, mag, mul, neg, pown, recip, sqr, sub
+from jaxbound.sets.intervals.interval import sum as total
+
+__all__ = [
+    "added", "angle", "comparison", "contracted", "converted", "cube_root", "divided", "enclose", "equals", "expm1", "extreme", "integers",
+    "integral", "least", "log1p", "logistic", "most", "multiplied", "negated", "of", "poles", "power", "predicates", "product", "remainder",
+    "scanned", "scattered", "selected", "settled", "subtracted", "summed", "whole",
+]  # fmt: skip
+
+
+def enclose(x):
+    """Return an Interval that is `x` or the number x, finite and not subnormal."""
+    return x if isinstance(x, Interval) else computed(jnp.asarray(x), jnp.asarray(x))
+
+
+def settled(x):
+    """Return an Interval that holds any float `x`: NaN becomes the empty set, infinity all numbers too large for a float."""
+    lo, hi = rounding.settle_subnormals(x, x)
+    absent, top = jnp.isnan(x), np.finfo(x.dtype).max
+    lo, hi = jnp.where(x == jnp.inf, top, lo), jnp.where(x == -jnp.inf, -top, hi)
+    return computed(jnp.where(absent, jnp.inf, lo), jnp.where(absent, -jnp.inf, hi))
+
+
+def whole(x):
+    """True for an Interval of integers or predicates."""
+    return not jnp.issubdtype(x.dtype, jnp.floating)
+
+
+def least(dtype):
+    """Return the least number (or predicate) of a type, -inf for floats."""
+    return False if dtype == jnp.bool_ else np.iinfo(dtype).min if jnp.issubdtype(dtype, jnp.integer) else -np.inf
+
+
+def most(dtype):
+    """Return the greatest number (or predicate) of a type, inf for floats."""
+    return True if dtype == jnp.bool_ else np.iinfo(dtype).max if jnp.issubdtype(dtype, jnp.integer) else np.inf
+
+
+def integers(f):
+    """Lift an integer operation that is monotone in each operand; where it could wrap around, anything is possible."""
+
+    def rule(*xs, axes=None, **_):
+        dtype, along = xs[0].dtype, {} if axes is None else {"axis": axes}
+        corners = [[(x.lo, x.hi)[k >> i & 1] for i, x in enumerate(xs)] for k in range(2 ** len(xs))]
+        exact = [f(*ends, **along) for ends in corners]
+        real = [f(*(e.astype(float) for e in ends), **along) for ends in corners]
+        size = [f(*(jnp.abs(e.astype(float)) for e in ends), **along) for ends in corners]
+        limit = 2.0 ** jnp.finfo(real[0].dtype).nmant  # floats hold all integers up to here
+        wraps = (
+            (extreme(jnp.minimum, real) < least(dtype)) | (extreme(jnp.maximum, real) > most(dtype)) | (extreme(jnp.maximum, size) > limit)
+        )
+        lo, hi = extreme(jnp.minimum, exact), extreme(jnp.maximum, exact)
+        return Interval(jnp.where(wraps, least(dtype), lo), jnp.where(wraps, most(dtype), hi))
+
+    return rule
+
+
+def extreme(pick, values):
+    """Return the least (pick = jnp.minimum) or greatest of arrays."""
+    return functools.reduce(pick, values)
+
+
+def added(x, y, **_):
+    """Return the sum; 2 min(lo) and 2 max(hi) keep its sign, and 0 + 0 exact, which proves monotonicity."""
+    out = add(x, y)
+    return Interval(jnp.maximum(out.lo, _twice(jnp.minimum(x.lo, y.lo), -1)), jnp.minimum(out.hi, _twice(jnp.maximum(x.hi, y.hi), 1)))
+
+
+def _twice(bound, side):
+    """Double a bound; an overflow towards the other side stays finite."""
+    top = np.finfo(bound.dtype).max
+    return jnp.minimum(2 * bound, top) if side < 0 else jnp.maximum(2 * bound, -top)
+
+
+def subtracted(x, y, same=False, **_):
+    """Return the difference; x - x is 0."""
+    return scaled(x, 0.0) if same else added(x, neg(y))
+
+
+def multiplied(x, y, same=False, known=(False, False), numbers=(None, None), **_):
+    """Return the product; x * x is a square, and a factor that is a number needs two products instead of four."""
+    if same:
+        return sqr(x)
+    if known[0]:
+        return scaled(y, x.lo if numbers[0] is None else numbers[0])
+    return scaled(x, y.lo if numbers[1] is None else numbers[1]) if known[1] else mul(x, y)
+
+
+def divided(x, y, known=(False, False), numbers=(None, None), **_):
+    """Return the quotient; a divisor that is one number of ordinary size needs two quotients instead of four."""
+    c = numbers[1]
+    if not known[1] or c is None or not 2.0**-60 < abs(c) < 2.0**60:
+        out, pole = div(x, y), (y.lo == 0) & (y.hi == 0) & ~x.is_empty  # of which a program may make a number
+        return Interval(jnp.where(pole, -jnp.inf, out.lo), jnp.where(pole, jnp.inf, out.hi))
+    if math.frexp(c)[0] in (0.5, -0.5):
+        return scaled(x, 1 / c)
+    lo, hi = jax.lax.optimization_barrier((x.lo, x.hi) if c > 0 else (-x.hi, -x.lo))  # else merged with a quotient that made x
+    return _kept_sign(Interval(lo, hi), *rounding.outward(lo / abs(c), hi / abs(c)))
+
+
+def scaled(x, factor):
+    """Return x times numbers; 0, 1 and -1 are exact, because derivatives are full of them."""
+    if isinstance(factor, float):
+        if factor == 0:
+            return Interval(jnp.where(x.is_empty, jnp.inf, jnp.zeros_like(x.lo)), jnp.where(x.is_empty, -jnp.inf, jnp.zeros_like(x.hi)))
+        turned = x if factor > 0 else neg(x)
+        return turned if abs(factor) == 1 else _scaled_up(turned, abs(factor))
+    positive = factor > 0
+    turned = Interval(jnp.where(positive, x.lo, -x.hi), jnp.where(positive, x.hi, -x.lo))
+    size = jnp.abs(factor)
+    out = _scaled_up(turned, size)
+    one, none = size == 1, (size == 0) & ~x.is_empty
+    return Interval(jnp.where(none, 0, jnp.where(one, turned.lo, out.lo)), jnp.where(none, 0, jnp.where(one, turned.hi, out.hi)))
+
+
+def _scaled_up(x, size):
+    return _kept_sign(x, *rounding.outward(x.lo * size, x.hi * size))
+
+
+def _kept_sign(x, lo, hi):
+    """Keep rounding from carrying a positive multiple of x across 0."""
+    return Interval(jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi))
+
+
+def summed(x, axes, **_):
+    """Add along axes; nonnegative terms keep a nonnegative sum."""
+    if not axes:
+        return x
+    kept = [i for i in range(len(x.shape)) if i not in axes]
+    last = lambda v: v.transpose(*kept, *axes).reshape([v.shape[i] for i in kept] + [-1])
+    terms = Interval(last(x.lo), last(x.hi))
+    out, count = total(terms, axis=-1), terms.shape[-1]
+    if not count:
+        return Interval(jnp.zeros_like(out.lo), jnp.zeros_like(out.hi))
+    low, high = jnp.min(terms.lo, -1), jnp.max(terms.hi, -1)
+    return Interval(jnp.where(low >= 0, jnp.maximum(out.lo, 0), out.lo), jnp.where(high <= 0, jnp.minimum(out.hi, 0), out.hi))
+
+
+def product(x, axes, **_):
+    """Multiply along axes, half by half."""
+    for axis in sorted(axes, reverse=True):
+        while (count := x.shape[axis]) > 1:
+            part = lambda a, b, x=x, axis=axis: jax.tree.map(lambda v: jax.lax.slice_in_dim(v, a, b, axis=axis), x)
+            halves = mul(part(0, count // 2), part(count // 2, count // 2 * 2))
+            join = lambda a, b, axis=axis: jax.tree.map(lambda *v: jnp.concatenate(v, axis), a, b)
+            x = join(halves, part(count - 1, count)) if count % 2 else halves
+        x = jax.tree.map(lambda v, axis=axis: jnp.prod(v, axis), x)  # of one factor, or of none: 1
+    return x
+
+
+def scanned(combine):
+    """Return the partial results of an operation along an axis."""
+
+    def rule(x, axis, reverse, **_):
+        return jax.lax.associative_scan(combine, x, reverse=reverse, axis=axis)
+
+    return rule
+
+
+def contracted(x, y, dimension_numbers, known=(False, False), **_):
+    """Multiply and add over the contracted axes, entry by entry."""
+    (cx, cy), (bx, by) = dimension_numbers
+    fx, fy = ([i for i in range(len(v.shape)) if i not in (*c, *b)] for v, c, b in ((x, cx, bx), (y, cy, by)))
+    sizes = lambda v, axes: tuple(v.shape[i] for i in axes)
+    B, M, N, K = (math.prod(s) for s in (sizes(x, bx), sizes(x, fx), sizes(y, fy), sizes(x, cx)))
+    left = jax.tree.map(lambda v: v.transpose(*bx, *fx, *cx).reshape(B, M, 1, K), x)
+    right = jax.tree.map(lambda v: v.transpose(*by, *fy, *cy).reshape(B, 1, N, K), y)
+    out = summed(multiplied(*(computed(v.lo, v.hi) for v in (left, right)), known=known), axes=(3,))  # moved, and settled as before
+    return jax.tree.map(lambda v: v.reshape(*sizes(x, bx), *sizes(x, fx), *sizes(y, fy)), out)
+
+
+def scattered(x, indices, updates, bind, dimension_numbers, **_):
+    """Add every update on its own, so that one sum of known length bounds all of them."""
+    count = math.prod(indices.shape[:-1])
+    window = dimension_numbers.update_window_dims
+    number = jnp.arange(count).reshape([1 if i in window else size for i, size in enumerate(updates.shape)])
+
+    def terms(origin, updates):
+        alone = lambda k: bind(jnp.zeros_like(origin), indices, jnp.where(number == k, updates, 0))
+        return jnp.concatenate([origin[None], jax.vmap(alone)(jnp.arange(count))])
+
+    return summed(Interval(terms(x.lo, updates.lo), terms(x.hi, updates.hi)), axes=(0,))
+
+
+def comparison(holds, swap):
+    """Lift < or <= to Intervals: surely where it holds for the farthest ends, possibly where for the nearest."""
+
+    def rule(x, y, same=False, **_):
+        if same:
+            return jnp.full(x.shape, holds(0, 0))
+        x, y = (y, x) if swap else (x, y)
+        return Interval(holds(x.hi, y.lo), holds(x.lo, y.hi))
+
+    return rule
+
+
+def equals(x, y, same=False, **_):
+    """Compare for equality: sure for one and the same number, possible where x and y overlap."""
+    if same:
+        return jnp.ones(x.shape, bool)
+    return Interval((x.lo == x.hi) & (y.lo == y.hi) & (x.lo == y.lo), (x.lo <= y.hi) & (y.lo <= x.hi))
+
+
+def predicates(f):
+    """Lift an increasing operation on predicates."""
+
+    def rule(*xs, **_):
+        _need_predicates(xs)
+        return Interval(f(*(x.lo for x in xs)), f(*(x.hi for x in xs)))
+
+    return rule
+
+
+def _need_predicates(xs):
+    if any(x.dtype != jnp.bool_ for x in xs):
+        raise NotImplementedError("inclusion cannot follow the bits of an integer that depends on an interval")
+
+
+def negated(x, **_):
+    """Return not x."""
+    _need_predicates([x])
+    return Interval(~x.hi, ~x.lo)
+
+
+def selected(which, *cases, **_):
+    """Return the hull of the cases that are possible."""
+    none = Interval(most(cases[0].dtype), least(cases[0].dtype))
+    first, last = (end.astype(jnp.int32) for end in (which.lo, which.hi))
+    possible = [(first <= k) & (k <= last) for k in range(len(cases))]
+    lo = [jnp.where(p, case.lo, none.lo) for p, case in zip(possible, cases, strict=True)]
+    hi = [jnp.where(p, case.hi, none.hi) for p, case in zip(possible, cases, strict=True)]
+    return Interval(extreme(jnp.minimum, lo), extreme(jnp.maximum, hi))
+
+
+def converted(x, new_dtype, **_):
+    """Change the type and not the number; a float cut to an integer rounds towards 0, and a predicate says whether it is not 0."""
+    new = jnp.dtype(new_dtype)
+    if new == jnp.bool_:
+        return negated(equals(x, enclose(jnp.zeros_like(x.lo))))
+    lo, hi = x.lo.astype(new), x.hi.astype(new)
+    if jnp.issubdtype(new, jnp.floating):
+        if x.dtype == jnp.bool_ or not whole(x) and new.itemsize >= x.dtype.itemsize:
+            return Interval(lo, hi)
+        below, above = rounding.outward(lo, hi)
+        limit = 2.0 ** (jnp.finfo(new).nmant + 1)  # integers up to here are floats
+        exact = (jnp.abs(lo) < limit) & (jnp.abs(hi) < limit) if whole(x) else x.is_empty
+        return Interval(jnp.where(exact, lo, below), jnp.where(exact, hi, above))
+    if x.dtype == jnp.bool_:
+        return Interval(lo, hi)
+    fits = (x.lo.astype(float) >= 0.99 * least(new)) & (x.hi.astype(float) <= 0.99 * most(new))
+    return Interval(jnp.where(fits, lo, least(new)), jnp.where(fits, hi, most(new)))
+
+
+def _near_zero(x, out, near, limit):
+    """Replace the ends of an increasing function within [-limit, limit] by those of a formula that keeps its digits there."""
+    low, high = (jnp.clip(v, -limit, limit) for v in (x.lo, x.hi))
+    lo, hi = near(Interval(low, low)).lo, near(Interval(high, high)).hi
+    return Interval(jnp.where(low == x.lo, lo, out.lo), jnp.where(high == x.hi, hi, out.hi))
+
+
+def expm1(x, **_):
+    """Return e^x - 1, near 0 by 2 t / (1 - t), t = tanh(x / 2)."""
+
+    def near(v):
+        t = tanh(scaled(v, 0.5))
+        return div(scaled(t, 2.0), sub(1.0, t))
+
+    return _near_zero(x, sub(exp(x), 1.0), near, 1.0)
+
+
+def log1p(x, **_):
+    """Return log(1 + x), near 0 by 2 atanh(x / (2 + x))."""
+    return _near_zero(x, log(add(x, 1.0)), lambda v: scaled(atanh(div(v, add(v, 2.0))), 2.0), 0.5)
+
+
+def logistic(x, **_):
+    """Return 1 / (1 + e^-x)."""
+    return recip(add(exp(neg(x)), 1.0))
+
+
+def cube_root(x, **_):
+    """Return the cube root, by exp(log|x| / 3)."""
+    return _signed_power(x, lambda v: exp(div(log(v), 3.0)), odd=True, at_zero=True)
+
+
+def power(x, y, numbers=(None, None), **_):
+    """Return x^y: the real power of x >= 0, or of any x for an integer exponent."""
+    exponent = numbers[1]
+    if exponent == 0.5:
+        return sqrt(x)
+    if integral(exponent):
+        return pown(x, int(exponent))
+    if whole(y):
+        n = Interval(y.lo.astype(x.dtype), y.hi.astype(x.dtype))
+        power = lambda v: exp(mul(n, log(v)))
+        even, odd = (_signed_power(x, power, odd, n.hi > 0) for odd in (False, True))
+        either = _with(hull(even, odd), 1, _meets_zero(n))
+        known, parity = n.lo == n.hi, jnp.abs(n.lo) % 2 == 1
+        pick = lambda e, o, b: jnp.where(known, jnp.where(n.lo == 0, 1, jnp.where(parity, o, e)), b)
+        return Interval(pick(even.lo, odd.lo, either.lo), pick(even.hi, odd.hi, either.hi))
+    out = _signed_power(_cut(x, 0, jnp.inf), lambda v: exp(mul(y, log(v))), False, y.hi > 0)
+    left = exp(mul(y, log(_cut(neg(x), 0, jnp.inf))))  # of a negative number where y is an integer, even or odd
+    some = (jnp.ceil(y.lo) <= jnp.floor(y.hi)) & ~left.is_empty
+    out = Interval(jnp.where(some, jnp.minimum(out.lo, -left.hi), out.lo), jnp.where(some, jnp.maximum(out.hi, left.hi), out.hi))
+    return _with(out, 1, _meets_zero(x) & _meets_zero(y))  # 0^0
+
+
+def angle(y, x, **_):
+    """Return atan2, 0 at the origin."""
+    return _with(atan2(y, x), 0, _meets_zero(y) & _meets_zero(x))
+
+
+def _with(x, number, present):
+    """Add a number where it is present."""
+    return Interval(jnp.where(present, jnp.minimum(x.lo, number), x.lo), jnp.where(present, jnp.maximum(x.hi, number), x.hi))
+
+
+def _meets_zero(x):
+    return (x.lo <= 0) & (x.hi >= 0)
+
+
+def poles(f, *places):
+    """Lift a function that is infinite at its poles, where it would be empty."""
+
+    def rule(x, **_):
+        out, top = f(x), np.finfo(x.dtype).max
+        for place, sign in places:
+            out = _with(_with(out, sign * np.inf, here := (x.lo <= place) & (x.hi >= place)), sign * top, here)
+        return out
+
+    return rule
+
+
+def integral(exponent):
+    """True for a known exponent that is an integer."""
+    return exponent is not None and float(exponent).is_integer() and abs(exponent) <= 2**31
+
+
+def _cut(x, lo, hi):
+    return intersection(x, Interval(jnp.full_like(x.lo, lo), jnp.full_like(x.hi, hi)))
+
+
+def _signed_power(x, power, odd, at_zero):
+    """Join the powers of the positive and of the negative numbers of x; `at_zero` says where 0 has the power 0 (log 0 has no value)."""
+
+    def half(v):
+        out = power(v)
+        zero = at_zero & (v.lo == 0) & (v.hi >= 0)
+        return Interval(jnp.where(zero, 0, out.lo), jnp.where(zero, jnp.maximum(out.hi, 0), out.hi))
+
+    right, left = half(_cut(x, 0, jnp.inf)), half(_cut(neg(x), 0, jnp.inf))
+    return hull(right, neg(left) if odd else left)
+
+
+def remainder(x, y, **_):
+    """Return x - y trunc(x / y), which has the sign of x and is smaller than y."""
+    turns = div(x, y)
+    low, high = jnp.trunc(turns.lo), jnp.trunc(turns.hi)
+    size = jnp.minimum(mag(x), mag(y))
+    lo, hi = jnp.where(x.lo < 0, -size, 0), jnp.where(x.hi > 0, size, 0)
+    one = (low == high) & jnp.isfinite(low)
+    turn = jnp.where(one, low, 0)
+    straight = sub(x, mul(y, Interval(turn, turn)))
+    lo, hi = jnp.where(one, jnp.maximum(lo, straight.lo), lo), jnp.where(one, jnp.minimum(hi, straight.hi), hi)
+    return Interval(jnp.where(turns.is_empty, jnp.inf, lo), jnp.where(turns.is_empty, -jnp.inf, hi))
+
+
+def of(f):
+    """Lift a function of Intervals: the parameters of the primitive carry no mathematics."""
+    return lambda *xs, **_: f(*xs)

@@ -1,0 +1,150 @@
+"""What each primitive of JAX becomes over sets: tables of functions of Intervals, and where each one is continuous.
+
+| table | primitives | evaluated as |
+|---|---|---|
+| MOVED | reshape, gather, concatenate, ... | once on the lower and once on the upper bounds, exactly |
+| RISING | max, floor, sort, ... | the same: increasing in every operand, exactly |
+| RULES | add, exp, dot_general, ... | outward-rounded operations of `interval` and `elementary` |
+| WHOLE | add, and, lt, ... | the same for integers and predicates that depend on an interval |
+| CONTINUOUS | sqrt, div, floor, ... | a condition on the operands under which the primitive is defined and continuous; others always are |
+"""
+
+import operator
+
+import jax.numpy as jnp
+
+from jaxbound.sets.inclusion.lifted import (
+    added,
+    angle,
+    comparison,
+    contracted,
+    converted,
+    cube_root,
+    divided,
+    enclose,
+    equals,
+    expm1,
+    integers,
+    integral,
+    log1p,
+    logistic,
+    multiplied,
+    negated,
+    of,
+    poles,
+    power,
+    predicates,
+    product,
+    remainder,
+    scanned,
+    scattered,
+    selected,
+    subtracted,
+    summed,
+    whole,
+)
+from jaxbound.sets.intervals import elementary
+from jaxbound.sets.intervals.interval import Interval, div, mul, neg, pown, recip, sqr
+from jaxbound.sets.intervals.interval import abs as absolute
+
+__all__ = ["CONTINUOUS", "MOVED", "RISING", "RULES", "WHOLE"]
+
+MOVED = {  # the operands that are moved; all others are indices
+    "broadcast_in_dim": (0,), "reshape": (0,), "transpose": (0,), "squeeze": (0,), "expand_dims": (0,), "slice": (0,), "rev": (0,),
+    "split": (0,), "tile": (0,), "copy": (0,), "copy_p": (0,), "stop_gradient": (0,), "dynamic_slice": (0,), "gather": (0,),
+    "pad": (0, 1), "dynamic_update_slice": (0, 1), "scatter": (0, 2), "concatenate": None, "stack": None,
+    "optimization_barrier": None, "unstack": (0,),
+}  # fmt: skip
+RISING = {"max", "min", "floor", "ceil", "round", "sign", "clamp", "sort", "reduce_max", "reduce_min", "reduce_and", "reduce_or", "cummax",
+          "cummin"}  # fmt: skip
+
+
+COMPARISONS = {
+    "lt": comparison(operator.lt, False),
+    "gt": comparison(operator.lt, True),
+    "le": comparison(operator.le, False),
+    "ge": comparison(operator.le, True),
+    "lt_to": comparison(operator.lt, False),
+    "le_to": comparison(operator.le, False),
+    "eq": equals,
+    "ne": lambda x, y, **about: negated(enclose(equals(x, y, **about))),
+    "select_n": selected,
+    "convert_element_type": converted,
+}
+
+RULES = COMPARISONS | {
+    "add": added,
+    "add_any": added,
+    "sub": subtracted,
+    "mul": multiplied,
+    "neg": of(neg),
+    "div": divided,
+    "rem": remainder,
+    "abs": of(absolute),
+    "square": of(sqr),
+    "integer_pow": lambda x, y, **_: pown(x, y),
+    "pow": power,
+    "cbrt": cube_root,
+    "rsqrt": lambda x, **_: recip(elementary.sqrt(x)),
+    "expm1": expm1,
+    "log1p": log1p,
+    "logistic": logistic,
+    "reduce_sum": summed,
+    "reduce_prod": product,
+    "cumsum": scanned(added),
+    "cumprod": scanned(mul),
+    "dot_general": contracted,
+    "scatter-add": scattered,
+    "is_finite": lambda x, **_: Interval(jnp.isfinite(x.lo) & jnp.isfinite(x.hi), (x.lo < jnp.inf) & (x.hi > -jnp.inf)),
+}
+ELEMENTARY = ("sqrt", "exp", "exp2", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh",
+              "atanh")  # fmt: skip
+RULES |= {name: of(getattr(elementary, name)) for name in ELEMENTARY} | {"atan2": angle}
+RULES |= {"log": poles(elementary.log, (0, -1)), "atanh": poles(elementary.atanh, (-1, -1), (1, 1)), "log1p": poles(log1p, (-1, -1))}
+
+WHOLE = COMPARISONS | {
+    "add": integers(jnp.add),
+    "sub": integers(jnp.subtract),
+    "mul": integers(jnp.multiply),
+    "neg": integers(jnp.negative),
+    "reduce_sum": integers(jnp.sum),
+    "and": predicates(jnp.logical_and),
+    "or": predicates(jnp.logical_or),
+    "not": negated,
+    "xor": lambda x, y, **_: negated(equals(negated(x), negated(y))),
+}
+
+CONTINUOUS = {
+    "sqrt": lambda out, x, **_: x.lo >= 0,
+    "rsqrt": lambda out, x, **_: x.lo > 0,
+    "log": lambda out, x, **_: x.lo > 0,
+    "log1p": lambda out, x, **_: x.lo > -1,
+    "div": lambda out, x, y, **_: _nonzero(y),
+    "rem": lambda out, x, y, **_: _nonzero(y) & _constant(jnp.trunc, div(x, y)),
+    "integer_pow": lambda out, x, y, **_: _nonzero(x) | (y >= 0),
+    "pow": lambda out, x, y, numbers, **_: (x.lo > 0) | (x.lo >= 0) & (y.lo > 0) | integral(numbers[1]) & (_nonzero(x) | (y.lo >= 0)),
+    "tan": lambda out, x, **_: jnp.isfinite(out.lo) & jnp.isfinite(out.hi),
+    "atan2": lambda out, y, x, **_: (x.lo > 0) | _nonzero(y),
+    "asin": lambda out, x, **_: (x.lo >= -1) & (x.hi <= 1),
+    "acos": lambda out, x, **_: (x.lo >= -1) & (x.hi <= 1),
+    "acosh": lambda out, x, **_: x.lo >= 1,
+    "atanh": lambda out, x, **_: (x.lo > -1) & (x.hi < 1),
+    "sign": lambda out, x, **_: _decided(out),
+    "floor": lambda out, x, **_: _decided(out),
+    "ceil": lambda out, x, **_: _decided(out),
+    "round": lambda out, x, **_: _decided(out),
+    "select_n": lambda out, which, *cases, **_: _decided(which),
+    "convert_element_type": lambda out, x, **_: _decided(x) | (not whole(x)) | whole(out),
+}
+
+
+def _decided(x):
+    return x.lo == x.hi
+
+
+def _nonzero(x):
+    return (x.lo > 0) | (x.hi < 0)
+
+
+def _constant(step, x):
+    return step(x.lo) == step(x.hi)

@@ -1,0 +1,1 @@
+"""Intervals: arithmetic, comparisons, elementary functions."""

@@ -1,0 +1,36 @@
+"""What a user hands over as a bound, made a float: checked on the host, rounded outward where a float cannot say it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.floats import rounding
+
+__all__ = ["bound", "check"]
+
+
+def check(lo, hi):
+    """Raise ValueError if two arrays of bounds are not intervals: NaN, lo > hi (unless empty), an infinite point."""
+    empty = (lo == np.inf) & (hi == -np.inf)
+    for bad, rule in (
+        (np.isnan(lo) | np.isnan(hi), "bounds must be numbers, not NaN"),
+        ((lo > hi) & ~empty, "lo must be <= hi"),
+        (((lo == np.inf) | (hi == -np.inf)) & ~empty, "a point must be finite"),
+    ):
+        if bad.any():
+            first = tuple(int(i) for i in np.argwhere(bad)[0])
+            raise ValueError(f"{rule}: {bad.sum()} of {bad.size} entries violate it, first at {first}")
+
+
+def bound(x, directed):
+    """Convert to a float32 or float64 array; a number that does not fit is rounded in the given direction."""
+    if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
+        return x if x.dtype.itemsize >= 4 else x.astype(jnp.float32)
+    if isinstance(x, jax.core.Tracer):  # integers: one step outward where a float does not hold them all
+        near = x.astype(jnp.result_type(float))
+        step = 2 * rounding.unit(near.dtype) * jnp.abs(near) * (1 if directed is rounding.round_up else -1)
+        return near + jnp.where(jnp.abs(step) < 1, 0, step)
+    x = np.asarray(x)
+    narrow = jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize <= 4
+    wanted = jax.dtypes.canonicalize_dtype(np.float32 if narrow else np.float64)
+    return x if x.dtype == wanted else directed(x, wanted)

@@ -1,0 +1,78 @@
+"""Relations between Intervals, and membership: exact for all floats, by their bits, for compiled code compares subnormal numbers as 0."""
+
+import operator
+from functools import reduce, wraps
+
+import jax
+import jax.numpy as jnp
+
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.bounds import bound
+from jaxbound.sets.intervals.interval import Interval, pair
+
+__all__ = ["contains", "disjoint", "equal", "interior", "less", "precedes", "subset"]
+
+
+def _ordered(x):
+    """Return the bounds as integers in the order of floats, which are compared exactly."""
+    return Interval(rounding.order(x.lo), rounding.order(x.hi))
+
+
+def _relation(holds):
+    """Lift holds(x, y, no x, no y, infinity), its bounds integers in the order of floats; no relation holds for a bound that is NaN."""
+
+    @wraps(holds)
+    def relation(x, y):
+        x, y = pair(x, y)
+        known = reduce(operator.and_, [end == end for end in (x.lo, x.hi, y.lo, y.hi)])
+        return known & holds(_ordered(x), _ordered(y), x.is_empty, y.is_empty, rounding.order(jnp.full((), jnp.inf, x.dtype)))
+
+    return relation
+
+
+@_relation
+def equal(x, y, *_):
+    """True where both are the same set. Source: IEEE 1788 equal."""
+    return (x.lo == y.lo) & (x.hi == y.hi)
+
+
+@_relation
+def subset(x, y, nothing, *_):
+    """True where x lies in y. Source: IEEE 1788 subset."""
+    return nothing | ((x.lo >= y.lo) & (x.hi <= y.hi))
+
+
+@_relation
+def interior(x, y, nothing, nowhere, infinite):
+    """True where x lies in the interior of y. Source: IEEE 1788 interior."""
+    below, above = (x.lo > y.lo) | (y.lo == -infinite), (x.hi < y.hi) | (y.hi == infinite)
+    return nothing | (below & above & ~nowhere)
+
+
+@_relation
+def disjoint(x, y, nothing, nowhere, _):
+    """True where no point is shared. Source: IEEE 1788 disjoint."""
+    return nothing | nowhere | (x.hi < y.lo) | (y.hi < x.lo)
+
+
+@_relation
+def less(x, y, nothing, nowhere, _):
+    """True where x is weakly below y: both ends are. Source: IEEE 1788 less."""
+    return (nothing & nowhere) | (~nothing & ~nowhere & (x.lo <= y.lo) & (x.hi <= y.hi))
+
+
+@_relation
+def precedes(x, y, nothing, nowhere, _):
+    """True where every point of x is <= every point of y. Source: IEEE 1788 precedes."""
+    return nothing | nowhere | (x.hi <= y.lo)
+
+
+def contains(x, point):
+    """True where the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
+    # a number between two floats lies in x where both do
+    below, above = (jnp.asarray(bound(point, directed)) for directed in (rounding.round_down, rounding.round_up))
+    dtype = jnp.result_type(x.dtype, below.dtype)
+    x, below, above = jax.tree.map(lambda v: rounding.widened(v, dtype), (x, below, above))
+    inside = (x.lo == x.lo) & (x.hi == x.hi) & (below == below) & (jnp.isfinite(below) | jnp.isfinite(above))
+    x = _ordered(x)
+    return inside & (x.lo <= rounding.order(below)) & (rounding.order(above) <= x.hi)

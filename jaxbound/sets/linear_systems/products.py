@@ -1,0 +1,199 @@
+"""Products of float matrices with interval matrices, inverses in plain floats, and operations on intervals without empty sets.
+
+One matrix lies in the leading axes, a batch in the axis behind: every step is a pass over the batch.
+"""
+
+from functools import wraps
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.xla_metadata import set_xla_metadata
+
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.unrolled import most, total
+from jaxbound.sets.intervals.interval import Interval, mag, mig
+
+__all__ = ["apart", "at", "extremes", "inverse", "minus", "over", "preconditioner", "product", "reciprocal", "solved_for", "times", "where"]
+
+
+def apart(f):
+    """Compile f as a function of its own: what it returns is stored.
+
+    Within one function the compiler works a value out anew for each of its uses, which doubles at every step of a chain, and rounds it
+    as it likes each time. An `optimization_barrier` does not keep it from that.
+    """
+
+    @jax.jit
+    def compiled(*args):
+        with set_xla_metadata(inlineable=None):  # f alone, not what it calls
+            return f(*args)
+
+    @wraps(f)
+    def call(*args):
+        with set_xla_metadata(inlineable="false"):
+            return compiled(*args)
+
+    return call
+
+
+def preconditioner(M, kind="midpoint"):
+    """Return C (n, r, N): near the (pseudo-)inverse of the middle of M, or of its diagonal; None for none."""
+    if kind == "none":
+        return None
+    middle = _middle(M.lo, M.hi)
+    r, n = middle.shape[:2]
+    if kind == "diagonal":
+        return jnp.stack([jnp.stack([(1 / middle[i, i] if i == j else jnp.zeros_like(middle[i, i])) for j in range(n)]) for i in range(n)])
+    if r == n:
+        return inverse(middle)
+    near = inverse(apart(lambda m: total([m[i, :, None] * m[i, None] for i in range(r)]))(middle))
+    return apart(lambda near, m: total([near[:, k, None] * m[None, :, k] for k in range(n)]))(near, middle)
+
+
+_middle = apart(lambda lo, hi: 0.5 * lo + 0.5 * hi)
+
+
+def inverse(a):
+    """Return a float inverse of a (n, n, N): Gauss-Jordan in place, each step takes the row with the largest entry; no claim is made."""
+    n, N = a.shape[0], a.shape[2]
+    index = jnp.arange(n)[:, None]
+
+    def step(k, carry):
+        a, free, order = carry
+        place = _largest(jax.lax.dynamic_index_in_dim(a, k, 1, keepdims=False), free)
+        pick = _picked(place, free)
+        return solved_for(a, pick, k), free - pick, jax.lax.dynamic_update_index_in_dim(order, place, k, 0)
+
+    start = a, jnp.ones((n, N), a.dtype), jnp.zeros((n, N), jnp.int32)
+    a, _, order = jax.lax.fori_loop(0, n, step, start)
+    # row p_k belongs to unknown k, column j to right-hand side p_j
+    source = total([jnp.where(order[j][None] == index, j, 0) for j in range(n)])
+    return jnp.take_along_axis(a.reshape(n * n, N), (order[:, None] * n + source[None]).reshape(n * n, N), 0).reshape(n, n, N)
+
+
+@apart
+def _largest(column, free):
+    """Return the row (N,) of the largest of a column (n, N) among those that are free (1, not 0)."""
+    sizes = [jnp.abs(c) * f - (1 - f) for c, f in zip(column, free, strict=True)]
+    top, place = most(sizes), jnp.full(column.shape[1:], len(sizes) - 1, jnp.int32)
+    for i in reversed(range(len(sizes) - 1)):
+        place = jnp.where(sizes[i] == top, i, place)
+    return place
+
+
+_picked = apart(lambda place, free: (place[None] == jnp.arange(len(free))[:, None]).astype(free.dtype))
+
+
+def solved_for(a, pick, k):
+    """Solve the row that pick (n, N) marks with 1 for unknown k and put it into the others; column k becomes that of the inverse."""
+    return _combined(a, pick, *_pivot_row(a, pick, k))
+
+
+@apart
+def _pivot_row(a, pick, k):
+    index = jnp.arange(len(a))[:, None] == k
+    row = total([pick[i][None] * a[i] for i in range(len(a))])
+    over_pivot = 1 / jnp.sum(jnp.where(index, row, 0), 0)
+    column = jax.lax.dynamic_index_in_dim(a, k, 1, keepdims=False)
+    return jnp.where(index, 1, row) * over_pivot[None], pick - (1 - pick) * column, (~index).astype(a.dtype)
+
+
+@apart
+def _combined(a, pick, row, share, others):
+    return (1 - pick)[:, None] * (a * others[None]) + share[:, None] * row[None]
+
+
+def times(C, A):
+    """Enclose C A for numbers C (n, r, N) and an Interval A (r, k, N) or (r, N)."""
+    middle, radius = _ball(A)
+    return _interval(_matrix_product(C, middle), _matrix_product(_raised(C, len(A)), radius))
+
+
+@apart
+def _ball(A):
+    """Return the middle of A, and a radius that covers its rounding and that of a product with C.
+
+    By `rounding.product_error` a row of C A is off by less than gamma sum|C| size + floor (1 + max|C|) (1 + max size). With
+    t = sqrt(floor), sum (|C| + t) (radius + gamma size + t) is above that, and above the rounding of itself.
+    """
+    gamma, floor = rounding.product_error(len(A), A.dtype)
+    middle, size = 0.5 * A.lo + 0.5 * A.hi, jnp.maximum(jnp.abs(A.lo), jnp.abs(A.hi))
+    return middle, jnp.maximum(middle - A.lo, A.hi - middle) + gamma * size + np.sqrt(floor)
+
+
+def _raised(C, terms):
+    return _above_all(C, np.sqrt(rounding.product_error(terms, C.dtype)[1]))
+
+
+_above_all = apart(lambda C, t: jnp.abs(C) + t)
+
+
+@apart
+def _matrix_product(C, A):
+    """Return C A for numbers (n, r, N) and (r, k, N) or (r, N), elementwise over N."""
+    return total([(C[:, j, None] if A.ndim == 3 else C[:, j]) * A[j][None] for j in range(len(A))])
+
+
+@apart
+def _interval(middle, radius):
+    known = (radius < jnp.inf) & (jnp.abs(middle) < jnp.inf)
+    return Interval(jnp.where(known, middle - radius, -jnp.inf), jnp.where(known, middle + radius, jnp.inf))
+
+
+def at(x, k, axis):
+    """Return entry k, which may be traced, along an axis."""
+    return jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, k, axis, keepdims=False), x)
+
+
+def where(condition, x, y):
+    """Return x where the condition holds, else y, both Intervals."""
+    return Interval(jnp.where(condition, x.lo, y.lo), jnp.where(condition, x.hi, y.hi))
+
+
+def product(x, y):
+    """Enclose x y for non-empty Intervals; everything where 0 meets infinity."""
+    return _closed(*extremes(x, y))
+
+
+def extremes(x, y):
+    """Return the least and the largest product of the ends."""
+    ends = [a * b for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
+    least = jnp.minimum(jnp.minimum(ends[0], ends[1]), jnp.minimum(ends[2], ends[3]))
+    return least, jnp.maximum(jnp.maximum(ends[0], ends[1]), jnp.maximum(ends[2], ends[3]))
+
+
+def minus(x, y):
+    """Enclose x - y for non-empty Intervals."""
+    return _closed(x.lo - y.hi, x.hi - y.lo)
+
+
+def reciprocal(y):
+    """Enclose 1 / y for a non-empty Interval: everything where y holds 0, or is too large. See `over`."""
+    sound = _divides(y)
+    lo, hi = (jnp.where(sound, 1 / jnp.where(sound, end, 1), jnp.nan) for end in (y.hi, y.lo))
+    return _closed(lo, hi)
+
+
+def _divides(y):
+    """True where 0 is not in y, and its ends are not so large that the compiler's reciprocal could be flushed."""
+    return (mig(y) > 0) & (mag(y) < 2.0 ** (np.finfo(y.dtype).maxexp // 2))
+
+
+def over(x, y):
+    """Enclose every z with y' z = x' for some x' in x and y' in y, for non-empty Intervals: everything where y holds 0.
+
+    (The set-based quotient by [0, 0] is empty, which would pass for a proof that there is no solution.)
+    """
+    sound = _divides(y)
+    lo, hi = (jnp.where(sound, end, 1) for end in (y.lo, y.hi))
+    ends = [a / b for a in (x.lo, x.hi) for b in jax.lax.optimization_barrier((lo, hi))]
+    low = jnp.minimum(jnp.minimum(ends[0], ends[1]), jnp.minimum(ends[2], ends[3]))
+    high = jnp.maximum(jnp.maximum(ends[0], ends[1]), jnp.maximum(ends[2], ends[3]))
+    return _closed(jnp.where(sound, low, jnp.nan), jnp.where(sound, high, jnp.nan))
+
+
+def _closed(lo, hi):
+    """Round outward; NaN gives everything."""
+    lo, hi = rounding.outward(lo, hi)
+    return Interval(jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi))

@@ -1,0 +1,205 @@
+"""Is there a solution of f(z) in T in a box? One step of a search that proves either answer.
+
+    excluded   f(X) misses T, or f(c) + f'(X) (X - c) does, or the Krawczyk operator misses X                (nothing of X is lost)
+    rest       X intersected with c + P (T - f(c)) + (I - P f'(X)) (X - c)
+    proved     a point x of the box with f(x) in T, T having an interior; or: with z(s) = x + P s, |s_i| <= r_i,
+               |f(x) - t| + |I - f'(Z) P| r <= r maps {s} into itself, so that f(z(s)) = t has a solution by Brouwer's theorem
+
+P (n, m) is any float matrix, near a right inverse of f' on the box; surplus variables (n > m) follow as little as they can. No proof
+depends on how good P or x are. Slopes are used only where f is proved to be continuous.
+
+Source: Krawczyk 1969 (the operator); Neumaier 1990, Interval methods for systems of equations, section 5.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.inclusion.inclusion import inclusion
+from jaxbound.sets.intervals.comparisons import subset
+from jaxbound.sets.intervals.interval import Interval, hull, intersection, mag, mid, rad, wid
+from jaxbound.sets.paving.frontier import Verdicts
+
+__all__ = ["components", "continuous", "is_interval_function", "search"]
+
+
+def components(f, z, args):
+    """Return the image of a box z as a list of Intervals (); f is a function of numbers or of Intervals."""
+    if is_interval_function(f, z.lo, args):
+        return list(f(z, *args))
+    images = jax.tree.leaves(inclusion(lambda z: f(z, *args))(z), is_leaf=_is_interval)
+    return [x for image in images for x in jax.tree.map(jnp.ravel, image)]
+
+
+def is_interval_function(f, z, args):
+    """True if f takes an Interval (n,) and not an array (n,), or returns Intervals even for an array."""
+    try:
+        return any(map(_is_interval, jax.tree.leaves(jax.eval_shape(f, z, *args), is_leaf=_is_interval)))
+    except Exception as unfit:  # whatever arrays do to a function that is not meant for them
+        try:
+            jax.eval_shape(f, Interval(z, z), *args)
+        except Exception:
+            raise unfit from None
+        return True
+
+
+def _is_interval(x):
+    return isinstance(x, Interval)
+
+
+def _flat(f, args):
+    """Return z -> f(z, *args) with all its outputs in one array, f a JAX function of numbers, as an inclusion function."""
+    return inclusion(lambda z: jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(f(z, *args))]))
+
+
+def continuous(f, lo, hi, args):
+    """True for each box (n, N) all over which f is proved to be defined and continuous; args (..., N)."""
+    return jax.vmap(lambda lo, hi, *a: _flat(f, a).continuous(Interval(lo, hi)), in_axes=-1)(lo, hi, *args)
+
+
+@partial(jax.jit, static_argnums=0)
+def _image(f, X, args):
+    """Return the images (m, N) of boxes (n, N), and where f is proved to be defined and continuous (N,)."""
+    one = lambda X, *a: (_flat(f, a)(X), _flat(f, a).continuous(X))
+    return jax.vmap(one, in_axes=-1, out_axes=-1)(X, *args)
+
+
+@partial(jax.jit, static_argnums=0)
+def _slope(f, X, args):
+    """Return the slopes (m, n, N) of f over boxes (n, N), entire where f is not proved to be continuous."""
+    return jax.vmap(lambda X, *a: _flat(f, a).jacobian(X), in_axes=-1, out_axes=-1)(X, *args)
+
+
+def search(f, X, T, domain, args, unique, region):
+    """Return the Verdicts on boxes X, an Interval (n, N), with f of numbers and args (..., N).
+
+    Args:
+        T: Interval (m, N), the target of each box. domain: Interval (n,), where solutions count.
+        unique: prove that a solution is the only one of its box too, which then is settled.
+        region: any point of T is a solution's image; else T encloses one point, whichever, that has to be the image.
+
+    f and its slope are compiled once each; what depends on f only through them, for all functions of one shape.
+    """
+    image, smooth = _image(f, X, args)
+    if T.shape != image.shape:
+        raise ValueError(f"the target has {T.shape[0]} components, f has {image.shape[0]}")
+    centre = mid(X)
+    value, _ = _image(f, _point(centre), args)
+    slope = _slope(f, X, args)
+    out, rest, x, P = _narrow(X, T, domain, image, smooth, centre, value, slope)
+    reached, defined = _image(f, _point(x), args)
+    miss, r, Z, wide = _around(X, T, slope, x, P, reached, rest, unique, region)
+    return _conclude(T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, _slope(f, wide, args), region)
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(-1, -1, None, -1, -1, -1, -1, -1), out_axes=-1)
+def _narrow(X, T, domain, image, smooth, centre, value, slope):
+    """Return (excluded, what is left of X, a guess x at a solution, P)."""
+    d, J = rad(X), mid(slope)
+    reach = _upper(mag(slope), d)
+    out = _apart(image, T) | smooth & _apart(value + Interval(-reach, reach), T)  # the second by the mean value theorem
+    P = _right_inverse(J, d)
+    step, error = _times(P, mid(T - value))
+    strays = _upper(_stray(P, J, jnp.abs(P), rad(slope)), d) + _upper(jnp.abs(P), rad(T - value)) + error
+    moved = _point(centre) + (_point(step) + Interval(-_upward(strays), _upward(strays)))
+    rest = intersection(X, moved)
+    usable = smooth & ~jnp.isnan(rest.lo) & ~jnp.isnan(rest.hi)
+    out |= jnp.any(usable & rest.is_empty)
+    usable &= ~out
+    rest = Interval(jnp.where(usable, rest.lo, X.lo), jnp.where(usable, rest.hi, X.hi))
+    x = centre + P @ (mid(T) - mid(value))
+    return out, rest, jnp.where(jnp.isnan(x), centre, jnp.clip(x, domain.lo, domain.hi)), P
+
+
+@partial(jax.jit, static_argnums=(7, 8))
+def _around(X, T, slope, x, P, reached, rest, unique, region):
+    """Return (|f(x) - t|, r, the box Z around x, the box over which slopes have to be close).
+
+    r is in proportion to how far f moves over X, component by component, and twice the largest miss.
+    """
+
+    def one(X, T, slope, x, P, reached, rest):
+        miss = mag(reached - (_point(mid(T)) if region else T))
+        moves = jnp.abs(mid(slope)) @ (X.hi * 0.5 - X.lo * 0.5)
+        usable = jnp.isfinite(moves) & (moves > 0)
+        share = jnp.max(jnp.where(usable, miss / jnp.where(usable, moves, 1), 0))
+        r = miss + jnp.where(usable, share * moves, miss) + 1024 * rounding.tiny(miss.dtype)
+        reach = _upper(jnp.abs(P), r)
+        Z, fixed = _point(x) + Interval(-reach, reach), jnp.all(P == 0, 1)  # rows of zeros move nothing, exactly
+        Z = Interval(jnp.where(fixed, x, Z.lo), jnp.where(fixed, x, Z.hi))
+        return miss, r, Z, hull(Z, rest) if unique else Z
+
+    return jax.vmap(one, in_axes=-1, out_axes=-1)(X, T, slope, x, P, reached, rest)
+
+
+@partial(jax.jit, static_argnums=13)
+def _conclude(T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, near, region):
+    def one(T, out, rest, slope, x, P, reached, defined, miss, r, Z, near):
+        n, m = P.shape
+        J = mid(near)
+        bend = _stray(J, P, rad(near), jnp.abs(P))
+        into = _upward(miss + _upper(bend, r)) < r  # strictly: then near P is regular, which makes the solution unique
+        holds = (n >= m) & jnp.all(into) & jnp.all(subset(Z, domain))
+        inside = region & jnp.all(subset(reached, T) & ~reached.is_empty) & defined
+        proved = ~out & (inside | holds)
+        proof = jnp.where(inside, x, Z.lo), jnp.where(inside, x, Z.hi)
+        lean = jnp.max(mag(slope), 0) * wid(rest)  # smear: the variable that moves f most
+        whole = jnp.where(domain.hi > domain.lo, domain.hi * 0.5 - domain.lo * 0.5, 1)
+        axis = jnp.argmax(jnp.where(jnp.all(jnp.isfinite(lean)), lean, wid(rest) / whole))
+        return Verdicts(~out & ~proved, proved, proof, (rest.lo, rest.hi), axis)
+
+    return jax.vmap(one, in_axes=-1, out_axes=-1)(T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)
+
+
+def _point(x):
+    return Interval(x, x)
+
+
+def _apart(image, T):
+    """True where some component misses its target; a bound that is NaN excludes nothing."""
+    return jnp.any((image.lo > T.hi) | (T.lo > image.hi))
+
+
+def _times(A, B):
+    """Return (A B, a bound of its error), for numbers (p, k) and (k, q) or (k,)."""
+    gamma, floor = rounding.product_error(A.shape[-1], A.dtype)
+    exactly = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
+    ends = [1 + jnp.max(jnp.abs(x)) for x in (A, B)]
+    return exactly(A, B), gamma * exactly(jnp.abs(A), jnp.abs(B)) + floor * ends[0] * ends[1]
+
+
+def _upper(A, B):
+    """Return an upper bound of A B, both >= 0."""
+    product, error = _times(A, B)
+    return product + error
+
+
+def _stray(A, B, A_size, B_size):
+    """Return a bound of |I - M|, M any product of a point and an interval matrix with the middles A and B.
+
+    A_size, B_size: absolute values of the one and radii of the other.
+    """
+    product, error = _times(A, B)
+    return _upward(jnp.abs(jnp.eye(len(product), dtype=product.dtype) - product) + error + _upper(A_size, B_size))
+
+
+def _upward(x):
+    """Return at least the exact sum of a few numbers >= 0 that x was computed as."""
+    return x * (1 + 8 * rounding.unit(x.dtype)) + 8 * rounding.tiny(x.dtype)
+
+
+def _right_inverse(J, scale):
+    """Return P (n, m) with J P near I (n >= m) or P J near I (n < m), moving variables in proportion to `scale`; zeros if there is none."""
+    m, n = J.shape
+    scale = scale / jnp.max(scale)
+    A = J * scale[None]
+    if n == m:
+        P = jnp.linalg.inv(A)
+    else:
+        gram = A @ A.T if n > m else A.T @ A
+        P = A.T @ jnp.linalg.inv(gram) if n > m else jnp.linalg.inv(gram) @ A.T
+    P = scale[:, None] * P
+    return jnp.where(jnp.all(jnp.isfinite(P)), P, 0)

@@ -1,0 +1,323 @@
+"""Paving: cover the image of a box by boxes, or prove that a point is, or is not, in it.
+
+Uniform subdivision of order q cuts every variable into q equal pieces. Adaptive bisection keeps a list of boxes, worked off level by
+level for all targets of a batch at once (`frontier`): one whose image misses the target is dropped; one that is proved to hold a
+solution (`existence`) is settled; any other is cut in two. An empty list without a solution proves that the target is not in the image.
+
+Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded box goes on with step (5), and closed containment.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
+from jaxbound.sets.paving.frontier import BLOCKS, Verdicts, explore, in_blocks
+
+__all__ = ["Paving", "pave"]
+
+CUTS = ("alternate", "widest", "smear")
+SOLUTIONS = ("none", "one", "all")
+SEARCHED = (2**10,)  # blocks of the search for solutions, whose kernels take long to compile
+
+
+@dataclass(frozen=True, eq=False)
+class Paving:
+    """The outcome of `pave`.
+
+    Fields:
+        status: int8, one a target: FAULT (proved: the target is not in the image), CONSISTENT (proved: it is) or UNDECIDED (the
+            budget, `evaluated` and `levels`, did not settle it); None without a target.
+        boxes: Interval (N, n), what is left of the box, neither excluded nor settled; owner (N,): the target that each belongs to.
+        evaluated: boxes evaluated, one count a target.
+        witness: Interval (K, n), boxes that each hold a solution, proved, or None; witness_owner (K,): their targets.
+        levels: how often the first box was cut.
+    """
+
+    status: np.ndarray | None
+    boxes: Interval
+    owner: np.ndarray
+    evaluated: np.ndarray
+    witness: Interval | None = None
+    witness_owner: np.ndarray | None = None
+    levels: int = 0
+    _again: Any = None  # a function that evaluates the images
+
+    @cached_property
+    def images(self):
+        """Interval (N, m): the enclosures of f over `boxes`, evaluated when first asked for."""
+        return self._again()
+
+    def area(self):
+        """Return the area of the union of the images in the plane (m = 2), to rounding.
+
+        Raises:
+            ValueError: m is not 2.
+        """
+        lo, hi = np.asarray(self.images.lo), np.asarray(self.images.hi)
+        if lo.shape[1] != 2:
+            raise ValueError(f"area is for two-dimensional images: these have {lo.shape[1]} dimensions")
+        if not len(lo):
+            return 0.0
+        across, along = (np.unique(np.concatenate([lo[:, j], hi[:, j]])) for j in range(2))
+        first, last = np.searchsorted(across, lo[:, 0]), np.searchsorted(across, hi[:, 0])
+        low, high = np.searchsorted(along, lo[:, 1]), np.searchsorted(along, hi[:, 1])
+        total, cover, rows = 0.0, np.zeros(len(along), np.int32), max(1, 2**24 // len(along))
+        for start in range(0, len(across) - 1, rows):  # a 2-D difference array, +1 at corners and -1 past edges, some rows at a time
+            stop = min(start + rows, len(across) - 1)
+            part = np.zeros((stop - start, len(along)), np.int32)
+            part[0] = cover
+            for at, sign in ((first, 1), (last, -1)):
+                here = (at >= start) & (at < stop)
+                np.add.at(part, (at[here] - start, low[here]), sign)
+                np.add.at(part, (at[here] - start, high[here]), -sign)
+            part = part.cumsum(0)
+            cover = part[-1]
+            total += float(np.diff(across[start : stop + 1]) @ (part.cumsum(1)[:, :-1] > 0) @ np.diff(along))
+        return total
+
+
+def pave(f, box, target=None, subdivision="adaptive", q=None, cut=None, max_boxes=None, max_depth=None, args=(), progress=None,
+         solutions=None):  # fmt: skip
+    """Cover {f(z) : z in box} by boxes, or decide whether `target` is in it, with a proof.
+
+    Args:
+        f: any JAX function of z (n,) (and of `args` for one target) that returns (m,) or a list of m numbers; or a function of an
+            Interval (n,) that returns an Interval (m,) or a list of m, by outward-rounded operations. Pass the same function again to
+            reuse its compilation.
+        box: Interval (n,), bounded.
+        target: None, a point (m,), points (B, m), or an Interval of either: is there a z with f(z) in it?
+        subdivision: "adaptive" or "uniform".
+        q: uniform: the number of pieces per variable, default 10. Adaptive: the paper's algorithm and its threshold, stop at r > q - 1,
+            that is after n (q - 1) levels.
+        cut: "alternate" (variables in turn), "widest" (widest edge, the first if equal) or "smear" (the edge that moves f most);
+            default "alternate" where only excluding, else "smear".
+        max_boxes: no new level is begun that would evaluate more boxes than this in total; default 10^8, searching for solutions 10^7.
+        max_depth: levels; default n (q - 1), else so many that every edge can be halved 20 times (float32: 9).
+        args: arrays with leading axis B, handed to f one entry a target.
+        progress: called with the share of levels (adaptive) or targets (uniform) done.
+        solutions: "none": only exclude, as the paper does; "one": a target is settled by its first solution; "all": go on until no box
+            is left, so that `witness` and `boxes` hold all solutions, each box of `witness` exactly one (points, m = n), or nothing
+            else (a target with an interior). Default: "none" with q or an f of Intervals, "all" for points and m = n, else "one".
+
+    Returns:
+        A Paving. Encloses: the images of `boxes`, together with what was excluded or settled, cover the image of `box`. FAULT: there is
+        no z in `box` with f(z) in the target. CONSISTENT: there is one, for f in exact arithmetic, its constants the floats they are.
+
+    Raises:
+        ValueError: unbounded or empty box, a target that does not fit, a budget or q < 1, an unknown option, a uniform subdivision into
+            more than max_boxes boxes.
+
+    Example:
+        >>> f = lambda z: [2 * z[0] ** 2 + z[1], z[0] - z[1]]
+        >>> p = pave(f, interval([-1.0, 1.0], [2.0, 3.0]), [2.0, -2.0])
+        >>> Status(p.status).name, len(p.witness), p.witness.mid[0].round(6).tolist()
+        ('CONSISTENT', 2, [-0.5, 1.5])
+        >>> p = pave(f, interval([-1.0, 1.0], [2.0, 3.0]), [2.0, -2.0], q=10)
+        >>> Status(p.status).name, int(p.evaluated), len(p.boxes)
+        ('UNDECIDED', 261, 20)
+    """
+    refuse_unverified(box, target, args)
+    box = interval(box)
+    lo, hi = np.asarray(box.lo), np.asarray(box.hi)
+    if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
+        raise ValueError("box must be a bounded, non-empty Interval of shape (n,)")
+    goal, single = _goals(target, lo.dtype)
+    count = 1 if goal is None else goal.shape[0]
+    args = tuple(jnp.asarray(a) for a in args)
+    if any(a.shape[:1] != (count,) for a in args):
+        raise ValueError(f"every array of args needs one entry for each of the {count} targets: shapes {[a.shape for a in args]}")
+    plain = is_interval_function(f, jnp.asarray(lo), tuple(a[0] for a in args))
+    region = isinstance(target, Interval)
+    thick = region and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
+    if solutions is None:
+        m = 0 if goal is None else goal.shape[1]
+        solutions = "none" if q is not None or plain or subdivision == "uniform" else "all" if m == len(lo) and not thick else "one"
+    q = 10 if q is None and (solutions == "none" or subdivision == "uniform") else q
+    cut = ("alternate" if solutions == "none" else "smear") if cut is None else cut
+    _check_options(subdivision, q, cut, max_boxes, max_depth, solutions, plain)
+    most = (10**7 if solutions != "none" else 10**8) if max_boxes is None else max_boxes
+    status, proofs, levels = None, None, 0
+    if subdivision == "uniform":
+        if max_depth is not None:
+            raise ValueError("max_depth belongs to subdivision='adaptive': the depth of a uniform one is q")
+        if int(q) ** len(lo) > most:
+            raise ValueError(f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = {most}")
+        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, args, count, int(q), progress)
+    else:
+        if goal is None:
+            raise ValueError("adaptive subdivision needs a target; subdivision='uniform' covers the whole image")
+        depth = len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5) if max_depth is None else max_depth
+        if solutions == "none":
+            kernel = lambda *boxes: _meets(f, *boxes, goal, args)
+        elif solutions == "all" and thick:
+            kernel = lambda *boxes: _inner(f, *boxes, goal, args)
+        else:
+            kernel = partial(_search, f, solutions == "all", region, goal, args, box)
+        sizes = BLOCKS if solutions == "none" or (solutions == "all" and thick) else SEARCHED
+        found = explore(kernel, lo, hi, count, depth, most, "kernel" if cut == "smear" else cut, solutions == "one", progress, sizes)
+        left_lo, left_hi, owner, evaluated, levels = found.lo, found.hi, found.owner, found.evaluated, found.levels
+        proofs = found.proofs if len(found.proofs[2]) else None
+        if proofs is not None and not (solutions == "all" and thick):
+            proofs = _distinct(proofs, solutions, kernel)
+    if goal is not None:
+        status = np.where(np.bincount(owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+        if proofs is not None:
+            status[proofs[2]] = Status.CONSISTENT
+    if single:
+        status, evaluated = None if status is None else status[0], evaluated[0]
+    turned = lambda lo, hi: Interval(jnp.asarray(lo.T), jnp.asarray(hi.T))
+    again = partial(_images, f, left_lo, left_hi, owner, args, goal.shape[1] if goal is not None else 0)
+    witness = (None, None) if proofs is None else (turned(*proofs[:2]), proofs[2])
+    return Paving(status, turned(left_lo, left_hi), owner, evaluated, *witness, levels, again)
+
+
+def _check_options(subdivision, q, cut, max_boxes, max_depth, solutions, plain):
+    if subdivision not in ("adaptive", "uniform"):
+        raise ValueError(f"subdivision must be 'adaptive' or 'uniform', not {subdivision!r}")
+    if cut not in CUTS:
+        raise ValueError(f"cut must be one of {', '.join(CUTS)}, not {cut!r}")
+    if solutions not in SOLUTIONS:
+        raise ValueError(f"solutions must be one of {', '.join(SOLUTIONS)}, not {solutions!r}")
+    if plain and (solutions != "none" or cut == "smear"):
+        raise ValueError("proving solutions and cut='smear' need derivatives: give f as a function of numbers, not of Intervals")
+    for name, value, least in (("q", q, 1), ("max_boxes", max_boxes, 1), ("max_depth", max_depth, 0)):
+        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        if value is not None and (not whole or value < least):
+            raise ValueError(f"{name} must be a whole number >= {least}, not {value!r}")
+
+
+def _goals(target, dtype):
+    """Return the targets as an Interval (B, m), and whether there is just one."""
+    if target is None:
+        return None, True
+    goal = target if isinstance(target, Interval) else interval(np.asarray(target, dtype))
+    single = len(goal.shape) == 1
+    if len(goal.shape) not in (1, 2):
+        raise ValueError(f"target must have shape (m,) or (B, m): its shape is {goal.shape}")
+    return Interval(jnp.atleast_2d(goal.lo), jnp.atleast_2d(goal.hi)), single
+
+
+def _evaluate(f, lo, hi, args):
+    """Enclose f over boxes (n, N) with args (..., N): a list of m Intervals (N,). Stacking them would break the fusion."""
+    return jax.vmap(lambda lo, hi, *a: components(f, Interval(lo, hi), a), in_axes=-1)(lo, hi, *args)
+
+
+def _of_owner(args, owner):
+    """Return args (B, ...) as (..., N), each column that of the box's target."""
+    return tuple(jnp.moveaxis(a, 0, -1)[..., owner] for a in args)
+
+
+def _goals_of_owner(goal, owner):
+    return [(goal.lo[:, j][owner], goal.hi[:, j][owner]) for j in range(goal.shape[1])]
+
+
+@partial(jax.jit, static_argnums=0)
+def _meets(f, lo, hi, owner, goal, args):
+    """True for each box (n, N) whose image meets the target of its owner (closed sets)."""
+    return _touch(_evaluate(f, lo, hi, _of_owner(args, owner)), _goals_of_owner(goal, owner))
+
+
+@partial(jax.jit, static_argnums=0)
+def _inner(f, lo, hi, owner, goal, args):
+    """Return the Verdicts on boxes (n, N): settled are those that map into the target altogether."""
+    args = _of_owner(args, owner)
+    images, goals = _evaluate(f, lo, hi, args), _goals_of_owner(goal, owner)
+    meets = _touch(images, goals)
+    inside = continuous(f, lo, hi, args)
+    for image, (low, high) in zip(images, goals, strict=True):
+        inside &= (low <= image.lo) & (image.lo <= image.hi) & (image.hi <= high)
+    return Verdicts(meets & ~inside, inside, (lo, hi))
+
+
+def _search(f, unique, region, goal, args, box, lo, hi, owner):
+    """Return the Verdicts on boxes (n, N) by `existence.search`."""
+    T = Interval(*(jnp.asarray(np.asarray(end).T[:, owner]) for end in (goal.lo, goal.hi)))
+    return search(f, Interval(lo, hi), T, box, _of_owner(args, owner), unique, region)
+
+
+def _touch(images, goals):
+    """True where every component shares a point with its goal (lo, hi); a bound that is NaN excludes nothing."""
+    if len(images) != len(goals):
+        raise ValueError(f"the target has {len(goals)} components, f has {len(images)}")
+    apart = False
+    for image, (lo, hi) in zip(images, goals, strict=True):
+        apart |= (image.lo > hi) | (lo > image.hi)
+    return ~apart
+
+
+def _distinct(proofs, solutions, kernel):
+    """Return one box for each solution that was proved, ordered by target, and as small as three more steps make it."""
+    order = np.argsort(proofs[2], kind="stable")
+    lo, hi, owner = (x[..., order] for x in proofs)
+    if solutions == "one":
+        first = np.flatnonzero(np.diff(owner, prepend=-1))
+        lo, hi, owner = lo[:, first], hi[:, first], owner[first]
+    for _ in range(3):
+        said = Verdicts(*in_blocks(kernel, lo, hi, owner, SEARCHED))
+        smaller = said.proved & ((said.proof[1] - said.proof[0]).max(0) < (hi - lo).max(0))
+        lo, hi = (np.where(smaller, new, old) for new, old in zip(said.proof, (lo, hi), strict=True))
+    if solutions == "one":
+        return lo, hi, owner
+    again = np.zeros(len(owner), bool)
+    for shift in range(1, int(np.bincount(owner).max())):  # two boxes that meet and whose hull has one solution: the same one
+        i = np.flatnonzero(
+            (owner[:-shift] == owner[shift:]) & (lo[:, :-shift] <= hi[:, shift:]).all(0) & (lo[:, shift:] <= hi[:, :-shift]).all(0)
+        )
+        if len(i):
+            whole = np.minimum(lo[:, i], lo[:, i + shift]), np.maximum(hi[:, i], hi[:, i + shift])
+            again[i + shift] |= Verdicts(*in_blocks(kernel, *whole, owner[i], SEARCHED)).proved
+    return lo[:, ~again], hi[:, ~again], owner[~again]
+
+
+@partial(jax.jit, static_argnums=0)
+def _image_block(f, lo, hi, owner, args):
+    images = _evaluate(f, lo, hi, _of_owner(args, owner))
+    return tuple(x.lo for x in images), tuple(x.hi for x in images)
+
+
+def _images(f, lo, hi, owner, args, width):
+    if not len(owner):
+        return Interval(jnp.zeros((0, width), lo.dtype), jnp.zeros((0, width), lo.dtype))
+    ends = in_blocks(lambda *b: _image_block(f, *b, args), lo, hi, owner)
+    return Interval(*(jnp.asarray(np.stack(x, 1)) for x in ends))
+
+
+def _uniform(f, lo, hi, goal, args, count, q, progress):
+    n = len(lo)
+    share = np.arange(q + 1, dtype=lo.dtype) / q
+    edges = np.clip(lo[:, None] * (1 - share) + hi[:, None] * share, lo[:, None], hi[:, None])  # hi - lo could overflow
+    edges[:, -1] = hi
+    digits = np.indices((q,) * n).reshape(n, -1)
+    cell_lo, cell_hi = (np.stack([edges[i][digits[i] + k] for i in range(n)]) for k in (0, 1))
+    total = digits.shape[1]
+    if goal is None:
+        return cell_lo, cell_hi, np.zeros(total, np.int32), np.array([total])
+    kept = []
+    share = max(1, 2**27 // total)  # targets at once: the answers are one byte a box
+    for start in range(0, count, share):
+        part = slice(start, start + share)
+        block = Interval(goal.lo[part], goal.hi[part])
+        meet = np.asarray(_meets_uniform(f, cell_lo, cell_hi, block, tuple(a[part] for a in args)))
+        which, cell = np.nonzero(meet)
+        kept.append((which + start, cell))
+        if progress is not None:
+            progress(min(start + share, count) / count)
+    owner, cell = (np.concatenate(x) for x in zip(*kept, strict=True))
+    return cell_lo[:, cell], cell_hi[:, cell], owner.astype(np.int32), np.full(count, total)
+
+
+@partial(jax.jit, static_argnums=0)
+def _meets_uniform(f, lo, hi, goal, args):
+    def one(now):
+        (goal_lo, goal_hi), a = now
+        return _touch(_evaluate(lambda z: f(z, *a), lo, hi, ()), list(zip(goal_lo, goal_hi, strict=True)))
+
+    return jax.lax.map(one, ((goal.lo, goal.hi), args))

@@ -1,0 +1,399 @@
+"""From healthy recordings to a monitor: a nominal model by regression, and the smallest noise bounds that explain every training window.
+
+The model is x+ = A x + B u, y = C x + D u in the states that an ARX model of the given order needs: those of all outputs together. Its
+coefficients are rounded to short decimals first and the bounds found afterwards, so that they hold for the model as it is saved. What the
+constant of the regression says becomes the operating point.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxbound.diagnosis.detection import detect
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.recording import Recording, Signals, holds_both, is_made
+from jaxbound.recordings.seams import TOLERATED_DT
+from jaxbound.recordings.table import as_table, is_table
+from jaxbound.relations.parity import parity_relations
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.status import Status
+from jaxbound.studies.identification import filters, regression
+
+__all__ = ["FitCheck", "Fitted", "fit"]
+
+DIGITS = 6
+"""Coefficients are rounded to this many digits behind the largest effect that they could have, relative to the spread of the output."""
+EXACT, LEAST = 1e-14, 1e-3
+"""The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits exactly."""
+KINDS = ("least squares", "windows", "filters")
+FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
+"""Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this number of windows that do not
+overlap, the user is told that the data do not carry the monitor."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitCheck:
+    """What is known of a fit beyond its model.
+
+    Fields:
+        method: how the coefficients were found, see `fit`.
+        safety: the factor on the smallest bounds. smallest: those, {output: bound}.
+        held_out: what a first fit, to the first parts of the recordings, made of their last parts: {"windows", "fault", "growth"}: how many
+            windows, the share in FAULT, and the factor by which the bounds would have had to be wider; None if nothing was held out. The
+            model itself was fitted to everything afterwards.
+        recordings: one {"samples", "windows", "used"} each: used is the largest share of the final bounds that a window needs.
+        jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT whatever the noise does.
+        steady: the same for an error that fills the window; inf if the model can follow it.
+        used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan where there is none): of the
+            final model, and of the first fit on the held-out parts.
+        sentences: what the user should know, above all why the data may not carry a monitor.
+    """
+
+    method: str
+    safety: float
+    smallest: dict
+    held_out: dict | None
+    recordings: tuple
+    jump: dict
+    steady: dict
+    used: tuple = field(repr=False)
+    held_out_used: tuple = field(repr=False)
+    sentences: tuple = ()
+
+
+class Fitted(LinearSystem):
+    """A LinearSystem that `fit` made: with `.check`, a FitCheck."""
+
+    check: FitCheck
+
+
+def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=None, direct=False, safety=1.25, held_out=0.3, method="auto",
+        name="fitted", units=None, columns=None, progress=None):  # fmt: skip
+    """Find a nominal model and noise bounds from healthy recordings.
+
+    The smallest bounds are those under which every window of the recordings is consistent, in the ratio of the outputs' residuals: `tune`
+    moves each by its own. They are multiplied by `safety` and verified: `detect` finds every window CONSISTENT.
+
+    Args:
+        recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table with the columns `inputs` and
+            `outputs`; a Recording. NaN marks a missing sample. Windows do not cross gaps in an index, nor `starts`, as for `detect`.
+        order: so many samples back determine the next one (of "filters": so many filters an output). order * p states.
+        horizon: s, the bounds are found for windows of s + 1 samples. Long windows see small faults; the model says for which it is made.
+        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what dates in the index or a Recording say, else 1.
+        direct: whether inputs act on the outputs of the same sample (D).
+        safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may deviate.
+        held_out: the last share of each recording, kept back from a first fit to see what it makes of data that it has not seen. 0: none.
+        method: "least squares" (ARX, one step ahead), "windows" (the same, refined over whole windows), "filters" (inputs through given
+            filters that fade within a window, so that no state can follow a lasting error) or "auto": whichever sees the smallest jump and
+            lasting error when its bounds cover the held-out parts too.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called with the share of the work done.
+
+    Returns:
+        A Fitted: a LinearSystem with `.horizon`, provenance "fitted ..." and `.check`.
+
+    Raises:
+        ValueError: recordings that do not fit each other, too few samples, an output that stands still, options out of range.
+
+    Example:
+        >>> import jax, jaxbound as jb
+        >>> true = jb.LinearSystem([[0.8]], [[0.5]], [[1]], noise=0.1)
+        >>> u = jax.random.normal(jax.random.key(0), (300, 1))
+        >>> model = jb.fit((u, jb.simulate(true, u, jax.random.key(1)).y), order=1, horizon=4)
+        >>> abs(float(model.A[0][0]) - 0.8) < 0.05, float(model.noise[0]) < 0.15
+        (True, True)
+    """
+    _check_options(order, horizon, safety, held_out, method)
+    report = progress or (lambda share: None)
+    inputs, outputs, dt, records = _read(recordings, inputs, outputs, columns, dt)
+    about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name, horizon=horizon)
+    refuse_unverified()  # at the end the bounds are verified
+    scales = regression.scales_of(records)
+    sentences = _standing_still(records, inputs, outputs)
+    candidate = lambda records, kind: _candidate(records, scales, order, horizon, direct, kind, about)
+    heads, tails = _parts(records, held_out, horizon)
+    kinds = [k for k in KINDS if inputs or k != "filters"] if method == "auto" else [method]
+    spans = [np.nanmax(y) - np.nanmin(y) for y in np.concatenate([r[1] for r in records]).T]
+    kind, first = "windows" if method == "auto" else method, ()
+    report(0.05)
+    if tails:
+        found = []
+        for i, kind in enumerate(kinds):
+            spec, relations, spread = candidate(heads, kind)
+            own, unseen = _needs(relations, heads), _needs(relations, tails)
+            blindness = _blindness(Fitted(**spec, noise=np.fmax(_most(own), _most(unseen)) * spread), scales, spans)
+            found.append((blindness, i, _most(own) * safety, unseen))
+            report(0.05 + 0.7 * (i + 1) / len(kinds))
+        _, i, bound, unseen = min(found, key=lambda f: f[:2])
+        kind, first = kinds[i], tuple(x / bound for x in unseen)
+    spec, relations, spread = candidate(records, kind)
+    smallest = spread * _most(_needs(relations, records))
+    report(0.9)
+    model, used = _verified(spec, [_rounded_up(x * safety) for x in smallest], records, safety)
+    largest = lambda x: float(np.nanmax(x)) if np.isfinite(x).any() else math.nan
+    model.check = FitCheck(
+        method=kind, safety=float(safety), smallest=dict(zip(outputs, smallest.tolist(), strict=True)), held_out=_unseen(first),
+        recordings=tuple({"samples": len(r[1]), "windows": int(np.isfinite(x).sum()), "used": largest(x)}
+                         for r, x in zip(records, used, strict=True)),
+        jump=_visible(model, scales, middle=True), steady=_visible(model, scales, middle=False), used=tuple(used),
+        held_out_used=first)  # fmt: skip
+    model.check = dataclasses.replace(model.check, sentences=(*sentences, *_judged(model, scales, held_out, spans)))
+    report(1.0)
+    return model
+
+
+def _check_options(order, horizon, safety, held_out, method):
+    whole = lambda x: isinstance(x, (int, np.integer)) and not isinstance(x, bool)
+    if not whole(order) or order < 1:
+        raise ValueError(f"order must be a whole number >= 1, not {order!r}")
+    if not whole(horizon) or horizon <= order:
+        raise ValueError(f"horizon must be a whole number above the order ({order}), not {horizon!r}")
+    if not (np.isfinite(safety) and safety >= 1):
+        raise ValueError(f"safety must be a factor >= 1, not {safety!r}")
+    if not 0 <= held_out < 1:
+        raise ValueError(f"held_out must be a share from 0 to below 1, not {held_out!r}")
+    if method not in ("auto", *KINDS):
+        raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")
+
+
+def _read(recordings, inputs, outputs, columns, dt):
+    """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
+    pair = lambda r: isinstance(r, tuple) and len(r) in (2, 3) and not isinstance(r[0], tuple) and not is_made(r[0])
+    recordings = [recordings] if pair(recordings) or not isinstance(recordings, (list, tuple)) else list(recordings)
+    if not recordings:
+        raise ValueError("there is no recording: give at least one")
+    names = lambda given: (given,) if isinstance(given, str) else None if given is None else tuple(given)
+    inputs, outputs, records, periods = names(inputs), names(outputs), [], []
+    for number, r in enumerate(recordings):
+        where = f"recording {number + 1}"
+        if pair(r):
+            parts = r
+        elif holds_both(r):
+            parts = (r,)
+        else:
+            raise ValueError(f"{where} must be a pair (u, y), a DataFrame or a Recording, not {type(r).__name__}")
+        inputs, outputs = _named(where, parts, inputs, outputs)
+        try:
+            given = Recording.of(Signals(inputs, outputs, dict(columns or {}), dt), *parts).finite()
+        except ValueError as e:
+            raise ValueError(f"{where}: {e}") from None
+        if given.y.ndim != 2:
+            raise ValueError(f"{where}: y has shape {given.y.shape}, but time must be its first axis: give several recordings as a list")
+        records.append((np.asarray(given.u, np.float64), np.asarray(given.y, np.float64), given.starts))
+        periods += [] if given.dt is None else [(given.dt, where)]
+    (low, first), (high, last) = (min(periods), max(periods)) if periods else ((dt or 1.0, ""),) * 2
+    if high - low > TOLERATED_DT * low:
+        raise ValueError(f"{last} has a sample every {high:g} s, {first} every {low:g} s, and a model has one sampling period")
+    return inputs, outputs, periods[0][0] if dt is None and periods else dt or 1.0, records
+
+
+def _named(where, parts, inputs, outputs):
+    """Return the names of inputs and outputs: those not given are a Recording's own, or numbered."""
+    tables = [is_table(as_table(x, where)) for x in parts[:2]]
+    if (outputs is None and tables[-1]) or (inputs is None and len(parts) > 1 and tables[0]):
+        raise ValueError(f"{where} is a DataFrame: say with inputs=[...] and outputs=[...] which of its columns are what")
+    if len(parts) == 1 and tables[0]:
+        return inputs or (), outputs
+    if len(parts) == 1:
+        own = parts[0]
+        inputs, outputs = inputs or getattr(own, "inputs", None), outputs or getattr(own, "outputs", None)
+        parts = own.u, own.y
+    width = lambda x: 0 if x is None else np.shape(x)[-1] if np.ndim(x) > 1 else 1
+    number = lambda letter, x: tuple(f"{letter}{i + 1}" for i in range(width(x)))
+    inputs = number("u", parts[0]) if inputs is None else inputs
+    return inputs, number("y", parts[1]) if outputs is None else outputs
+
+
+def _standing_still(records, inputs, outputs):
+    """Return sentences on inputs that do not move; refuse outputs that do not."""
+    stack = [np.concatenate([r[j] for r in records]) for j in (0, 1)]
+    still = lambda x: len(np.unique(x[~np.isnan(x)])) < 2
+    for name, y in zip(outputs, stack[1].T, strict=True):
+        if still(y):
+            raise ValueError(f"{name} stands still in all recordings: nothing can be learnt of it; leave it out, or look at the sensor")
+    return [
+        f"{name} never moves in these recordings: what it does to the outputs is unknown, and the model says nothing; record a step of it"
+        for name, u in zip(inputs, stack[0].T, strict=True)
+        if still(u)
+    ]
+
+
+def _parts(records, held_out, horizon):
+    """Return (heads, tails): the recordings cut in two, tails empty where none holds a window."""
+    if not held_out:
+        return records, []
+    cut = [_cut(~(np.isnan(u).any(1) | np.isnan(y).any(1)), 1 - held_out) for u, y, _ in records]
+    part = lambda r, lo, hi: (r[0][lo:hi], r[1][lo:hi], r[2][(r[2] > lo) & (r[2] < hi)] - lo)
+    heads = [part(r, 0, c) for r, c in zip(records, cut, strict=True)]
+    tails = [part(r, c, len(r[1])) for r, c in zip(records, cut, strict=True)]
+    whole = lambda parts: any(len(y) > horizon for _, y, _ in parts)
+    return (heads, tails) if whole(heads) and whole(tails) else (records, [])
+
+
+def _cut(usable, share):
+    """Return the number of samples at the beginning that hold this share of all usable ones."""
+    counted = np.cumsum(usable)
+    return int(np.searchsorted(counted, share * counted[-1]) + 1) if usable.any() else len(usable)
+
+
+def _candidate(records, scales, order, horizon, direct, kind, about):
+    """Return (spec, relations, spread): the arguments of a LinearSystem, its relations, and the root mean square of its window residuals.
+
+    The spread is in the unit of each output, and the noise bound of the relations.
+    """
+    p, m = len(about["outputs"]), len(about["inputs"])
+    steps = regression.windows_of(records, scales, order)
+    unknowns = order * (p + m) + direct * m + 1
+    windows = regression.windows_of(records, scales, horizon, regression.MOST)
+    if len(steps.y) < 2 * unknowns or not len(windows.y):
+        total = f"{sum(len(y) for _, y, _ in records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
+        raise ValueError(
+            f"too few samples: {total}, hold {len(windows.y)} complete windows of {horizon + 1} samples, and {len(steps.y)} steps "
+            f"for {unknowns} coefficients an output, twice as many of which are needed: record longer, or choose a lower order or horizon"
+        )
+    digits = EXACT * np.array([np.nanmax(np.abs(y)) for y in np.concatenate([y for _, y, _ in records]).T])  # where all fits exactly
+    if kind == "filters":
+        spec, spread = _realised_filters(records, scales, filters.poles_of(order, horizon), direct)
+        spread = np.maximum(spread, digits)
+        return spec | about, parity_relations(LinearSystem(**spec | about)).with_bounds({"noise": spread}), spread
+    theta, _ = regression.least_squares(steps, order, direct)
+    spread = regression.window_spread(theta, windows, order, direct)
+    if kind == "windows":
+        theta, spread = regression.refined(theta, windows, order, direct)
+    spec, spread = _realised(theta, scales, order, direct, m, p) | about, np.maximum(spread * scales.y_spread, digits)
+    return spec, parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread}), spread
+
+
+def _realised(theta, scales, order, direct, m, p):
+    """Return A, B, C, D and the offset of a LinearSystem from standardised coefficients, rounded to short decimals."""
+    A, B, D, c = regression.coefficients(np.asarray(theta, np.float64), order, direct, m, p)
+    to_y, to_u = (scales.y_spread[:, None] / x[None] for x in (scales.y_spread, scales.u_spread))
+    A, D = [_short(a * to_y, to_y) for a in A], _short(D * to_u, to_u)
+    B = [_short(b * to_u + a @ D, to_u) for a, b in zip(A, B, strict=True)]
+    eye, none = np.eye(p), np.zeros((p, p))
+    rows = [[a, *(eye if j == i + 1 else none for j in range(1, order))] for i, a in enumerate(A)]
+    # the constant as an operating point, the nearest to the middle of the data: (I - sum A) y0 = (sum B + (I - sum A) D) u0 + c
+    stay = eye - sum(A)
+    moved = np.linalg.lstsq(np.hstack([stay / to_y, -(sum(B) + stay @ D) / to_u]), c, rcond=None)[0]
+    y0, u0 = scales.y + moved[:p] * scales.y_spread, scales.u + moved[p:] * scales.u_spread
+    offset = {"y": _short(y0, scales.y_spread), "u": _short(u0, scales.u_spread)}
+    C = np.hstack([eye, *[none] * (order - 1)])
+    return dict(A=np.block(rows), B=np.vstack(B) if m else None, C=C, D=D if direct and m else None, offset=offset)
+
+
+def _realised_filters(records, scales, poles, direct):
+    """Return (A, B, C, D and offset of a LinearSystem, spread): each output has its own states, one a pole."""
+    B, D, c, spread = filters.filtered(records, scales, poles, direct)
+    p, to_u = len(c), scales.y_spread[:, None] / scales.u_spread[None]
+    offset = {"y": _short(scales.y + c * scales.y_spread, scales.y_spread), "u": _short(scales.u, scales.u_spread)}
+    A, C = np.diag(np.repeat(poles, p)), np.hstack([np.eye(p)] * len(poles))
+    B = np.concatenate([_short(b * to_u, to_u) for b in B])
+    return dict(A=A, B=B, C=C, D=_short(D * to_u, to_u) if direct else None, offset=offset), spread * scales.y_spread
+
+
+def _short(x, size):
+    """Return numbers rounded to DIGITS decimals behind the leading one of the size that they could have."""
+    places = DIGITS - np.floor(np.log10(size)).astype(int)
+    return np.array([float(f"{round(v, int(k)):.15g}") for v, k in np.broadcast(x, places)]).reshape(np.shape(x))
+
+
+def _rounded_up(x, digits=3):
+    """Return the next number of few digits that is not below x > 0."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - digits + 1)
+    return float(f"{math.ceil(x / unit * (1 - 1e-12)) * unit:.12g}")
+
+
+def _tested(relations, parts):
+    """Return (status, need) of each recording, (T,) each: verdicts, and the factor on the bounds that a window needs, nan for none."""
+    found = []
+    for u, y, starts in parts:
+        if len(y) > relations.horizon:
+            res = detect(relations, u if u.shape[1] else None, y, starts=starts)
+            found.append((res.status, 1 - res.margin))
+        else:
+            found.append((np.zeros(len(y), np.int8), np.full(len(y), np.nan)))
+    return found
+
+
+def _needs(relations, parts):
+    return [need for _, need in _tested(relations, parts)]
+
+
+def _most(needs):
+    found = np.concatenate(needs)
+    return max(float(np.nanmax(found)), LEAST) if np.isfinite(found).any() else math.nan
+
+
+def _verified(spec, noise, records, safety):
+    """Return (model, used): the Fitted under which every window is CONSISTENT by the proved test, and the share of its bounds used."""
+    total, count = sum(len(y) for _, y, _ in records), len(records)
+    source = f"fitted to {total} samples in {count} recording{'s' * (count > 1)}"
+    for _ in range(20):
+        model = Fitted(**spec, noise=noise, provenance={"model": source, "noise": f"{source}, safety factor {safety:g}"})
+        found = _tested(parity_relations(model), records)
+        if all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status, _ in found):
+            break
+        noise = [_rounded_up(1.001 * x) for x in noise]
+    return model, [need for _, need in found]
+
+
+def _unseen(shares):
+    """Return what the held-out windows, each with the share of the bounds that it needs, say."""
+    found = np.concatenate([*shares, [np.nan]])
+    found = found[np.isfinite(found)]
+    return {"windows": len(found), "fault": float((found > 1).mean()), "growth": float(found.max())} if len(found) else None
+
+
+def _visible(model, scales, middle):
+    """Return {output: size} of an error of one output that no noise hides: from the middle of a window on, or all through it."""
+    u = np.tile(np.array(model.offset["u"], float), (model.horizon + 1, 1))
+    y = np.tile(np.array(model.offset["y"], float), (model.horizon + 1, 1))
+    relations, sizes = parity_relations(model), {}
+    acts = np.arange(model.horizon + 1) >= ((model.horizon + 1) // 2 if middle else 0)
+    for i, (name, spread) in enumerate(zip(model.outputs, scales.y_spread, strict=True)):
+        wrong = y + np.outer(acts * spread, np.eye(model.p)[i])
+        need = float(1 - detect(relations, u if model.m else None, wrong).margin[-1])  # grows with the size; healthy noise takes 1 of it
+        sizes[name] = 2 * float(spread) / need if need > 1e-9 else math.inf
+    return sizes
+
+
+def _blindness(model, scales, spans):
+    """Return how large a jump and a lasting error must be to be seen, summed over outputs in their spreads.
+
+    Beyond the span of an output it does not count how blind the monitor is for it.
+    """
+    sizes = [_visible(model, scales, middle) for middle in (True, False)]
+    return sum(min(size[name], span) / spread for size in sizes
+               for name, span, spread in zip(model.outputs, spans, scales.y_spread, strict=True))  # fmt: skip
+
+
+def _judged(model, scales, held_out, spans):
+    """Return sentences on what the data do not carry."""
+    check, out = model.check, []
+    percent = lambda x: f"{100 * x:.3g} %"
+    whole = sum(r["windows"] for r in check.recordings) // (model.horizon + 1)
+    if whole < FEW:
+        out.append(f"the recordings hold only {whole} windows of {model.horizon + 1} samples that do not overlap: bounds from so little "
+                   "history may not last; record longer, or choose a shorter horizon")  # fmt: skip
+    if check.held_out is None:
+        why = "nothing was held out" if not held_out else "the recordings are too short to hold a part of them out"
+        out.append(f"{why}: what the monitor makes of data that it has not seen is unknown")
+    elif check.held_out["fault"] > FALSE_SHARE:
+        out.append(
+            f"{percent(check.held_out['fault'])} of {check.held_out['windows']} held-out windows would be FAULT under the bounds of the "
+            f"first {percent(1 - held_out)} of the recordings, which would have to be {check.held_out['growth']:.2f} times as wide: the "
+            "recordings do not show all of healthy operation; record more of it, or raise the safety factor"
+        )
+    shares = {i: r["used"] for i, r in enumerate(check.recordings) if r["windows"]}
+    if len(shares) > 1:
+        low, high = min(shares, key=shares.get), max(shares, key=shares.get)
+        if shares[high] > CONTRADICTION * shares[low]:
+            out.append(f"recording {high + 1} needs bounds {shares[high] / shares[low]:.1f} times as wide as recording {low + 1}: they "
+                       "contradict each other; look at what was different, or fit a model to each")  # fmt: skip
+    for i, name in enumerate(model.outputs):
+        if check.jump[name] > spans[i]:
+            unit = f" {model.unit(name)}".rstrip()
+            out.append(f"the monitor is blind for {name}: no jump below {check.jump[name]:.3g}{unit} is sure to be seen, but in all "
+                       f"recordings {name} moved by {spans[i]:.3g}{unit} only")  # fmt: skip
+    return out

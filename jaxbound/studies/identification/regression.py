@@ -1,0 +1,188 @@
+"""A nominal model by regression: y_k = sum_i A_i y_{k-i} + sum_i B_i u_{k-i} + c, first one step ahead, then over whole windows.
+
+One step ahead is linear least squares. It fits the noise of the sensors too, and is poor over long windows. Therefore the squared window
+residual is minimised next, from there on: what is left of a window of s + 1 samples once the best first state is taken out of it. That is
+the quantity, with another norm, whose size the bounds must have. Source of the elimination of the first state inside a nonlinear least
+squares problem: Golub, Pereyra 1973 (variable projection); the steps are those of Levenberg and Marquardt.
+
+Everything is in standardised signals, (value - middle) / spread, so that neither units nor working points matter.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.recordings.seams import crossing
+
+__all__ = ["Scales", "Windows", "coefficients", "growth", "least_squares", "refined", "scales_of", "windows_of"]
+
+STEPS, SETTLED = 60, 1e-6
+"""Steps of the refinement at most, and the relative gain of one after which it ends."""
+LEAST, MOST = 128, 1_024
+"""Windows that the refinement is compiled for and looks at: of longer recordings, this many spread evenly."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Middle and spread of each input (m,) and output (p,); a spread of 0 is replaced by 1."""
+
+    u: np.ndarray
+    u_spread: np.ndarray
+    y: np.ndarray
+    y_spread: np.ndarray
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Complete windows: u (N, s + 1, m), y (N, s + 1, p), and the number of the recording of each, (N,)."""
+
+    u: np.ndarray
+    y: np.ndarray
+    recording: np.ndarray
+
+
+def scales_of(recordings):
+    """Return the Scales of recordings [(u (T, m), y (T, p), starts)], missing samples left out."""
+    u, y = (np.concatenate([r[j] for r in recordings]) for j in (0, 1))
+    middle = lambda x: np.nan_to_num(np.array([np.nanmean(c) if (~np.isnan(c)).any() else 0.0 for c in x.T]))
+    spread = lambda x: np.array([np.nanstd(c) if (~np.isnan(c)).sum() > 1 else 0.0 for c in x.T])
+    positive = lambda s, m: np.where(s > 1e-12 * (1 + abs(m)), s, 1.0)
+    (mu, su), (my, sy) = ((middle(x), spread(x)) for x in (u, y))
+    return Scales(mu, positive(su, mu), my, positive(sy, my))
+
+
+def windows_of(recordings, scales, horizon, most=None):
+    """Return the Windows of horizon + 1 samples, standardised, that are complete and cross no seam; at most `most` of them, spread evenly.
+
+    Args:
+        recordings: [(u (T, m), y (T, p), starts)], starts the numbers of samples that do not follow the one before.
+    """
+    chosen = []
+    for number, (u, y, starts) in enumerate(recordings):
+        if len(y) > horizon:
+            gone = np.isnan(u).any(1) | np.isnan(y).any(1)
+            before = np.append(0, np.cumsum(gone))
+            first = np.flatnonzero((before[horizon + 1 :] == before[: -horizon - 1]) & ~crossing(starts, horizon, horizon, len(y)))
+            chosen.append(np.stack([np.full(len(first), number), first], 1))
+    chosen = np.concatenate(chosen) if chosen else np.zeros((0, 2), int)
+    if most is not None and len(chosen) > most:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(int)]
+    gather = lambda j, middle, spread: np.concatenate(
+        [
+            (recordings[number][j][chosen[chosen[:, 0] == number, 1][:, None] + np.arange(horizon + 1)] - middle) / spread
+            for number in range(len(recordings))
+        ]
+    )
+    return Windows(gather(0, scales.u, scales.u_spread), gather(1, scales.y, scales.y_spread), chosen[:, 0])
+
+
+def least_squares(windows, order, direct):
+    """Return (theta, singular): coefficients ((order (p + m) + direct m + 1), p), one step ahead, and how well the regressors span, (., ).
+
+    Args:
+        windows: Windows of order + 1 samples. direct: whether u_k acts on y_k.
+    """
+    u, y = windows.u, windows.y
+    past = [y[:, order - i] for i in range(1, order + 1)] + [u[:, order - i] for i in range(0 if direct else 1, order + 1)]
+    regressors = np.concatenate([*past, np.ones((len(y), 1))], 1)
+    theta, _, _, singular = np.linalg.lstsq(regressors, y[:, order], rcond=1e-9)
+    return theta, singular
+
+
+def coefficients(theta, order, direct, m, p):
+    """Return (A_1.., B_1.., D, c): lists of (p, p) and (p, m), (p, m), (p,)."""
+    A = [theta[i * p : (i + 1) * p].T for i in range(order)]
+    rest = theta[order * p :]
+    B = [rest[i * m : (i + 1) * m].T for i in range(order + direct)]
+    return A, B[direct:], B[0] if direct else np.zeros((p, m)), theta[-1]
+
+
+@partial(jax.jit, static_argnames=("order", "direct"))
+def _residuals(theta, u, y, there, weight, order, direct):
+    """Return what the best first state leaves of windows u (N, s + 1, m), y (N, s + 1, p), times weight (p,): (N, (s + 1) p).
+
+    there (N,): 1, or 0 for a window that only fills the array up.
+    """
+    m, p, count = u.shape[2], y.shape[2], y.shape[1]
+    A, B, D, c = coefficients(theta, order, direct, m, p)
+    states = order * p
+
+    def step(carry, now):
+        x, O = carry  # (N, order, p): x[:, i] waits i samples to be added; the same for each unit of the first state
+        yk, uk = now
+        out = x[:, 0] + uk @ D.T
+        shift = lambda z: jnp.concatenate([z[:, 1:], jnp.zeros_like(z[:, :1])], 1)
+        drive = jnp.stack([out @ A[i].T + uk @ B[i].T + (c[None] if i == 0 else 0.0) for i in range(order)], 1)
+        free = jnp.stack([O[:, 0] @ A[i].T for i in range(order)], 1)
+        return (shift(x) + drive, shift(O) + free), ((yk - out) * weight[None], O[:, 0] * weight[None])
+
+    start = jnp.zeros((len(y), order, p)), jnp.eye(states).reshape(states, order, p)
+    _, (e, O) = jax.lax.scan(step, start, (jnp.moveaxis(y, 1, 0), jnp.moveaxis(u, 1, 0)))
+    e = jnp.moveaxis(e, 0, 1).reshape(len(y), count * p) * there[:, None]
+    Q, _ = jnp.linalg.qr(jnp.moveaxis(O, 1, 2).reshape(count * p, states))
+    return e - (e @ Q) @ Q.T
+
+
+_slopes = jax.jit(jax.jacfwd(_residuals), static_argnames=("order", "direct"))
+
+
+def refined(theta, windows, order, direct):
+    """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own spread (p,).
+
+    Args:
+        theta: where to begin, from `least_squares`. windows: Windows of s + 1 samples.
+    """
+    given = _filled(windows)
+    spread = window_spread(theta, windows, order, direct)
+    for _ in range(2):  # the spreads are those of the result before
+        theta = _marquardt(theta, *given, 1 / spread, order, direct)
+        spread = window_spread(theta, windows, order, direct)
+    return theta, spread
+
+
+def window_spread(theta, windows, order, direct):
+    """Return the root mean square (p,) of the window residuals of each output, standardised, each output weighed alike."""
+    e = np.asarray(_residuals(theta, *_filled(windows), np.ones(windows.y.shape[2]), order, direct))[: len(windows.y)]
+    spread = np.sqrt((e.reshape(windows.y.shape) ** 2).mean((0, 1)))
+    return np.maximum(np.where(np.isfinite(spread), spread, 1.0), 1e-9)
+
+
+def _filled(windows):
+    """Return (u, y, there), filled up to a power of two of windows: few sizes, few compilations."""
+    more = (1 << max(len(windows.y) - 1, LEAST - 1).bit_length()) - len(windows.y)
+    fill = lambda x: jnp.asarray(np.concatenate([x, np.zeros((more, *x.shape[1:]))]))
+    return fill(windows.u), fill(windows.y), fill(np.ones(len(windows.y)))
+
+
+def growth(theta, order):
+    """Return the largest modulus of an eigenvalue of the model."""
+    p = theta.shape[1]
+    companion = np.eye(order * p, k=p)
+    companion[:, :p] = theta[: order * p].reshape(order, p, p).transpose(0, 2, 1).reshape(order * p, p)
+    return float(np.abs(np.linalg.eigvals(companion)).max()) if np.isfinite(companion).all() else np.inf
+
+
+def _marquardt(theta, u, y, there, weight, order, direct):
+    given = u, y, there, weight, order, direct
+    e = np.asarray(_residuals(theta, *given)).ravel()
+    cost, damping, limit = e @ e, 1e-3, max(1.0, growth(theta, order))  # no faster growth than the data asked for one step ahead
+    for _ in range(STEPS):
+        J = np.asarray(_slopes(theta, *given)).reshape(e.size, theta.size)
+        H, g = J.T @ J, J.T @ e
+        size = np.diag(H) + 1e-9 * np.trace(H) / len(H)
+        for _ in range(12):
+            trial = theta - np.linalg.solve(H + damping * np.diag(size), g).reshape(theta.shape)
+            e_trial = np.asarray(_residuals(trial, *given)).ravel()
+            if e_trial @ e_trial < cost and growth(trial, order) <= limit:  # False for NaN
+                break
+            damping *= 4
+        else:
+            return theta
+        gain = 1 - (e_trial @ e_trial) / cost
+        theta, e, cost, damping = trial, e_trial, e_trial @ e_trial, max(damping / 8, 1e-12)
+        if gain < SETTLED:
+            break
+    return theta

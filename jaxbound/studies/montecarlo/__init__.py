@@ -1,0 +1,1 @@
+"""Monitors on many simulated plants."""

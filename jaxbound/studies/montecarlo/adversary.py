@@ -1,0 +1,111 @@
+"""Unknowns that hide a fault: chosen within their bounds by somebody who knows the fault, so that no window shows it.
+
+The factor t_k of a window (`strips`: the largest |residual| / width over its combinations) is lowered by the unknowns xi in [-1, 1] of
+the whole scenario. A scenario is hidden as well as it can be where max over windows of t_k is least: for sensors without tolerance a
+convex problem. It is solved by descent on the smooth maximum tau log sum exp(t_k / tau), tau falling, with normalised steps, momentum and
+projection on the box; the best xi of each scenario is kept. Nothing here is proved, and need not be: what comes out is a recording of
+unknowns within their bounds, and the proved test judges it like any other.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from jaxbound.sets.floats.unrolled import stored
+from jaxbound.sets.strips.separation import Frame, separation_margin
+from jaxbound.sets.strips.strips import strip_margin
+from jaxbound.studies.montecarlo import fused
+
+__all__ = ["attack_block", "worst_factor"]
+
+STEPS = 240
+SHARPEST, BLUNTEST = 0.003, 0.3
+"""Temperatures tau at the end and at the beginning, in units of the factor."""
+
+
+def _drawn(course, act, plant, key, numbers):
+    """Return the unknowns (T, 2p + g, N) of scenarios as the uniform study draws them, and the extra draws of a noise fault (T, N)."""
+
+    def now(_, k):
+        theta, delta, share, extra = fused.unknown_draws(course, act, plant, key, numbers, k)
+        return None, (jnp.stack([*theta, *delta, *share]), jnp.zeros_like(delta[0]) if extra is None else extra)
+
+    return jax.lax.scan(now, None, jnp.arange(course.samples, dtype=jnp.int32))[1]
+
+
+def _recorded(course, act, plant, inputs, size, onset, u, xi, extra):
+    """Return (u (T, m, N), y (T, p, N)) recorded with the unknowns xi (T, 2p + g, N)."""
+    p, zero = plant.shape[2], jnp.zeros_like(size)
+
+    def now(carry, given):
+        x, held = carry
+        k, each, extra = given
+        unknowns = list(each[:p]), list(each[p : 2 * p]), list(each[2 * p :]), extra
+        u_now = fused.recorded_input(u, inputs, k, course)
+        x, y, held = fused.move(act, plant, unknowns, size, onset, u_now, k, x, held)
+        return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
+
+    start = [zero] * plant.shape[0], zero
+    return jax.lax.scan(now, start, (jnp.arange(course.samples, dtype=jnp.int32), xi, extra))[1]
+
+
+def _factors(test, u, y):
+    """Return t (T - s, N) of all windows, differentiable; NaN where no combination has its data."""
+    count, N = y.shape[0] - test.horizon, y.shape[2]
+    # stored: else the derivative is worked out anew for each sample of each window that it goes to
+    flat = lambda x, lags: [[stored(x[j : j + count, i].reshape(-1)) for i in range(x.shape[1])] for j in range(lags)]
+    us, ys = flat(u, test.lags), flat(y, test.horizon + 1)
+    if isinstance(test.shape, Frame):
+        stack = lambda rows: jnp.stack([jnp.stack(row) for row in rows]) if rows else jnp.zeros((0, 0, count * N), y.dtype)
+        mid, rad, _, known, _ = test.block(stack(us) if us and us[0] else jnp.zeros((test.lags, 0, count * N), y.dtype), stack(ys))
+        return 1 - separation_margin(test.shape, mid, rad, known).reshape(count, N)
+    mid, rad, _, known, _ = test.rows(us, ys)
+    return stored(1 - strip_margin(test.shape, stored(mid), stored(rad), known).reshape(count, N))
+
+
+def worst_factor(test, act, onset, u, y):
+    """Return (t of every window (T - s, N), -inf where the fault does not touch it; the largest of each scenario (N,))."""
+    t = _factors(test, u, y)
+    end = jnp.arange(t.shape[0])[:, None] + test.horizon
+    touched = (end >= onset[None]) & (end - test.horizon < (onset + act.length)[None])
+    t = jnp.where(touched & ~jnp.isnan(t), t, -jnp.inf)
+    return t, jnp.max(t, 0)
+
+
+@partial(jax.jit, static_argnums=(0, 8))
+def attack_block(course, test, plant, act, limits, u, key, numbers, steps=STEPS):
+    """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) of N scenarios whose unknowns hide the fault as well as was found.
+
+    Args:
+        as for `fused.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of the descent.
+    """
+    key = key[0], key[1]
+    inputs, size, onset = fused.prepared(course, act, limits, key, numbers)
+    xi, extra = _drawn(course, act, plant, key, numbers)
+    recorded = lambda xi: _recorded(course, act, plant, inputs, size, onset, u, xi, extra)
+
+    def loss(xi, tau):
+        t, worst = worst_factor(test, act, onset, *recorded(xi))
+        top = jax.lax.stop_gradient(jnp.where(jnp.isfinite(worst), worst, 0))
+        smooth = tau * jnp.log(jnp.sum(jnp.where(t > -jnp.inf, jnp.exp((t - top[None]) / tau), 0), 0) + 1e-300)
+        return jnp.sum(smooth), worst
+
+    def descend(carry, i):
+        xi, speed, best, least = carry
+        left = 1 - i / steps
+        tau = SHARPEST * (BLUNTEST / SHARPEST) ** left
+        slope, worst = jax.grad(loss, has_aux=True)(xi, tau)
+        better = worst < least
+        best, least = jnp.where(better[None, None], xi, best), jnp.where(better, worst, least)
+        largest = jnp.max(jnp.abs(slope), (0, 1))
+        speed = 0.8 * speed + slope / jnp.where(largest > 0, largest, 1)[None, None]
+        xi = jnp.clip(xi - 0.3 * (0.01 / 0.3) ** (1 - left) * speed, -1, 1)
+        return (xi, speed, best, least), None
+
+    start = xi, jnp.zeros_like(xi), xi, jnp.full_like(size, jnp.inf)
+    (xi, _, best, least), _ = jax.lax.scan(descend, start, jnp.arange(steps, dtype=size.dtype))
+    _, worst = worst_factor(test, act, onset, *recorded(xi))
+    best = jnp.where((worst < least)[None, None], xi, best)
+    us, ys = recorded(best)
+    return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), onset

@@ -1,0 +1,241 @@
+"""Monte-Carlo studies of a monitor: how often and how soon it sees faults of which size, over a million scenarios.
+
+Alarms are counted by the proved test alone. Scenarios are worked off in blocks of one size, on every CPU device, and a block's draws
+depend on the key, the fault and the scenarios' numbers only: counts are the same however the work is cut up, interrupted or spread.
+"""
+
+import os
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import jax
+import numpy as np
+
+from jaxbound.consistency.devices import everywhere, on_devices
+from jaxbound.models.conversion import as_model
+from jaxbound.models.fingerprint import fingerprint
+from jaxbound.recordings.keeping import Keeper
+from jaxbound.recordings.recording import inputs_of, refuse_infinite
+from jaxbound.relations.identity import identity
+from jaxbound.relations.parity import ParityRelation, parity_relations
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.strips.strips import UNROLLED
+from jaxbound.studies.montecarlo import adversary, fused, recorded, recursion, scenarios
+from jaxbound.studies.montecarlo.study_result import StudyResult
+from jaxbound.studies.montecarlo.tally import Tally
+
+__all__ = ["study"]
+
+AT = ("uniform", "vertices", "adversarial")
+LONGEST = 10**6  # samples of a scenario
+ATTACKED = 256  # scenarios that an adversary works on at once: the descent's memory is theirs times their length
+EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, tasks in a part
+
+
+def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, onset=None, at="uniform", inputs=None, input_range=None,
+          hold=20, confidence=0.95, progress=None, out=None, rows=False):  # fmt: skip
+    """Simulate n scenarios with faults, count what the proved test finds, and say how sure the shares are.
+
+    A scenario is a recording of `samples` samples from x = 0: inputs, unknowns within the model's bounds, and a fault of one size from its
+    onset on. Scenario j of a fault has its size number j modulo the number of sizes. What is counted: `StudyResult`.
+
+    Args:
+        model: a LinearSystem, the plant as it is.
+        faults: texts "signal:kind" (kinds as in `Fault`), Fault objects, or one of these; () for healthy scenarios only.
+        n: scenarios, spread evenly over the faults.
+        key: a jax.random key, or a whole number.
+        relations: of the monitor; None: `parity_relations(model)`. Those of another model with the same signals show what happens
+            when its bounds are not the plant's.
+        samples: of a scenario. sizes: of the faults, in the unit of the signal (relative for gain and tolerance): a sequence for all,
+            or {"signal:kind": sequence}; None: a Fault's own, else twelve around the guaranteed size.
+        onset: a sample, or (lo, hi): drawn uniformly from lo <= k < hi; None: a Fault's own start and stop, else the second quarter.
+        at: "uniform" draws unknowns uniformly, "vertices" each at one of its bounds, "adversarial" chooses them to hide the fault.
+        inputs: (samples, m) for all, or a table; None: piecewise constant levels, each for `hold` samples, uniform in input_range.
+        input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: from 1 below the offset to 1 above.
+        confidence: of the intervals.
+        progress: called with the share of the work done.
+        out: a folder where the state is kept every few seconds: the same call goes on where a killed one stopped, and ends with the
+            same counts.
+        rows: True keeps a row for each scenario there too, in Parquet files: fault, size, scenario, onset, fault_windows,
+            false_alarms, delay.
+
+    Returns:
+        A StudyResult.
+
+    Raises:
+        ValueError: an unknown fault, signal, `at`, or a number out of range; `out` holds another study.
+        NotImplementedError: an adversary with uncertain parameters, unknown inputs or sensors without noise.
+
+    Encloses: where relations are those of the model, no window without a faulty sample is ever FAULT: the simulated data are explained by
+        unknowns within their bounds, rounding included (`recursion`, `simulate`).
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[0.8]], [[1]], [[1]], noise=0.1)
+        >>> found = study(m, "y1:bias", 2000, 0, sizes=[0.1, 2.5], samples=40)
+        >>> found.false_alarms[0], found.tallies[0].detected[1]
+        (0, np.int64(1000))
+    """
+    model = as_model(model)
+    relations = parity_relations(model) if relations is None else relations
+    _check(model, relations, n, samples, hold, at, confidence)
+    refuse_unverified()
+    dtype = jax.dtypes.canonicalize_dtype(np.float64)
+    u, limits, highest = _inputs(model, inputs, input_range, samples, dtype)
+    samples = samples if u is None else len(u)
+    trials = scenarios.trials(model, faults, sizes, onset, samples, relations, highest)
+    counts = [n // len(trials) + (i < n % len(trials)) for i in range(len(trials))]
+    if n < len(trials):
+        raise ValueError(f"n must be at least the number of faults, {len(trials)}, not {n}")
+    key = jax.random.key(key) if isinstance(key, int | np.integer) else key
+    words = [np.asarray(jax.random.bits(jax.random.fold_in(key, i), (2,), np.uint32)) for i in range(len(trials))]
+    room = np.max([recursion.rounding_room(model, relations.horizon, scenarios.largest_input(model, t, highest, samples), samples, dtype)
+                   for t in trials], 0)  # fmt: skip
+    course = fused.Course(samples, hold, at == "vertices")
+    run, block = _engine(model, relations, course, at, room, u, limits, dtype)
+    settings = {"at": at, "samples": samples, "hold": hold, "n": n, "horizon": relations.horizon, "dtype": np.dtype(dtype).name,
+                "input range": limits.tolist(), "inputs": None if u is None else fingerprint(u),
+                "key": [w.tolist() for w in words], "engine": run.__name__,
+                "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials]}  # fmt: skip
+    tallies = [Tally(len(t.sizes), samples) for t in trials]
+    mark = fingerprint(model, identity(relations), settings, rows)
+    keeper = None if out is None else Keeper(out, mark, tallies, rows)
+    tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
+    acts = [scenarios.act_of(t, model, dtype) for t in trials]
+
+    def work(task):
+        i, first = task
+        return run(acts[i], words[i], np.arange(first, first + block, dtype=np.uint32))
+
+    def collect(number, found):
+        i, first = tasks[number]
+        take = min(block, counts[i] - first)
+        hits, false, delay, begun = (np.asarray(x)[:take] for x in found)
+        which = np.arange(first, first + take) % len(trials[i].sizes)
+        windows, clean = trials[i].spans(begun, samples, relations.horizon)
+        tallies[i].add(which, hits, false, delay, windows, clean)
+        if keeper is not None:
+            keeper.add_rows(trials[i].label, trials[i].sizes[which], np.arange(first, first + take), begun, hits, false, delay)
+
+    _work_off(tasks, work, collect, keeper, progress)
+    return StudyResult(model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings)
+
+
+def _check(model, relations, n, samples, hold, at, confidence):
+    if not isinstance(relations, ParityRelation | UncertainRelations):
+        raise TypeError(f"a study needs relations from parity_relations, not {type(relations).__name__}")
+    if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
+        raise ValueError("the relations speak of other signals than the model of the study")
+    for name, value in (("n", n), ("samples", samples), ("hold", hold)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+            raise ValueError(f"{name} must be a whole number >= 1, not {value!r}")
+    if samples > LONGEST:
+        raise ValueError(f"samples must be at most {LONGEST}, not {samples}: a fault that is not seen by then never is")
+    if n >= 2**32:
+        raise ValueError(f"n must be below 2^32, not {n}: run several studies with different keys")
+    if at not in AT:
+        raise ValueError(f"at must be one of {', '.join(AT)}, not {at!r}")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence must be between 0 and 1, not {confidence!r}")
+
+
+def _inputs(model, inputs, input_range, samples, dtype):
+    """Return (u (T, m) or None, limits (m, 2), largest |u - offset| (m,))."""
+    offset = np.array([float(x) for x in model.offset["u"]])
+    if inputs is not None:
+        u = np.asarray(inputs_of(model, inputs, "inputs"), dtype)
+        if u.ndim != 2 or u.shape[1] != model.m:
+            raise ValueError(f"inputs must have shape (samples, {model.m}), time first: their shape is {u.shape}")
+        if not np.isfinite(u).all():
+            refuse_infinite("inputs", u, model.inputs)
+            raise ValueError("inputs of a study must not be missing (NaN)")
+        return u, np.zeros((model.m, 2), dtype), np.abs(u - offset).max(0, initial=0)
+    limits = np.stack([offset - 1, offset + 1], 1) if input_range is None else np.asarray(input_range, float)
+    if limits.shape not in ((2,), (model.m, 2)):
+        raise ValueError(f"input_range needs a pair (lo, hi), or one for each of {model.m} inputs: its shape is {limits.shape}")
+    limits = np.broadcast_to(limits, (model.m, 2)).astype(dtype)
+    if not (np.isfinite(limits).all() and (limits[:, 0] <= limits[:, 1]).all()):
+        raise ValueError(f"input_range needs finite lo <= hi, not {limits.tolist()}")
+    return None, limits, np.abs(limits - offset[:, None]).max(1)
+
+
+def _engine(model, relations, course, at, room, u, limits, dtype):
+    """Return (function of (act, key, numbers) that counts a block of scenarios, their number)."""
+    certain = isinstance(relations, ParityRelation)
+    plain = recursion.fits(model, room) and np.isfinite(room).all()
+    if plain:
+        plant = recursion.plant_of(model, room, dtype)
+    if at == "adversarial":
+        if not (plain and certain) or relations.model.constant_tolerance:
+            raise NotImplementedError("an adversary needs a certain model with noise on every output: use at='vertices' instead")
+        test = relations.test("joint", dtype)
+
+        def attacked(act, key, numbers):
+            got = adversary.attack_block(course, test, plant, act, limits, u, key, numbers)
+            return *recorded.count_recordings(relations, act, *map(np.asarray, got)), got[2]
+
+        return attacked, min(ATTACKED, recorded.recording_block(course))
+    few = certain and 0 < len(relations.circuits) <= UNROLLED and not relations.model.constant_tolerance
+    if plain and few:  # where circuits are many, what the fused kernel saves is nothing beside their test
+        devices, test = tuple(jax.local_devices(backend="cpu")), relations.test("joint", dtype)
+
+        def counted(act, key, numbers):
+            blocks = [(part,) for part in np.split(numbers, len(devices))]
+            found = on_devices(_counter(course), everywhere((test, plant, act, limits, u, key), devices), blocks, devices)
+            return tuple(map(np.concatenate, zip(*found, strict=True)))
+
+        return counted, fused.BLOCK * len(devices)
+
+    def written(act, key, numbers):
+        if plain:
+            got = fused.replay_block(course, plant, act, limits, u, key, numbers)
+        else:
+            got = recorded.simulate_block(course, model, act, limits, u, key, numbers)
+        return *recorded.count_recordings(relations, act, *map(np.asarray, got)), got[2]
+
+    return written, recorded.recording_block(course)
+
+
+@lru_cache(maxsize=32)
+def _counter(course):
+    """Return `count_block` as a kernel of (everything that is the same for all scenarios, their numbers)."""
+    return lambda constants, numbers: fused.count_block(course, *constants, numbers)
+
+
+def _work_off(tasks, work, collect, keeper, progress):
+    """Run the tasks that are left, one on each core at a time; collect them in order, and keep the state now and then."""
+    done = sent = 0 if keeper is None else keeper.done
+    cpu, *others = jax.local_devices(backend="cpu")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    waiting, saved, threads = deque(), time.monotonic(), max(1, cores // (1 + len(others)))
+
+    wide = bool(jax.config.jax_enable_x64)  # a context of the caller's thread, perhaps
+
+    def placed(task):
+        with jax.default_device(cpu), jax.enable_x64(wide):
+            return jax.block_until_ready(work(task))
+
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            while done < len(tasks):
+                while sent < min(len(tasks), done + threads + 2):
+                    waiting.append(pool.submit(placed, tasks[sent]))
+                    sent += 1
+                collect(done, waiting.popleft().result())
+                done += 1
+                due = done % PART == 0 if keeper is not None and keeper.rows else time.monotonic() - saved > EVERY
+                if keeper is not None and (due or done == len(tasks)):
+                    keeper.save(done)
+                    saved = time.monotonic()
+                if progress is not None:
+                    progress(done / len(tasks))
+        except KeyboardInterrupt:  # what was collected since the last state may be half counted: it is drawn again
+            for one in waiting:
+                one.cancel()
+            if keeper is None:
+                raise
+            kept = f"{keeper.done} of {len(tasks)} blocks of scenarios are kept in {keeper.folder}"
+            raise KeyboardInterrupt(f"interrupted: {kept}, the same command goes on from there") from None

@@ -1,0 +1,73 @@
+"""Scenarios written out as recordings and given to `detect`: for whatever the fused kernel has no room for.
+
+Long windows whose combinations are searched for, uncertain parameters, unknown inputs, gains that stay constant, sensors without noise, and
+unknowns that an adversary chose. What a study counts is the same.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.diagnosis.detection import detect
+from jaxbound.models.simulate import simulate
+from jaxbound.sets.floats.status import Status
+from jaxbound.studies.montecarlo import fused, scenarios
+
+__all__ = ["count_recordings", "recording_block", "simulate_block"]
+
+
+def recording_block(course, samples_at_once=2**17):
+    """Return how many scenarios are written out at once: a function of their length alone."""
+    return max(1, min(fused.BLOCK, samples_at_once // course.samples))
+
+
+def count_recordings(relations, act, u, y, onset):
+    """Return (hits, false, delay) as `fused.count_block` does, of recordings u (N, T, m), y (N, T, p) with onsets (N,)."""
+    s, end = relations.horizon, np.arange(y.shape[1])[None]
+    fault = detect(relations, u, y).status == Status.FAULT
+    start, length = np.asarray(onset)[:, None], int(act.length)
+    touched = (end >= start) & (end - s < start + length)
+    hits = (fault & (end - s >= start) & (end < start + length)).sum(1)
+    seen = fault & touched
+    delay = np.where(seen.any(1), seen.argmax(1) - start[:, 0], -1)
+    return hits.astype(np.int32), (fault & ~touched).sum(1).astype(np.int32), delay.astype(np.int32)
+
+
+def simulate_block(course, model, act, limits, u, key, numbers):
+    """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) simulated by `simulate`; the unknowns depend on the block as a whole.
+
+    Args:
+        as for `fused.replay_block`, with a LinearSystem in place of the plant.
+    """
+    pair = key[0], key[1]
+    inputs, size, onset = fused.prepared(course, act, limits, pair, numbers)
+    T, size, onset = course.samples, size[:, None], onset[:, None]
+    if u is None:
+        u = np.repeat(np.moveaxis(np.asarray(inputs), 2, 0), course.hold, 1)[:, :T]
+        u = u if model.m else np.zeros((len(numbers), T, 0), u.dtype)
+    else:
+        u = np.broadcast_to(np.asarray(u), (len(numbers), *u.shape))
+    since = jnp.arange(T, dtype=jnp.int32)[None] - onset
+    on = (since >= 0) & (since < act.length)
+    k_run, k_extra = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), numbers[0]))
+    extra = jax.random.uniform(k_extra, since.shape, size.dtype, -1, 1)
+
+    def faulty(values, channel, dropped):
+        i = int(channel)
+        if i < 0:
+            return values
+        value = values[..., i]
+        held = jnp.take_along_axis(value, jnp.minimum(onset, T - 1), 1)
+        return values.at[..., i].set(jnp.where(on, scenarios.changed(act, value, size, since, extra, held, dropped), value))
+
+    touched = act.kind not in ("none", "tolerance")
+    applied = faulty(jnp.asarray(u), act.input, 0.0) if touched else jnp.asarray(u)
+    run = simulate(model, applied, k_run, at="vertices" if course.vertices else "uniform")
+    y = faulty(run.y, act.output, jnp.nan) if touched else run.y
+    if act.kind == "tolerance":
+        i = int(act.output)
+        offset = float(model.offset["y"][i])
+        true = (y[..., i] - offset - run.noise[..., i]) / (1 + run.theta[..., i])
+        theta = size * (jnp.where(extra < 0, -1, 1) if course.vertices else extra)
+        y = y.at[..., i].set(jnp.where(on, offset + true + theta * true + run.noise[..., i], y[..., i]))
+    return np.asarray(u), np.asarray(y), np.asarray(onset)[:, 0]

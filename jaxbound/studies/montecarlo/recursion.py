@@ -1,0 +1,179 @@
+"""Simulated data that are truly explained by unknowns within their bounds, at the speed of a plain recursion.
+
+`models.simulate` carries twice the digits, so that a sample is right to the last one. A study of windows needs less, because the state at
+the start of a window is free.
+
+**Claim.** Let floats of unit roundoff u be computed by
+
+    x+ = A x + B (v - v0) + G w,    t = C x + D (v - v0),    y = t + theta t + delta + y0,
+
+in any order, with or without FMA, with floats |theta| <= sigma, lo <= w <= hi and |delta| <= rho - beta, beta from `rounding_room`, v the
+recorded input. Then every window of s + 1 samples y is exactly explained by the model: by a state, by these w and theta, and by
+noises of at most rho. So `detect` never calls it FAULT.
+
+**Proof.** Take as the state at the start of the window the float that the recursion had there, and let the exact model run on from it
+with the same v, w and theta. Each component of one step, a sum of N = n + m + g products of coefficients rounded once (B and D times v -
+v0, rounded too), is off by e <= (N + 8) u (|A| X + |B| (V + |v0|) + |G| W), where X, V, W bound the magnitudes of x, v and w: N products
+and sums, one rounding of a coefficient, three of v - v0, and second-order terms. Errors of steps before the window do not matter: its
+state is free. Within it they add up to at most sum_{i < s} |C A^i| e on t, whose own sum adds (n + m + 8) u (|C| X + |D| (V + |v0|));
+then (1 + sigma) of both, and at most 8 u (Y + |y0|) of the last line, Y bounding |y - y0|. beta is twice the sum of these, which covers
+the rounding of beta itself, of W and X as they are computed here, and the coefficients' rounding in `reach`; a few hundred times the
+smallest normal number covers underflow. What y differs from (1 + theta) t + delta + y0 of the exact model is then a noise of at most
+beta, and |delta| + beta <= rho.
+
+The room is some 1e-14 of a unit in float64: vertices lie that far inside, and an exact boundary is met up to it. Where it is more than
+`SHARE` of the noise (no noise at all, or a state that grows out of proportion) `fits` is False, and a study simulates with `simulate`
+instead.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.sets.floats import rounding
+
+__all__ = ["Plant", "fits", "plant_of", "reach", "rounding_room", "step"]
+
+SHARE = 1e-2
+"""Of the noise, that a study may take for rounding."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """The numbers of a model in floats; the noise is smaller by the room for rounding.
+
+    Fields: A (n, n), B (n, m), C (p, n), D (p, m), G (n, g), tolerance, noise, offset_y (p,), offset_u (m,), lo, hi (g,).
+    zeros: for each matrix, which entries are zero: static, so that they cost nothing.
+    """
+
+    A: jax.Array
+    B: jax.Array
+    C: jax.Array
+    D: jax.Array
+    G: jax.Array
+    tolerance: jax.Array
+    noise: jax.Array
+    offset_y: jax.Array
+    offset_u: jax.Array
+    lo: jax.Array
+    hi: jax.Array
+    zeros: tuple = field(metadata={"static": True})
+
+    @property
+    def shape(self):
+        """(n, m, p, g)."""
+        return self.A.shape[0], self.B.shape[1], self.C.shape[0], self.lo.shape[0]
+
+
+def floats(rows, shape):
+    """Return exact numbers as the nearest floats."""
+    return np.array([[float(x) for x in row] for row in rows], np.float64).reshape(shape)
+
+
+def matrices(model):
+    """Return A, B, C, D, G as arrays."""
+    n, m, p, g = model.n, model.m, model.p, model.g
+    shapes = (("A", (n, n)), ("B", (n, m)), ("C", (p, n)), ("D", (p, m)), ("G", (n, g)))
+    return tuple(floats(getattr(model, letter), shape) for letter, shape in shapes)
+
+
+def reach(model, inputs, samples):
+    """Return the largest |x| (n,) and |y - offset| (p,) that `samples` steps from x = 0 can come to.
+
+    Args:
+        model: a LinearSystem. inputs: (m,) the largest |v - offset| that acts. samples: how many.
+    """
+    A, B, C, D, G = matrices(model)
+    bound = np.array([max(abs(float(lo)), abs(float(hi))) for lo, hi in model.disturbance])
+    drive, power, states, outputs = np.hstack([B * inputs, G * bound]), np.eye(model.n), np.zeros(model.n), np.abs(D) @ inputs
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(samples):
+            states = states + np.abs(power @ drive).sum(1)
+            outputs = outputs + np.abs(C @ power @ drive).sum(1)
+            power = power @ A
+        noise = np.array([float(x) for x in model.noise])
+        tolerance = np.array([float(x) for x in model.tolerance])
+        return 1.001 * states, 1.001 * ((1 + tolerance) * outputs + noise)
+
+
+def rounding_room(model, horizon, inputs, samples, dtype):
+    """Return beta (p,) of the claim above, for inputs whose |v - offset| is at most `inputs` (m,); inf where it is out of proportion."""
+    A, B, C, D, G = matrices(model)
+    u, (n, m, g) = float(rounding.unit(dtype)), (model.n, model.m, model.g)
+    states, outputs = reach(model, inputs, samples)
+    level = inputs + 2 * np.array([abs(float(x)) for x in model.offset["u"]])
+    bound = np.array([max(abs(float(lo)), abs(float(hi))) for lo, hi in model.disturbance])
+    with np.errstate(over="ignore", invalid="ignore"):
+        each = (n + m + g + 8) * u * (np.abs(A) @ states + np.abs(B) @ level + np.abs(G) @ bound)
+        through, power, grown = np.zeros((model.p, n)), np.eye(n), np.zeros(n)
+        for i in range(samples):
+            through = through + np.abs(C @ power) * (i < horizon)
+            grown = grown + np.abs(power) @ each
+            power = power @ A
+        out = through @ each + (n + m + 8) * u * (np.abs(C) @ states + np.abs(D) @ level)
+        tolerance = np.array([float(x) for x in model.tolerance])
+        out = (1 + tolerance) * out + 8 * u * (outputs + np.array([abs(float(x)) for x in model.offset["y"]]))
+        out = 2 * out + 400 * (n + m + g + 1) * float(rounding.tiny(dtype)) * (1 + through.sum(1))
+        within = np.all(grown <= 1e-4 * states + float(rounding.tiny(dtype))) and np.isfinite(states).all()
+    return np.where(np.isfinite(out) & within, out, np.inf)
+
+
+def fits(model, room):
+    """Say whether the fast recursion may stand for this model: certain, all unknowns bounded, and noise enough for the room."""
+    if model.uncertainties or model.d or model.constant_tolerance:
+        return False
+    return all(taken <= SHARE * float(noise) for taken, noise in zip(_taken(model, room), model.noise, strict=True))
+
+
+def _taken(model, room):
+    """Return what the noise has to give of the room: a logger's resolution gives the rest."""
+    return [max(float(x - r), 0.0) for x, r in zip(room, map(float, model.resolution), strict=True)]
+
+
+def plant_of(model, room, dtype):
+    """Return the Plant of a model that `fits`, with `room` for rounding."""
+    noise = [float(rho) * (1 - 1e-15) - taken for rho, taken in zip(model.noise, _taken(model, room), strict=True)]
+    A, B, C, D, G = matrices(model)
+    lo, hi = rounding.round_up([b[0] for b in model.disturbance], dtype), rounding.round_down([b[1] for b in model.disturbance], dtype)
+    vector = lambda values: np.array([float(x) for x in values], dtype)
+    return Plant(
+        *(x.astype(dtype) for x in (A, B, C, D, G)),
+        rounding.round_down(list(model.tolerance), dtype),
+        rounding.round_down(np.maximum(noise, 0), dtype),
+        vector(model.offset["y"]),
+        vector(model.offset["u"]),
+        lo,
+        np.maximum(lo, hi),
+        tuple(tuple(map(tuple, (x == 0).tolist())) for x in (A, B, C, D, G)),
+    )
+
+
+def step(plant, x, applied, theta, delta, share):
+    """Return (x+, y) of one step, lists of arrays over scenarios.
+
+    Args:
+        x: n states. applied: m inputs, offset included. theta: p relative errors (None: none). delta: p noises. share: g numbers in
+            [-1, 1], where each disturbance lies within its bounds.
+    """
+    zero_A, zero_B, zero_C, zero_D, zero_G = plant.zeros
+    given = [v - plant.offset_u[i] for i, v in enumerate(applied)]
+    half = [0.5 * (plant.hi[j] - plant.lo[j]) for j in range(len(share))]
+    w = [jnp.clip(plant.lo[j] + (1 + r) * half[j], plant.lo[j], plant.hi[j]) for j, r in enumerate(share)]
+    parts = lambda M, zeros, values, i: [M[i, j] * v for j, v in enumerate(values) if not zeros[i][j]]
+    y = []
+    for i in range(plant.shape[2]):
+        t = _sum([*parts(plant.C, zero_C, x, i), *parts(plant.D, zero_D, given, i)], delta[i])
+        y.append((t if theta[i] is None else t + theta[i] * t) + delta[i] + plant.offset_y[i])
+    after = []
+    for i in range(plant.shape[0]):
+        terms = [*parts(plant.A, zero_A, x, i), *parts(plant.B, zero_B, given, i), *parts(plant.G, zero_G, w, i)]
+        after.append(_sum(terms, delta[0]))
+    return after, y
+
+
+def _sum(terms, like):
+    """Return the sum of the terms, zeros like an array if there is none."""
+    return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(like)

@@ -1,0 +1,207 @@
+"""Which fault, of which size, from when on: what a study varies, and what a fault does to a sample."""
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.diagnosis.detectability import detectable
+from jaxbound.models.faults import KINDS, Fault
+from jaxbound.recordings.recording import missing_column
+from jaxbound.relations.bounds import model_bounds
+from jaxbound.studies.montecarlo import recursion
+
+__all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
+
+SIZELESS = ("stuck", "dropout")
+GRID = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
+"""Sizes where none are given, in units of the guaranteed one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One fault in all its sizes and onsets.
+
+    Fields: fault: a Fault, its size meaning nothing; None for healthy scenarios. sizes: (S,). onset: (lo, hi), it starts at a sample drawn
+    uniformly from lo <= k < hi. length: samples that it lasts, at most to the end. guaranteed: from `detectable`, nan where it says
+    nothing.
+    """
+
+    fault: Fault | None
+    sizes: np.ndarray
+    onset: tuple
+    length: int
+    guaranteed: float = np.nan
+
+    @property
+    def label(self):
+        """Its name, like y1:bias."""
+        return "no fault" if self.fault is None else f"{self.fault.signal}:{self.fault.kind}"
+
+    def spans(self, onset, samples, horizon):
+        """Return (windows wholly inside the fault, windows without a faulty sample) of scenarios with such onsets."""
+        stop = np.minimum(onset + self.length, samples)
+        inside = np.maximum(stop - onset - horizon, 0)
+        return inside, np.maximum(onset - horizon, 0) + np.maximum(samples - stop - horizon, 0)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Act:
+    """What a kernel needs of a Trial: kind is static ("shift" for bias, drift and gain), everything else traced.
+
+    Fields: output, input: its number, or -1. bias, drift, gain: 1 where the fault is that. sizes (S,). first, span, length: of the onset.
+    """
+
+    output: jax.Array
+    input: jax.Array
+    bias: jax.Array
+    drift: jax.Array
+    gain: jax.Array
+    sizes: jax.Array
+    first: jax.Array
+    span: jax.Array
+    length: jax.Array
+    kind: str = field(metadata={"static": True})
+
+
+def act_of(trial, model, dtype):
+    """Return the Act of a Trial."""
+    fault, number = trial.fault, lambda names, signal: np.int32(names.index(signal) if signal in names else -1)
+    signal, kind = (fault.signal, fault.kind) if fault else (None, "none")
+    flags = [np.asarray(kind == k, dtype)[()] for k in ("bias", "drift", "gain")]
+    first, stop = trial.onset
+    return Act(
+        number(model.outputs, signal), number(model.inputs, signal), *flags, np.asarray(trial.sizes, dtype),
+        np.uint32(first), np.uint32(stop - first), np.int32(trial.length), "shift" if any(flags) else kind)  # fmt: skip
+
+
+def changed(act, value, size, since, extra, held, dropped):
+    """Return a value as the fault leaves it, `since` samples after its onset.
+
+    Args:
+        extra: a number in [-1, 1] for kind "noise". held: the value at the onset. dropped: what is left of a missing sample.
+    """
+    if act.kind == "shift":
+        return value + size * (act.bias + act.drift * since.astype(value.dtype) + act.gain * value)
+    return {"noise": lambda: value + size * extra, "stuck": lambda: held, "dropout": lambda: jnp.full_like(value, dropped)}[act.kind]()
+
+
+def trials(model, faults, sizes, onset, samples, relations, highest):
+    """Return a list of Trial, everything checked.
+
+    Args:
+        model, relations: as of the study. faults: a Fault, a text "signal:kind", a sequence of these, or none for healthy scenarios.
+        sizes: None; a sequence for all faults; {"signal:kind": sequence}. onset: None, a sample, or (lo, hi). samples: of a scenario.
+        highest: (m,) the largest |u - offset|.
+
+    Raises:
+        ValueError: an unknown signal or kind, sizes that no fault takes, onsets outside the scenario.
+    """
+    if samples <= relations.horizon:
+        raise ValueError(f"a scenario of {samples} samples has no window of {relations.horizon + 1}: take more samples")
+    faults = [faults] if isinstance(faults, str | Fault) else list(faults)
+    given = [_fault(model, f) for f in faults]
+    labels = [f"{f.signal}:{f.kind}" for f in given]
+    if not faults:
+        return [Trial(None, np.zeros(1), (samples, samples + 1), 1)]
+    if isinstance(sizes, dict) and (extra := sorted(set(sizes) - set(labels))):
+        raise ValueError(f"sizes speak of {', '.join(extra)}, but the faults are {', '.join(labels)}")
+    out = []
+    for fault, label, original in zip(given, labels, faults, strict=True):
+        own = sizes.get(label) if isinstance(sizes, dict) else sizes
+        placed = isinstance(original, Fault) and (onset is None)
+        first, stop = (fault.start, fault.start + 1) if placed else _onset(onset, samples)
+        length = samples if fault.stop is None else fault.stop - fault.start
+        if not 0 <= first < stop <= samples:
+            raise ValueError(f"the fault {label} must start at a sample 0 <= k < {samples}, not in {first}..{stop - 1}")
+        if fault.kind in SIZELESS:
+            own = (0.0,)
+        elif own is None:
+            own = (fault.size,) if isinstance(original, Fault) and fault.size else _usual_sizes(model, fault, relations, highest, samples)
+        own = np.atleast_1d(np.asarray(own, float))
+        if own.ndim != 1 or not own.size or not np.isfinite(own).all():
+            raise ValueError(f"sizes of {label} must be finite numbers, not {own.tolist()}")
+        sure = guaranteed_size(model, fault, relations, highest, samples, float(np.abs(own).max()))
+        out.append(Trial(dataclasses.replace(fault, size=0.0, start=0, stop=None), own, (int(first), int(stop)), int(length), sure))
+    return out
+
+
+def _fault(model, given):
+    if isinstance(given, str):
+        signal, _, kind = given.rpartition(":") if given.rpartition(":")[2] in KINDS else (given, "", "bias")
+        if signal not in model.outputs + model.inputs and ":" in given:
+            signal, _, kind = given.rpartition(":")
+        given = Fault(signal, kind)
+    if given.signal not in model.outputs + model.inputs:
+        raise ValueError(missing_column(given.signal, model.outputs + model.inputs, "the model"))
+    if given.kind == "tolerance" and given.signal not in model.outputs:
+        raise ValueError(f"a tolerance fault needs an output, {given.signal!r} is an input")
+    return given
+
+
+def _onset(onset, samples):
+    """Return (lo, hi) of the onset; by default in the second quarter."""
+    if onset is None:
+        return samples // 4, max(samples // 2, samples // 4 + 1)
+    return (int(onset), int(onset) + 1) if np.ndim(onset) == 0 else tuple(map(int, onset))
+
+
+def largest_input(model, trial, highest, samples):
+    """Return the largest |v - offset| (m,) that acts on the plant, the fault included."""
+    out = np.array(highest, float)
+    if trial is None or trial.fault is None or trial.fault.signal not in model.inputs:
+        return out
+    i, size, kind = model.inputs.index(trial.fault.signal), np.abs(trial.sizes).max(), trial.fault.kind
+    level = abs(float(model.offset["u"][i]))
+    out[i] += {"bias": size, "noise": size, "drift": size * samples, "gain": size * (out[i] + level), "dropout": level}.get(kind, 0.0)
+    return out
+
+
+def guaranteed_size(model, fault, relations, highest, samples, largest):
+    """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan where nothing is known.
+
+    The operating range is what the readings of this study can come to, with a fault of that size.
+    """
+    monitor = relations.model
+    if fault.kind != "bias" or monitor.uncertainties or monitor.constant_tolerance or model.d:
+        return np.nan
+    own = model_bounds(monitor)
+    if any(not np.array_equal(relations.bounds[name], own[name]) for name in own):
+        return np.nan
+    size, before = largest, None
+    for _ in range(8):  # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
+        trial = Trial(fault, np.array([size]), (0, 1), samples)
+        _, readings = recursion.reach(model, largest_input(model, trial, highest, samples), samples)
+        readings = np.maximum(readings, 1e-9 * max(float(readings.max(initial=0)), 1e-9))
+        readings[[i for i, name in enumerate(model.outputs) if name == fault.signal]] += size
+        if not np.isfinite(readings).all():
+            return np.nan
+        found = float(detectable(monitor, fault, relations.horizon, readings.tolist()))
+        if found <= size or not np.isfinite(found):
+            return found
+        slope = (found - before[1]) / (size - before[0]) if before else 0.0
+        if slope >= 1:
+            return np.inf
+        size, before = 1.0001 * (found - slope * size) / (1 - slope), (size, found)
+    return np.inf
+
+
+def _usual_sizes(model, fault, relations, highest, samples):
+    """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds allow."""
+    base = guaranteed_size(model, Fault(fault.signal), relations, highest, samples, 0.0)
+    _, readings = recursion.reach(model, np.asarray(highest, float), samples)
+    inside = fault.signal in model.outputs
+    i = (model.outputs if inside else model.inputs).index(fault.signal)
+    level = float(readings[i] if inside else highest[i])
+    if not np.isfinite(base) or not base > 0:
+        base = level
+    if fault.kind == "tolerance":
+        least = float(model.tolerance[i])
+        return np.array([float(f"{least + (1 - least) * share:.3g}") for share in GRID[:10]])
+    base = {"drift": base / max(samples // 4, 1), "gain": base / level if level > 0 else 1.0}.get(fault.kind, base)
+    if not np.isfinite(base) or base <= 0:
+        raise ValueError(f"no usual size is known for {fault.signal}:{fault.kind}: give sizes")
+    return np.array([float(f"{base * share:.3g}") for share in GRID])

@@ -1,0 +1,95 @@
+"""What a Monte-Carlo study found."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.studies.montecarlo.proportions import proportion_interval
+from jaxbound.studies.montecarlo.scenarios import Trial
+from jaxbound.studies.montecarlo.tally import Tally
+
+__all__ = ["StudyResult"]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyResult:
+    """Counts of a study, by fault and size. Build it with `study`.
+
+    Fields:
+        model: the plant that was simulated. horizon: of the windows. trials: one entry a fault, with .label, .sizes and .guaranteed, the
+            size of a constant fault from which on none stays hidden (nan where nothing is known). tallies: the counts of each.
+        at: "uniform", "vertices" or "adversarial". samples: of a scenario. confidence: of the intervals.
+        settings: what else the scenarios depend on, as plain values, for reports.
+    """
+
+    model: LinearSystem
+    horizon: int
+    trials: tuple[Trial, ...]
+    tallies: tuple[Tally, ...]
+    at: str
+    samples: int
+    confidence: float
+    settings: dict
+
+    @property
+    def scenarios(self):
+        """Number of scenarios counted."""
+        return int(sum(t.scenarios.sum() for t in self.tallies))
+
+    @property
+    def false_alarms(self):
+        """(FAULT windows, all windows) without a faulty sample: the first is 0 if the plant is what the relations take it for."""
+        return int(sum(t.false.sum() for t in self.tallies)), int(sum(t.clean.sum() for t in self.tallies))
+
+    def false_alarm_interval(self):
+        """Return (lo, hi) of the true share of scenarios with a false alarm, Clopper-Pearson."""
+        alarmed = sum(t.alarmed.sum() for t in self.tallies)
+        return tuple(float(x) for x in proportion_interval(alarmed, self.scenarios, self.confidence))
+
+    def to_pandas(self):
+        """Return a DataFrame with a row for each fault and size.
+
+        Columns: fault, size; scenarios, detected; share with share_lo, share_hi: of scenarios detected (Clopper-Pearson); windows, rate
+            with
+        rate_lo, rate_hi: FAULT windows among those wholly inside the fault (over scenarios, normal); delay_median, delay_90: samples from
+        the onset to the end of the first FAULT window, among all scenarios (inf: not detected by then); never: not detected; false_alarms,
+        clean_windows; guaranteed.
+        """
+        import pandas as pd
+
+        frames = []
+        for trial, tally in zip(self.trials, self.tallies, strict=True):
+            (share, lo, hi), (rate, rate_lo, rate_hi) = tally.share(self.confidence), tally.rate(self.confidence)
+            frames.append(pd.DataFrame({
+                "fault": trial.label, "size": trial.sizes, "scenarios": tally.scenarios, "detected": tally.detected,
+                "share": share, "share_lo": lo, "share_hi": hi, "windows": tally.windows, "rate": rate, "rate_lo": rate_lo,
+                "rate_hi": rate_hi, "delay_median": delay_quantile(tally, 0.5), "delay_90": delay_quantile(tally, 0.9),
+                "never": tally.scenarios - tally.detected, "false_alarms": tally.false, "clean_windows": tally.clean,
+                "guaranteed": trial.guaranteed}))  # fmt: skip
+        return pd.concat(frames, ignore_index=True)
+
+    def delays(self):
+        """Return a DataFrame with a row for each (fault, size, delay) that occurred: scenarios, delay null where never detected."""
+        import pandas as pd
+
+        rows = []
+        for trial, tally in zip(self.trials, self.tallies, strict=True):
+            for i, size in enumerate(trial.sizes):
+                found = np.flatnonzero(tally.delays[i])
+                rows += [(trial.label, float(size), int(d), int(tally.delays[i, d])) for d in found]
+                rows += [(trial.label, float(size), None, int(never))] if (never := tally.scenarios[i] - tally.detected[i]) else []
+        frame = pd.DataFrame(rows, columns=["fault", "size", "delay", "scenarios"])
+        return frame.astype({"delay": "Int64", "scenarios": "int64", "size": "float64"})
+
+    def __repr__(self):
+        false, clean = self.false_alarms
+        labels = ", ".join(t.label for t in self.trials)
+        return f"StudyResult({self.scenarios} scenarios of {labels}, unknowns {self.at}; {false} false alarms in {clean} windows)"
+
+
+def delay_quantile(tally, share):
+    """Return (S,) the least delay by which that share of all scenarios is detected, inf where it never is, nan without scenarios."""
+    reached = np.cumsum(tally.delays, 1) >= share * tally.scenarios[:, None]
+    out = np.where(reached.any(1), reached.argmax(1).astype(float), np.inf)
+    return np.where(tally.scenarios > 0, out, np.nan)

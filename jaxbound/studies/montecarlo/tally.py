@@ -1,0 +1,54 @@
+"""What is counted of scenarios, in whole numbers: the sums do not depend on the order or on how the work was cut up."""
+
+import numpy as np
+
+from jaxbound.studies.montecarlo.proportions import proportion_interval, rate_interval
+
+__all__ = ["Tally"]
+
+SUMS = ("scenarios", "detected", "hits", "windows", "squares", "crossed", "squared", "false", "clean", "alarmed")
+
+
+class Tally:
+    """The counts of one Trial, per size.
+
+    Fields, (S,) each: scenarios; detected: those with a FAULT window that the fault touches; hits, windows: FAULT windows and all windows
+    wholly inside the fault, with the sums of their squares and products over scenarios; false, clean: FAULT windows and all windows
+    without a faulty sample; alarmed: scenarios with one such. delays (S, T + 1): of the detected, by samples from the onset.
+    """
+
+    def __init__(self, sizes, samples):
+        """Begin at zero."""
+        for name in SUMS:
+            setattr(self, name, np.zeros(sizes, np.int64))
+        self.delays = np.zeros((sizes, samples + 1), np.int64)
+
+    def add(self, which, hits, false, delay, windows, clean):
+        """Take scenarios: the number of the size of each, and what was found. All (N,)."""
+        sizes = len(self.scenarios)
+        h, w = hits.astype(np.int64), windows.astype(np.int64)
+        seen = delay >= 0
+        parts = {"scenarios": None, "detected": seen, "hits": h, "windows": w, "squares": h * h, "crossed": h * w, "squared": w * w,
+                 "false": false, "clean": clean, "alarmed": false > 0}  # fmt: skip
+        for name, part in parts.items():  # floats of bincount are exact below 2^53
+            total = np.bincount(which, part, sizes) if part is not None else np.bincount(which, minlength=sizes)
+            setattr(self, name, getattr(self, name) + total.astype(np.int64))
+        np.add.at(self.delays, (which[seen], delay[seen]), 1)
+
+    def share(self, confidence):
+        """Return (share, lo, hi) of scenarios detected, (S,) each."""
+        with np.errstate(invalid="ignore"):
+            return self.detected / self.scenarios, *proportion_interval(self.detected, self.scenarios, confidence)
+
+    def rate(self, confidence):
+        """Return (rate, lo, hi) of FAULT windows among those wholly inside the fault, (S,) each."""
+        return rate_interval(self.hits, self.windows, self.squares, self.crossed, self.squared, self.scenarios, confidence)
+
+    def arrays(self):
+        """Return {name: array}, which `load` takes."""
+        return {name: getattr(self, name) for name in (*SUMS, "delays")}
+
+    def load(self, arrays):
+        """Take what `arrays` returned."""
+        for name in (*SUMS, "delays"):
+            setattr(self, name, np.asarray(arrays[name]))

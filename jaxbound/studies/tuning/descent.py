@@ -1,0 +1,187 @@
+"""Moving bounds by gradient: what the worst windows need, as a smooth function of the bounds, and some steps of an optimiser on it.
+
+With values b of the moved bounds and lambda_k(b) the factor on them at which window k just becomes consistent, every direction b / |b| has
+its own smallest bounds lambda(b) b, lambda = max over k of lambda_k, so that the width to be made small is free of the size of b:
+
+    log(w b) + log lambda(b),                          with a smooth maximum T log sum exp(log lambda_k / T), T falling.
+
+lambda_k comes from the factor t_k on all half-widths: log lambda_k = log t_k / e_k, e_k = -d log t_k / d log(size of b). That is exact
+where all bounds move (e = 1) and to first order else, near t_k = 1; the steps stay there. Only the worst windows matter to it. Of faulty
+windows j it is the share outside, with a smooth step, that is made large:
+
+    mean over j of sigmoid((log lambda_j(b) - log lambda(b) - log safety) / tau).
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.consistency.window_test import WindowTest
+from jaxbound.diagnosis.detection import margins
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.floats.unrolled import stored
+from jaxbound.sets.strips.separation import Frame, separation_margin
+from jaxbound.sets.strips.strips import strip_margin
+from jaxbound.studies.tuning.moving import unflatten
+
+__all__ = ["RATE", "Problem", "default_optimizer", "descend", "gradient", "log_factors", "problem_of"]
+
+BLOCK = 2**13  # faulty windows a step looks at
+T = 0.03, 1e-4  # temperature of the maximum, at the first and the last step
+TAU = 0.5, 0.02  # of the step from inside to outside
+RATE = 0.1, 0.0  # of the default optimiser, on logarithms of bounds
+TIE = 0.01  # weight of the width where faulty windows count
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a step needs beside the windows.
+
+    Fields: test, the WindowTest of parity relations; relations, if uncertain ones take its place; log_safety; fixed, select, weights, most,
+    sizes: of a Moving.
+    """
+
+    test: WindowTest | None
+    fixed: jax.Array
+    select: jax.Array
+    weights: jax.Array
+    most: jax.Array
+    log_safety: jax.Array
+    sizes: tuple = field(metadata={"static": True})
+    relations: UncertainRelations | None = field(metadata={"static": True})
+
+
+def problem_of(relations, moved, safety, dtype):
+    """Return the Problem of tuning the bounds `moved` of relations for recordings of a float dtype."""
+    uncertain = isinstance(relations, UncertainRelations)
+    arrays = (jnp.asarray(x, dtype) for x in (moved.fixed, moved.select, moved.weights, moved.most))
+    test = None if uncertain else jax.device_put(relations.test("joint", dtype))
+    return Problem(test, *arrays, jnp.log(jnp.asarray(safety, dtype)), moved.sizes, relations if uncertain else None)
+
+
+@lru_cache(maxsize=1)
+def default_optimizer():
+    """Return Adam with steps of 1: `descend` makes them fall from RATE to nothing, whatever the number of steps, without compiling anew."""
+    import optax
+
+    return optax.adam(1.0)
+
+
+def descend(problem, optimizer, every, state, first, steps, rate, healthy, present, faulty):
+    """Make `every` steps, as far as there are that many.
+
+    Args:
+        problem: a Problem. optimizer: an optax.GradientTransformation. state: (z (b,), the logarithms of the values; that of the
+            optimizer). first, steps: number of the first step, and how many there are in all. rate: (first, last) factor on what the
+            optimizer says; between them half a period of a cosine.
+        healthy: u (s + 1, m, K), y (s + 1, p, K), the worst windows; present: (K,) bool, False where a column only fills up.
+        faulty: None, or (u (T, m), y (T, p), ends (blocks, N), present (blocks, N)): one block a step, in turn.
+
+    Returns:
+        (state, z): after the steps, and the best values on the way, scaled so that these healthy windows are just consistent.
+    """
+    best = state[0], jnp.full((), jnp.inf, state[0].dtype)
+    for number in range(first, min(first + every, steps)):
+        z, outside = state[0], None
+        if faulty is not None:
+            u, y, ends, real = faulty
+            block = number % len(ends)
+            outside = *log_factors(z, problem, *_taken(u, y, ends[block], len(healthy[1]))), real[block]
+        inside = log_factors(z, problem, *healthy)
+        state, best = _advance(optimizer, problem, state, best, number, number / steps, rate, inside, present, outside)
+    return state, best[0]
+
+
+def log_factors(z, problem, u, y):
+    """Return log t (N,) of windows u (s + 1, m, N), y (s + 1, p, N) under the values exp(z), and its slopes, arrays (., N) of b rows.
+
+    Forward mode: a sum over windows, as reverse mode has it, would be fused with the kernel, which is slow. Strips take a fraction of the
+    time to compile for one bound after the other; a search is made once for all.
+    """
+    every = np.eye(len(z), dtype=z.dtype)
+    if problem.test is None or isinstance(problem.test.shape, Frame):
+        log_t, slopes = _pushed(z, problem, u, y, every)
+        return log_t, (slopes,)
+    found = [_pushed(z, problem, u, y, along[None]) for along in every]
+    return found[0][0], tuple(slope for _, slope in found)
+
+
+@jax.jit
+def _pushed(z, problem, u, y, along):
+    """Return log t (N,) and its derivatives (k, N) along k directions."""
+    size = lambda z: jnp.log(jnp.maximum(jnp.nan_to_num(_factors(jnp.exp(z), problem, u, y)), 1e-9))
+    return jax.vmap(lambda v: jax.jvp(size, (z,), (v,)), out_axes=(None, 0))(along)
+
+
+@partial(jax.jit, static_argnums=3)
+def _taken(u, y, ends, samples):
+    """Return the windows u (s + 1, m, N), y (s + 1, p, N) that end at some samples of u (T, m), y (T, p)."""
+    at = ends[None] + jnp.arange(-samples + 1, 1)[:, None]
+    return jnp.moveaxis(u[at], 1, 2), jnp.moveaxis(y[at], 1, 2)
+
+
+@partial(jax.jit, static_argnums=0)
+def _advance(optimizer, problem, state, best, number, share, rate, inside, present, outside):
+    """Make one step."""
+    z, inner = state
+    slope, hard, found = gradient(z, problem, share, number, inside, present, outside)
+    updates, after = optimizer.update(jnp.where(jnp.isfinite(slope), slope, 0), inner, z)
+    fall = rate[1] + (rate[0] - rate[1]) * 0.5 * (1 + jnp.cos(jnp.pi * share))
+    better = found < best[1]
+    best = jnp.where(better, z + hard, best[0]), jnp.where(better, found, best[1])
+    return (jnp.minimum(z + updates * fall + hard, jnp.log(problem.most)).astype(z.dtype), after), best
+
+
+def gradient(z, problem, share, number, inside, present, outside):
+    """Return (gradient (b,), logarithm of the factor that these healthy windows need, what the best values are chosen by).
+
+    Args:
+        share: of the steps made. inside: `log_factors` of healthy windows, present: which count. outside: None, or those of faulty
+            windows, and which count.
+    """
+    needed, across = _scaled(*inside)
+    needed = jnp.where(present, needed, -jnp.inf)
+    hard, cool = jnp.max(needed), _falling(T, share)
+    soft = cool * jax.nn.logsumexp(needed / cool)
+    up = across @ jax.nn.softmax(needed / cool)
+    sizes = problem.weights * jnp.exp(z)
+    narrow = sizes / jnp.sum(sizes) + up
+    if outside is None:
+        return narrow, hard, jnp.log(jnp.sum(sizes)) + hard
+    outer, through = _scaled(*outside[:2])
+    tau, real = _falling(TAU, share), outside[2]
+    beyond = jax.nn.sigmoid((outer - soft - problem.log_safety) / tau)
+    rate = jnp.where(real, beyond * (1 - beyond) / tau, 0) / jnp.sum(real)
+    later = -jnp.asarray(number, z.dtype)  # blocks differ: the last values are taken
+    return TIE * narrow - through @ rate + jnp.sum(rate) * up, hard, later
+
+
+def _scaled(log_t, slopes):
+    """Return the logarithm of the factor on all values that each window needs, and its gradient."""
+    slopes = jnp.concatenate(slopes)
+    elasticity = jnp.clip(-jnp.sum(slopes, 0), 0.05, None)
+    return log_t / elasticity, slopes / elasticity[None]
+
+
+def _factors(values, problem, u, y):
+    """Return the factors t (N,) on all half-widths."""
+    bounds = unflatten(problem.fixed + problem.select @ values, problem.sizes)
+    if problem.relations is not None:
+        windows = (jnp.moveaxis(x, 2, 0) for x in (u, y))
+        return 1 - margins(problem.relations.with_bounds(bounds), *windows)[:, -1]
+    moved = {name: bounds[name] for name in ("tolerance", "noise", "disturbance") if name in bounds}
+    test = replace(problem.test, **moved)
+    mid, rad, _, known, _ = test.block(u[: test.lags], y)
+    if isinstance(test.shape, Frame):
+        return 1 - separation_margin(test.shape, mid, rad, known)
+    mid, rad = stored((mid, rad))
+    return 1 - strip_margin(test.shape, list(mid), list(rad), list(known))
+
+
+def _falling(ends, share):
+    """Return what falls from ends[0] to ends[1] in equal ratios."""
+    return ends[0] * (ends[1] / ends[0]) ** share

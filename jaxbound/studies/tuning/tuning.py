@@ -1,0 +1,323 @@
+"""Tune bounds to healthy data: a direction by gradient, its smallest scale by the proved test, and what that says about other data."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.diagnosis.detection import detect
+from jaxbound.models.fingerprint import fingerprint
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.keeping import save_arrays
+from jaxbound.relations.bounds import model_bounds
+from jaxbound.relations.identity import identity
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
+from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, problem_of
+from jaxbound.studies.tuning.moving import model_with, moving
+from jaxbound.studies.tuning.scaling import factors, smallest_scale, windows_of, worst
+
+__all__ = ["TuneResult", "tune"]
+
+CAPACITY, SEARCHED, NEW = 1024, 256, 32  # worst windows that steps look at (by strips, by a search), and what a look at all of them adds
+NEAR = 0.01  # bounds this close to the smallest are close enough between steps
+
+
+@dataclass(frozen=True, eq=False)
+class TuneResult:
+    """Bounds that were tuned, how, and what is known of them.
+
+    Fields:
+        bounds: {name: array}, smallest times safety, rounded up to four digits: those of .model.
+        smallest: {name: array}, at which every healthy window is proved to be consistent. For use with `with_bounds`.
+        scale: their size, the weighted mean of smallest / starting bounds, rounded down: along this direction no smaller bounds explain the
+            healthy data, for a little below it `detect` finds a FAULT. With one bound, or no steps, the smallest factor on all of them.
+        safety: the factor on top.
+        start: {name: array}, where they came from.
+        margin: (T,) of the healthy samples laid end to end, at .bounds, by the proved test; NaN where no window ends.
+        counts: {status name: healthy windows} at .bounds; FAULT is 0. faulty_counts: the same of the faulty windows, or None.
+        statement, risk: what is known about healthy data not seen, in sentences and as a Risk.
+        history: {"step": (k,), "width": (k,) of the smallest bounds in this direction relative to the start, "outside": (k,) share
+            of faulty windows outside (NaN without any), "values": (k, b)}; names: (b,), of the bounds that moved.
+        steps: made. stopped: True if interrupted: this is the best until then.
+        model: the LinearSystem with .bounds, for `save_model`. relations: those of its horizon, for `detect`.
+        notes: sentences on what did not move.
+    """
+
+    bounds: dict
+    smallest: dict
+    scale: float
+    safety: float
+    start: dict
+    margin: np.ndarray
+    counts: dict
+    faulty_counts: dict | None
+    risk: Risk
+    history: dict
+    names: tuple
+    steps: int
+    stopped: bool
+    model: LinearSystem
+    relations: ParityRelation | UncertainRelations
+    notes: tuple
+
+    @property
+    def statement(self):
+        """What is known about healthy data that were not seen, in sentences."""
+        return self.risk.text
+
+    @property
+    def caught(self):
+        """The share of faulty windows that are FAULT at .bounds, or None."""
+        found = self.faulty_counts
+        return None if found is None else found["FAULT"] / max(sum(found.values()) - found["MISSING"], 1)
+
+
+def tune(relations, healthy, faulty=None, optimizer=None, steps=300, *, bounds=None, weights=None, safety=1.0, calibrate=1 / 3, block=None,
+         confidence=0.95, every=10, progress=None, state=None):  # fmt: skip
+    """Find the smallest bounds under which healthy data are consistent; with faulty data, those that leave most of these outside.
+
+    The direction of the bounds is found by gradient, free of their size; their size is then the smallest at which the proved test finds no
+    healthy window outside, so this holds whatever the gradient did.
+
+    Args:
+        relations: from `parity_relations`; their bounds are the start. Those at 0 stay 0.
+        healthy: (u, y), arrays (..., T, m) and (..., T, p) or DataFrames, or a list of such tuples, one a recording; (u, y, starts) where
+            samples do not follow the one before, as for `detect`. NaN marks a missing sample.
+        faulty: the same for recordings with faults, every window of which should be outside; or None.
+        optimizer: any optax.GradientTransformation, acting on the logarithms of the bounds; None: Adam with a falling step.
+        steps: of it. 0: only the size is found.
+        bounds: names of those that move, "noise", "tolerance", "disturbance", "parameters"; None: all. The ends of an asymmetric
+            disturbance move separately.
+        weights: {name: number or one per entry}: what is made small is their weighted sum; None: 1 / starting bound.
+        safety: factor >= 1 on the smallest bounds, for what the data did not show. It is kept apart and in no statement.
+        calibrate: share of the blocks of healthy windows that has no part in finding the direction, on which the statement about other
+            data rests; 0: all are used to find it.
+        block: windows in a block; None: so many that there are about 100 blocks.
+        confidence: of that statement.
+        every: steps between two looks at all windows.
+        progress: called with the share of the work done.
+        state: a file that is kept up to date: the same call goes on from it. An interruption (Ctrl-C) ends the search, not the call.
+
+    Returns:
+        A TuneResult.
+
+    Raises:
+        ValueError: no healthy window, bounds that cannot explain the healthy data, an unknown bound, faulty data that are the
+            healthy ones, numbers out of range, a state of another call.
+        NotImplementedError: constant_tolerance, of which there is no gradient (steps=0 works).
+
+    Example:
+        >>> import jaxbound as jb
+        >>> r = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
+        >>> res = tune(r, (None, [[1.0], [0.8], [0.3]]), steps=0, safety=1.5)     # |y[k-1] - 2 y[k]| <= 3 noise
+        >>> round(res.scale, 6), res.bounds["noise"], res.counts["FAULT"]
+        (2.0, array([0.3001]), 0)
+    """
+    _check(relations, steps=steps, safety=safety, calibrate=calibrate, block=block, confidence=confidence, every=every)
+    refuse_unverified()
+    model, s, report = relations.model, relations.horizon, progress or (lambda share: None)
+    moved = moving(relations, bounds, weights)
+    good = windows_of(model, s, healthy)
+    bad = None if faulty is None else windows_of(model, s, faulty, "faulty")
+    if bad is not None:
+        _refuse_same(good, bad)
+    across, gone = good.across(s), good.without(s)
+    label, length = blocks_of(gone, s, block)
+    alone = len(moved.names) == 1
+    if model.constant_tolerance and steps and not alone:
+        raise NotImplementedError("there is no gradient for constant_tolerance: tune with steps=0 scales all bounds by one factor")
+    kept = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
+    unseen = gone | touched(np.isin(label, np.flatnonzero(kept)), s)
+    search = _Search(relations, moved, good, unseen, bad, safety, optimizer, steps, every, state)
+    if steps and not alone:
+        search.run(lambda share: report(0.9 * share))
+    low, high = smallest_scale(relations, moved, search.best, good)
+    report(0.95)
+    smallest = np.nextafter(high * search.best, np.inf)
+    source = f"fitted to {int((~gone).sum())} healthy windows, safety factor {safety:g}"
+    extra = 1.0
+    while True:
+        values = moved.rounded_up(smallest * safety * extra)
+        new = model_with(relations, moved, values, source)
+        final = relations.with_bounds({**model_bounds(new), **_parameters(moved, values)})
+        res = detect(final, good.u, good.y, starts=good.starts)
+        if not res.counts["FAULT"] and (isinstance(relations, UncertainRelations) or not (res.margin <= 0).any()):
+            break
+        extra *= 1.001  # only where a search ends early, or the test is not monotone (uncertain parameters)
+        if extra > 2:
+            raise ValueError("the proved test refutes a healthy window even at twice the bounds that it accepted: look at that model")
+    found = None if bad is None else detect(final, bad.u, bad.y, starts=bad.starts).counts
+    t = factors(relations.with_bounds(moved.bounds(smallest)), good)
+    fixed = search.step == 0
+    kinds = {name for name, at in _rows(moved) if moved.select[at].any()}
+    risk = risk_of(t, label, length, kept, tuned=len(moved.names), convex=kinds <= {"noise", "disturbance"}, fixed=fixed,
+                   confidence=confidence, safety=safety, horizon=s)  # fmt: skip
+    report(1.0)
+    counts = {name: n - int(across.sum()) * (name == "MISSING") for name, n in res.counts.items()}
+    if found is not None:
+        found["MISSING"] -= int(bad.across(s).sum())
+    scale = low * moved.total(search.best) / moved.total(moved.start)
+    return TuneResult(final.bounds, moved.bounds(smallest), scale, safety, relations.bounds, res.margin, counts, found, risk,
+                      search.told(), moved.names, search.step, search.stopped, new, final,
+                      (*moved.notes, *_vanished(moved, smallest)))  # fmt: skip
+
+
+class _Search:
+    """The host's side of the descent: worst windows that the steps look at, the best bounds so far, and the file they are kept in."""
+
+    def __init__(self, relations, moved, good, unseen, bad, safety, optimizer, steps, every, file):
+        self.relations, self.moved, self.good, self.unseen, self.bad = relations, moved, good, unseen, bad
+        self.safety, self.optimizer, self.steps, self.every = safety, optimizer, steps, every
+        self.file = None if file is None else Path(file)
+        self.step, self.stopped, self.best, self.score = 0, False, moved.start, (np.inf, np.inf)
+        self.history, self.ends = [], np.zeros(0, np.int64)
+        self.mark = "" if file is None else self._mark()
+        strips = isinstance(relations, ParityRelation) and relations.frame is None
+        self.capacity = CAPACITY if strips else SEARCHED
+
+    def run(self, report):
+        """Make all steps, or those until an interruption."""
+        optimizer, rate = (self.optimizer, (1.0, 1.0)) if self.optimizer else (default_optimizer(), RATE)
+        dtype, s = self.good.y.dtype, self.relations.horizon
+        problem = problem_of(self.relations, self.moved, self.safety, dtype)
+        z = jnp.asarray(np.log(self.moved.start), dtype)
+        carry = self._load((z, optimizer.init(z)))
+        faulty = None if self.bad is None else self._blocks()
+        try:
+            if not self.step:
+                carry = jnp.asarray(np.log(self._look(self.moved.start)), dtype), carry[1]
+            while self.step < self.steps:
+                u, y = self.good.gather(np.resize(self.ends, self.capacity), s)
+                healthy = jnp.asarray(np.moveaxis(u, 0, 2)), jnp.asarray(np.moveaxis(y, 0, 2))
+                present = np.arange(self.capacity) < len(self.ends)
+                carry, best = descend(problem, optimizer, self.every, carry, self.step, self.steps, rate, healthy, present, faulty)
+                self.step = min(self.step + self.every, self.steps)
+                self._look(np.exp(np.asarray(best, np.float64)))
+                self._save(carry)
+                report(self.step / self.steps)
+        except KeyboardInterrupt:
+            self.stopped = True
+
+    def _look(self, values):
+        """Look at all windows: add the worst to those the steps look at; keep the values, at their smallest scale, if they are the best."""
+        for _ in range(8):
+            t = factors(self.relations.with_bounds(self.moved.bounds(values)), self.good)
+            fresh = worst(np.where(self.unseen, np.nan, t), NEW)
+            top = float(t[fresh[0]]) if len(fresh) else 1.0
+            self.ends = np.concatenate([self.ends[~np.isin(self.ends, fresh)], fresh])[-self.capacity :]
+            if not abs(top - 1) > NEAR:
+                break
+            values = np.minimum(values * np.clip(top, 1e-3, 1e3), self.moved.most)
+        width, outside = self.moved.total(values) * top, np.nan
+        if self.bad is not None:
+            t = factors(self.relations.with_bounds(self.moved.bounds(np.minimum(values * top * self.safety, self.moved.most))), self.bad)
+            outside = float(np.sum(t > 1) / max(np.sum(~np.isnan(t)), 1))
+        score = (-outside if self.bad is not None else 0.0, width)
+        if score < self.score:
+            self.best, self.score = values, score
+        self.history.append((self.step, width / self.moved.total(self.moved.start), outside, values * top))
+        return values
+
+    def _blocks(self):
+        """Return the faulty windows in blocks, shuffled so that each block shows all of them."""
+        t = factors(self.relations, self.bad)
+        ends = np.random.default_rng(0).permutation(np.flatnonzero(~np.isnan(t)))
+        if not len(ends):
+            raise ValueError("no faulty window has any data: all are MISSING")
+        size = min(BLOCK, 1 << (len(ends) - 1).bit_length())
+        blocks = -(-len(ends) // size)
+        real = np.arange(blocks * size).reshape(blocks, size) < len(ends)
+        return jax.device_put((self.bad.u, self.bad.y, np.resize(ends, blocks * size).reshape(blocks, size), real))
+
+    def told(self):
+        """Return the history as arrays."""
+        nothing = (), (), (), np.zeros((0, len(self.moved.names)))
+        step, width, outside, values = zip(*self.history, strict=True) if self.history else nothing
+        return {"step": np.array(step, int), "width": np.array(width), "outside": np.array(outside), "values": np.array(values)}
+
+    def _mark(self):
+        """Return what tells this call from others."""
+        data = [None if w is None else (w.u, w.y, w.starts) for w in (self.good, self.bad)]
+        moved = self.moved.names, self.moved.select, self.moved.weights, self.moved.fixed, self.moved.start
+        return fingerprint(identity(self.relations), data, self.unseen, moved, self.safety, self.steps, self.every)
+
+    def _save(self, carry):
+        if self.file is None:
+            return
+        told = self.told()
+        fields = {"mark": self.mark, "step": self.step, "best": self.best, "score": np.array(self.score), "ends": self.ends}
+        leaves = {f"leaf{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
+        save_arrays(self.file, **fields, **leaves, **{f"history_{name}": x for name, x in told.items()})
+
+    def _load(self, carry):
+        """Return the carry of the file, if there is one, and take over the rest of what it holds."""
+        if self.file is None or not self.file.exists():
+            return carry
+        other = f"{self.file} holds the state of another tuning: delete it, or give another name"
+        try:
+            with np.load(self.file, allow_pickle=False) as kept:
+                held = dict(kept)
+            leaves, tree = jax.tree.flatten(carry)
+            found = [jnp.asarray(held[f"leaf{i}"]) for i in range(len(leaves))]
+            same = str(held["mark"]) == self.mark and f"leaf{len(leaves)}" not in held
+            same &= all(a.shape == b.shape and a.dtype == b.dtype for a, b in zip(found, leaves, strict=True))
+        except (ValueError, KeyError, OSError) as e:
+            raise ValueError(f"{other} ({type(e).__name__})") from None
+        if not same:
+            raise ValueError(other)
+        self.step, self.best, self.score, self.ends = int(held["step"]), held["best"], tuple(held["score"].tolist()), held["ends"]
+        columns = (held[f"history_{name}"] for name in ("step", "width", "outside", "values"))
+        self.history = [(int(a), float(b), float(c), d) for a, b, c, d in zip(*columns, strict=True)]
+        return jax.tree.unflatten(tree, found)
+
+
+def _vanished(moved, values):
+    """Return a sentence on bounds that fell to next to nothing: the optimum of a linear program lies at a corner."""
+    small = [name for name, now, before in zip(moved.names, values, moved.start, strict=True) if now < 1e-3 * before]
+    return (f"next to nothing is left of {', '.join(small)}: the others explain these data, new ones perhaps not. "
+            "To keep it, leave its kind out of what moves, or give it less weight",) if small else ()  # fmt: skip
+
+
+def _rows(moved):
+    """Yield (name, slice of the flat bounds)."""
+    at = 0
+    for name, count in moved.sizes:
+        yield name, slice(at, at + count)
+        at += count
+
+
+def _parameters(moved, values):
+    """Return the bounds of parameters, in the half-widths of the model that the relations were made for."""
+    rows = dict(_rows(moved))
+    if "parameters" not in rows:
+        return {}
+    return {"parameters": (moved.fixed + moved.select @ np.array([float(v) for v in values]))[rows["parameters"]]}
+
+
+def _refuse_same(good, bad):
+    """Refuse faulty recordings that are healthy ones: no bounds can tell them apart."""
+    pieces = lambda w: [(u.tobytes(), y.tobytes()) for u, y in zip(np.split(w.u, w.first[1:]), np.split(w.y, w.first[1:]), strict=True)]
+    known = {piece: i for i, piece in enumerate(pieces(good))}
+    for j, piece in enumerate(pieces(bad)):
+        if piece in known:
+            raise ValueError(f"faulty recording {j + 1} is the same as healthy recording {known[piece] + 1}: no bounds can tell them apart")
+
+
+def _check(relations, steps, safety, calibrate, block, confidence, every):
+    if not isinstance(relations, ParityRelation | UncertainRelations):
+        raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}")
+    whole = lambda x, least: not isinstance(x, bool) and isinstance(x, int | np.integer) and x >= least
+    for name, x, least in (("steps", steps, 0), ("every", every, 1), ("block", 1 if block is None else block, 1)):
+        if not whole(x, least):
+            raise ValueError(f"{name} must be a whole number >= {least}, not {x!r}")
+    if not 1 <= safety < np.inf:
+        raise ValueError(f"safety is a factor >= 1 on the smallest bounds, not {safety!r}")
+    if not 0 <= calibrate < 1:
+        raise ValueError(f"calibrate is the share of blocks kept out of the search: 0 <= calibrate < 1, not {calibrate!r}")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence must lie between 0 and 1, not {confidence!r}")

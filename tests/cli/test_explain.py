@@ -1,0 +1,248 @@
+"""`jaxbound explain`: a window of a report by number or time, its certificate for people and as JSON, or one clear sentence."""
+
+import json
+import os
+import shutil
+
+import check_certificate
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from systems import paper
+
+import jaxbound as jb
+from jaxbound.cli import detect, main
+from jaxbound.cli.explain import certificate_of
+from jaxbound.models.modelfile import save_model
+from jaxbound.sets.floats.status import Status
+
+FAULTY = range(30, 33)
+
+
+def table(stamps=None, n=60):
+    """Return (header, rows) of the paper's system with a bias of 1 on y1 at the samples FAULTY; a gap of 5 samples before sample 50."""
+    x, rows = np.zeros(2), []
+    for k in range(n):
+        u = 1.0 if (k // 20) % 2 else -0.5
+        rows.append([stamps(k + 5 * (k >= 50)) if stamps else f"{(k + 5 * (k >= 50)) / 100:g}", u, x[0] + (k in FAULTY), x[0] + x[1]])
+        x = np.array([0.8 * x[0] + x[1], 0.2 * x[1] + u])
+    return ["time", "u1", "y1", "y2"], rows
+
+
+def csv(path, stamps=None, sep=","):
+    header, rows = table(stamps)
+    path.write_text("\n".join(sep.join(map(str, row)) for row in [header, *rows]) + "\n", encoding="utf-8")
+
+
+@pytest.fixture(autouse=True)
+def unconfigured(monkeypatch, tmp_path_factory):
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    monkeypatch.setattr(main.tempfile, "tempdir", str(tmp_path_factory.mktemp("temp")))
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    """Return a folder with a report made by the command line, once."""
+    place = tmp_path_factory.mktemp("explained")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(main, "_configure", lambda: None)
+        save_model(paper(name="paper", units={"y1": "bar"}), place / "model.toml")
+        csv(place / "run.csv")
+        assert main.main(["detect", str(place / "model.toml"), str(place / "run.csv"), "--out", str(place / "out")]) == 1
+    return place
+
+
+@pytest.fixture
+def place(reported, tmp_path):
+    """Return a fresh copy of the report; its recording stays where it was."""
+    shutil.copytree(reported / "out", tmp_path / "out")
+    return tmp_path
+
+
+def explain(place, at, *options, capsys):
+    code = main.main(["explain", str(place / "out"), "--at", at, *options])
+    return code, *capsys.readouterr()
+
+
+def test_a_fault_is_explained_in_words_and_written_as_json(place, capsys):
+    code, out, err = explain(place, "31", capsys=capsys)
+    assert code == 0 and err == ""
+    assert out.startswith("FAULT proved: the window from 0.3 s to 0.31 s, sample 31\n")
+    for part in (
+        "violated",
+        "and the bounds allow ±",
+        "times the stated ones",
+        "y1 wrong?",
+        " bar of this sensor alone would explain the window",
+    ):
+        assert part in out
+    document = json.loads((place / "out/certificate-31.json").read_text())
+    assert document["names"]["sample"] == 31 and document["names"]["times"] == ["0.3 s", "0.31 s"]
+    check_certificate.confirm(document)
+
+
+def test_a_consistent_window_is_explained_by_a_behaviour(place, capsys):
+    code, out, _ = explain(place, "0.1 s", capsys=capsys)
+    assert code == 0 and out.startswith("CONSISTENT proved: the window from 0.09 s to 0.1 s, sample 10\n")
+    assert "first state" in out and "of the bounds are used" in out and "explained by" in out
+
+
+def test_json_goes_to_stdout_and_nothing_is_written(place, capsys):
+    before = sorted(p.name for p in (place / "out").iterdir())
+    code, out, err = explain(place, "0.31", "--json", capsys=capsys)
+    document = json.loads(out)
+    assert (code, err, document["names"]["sample"]) == (0, "", 31) and before == sorted(p.name for p in (place / "out").iterdir())
+    check_certificate.confirm(document)
+
+
+def test_every_window_has_the_verdict_of_the_report(place):
+    header, rows = table()
+    data = np.array(rows, dtype=float)
+    res = jb.detect(jb.parity_relations(paper()), data[:, 1:2], data[:, 2:], starts=[50])
+    for k in range(1, 60):
+        if k == 50:
+            continue
+        c, sample, _ = certificate_of(place / "out", str(k))
+        assert sample == k and c.status == res.status[k] and float(c.factor) == pytest.approx(1 - res.margin[k], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "at, sentence",
+    [
+        ("0", "sample 0 is too early: the first window ends at sample 1, 0.01 s"),
+        ("60", "there is no sample 60: the recording has 60, numbered from 0"),
+        ("-1", "there is no sample -1: the recording has 60, numbered from 0"),
+        ("noon", "--at noon names no sample: give its number, or its time as alarms.csv has it, like 0 s"),
+        ("0.53 s", "no sample lies at 0.53 s: the nearest is at 0.55 s; the recording runs from 0 s to 0.64 s"),
+        ("50", "0.55 s (sample 50): a window across a gap in time is MISSING"),
+    ],
+)
+def test_what_names_no_window_is_refused_in_a_sentence(place, at, sentence, capsys):
+    code, out, err = explain(place, at, capsys=capsys)
+    assert (code, out) == (2, "") and err == f"jaxbound: {sentence}\n"
+
+
+class TestWhatIsGone:
+    def test_no_report(self, tmp_path, capsys):
+        code, _, err = explain(tmp_path, "1", capsys=capsys)
+        assert code == 2 and "holds no report of jaxbound detect: there is no run.json in it" in err
+
+    def test_a_recording_that_moved(self, place, reported, tmp_path, capsys):
+        self._edit(place, data=str(tmp_path / "elsewhere.csv"))
+        code, _, err = explain(place, "1", capsys=capsys)
+        assert code == 2 and f"the recording of this report, {tmp_path / 'elsewhere.csv'}, is no longer there: put it back, or run" in err
+
+    def test_a_recording_that_changed(self, place, tmp_path, capsys):
+        csv(tmp_path / "other.csv", stamps=str)
+        self._edit(place, data=str(tmp_path / "other.csv"))
+        code, _, err = explain(place, "1", capsys=capsys)
+        assert code == 2 and "has changed since: run jaxbound detect again" in err
+
+    def test_a_recording_that_was_edited_at_the_same_size(self, reported, tmp_path, capsys):
+        shutil.copytree(reported / "out", tmp_path / "out")
+        shutil.copy2(reported / "run.csv", tmp_path / "out")
+        self._edit(tmp_path, data="run.csv")
+        assert explain(tmp_path, "31", capsys=capsys)[0] == 0
+        recording = tmp_path / "out/run.csv"
+        state, text = recording.stat(), recording.read_text()
+        recording.write_text(text.replace("0.58,", "0.59,", 1))
+        os.utime(recording, ns=(state.st_atime_ns, state.st_mtime_ns))
+        assert recording.stat().st_size == state.st_size and recording.read_text() != text
+        code, out, err = explain(tmp_path, "31", capsys=capsys)
+        assert code == 2 and out == "" and f"{recording}, has changed since: run jaxbound detect again" in err
+
+    def test_a_model_that_was_edited(self, place, capsys):
+        model = place / "out/tested_model.toml"
+        model.write_text(model.read_text().replace("noise = 0.1\n", "noise = 0.2\n"))
+        code, _, err = explain(place, "31", capsys=capsys)
+        assert code == 2 and "tested_model.toml, has changed since: run jaxbound detect again" in err
+
+    def test_a_recording_that_is_written_while_it_is_tested(self, reported, tmp_path, monkeypatch, capsys):
+        shutil.copy(reported / "run.csv", tmp_path)
+        read = detect.read_recording
+
+        def late(path, *args):
+            path.write_text(path.read_text().replace("0.58,", "0.59,", 1))
+            return read(path, *args)
+
+        monkeypatch.setattr(detect, "read_recording", lambda path, *args: late(tmp_path / "run.csv", *args))
+        assert main.main(["detect", str(reported / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
+        capsys.readouterr()
+        code, _, err = explain(tmp_path, "31", capsys=capsys)
+        assert code == 2 and "has changed since" in err
+
+    def test_a_report_of_before_the_digest(self, place, capsys):
+        note = place / "out/run.json"
+        found = json.loads(note.read_text())
+        note.write_text(json.dumps({name: found[name] for name in ("data", "bytes", "method", "horizon")}))
+        code, _, err = explain(place, "31", capsys=capsys)
+        assert code == 2 and "keeps no digest of the recording" in err and "run jaxbound detect again on a file" in err
+
+    def test_a_damaged_note(self, place, capsys):
+        for text in ("{", "[]", '{"data": "x"}'):
+            (place / "out/run.json").write_text(text)
+            code, _, err = explain(place, "1", capsys=capsys)
+            assert code == 2 and "run.json is damaged" in err and "run jaxbound detect again" in err
+
+    def test_a_report_that_holds_its_recording_may_move(self, reported, tmp_path, capsys):
+        out = tmp_path / "first"
+        out.mkdir()
+        shutil.copy(reported / "run.csv", out)
+        shutil.copy(reported / "model.toml", out)
+        assert main.main(["detect", str(out / "model.toml"), str(out / "run.csv"), "--out", str(out)]) == 1
+        out.rename(tmp_path / "out")
+        assert explain(tmp_path, "31", capsys=capsys)[0] == 0
+
+    @staticmethod
+    def _edit(place, **changes):
+        note = place / "out/run.json"
+        note.write_text(json.dumps(json.loads(note.read_text()) | changes))
+
+
+@pytest.mark.parametrize(
+    "stamps, at",
+    [
+        (lambda k: f"2017-09-12 08:{k // 60:02d}:{k % 60:02d}", "2017-09-12 08:00:31"),
+        (lambda k: f"2017-09-12T08:{k // 60:02d}:{k % 60:02d}", "2017-09-12T08:00:31"),
+        (lambda k: f"12.09.2017 08:{k // 60:02d}:{k % 60:02d}", "12.09.2017 08:00:31"),
+        (lambda k: f"{1505203200 + k}", "2017-09-12 08:00:31"),
+    ],
+)
+def test_time_stamps_are_understood_as_they_are_written(stamps, at, tmp_path, capsys):
+    save_model(paper(dt=1), tmp_path / "model.toml")
+    csv(tmp_path / "run.csv", stamps)
+    assert main.main(["detect", str(tmp_path / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
+    capsys.readouterr()
+    code, out, err = explain(tmp_path, at, "--json", capsys=capsys)
+    assert code == 0 and json.loads(out)["names"]["sample"] == 31, err
+
+
+@pytest.mark.parametrize("dated", [False, True])
+def test_parquet_is_read_where_it_is_needed(dated, tmp_path, capsys):
+    import pandas as pd
+
+    header, rows = table()
+    frame = pd.DataFrame([[float(row[0]), *row[1:]] for row in rows], columns=header)
+    if dated:
+        frame["time"] = pd.Timestamp("2017-09-12 08:00") + pd.to_timedelta(frame["time"].round(9), unit="s")
+    (tmp_path / "parts").mkdir()
+    for i in range(2):
+        frame[30 * i : 30 * i + 30].to_parquet(tmp_path / f"parts/part-{i}.parquet")
+    save_model(paper(), tmp_path / "model.toml")
+    assert main.main(["detect", str(tmp_path / "model.toml"), str(tmp_path / "parts"), "--out", str(tmp_path / "out")]) == 1
+    capsys.readouterr()
+    for at in ("30", "2017-09-12 08:00:00.300" if dated else "0.3 s"):  # the window lies across two files
+        code, out, err = explain(tmp_path, at, "--json", capsys=capsys)
+        document = json.loads(out)
+        assert code == 0 and document["names"]["sample"] == 30 and document["certificate"] == Status.FAULT.name, err
+        check_certificate.confirm(document)
+    code, _, err = explain(tmp_path, "50", capsys=capsys)
+    assert code == 2 and "a window across a gap in time is MISSING" in err
+    edited, state = tmp_path / "parts/part-0.parquet", (tmp_path / "parts/part-0.parquet").stat()
+    at = pq.read_metadata(edited).row_group(0).column(2).data_page_offset + 40
+    data = bytearray(edited.read_bytes())
+    data[at] ^= 1
+    edited.write_bytes(data)
+    os.utime(edited, ns=(state.st_atime_ns, state.st_mtime_ns))
+    code, out, err = explain(tmp_path, "30", capsys=capsys)
+    assert (code, out) == (2, "") and "has changed since: run jaxbound detect again" in err

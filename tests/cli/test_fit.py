@@ -1,0 +1,92 @@
+"""The command `jaxbound fit`: from a CSV file to a model file, or one sentence."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.cli.fit import signals
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch, rng):
+    """Return a folder with a recording of a heated tank, on in all but its last samples; commands run in it."""
+    u = np.repeat(rng.uniform(0, 50, (20, 1)), 6, 0)[:, 0]
+    x = np.zeros(120)
+    for k in range(119):
+        x[k + 1] = 0.8 * x[k] + 0.1 * u[k]
+    room = rng.uniform(18, 22, 120)
+    rows = np.column_stack([2.0 * np.arange(120), u, room + x + rng.uniform(-0.1, 0.1, 120), room, np.arange(120) < 110])
+    header = "Time (s),Heater (%),T out,T room,on\n"
+    (tmp_path / "run.csv").write_text(header + "\n".join(",".join(f"{v:.4f}" for v in row) for row in rows))
+    (tmp_path / "still.csv").write_text(header + "\n".join(f"{2 * k},1,20,20,1" for k in range(50)))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    return tmp_path
+
+
+FIT = ["fit", "run.csv", "--inputs", "heat=Heater (%)", "--outputs", "lift=`T out`-`T room`", "--order", "1", "--horizon", "4",
+       "--where", "on == 1", "--out", "tank.toml"]  # fmt: skip
+
+
+def test_fit_writes_a_model_file(place, capsys):
+    assert main.main([*FIT, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    model = jb.load_model("tank.toml")
+    assert (model.horizon, model.dt, model.name) == (4, 2.0, "tank")
+    assert model.columns == {"heat": "Heater (%)", "lift": "= `T out`-`T room`", "where": "on == 1"}
+    assert said["noise"] == {"lift": float(model.noise[0])} and said["noise"]["lift"] >= 1.25 * said["smallest"]["lift"]
+    assert said["recordings"][0]["windows"] == 106 and said["held_out"]["windows"] > 20
+
+
+@pytest.mark.slow
+def test_fit_and_detect_agree_and_draw(place, capsys):
+    assert main.main([*FIT, "--plot", "fit.png"]) == 0
+    assert (place / "fit.png").read_bytes().startswith(b"\x89PNG")
+    capsys.readouterr()
+    assert main.main(["detect", "tank.toml", "run.csv", "--out", "report", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["counts"]["CONSISTENT"] == 106
+
+
+def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
+    assert main.main([*FIT, "--held-out", "0"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    for text in ("tank: fitted to 1 recording", "run.csv 106 windows, ", "safety 1.25 times the smallest bounds",
+                 "caution nothing was held out", "10 of 120 samples are set aside"):  # fmt: skip
+        assert text in out, out
+
+
+@pytest.mark.parametrize("change, message", [
+    (["--outputs", "T  in"], "run.csv: .*has no column 'T  in'"),
+    (["--inputs", "heat=Heater (%),"], "--inputs needs names, or name=column or name=expression"),
+    (["--order", "0"], "--order needs a whole number >= 1"),
+    (["--horizon", "1"], r"horizon must be a whole number above the order \(1\), not 1"),
+    (["--safety", "0.5"], "safety must be a factor >= 1"),
+    (["--held-out", "1"], "held_out must be a share from 0 to below 1"),
+    (["--where", "on == 7"], "run.csv: the condition 'on == 7' holds for none of its 120 samples"),
+    (["--out", "no/tank.toml"], "--out no/tank.toml must be a file to write, in a folder that exists"),
+    (["--horizon", "300"], "too few samples: 120, in 1 recording, hold 0 complete windows of 301 samples"),
+])  # fmt: skip
+def test_bad_input_is_one_sentence_and_writes_nothing(place, capsys, change, message):
+    (place / "tank.toml").write_text("kept")
+    args = FIT[:]
+    if change[0] in args:
+        args[args.index(change[0]) + 1] = change[1]
+        change = []
+    assert main.main([*args, *change, "--force"]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and re.search(message, err) and err.count("\n") == 1, err
+    assert (place / "tank.toml").read_text() == "kept" and sorted(p.name for p in place.iterdir()) == ["run.csv", "still.csv", "tank.toml"]
+
+
+def test_a_sensor_that_stands_still_is_named(place, capsys):
+    assert main.main(["fit", "still.csv", "--outputs", "T out", "--horizon", "4", "--out", "tank.toml"]) == 2
+    assert "T out stands still in all recordings: nothing can be learnt of it" in capsys.readouterr().err
+
+
+def test_signals_are_columns_or_expressions_with_names():
+    assert signals("--inputs", "a, b=2*a, c=arctan2(a, `d, e`), `d, e`, T1=Temperature 1, f=a==1") == [
+        "a", ("b", "= 2*a"), ("c", "= arctan2(a, `d, e`)"), "d, e", ("T1", "Temperature 1"), ("f", "= a==1")]  # fmt: skip

@@ -1,0 +1,31 @@
+"""What `jaxbound info` says of detection and isolation."""
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.cli.info import isolation_text
+
+TANK = dict(A=[["9/10", 0], [0, "4/5"]], B=[[1], [0]], C=[[1, 0], [0, 1], [1, 1]], noise=0.1, unknown_inputs=[[0], [1]])
+
+
+def test_info_lists_relations_signatures_and_sizes(tmp_path, capsys):
+    path = tmp_path / "tank.toml"
+    jb.save_model(jb.LinearSystem(**TANK, units={"u1": "%"}, outputs=("level", "flow", "sum")), path)
+    assert main.main(["info", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert "unknown inputs" in text and "1, of which nothing is known" in text
+    assert "level + flow - sum = 0" in text and "(10 q - 9) level - 10 u1 = 0" in text
+    assert "level flow sum u1" in text and "seen level flow sum u1" in text
+    lines = dict(line.strip().split(": ", 1) for line in text.splitlines() if line.strip().startswith(("level: ", "u1: ")))
+    size = jb.detectable(jb.load_model(path), "u1", 1)
+    assert lines["u1"] == f"{float(size):.4g} %" and float(lines["level"]) > 0
+
+
+def test_sizes_that_nothing_guarantees_and_tolerances_are_named():
+    alone = jb.LinearSystem([["1/2", 0], [0, 1]], [[1], [0]], [[1, 0], [0, 1]], noise=0.1)
+    assert "y2: never guaranteed" in isolation_text(alone, 1)
+    assert "operating range" in isolation_text(jb.LinearSystem(**(TANK | dict(tolerance=0.1))), 1)
+
+
+def test_many_signals_are_left_to_the_user():
+    unit = [[int(i == j) for j in range(13)] for i in range(13)]
+    assert "more than 12 signals" in isolation_text(jb.LinearSystem(unit, None, unit, noise=1), 1)

@@ -1,0 +1,143 @@
+"""What reaches a terminal, a pipe, a page or a spreadsheet: whole, printable, and never a formula."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from jaxbound.cli import main
+from jaxbound.cli.fleet import write_fleet
+from jaxbound.models.modelfile import load_model, template
+from jaxbound.plots.canvas import canvas, to_png
+from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.expressions import expression, missing_column
+from jaxbound.recordings.naming import listed
+from jaxbound.recordings.plaintext import cell, clipped, printable
+from jaxbound.reports.fleet import fleet_page
+from jaxbound.runs.fleet import Unit, UnitResult
+
+
+def shell(command, folder):
+    """Return (exit code, stdout, stderr) of a command line in which $J is jaxbound."""
+    env = os.environ | {"J": f"{sys.executable} -m jaxbound.cli"}
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, timeout=120, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture
+def model(tmp_path):
+    (tmp_path / "m.toml").write_text(template())
+    return tmp_path
+
+
+def test_a_full_device_is_a_sentence_and_exit_code_2(model):
+    code, _, err = shell("$J info --template > /dev/full", model)
+    assert code == 2 and err == b"jaxbound: cannot write to standard output: no space left on device\n"
+
+
+@pytest.mark.parametrize("end", [">&-", "2>&- >/dev/null", "| head -c 1 > /dev/null; exit ${PIPESTATUS[0]}"])
+def test_a_closed_end_is_no_trouble_and_leaves_the_exit_code_alone(model, end):
+    code, _, err = shell(f"$J info --template {end}", model)
+    assert code == 0 and err == b""
+
+
+def test_letters_that_stdout_cannot_show_are_escaped(model):
+    (model / "e.toml").write_text(template().replace("level", "niveäu"))
+    code, out, err = shell("PYTHONIOENCODING=ascii $J info e.toml", model)
+    assert code == 0 and err == b"" and b"nive\\xe4u" in out
+
+
+def test_control_characters_of_names_reach_no_terminal(model, capsys):
+    (model / "e.toml").write_text(template().replace("level", "\\u001b[2Jlevel\\u009b"))
+    assert main.main(["info", str(model / "e.toml")]) == 0
+    out = capsys.readouterr().out
+    assert "\\x1b[2Jlevel\\x9b" in out and printable(out, "\n") == out
+    (model / "r.csv").write_text("\x1b[2Ja,b\n1,2\n3,4\n")
+    assert main.main(["detect", str(model / "m.toml"), str(model / "r.csv"), "--out", str(model / "o")]) == 2
+    err = capsys.readouterr().err
+    assert "x1b[2Ja" in err and printable(err, "\n") == err
+
+
+def test_a_recording_comes_through_a_pipe_as_from_its_file(model):
+    text = "time,Pump [%],level,flow\n" + "".join(f"{k},50,1.{k},0.{k}\n" for k in range(9))
+    (model / "r.csv").write_text(text)
+    os.mkfifo(model / "pipe")
+    sender = threading.Thread(target=lambda: (model / "pipe").write_text(text))
+    sender.start()
+    m = load_model(model / "m.toml")
+    piped, whole = read_recording(model / "pipe", m), read_recording(model / "r.csv", m)
+    sender.join()
+    np.testing.assert_array_equal(piped.y, whole.y)
+    assert piped.source == "pipe"
+
+
+def test_detect_takes_a_process_substitution(model):
+    (model / "r.csv").write_text("time,Pump [%],level,flow\n0,50,1,1\n")
+    code, _, err = shell("$J detect m.toml <(cat r.csv) --out o", model)
+    assert code == 2 and b"/dev/fd/" in err and b"one row of data" in err
+
+
+def test_a_header_of_a_hundred_thousand_columns_is_read(model):
+    names = ["time", "Pump [%]", "level", "flow", *(f"column{i}" for i in range(100_000))]
+    row = lambda k: ",".join([str(k), "50", "1", "0.5", *["0"] * 100_000])
+    (model / "wide.csv").write_text("\n".join([",".join(names), *map(row, range(3)), ""]))
+    assert read_recording(model / "wide.csv", load_model(model / "m.toml")).y.tolist() == [[1, 0.5]] * 3
+
+
+def test_sentences_name_a_few_of_many_names():
+    said = missing_column("y", [f"column{i}" for i in range(100_000)], "the recording")
+    assert len(said) < 400 and "99988 more" in said and len(missing_column("y" * 10**5, ["x" * 10**5], "the recording")) < 400
+    assert listed(["a"] * 13, str).count("a") == 13 and len(clipped("x" * 10**6)) < 2100
+
+
+@pytest.mark.parametrize("terms", [900, 1500])
+def test_a_sum_of_many_terms_is_computed(terms):
+    x = {"a": np.array([1.0, 2.0])}
+    assert expression(" + ".join(["a"] * terms)).values(x).tolist() == [terms, 2 * terms]
+
+
+@pytest.mark.parametrize("text", ["a + " + "9" * 310, "a > 1e400", "a" + " + 9" * 10**6, "(" * 300 + "a", "-" * 10**5 + "a",
+                                  "abs(" * 90 + "a" + ")" * 90 + " + " + "9" * 5000])  # fmt: skip
+def test_an_expression_beyond_all_measure_is_refused_in_a_sentence(text):
+    with pytest.raises(ValueError, match="the expression .* (holds|cannot be read)") as e:
+        expression(text)
+    assert len(str(e.value)) < 600
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@x", "\t=x", "\r=x"])
+def test_no_cell_of_fleet_csv_is_a_formula(tmp_path, name):
+    unit = Unit(name, tmp_path / "m.toml", tmp_path / "r.csv")
+    write_fleet(tmp_path, [UnitResult(unit, "not tested", f"{name} is not there", margin=-3.0)])
+    import csv
+
+    with open(tmp_path / "fleet.csv", newline="") as f:
+        row = list(csv.DictReader(f))[0]
+    shown = repr(name)[1:-1] if name[0] in "\t\r" else f"'{name}"
+    assert row["unit"] == shown and row["sentence"] == f"{shown} is not there" and row["margin"] == "-3.0"
+    assert cell("pump 7") == "pump 7"
+
+
+def test_pages_show_control_characters_as_escapes(tmp_path):
+    unit = Unit("\x1b[2J<b>", tmp_path / "m.toml", tmp_path / "r\udcff.csv")
+    page = fleet_page([UnitResult(unit, "not tested", "\u202e")], ("not tested", 2, "x"), "t")
+    page.encode()
+    assert "\\x1b[2J&lt;b&gt;" in page and "\u202e" not in page
+
+
+def test_a_name_with_dollar_signs_is_drawn_as_it_is():
+    fig = canvas((2, 1))
+    fig.text(0, 0, r"$\no$ such thing $")
+    fig.text(0, 0, r"$\nonsense{$")
+    assert to_png(fig).startswith(b"\x89PNG")
+
+
+def test_too_little_memory_is_a_sentence(capsys, monkeypatch, model):
+    def greedy(path):
+        raise MemoryError("Unable to allocate 8 TiB")
+
+    monkeypatch.setattr(main, "load_model", greedy)
+    assert main.main(["info", str(model / "m.toml")]) == 2
+    assert "more memory than there is" in capsys.readouterr().err

@@ -1,0 +1,182 @@
+"""`jaxbound detect --method validation`: columns, verdict, page and pictures; what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.cli.validate import Validated, write_columns_of
+from jaxbound.plots.bands import plot_output
+from jaxbound.recordings.csvfiles import Recording
+from jaxbound.reports.validation import write_page
+from jaxbound.sets.intervals.interval import Interval
+
+Status = jb.Status
+MODEL = jb.LinearSystem([["0.5"]], [[1]], [[1], [2]], noise="0.1", uncertainties=[jb.Uncertainty("a", A=[["0.05"]])], units={"y1": "bar"},
+                        name="two & two")  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def unconfigured(monkeypatch, tmp_path_factory):
+    """Leave jax's configuration as conftest set it; keep tracebacks of internal errors out of the way."""
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    monkeypatch.setattr(main.tempfile, "tempdir", str(tmp_path_factory.mktemp("temp")))
+
+
+def record(T=40, faulty=()):
+    x = 2 * (1 - 0.5 ** np.arange(T))
+    y = np.stack([x, 2 * x], 1)
+    y[list(faulty), 0] += 3
+    return np.ones((T, 1)), y
+
+
+@pytest.fixture
+def place(tmp_path):
+    """Return a function of (lines dropped, faulty) that writes model and recording and returns their paths."""
+    jb.save_model(MODEL, tmp_path / "model.toml")
+
+    def write(faulty=(), drop=(), blank=()):
+        u, y = record(faulty=faulty)
+        text = [[str(v) for v in (k, u[k, 0], *y[k])] for k in range(len(u))]
+        for k, column in blank:
+            text[k][column] = ""
+        rows = [",".join(row) for k, row in enumerate(text) if k not in drop]
+        (tmp_path / "run.csv").write_text("\n".join(["t,u1,y1,y2", *rows]))
+        return [str(tmp_path / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]
+
+    return write
+
+
+def found_in(T=60, faulty=(20, 21, 22, 40), missing=0):
+    """Return a Validated made up of given bands: the truth is 1 +- 0.5, y1 shows 4 where it is faulty."""
+    band = lambda k, width: Interval(*(np.concatenate([np.full((1, k), side * np.inf), np.full((T - 1, k), 1 + side * width)])
+                                       for side in (-1, 1)))  # fmt: skip
+    bad = np.zeros((T, 2), bool)
+    bad[list(faulty), 0] = True
+    status = np.where(bad.any(1), Status.FAULT, Status.UNDECIDED).astype(np.int8)
+    status[: 1 + missing] = Status.MISSING
+    y = np.where(bad, 4.0, 1.0)
+    return Validated(MODEL, 1, y, jb.Validation(band(1, 0.5), band(2, 0.5), band(2, 3), bad, band(2, 0.25), status))
+
+
+def recording_of(res):
+    return Recording(np.arange(len(res.y)) * 1.0, None, np.ones((len(res.y), 1)), res.y, source="run.csv")
+
+
+LABEL = "{} s".format
+
+
+class TestVerdict:
+    def test_a_fault_names_the_sensor_and_the_first_window(self):
+        res = found_in()
+        verdict, sentence = res.summary(res.alarms(), LABEL, 0.5)
+        assert verdict == "fault" and "4 of 59 windows (6.78 %)" in sentence and "in 2 alarms; the first is at 20 s" in sentence
+        assert sentence.endswith("faulty: y1 in 4 samples.")
+        assert res.stretches() == [(0, 20, 22), (0, 40, 40)] and res.blamed == {"y1": 4}
+
+    @pytest.mark.parametrize(
+        ("missing", "verdict"), [(0, "no fault"), (29, "no fault"), (31, "too little evidence"), (59, "too little evidence")]
+    )
+    def test_evidence_is_the_share_of_windows_with_data(self, missing, verdict):
+        res = found_in(faulty=(), missing=missing)
+        assert res.summary([], LABEL, 0.5)[0] == verdict and abs(res.tested - (59 - missing) / 59) < 1e-12
+
+    def test_a_model_that_never_fits_is_said_to(self):
+        assert "do not fit this recording" in (res := found_in(faulty=range(1, 60))).summary(res.alarms(), LABEL, 0.5)[1]
+
+    def test_one_window_cannot_be_explained(self):
+        with pytest.raises(NotImplementedError, match="rests on all samples"):
+            found_in().explain(20)
+
+
+class TestFiles:
+    def test_columns_hold_every_bound_to_the_last_digit(self, tmp_path):
+        res = found_in()
+        write_columns_of(tmp_path / "v.csv", res, recording_of(res))
+        head, *lines = (tmp_path / "v.csv").read_text().splitlines()
+        columns = dict(zip(head.split(","), zip(*(line.split(",") for line in lines), strict=True), strict=True))
+        assert list(columns)[:8] == ["time", "status", "faulty.y1", "output.y1.lo", "output.y1.hi", "corrected.y1", "corrected.y1.lo",
+                                     "corrected.y1.hi"]  # fmt: skip
+        assert (
+            list(columns)[-2:] == ["state.x1.lo", "state.x1.hi"] and columns["status"][0] == "MISSING" and columns["output.y2.hi"][0] == ""
+        )
+        for name, x in (("output.y2.hi", res.found.output.hi[:, 1]), ("corrected.y1.lo", res.found.corrected.lo[:, 0])):
+            np.testing.assert_array_equal(np.array(columns[name][1:], float), x[1:])
+        assert set(columns["corrected.y1"][1:]) == {"1"} or {float(c) for c in columns["corrected.y1"][1:]} == {1.0}
+        assert [k for k, v in enumerate(columns["faulty.y1"]) if v == "true"] == [20, 21, 22, 40]
+
+    def test_the_page_shows_each_output_and_each_stretch(self, tmp_path):
+        res = found_in()
+        names = write_page(tmp_path, res, recording_of(res), res.alarms(), hints=["a `hint`"])
+        page = (tmp_path / "report.html").read_text()
+        assert names == ["report.html", "output1.png", "output2.png"] and page.count("<img") == 2 and "two &amp; two" in page
+        assert "<td>y1</td><td>20 s</td><td>22 s</td><td>3 s</td><td>3</td><td>4 bar</td><td>0.75 to 1.25 bar</td>" in page
+        assert "<code>hint</code>" in page and "nobody can promise more" in page
+
+
+class TestPicture:
+    def test_faulty_stretches_are_marked_and_replaced(self):
+        res = found_in()
+        (ax,) = plot_output(res, 0, np.arange(60.0)).axes
+        lines = {x.get_label(): np.asarray(x.get_ydata(), float) for x in ax.lines}
+        assert (
+            list(np.flatnonzero(np.isfinite(lines["measured, faulty"])))
+            == [20, 21, 22, 40]
+            == list(np.flatnonzero(np.isfinite(lines["corrected"])))
+        )
+        assert np.isfinite(lines["measured"]).sum() == 56 and "4 faulty samples in 2 stretches" in ax.get_title(loc="left")
+
+    def test_one_faulty_sample_in_a_million_is_drawn(self):
+        whole, near = plot_output(found_in(10**6, faulty=(654_321,)), 0, np.arange(1e6)).axes
+        corrected = [next(x for x in ax.lines if x.get_label() == "corrected") for ax in (whole, near)]
+        assert list(np.flatnonzero(np.isfinite(corrected[0].get_ydata()))) == [654_321 * 1200 // 10**6]
+        at = corrected[1].get_xdata()[np.isfinite(corrected[1].get_ydata())]
+        assert len(corrected[1].get_xdata()) == 600 and np.allclose(at, [654_321 / 86400])
+
+    def test_a_recording_without_any_band_is_drawn(self):
+        assert plot_output(found_in(missing=59), 1, np.arange(60.0)).axes
+
+
+@pytest.mark.parametrize(
+    ("recording", "options", "says"),
+    [
+        ({"drop": (10, 11)}, (), "gap in time before 12 s"),
+        ({}, ("--chunk", "70000"), "--chunk is for other methods"),
+        ({}, ("--horizon", "0"), "horizon must be a whole number >= 1"),
+        ({"blank": [(0, 2)]}, (), "y1 is missing at 0 s, and for validation the first 2 samples say"),
+        ({"blank": [(9, 1)]}, (), "u1 is missing at 9 s, and for validation every sample of every input is needed"),
+    ],
+)
+def test_bad_input_gets_a_sentence(place, capsys, recording, options, says):
+    assert main.main(["detect", *place(**recording), "--method", "validation", *options]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and says in " ".join(err.split()) and err.count("jaxbound:") == 1
+
+
+def test_other_commands_name_what_they_can_do(place, capsys, tmp_path):
+    assert main.main(["detect", *place(), "--method", "validate"]) == 2
+    assert "joint, box, paving, linearised, validation, not 'validate'" in " ".join(capsys.readouterr().err.split())
+    (tmp_path / "fleet.csv").write_text("name,model,recording\na,model.toml,run.csv\n")
+    assert main.main(["fleet", str(tmp_path / "fleet.csv"), "--out", str(tmp_path / "f"), "--method", "validation"]) == 2
+
+
+@pytest.mark.slow
+def test_a_recording_from_the_shell(place, capsys, tmp_path):
+    """One compiled shape for all: no fault is 0, a fault is 1, the columns are those of the library, no certificate is invented."""
+    assert main.main(["detect", *place(), "--method", "validation"]) == 0
+    assert capsys.readouterr().out.startswith("No fault found: every sample of 39 windows")
+    assert main.main(["detect", *place(faulty=range(20, 25)), "--method", "validation", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "fault" and found["faulty"] == {"y1": 5} and found["horizon"] == 1 and found["counts"]["FAULT"] == 5
+    files = {"verdicts.csv", "alarms.csv", "report.html", "output1.png", "output2.png", "run.json", "tested_model.toml",
+             ".jaxbound.json"}  # fmt: skip
+    assert {f.name for f in (tmp_path / "out").iterdir()} == files
+    u, y = record(faulty=range(20, 25))
+    library = jb.validate(MODEL, u, y)
+    written = np.genfromtxt(tmp_path / "out/verdicts.csv", delimiter=",", names=True, deletechars="", replace_space=" ")
+    for column, x in (("state.x1.hi", library.state.hi[:, 0]), ("corrected.y1.lo", library.corrected.lo[:, 0])):
+        np.testing.assert_array_equal(written[column][1:], np.asarray(x)[1:])
+    assert main.main(["explain", str(tmp_path / "out"), "--at", "20"]) == 2
+    assert "was validated" in " ".join(capsys.readouterr().err.split())

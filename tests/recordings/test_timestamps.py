@@ -1,0 +1,96 @@
+"""Time in files: gaps, repeated and backward stamps split a recording, with a sentence; the rest of the way to a report follows."""
+
+import csv
+import datetime
+
+import numpy as np
+import pytest
+from systems import paper
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.models.modelfile import save_model
+from jaxbound.recordings.csvfiles import read_recording
+
+MODEL = jb.LinearSystem([[0.5]], None, [[1]], dt=60, noise=0.1, resolution=1)
+SPLIT = ": the recording is split there, and windows across are MISSING"
+START = datetime.datetime(2017, 9, 12, 23, 30)
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Return a function that reads a recording of y1 with these stamps."""
+
+    def reading(stamps, header="time"):
+        path = tmp_path / "data.csv"
+        path.write_text("\n".join([f"{header};y1", *(f"{s};{k % 7}" for k, s in enumerate(stamps))]) + "\n")
+        return read_recording(path, MODEL)
+
+    return reading
+
+
+def minutes(form, *spans):
+    """Return stamps of the minutes of each span (first, last)."""
+    return [(START + datetime.timedelta(minutes=m)).strftime(form) for first, last in spans for m in range(first, last)]
+
+
+class TestSplit:
+    def test_a_gap(self, read):
+        r = read(minutes("%Y-%m-%d %H:%M:%S", (0, 50), (100, 130), (131, 150)))
+        assert r.starts.tolist() == [50, 80] and len(r.y) == 99
+        assert r.hints == (f"the recording has 2 gaps, the longest, 3060 s, before row 52 (2017-09-13 01:10:00){SPLIT}",)
+
+    @pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "%m/%d/%Y %H:%M"])
+    def test_day_and_month_are_told_apart_in_spite_of_gaps(self, read, form):
+        first = datetime.datetime(2017, 1, 2, 23, 0)  # 2 January or 1 February: one reading jumps by a month at midnight
+        stamps = [(first + datetime.timedelta(minutes=m)).strftime(form) for m in [*range(30), *range(35, 200)]]
+        r = read(stamps)
+        assert r.starts.tolist() == [30] and r.stamps[100] == np.datetime64("2017-01-03T00:45")
+
+    def test_a_clock_without_date_over_midnight(self, read):
+        r = read(minutes("%H:%M:%S", (0, 40), (50, 90)))
+        assert r.starts.tolist() == [40] and r.time[-1] == 89 * 60
+
+    def test_repeated_rows(self, read):
+        r = read(minutes("%Y-%m-%d %H:%M", (0, 10), (9, 30)))
+        assert r.starts.tolist() == [10]
+        assert r.hints == (f"row 12 (2017-09-12 23:39) repeats the time of the row before it{SPLIT}",)
+
+    def test_a_clock_that_is_set_back(self, read):
+        r = read(minutes("%Y-%m-%d %H:%M", (0, 100), (40, 140)))
+        assert r.starts.tolist() == [100] and r.label(100) == "2017-09-13 00:10"
+        assert r.hints == (f"the clock goes back by 3540 s before row 102 (2017-09-13 00:10){SPLIT}",)
+
+    @pytest.mark.parametrize("scale", [1, 1000])
+    def test_numbers(self, read, scale):
+        r = read([(1_505_174_400 + 60 * k) * scale for k in [*range(30), *range(90, 99)]], "timestamp")
+        assert r.starts.tolist() == [30] and r.label(30) == "2017-09-12 01:30:00"
+
+    def test_seconds_that_run_back_have_labels(self, read):
+        r = read([60 * k for k in [*range(100, 130), *range(20)]], "t")
+        assert r.starts.tolist() == [30] and r.label(29) == "7740 s"
+
+    def test_jitter_is_none(self, read, rng):
+        r = read(60 * np.arange(200) + rng.uniform(-5, 5, 200), "t")
+        assert len(r.starts) == 0 and r.hints == ()
+
+
+def test_detect_says_missing_across_a_gap_and_hints_at_a_frozen_sensor(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    rng, x, lines = np.random.default_rng(3), np.zeros(2), []
+    for k in range(400):
+        u = rng.uniform(-1, 1)
+        y1, y2 = x[0] + rng.uniform(-0.09, 0.09), x.sum() + rng.uniform(-0.009, 0.009)
+        lines.append((k, *map(float, (u, 0.25 if 300 <= k < 360 else y1, y2))))
+        x = np.array([0.8 * x[0] + x[1], 0.2 * x[1] + u])
+    lines = [line for line in lines if not 150 <= line[0] < 210]
+    save_model(paper(dt=1), tmp_path / "m.toml")
+    (tmp_path / "d.csv").write_text("t,u1,y1,y2\n" + "".join(",".join(map(repr, line)) + "\n" for line in lines))
+    code = main.main(["detect", str(tmp_path / "m.toml"), str(tmp_path / "d.csv"), "--out", str(tmp_path / "out")])
+    with open(tmp_path / "out" / "verdicts.csv", newline="") as f:
+        status = [row["status"] for row in csv.DictReader(f)]
+    assert [k for k, s in enumerate(status) if s == "MISSING"] == [0, 150]
+    assert code == 1 and "FAULT" not in status[:240]  # healthy until the sensor freezes, on both sides of the hole
+    printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text()
+    for text in ("the recording has a gap of 61 s before row 152 (210 s)", "y1 stays at exactly 0.25 for 60 samples from 300 s to 359 s"):
+        assert text in page and text[:40] in " ".join(printed.split())

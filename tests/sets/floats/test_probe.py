@@ -1,0 +1,288 @@
+"""What rounding.py assumes of the compiler, one claim a test: a new XLA that breaks one of them fails here, and says which."""
+
+import json
+import operator
+import os
+import subprocess
+import sys
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import proving
+import pytest
+from corners import DTYPES, corners, floats
+
+import jaxbound as jb
+from jaxbound.sets.floats import probe, rounding
+from jaxbound.sets.intervals import angles
+
+COUNT = 2000
+each_dtype = pytest.mark.parametrize("dtype", DTYPES, ids=["float32", "float64"])
+EXACTLY = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
+
+
+def numbers(rng, dtype, low=-40, high=40, count=COUNT):
+    return (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(dtype)
+
+
+def exact(x):
+    return list(map(Fraction, np.asarray(x, float).tolist()))
+
+
+def errors(found, exacts, dtype):
+    """Return |found - exact| / |found| in units u."""
+    u = Fraction(float(np.finfo(dtype).eps)) / 2
+    return [float(abs(f - e) / abs(f) / u) if f else float(e != 0) * np.inf for f, e in zip(exact(found), exacts, strict=True)]
+
+
+@jax.jit
+def operations(a, b):
+    return {"add": a + b, "sub": a - b, "mul": a * b, "div": a / b}
+
+
+@pytest.mark.parametrize("form", ["array", "broadcast", "scalar", "constant"])
+@each_dtype
+def test_one_operation_is_off_by_at_most_2_84_units(rng, form, dtype):
+    a = numbers(rng, dtype, count=600)
+    for d in numbers(rng, dtype, count=4):
+        b = np.full_like(a, d)
+        given = {"array": b, "broadcast": b[:1], "scalar": d}.get(form)
+        found = jax.jit(lambda a, d=d: operations(a, d))(a) if form == "constant" else operations(a, given)
+        for op, f in found.items():
+            want = [EXACTLY[op](x, y) for x, y in zip(exact(a), exact(b), strict=True)]
+            assert max(errors(f, want, dtype)) <= 2.84, op
+
+
+@each_dtype
+def test_a_chain_of_operations_is_off_by_at_most_the_sum_of_its_errors(rng, dtype):
+    a, b, c = (abs(numbers(rng, dtype, -8, 8)) for _ in range(3))
+    chains = {"(a b) c": lambda a, b, c: (a * b) * c, "(a / b) / c": lambda a, b, c: (a / b) / c, "a b + c": lambda a, b, c: a * b + c,
+              "(a + b) c": lambda a, b, c: (a + b) * c, "a / (b + c)": lambda a, b, c: a / (b + c)}  # fmt: skip
+    for name, f in chains.items():
+        want = [f(*row) for row in zip(*map(exact, (a, b, c)), strict=True)]
+        assert max(errors(jax.jit(f)(a, b, c), want, dtype)) <= 2 * 2.84, name
+
+
+@each_dtype
+def test_a_flushed_result_or_operand_costs_at_most_the_smallest_normal_number(rng, dtype):
+    info = np.finfo(dtype)
+    a, b = numbers(rng, dtype, info.minexp + 1, info.minexp + 4), numbers(rng, dtype, info.minexp + 1, info.minexp + 4)
+    half = numbers(rng, dtype, -6, -1)
+    found = {"add": (a, b), "sub": (a, b), "mul": (a, half), "div": (a, 1 / half)}
+    for op, operands in found.items():
+        results = operations(*operands)[op]
+        for f, x, y in zip(exact(results), *map(exact, operands), strict=True):
+            assert abs(f - EXACTLY[op](x, y)) <= Fraction(float(info.tiny)) + Fraction(float(info.eps)) * abs(f), op
+
+
+@each_dtype
+def test_a_quotient_that_underflows_keeps_its_sign(dtype):
+    """interval.div reads from the sign of a flushed quotient on which side of 0 the exact one lies."""
+    info = np.finfo(dtype)
+    a = np.array([info.tiny, -info.tiny, 4 * info.tiny, -4 * info.tiny, 0.0, -0.0], dtype)
+    for d in (np.full_like(a, 2.0 ** (info.maxexp // 2)), np.asarray(2.0 ** (info.maxexp // 2), dtype)):
+        assert np.signbit(np.asarray(jax.jit(lambda a, d: a / d)(a, d))).tolist() == np.signbit(a).tolist()
+
+
+@each_dtype
+def test_an_overflow_is_infinite(dtype):
+    top = np.array([np.finfo(dtype).max, -np.finfo(dtype).max])
+    found = jax.jit(lambda a: (a + a, a * 2, a / np.asarray(0.5, dtype)))(top)
+    assert all(f.tolist() == [np.inf, -np.inf] for f in found)
+
+
+@each_dtype
+def test_square_roots_are_off_by_at_most_2_84_units(rng, dtype):
+    x = abs(numbers(rng, dtype, np.finfo(dtype).minexp + 1, np.finfo(dtype).maxexp - 1))
+    u = Fraction(float(np.finfo(dtype).eps)) / 2
+    limit = Fraction(284, 100) * u
+    for s, v in zip(exact(jax.jit(jnp.sqrt)(x)), exact(x), strict=True):
+        assert (s * (1 - limit)) ** 2 <= v <= (s * (1 + limit)) ** 2
+
+
+@each_dtype
+def test_two_sum_and_two_prod_lose_nothing_next_to_constants_and_inexact_operands(rng, dtype):
+    a, b = numbers(rng, dtype, -12, 12), numbers(rng, dtype, -12, 12)
+
+    @jax.jit
+    def kernel(a, b):
+        c = a * b + a  # inexact, and free to be fused
+        return {"sum": (c, b, rounding.two_sum(c, b)), "with 1": (jnp.ones_like(b), b, rounding.two_sum(jnp.ones_like(b), b)),
+                "product": (a, b, rounding.two_prod(a, b)), "square": (a, a, rounding.two_prod(a, a))}  # fmt: skip
+
+    for name, (x, y, (s, e)) in kernel(a, b).items():
+        want = [p + q if name in ("sum", "with 1") else p * q for p, q in zip(exact(x), exact(y), strict=True)]
+        assert [p + q for p, q in zip(exact(s), exact(e), strict=True)] == want, name
+
+
+@each_dtype
+def test_contraction_leaves_exact_products_alone(rng, dtype):
+    """x - k p is exact for the k and the first part p of pi/2 that angles uses, with or without an FMA."""
+    limit = angles.LARGEST_ANGLE[np.dtype(dtype).itemsize]
+    x = rng.uniform(-limit, limit, COUNT).astype(dtype)
+    r, rest, k = jax.jit(angles._reduced)(x)
+    quarter = angles.PI / 2
+    for a, b, n, v in zip(*map(exact, (r, rest, k, x)), strict=True):
+        assert abs(a + b - (v - n * quarter)) <= abs(a) * Fraction(float(np.finfo(dtype).eps)) ** 2
+
+
+@each_dtype
+def test_reductions_round_to_the_nearest_integer(rng, dtype):
+    x = np.concatenate([rng.uniform(-2000, 2000, COUNT), [0.5, 1.5, -0.5, 0.49, -2.51]]).astype(dtype)
+    assert (abs(np.asarray(jax.jit(jnp.round)(x), float) - x.astype(float)) <= 0.5).all()
+
+
+@each_dtype
+def test_powers_of_two_are_exact(dtype):
+    info = np.finfo(dtype)
+    k = np.arange(info.minexp, info.maxexp).astype(dtype)
+    assert exact(jax.jit(rounding.power_of_two)(k)) == [Fraction(2) ** int(n) for n in k]
+
+
+@each_dtype
+def test_mantissa_and_exponent_give_the_number_back_subnormal_or_not(rng, dtype):
+    x = np.concatenate(
+        [abs(floats(rng, dtype, COUNT)), abs(corners(dtype)), np.finfo(dtype).smallest_subnormal * rng.integers(1, 2**20, 50)]
+    )
+    x = x[x > 0].astype(dtype)
+    m, k = jax.jit(rounding.mantissa_exponent)(x)
+    assert [a * Fraction(2) ** int(n) for a, n in zip(exact(m), np.asarray(k), strict=True)] == exact(x)
+    assert (np.asarray(m) >= np.asarray(np.sqrt(0.5), dtype)).all() and (np.asarray(m) < np.sqrt(2)).all()
+
+
+@each_dtype
+def test_scale_is_exact_over_the_whole_range(rng, dtype):
+    info = np.finfo(dtype)
+    m = rng.uniform(1, 2, COUNT).astype(dtype)
+    k = rng.integers(info.minexp, info.maxexp, COUNT).astype(dtype)
+    assert exact(jax.jit(rounding.scale)(m, k)) == [a * Fraction(2) ** int(n) for a, n in zip(exact(m), k, strict=True)]
+
+
+@each_dtype
+def test_corrected_quotients_and_roots_are_off_by_at_most_1_01_units(rng, dtype):
+    n, d = numbers(rng, dtype, -20, 20), numbers(rng, dtype, -20, 20)
+    for divisor in (d, d[:1]):
+        want = [a / b for a, b in zip(exact(n), exact(np.broadcast_to(divisor, n.shape)), strict=True)]
+        assert max(errors(jax.jit(rounding.quotient)(n, divisor), want, dtype)) <= 1.01
+    small = numbers(rng, dtype, np.finfo(dtype).minexp + 1, -60), abs(numbers(rng, dtype, -64, 0))
+    found = np.asarray(jax.jit(rounding.quotient)(*small))
+    normal = abs(found) > np.finfo(dtype).tiny
+    want = [a / b for a, b in zip(*(exact(v[normal]) for v in small), strict=True)]
+    assert normal.sum() > COUNT / 4 and max(errors(found[normal], want, dtype)) <= 2.84
+    limit = Fraction(101, 100) * Fraction(float(np.finfo(dtype).eps)) / 2
+    for s, v in zip(exact(jax.jit(rounding.root)(abs(n))), exact(abs(n)), strict=True):
+        assert (s * (1 - limit)) ** 2 <= v <= (s * (1 + limit)) ** 2
+
+
+@each_dtype
+def test_a_sum_in_the_compilers_order_is_off_by_at_most_one_unit_a_term(rng, dtype):
+    x = numbers(rng, dtype, -4, 4, 10_000)
+    u = Fraction(float(np.finfo(dtype).eps)) / 2
+    terms = exact(x)
+    for run in (jnp.sum, lambda x: jnp.dot(x, jnp.ones_like(x), precision=jax.lax.Precision.HIGHEST)):
+        assert abs(exact([jax.jit(run)(x)])[0] - sum(terms)) <= (len(x) - 1) * u * sum(map(abs, terms)) * Fraction(101, 100)
+
+
+# what every proof asks first
+
+FAST = "--xla_cpu_enable_fast_math=true"
+
+
+class Accelerator:
+    """A device that nobody has examined."""
+
+    platform = "gpu"
+
+
+@each_dtype
+def test_the_probe_measures_what_is_assumed(dtype):
+    measured = probe.measure(jax.devices()[0], np.dtype(dtype))
+    assert len(measured) == 9 and all(value <= most for value, most in measured.values()), measured
+
+
+def test_every_public_name_is_known_to_prove_or_not():
+    proving_names = {name.split(".")[0].split(",")[0] for name in proving.doors()} - {"sets"}
+    assert not proving_names & proving.EXACT_OR_UNPROVED
+    assert proving_names | proving.EXACT_OR_UNPROVED == set(jb.__all__)
+
+
+def test_every_door_that_proves_refuses_other_devices_in_one_sentence(monkeypatch):
+    monkeypatch.setattr(probe, "usable_devices", lambda: (Accelerator(),))
+    for name, said in proving.answers().items():
+        assert said is not None, f"{name} answered"
+        assert "so far only CPU, not gpu: set JAX_PLATFORMS=cpu" in said and "\n" not in said, name
+
+
+def in_a_process_with(flags, *command):
+    """Return what a Python process prints whose XLA has these flags."""
+    out = subprocess.run(
+        [sys.executable, *command], env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert out.returncode == 0, out.stderr
+    return out.stdout
+
+
+def test_every_door_that_proves_refuses_fast_math_in_one_sentence():
+    for name, said in json.loads(in_a_process_with(FAST, proving.__file__)).items():
+        assert said is not None, f"{name} answered"
+        assert said == f"XLA_FLAGS has {FAST}, with which the compiler keeps to no rounding: start without, nothing can be proved so", name
+
+
+def test_the_probe_finds_fast_math_that_no_name_tells(tmp_path):
+    """Also the command line refuses, with the exit code of bad input."""
+    (tmp_path / "model.toml").write_text('A = [["1/2"]]\nC = [[1]]\ndt = 1\noutputs = ["y1"]\nnoise = [0.1]\n')
+    (tmp_path / "run.csv").write_text("time,y1\n0,1\n1,0.5\n2,0.9\n")
+    code = f"""
+import os, jax, jax.numpy as jnp
+jnp.ones(2) + 1  # the flags are read
+del os.environ["XLA_FLAGS"]
+import jaxbound as jb
+from jaxbound.cli import main
+try:
+    jb.pave(lambda z: z * z, jb.interval([0.0], [1.0]), [2.0], q=2)
+except RuntimeError as e:
+    print(e)
+print(main(["detect", "{tmp_path}/model.toml", "{tmp_path}/run.csv", "--out", "{tmp_path}/out"]))
+"""
+    said, exit_code = in_a_process_with(FAST, "-c", code).splitlines()
+    assert said.startswith("compiled arithmetic in this process is not what proofs rest on (") and "two_sum" in said
+    assert exit_code == "2" and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("flags, refused", [
+    ("", []),
+    ("--xla_force_host_platform_device_count=8 --xla_cpu_enable_fast_math=false --xla_cpu_fast_math_honor_nans=true", []),
+    ("--xla_cpu_enable_fast_math --xla_dump_to=x", ["--xla_cpu_enable_fast_math"]),
+    ("--xla_cpu_fast_math_honor_nans=false", ["--xla_cpu_fast_math_honor_nans=false"]),
+    ("--xla_cpu_experimental_ynn_fusion_type=2", ["--xla_cpu_experimental_ynn_fusion_type=2"]),
+])  # fmt: skip
+def test_flags_that_give_arithmetic_up_are_refused_by_name(flags, refused, monkeypatch, tmp_path):
+    (tmp_path / "flags").write_text(flags)
+    for given in (flags, f"{tmp_path}/flags") if flags else ("",):
+        monkeypatch.setenv("XLA_FLAGS", given)
+        assert probe.verified(jax.devices()[0]) == (not refused)
+        if refused:
+            with pytest.raises(RuntimeError, match=f"XLA_FLAGS has {refused[0]}, with which"):
+                probe.refuse_unverified()
+
+
+def test_arrays_that_lie_on_a_device_that_is_not_verified_are_refused(monkeypatch):
+    x = jnp.zeros(1)
+    monkeypatch.setattr(type(x), "devices", lambda self: {Accelerator()})
+    probe.refuse_unverified(np.zeros(1))
+    with pytest.raises(RuntimeError, match="not gpu"):
+        probe.refuse_unverified({"x": (x,)})
+
+
+def test_the_probe_runs_once_and_also_inside_a_trace(monkeypatch):
+    probe._found.cache_clear()
+    runs, measure = [], probe.measure
+    monkeypatch.setattr(probe, "measure", lambda *given: runs.append(given) or measure(*given))
+    F = jb.inclusion(proving.square)
+    upper = jax.jit(lambda x: F(jb.Interval(x, x)).hi)(np.ones(2))
+    assert (np.asarray(upper) >= 1).all()
+    jb.membership(jb.zonotope([0.0], [[1.0]]), np.zeros((1, 1)))
+    assert len(runs) == 1

@@ -1,0 +1,193 @@
+"""Zonotopes that differ from window to window: margins against linear programs, proofs against exact rationals."""
+
+from fractions import Fraction
+
+import highspy
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbound.sets.strips import varying
+from jaxbound.sets.strips.gauge import gauge_search
+
+COLUMNS = {1: 8, 2: 10, 3: 8, 4: 12, 5: 12}  # fewer generators are filled up with zeros, so that one shape is compiled
+
+
+def draw(rng, r, q, count):
+    """Draw zonotopes (N, r, q) and centres (N, r), a third of them degenerate: dependent rows, parallel, zero or too few generators."""
+    G, c = rng.normal(size=(count, r, q)), rng.normal(size=(count, r)) * rng.uniform(0.1, 1.5, (count, 1)) * np.sqrt(q)
+    for k in range(0, count, 3):
+        kind = rng.integers(5)
+        if kind == 0:
+            G[k, :, 1:] = np.outer(G[k, :, 0], rng.integers(-2, 3, q - 1)) if rng.random() < 0.3 else G[k, :, 1:]
+            G[k, :, 1] = -2 * G[k, :, 0]
+        elif kind == 1:
+            G[k] = rng.integers(-2, 3, (r, q))
+            c[k] = rng.integers(-4, 5, r)
+        elif kind == 2:
+            G[k, :, rng.integers(1, q) :] = 0
+        elif kind == 3 and r > 1:
+            G[k, -1] = G[k, :-1].sum(0)
+            c[k, -1] = c[k, :-1].sum() if rng.random() < 0.5 else c[k, -1]
+        else:
+            G[k] *= 10.0 ** rng.integers(-3, 4, (r, 1))
+            c[k] *= abs(G[k]).max(1)
+    return c, G
+
+
+def gauges(c, G):
+    """Return t (N,) by HiGHS: 1 / t is the largest s with G z = -s c for some |z| <= 1; infinite where only s = 0 will do."""
+    solver, status, out = highspy.Highs(), highspy.HighsModelStatus, np.empty(len(c))
+    for option, value in dict(output_flag=False, primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10).items():
+        solver.setOptionValue(option, value)
+    r, q = G.shape[1:]
+    for k in range(len(c)):
+        scale = np.maximum(abs(np.column_stack([G[k], c[k]])).max(1), 1e-300)
+        model = highspy.HighsLp()
+        model.num_col_, model.num_row_, model.sense_ = q + 1, r, highspy.ObjSense.kMaximize
+        model.col_cost_, model.col_lower_, model.col_upper_ = np.r_[np.zeros(q), 1], np.r_[-np.ones(q), 0], np.r_[np.ones(q), 1e6]
+        model.row_lower_ = model.row_upper_ = np.zeros(r)
+        model.a_matrix_.start_, model.a_matrix_.index_ = np.arange(q + 2) * r, np.tile(np.arange(r), q + 1)
+        model.a_matrix_.value_ = (np.column_stack([G[k], c[k]]) / scale[:, None]).T.ravel()
+        solver.passModel(model)
+        solver.run()
+        assert solver.getModelStatus() == status.kOptimal
+        s = solver.getInfo().objective_function_value
+        out[k] = 1 / s if s > 1e-7 else np.inf
+    return out
+
+
+def columns_first(c, G):
+    return np.ascontiguousarray(c.T), np.ascontiguousarray(np.moveaxis(G, 0, -1))
+
+
+def check_against_programs(rng, r, q, count):
+    c, G = draw(rng, r, q, count)
+    margin, wanted = varying.zonotope_margins(*columns_first(c, G)), 1 - gauges(c, G)
+    clear = abs(wanted) > 1e-9
+    assert not (clear & (margin * wanted < 0)).any()
+    assert not (clear & (margin == 0) & (wanted < 0)).any()  # what is outside is refuted, degenerate or not
+    flat = np.array([np.linalg.matrix_rank(g) < r for g in G])
+    assert not (clear & (margin == 0) & ~flat).any() and (margin[flat] <= 0).all()
+    decided = (margin != 0) & np.isfinite(wanted) & (wanted > -1e3)
+    assert np.allclose(margin[decided], wanted[decided], rtol=1e-6, atol=1e-6)
+    return int((margin < 0).sum()), int((margin > 0).sum())
+
+
+@pytest.mark.parametrize("r", [1, *(pytest.param(r, marks=pytest.mark.slow) for r in (2, 3))])
+def test_margins_have_the_sign_and_size_of_linear_programs(rng, r):
+    outside, inside = check_against_programs(rng, r, COLUMNS[r], 300)
+    assert outside > 10 and inside > 30
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("r", "q"), [(1, 20), (2, 20), (3, 12), (4, 20), (5, 20)])
+def test_margins_have_the_sign_of_linear_programs_on_20000_zonotopes(rng, r, q):
+    for fewest in (5, 10):
+        c, G = draw(rng, r, q, 2000)
+        for k, some in enumerate(rng.integers(fewest, q + 1, 2000)):
+            G[k, :, some:] = 0
+        margin, wanted = varying.zonotope_margins(*columns_first(c, G)), 1 - gauges(c, G)
+        assert not ((abs(wanted) > 1e-9) & (margin * wanted < 0)).any()
+        assert not ((abs(wanted) > 1e-9) & (margin == 0) & (wanted < 0)).any()
+
+
+@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.long)])
+def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
+    """Integers: c = -G z with z at the vertex that h selects is exactly on the boundary; a hair further is outside."""
+    q, count = COLUMNS[r], 2000
+    G = rng.integers(-9, 10, (count, r, q)).astype(float)
+    h = rng.integers(-9, 10, (count, r)).astype(float)
+    side = np.sign(np.einsum("ni,nij->nj", h, G)) + (np.einsum("ni,nij->nj", h, G) == 0) * rng.choice([-1, 1], (count, q))
+    c = -np.einsum("nij,nj->ni", G, side)
+    on_it = varying.zonotope_margins(*columns_first(c, G))
+    assert not (on_it < 0).any()
+    assert not (on_it[(abs(h) @ np.ones(r)) > 0] > 0).any()
+    inside = varying.zonotope_margins(*columns_first(c * (1 - 1e-9), G))
+    assert not (inside < 0).any() and (inside > 0).mean() > 0.9
+    outside = varying.zonotope_margins(*columns_first(c * (1 + 1e-9), G))
+    real = (abs(np.einsum("ni,nij->nj", h, G)).sum(1)) > 0
+    assert not (outside[real] > 0).any() and (outside[real] < 0).mean() > 0.9
+
+
+@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_errors_of_the_entries_count(rng, r):
+    """A set that holds 0 for some entries within their errors is never refuted: here c is moved out by all that the errors allow."""
+    q, count = COLUMNS[r], 500
+    G, z = rng.normal(size=(count, r, q)), rng.choice([-1.0, 1.0], (count, q))
+    true_c = -np.einsum("nij,nj->ni", G, z)  # 0 is a vertex, or inside
+    wrong_G, wrong_c = abs(rng.normal(size=G.shape)) * 0.01, abs(rng.normal(size=true_c.shape)) * 0.01
+    shifted = true_c + wrong_c * np.sign(true_c), G * 1.0
+    shifted[1][:] -= np.sign(G) * np.minimum(wrong_G, abs(G))
+    errors = columns_first(wrong_c * (1 + 1e-12), wrong_G * (1 + 1e-12))
+    plain, counted = (varying.zonotope_margins(*columns_first(*shifted), *e) for e in ((), errors))
+    assert (plain < 0).any() and not (counted < 0).any()
+
+
+def test_a_refuting_direction_is_a_proof_in_exact_rationals(rng):
+    c, G = draw(rng, 4, COLUMNS[4], 60)
+    block = [jnp.asarray(x) for x in columns_first(c, G)]
+    size = varying.row_sizes(*block)
+    h = gauge_search(*varying.scaled(*block, size), jnp.ones_like(block[0][0]))[0] / size
+    refuted = np.asarray(varying.refutes_jit(*block, jnp.zeros_like(block[0]), h)) < 0
+    assert refuted.sum() > 10
+    for k in np.flatnonzero(refuted):
+        direction = [Fraction(float(x)) for x in h[:, k]]
+        dot = lambda column, d=direction: sum((x * Fraction(float(y)) for x, y in zip(d, column, strict=True)), Fraction(0))
+        assert abs(dot(c[k])) > sum(abs(dot(column)) for column in G[k].T)
+
+
+@pytest.mark.slow
+def test_naive_strips_miss_what_rank_aware_ones_see(rng):
+    """Six generators in a plane of R^3 (golden "Degeneracy"): all normals of pairs are the plane's, which says nothing within it."""
+    count = 400
+    basis, inner = rng.integers(-4, 5, (count, 3, 2)).astype(float), rng.integers(-4, 5, (count, 2, 6)).astype(float)
+    G, x = np.pad(basis @ inner, ((0, 0), (0, 0), (0, COLUMNS[3] - 6))), rng.integers(-40, 41, (count, 2)).astype(float)
+    c = np.einsum("nij,nj->ni", basis, x)
+    normal = np.cross(G[:, :, 0], G[:, :, 1])
+    naive_accepts = abs(np.einsum("ni,ni->n", normal, c)) <= 1e-9
+    margin, wanted = varying.zonotope_margins(*columns_first(c, G)), 1 - gauges(c, G)
+    assert (naive_accepts & (wanted < -1e-9)).sum() > 50
+    assert ((margin < 0) == (wanted < -1e-9)).all()
+
+
+def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
+    c, G = np.array([[1.0, np.nan, 0.5]]), np.ones((1, COLUMNS[1], 3)) / 4
+    assert np.isnan(varying.zonotope_margins(c, G)).tolist() == [False, True, False]
+    assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx([0.5, 0.75])
+
+
+@pytest.mark.long
+def test_float32_and_uncompiled_code_prove_the_same(rng):
+    c, G = (x.astype(np.float32) for x in columns_first(*draw(rng, 2, COLUMNS[2], 64)))
+    single, double = varying.zonotope_margins(c, G), varying.zonotope_margins(c.astype(float), G.astype(float))
+    assert single.dtype == np.float32 and not (np.sign(single) * np.sign(double) < 0).any() and (single != 0).mean() > 0.5
+    with jax.disable_jit():
+        few = [jnp.asarray(x[..., :4]) for x in (c, G, 0 * c)]
+        refuted = np.asarray(varying.strip_margins(*few)) < 0
+        assert not (refuted & (double[:4] > 0)).any()
+
+
+def test_a_second_call_does_not_trace(rng):
+    blocks = [columns_first(*draw(rng, 3, COLUMNS[3], n)) for n in (40, 3000)]
+    varying.zonotope_margins(*blocks[0])
+    with jax.log_compiles(False), jax.check_tracer_leaks(False):
+        before = varying.holds_jit._cache_size(), gauge_search._cache_size()
+        varying.zonotope_margins(*blocks[1])
+        assert (varying.holds_jit._cache_size(), gauge_search._cache_size()) == before
+
+
+@pytest.mark.parametrize(
+    ("c", "G", "extra", "says"),
+    [
+        (np.zeros((2, 3)), np.zeros((2, 4, 2)), {}, "c (r, N) and G (r, q, N)"),
+        (np.zeros(3), np.zeros((1, 4, 3)), {}, "c (r, N) and G (r, q, N)"),
+        (np.zeros((1, 3)), np.zeros((1, 0, 3)), {}, "r and q at least 1"),
+        (np.zeros((1, 3)), np.zeros((1, 2, 3)), {"c_error": np.zeros(3)}, "c_error must have the shape (1, 3)"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(c, G, extra, says):
+    with pytest.raises(ValueError) as caught:
+        varying.zonotope_margins(c, G, **extra)
+    assert says in str(caught.value)

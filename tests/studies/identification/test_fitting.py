@@ -1,0 +1,240 @@
+"""A model and its bounds from recordings: against least squares and linear programs worked out here, and a plant that is known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from oracles import Plant, Windows
+
+import jaxbound as jb
+from jaxbound.models.modelfile import load_model, model_text, save_model
+from jaxbound.sets.floats.status import Status
+from jaxbound.studies.identification import regression
+
+A, B, C = [[0.8, 0.15], [-0.1, 0.6]], [[0.5], [0.3]], [[1, 0]]
+
+
+def run(rng, T=120, noise=0.05, a=0.8, level=20.0):
+    """Return (u, y) of y+ = a y + u / 2 around a level, with noise on the sensor."""
+    u = np.repeat(rng.uniform(-1, 1, (T // 6 + 1, 1)), 6, 0)[:T]
+    x = np.zeros(T)
+    for k in range(T - 1):
+        x[k + 1] = a * x[k] + 0.5 * u[k, 0]
+    return u, (level + x + rng.uniform(-noise, noise, T))[:, None]
+
+
+def plant_of(model):
+    lists = lambda m: [list(row) for row in m]
+    noise = [model.check.smallest[name] for name in model.outputs]
+    offset = {side: list(values) for side, values in model.offset.items()}
+    return Plant(lists(model.A), lists(model.B), lists(model.C), noise=noise, offset=offset)
+
+
+def all_windows(u, y, s):
+    return (np.stack([x[k : k + s + 1] for k in range(len(y) - s)]) for x in (u, y))
+
+
+class TestRegression:
+    @pytest.mark.parametrize("direct", [False, True])
+    def test_one_step_ahead_is_least_squares(self, rng, direct):
+        u, y = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
+        records = [(u[:25], y[:25], ()), (u[25:], y[25:], ())]
+        same = regression.Scales(np.zeros(2), np.ones(2), np.zeros(2), np.ones(2))
+        theta, _ = regression.least_squares(regression.windows_of(records, same, 2), 2, direct)
+        rows, targets = [], []
+        for k in [*range(2, 25), *range(27, 60)]:
+            rows.append([*y[k - 1], *y[k - 2], *(u[k] if direct else ()), *u[k - 1], *u[k - 2], 1.0])
+            targets.append(y[k])
+        np.testing.assert_allclose(theta, np.linalg.lstsq(np.array(rows), np.array(targets), rcond=None)[0], atol=1e-9)
+
+    def test_windows_are_complete_and_cross_no_seam(self, rng):
+        u, y, starts = rng.normal(size=(40, 1)), rng.normal(size=(40, 2)), np.array([11, 30])
+        y[20, 1], u[35, 0] = np.nan, np.nan
+        same = regression.Scales(np.zeros(1), np.ones(1), np.zeros(2), np.ones(2))
+        found = regression.windows_of([(u, y, starts)], same, 3)
+        whole = [k for k in range(37) if not {20, 35} & set(range(k, k + 4)) and not any(k < s <= k + 3 for s in (11, 30))]
+        np.testing.assert_array_equal(found.y, np.stack([y[k : k + 4] for k in whole]))
+        np.testing.assert_array_equal(found.u, np.stack([u[k : k + 4] for k in whole]))
+
+    def test_the_window_residual_is_what_the_best_first_state_leaves(self, rng):
+        theta, u, y = rng.normal(size=(7, 2)) / 3, rng.normal(size=(4, 6, 1)), rng.normal(size=(4, 6, 2))
+        A1, A2, B1, B2 = theta[:2].T, theta[2:4].T, theta[4:5].T, theta[5:6].T
+        free, forced = [], []
+        for first in [*np.eye(4), np.zeros(4)]:  # the two outputs, and what the second one waits for
+            now, later, out = np.tile(first[:2], (4, 1)), np.tile(first[2:], (4, 1)), []
+            alone = not first.any()
+            for j in range(6):
+                out.append(now)
+                drive = lambda b, j=j, alone=alone: alone * u[:, j] @ b.T
+                now, later = later + now @ A1.T + drive(B1) + alone * theta[6], now @ A2.T + drive(B2)
+            (forced if alone else free).append(np.stack(out, 1).reshape(4, -1))
+        best = np.stack([np.linalg.lstsq(np.stack([f[i] for f in free], 1), e, rcond=None)[1][0]
+                         for i, e in enumerate(y.reshape(4, -1) - forced[0])])  # fmt: skip
+        e = np.asarray(regression._residuals(theta, u, y, np.ones(4), np.ones(2), 2, False))
+        np.testing.assert_allclose((e**2).sum(1), best, rtol=1e-8)
+
+    def test_refining_never_widens_the_windows_nor_adds_growth(self, rng):
+        u, y = run(rng, noise=0.3)
+        scales = regression.scales_of([(u, y, ())])
+        windows = regression.windows_of([(u, y, ())], scales, 8)
+        theta, _ = regression.least_squares(regression.windows_of([(u, y, ())], scales, 2), 2, False)
+        finer, spread = regression.refined(theta, windows, 2, False)
+        assert spread[0] <= regression.window_spread(theta, windows, 2, False)[0]
+        assert regression.growth(finer, 2) <= max(1, regression.growth(theta, 2))
+
+    def test_another_recording_compiles_nothing(self, rng):
+        def once(T):
+            u, y = run(rng, T)
+            scales = regression.scales_of([(u, y, ())])
+            windows = regression.windows_of([(u, y, ())], scales, 5)
+            regression.refined(rng.normal(size=(3, 1)) / 4, windows, 1, False)
+            return regression._residuals._cache_size(), regression._slopes._cache_size()
+
+        assert once(100) == once(80)
+
+
+class TestModel:
+    def test_a_known_plant_is_recovered(self, rng):
+        model = jb.fit([run(rng, 60), run(rng, 60)], order=1, horizon=4)
+        assert abs(float(model.A[0][0]) - 0.8) < 0.06 and abs(float(model.B[0][0]) - 0.5) < 0.1
+        assert 0.03 < float(model.noise[0]) < 0.05 * 1.25 * 1.5
+
+    @pytest.mark.slow
+    def test_second_order_behaviour_is_recovered(self, rng):
+        true = jb.LinearSystem(A, B, C)
+        u = rng.uniform(-1, 1, (300, 1))
+        x, y = np.zeros(2), np.zeros((300, 1))
+        for k in range(300):
+            y[k], x = np.array(C) @ x, np.array(A) @ x + np.array(B) @ u[k]
+        model = jb.fit((u, y + rng.uniform(-0.01, 0.01, y.shape)), order=2, horizon=8)
+        response = lambda m: [float((np.array(m.C, float) @ np.linalg.matrix_power(np.array(m.A, float), j) @ np.array(m.B, float))[0, 0])
+                              for j in range(8)]  # fmt: skip
+        np.testing.assert_allclose(response(model), response(true), atol=0.02)
+
+    def test_the_smallest_bound_is_that_of_the_linear_program(self, rng):
+        u, y = run(rng, T=90)
+        model = jb.fit((u, y), order=1, horizon=4)
+        gauge = Windows(plant_of(model), 4).gauge_by_program(*all_windows(u, y, 4))
+        assert abs(gauge.max() - 1) < 1e-6
+
+    def test_every_training_window_is_proved_consistent_and_with_a_little_less_not(self, rng):
+        records = [run(rng, 60), run(rng, 60)]
+        model = jb.fit(records, order=1, horizon=4, safety=1)
+        r = jb.parity_relations(model)
+        verdicts = np.concatenate([jb.detect(r, *record).status[4:] for record in records])
+        assert r.horizon == 4 and (verdicts == Status.CONSISTENT).all()
+        less = r.with_bounds({"noise": model.check.smallest["y1"] * (1 - 1e-6)})
+        assert any((jb.detect(less, *record).status == Status.FAULT).any() for record in records)
+
+    def test_the_constant_becomes_the_operating_point(self, rng):
+        u, y = run(rng, level=350.0)
+        model = jb.fit((u, y), order=1, horizon=4)
+        rest = float(model.offset["y"][0]) - float(model.B[0][0]) / (1 - float(model.A[0][0])) * float(model.offset["u"][0])
+        assert abs(rest - 350) < 0.1  # where the plant stays without input
+
+    def test_bounds_hold_for_the_model_as_it_is_saved(self, rng, tmp_path):
+        u, y = run(rng, T=100)
+        model = jb.fit((u, y), order=1, horizon=4, dt=0.5, inputs=["pump"], outputs=["level"], units={"level": "m"}, name="tank")
+        save_model(model, tmp_path / "tank.toml")
+        again = load_model(tmp_path / "tank.toml")
+        assert model_text(again) == model_text(model)
+        assert (again.horizon, again.dt, again.inputs, again.outputs, again.unit("level")) == (4, 0.5, ("pump",), ("level",), "m")
+        assert max(len(str(float(x))) for row in (*again.A, *again.B) for x in row) <= 12
+        assert again.provenance["noise"] == "fitted to 100 samples in 1 recording, safety factor 1.25"
+
+    @pytest.mark.slow
+    def test_an_input_may_act_at_once(self, rng):
+        u = rng.uniform(-1, 1, (120, 1))
+        y = 3 * u + rng.uniform(-0.01, 0.01, u.shape)
+        slow, quick = (jb.fit((u, y), order=1, horizon=4, direct=d) for d in (False, True))
+        assert quick.has_feedthrough and quick.noise[0] < 0.03 < slow.noise[0]
+
+    @pytest.mark.slow
+    def test_without_inputs(self, rng):
+        x = 5 + 2 * 0.97 ** np.arange(80.0)[:, None]
+        model = jb.fit((None, x + rng.uniform(-0.01, 0.01, x.shape)), order=1, horizon=4)
+        assert model.m == 0 and model.noise[0] < 0.03
+
+
+class TestRecordings:
+    def test_missing_samples_and_seams_count_for_nothing(self, rng):
+        u, y = run(rng)
+        broken = y.copy()
+        broken[40:43] = np.nan
+        broken[80:] += 7.0  # another level: only because of the seam before it this does no harm to windows
+        model = jb.fit((u, broken, np.array([80])), order=1, horizon=4)
+        need = model.check.used[0]
+        assert np.isnan(need[80:84]).all() and np.isfinite(need[84:]).all()
+
+    def test_a_table_with_dates_is_cut_at_its_gaps(self, rng):
+        u, y = run(rng, T=120)
+        index = pd.date_range("2026-01-01", periods=120, freq="s").to_series()
+        index.iloc[60:] += pd.Timedelta("1h")
+        table = pd.DataFrame({"pump": u[:, 0], "level": y[:, 0], "other": "text"}, index=index)
+        model = jb.fit([table], order=1, horizon=4, inputs="pump", outputs=["level"])
+        plain = jb.fit((u, y, [60]), order=1, horizon=4)
+        assert (model.inputs, model.outputs) == (("pump",), ("level",)) and model.A == plain.A and model.noise == plain.noise
+
+    def test_what_was_held_out_is_judged_by_a_fit_that_has_not_seen_it(self, rng):
+        u, y = run(rng)
+        first = jb.fit((u[:84], y[:84]), order=1, horizon=4, held_out=0, method="windows")
+        spoilt = y.copy()
+        spoilt[100:] += np.where(np.arange(20) % 2, 1.0, -1.0)[:, None]
+        model = jb.fit((u, spoilt), order=1, horizon=4, method="windows")
+        res = jb.detect(jb.parity_relations(first), u[84:], spoilt[84:])
+        assert model.check.held_out["windows"] == 32 and first.check.held_out is None
+        assert abs(model.check.held_out["fault"] - res.counts["FAULT"] / 32) < 0.15 and model.check.held_out["growth"] > 3
+        assert any("held-out windows would be FAULT under the bounds of the first 70 %" in s for s in model.check.sentences)
+
+
+class TestCautions:
+    def said(self, records, **options):
+        return " | ".join(jb.fit(records, **{"order": 1, "horizon": 4} | options).check.sentences)
+
+    def test_nothing_to_say_of_good_recordings(self, rng):
+        assert self.said([run(rng, 60), run(rng, 60)], safety=2) == ""
+
+    def test_an_input_that_never_moves(self, rng):
+        u, y = run(rng)
+        assert "u2 never moves in these recordings" in self.said((np.hstack([u, 0 * u + 3]), y))
+
+    def test_recordings_that_contradict_each_other(self, rng):
+        said = self.said([run(rng, 60, noise=0.01), run(rng, 60, noise=0.4)])
+        assert "recording 2 needs bounds" in said and "times as wide as recording 1: they contradict each other" in said
+
+    def test_too_little_history(self, rng):
+        said = self.said(run(rng, T=30))
+        assert "hold only 5 windows of 5 samples that do not overlap" in said
+
+    def test_nothing_held_out(self, rng):
+        assert "nothing was held out: what the monitor makes of data that it has not seen is unknown" in self.said(run(rng), held_out=0)
+
+    def test_a_blind_monitor(self, rng):
+        said = self.said((rng.normal(size=(120, 1)), rng.normal(size=(120, 1))))
+        assert "the monitor is blind for y1: no jump below" in said
+
+
+@pytest.mark.parametrize("change, message", [
+    (dict(order=0), "order must be a whole number >= 1, not 0"),
+    (dict(horizon=1), r"horizon must be a whole number above the order \(1\), not 1"),
+    (dict(safety=0.9), "safety must be a factor >= 1, not 0.9"),
+    (dict(held_out=1), "held_out must be a share from 0 to below 1, not 1"),
+    (dict(recordings=[]), "there is no recording"),
+    (dict(recordings=[3]), r"recording 1 must be a pair \(u, y\), a DataFrame or a Recording, not int"),
+    (dict(recordings=pd.DataFrame({"a": [1.0]})), r"recording 1 is a DataFrame: say with inputs"),
+    (dict(recordings=pd.DataFrame({"a": [1.0], "b": [2.0]}), outputs=["A"], inputs="b"), "recording 1: y has no column 'A'"),
+    (dict(recordings=(np.zeros((9, 1)), np.zeros((8, 1)))), "recording 1: u and y must have the same number of samples: 9 and 8"),
+    (dict(recordings=(np.zeros((9, 1)), np.full((9, 1), np.inf))), "recording 1: y must be finite"),
+    (dict(recordings=(np.zeros((9, 1)), np.full((9, 1), 5.0))), "y1 stands still in all recordings"),
+    (dict(recordings=(None, np.arange(9.0)), order=3), "too few samples: 9, in 1 recording, hold 5 complete windows of 5 .* 6 steps for 4"),
+    (dict(recordings=(None, np.arange(4.0))), "too few samples: 4, in 1 recording, hold 0 complete windows of 5"),
+    (dict(recordings=(np.zeros((2, 9, 1)), np.zeros((2, 9, 1)))), "time must be its first axis: give several recordings as a list"),
+])  # fmt: skip
+def test_what_cannot_be_fitted_is_refused_in_a_sentence(change, message):
+    with pytest.raises(ValueError, match=message):
+        jb.fit(**{"recordings": [], "order": 1, "horizon": 4} | change)
+
+
+def test_a_plant_that_fits_without_any_error_has_bounds_of_rounding(rng):
+    u = rng.integers(-3, 4, (120, 1)).astype(float)
+    model = jb.fit([(u, np.vstack([[[0.0]], u[:-1]]))], order=1, horizon=2, method="least squares")
+    assert 0 < float(model.noise[0]) < 1e-9 and model.check.held_out["fault"] == 0
