@@ -1,8 +1,6 @@
 """Text that people read: names that users wrote without control characters, formulas or end, and numbers that read well."""
 
-import html
-
-__all__ = ["cell", "clipped", "duration", "escape", "percent", "printable", "times"]
+__all__ = ["cell", "clipped", "duration", "factor", "percent", "printable", "times"]
 
 FORMULAS = ("=", "+", "-", "@")
 """A cell that begins so is computed, not shown, by a spreadsheet."""
@@ -36,11 +34,6 @@ def clipped(text):
     return f"{text[: LONGEST // 2]} [.. {len(text) - LONGEST} characters ..] {text[-LONGEST // 2 :]}"
 
 
-def escape(text):
-    """Return a text for a page of HTML."""
-    return html.escape(printable(text, "\n"))
-
-
 def cell(text):
     """Return a text as a cell of CSV that no spreadsheet takes for a formula: an apostrophe before = + - @, control characters escaped.
 
@@ -54,12 +47,17 @@ def cell(text):
     return f"'{text}" if text.startswith(FORMULAS) else text
 
 
-def times(factor):
-    """Return "2.2 times", with no more digits than matter."""
-    if factor >= 1000:
-        return f"{factor:,.0f} times" if factor < 1e9 else f"{factor:.2g} times"
-    short = f"{factor:.3g}"
-    return f"{short if short != '1' else f'{factor:.7g}'} times"  # just above 1 is not 1
+def factor(x):
+    """Return "2.2" for a factor, with no more digits than matter."""
+    if x >= 1000:
+        return f"{x:,.0f}" if x < 1e9 else f"{x:.2g}"
+    short = f"{x:.3g}"
+    return short if short != "1" else f"{x:.7g}"  # just above 1 is not 1
+
+
+def times(x):
+    """Return "2.2 times" for a factor."""
+    return f"{factor(x)} times"
 
 
 def percent(share):

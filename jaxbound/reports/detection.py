@@ -1,29 +1,23 @@
-"""The report: one self-contained HTML file that a plant engineer can read, mail and print."""
+"""The page of a detection, with pictures of the margin and of the residuals beside it."""
 
 import contextlib
-import time as clock
+import time
 from pathlib import Path
 
 from jaxbound.plots.canvas import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
-from jaxbound.recordings.plaintext import duration, escape, percent, times
+from jaxbound.recordings.plaintext import duration, factor
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.reports.page import GUARANTEE, about, figure, frame, model_tables, opening, section, table, tiles
+from jaxbound.reports.page import TITLE, render
+from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
 from jaxbound.runs.summary import alarm_total, bound_hints, coverage, samples, summary, worst_window
-from jaxbound.sets.floats.status import Status
 
 __all__ = ["write_report"]
 
 ROWS = 200  # alarms in the table
+LINES = 20  # relations in words
 PATIENCE = 1.0  # seconds for the exact certificates of the table
-MEANING = {
-    Status.FAULT: "proved: no state and no sensor error inside the stated bounds explains the samples of this window",
-    Status.CONSISTENT: "proved: the model explains the samples with every error inside its bounds; that is no proof that a fault "
-    "before it is repaired",
-    Status.UNDECIDED: "not settled by the method that was chosen, or on the boundary within rounding",
-    Status.MISSING: "no usable data: the first samples of a recording or after a gap in time, or missing values",
-}
 
 
 def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, min_coverage=0.5, extra=(), sizes=None, progress=None):
@@ -39,107 +33,103 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
     Returns:
         The names of the files written.
     """
-    directory, report = Path(directory), progress or (lambda share: None)
-    if isinstance(res, Digest):
-        margin, (part, near) = plot_timeline(res.line, res, res.alarm_count), res.around(worst_window(res) or 0)
-    else:
-        margin, part, near = plot_result(res, recording.axis, alarms), res, recording
-    pictures = {"margin.png": to_png(margin)}
-    report(0.35)
-    pictures["residuals.png"] = to_png(plot_residuals(part, near.axis))
-    report(0.7)
-    for name, data in pictures.items():
-        (directory / name).write_bytes(data)
-    page = _page(res, recording, alarms, [*hints, *bound_hints(res.relations.model)], seconds or {}, min_coverage, pictures, extra, sizes)
-    (directory / "report.html").write_text(page, encoding="utf-8")
-    report(1.0)
+    pictures = {}
+    for share, (name, data) in zip((0.35, 0.7), _pictures(res, recording, alarms), strict=True):
+        pictures[name] = data
+        (Path(directory) / name).write_bytes(data)
+        if progress:
+            progress(share)
+    part, model = isinstance(res, Digest), res.relations.model
+    verdict, sentence = summary(res, alarms, recording.label, min_coverage)
+    page = render(
+        "detection.html",
+        name=model.name,
+        verdict=verdict,
+        title=TITLE[verdict],
+        sentence=sentence,
+        recording=recording,
+        samples=samples(res),
+        counts=res.counts,
+        warm_up=res.relations.horizon,
+        decided=coverage(res),
+        hints=[*hints, *bound_hints(model)],
+        extra=extra,
+        pictures=pictures,
+        alarms=_alarm_rows(res, recording, alarms),
+        alarm_total=alarm_total(res, alarms),
+        most=ROWS,
+        sizes=sizes_text(res, sizes),
+        part=part,
+        method=res.method,
+        model=model_values(model, res.relations.bounds),
+        **_relations(res.relations),
+        computed=computed(res.method, res.relations.horizon, (res.data if part else res.y).dtype, seconds or {}),
+    )
+    (Path(directory) / "report.html").write_text(page, encoding="utf-8")
+    if progress:
+        progress(1.0)
     return ["report.html", *pictures]
 
 
-def _page(res, recording, alarms, hints, seconds, min_coverage, pictures, extra, sizes):
-    model, s = res.relations.model, res.relations.horizon
-    verdict, sentence = summary(res, alarms, recording.label, min_coverage)
-    counted = tiles(res.counts, s, MEANING, f"{percent(coverage(res))} of all full windows are decided by proof.")
-    sections = opening(model, verdict, sentence, recording, samples(res), [counted], hints)
-    for title, picture, text, rows in extra:
-        sections.append(section(title, figure(picture, title, text) if picture else f"<p>{escape(text)}</p>", rows))
-    sections += [
-        section("Margin", figure(pictures["margin.png"], "margin over time",
-            "How far each window is inside (above 0) or outside (below 0) of what the bounds allow. At a margin of -1, all bounds would "
-            "have to be twice as wide to explain the samples.")),
-        section(f"Alarms ({alarm_total(res, alarms)})", _alarms(res, recording, alarms, sizes)),
-        section("Residuals" + ", around the worst window" * isinstance(res, Digest),
-                 figure(pictures["residuals.png"], "residuals and their envelopes",
-            "Each residual is computed from measurements alone; the blue band is what healthy sensors inside their bounds can make of it. "
-            + ("All residuals are tested together, so a window can be FAULT with every residual inside its band."
-               if res.method != "box" else "Each residual is tested alone."))),
-        section("Model and bounds", _model(res)),
-        section("How this was computed",
-                 about(res.method, s, (res.data if isinstance(res, Digest) else res.y).dtype, seconds)),
-        f'<section class="guarantee"><h2>What is guaranteed</h2><p>{GUARANTEE}</p></section>',
-    ]  # fmt: skip
-    return frame(model.name, verdict, sections)
+def _pictures(res, recording, alarms):
+    """Yield (file name, PNG) of the margin, and of the residuals: of a Digest those around the worst window."""
+    if isinstance(res, Digest):
+        yield "margin.png", to_png(plot_timeline(res.line, res, res.alarm_count))
+        res, recording = res.around(worst_window(res) or 0)
+    else:
+        yield "margin.png", to_png(plot_result(res, recording.axis, alarms))
+    yield "residuals.png", to_png(plot_residuals(res, recording.axis))
 
 
-def _alarms(res, recording, alarms, sizes):
-    if not alarms:
-        return "<p>None.</p>"
-    depth = [a.depth if a.depth == a.depth else 0.0 for a in alarms]
-    chosen = sorted(range(len(alarms)), key=lambda i: depth[i])[:ROWS]
-    stop, why = clock.perf_counter() + PATIENCE, {}
-    for i in chosen:  # the deepest first, as long as patience lasts
-        if clock.perf_counter() < stop:
-            with contextlib.suppress(NotImplementedError):
-                certificate = res.explain(alarms[i].worst)
-                why[i] = _sensor_errors(certificate), certificate.relation
+def _alarm_rows(res, recording, alarms):
+    """Return the rows of the deepest alarms in order of time."""
+
+    def depth(i):  # NaN where the test measures no margin
+        return alarms[i].depth if alarms[i].depth == alarms[i].depth else 0.0
+
+    chosen = sorted(range(len(alarms)), key=depth)[:ROWS]
+    why = _certified(res, alarms, chosen)
     rows = []
     for i in sorted(chosen):
         a = alarms[i]
-        factor = "" if a.depth != a.depth else f"× {times(1 - a.depth).removesuffix(' times')}"
-        lasts = duration(float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt)
-        rows.append((i + 1, recording.label(a.start), recording.label(a.end), lasts, a.windows, factor, *why.get(i, ("", "")), a.ended))
-    total = alarm_total(res, alarms)
-    note = f"<p>The {ROWS} deepest of {total} alarms; alarms.csv has all of them, and a larger n in --alarm k/n joins neighbours.</p>"
-    note = note if total > ROWS else ""
-    text = ("<p>Bounds needed: by how much all bounds would have to be widened to explain the worst window of the alarm. One sensor wrong: "
-            "the smallest error of that sensor alone that would explain it too, or an actuator that did something else than was recorded; "
-            "a signal that is not named cannot explain it, whatever its error. "
-            "Violated relation: what those samples contradict most; it must hold for some true values inside the bounds. The whole proof "
-            "of a window: <code>jaxbound explain DIR --at TIME</code>, with the folder of this report. "
-            f"Ended: {escape(sizes_text(res, sizes))}; the alarm of a smaller one may end when its onset leaves the window, "
-            "while the fault lasts.</p>")  # fmt: skip
-    return (
-        note
-        + table(
-            ("", "from", "to", "lasts", "FAULT windows", "bounds needed", "one sensor wrong by", "violated relation", "ended"),
-            rows,
-            "alarms",
-        )
-        + text
-    )
+        lasts = float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt
+        needed = "" if a.depth != a.depth else f"× {factor(1 - a.depth)}"
+        begun, ended = recording.label(a.start), recording.label(a.end)
+        rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, *why.get(i, ("", "")), a.ended))
+    return rows
+
+
+def _certified(res, alarms, chosen):
+    """Return {i: (errors of single sensors, violated relation)} of the chosen alarms, as many as patience allows."""
+    stop, why = time.perf_counter() + PATIENCE, {}
+    for i in chosen:
+        if time.perf_counter() >= stop:
+            break
+        with contextlib.suppress(NotImplementedError):
+            certificate = res.explain(alarms[i].worst)
+            why[i] = _sensor_errors(certificate), certificate.relation
+    return why
 
 
 def _sensor_errors(certificate):
     """Return the smallest single-sensor errors as text, the most plausible first; nothing where they are not known."""
-    unit = certificate.window.model.unit
-    if not certificate.errors:
+    errors, unit = certificate.errors, certificate.window.model.unit
+    if not errors:
         return ""
-    errors = certificate.errors
-    wrong = lambda name: f"{name} {float(errors[name]):.3g} {unit(name)}".strip() if name in errors else f"{name} (actuator)"
-    return ", ".join(map(wrong, certificate.candidates)) or "none alone"
+    wrong = []
+    for name in certificate.candidates:
+        size = f"{float(errors[name]):.3g} {unit(name)}".strip() if name in errors else "(actuator)"
+        wrong.append(f"{name} {size}")
+    return ", ".join(wrong) or "none alone"
 
 
-def _model(res):
-    distinct = distinct_relations(res.relations)
-    lines = res.relations.text().splitlines()
-    relations = "\n".join(lines[j] for j in distinct[:20])
-    relations += "\n..." if len(distinct) > 20 else ""
-    copies = f", of which {len(distinct)} differ by more than a shift in time" if len(distinct) < res.relations.count else ""
-    return (
-        model_tables(res.relations.model, res.relations.bounds)
-        + f"<p>{res.relations.count} independent relations over {res.relations.horizon + 1} samples{copies}; "
-        f"{_tested(res.relations)}.</p><pre>{escape(relations)}</pre>"
-    )
+def _relations(relations):
+    """Return what the page says of them: their number, those that differ in words, how they are tested."""
+    lines, distinct = relations.text().splitlines(), distinct_relations(relations)
+    shown = [lines[j] for j in distinct[:LINES]]
+    if len(distinct) > LINES:
+        shown.append("...")
+    return {"relations": relations.count, "distinct": len(distinct), "lines": shown, "tested_how": _tested(relations)}
 
 
 def _tested(relations):

@@ -195,3 +195,11 @@ class TestReport:
         res = synthetic(status)
         write_report(tmp_path, res, recording_of(res), res.alarms())
         assert Reader((tmp_path / "report.html").read_text()).text
+
+    def test_a_model_without_states_has_its_equation_and_no_empty_matrices(self, tmp_path):
+        res = jb.detect(
+            jb.parity_relations(jb.LinearSystem(None, None, None, D=[[1], [2]], noise=0.1), 0), np.zeros((5, 1)), np.zeros((5, 2))
+        )
+        write_report(tmp_path, res, recording_of(res), [])
+        text = " ".join(Reader((tmp_path / "report.html").read_text()).text.split())
+        assert "yk = D uk, one sample every 1 s; numbers" in text and "D = 1 2" in text and "A =" not in text

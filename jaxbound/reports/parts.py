@@ -1,0 +1,95 @@
+"""What several pages show: a model with its bounds, and what a result was computed with."""
+
+import platform
+import time
+
+import numpy as np
+
+from jaxbound.models.modelfile import number_text
+from jaxbound.recordings.plaintext import percent
+
+__all__ = ["computed", "model_values"]
+
+DIGITS = 12  # of an exact number, beyond which it is rounded
+
+
+def model_values(model, bounds):
+    """Return what `parts.model_tables` shows of a LinearSystem with bounds {"tolerance", "noise"} (p,)."""
+    return {
+        "bounded": ("output", "column", "unit", "offset", *_headed(model, ("tolerance", "noise", "resolution"))),
+        "outputs": [(*_signal(model, "y", i), *_bounds(model, bounds, i)) for i in range(model.p)],
+        "inputs": [_signal(model, "u", i) for i in range(model.m)],
+        "disturbances": [_disturbance(model, j) for j in range(model.g)],
+        "parameters": list(map(_parameter, model.uncertainties)),
+        "matrices": list(_matrices(model)),
+        "unknown": model.d,
+        "direct_unknown": model.has_direct_unknown,
+        "dt": f"{model.dt:g}",
+        "states": ", ".join(model.states),
+        "origin": _origin(model, "model"),
+    }
+
+
+def _origin(model, field):
+    return model.provenance.get(field, "origin not stated")
+
+
+def _headed(model, fields):
+    return [f"{field} ({_origin(model, field)})" for field in fields]
+
+
+def _signal(model, kind, i):
+    """Return the first cells of an input's ("u") or output's ("y") row."""
+    name = {"u": model.inputs, "y": model.outputs}[kind][i]
+    return name, model.column(name), model.unit(name), _short(model.offset[kind][i])
+
+
+def _bounds(model, bounds, i):
+    """Return the cells of what the sensor of output i may do."""
+    tolerance, noise = float(bounds["tolerance"][i]), float(bounds["noise"][i])
+    return f"{percent(tolerance)} of the value", f"± {noise:.6g}", f"± {_short(model.resolution[i])}"
+
+
+def _disturbance(model, j):
+    lo, hi = map(float, model.disturbance[j])
+    return f"w{j + 1}", f"{lo:g}", f"{hi:g}", _origin(model, "disturbance")
+
+
+def _parameter(u):
+    lo, hi = (f"{float(bound):.6g}" for bound in u.between)
+    acts_on = ", ".join(letter for letter in "ABCD" if getattr(u, letter))
+    return u.name, lo, hi, "varies" if u.varying else "is constant", acts_on
+
+
+def _matrices(model):
+    """Yield (letter, subscript, rows of texts) of the matrices that are there; D only where it is not zero."""
+    for name in ("A", "B", "C", "D", "G", "F", "D_v"):
+        rows = getattr(model, name)
+        if not rows or not rows[0] or (name[0] == "D" and not any(map(any, rows))):
+            continue
+        letter, _, subscript = name.partition("_")
+        yield letter, subscript, [list(map(_short, row)) for row in rows]
+
+
+def _short(x):
+    """Return an exact number as text, rounded where it is long."""
+    text = number_text(x)
+    return text if len(text) <= DIGITS else f"{float(x):.6g}"
+
+
+def computed(method, horizon, dtype, seconds):
+    """Return rows of what a report was computed with. seconds: {stage: seconds}."""
+    import jax
+
+    from jaxbound import __version__
+
+    device = jax.devices()[0]
+    versions = (f"jaxbound {__version__}", f"jax {jax.__version__}", f"numpy {np.__version__}")
+    kind = " ".join(dict.fromkeys((device.platform, device.device_kind)))
+    return [
+        ("method", f"{method}, windows of {horizon + 1} samples"),
+        ("versions", f"{', '.join(versions)}, Python {platform.python_version()}"),
+        ("device and numbers", f"{kind}, {dtype.name}"),
+        ("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items()) or "not measured"),
+        ("written", time.strftime("%Y-%m-%d %H:%M:%S %z")),
+    ]

@@ -1,0 +1,153 @@
+"""Every page: what a user wrote is escaped exactly once, a value that is missing is refused, style sheet and templates travel along."""
+
+import re
+import shlex
+import tomllib
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound import reports
+from jaxbound.cli.validate import Validated
+from jaxbound.reports import page
+from jaxbound.reports.detection import write_report
+from jaxbound.reports.fleet import fleet_page
+from jaxbound.reports.study import study_page
+from jaxbound.reports.validation import write_page
+from jaxbound.runs.fleet import Unit, UnitResult
+from jaxbound.sets.intervals.interval import Interval
+
+HOME = Path(reports.__file__).parent
+PNG = b"\x89PNG"
+
+
+def evil(what):
+    """Return a name that would end an attribute, begin a script, or be taken for an entity or an expression."""
+    return f"""'><script>alert("1")</script>&amp;{{{{ 7 * 7 }}}} {what}"""
+
+
+MODEL = dict(
+    A=[[0.5]], B=[[1]], C=[[1]], noise=0.1, disturbance=([[1]], [0.01]), name=evil("model"), inputs=[evil("u")], outputs=[evil("y")],
+    states=[evil("x")], units={evil("y"): evil("unit"), evil("u"): evil("V")}, columns={evil("y"): evil("column")},
+    provenance={field: evil(field) for field in ("noise", "tolerance", "resolution", "disturbance", "model")})  # fmt: skip
+OF_MODEL = ("model", "u", "y", "x", "unit", "V", "column", "noise", "tolerance", "resolution", "disturbance")
+
+
+def recorded(T):
+    return SimpleNamespace(time=np.arange(T) * 1.0, axis=np.arange(T) * 1.0, source=evil("source"), label=lambda k: evil(f"at {k}"))
+
+
+def detection(folder):
+    y = np.zeros((30, 1))
+    y[20] = 9
+    res = jb.detect(jb.parity_relations(jb.LinearSystem(**MODEL)), np.zeros((30, 1)), y)
+    table = [(evil("head"),), (evil("cell"),)]
+    extra = [(evil("title"), PNG, evil("caption"), table), (evil("other"), None, evil("text"), None)]
+    write_report(folder, res, recorded(30), res.alarms(), hints=[evil("hint")], seconds={evil("stage"): 1.0}, extra=extra,
+                 sizes={evil("y"): 1.0})  # fmt: skip
+    return (folder / "report.html").read_text()
+
+
+def uncertain(folder):
+    parameter = jb.Uncertainty(evil("parameter"), A=[[0.05]])
+    m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name=evil("model"), uncertainties=[parameter])
+    res = jb.detect(jb.parity_relations(m, 1), np.zeros((9, 1)), np.zeros((9, 1)))
+    write_report(folder, res, recorded(9), [])
+    return (folder / "report.html").read_text()
+
+
+def validation(folder):
+    band = Interval(np.zeros((9, 1)), np.ones((9, 1)))
+    faulty = np.arange(9)[:, None] == 5
+    status = np.where(faulty[:, 0], jb.Status.FAULT, jb.Status.UNDECIDED).astype(np.int8)
+    found = jb.Validation(band, band, band, faulty, band, status)
+    res = Validated(jb.LinearSystem(**MODEL), 1, np.zeros((9, 1)), found)
+    write_page(folder, res, recorded(9), res.alarms(), hints=[evil("hint")], seconds={evil("stage"): 1.0})
+    return (folder / "report.html").read_text()
+
+
+def study(folder):
+    res = jb.study(jb.LinearSystem(**MODEL), f"{evil('y')}:bias", 40, 0, sizes=[1.0], samples=20)
+    res.settings["asked"] = evil("setting")
+    return study_page(res, res.to_pandas(), PNG, 0, 1.0)
+
+
+def fleet(folder):
+    unit = Unit(evil("unit"), Path(evil("file")), Path(evil("recording")))
+    found = UnitResult(unit, "fault", evil("sentence"), -1.0, (1, 2, 3, 4), 0.6, 1, evil("first"), "", (evil("hint"),), evil("ended"))
+    wrong = UnitResult(Unit(evil("other"), Path("m"), Path("r")), "not tested", evil("why"))
+    return fleet_page([found, wrong], ("fault", 1, evil("all")), evil("title"))
+
+
+PAGES = {
+    detection: (*OF_MODEL, "source", "at 0", "at 20", "at 29", "hint", "stage", "title", "caption", "head", "cell", "other", "text"),
+    uncertain: ("model", "parameter"),
+    validation: (*OF_MODEL, "source", "at 0", "at 5", "at 8", "hint", "stage"),
+    study: (*OF_MODEL, "setting"),
+    fleet: ("unit", "sentence", "first", "hint", "ended", "other", "why", "all", "title"),
+}
+every_page = pytest.mark.parametrize("make", PAGES, ids=lambda make: make.__name__)
+
+
+class Reader(HTMLParser):
+    """Collects what a browser would show and which tags it would see."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.shown, self.attributes = set(), "", []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.add(tag)
+        self.attributes += [name for name, _ in attributes]
+        self.shown += " ".join(value or "" for name, value in attributes if name == "alt")
+
+    def handle_data(self, data):
+        self.shown += data
+
+
+@every_page
+def test_what_a_user_wrote_is_escaped_exactly_once(make, tmp_path):
+    """Read back by a parser of HTML, each name is what was written: not less (a tag, an attribute), not more (escaped twice)."""
+    reader = Reader(make(tmp_path))
+    assert not reader.tags & {"script", "iframe", "link", "object"} and not [a for a in reader.attributes if a.startswith("on")]
+    assert [what for what in PAGES[make] if evil(what) not in reader.shown] == []
+
+
+def test_the_command_of_a_fleet_is_quoted_for_the_shell_and_escaped(tmp_path):
+    assert shlex.join(["jaxbound", "detect", evil("file"), evil("recording")]) in Reader(fleet(tmp_path)).shown
+
+
+@every_page
+def test_a_page_is_one_file_that_asks_nobody(make, tmp_path):
+    text = make(tmp_path)
+    assert not re.search(r"url\(|@import|https?:", text) and text.startswith("<!doctype html>") and text.rstrip().endswith("</html>")
+    assert all(src.startswith("data:image/png;base64,") for src in re.findall('src="([^"]*)"', text))
+
+
+@pytest.mark.parametrize("name", sorted(f.name for f in (HOME / "templates").iterdir()))
+def test_every_template_is_read_and_needs_its_values(name):
+    import jinja2
+
+    if name == "parts.html":  # macros alone
+        assert page.render(name).strip() == ""
+        return
+    with pytest.raises((jinja2.UndefinedError, jinja2.TemplateRuntimeError), match="undefined|Required block"):
+        page.render(name)
+
+
+def test_every_class_of_the_style_sheet_is_on_a_page():
+    sheet, templates = (HOME / "style.css").read_text(), "".join(f.read_text() for f in (HOME / "templates").iterdir())
+    styled = set(re.findall(r"\.([A-Za-z][\w-]*)", re.sub(r"\{[^{}]*\}", "{}", sheet)))
+    drawn = {"fault", "too", "not", *(status.name for status in jb.Status)}  # verdicts and statuses become classes
+    assert styled and [name for name in styled - drawn if not re.search(rf"\b{name}\b", templates)] == []
+
+
+def test_what_is_no_python_is_installed_too():
+    data = tomllib.loads((HOME.parents[1] / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["jaxbound.reports"]
+    kept = {f for pattern in data for f in HOME.glob(pattern)}
+    assert kept == {f for f in HOME.rglob("*") if f.is_file() and f.suffix not in (".py", ".pyc")}
