@@ -1,4 +1,4 @@
-"""How the work grows: devices, processes, and recordings of 20 and 100 million samples in Parquet.
+"""How the work grows: devices, and recordings of 20 and 100 million samples in Parquet.
 
 python -m benchmarks.scale [--rows 100000000] [--windows 10000000]
 
@@ -10,7 +10,6 @@ import json
 import os
 import resource
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -85,46 +84,29 @@ def with_devices(count, windows):
     return json.loads(subprocess.run(argv, env=env, capture_output=True, text=True, check=True).stdout)
 
 
-def detect(folder, data, out, processes=1):
-    """Run `jaxbound detect` in so many processes; return seconds, processor seconds, peak memory of each, what process 0 says."""
+def detect(folder, data, out):
+    """Run `jaxbound detect`; return seconds, processor seconds, peak memory and what it says."""
     jaxbound = shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound"
-    start, before, env = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN), os.environ
-    if processes > 1:
-        with socket.socket() as s:
-            s.bind(("127.0.0.1", 0))
-            env = {**env, "JAX_COORDINATOR_ADDRESS": f"127.0.0.1:{s.getsockname()[1]}", "JAX_NUM_PROCESSES": str(processes)}
+    start, before, peak = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN), 0
     with open(folder / "stdout", "w+") as said, open(folder / "stderr", "w+") as err:
-        started = [
-            subprocess.Popen([jaxbound, "detect", "model.toml", data, "--out", out, "--json"], cwd=folder, stdout=said, stderr=err,
-                             env={**env, "JAX_PROCESS_ID": str(i)} if processes > 1 else env)
-            for i in range(processes)
-        ]  # fmt: skip
-        peak = [0] * processes
-        while any(p.poll() is None for p in started):
-            peak = [max(most, resident(p.pid)) for most, p in zip(peak, started, strict=True)]
+        argv = [jaxbound, "detect", "model.toml", data, "--out", out, "--json"]
+        process = subprocess.Popen(argv, cwd=folder, stdout=said, stderr=err)
+        while process.poll() is None:
+            peak = max(peak, resident(process.pid))
             time.sleep(0.02)
         seconds, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
         said.seek(0), err.seek(0)
-        if any(p.returncode not in (0, 1) for p in started):
+        if process.returncode not in (0, 1):
             raise RuntimeError(err.read())
         found = json.load(said)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {
         "seconds": round(seconds, 1),
         "processor s": round(used, 1),
-        "peak MB": [round(kb / 1024) for kb in peak],
-        "apart, process 0": found["seconds"],
+        "peak MB": round(peak / 1024),
+        "apart": found["seconds"],
         "counts": found["counts"],
-        "sha256": digest(folder / out / "verdicts.parquet"),
     }
-
-
-def digest(folder):
-    """Return the sha256 of the bytes of all files of verdicts in order."""
-    h = hashlib.sha256()
-    for part in sorted(folder.iterdir()):
-        h.update(part.read_bytes())
-    return h.hexdigest()
 
 
 def linked(folder, name, files):
@@ -140,26 +122,21 @@ def main():
     devices = {count: with_devices(count, windows) for count in (1, 2, 4, 8)}
     same = {name: len({found[name]["sha256"] for found in devices.values()}) == 1 for name in devices[1]}
     files = -(-rows // FILE)
-    shares = {"few": max(files // 20, 1), "fifth": max(files // 5, 1)}
+    fifth = max(files // 5, 1)
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         jb.save_model(paper(), folder / "model.toml")
         generate(folder / "run", rows)
         stored = sum(p.stat().st_size for p in (folder / "run").iterdir())
-        few, fifth = (linked(folder, name, count) for name, count in shares.items())
-        shared = {count: detect(folder, few, f"by {count}", count) for count in (1, 2)}
-        part = detect(folder, fifth, "fifth out")
+        part = detect(folder, linked(folder, "fifth", fifth), "fifth out")
         whole = detect(folder, "run", "out")
     timing.save("scale", {
         "load average": [round(x, 1) for x in os.getloadavg()],
         "windows": windows,
         "same verdicts on all devices": same,
         "devices": devices,
-        "rows for the processes": shares["few"] * FILE,
-        "same files from all processes": len({x["sha256"] for x in shared.values()}) == 1,
-        "processes": shared,
         "stored MB": round(stored / 1e6),
-        f"{shares['fifth'] * FILE} rows": part,
+        f"{fifth * FILE} rows": part,
         f"{rows} rows": whole,
     })  # fmt: skip
 

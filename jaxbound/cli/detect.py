@@ -9,7 +9,6 @@ import shlex
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,13 +16,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from jaxbound.cli.terminal import BAD_INPUT, door, progress_bars, show, usable_device, write
+from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated, write_columns_of
 from jaxbound.diagnosis.detection import METHODS, detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.validation import least_horizon, validate
 from jaxbound.models.modelfile import load_model, save_model
-from jaxbound.processes import Lost, Team, abandon, join_others
 from jaxbound.recordings.contents import content
 from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.recordings.hints import refuse_short
@@ -34,7 +32,7 @@ from jaxbound.reports.detection import write_report
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.digest import digest
 from jaxbound.runs.endings import ending_counts, ending_hints, sizes_seen
-from jaxbound.runs.outputs import made, output_folder
+from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION, save_run
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
@@ -59,21 +57,16 @@ def run_detect(args):
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
     if args.method not in (*METHODS, VALIDATION):
         raise Refused(f"--method must be one of {', '.join((*METHODS, VALIDATION))}, not {args.method!r}")
-    with door():
-        join_others()
     threading.Thread(target=_load_plotting, daemon=True).start()
     data = Path(args.data)
-    if jax.distributed.is_initialized() and (args.method == VALIDATION or not data.exists() or not is_parquet(data)):
-        raise Refused(f"several processes share the work on Parquet only: {args.data} is read as a whole, by one")
     if args.method == VALIDATION:
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
         found = _report(args, _validate, ("output1.png",), ("read", "test", "report"))
     elif data.exists() and is_parquet(data):
-        with door(OSError), made(args.out), progress_bars(("relations", "test", "report")) as step:
-            found = _stream(args, step)
-        if isinstance(found, int):
-            return found
+        names, inputs = (VERDICTS, *REPORT, "margin.png", "residuals.png"), (args.model, args.data)
+        with door(), output_folder(args.out, names, inputs) as folder, progress_bars(("relations", "test", "report")) as step:
+            found = _stream(args, folder, step)
     elif data.exists() and args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
@@ -91,24 +84,8 @@ def _report(args, how, pictures, stages):
     return found
 
 
-def _stream(args, step):
-    """Test a Parquet recording chunk by chunk and write everything into --out; return what the conclusion needs.
-
-    One of several processes does its part; but for process 0 it returns the exit code at which that one arrived.
-    """
-    try:
-        with door(), Team(args.out) as team:
-            names, inputs = (VERDICTS, *REPORT, "margin.png", "residuals.png"), (args.model, args.data)
-            with nullcontext() if team.number else output_folder(args.out, names, inputs) as folder:
-                return _stream_with(team, folder, args, step)
-    except Lost as e:
-        if e.silent:
-            abandon(BAD_INPUT)
-        raise Refused(str(e)) from e
-
-
-def _stream_with(team, folder, args, step):
-    """Do the part of this process; the first of them makes the report of all."""
+def _stream(args, folder, step):
+    """Test a Parquet recording chunk by chunk and write everything into the OutputFolder; return what the conclusion needs."""
     model = load_model(args.model)
     usable_device()
     source = open_parquet(args.data, model)
@@ -116,10 +93,7 @@ def _stream_with(team, folder, args, step):
     relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
     try:
         chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
-        parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress, team)
-        if team.number:
-            team.wait(lambda: team.said(0)[0] == "published")
-            return int(team.said(0)[1])
+        parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
@@ -136,7 +110,6 @@ def _stream_with(team, folder, args, step):
         raise
     publish(folder)
     folder.remove("verdicts.csv")
-    team.say("published", CODES[summary(found, found.alarms, found.label, args.min_coverage)[0]])
     seconds["report"] = time.perf_counter() - start
     return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds, sizes
 

@@ -1,8 +1,6 @@
 """Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
 
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +8,6 @@ from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follo
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.canvas import Timeline
-from jaxbound.processes import Team
 from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
 from jaxbound.recordings.derived import where_hints
 from jaxbound.recordings.hints import missing_sentences, rounding_hints, time_label
@@ -19,7 +16,7 @@ from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.relations.parity import ParityRelation
-from jaxbound.runs.outputs import made, output_folder
+from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.streaming import CHUNK, VERDICTS, forget_parts, part_files, publish, read_runs, write_parts
 from jaxbound.runs.verdictfiles import alarm_columns
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -88,7 +85,7 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     Args:
         relations: from `parity_relations`. path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
-            A call that was stopped is continued by the same call. All processes of one `jax.distributed` that make it share the work.
+            A call that was stopped is continued by the same call.
         method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
             depend on it.
         alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
@@ -98,7 +95,7 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
 
     Raises:
         TypeError: other relations. OSError, ValueError: data that cannot be read; an unfinished run of other data, another model or other
-        options in `out`; no alarm rule. RuntimeError: another process failed.
+        options in `out`; no alarm rule.
 
     Example:
         >>> import tempfile, pandas as pd, jaxbound as jb
@@ -114,17 +111,11 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     check_rule(*alarm)
     refuse_unverified()
     report = progress or (lambda share: None)
-    with made(out), Team(Path(out)) as team, nullcontext() if team.number else output_folder(out, (VERDICTS,), (path,)) as place:
+    with output_folder(out, (VERDICTS,), (path,)) as place:
         source = open_parquet(path, relations.model)
-        folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share), team)
-        if team.number == 0:
-            found = digest(relations, source, folder, method, alarm)
-            publish(place)
-            team.say("published")
-        else:
-            team.wait(lambda: team.said(0)[0] == "published")
-    if team.number:
-        found = digest(relations, source, Path(out) / VERDICTS, method, alarm)
+        folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share))
+        found = digest(relations, source, folder, method, alarm)
+        publish(place)
     report(1.0)
     return found
 

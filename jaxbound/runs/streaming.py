@@ -2,7 +2,7 @@
 
 Chunks overlap by the horizon, so every window is tested once, by the same compiled kernel, whatever the size of a chunk. Verdicts are
 written in parts of a fixed number of samples, each completely or not at all, beside a note of what is being tested. A part says nothing of
-those before it, and the parts are all the state there is: the same call makes those that are not there, and several processes share them.
+those before it, and the parts are all the state there is: the same call makes those that are not there.
 """
 
 import json
@@ -20,7 +20,6 @@ import numpy as np
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.processes import Team
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.keeping import UNFINISHED, whole
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
@@ -39,51 +38,42 @@ OURS = re.compile(rf"part-\d{{5,}}\.(parquet|\d+)|{NOTE}(\.\d+)?|\.(part-\d{{5,}
 STREAMED = ("joint", "box")
 
 
-def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None, team=None):
+def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None):
     """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those that are not there yet.
 
     Args:
-        As `digest.detect_dataset`; source: from `open_parquet`; team: the `processes.Team` that shares the parts, in whose context this is.
+        As `digest.detect_dataset`; source: from `open_parquet`.
 
     Returns:
         (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the copying of columns into the
-        arrays that the kernel reads. In a team process 0 returns when all parts are there, the others when theirs are.
+        arrays that the kernel reads.
     """
     if method not in STREAMED:
         raise ValueError(f"Parquet is tested by method {' or '.join(STREAMED)}, not {method!r}, whose budget is one for all windows")
-    s, report, team = relations.horizon, progress or (lambda share: None), team or Team(Path(out), 0, 1)
+    s, report = relations.horizon, progress or (lambda share: None)
     if source.samples <= s:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {s + 1}")
-    folder, count = _begun(relations, source, Path(out), method, team), -(-source.samples // PART)
+    folder = _begun(relations, source, Path(out), method)
     seconds = dict.fromkeys(("read", "transfer", "compute", "write"), 0.0)
-    mine = range(count * team.number // team.count, count * (team.number + 1) // team.count)
-    first, end = mine.start * PART, min(mine.stop * PART, source.samples)
-    share = lambda done: report((done - first) / (end - first))
+    share = lambda done: report(done / source.samples)
     try:
-        for parts in _missing(folder, mine):
-            _test(relations, source, folder, method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts, team)
+        for parts in _missing(folder, range(-(-source.samples // PART))):
+            _test(relations, source, folder, method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts)
         source.unchanged()
         report(1.0)
-        team.say("written")
-        if team.number == 0:
-            lap = _Lap(seconds | {"wait": 0.0}) if team.others else None
-            team.wait(lambda: len(part_files(folder)) == count and all(team.said(i)[0] == "written" for i in team.others))
-            if lap is not None:
-                lap("wait")
-                seconds = lap.seconds
-    except ValueError as e:  # data that must be changed first: what was found in them is of no use then
-        team.fail(e)
-        team.afterwards(lambda: forget_parts(folder))
+    except ValueError:  # data that must be changed first: what was found in them is of no use then
+        forget_parts(folder)
         raise
     except BaseException:
-        team.afterwards(lambda: part_files(folder) or forget_parts(folder))
+        if not part_files(folder):
+            forget_parts(folder)
         raise
     return folder, seconds
 
 
-def _missing(folder, mine):
-    """Return the ranges of numbers of parts among mine that are not there."""
-    left = np.array([i for i in mine if not (folder / _name(i)).exists()], int)
+def _missing(folder, numbers):
+    """Return the ranges of numbers of parts that are not there."""
+    left = np.array([i for i in numbers if not (folder / _name(i)).exists()], int)
     stretches = np.split(left, np.flatnonzero(np.diff(left) > 1) + 1) if len(left) else []
     return [range(int(x[0]), int(x[-1]) + 1) for x in stretches]
 
@@ -92,7 +82,7 @@ def _name(number):
     return f"part-{number:05d}.parquet"
 
 
-def _test(relations, source, folder, method, size, report, lap, parts, team):
+def _test(relations, source, folder, method, size, report, lap, parts):
     s, model, done, end = relations.horizon, relations.model, parts.start * PART, min(parts.stop * PART, source.samples)
     first = max(done - s, 0)
     tail = [np.zeros((0, n), source.dtype) for n in (model.m, model.p)]
@@ -101,7 +91,6 @@ def _test(relations, source, folder, method, size, report, lap, parts, team):
     pending = _Pending(folder, done, model.m + model.p + condition)
     report(done)
     for start, table in source.tables(first, end, size):
-        team.check()
         lap("read")
         piece = source.chunk(start, table)
         tail = [np.concatenate(pair) for pair in zip(tail, (piece.u, piece.y), strict=True)]
@@ -213,29 +202,22 @@ class _Pending:
         self.done += len(status)
 
 
-def _begun(relations, source, out, method, team):
-    """Return the folder for the parts, new or with parts of the same run; refuse those of another. Process 0 makes it."""
-    now, folder = _note(relations, source, method, team), out / PARTIAL
-    if team.number:
-        team.wait(lambda: team.said(0)[0] in ("works", "written", "published"))
+def _begun(relations, source, out, method):
+    """Return the folder for the parts, new or with parts of the same run; refuse those of another."""
+    now, folder = _note(relations, source, method), out / PARTIAL
     try:
         before = json.loads((folder / NOTE).read_text())
     except (FileNotFoundError, json.JSONDecodeError):
         before = None
-    changed = "" if before is None else differences(before, now)
-    if changed and team.number:
-        raise ValueError(f"process {team.number} was started with another {changed} than process 0: all need the same")
-    if changed:
+    if before is not None and (changed := differences(before, now)):
         raise ValueError(
             f"{folder} holds an unfinished run with another {changed}: choose another folder, or delete that one to begin anew"
         )
-    if team.number == 0:
-        _clear(folder, begun=before is not None)
-    if team.number == 0 and before is None:
+    _clear(folder, begun=before is not None)
+    if before is None:
         folder.mkdir(parents=True, exist_ok=True)
         with whole(folder / NOTE) as f:
             f.write((json.dumps(now, indent=1) + "\n").encode())
-    team.say("works")
     return folder
 
 
@@ -251,11 +233,8 @@ def _clear(folder, begun):
             file.unlink()
 
 
-def _note(relations, source, method, team):
-    """Return what the verdicts depend on, in words and digests that fit into JSON.
-
-    Process 0 alone reads all of the recording to know it again: where many do at once, a shared disk has to carry it as often.
-    """
+def _note(relations, source, method):
+    """Return what the verdicts depend on, in words and digests that fit into JSON."""
     files = [(source.name(f), f.stat().st_size) for f in source.files]
-    content = {} if team.number else {"content of the data": source.content}
-    return identity(relations, method=method, data=f"{source.path.resolve()}, {len(files)} files, {fingerprint(files)}", **content)
+    data = f"{source.path.resolve()}, {len(files)} files, {fingerprint(files)}"
+    return identity(relations, method=method, data=data, **{"content of the data": source.content})

@@ -19,7 +19,6 @@ from streaming_case import recording, shrink, write
 from systems import paper
 
 import jaxbound as jb
-from jaxbound import processes
 from jaxbound.cli import detect as detecting
 from jaxbound.cli import main, pipe
 from jaxbound.runs import fleet, streaming
@@ -488,13 +487,6 @@ class TestSignals:
         process.send_signal(number)
         err = process.communicate(timeout=60)[1]
         assert process.returncode == code and err == b"jaxbound: interrupted: nothing was written\n" and not (place / "out").exists()
-
-
-def test_a_single_process_leaves_the_folder_of_a_team_at_work(place):
-    with pytest.raises(ValueError), processes.Team(place, 0, 1) as team:
-        team.folder.mkdir()
-        raise ValueError
-    assert team.folder.is_dir()
 
 
 def test_models_and_states_are_written_whole(place, monkeypatch):
