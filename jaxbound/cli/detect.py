@@ -16,6 +16,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from jaxbound.cli.share import merged, opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated, write_columns_of
 from jaxbound.diagnosis.detection import METHODS, detect
@@ -25,7 +26,7 @@ from jaxbound.models.modelfile import load_model, save_model
 from jaxbound.recordings.contents import content
 from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.parquet import is_parquet, open_parquet
+from jaxbound.recordings.parquet import is_parquet
 from jaxbound.recordings.plaintext import percent, times
 from jaxbound.relations.parity import parity_relations
 from jaxbound.reports.detection import write_report
@@ -57,8 +58,11 @@ def run_detect(args):
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
     if args.method not in (*METHODS, VALIDATION):
         raise Refused(f"--method must be one of {', '.join((*METHODS, VALIDATION))}, not {args.method!r}")
-    threading.Thread(target=_load_plotting, daemon=True).start()
     data = Path(args.data)
+    refuse_shares(args, data)
+    if args.part is not None:
+        return run_share(args)
+    threading.Thread(target=_load_plotting, daemon=True).start()
     if args.method == VALIDATION:
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
@@ -86,21 +90,20 @@ def _report(args, how, pictures, stages):
 
 def _stream(args, folder, step):
     """Test a Parquet recording chunk by chunk and write everything into the OutputFolder; return what the conclusion needs."""
-    model = load_model(args.model)
-    usable_device()
-    source = open_parquet(args.data, model)
-    refuse_short(args.data, source.samples, model.horizon if args.horizon is None else args.horizon)
-    relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+    source, relations = opened(args, step)
     try:
-        chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
-        parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress)
+        if args.merge:
+            parts, seconds = merged(args, source, relations), {}
+        else:
+            chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
+            parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
             sizes = sizes_seen(found, found.alarms)
             found = replace(found, hints=(*found.hints, *ending_hints(found, found.alarms, sizes)))
-            save_run(work, model, args.data, source.content, args.method, relations.horizon)
+            save_run(work, source.model, args.data, source.content, args.method, relations.horizon)
             write_report(work, found, found, found.alarms, hints=found.hints, sizes=sizes, seconds=seconds, min_coverage=args.min_coverage,
                          progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
     except KeyboardInterrupt:
@@ -111,7 +114,7 @@ def _stream(args, folder, step):
     publish(folder)
     folder.remove("verdicts.csv")
     seconds["report"] = time.perf_counter() - start
-    return found, found, found.alarms, [*found.hints, *bound_hints(model)], seconds, sizes
+    return found, found, found.alarms, [*found.hints, *bound_hints(source.model)], seconds, sizes
 
 
 def _evaluate(args, work, step, extra=lambda res: ()):

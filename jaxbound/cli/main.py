@@ -53,6 +53,10 @@ TUNE_EPILOG = (
     "written; the same command goes on)"
 )
 STUDY_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the same command goes on)"
+SHARES_EPILOG = (
+    ". In shares, by three machines that see one folder: jaxbound detect plant.toml recordings/ --out report --part 1/3, the same with "
+    "--part 2/3 and --part 3/3, in any order, then with --merge; what was killed goes on when it is started again"
+)
 PIPE_EPILOG = (
     ". With -: SIGINT (Ctrl-C), SIGTERM and SIGHUP end the input. Stopped in any way, kill -9 too, and started again with the same --out, "
     "verdicts.csv holds each line that was taken once, whether the sender begins again (what was judged is known by the first line and its "
@@ -134,7 +138,8 @@ def _parse(argv):
     c.add_argument("--out", type=_path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
     c.add_argument("--runs", type=_whole(1, 10**7), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
     c.set_defaults(run=run_demo)
-    c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=EPILOG + PIPE_EPILOG)
+    epilog = EPILOG + SHARES_EPILOG + PIPE_EPILOG
+    c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=epilog)
     c.add_argument("model", type=_path, metavar="MODEL.toml")
     c.add_argument("data", type=_named, metavar="DATA", help="a CSV file, a Parquet file, a folder of Parquet files, which follow each "
                    "other by name, or -: lines of CSV from standard input, each judged as it comes, its verdict on standard "
@@ -143,6 +148,10 @@ def _parse(argv):
                    "for verdicts.csv and monitor.jsonl")  # fmt: skip
     c.add_argument("--state", type=_path, metavar="FILE", help="with -: where to remember how to go on (default: DIR/monitor.jsonl)")
     c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 65536 at least (default: 1000000)")
+    c.add_argument("--part", type=_of_n("i", "2/3"), metavar="i/n", help="Parquet: judge only the i-th of n shares, i from 1 to "
+                   "n, and write its verdicts into DIR, beside shares made at the same time or on other machines; exit code 0")  # fmt: skip
+    c.add_argument("--merge", action="store_true", help="Parquet: judge nothing and report on the shares in DIR: the verdicts, the "
+                   "report and the exit code of one command without --part")  # fmt: skip
     more = f"; {VALIDATION} bounds states and outputs, names the faulty sensor and says what it should have shown"
     _testing(c, more)
     c.set_defaults(run=run_detect)
@@ -221,7 +230,8 @@ def _testing(c, more=""):
     """Add the options of every command that tests recordings."""
     c.add_argument("--method", default="joint", help=f"{', '.join(METHODS)} (default: joint, the exact test){more}")
     c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
-    c.add_argument("--alarm", type=_k_of_n, default=(1, 1), metavar="k/n", help="an alarm needs k FAULT among n windows (default: 1/1)")
+    alarm = "an alarm needs k FAULT among n windows (default: 1/1)"
+    c.add_argument("--alarm", type=_of_n("k", "3/5"), default=(1, 1), metavar="k/n", help=alarm)
     c.add_argument("--min-coverage", type=_share, default=0.5, metavar="F", help="least share of decided windows (default: 0.5)")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
 
@@ -252,11 +262,14 @@ def _whole(least, most=10**15):
     return parse
 
 
-def _k_of_n(text):
-    k, slash, n = text.partition("/")
-    if not slash or not k.isdecimal() or not n.isdecimal() or not 1 <= int(k) <= int(n):
-        raise argparse.ArgumentTypeError(f"needs k/n with 1 <= k <= n, like 3/5, not {text!r}")
-    return int(k), int(n)
+def _of_n(k, example):
+    def parse(text):
+        first, slash, n = text.partition("/")
+        if not slash or not first.isdecimal() or not n.isdecimal() or not 1 <= int(first) <= int(n):
+            raise argparse.ArgumentTypeError(f"needs {k}/n with 1 <= {k} <= n, like {example}, not {text!r}")
+        return int(first), int(n)
+
+    return parse
 
 
 def _share(text):

@@ -51,7 +51,8 @@ def run(args):
     """Run `jaxbound detect MODEL.toml -`; return the exit code."""
     if args.method == VALIDATION:
         raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
-    for option, given in (("--chunk", args.chunk is not None), ("--alarm", args.alarm != (1, 1))):
+    options = {"--chunk": args.chunk is not None, "--alarm": args.alarm != (1, 1), "--part": args.part is not None, "--merge": args.merge}
+    for option, given in options.items():
         if given:
             raise Refused(f"{option} is for recordings: give a file instead of -")
     with door(OSError):

@@ -10,14 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["UNFINISHED", "Keeper", "locked", "save_arrays", "whole"]
+__all__ = ["UNFINISHED", "Keeper", "locked", "save_arrays", "unshared", "whole"]
 
 STATE, ROWS = "study.npz", "scenarios"
 UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
 
 
-def locked(path):
+def locked(path, shared=False):
     """Open a file that no other process writes meanwhile; a lock dies with its process, so a killed one leaves none.
+
+    Args:
+        path: of the file. shared: others may have it too if they share it.
 
     Returns:
         A binary file, to be closed. Where the system has no locks, nobody is kept away.
@@ -33,7 +36,7 @@ def locked(path):
     while True:
         file = opened()
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
             file.close()
             raise
@@ -42,6 +45,19 @@ def locked(path):
         if os.path.exists(path) and os.path.samestat(os.stat(path), os.fstat(file.fileno())):
             return file
         file.close()  # whoever had it has taken it away in between
+
+
+def unshared(file):
+    """Return whether nobody else shares a file from `locked` any more; no other can then have it before it is closed."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):  # there are no locks
+        pass
+    return True
 
 
 @contextmanager

@@ -16,8 +16,20 @@ from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.relations.parity import ParityRelation
-from jaxbound.runs.outputs import output_folder
-from jaxbound.runs.streaming import CHUNK, VERDICTS, forget_parts, part_files, publish, read_runs, write_parts
+from jaxbound.runs.outputs import output_folder, shared_folder
+from jaxbound.runs.shares import check_share, numbers_of
+from jaxbound.runs.streaming import (
+    CHUNK,
+    PARTIAL,
+    VERDICTS,
+    all_parts,
+    forget_parts,
+    part_count,
+    part_files,
+    publish,
+    read_runs,
+    write_parts,
+)
 from jaxbound.runs.verdictfiles import alarm_columns
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
@@ -79,7 +91,8 @@ class Digest:
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
 
 
-def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 1), progress=None):
+def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 1), progress=None, part=None,
+                   merge=False):  # fmt: skip
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
     Args:
@@ -89,9 +102,12 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
         method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
             depend on it.
         alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
+        part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time, on other machines too, where
+            `out` is one folder for all or their files are brought together. merge: test nothing, report on the shares.
 
     Returns:
         A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in time are MISSING.
+        Of a share, the files with its verdicts, in the folder `verdicts.partial` of `out`, which is where `merge` looks for them.
 
     Raises:
         TypeError: other relations. OSError, ValueError: data that cannot be read; an unfinished run of other data, another model or other
@@ -109,11 +125,23 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     if not isinstance(relations, ParityRelation):
         raise TypeError(f"detect_dataset needs parity relations, not {type(relations).__name__}")
     check_rule(*alarm)
+    if part is not None:
+        check_share(part)
+    if part is not None and merge:
+        raise ValueError("part makes verdicts and merge reports on them: give one of the two")
     refuse_unverified()
     report = progress or (lambda share: None)
+    if part is not None:
+        with shared_folder(out, (PARTIAL,), (path,)):
+            source = open_parquet(path, relations.model)
+            folder, _ = write_parts(relations, source, out, method, chunk, report, part)
+            return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = open_parquet(path, relations.model)
-        folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share))
+        if merge:
+            folder = all_parts(relations, source, out, method)
+        else:
+            folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share))
         found = digest(relations, source, folder, method, alarm)
         publish(place)
     report(1.0)

@@ -14,11 +14,11 @@ import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from jaxbound.recordings.keeping import locked, whole
+from jaxbound.recordings.keeping import locked, unshared, whole
 from jaxbound.recordings.parquetfiles import SUFFIXES
 from jaxbound.runs.refusals import Refused
 
-__all__ = ["OutputFolder", "made", "output_folder", "refuse_targets"]
+__all__ = ["OutputFolder", "made", "output_folder", "refuse_targets", "shared_folder"]
 
 LIST, WORK, LOCK = ".jaxbound.json", ".jaxbound-work", ".jaxbound-lock"
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -58,9 +58,37 @@ def output_folder(path, names=(), inputs=()):
     Raises:
         Refused: another command is at work there; one of the names belongs to an input or to a file that jaxbound did not write.
     """
+    with _kept_from_others(path):
+        folder = OutputFolder(path, inputs)
+        folder.check(names)
+        shutil.rmtree(folder.path / WORK, ignore_errors=True)  # of a command that was killed
+        try:
+            yield folder
+        finally:
+            folder.tidy()
+
+
+@contextmanager
+def shared_folder(path, names=(), inputs=()):
+    """Make a folder into which several commands may write at once, each whole files of its own; no `output_folder` is given meanwhile.
+
+    Args:
+        path: of the folder. names: what will be written there. inputs: paths of what is read.
+
+    Raises:
+        Refused: a command that wants the folder for itself is at work there; one of the names belongs to an input.
+    """
+    with _kept_from_others(path, shared=True):
+        OutputFolder(path, inputs).check(names, foreign=False)
+        yield
+
+
+@contextmanager
+def _kept_from_others(path, shared=False):
+    """Make a folder and keep commands away from it; shared: only those that want it for themselves."""
     with made(path) as path:
         try:
-            lock = locked(path / LOCK)
+            lock = locked(path / LOCK, shared)
         except BlockingIOError:
             raise Refused(f"another jaxbound{_holder(path / LOCK)} is writing into {path}: wait for it, or choose another folder") from None
         with lock:
@@ -68,19 +96,14 @@ def output_folder(path, names=(), inputs=()):
                 lock.truncate(0)
                 lock.write(str(os.getpid()).encode())
                 lock.flush()
-                folder = OutputFolder(path, inputs)
-                folder.check(names)
-                shutil.rmtree(path / WORK, ignore_errors=True)  # of a command that was killed
-                try:
-                    yield folder
-                finally:
-                    folder.tidy()
+                yield
             except OSError as e:
                 if e.errno in FULL:  # whichever file it was
                     raise OSError(e.errno, os.strerror(e.errno), str(path)) from e
                 raise
             finally:
-                (path / LOCK).unlink(missing_ok=True)
+                if unshared(lock):
+                    (path / LOCK).unlink(missing_ok=True)
 
 
 def _holder(lock):

@@ -1,8 +1,9 @@
 """Verdicts of recordings larger than memory: Parquet in, Parquet out, chunk by chunk, and on after an interruption.
 
 Chunks overlap by the horizon, so every window is tested once, by the same compiled kernel, whatever the size of a chunk. Verdicts are
-written in parts of a fixed number of samples, each completely or not at all, beside a note of what is being tested. A part says nothing of
-those before it, and the parts are all the state there is: the same call makes those that are not there.
+written in parts of a fixed number of samples, each completely or not at all. A part says nothing of those before it; what was tested, and
+where it belongs, stands in the part itself. So the parts are all the state there is: the same call makes those that are not there, and any
+number of calls may share them that know nothing of each other.
 """
 
 import json
@@ -19,26 +20,27 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import suspected
-from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.keeping import UNFINISHED, whole
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
 from jaxbound.recordings.seams import Clock, around, tick
 from jaxbound.recordings.stillness import Run, Runs, follow, joined
-from jaxbound.relations.identity import differences, identity
+from jaxbound.relations.identity import identity, refuse_other
+from jaxbound.runs.shares import Incomplete, listed, numbers_of, shares_that_make
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "forget_parts", "kept", "part_files", "publish", "read_runs", "write_parts"]
+__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", "part_count", "part_files", "publish", "read_runs",
+           "samples_of", "write_parts"]  # fmt: skip
 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
-NOTE, RUNS = "_run.json", "runs"
-OURS = re.compile(rf"part-\d{{5,}}\.(parquet|\d+)|{NOTE}(\.\d+)?|\.(part-\d{{5,}}\.parquet|{NOTE}){UNFINISHED}")
+RUNS, IDENTITY = b"runs", b"identity"  # in the metadata of a part
+OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 STREAMED = ("joint", "box")
 
 
-def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None):
+def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None, part=None):
     """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those that are not there yet.
 
     Args:
@@ -48,47 +50,79 @@ def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=No
         (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the copying of columns into the
         arrays that the kernel reads.
     """
-    if method not in STREAMED:
-        raise ValueError(f"Parquet is tested by method {' or '.join(STREAMED)}, not {method!r}, whose budget is one for all windows")
+    folder, note = _begun(relations, source, Path(out), method)
     s, report = relations.horizon, progress or (lambda share: None)
-    if source.samples <= s:
-        raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {s + 1}")
-    folder = _begun(relations, source, Path(out), method)
     seconds = dict.fromkeys(("read", "transfer", "compute", "write"), 0.0)
-    share = lambda done: report(done / source.samples)
+    mine = numbers_of(part or (1, 1), part_count(source))
+    first, end = mine.start * PART, min(mine.stop * PART, source.samples)
+    share = lambda done: report((done - first) / (end - first))
     try:
-        for parts in _missing(folder, range(-(-source.samples // PART))):
-            _test(relations, source, folder, method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts)
+        for parts in _stretches(_missing(folder, mine)):
+            _test(
+                relations, source, _Pending(folder, note, parts.start * PART), method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts
+            )
         source.unchanged()
         report(1.0)
     except ValueError:  # data that must be changed first: what was found in them is of no use then
-        forget_parts(folder)
+        if part is None:
+            forget_parts(folder)
         raise
     except BaseException:
-        if not part_files(folder):
+        if part is None and not part_files(folder):
             forget_parts(folder)
         raise
     return folder, seconds
 
 
+def all_parts(relations, source, out, method="joint"):
+    """Return the folder of the parts that `write_parts` made.
+
+    Raises:
+        Incomplete: some are not there. ValueError: some are of another model, recording, version or method.
+    """
+    folder, _ = _begun(relations, source, Path(out), method)
+    count = part_count(source)
+    if missing := _missing(folder, range(count)):
+        lacking = f"{folder} lacks {listed(missing, _name)}, {len(missing)} of {count} parts"
+        raise Incomplete(lacking, shares_that_make(missing, count))
+    return folder
+
+
+def part_count(source):
+    """Return the number of parts of a ParquetSource."""
+    return -(-source.samples // PART)
+
+
+def samples_of(numbers, source):
+    """Return the first and the last sample of the parts with these numbers; (None, None) of none."""
+    return (numbers.start * PART, min(numbers.stop * PART, source.samples) - 1) if numbers else (None, None)
+
+
 def _missing(folder, numbers):
-    """Return the ranges of numbers of parts that are not there."""
-    left = np.array([i for i in numbers if not (folder / _name(i)).exists()], int)
-    stretches = np.split(left, np.flatnonzero(np.diff(left) > 1) + 1) if len(left) else []
-    return [range(int(x[0]), int(x[-1]) + 1) for x in stretches]
+    """Return the numbers of the parts that are not there."""
+    return [i for i in numbers if not (folder / _name(i)).exists()]
+
+
+def _stretches(numbers):
+    """Return the ranges that numbers in order consist of."""
+    stretches = np.split(np.array(numbers, int), np.flatnonzero(np.diff(numbers) > 1) + 1)
+    return [range(int(x[0]), int(x[-1]) + 1) for x in stretches if len(x)]
 
 
 def _name(number):
     return f"part-{number:05d}.parquet"
 
 
-def _test(relations, source, folder, method, size, report, lap, parts):
+def _number(part):
+    return int(part.stem.removeprefix("part-"))
+
+
+def _test(relations, source, pending, method, size, report, lap, parts):
     s, model, done, end = relations.horizon, relations.model, parts.start * PART, min(parts.stop * PART, source.samples)
     first = max(done - s, 0)
     tail = [np.zeros((0, n), source.dtype) for n in (model.m, model.p)]
     condition, left_out = source.plan.where is not None, np.zeros(0, bool)
     clock, starts = Clock(model.dt, samples=first), np.zeros(0, np.int64)
-    pending = _Pending(folder, done, model.m + model.p + condition)
     report(done)
     for start, table in source.tables(first, end, size):
         lap("read")
@@ -113,9 +147,10 @@ def _test(relations, source, folder, method, size, report, lap, parts):
         report(done)
 
 
-def part_files(folder):
-    """Return the complete parts of a folder of verdicts in order."""
-    return sorted(Path(folder).glob("part-*.parquet"))
+def part_files(folder, numbers=None):
+    """Return the complete parts of a folder of verdicts in order; numbers: only these."""
+    parts = sorted(Path(folder).glob("part-*.parquet"))
+    return parts if numbers is None else [p for p in parts if _number(p) in numbers]
 
 
 def kept(folder, samples):
@@ -133,14 +168,15 @@ def read_runs(parts):
         one = lambda run: Run(*run) if run else None
         return Runs(counts=np.array(counts), longest=tuple(map(one, longest)), last=one(last), first=one(first), **rest)
 
-    notes = (json.loads(pq.read_schema(part).metadata[RUNS.encode()]) for part in parts)
+    notes = (json.loads(pq.read_schema(part).metadata[RUNS]) for part in parts)
     return [reduce(joined, signal) for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)]
 
 
 def publish(folder):
     """Turn the complete parts in an `outputs.OutputFolder` into its verdicts, in the place of older ones."""
+    for file in set(_ours(folder.path / PARTIAL)) - set(part_files(folder.path / PARTIAL)):
+        file.unlink()  # what a killed run was writing
     folder.put({VERDICTS: folder.path / PARTIAL})
-    (folder.path / VERDICTS / NOTE).unlink()
 
 
 def forget_parts(parts):
@@ -170,8 +206,8 @@ class _Lap:
 class _Pending:
     """Verdicts on their way into parts of PART samples."""
 
-    def __init__(self, folder, done, signals):
-        self.folder, self.done, self.signals, self.held = folder, done, signals, []
+    def __init__(self, folder, note, done):
+        self.folder, self.note, self.done, self.held = folder, note, done, []
 
     def add(self, written, status, margin, signals, last):
         """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last."""
@@ -195,46 +231,49 @@ class _Pending:
             "suspect": to_arrow(suspected(status, margin)),
         }
         runs = [follow(Runs(self.done), np.ascontiguousarray(x)) for x in signals.T]
-        note = json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist)
-        table = pa.table(columns).replace_schema_metadata({RUNS: note})
-        with whole(self.folder / _name(self.done // PART)) as f:
-            pq.write_table(table, f, use_dictionary=["status"], write_page_checksum=True)
+        about = {RUNS: json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist),
+                 IDENTITY: json.dumps(_of_part(self.note, self.done // PART))}  # fmt: skip
+        path = self.folder / _name(self.done // PART)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if path.exists():  # another share has made it meanwhile
+            _refuse_others([path], self.note)
+        with whole(path) as f:
+            pq.write_table(pa.table(columns).replace_schema_metadata(about), f, use_dictionary=["status"], write_page_checksum=True)
         self.done += len(status)
 
 
 def _begun(relations, source, out, method):
-    """Return the folder for the parts, new or with parts of the same run; refuse those of another."""
-    now, folder = _note(relations, source, method), out / PARTIAL
-    try:
-        before = json.loads((folder / NOTE).read_text())
-    except (FileNotFoundError, json.JSONDecodeError):
-        before = None
-    if before is not None and (changed := differences(before, now)):
-        raise ValueError(
-            f"{folder} holds an unfinished run with another {changed}: choose another folder, or delete that one to begin anew"
-        )
-    _clear(folder, begun=before is not None)
-    if before is None:
-        folder.mkdir(parents=True, exist_ok=True)
-        with whole(folder / NOTE) as f:
-            f.write((json.dumps(now, indent=1) + "\n").encode())
-    return folder
+    """Return (folder for the parts, what they depend on); refuse parts of another run, and a folder with anything else in it."""
+    if method not in STREAMED:
+        raise ValueError(f"Parquet is tested by method {' or '.join(STREAMED)}, not {method!r}, whose budget is one for all windows")
+    if source.samples <= relations.horizon:
+        raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
+    folder, note = out / PARTIAL, identity(relations, method=method, recording=source.content)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is a file: move it, or choose another folder")
+    strangers = set(os.listdir(folder)) - {p.name for p in _ours(folder)} if folder.is_dir() else ()
+    _refuse_others(part_files(folder), note)
+    if strangers:
+        raise ValueError(f"{folder} holds {min(strangers)}, which was not written by jaxbound: move it, or choose another folder")
+    return folder, note
 
 
-def _clear(folder, begun):
-    """Remove what a killed run was writing; refuse a folder with anything else, in one that was not begun parts too."""
-    there, ours = sorted(os.listdir(folder)) if folder.is_dir() else [], {p.name for p in _ours(folder)}
-    strangers = [name for name in there if name not in ours or (name.endswith(".parquet") and not begun)]
-    if strangers or (folder.exists() and not folder.is_dir()):
-        what = f"holds {strangers[0]}, which was not written by jaxbound" if strangers else "is a file"
-        raise ValueError(f"{folder} {what}: move it, or choose another folder")
-    for file in _ours(folder):
-        if file.suffix != ".parquet" and file.name != NOTE:
-            file.unlink()
+def _of_part(note, number):
+    """Return what the verdicts in one part depend on."""
+    return note | {"place in the recording": f"part {number} of {PART} samples each"}
 
 
-def _note(relations, source, method):
-    """Return what the verdicts depend on, in words and digests that fit into JSON."""
-    files = [(source.name(f), f.stat().st_size) for f in source.files]
-    data = f"{source.path.resolve()}, {len(files)} files, {fingerprint(files)}"
-    return identity(relations, method=method, data=data, **{"content of the data": source.content})
+def _refuse_others(parts, note):
+    """Raise ValueError if a part is damaged, none of ours, or not what belongs under its name."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    for part in parts:
+        try:
+            about = pq.read_schema(part).metadata or {}
+        except pa.ArrowException:
+            about = {}
+        if RUNS not in about:
+            why = "which was not written by jaxbound, or is damaged"
+            raise ValueError(f"{part.parent} holds {part.name}, {why}: move it, or choose another folder")
+        refuse_other(part, json.loads(about.get(IDENTITY, "{}")), _of_part(note, _number(part)))

@@ -161,7 +161,7 @@ class TestCommand:
             write_parts(r, open_parquet(place / "run", r.model), place / "out", chunk=500, progress=stopped_after(0.5))
         jb.save_model(paper(name="paper", noise=["0.2", "0.01"]), place / "model.toml")
         assert main.main(DETECT) == 2
-        assert re.search("out/verdicts.partial holds an unfinished run with another model", capsys.readouterr().err)
+        assert re.search("out/verdicts.partial/part-00000.parquet is of another model", capsys.readouterr().err)
         assert len(part_files(place / "out/verdicts.partial")) == 2
 
 

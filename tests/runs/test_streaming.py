@@ -177,7 +177,7 @@ class TestResume:
         r, folder, whole, _ = case("section 5")
         with pytest.raises(Stop):
             write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500, progress=stopped_after(0.5))
-        (tmp_path / "verdicts.partial/part-00003.4711").write_bytes(b"PAR1 and half of the rest")
+        (tmp_path / "verdicts.partial/.part-00003.parquet.jaxbound-part").write_bytes(b"PAR1 and half of the rest")
         detect_dataset(r, folder, tmp_path)
         np.testing.assert_array_equal(verdicts(tmp_path)[0], whole.status)
         assert {p.suffix for p in (tmp_path / "verdicts.parquet").iterdir()} == {".parquet"}
@@ -190,7 +190,7 @@ class TestResume:
     @pytest.mark.parametrize("change, what", [
         ("matrix", "another model"), ("offset", "another model"),
         ("horizon", "another horizon"), ("bounds", "another model"), ("method", "another method"),
-        ("content", "another content of the data"), ("another file", "another data and content of the data"),
+        ("content", "another recording"), ("another file", "another recording"),
         ("version", "another version of jaxbound"), ("precision", "another precision"),
     ])  # fmt: skip
     def test_another_run_is_not_continued(self, case, small, tmp_path, monkeypatch, change, what):
@@ -218,7 +218,7 @@ class TestResume:
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         elif change == "precision":
             monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
-        with pytest.raises(ValueError, match=f"verdicts.partial holds an unfinished run with {what}: choose another folder, or delete"):
+        with pytest.raises(ValueError, match=f"part-00000.parquet is of {what}: choose another folder, or delete it"):
             detect_dataset(r, folder, tmp_path, method=method)
         assert part_files(tmp_path / "verdicts.partial") == kept != []
 
@@ -285,7 +285,7 @@ class TestResume:
         monkeypatch.setattr(streaming.os, "replace", full)
         with pytest.raises(OSError, match="No space left"):
             detect_dataset(r, folder, tmp_path, chunk=500)
-        assert len(part_files(tmp_path / "verdicts.partial")) == 2
+        assert len(part_files(tmp_path / "verdicts.partial")) == 3
         assert detect_dataset(r, folder, tmp_path, chunk=500).counts == whole.counts
 
     def test_other_relations_are_refused(self, case, tmp_path):

@@ -1,0 +1,86 @@
+"""`jaxbound detect --part i/n` and `--merge`: a recording larger than memory in shares that know nothing of each other."""
+
+import json
+import shlex
+import time
+
+from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
+from jaxbound.models.modelfile import load_model
+from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.parquet import is_parquet, open_parquet
+from jaxbound.relations.parity import parity_relations
+from jaxbound.runs.outputs import shared_folder
+from jaxbound.runs.refusals import Interrupted, Refused
+from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.shares import Incomplete, numbers_of
+from jaxbound.runs.streaming import CHUNK, PARTIAL, all_parts, part_count, part_files, samples_of, write_parts
+
+__all__ = ["merged", "opened", "refuse_shares", "run_share"]
+
+
+def refuse_shares(args, data):
+    """Raise Refused if --part or --merge is given where there are no parts."""
+    given = [option for option, on in (("--part", args.part is not None), ("--merge", args.merge)) if on]
+    if len(given) > 1:
+        raise Refused("--merge reports on what --part makes: give one of the two")
+    if given and args.method == VALIDATION:
+        raise Refused(f"{given[0]} is for other methods: {VALIDATION} reads {args.data} as a whole")
+    if given and data.exists() and not is_parquet(data):
+        raise Refused(f"{given[0]} is for Parquet: {args.data} is read as a whole")
+
+
+def run_share(args):
+    """Test one share of a Parquet recording and say what was written; return the exit code."""
+    name, where, start = "{}/{}".format(*args.part), args.out / PARTIAL, time.perf_counter()
+    with door(), shared_folder(args.out, (PARTIAL,), (args.model, args.data)), progress_bars(("relations", "test")) as step:
+        source, relations = opened(args, step)
+        count = part_count(source)
+        mine = numbers_of(args.part, count)
+        try:
+            progress = lambda share: step("test", share)
+            _, seconds = write_parts(relations, source, args.out, args.method, args.chunk or CHUNK, progress, args.part)
+        except KeyboardInterrupt:
+            if part_files(where, mine):
+                said = f"interrupted: what part {name} has done is kept in {where}; the same command goes on from there"
+                raise Interrupted(said) from None
+            raise
+    files = part_files(where, mine)
+    first, last = samples_of(mine, source)
+    if args.json:
+        found = {
+            "part": name, "exit_code": OK, "model": source.model.name, "data": str(args.data), "method": args.method,
+            "horizon": relations.horizon, "samples": source.samples, "first_sample": first, "last_sample": last, "parts": count,
+            "files": [str(file) for file in files], "out": str(args.out),
+            "seconds": {k: round(v, 3) for k, v in seconds.items()}}  # fmt: skip
+        write(json.dumps(found, indent=2) + "\n")
+        return OK
+    done = f"the verdicts of samples {first} to {last} are in {where}"
+    if not mine:
+        done = f"there are {count} parts, and none of them is in this share"
+    rows = [("seconds", f"{time.perf_counter() - start:.1f}"), ("then", f"{_again(args, '--merge')}, once all shares are done")]
+    show(f"Part {name} is done: {done}", "bold", rows)
+    return OK
+
+
+def opened(args, step):
+    """Return (ParquetSource, relations) of what is to be tested chunk by chunk."""
+    model = load_model(args.model)
+    usable_device()
+    source = open_parquet(args.data, model)
+    refuse_short(args.data, source.samples, model.horizon if args.horizon is None else args.horizon)
+    return source, parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+
+
+def merged(args, source, relations):
+    """Return the folder of all parts; refuse if one is missing, with the command that makes it."""
+    try:
+        return all_parts(relations, source, args.out, args.method)
+    except Incomplete as e:
+        raise Refused(e.says(_again(args, "--part") + " ", "{}/{}")) from None
+
+
+def _again(args, *more):
+    """Return the command that makes the same test, as the shell reads it."""
+    horizon = () if args.horizon is None else ("--horizon", args.horizon)
+    method = () if args.method == "joint" else ("--method", args.method)
+    return shlex.join(map(str, ("jaxbound", "detect", args.model, args.data, "--out", args.out, *method, *horizon, *more)))
