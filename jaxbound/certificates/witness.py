@@ -69,7 +69,8 @@ class Witnessed:
             "certificate": verdict.name,
             "statement": str(self),
             "status": self.status.name,
-            "names": {"model": model.name, "states": model.states, "inputs": model.inputs, "outputs": model.outputs, "units": model.units,
+            "names": {"model": model.name, "states": model.states, "inputs": model.inputs, "outputs": model.outputs,
+                      "units": dict(model.units),
                       "sample": list(self.at) if sample is None else sample, "times": None if times is None else list(times)},
             "numbers": texts(numbers),
         }  # fmt: skip

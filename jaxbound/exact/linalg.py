@@ -3,17 +3,24 @@
 A matrix is a tuple of rows, a row a tuple of Fractions. Costs are those of the host; nothing here runs per window.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from itertools import combinations
 from math import gcd, lcm
 from operator import mul
+from typing import TypeAlias
 
+import jax
 import numpy as np
 
 __all__ = [
     "Frame",
+    "Matrix",
+    "MatrixLike",
+    "Number",
+    "Vector",
     "circuits",
     "determinant",
     "frame",
@@ -31,8 +38,15 @@ __all__ = [
     "transpose",
 ]
 
+Vector: TypeAlias = tuple[Fraction, ...]
+Matrix: TypeAlias = tuple[Vector, ...]
+Number: TypeAlias = int | float | str | Fraction | Decimal | np.number
+"""What `rational` reads."""
+MatrixLike: TypeAlias = Sequence[Number] | Sequence[Sequence[Number]] | np.ndarray | jax.Array
+"""What `matrix` reads."""
 
-def rational(x):
+
+def rational(x: Number) -> Fraction:
     """Read a number exactly: Fraction, Decimal, int and str ("1/3", "0.2") as they are, a float as its shortest decimal.
 
     Raises ValueError on NaN, infinity and anything that is not a number.
@@ -53,7 +67,7 @@ def rational(x):
         raise ValueError(f"{x!r} is not a finite number") from e
 
 
-def matrix(a):
+def matrix(a: MatrixLike) -> Matrix:
     """Read nested sequences or an array as an exact matrix; a vector becomes a column."""
     rows = [list(r) if np.ndim(r) else [r] for r in (np.asarray(a) if hasattr(a, "dtype") else a)]
     if len({len(r) for r in rows}) > 1:

@@ -55,7 +55,7 @@ def _pieces(x):
         for name in sorted(x):
             yield from _pieces((name, x[name]))
     elif isinstance(x, LinearSystem):
-        yield from _pieces(("LinearSystem", vars(x)))
+        yield from _pieces(("LinearSystem", [getattr(x, f.name) for f in fields(LinearSystem)]))  # what equality compares
     elif is_dataclass(x) and not isinstance(x, type):
         yield from _pieces((type(x).__name__, [(f.name, getattr(x, f.name)) for f in fields(x)]))
     else:

@@ -6,6 +6,7 @@ from fractions import Fraction
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.models.fingerprint import fingerprint
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 
@@ -33,6 +34,12 @@ class IntervalSystem:
     outputs: tuple
     states: tuple
     moves: tuple | None = None
+
+    def __eq__(self, other):
+        return isinstance(other, IntervalSystem) and fingerprint(self) == fingerprint(other)
+
+    def __hash__(self):
+        return hash(fingerprint(self))
 
     n = property(lambda self: self.A.shape[0], doc="Number of states.")
     m = property(lambda self: self.B.shape[1], doc="Number of inputs.")
@@ -68,8 +75,7 @@ def interval_system(A, B, C, *, noise=0.0, tolerance=0.0, inputs=None, outputs=N
         if X.shape != shape:
             raise ValueError(f"{name} must have shape {shape} to fit A, B and C: its shape is {X.shape}")
     m = B.shape[1]
-    bound = lambda field, x: np.broadcast_to(rounding.round_up(np.array(_numbers(field, x, p), object)), (p,))
-    noise, tolerance = bound("noise", noise), bound("tolerance", tolerance)
+    noise, tolerance = _upper(_numbers("noise", noise, p)), _upper(_numbers("tolerance", tolerance, p))
     if (tolerance >= 1).any():
         raise ValueError("tolerance is relative and must be below 1 (2 % is 0.02)")
     zero = lambda *shape: interval(np.zeros(shape))
@@ -114,6 +120,13 @@ def _entries(name, rows):
     return _outward([[x[0] for x in row] for row in ends], [[x[1] for x in row] for row in ends])
 
 
+def _upper(values):
+    """Return exact numbers as floats, rounded up, in an array that nobody writes."""
+    out = rounding.round_up(np.array(values, object))
+    out.setflags(write=False)
+    return out
+
+
 def _outward(lo, hi):
     return interval(rounding.round_down(np.array(lo, object)), rounding.round_up(np.array(hi, object)))
 
@@ -148,11 +161,10 @@ def as_intervals(model):
 
     w, left = pushed(model.G), _combinations(model)
     moves = left and (hull("A", left), _outward(left, left), hull("B", left), pushed(linalg.matmul(left, model.G)))
-    noise = rounding.round_up(np.array([a + b for a, b in zip(model.noise, model.resolution, strict=True)], object))
+    noise = _upper([a + b for a, b in zip(model.noise, model.resolution, strict=True)])
     offset = {k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()}
     matrices = [hull(letter) for letter in "ABCD"]
-    tolerance = rounding.round_up(np.array(list(model.tolerance), object))
-    return IntervalSystem(*matrices, w, tolerance, noise, offset, model.inputs, model.outputs, model.states, moves)
+    return IntervalSystem(*matrices, w, _upper(model.tolerance), noise, offset, model.inputs, model.outputs, model.states, moves)
 
 
 def _combinations(model):

@@ -1,18 +1,48 @@
 """The linear model and its bounds: what an engineer knows of a plant, kept as exact decimals."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import FrozenInstanceError, dataclass, fields
 from fractions import Fraction
+from types import MappingProxyType
+from typing import Any, Generic, NoReturn, TypeVar, overload
 
 import numpy as np
 
-from jaxbound.exact import linalg
-from jaxbound.models.uncertainty import centred, influences
-from jaxbound.models.unknown import decoupled, unbounded_inputs, without_descriptor
-from jaxbound.recordings.expressions import expression, is_expression
-from jaxbound.recordings.naming import listed
+from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
+from jaxbound.models.plant import Bounded, Plant, plant
+from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_signals, sensors, words
+from jaxbound.models.uncertainty import Uncertainty, centred
+from jaxbound.models.unknown import Coupling, without_descriptor
 
 __all__ = ["LinearSystem"]
 
+ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model")
 
+T = TypeVar("T")
+
+
+class _Of(Generic[T]):
+    """A field of one of the parts, read as an attribute of the model."""
+
+    def __init__(self, part: str) -> None:
+        self.part = part
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, model: None, owner: type) -> _Of[T]: ...
+
+    @overload
+    def __get__(self, model: LinearSystem, owner: type) -> T: ...
+
+    def __get__(self, model: LinearSystem | None, owner: type) -> _Of[T] | T:
+        return self if model is None else getattr(getattr(model, self.part), self.name)
+
+
+@dataclass(init=False, eq=False, repr=False)
 class LinearSystem:
     """A discrete-time linear model with imperfect sensors.
 
@@ -21,6 +51,8 @@ class LinearSystem:
         all drawn anew each sample
 
     Every number is kept exactly: a float means its shortest decimal; Fraction, Decimal, int and str ("1/3") are taken as they are.
+    A model is a value of three parts, .plant, .sensors and .signals: equal where all numbers and texts are, and never changed;
+    `model.replace(noise=..)` is a changed copy.
 
     Args:
         A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m); B None: no inputs; D None: zero; A, B, C None: no states, y = D u.
@@ -59,183 +91,179 @@ class LinearSystem:
         >>> m = LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
         >>> m.n, m.m, m.p, m.outputs
         (2, 1, 2, ('y1', 'y2'))
+        >>> m == m.replace(noise=["0.10", "1/100"]), m == m.replace(noise=0.1)
+        (True, False)
     """
 
-    def __init__(self, A, B, C, D=None, dt=1.0, *, tolerance=0.0, noise=0.0, constant_tolerance=False, resolution=None, E=None,
-                 unknown_inputs=None, disturbance=None, uncertainties=(), decouple=(), inputs=None, outputs=None, states=None,
-                 units=None, offset=None, columns=None, provenance=None, name="model", horizon=None):  # fmt: skip
+    plant: Plant
+    sensors: Sensors
+    signals: ModelSignals
+    origins: Words
+    name: str
+    horizon: int | None
+
+    A = _Of[Matrix]("plant")
+    B = _Of[Matrix]("plant")
+    C = _Of[Matrix]("plant")
+    D = _Of[Matrix]("plant")
+    G = _Of[Matrix]("plant")
+    F = _Of[Matrix]("plant")
+    D_v = _Of[Matrix]("plant")
+    disturbance = _Of[tuple[tuple[Fraction, Fraction], ...]]("plant")
+    uncertainties = _Of[tuple[Uncertainty, ...]]("plant")
+    dt = _Of[float]("plant")
+    n = _Of[int]("plant")
+    m = _Of[int]("plant")
+    p = _Of[int]("plant")
+    g = _Of[int]("plant")
+    d = _Of[int]("plant")
+    tolerance = _Of[Vector]("sensors")
+    noise = _Of[Vector]("sensors")
+    resolution = _Of[Vector]("sensors")
+    constant_tolerance = _Of[bool]("sensors")
+    inputs = _Of[tuple[str, ...]]("signals")
+    outputs = _Of[tuple[str, ...]]("signals")
+    states = _Of[tuple[str, ...]]("signals")
+
+    def __init__(
+        self,
+        A: MatrixLike | None,
+        B: MatrixLike | None,
+        C: MatrixLike | None,
+        D: MatrixLike | None = None,
+        dt: Number = 1.0,
+        *,
+        tolerance: Each = 0.0,
+        noise: Each = 0.0,
+        constant_tolerance: bool | np.bool_ = False,
+        resolution: Each | None = None,
+        E: MatrixLike | None = None,
+        unknown_inputs: Coupling | None = None,
+        disturbance: Bounded | None = None,
+        uncertainties: Uncertainty | Sequence[Uncertainty] = (),
+        decouple: str | Sequence[str] = (),
+        inputs: str | Sequence[str] | None = None,
+        outputs: str | Sequence[str] | None = None,
+        states: str | Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+        offset: Mapping[str, Each] | None = None,
+        columns: Mapping[str, str] | None = None,
+        provenance: Mapping[str, str] | None = None,
+        name: str = "model",
+        horizon: int | None = None,
+    ) -> None:
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
                 raise ValueError("E and uncertainties do not go together: solve the equations for x+ first, or decouple the parameters")
             given = E, A, B, C, D, disturbance, unknown_inputs, states
             A, B, C, D, disturbance, unknown_inputs, states = without_descriptor(*given)
-        self.A = _matrix("A", A) if A is not None and len(A) else ()
-        n = len(self.A)
-        if n and len(self.A[0]) != n:
-            raise ValueError(f"A must be square, one row per state: its shape is ({n}, {len(self.A[0])})")
-        static = n == 0 and D is not None and np.size(D) > 0  # y = D u: D says how many outputs there are
-        if not n and not static:
-            raise ValueError("A must be square, one row per state; a model without states needs D (y = D u)")
-        self.C = _matrix("C", C) if C is not None and len(C) else tuple(() for _ in (_matrix("D", D) if static else ()))
-        p = len(self.C)
-        if p == 0:
-            raise ValueError("the model has no output: C needs at least one row")
-        self.B = _matrix("B", B) if B is not None and np.size(B) else tuple(() for _ in range(n))
-        m = len(self.B[0]) if n else len(_matrix("D", D)[0])
-        self.D = _matrix("D", D) if D is not None and np.size(D) else tuple((Fraction(0),) * m for _ in range(p))
-        for label, a, shape in (("B", self.B, (n, m)), ("C", self.C, (p, n)), ("D", self.D, (p, m))):
-            if a and (len(a), len(a[0])) != shape:
-                raise ValueError(f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}")
-        self.uncertainties = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
-        for letter in "ABCD":
-            setattr(self, letter, centred(getattr(self, letter), self.uncertainties, letter))
-        self.n, self.m, self.p = n, m, p
-        self.G, self.disturbance = _disturbance(disturbance, n)
-        self.g = len(self.disturbance)
-        self.F, self.D_v = unbounded_inputs(unknown_inputs, n, p)
-        self.uncertainties, self.F, self.D_v = decoupled(self.uncertainties, decouple, self.F, self.D_v)
-        self.d = len(self.D_v[0])
-        self.dt = float(_number("dt", dt))
-        if self.dt <= 0:
-            raise ValueError(f"dt must be a positive number of seconds, not {dt}")
-        self.inputs = _names("inputs", inputs, m, "u")
-        self.outputs = _names("outputs", outputs, p, "y")
-        self.states = _names("states", states, n, "x")
-        everyone = self.inputs + self.outputs
-        twice = sorted({x for x in everyone if everyone.count(x) > 1})
-        if twice:
-            raise ValueError(f"a signal name may stand for one signal only: {listed(twice)} is used twice")
-        self.tolerance = self._bound("tolerance", tolerance)
-        if not isinstance(constant_tolerance, (bool, np.bool_)):
-            raise ValueError(f"constant_tolerance must be True or False, not {constant_tolerance!r}")
-        self.constant_tolerance = bool(constant_tolerance)
-        self.noise = self._bound("noise", noise)
-        self.resolution = self._bound("resolution", 0 if resolution is None else resolution)
-        offset = dict(offset or {})
-        unknown = set(offset) - {"u", "y"}
-        if unknown:
-            raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
-        self.offset = {
-            "u": _vector("offset u", offset.get("u", 0), self.inputs),
-            "y": _vector("offset y", offset.get("y", 0), self.outputs),
-        }
-        self.units = self._about("units", units, everyone + self.states)
-        self.columns = self._about("columns", columns, (*everyone, "time", "where"))
-        for of, column in self.columns.items():
-            if of == "where" or (of != "time" and is_expression(column)):
-                expression(column)
-        self.provenance = self._about("provenance", provenance, ("tolerance", "noise", "resolution", "disturbance", "model"))
-        self.name = str(name)
+        parts = plant(A, B, C, D, dt, disturbance, unknown_inputs, uncertainties, decouple)
+        signals = model_signals((parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-        self.horizon = None if horizon is None else int(horizon)
+        vars(self).update(
+            plant=parts,
+            sensors=sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance),
+            signals=signals,
+            origins=words("provenance", provenance, ORIGINS),
+            name=str(name),
+            horizon=None if horizon is None else int(horizon),
+        )
 
-    def _bound(self, field, value):
-        bounds = _vector(field, value, self.outputs)
-        for output, b in zip(self.outputs, bounds, strict=True):
-            if b < 0:
-                raise ValueError(f"{field} must be >= 0: output {output!r} has {float(b):g}")
-            if field == "tolerance" and b >= 1:
-                raise ValueError(f"tolerance is relative and must be below 1 (2 % is 0.02): output {output!r} has {float(b):g}")
-        return bounds
+    def replace(self, **changes: Any) -> LinearSystem:
+        """Return a copy of the model with some of the arguments changed that it could have been built from.
 
-    @staticmethod
-    def _about(field, table, known):
-        table = {str(k): str(v) for k, v in dict(table or {}).items()}
-        unknown = sorted(set(table) - set(known))
-        if unknown:
-            raise ValueError(f"{field} speaks of {listed(unknown)}, but the model knows only {listed(known)}")
-        return table
+        Args:
+            changes: any arguments of `LinearSystem`. Matrices are those at the value 0 of every parameter, as they are there.
+
+        Raises:
+            ValueError, TypeError: as `LinearSystem`.
+
+        Example:
+            >>> m = LinearSystem([[0.8]], None, [[1]], noise=0.1)
+            >>> m.replace(noise="1/3", name="tank").noise
+            (Fraction(1, 3),)
+        """
+        return LinearSystem(**{**self._arguments(), **changes})
+
+    __replace__ = replace  # copy.replace(model, noise=..), from Python 3.13 on
+
+    def _arguments(self) -> dict[str, Any]:
+        """Return arguments that build this very model."""
+        matrices = {letter: centred(getattr(self, letter), self.uncertainties, letter, sign=-1) for letter in "ABCD"}
+        return matrices | {
+            "dt": self.dt,
+            "tolerance": self.tolerance,
+            "noise": self.noise,
+            "constant_tolerance": self.constant_tolerance,
+            "resolution": self.resolution,
+            "unknown_inputs": (self.F, self.D_v) if self.d else None,
+            "disturbance": (self.G, self.disturbance) if self.g else None,
+            "uncertainties": self.uncertainties,
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+            "states": self.states,
+            "units": self.units,
+            "offset": self.offset,
+            "columns": self.columns,
+            "provenance": self.provenance,
+            "name": self.name,
+            "horizon": self.horizon,
+        }
 
     @property
-    def has_feedthrough(self):
+    def offset(self) -> Mapping[str, Vector]:
+        """The operating point, {"u": (m,), "y": (p,)}."""
+        return MappingProxyType({"u": self.signals.input_offset, "y": self.signals.output_offset})
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The units that are stated, {name: unit}."""
+        return MappingProxyType(dict(self.signals.units))
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """The columns that are stated, {name: column}."""
+        return MappingProxyType(dict(self.signals.columns))
+
+    @property
+    def provenance(self) -> Mapping[str, str]:
+        """Where bounds come from, {field: origin}, as far as it is stated."""
+        return MappingProxyType(dict(self.origins))
+
+    @property
+    def has_feedthrough(self) -> bool:
         """True if D is not zero: the newest input of a window then matters."""
         return any(x for D in (self.D, *(u.D or () for u in self.uncertainties)) for row in D for x in row)
 
     @property
-    def has_direct_unknown(self):
+    def has_direct_unknown(self) -> bool:
         """True if D_v is not zero: the newest unknown input of a window then matters."""
         return any(x for row in self.D_v for x in row)
 
-    def column(self, signal):
+    def column(self, signal: str) -> str:
         """Return the column of a recording that holds a signal."""
         return self.columns.get(signal, signal)
 
-    def unit(self, signal):
+    def unit(self, signal: str) -> str:
         """Return the unit of a signal, or an empty string."""
         return self.units.get(signal, "")
 
-    def __repr__(self):
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, LinearSystem):
+            return NotImplemented
+        return self is other or all(getattr(self, f.name) == getattr(other, f.name) for f in fields(LinearSystem))
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.sensors, self.signals))  # a few numbers tell models apart; those of large matrices would cost more
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise FrozenInstanceError(f"a LinearSystem is a value: {name} cannot be set; model.replace(noise=..) makes a changed copy")
+
+    def __delattr__(self, name: str) -> NoReturn:
+        raise FrozenInstanceError(f"a LinearSystem is a value: {name} cannot be deleted; model.replace(noise=..) makes a changed copy")
+
+    def __repr__(self) -> str:
         horizon = "" if self.horizon is None else f", horizon {self.horizon}"
         signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
         return f"LinearSystem({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
-
-
-def _number(field, x):
-    try:
-        return linalg.rational(x)
-    except ValueError as e:
-        raise ValueError(f"{field}: {e}") from None
-
-
-def _matrix(field, a):
-    try:
-        return linalg.matrix(a)
-    except (ValueError, TypeError) as e:
-        raise ValueError(f"{field}: {e}") from None
-
-
-def _vector(field, value, names):
-    if isinstance(value, (str, Fraction)) or np.ndim(value) == 0:
-        return (_number(field, value),) * len(names)
-    values = list(value)
-    if len(values) != len(names):
-        raise ValueError(f"{field} needs one number, or one for each of {listed(names, str)}: {len(values)} given")
-    return tuple(_number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
-
-
-def _disturbance(given, n):
-    """Return G (n, g) and g pairs (lo, hi)."""
-    if given is None:
-        return tuple(() for _ in range(n)), ()
-    try:
-        G, bound = given
-    except (TypeError, ValueError):
-        raise ValueError("disturbance needs a pair (G, bound): how it acts on the states, and how large it can be") from None
-    G = _matrix("G of the disturbance", G)
-    if len(G) != n:
-        raise ValueError(f"G of the disturbance needs one row per state ({n}): it has {len(G)}")
-    g = len(G[0])
-    if isinstance(bound, str) or not np.iterable(bound):
-        bound = [bound] * g
-    if len(bound) != g:
-        raise ValueError(
-            f"the bound of the disturbance needs one number, or one (or a pair [lo, hi]) for each of {g} columns of G, not {len(bound)}"
-        )
-    pairs = []
-    for j, b in enumerate(bound):
-        where = f"disturbance {j + 1}"
-        if not isinstance(b, str) and np.iterable(b):
-            if len(b) != 2:
-                raise ValueError(f"{where}: a bound is one number or a pair [lo, hi], not {len(b)} numbers")
-            lo, hi = (_number(where, x) for x in b)
-            if lo > hi:
-                raise ValueError(f"{where}: lo must be <= hi, not [{float(lo):g}, {float(hi):g}]")
-        else:
-            hi = _number(where, b)
-            lo = -hi
-            if hi < 0:
-                raise ValueError(f"{where}: the bound must be >= 0, not {float(hi):g}")
-        pairs.append((lo, hi))
-    return G, tuple(pairs)
-
-
-def _names(field, given, count, letter):
-    if given is None:
-        return tuple(f"{letter}{i + 1}" for i in range(count))
-    names = (given,) if isinstance(given, str) else tuple(map(str, given))
-    if len(names) != count:
-        raise ValueError(f"{field} needs {count} names, one for each: {len(names)} given")
-    if len(set(names)) < count:
-        raise ValueError(f"{field} must have different names: {listed(names)}")
-    return names

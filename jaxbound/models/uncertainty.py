@@ -1,18 +1,20 @@
 """Uncertain parameters: how a bounded number changes the matrices of a model."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix
 
 __all__ = ["Uncertainty", "centred", "influences"]
 
 LETTERS = ("A", "B", "C", "D")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Uncertainty:
     """A parameter of which only bounds are known, and what it multiplies: A(v) = A + v dA, and likewise B, C, D.
 
@@ -44,7 +46,7 @@ class Uncertainty:
     varying: bool = True
     between: tuple = (-1, 1)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         name = str(self.name)
         if not name:
             raise ValueError("an uncertainty needs a name")
@@ -70,22 +72,22 @@ class Uncertainty:
         keep("between", (lo, hi))
 
     @property
-    def centre(self):
+    def centre(self) -> Fraction:
         """The middle of its bounds."""
         return (self.between[0] + self.between[1]) / 2
 
     @property
-    def radius(self):
+    def radius(self) -> Fraction:
         """Half the width of its bounds."""
         return (self.between[1] - self.between[0]) / 2
 
-    def on(self, letter):
+    def on(self, letter: str) -> Matrix | None:
         """Return radius times the coefficient in one matrix, None where it does not act: what v in [-1, 1] multiplies."""
         rows = getattr(self, letter)
         return None if rows is None else tuple(tuple(self.radius * x for x in row) for row in rows)
 
 
-def influences(given, shapes):
+def influences(given: Uncertainty | Sequence[Uncertainty], shapes: Mapping[str, tuple[int, int]]) -> tuple[Uncertainty, ...]:
     """Check the uncertainties of a model against the shapes {"A": (n, n), ..} of its matrices and return them as a tuple.
 
     Raises ValueError naming what does not fit, TypeError for anything that is no Uncertainty.
@@ -108,7 +110,7 @@ def influences(given, shapes):
     return found
 
 
-def centred(matrix, uncertainties, letter, sign=1):
+def centred(matrix: Matrix, uncertainties: Sequence[Uncertainty], letter: str, sign: int = 1) -> Matrix:
     """Return the matrix at the middle of all parameters (sign 1), or from that the one at the value 0 of them all (sign -1)."""
     for u in uncertainties:
         rows = getattr(u, letter)

@@ -1,36 +1,46 @@
 """What acts on a plant without any bound: unknown inputs, parameters whose bounds are not trusted, states that no equation determines."""
 
+from collections.abc import Sequence
 from fractions import Fraction
+from typing import TypeAlias, cast
 
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix, MatrixLike
+from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.recordings.naming import listed
 
-__all__ = ["decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
+__all__ = ["Coupling", "decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
 
 ZERO = Fraction(0)
 
+Coupling: TypeAlias = MatrixLike | tuple[MatrixLike, MatrixLike]
+"""How unknown inputs are given: F, or (F, D_v)."""
 
-def unbounded_inputs(given, n, p):
+
+def unbounded_inputs(given: Coupling | None, n: int, p: int) -> tuple[Matrix, Matrix]:
     """Return F (n, d) and D_v (p, d) from F or a pair (F, D_v); None: none.
 
     Raises ValueError naming what does not fit.
     """
     if given is None:
         return tuple(() for _ in range(n)), tuple(() for _ in range(p))
-    pair = len(given) == 2 and np.ndim(given[0]) == 2
-    F = _matrix("F", given[0] if pair else given)
+    pair = len(given) == 2 and np.asarray(given[0], object).ndim == 2
+    first, second = cast("tuple[MatrixLike, MatrixLike]", given) if pair else (cast("MatrixLike", given), None)
+    F = _matrix("F", first)
     if len(F) != n:
         raise ValueError(f"F of the unknown inputs needs one row per state ({n}): it has {len(F)}")
-    D_v = _matrix("D_v", given[1]) if pair else tuple((ZERO,) * len(F[0]) for _ in range(p))
+    D_v = ((ZERO,) * len(F[0]),) * p if second is None else _matrix("D_v", second)
     if (len(D_v), len(D_v[0])) != (p, len(F[0])):
         shape = (len(D_v), len(D_v[0]))
         raise ValueError(f"D_v of the unknown inputs must have shape {(p, len(F[0]))} to fit C and F: its shape is {shape}")
     return F, D_v
 
 
-def decoupled(uncertainties, names, F, D_v):
+def decoupled(
+    uncertainties: Sequence[Uncertainty], names: str | Sequence[str], F: Matrix, D_v: Matrix
+) -> tuple[tuple[Uncertainty, ...], Matrix, Matrix]:
     """Treat some uncertainties as unknown inputs: return (the other uncertainties, F, D_v).
 
     A parameter v acts as v [dA dB; dC dD] (x; u) = v [L; L'] (R x + S u), with as many columns of [L; L'] as the rank of the matrix; v

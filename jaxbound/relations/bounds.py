@@ -21,11 +21,13 @@ def model_bounds(model):
         bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
     if model.uncertainties:
         bounds["parameters"] = np.ones(len(model.uncertainties))
+    for bound in bounds.values():
+        bound.setflags(write=False)
     return bounds
 
 
 def checked_bound(model, name, value):
-    """Check one entry of `bounds` and give it its shape.
+    """Check one entry of `bounds` and give it its shape: an array of its own, which nobody writes.
 
     Raises:
         ValueError: a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
@@ -38,7 +40,8 @@ def checked_bound(model, name, value):
     if shape not in allowed:
         raise ValueError(f"{name} needs one number or one per {kind} ({len(names)}): its shape is {shape}")
     if not traced:
-        value = np.asarray(value, np.float64)
+        value = np.array(value, np.float64)
+        value.setflags(write=False)
     spread = (jnp if traced else np).broadcast_to(value, (len(names),)) if len(shape) < 2 else value
     if not traced:
         top = 1 if name == "tolerance" else np.inf
@@ -47,7 +50,11 @@ def checked_bound(model, name, value):
                 raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{b[0]:g}, {b[1]:g}]")
             if len(shape) < 2 and not 0 <= b < top:
                 raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {b:g}")
-    return spread if kind != "disturbance" or len(shape) == 2 else (jnp if traced else np).stack([-spread, spread], 1)
+    if kind == "disturbance" and len(shape) < 2:
+        spread = (jnp if traced else np).stack([-spread, spread], 1)
+    if not traced:
+        spread.setflags(write=False)
+    return spread
 
 
 def float_bound(bound, dtype):

@@ -36,6 +36,7 @@ def model(field=None):
 def test_every_argument_of_a_model_changes_it(field):
     before = jb.LinearSystem(**dict(BASE, uncertainties=())) if field == "E" else model()
     assert fingerprint(model(field)) != fingerprint(before)
+    assert model(field) != before and model(field) == model(field)
 
 
 @pytest.mark.parametrize("change", [
@@ -46,6 +47,7 @@ def test_every_field_of_an_uncertainty_changes_it(change):
     assert set(inspect.signature(jb.Uncertainty).parameters) == {"name", "A", "B", "C", "D", "varying", "between"}
     other = jb.Uncertainty(**{**dict(name="k", B=[[1], [0]]), **change})
     assert fingerprint(jb.LinearSystem(**dict(BASE, uncertainties=[other]))) != fingerprint(model())
+    assert other != FEW and other == jb.Uncertainty(**{**dict(name="k", B=[[1], [0]]), **change}) and hash(other) != hash(FEW)
 
 
 def test_a_model_through_its_file_keeps_it(tmp_path):

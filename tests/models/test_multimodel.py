@@ -1,5 +1,6 @@
 """Multiple models: what is joined, how the input weights it, what is refused."""
 
+import pickle
 from fractions import Fraction
 
 import numpy as np
@@ -14,6 +15,19 @@ def _pair():
 
 def _linear(u):
     return np.stack([u[..., 0], 1 - u[..., 0]], -1)
+
+
+def test_interval_systems_are_equal_where_every_number_is():
+    one, other, wider = (jb.interval_system([["0.5", [0.1, hi]]] * 2, None, [[1, 1]], noise=0.1) for hi in (0.2, Fraction(1, 5), 0.3))
+    assert one == other and hash(one) == hash(other) and one == pickle.loads(pickle.dumps(one)) and one != wider and one != "model"
+
+
+def test_the_bounds_of_an_interval_system_are_not_written():
+    model = jb.interval_system([[0.5]], None, [[1]], noise=0.1)
+    for system in (model, jb.MultiModel([jb.LinearSystem([[0.5]], None, [[1]], noise=0.1), model], None).models[0]):
+        for bound in (system.noise, system.tolerance):
+            with pytest.raises(ValueError, match="read-only"):
+                bound[0] = 0
 
 
 def test_the_joined_system_holds_both_side_by_side():

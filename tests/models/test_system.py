@@ -1,8 +1,12 @@
 """The model at its door: exact decimals in, sentences out."""
 
+import copy
+import pickle
 from decimal import Decimal
 from fractions import Fraction
+from functools import partial
 
+import jax
 import numpy as np
 import pytest
 from systems import PAPER, paper
@@ -100,3 +104,114 @@ def test_a_disturbance_that_does_not_fit_is_refused(disturbance, message):
 def test_units_and_columns_are_found_by_name():
     m = paper(units={"y1": "K"}, columns={"u1": "valve"})
     assert (m.unit("y1"), m.unit("y2"), m.column("u1"), m.column("y1")) == ("K", "", "valve", "y1")
+
+
+HEATER = dict(
+    A=[[0.9, "1/3"], [0, 0.2]], B=[[0], [1]], C=[[1, 0], [1, 1]], D=[[0], [0.5]], dt="1/3", tolerance=[0.02, 0.1], noise=[0.1, "1e-7"],
+    resolution=0.005, unknown_inputs=([[0], [1]], [[1], [0]]), disturbance=([[1], [0]], [[0, 0.2]]), inputs=["power"],
+    outputs=["air", "wall"], states=["air", "core"], units={"air": "K", "power": "W", "core": "K"}, offset={"y": [20, "1/3"]},
+    uncertainties=[jb.Uncertainty("loss", A=[[1, 0], [0, 0]], between=("0.1", "0.3")), jb.Uncertainty("gain", B=[[0], [1]], varying=False)],
+    columns={"wall": "= `Wall (F)` * 5 / 9", "where": "fan > 0", "time": "t"}, provenance={"noise": "datasheet", "model": "assumed"},
+    name="heater", horizon=7)  # fmt: skip
+MODELS = {
+    "paper": PAPER,
+    "heater": HEATER,
+    "without inputs": {**PAPER, "B": None, "constant_tolerance": True},
+    "without states": dict(A=None, B=None, C=None, D=[[1, 2], [0.5, 0]], noise=0.1, units={"u1": "A"}),
+    "descriptor": dict(A=[[1, 0], [0, 1]], B=[[0], [1]], C=[[1, 1]], E=[[1, 0], [0, 0]], states=["a", "b"]),
+    "not trusted": {**HEATER, "decouple": "loss", "unknown_inputs": None},
+}
+
+
+def reloaded(model, path):
+    jb.save_model(model, path / "model.toml")
+    return jb.load_model(path / "model.toml")
+
+
+@pytest.fixture(params=MODELS)
+def given(request):
+    return MODELS[request.param]
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m)), lambda m: m.replace()],
+                         ids=["copy", "deep copy", "pickle", "replace"])  # fmt: skip
+def test_a_model_equals_its_copies(given, again):
+    model = jb.LinearSystem(**given)
+    other = again(model)
+    assert other == model and hash(other) == hash(model) and len({model, other}) == 1
+
+
+def test_a_model_equals_its_reloaded_file(given, tmp_path):
+    model = jb.LinearSystem(**given)
+    other = reloaded(model, tmp_path)
+    assert other == model and hash(other) == hash(model)
+
+
+def test_a_model_equals_one_from_the_same_numbers_written_otherwise():
+    exact = paper(
+        A=[["8/10", Fraction(1)], [0, Decimal("0.20")]], noise=np.array([0.1, 0.01]), tolerance=["0.02", "1/10"], D=np.zeros((2, 1))
+    )
+    assert exact == paper() and hash(exact) == hash(paper())
+
+
+def test_the_order_in_which_a_model_is_told_does_not_matter():
+    backwards = {k: dict(reversed(v.items())) if isinstance(v, dict) else v for k, v in reversed(HEATER.items())}
+    one, other = jb.LinearSystem(**HEATER), jb.LinearSystem(**backwards)
+    assert one == other and hash(one) == hash(other)
+
+
+def test_a_model_is_not_what_it_is_not():
+    assert paper() != paper(noise=["0.1", "0.010000000000000000001"]) and paper() != "model" and paper() != None  # noqa: E711
+
+
+@pytest.mark.parametrize("name", ["A", "noise", "offset", "units", "n", "name", "plant", "sensors", "signals", "anything"])
+def test_nothing_of_a_model_is_set(name):
+    model = paper()
+    with pytest.raises(
+        AttributeError, match=rf"^a LinearSystem is a value: {name} cannot be set; model.replace\(noise=..\) makes a changed copy$"
+    ):
+        setattr(model, name, 1)
+    with pytest.raises(AttributeError, match="is a value"):
+        delattr(model, name)
+    assert model == paper()
+
+
+@pytest.mark.parametrize("change", [
+    lambda m: m.offset.update(u=(1,)), lambda m: m.units.__setitem__("air", "degC"), lambda m: m.columns.clear(),
+    lambda m: m.provenance.__setitem__("noise", "fitted"), lambda m: m.A[0].__setitem__(0, 1), lambda m: setattr(m.plant, "A", ()),
+    lambda m: setattr(m.sensors, "noise", ()), lambda m: setattr(m.signals, "inputs", ()),
+    lambda m: setattr(m.uncertainties[0], "name", "k"),
+])  # fmt: skip
+def test_nothing_inside_a_model_is_written(change):
+    model = jb.LinearSystem(**HEATER)
+    with pytest.raises((TypeError, AttributeError)):
+        change(model)
+    assert model == jb.LinearSystem(**HEATER)
+
+
+def test_a_changed_copy_is_the_model_of_the_changed_arguments():
+    changes = dict(A=[[0.7, 0], [0, 0.1]], noise=0.3, uncertainties=[jb.Uncertainty("loss", A=[[1, 0], [0, 0]], between=(2, 3))],
+                   provenance={"noise": "fitted"}, horizon=None, offset={"u": 3})  # fmt: skip
+    for name, value in changes.items():
+        changed = jb.LinearSystem(**HEATER).replace(**{name: value})
+        assert changed == jb.LinearSystem(**{**HEATER, name: value}), name
+
+
+def test_a_changed_copy_is_checked_like_any_model():
+    with pytest.raises(ValueError, match="noise must be >= 0: output 'y2' has -1"):
+        paper().replace(noise=[1, -1])
+    with pytest.raises(TypeError, match="noize"):
+        paper().replace(noize=1)
+
+
+def test_an_equal_model_as_static_argument_is_not_traced_again():
+    traced = []
+
+    @partial(jax.jit, static_argnums=0)
+    def first_bound(model, x):
+        traced.append(model)
+        return x + float(model.noise[0])
+
+    for model in (paper(), paper(), copy.deepcopy(paper()), paper(noise=[0.2, 0.01])):
+        assert float(first_bound(model, 0.0)) == float(model.noise[0])
+    assert len(traced) == 2

@@ -9,6 +9,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.exact import linalg
 from jaxbound.models.modelfile import save_model
+from jaxbound.models.plant import Plant
 from jaxbound.relations.cost import affordable, relation_cost
 
 CHAIN = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], noise=0.1)
@@ -66,7 +67,9 @@ def test_a_model_of_too_many_states_is_refused_at_once():
     n = 2000
     model = jb.LinearSystem.__new__(jb.LinearSystem)  # as the door leaves it: reading four million numbers is not what is asked here
     row = (Fraction(1, 10),) * n
-    model.__dict__.update(A=(row,) * n, C=(row,), F=((),) * n, n=n, m=0, p=1, g=0, d=0, horizon=None, uncertainties=())
+    none = ((),) * n
+    plant = Plant(A=(row,) * n, B=none, C=(row,), D=((),), G=none, disturbance=(), F=none, D_v=((),), uncertainties=(), dt=1.0)
+    vars(model).update(plant=plant, horizon=None)
     start = time.perf_counter()
     with pytest.raises(ValueError, match="a model of 2000 states is too large"):
         jb.parity_relations(model)
@@ -112,19 +115,19 @@ def test_progress_of_relations_rises_to_the_end():
 
 
 def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, capsys, monkeypatch):
-    from jaxbound.cli import detect, main
+    from jaxbound import cli, detecting
 
     save_model(CHAIN, tmp_path / "m.toml")
     (tmp_path / "r.csv").write_text("u1,y1,y2\n" + "0,0,0\n" * 201)
-    monkeypatch.setattr(detect, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
+    monkeypatch.setattr(detecting, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
     for horizon in ("1000", "1" + "0" * 15):
         args = ["detect", str(tmp_path / "m.toml"), str(tmp_path / "r.csv"), "--out", str(tmp_path / "out"), "--horizon", horizon]
-        assert main.main(args) == 2
+        assert cli.main(args) == 2
         assert "the recording has 201 samples, one window needs" in capsys.readouterr().err
 
 
 def test_info_of_many_states_says_what_it_leaves_out(rng):
-    from jaxbound.cli.info import isolation_text
+    from jaxbound.describing import isolation_text
 
     text = isolation_text(dense(60, 2, rng), 30)
     assert "not worked out" in text and "would take about" in text

@@ -135,6 +135,21 @@ def test_with_bounds_leaves_the_relation_it_came_from_alone():
     np.testing.assert_array_equal(r.bounds["noise"], [0.1, 0.01])
 
 
+def test_bounds_do_not_follow_an_array_that_is_written_later():
+    noise = np.array([0.5, 0.2])
+    r = jb.parity_relations(paper()).with_bounds({"noise": noise})
+    noise[:] = 0
+    assert r.bounds["noise"].tolist() == [0.5, 0.2]
+
+
+@pytest.mark.parametrize("change", [{}, {"noise": np.array([0.5, 0.2])}, {"disturbance": 0.2}])
+def test_the_bounds_of_relations_are_not_written(change):
+    r = jb.parity_relations(paper(disturbance=([[1], [0]], 0.1))).with_bounds(change)
+    for bound in r.bounds.values():
+        with pytest.raises(ValueError, match="read-only"):
+            bound[0] = 0
+
+
 def test_with_bounds_keeps_the_bound_that_is_not_named():
     r = jb.parity_relations(paper()).with_bounds({"noise": 9.0})
     np.testing.assert_array_equal(r.bounds["tolerance"], [0.02, 0.1])

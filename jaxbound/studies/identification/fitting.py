@@ -64,9 +64,12 @@ class FitCheck:
 
 
 class Fitted(LinearSystem):
-    """A LinearSystem that `fit` made: with `.check`, a FitCheck."""
+    """A LinearSystem that `fit` made: with `.check`, a FitCheck, which is no part of its value."""
 
     check: FitCheck
+
+    def __init__(self, model, check):
+        vars(self).update(vars(model), check=check)
 
 
 def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=None, direct=False, safety=1.25, held_out=0.3, method="auto",
@@ -122,7 +125,7 @@ def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=None, 
         for i, kind in enumerate(kinds):
             spec, relations, spread = candidate(heads, kind)
             own, unseen = _needs(relations, heads), _needs(relations, tails)
-            blindness = _blindness(Fitted(**spec, noise=np.fmax(_most(own), _most(unseen)) * spread), scales, spans)
+            blindness = _blindness(LinearSystem(**spec, noise=np.fmax(_most(own), _most(unseen)) * spread), scales, spans)
             found.append((blindness, i, _most(own) * safety, unseen))
             report(0.05 + 0.7 * (i + 1) / len(kinds))
         _, i, bound, unseen = min(found, key=lambda f: f[:2])
@@ -132,15 +135,13 @@ def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=None, 
     report(0.9)
     model, used = _verified(spec, [_rounded_up(x * safety) for x in smallest], records, safety)
     largest = lambda x: float(np.nanmax(x)) if np.isfinite(x).any() else math.nan
-    model.check = FitCheck(
+    check = FitCheck(
         method=kind, safety=float(safety), smallest=dict(zip(outputs, smallest.tolist(), strict=True)), held_out=_unseen(first),
         recordings=tuple({"samples": len(r[1]), "windows": int(np.isfinite(x).sum()), "used": largest(x)}
-                         for r, x in zip(records, used, strict=True)),
-        jump=_visible(model, scales, middle=True), steady=_visible(model, scales, middle=False), used=tuple(used),
-        held_out_used=first)  # fmt: skip
-    model.check = dataclasses.replace(model.check, sentences=(*sentences, *_judged(model, scales, held_out, spans)))
+                         for r, x in zip(records, used, strict=True)), used=tuple(used), held_out_used=first,
+        jump=_visible(model, scales, middle=True), steady=_visible(model, scales, middle=False))  # fmt: skip
     report(1.0)
-    return model
+    return Fitted(model, dataclasses.replace(check, sentences=(*sentences, *_judged(model, check, held_out, spans))))
 
 
 def _check_options(order, horizon, safety, held_out, method):
@@ -326,11 +327,11 @@ def _most(needs):
 
 
 def _verified(spec, noise, records, safety):
-    """Return (model, used): the Fitted under which every window is CONSISTENT by the proved test, and the share of its bounds used."""
+    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the share of its bounds used."""
     total, count = sum(len(y) for _, y, _ in records), len(records)
     source = f"fitted to {total} samples in {count} recording{'s' * (count > 1)}"
     for _ in range(20):
-        model = Fitted(**spec, noise=noise, provenance={"model": source, "noise": f"{source}, safety factor {safety:g}"})
+        model = LinearSystem(**spec, noise=noise, provenance={"model": source, "noise": f"{source}, safety factor {safety:g}"})
         found = _tested(parity_relations(model), records)
         if all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status, _ in found):
             break
@@ -368,9 +369,9 @@ def _blindness(model, scales, spans):
                for name, span, spread in zip(model.outputs, spans, scales.y_spread, strict=True))  # fmt: skip
 
 
-def _judged(model, scales, held_out, spans):
+def _judged(model, check, held_out, spans):
     """Return sentences on what the data do not carry."""
-    check, out = model.check, []
+    out = []
     percent = lambda x: f"{100 * x:.3g} %"
     whole = sum(r["windows"] for r in check.recordings) // (model.horizon + 1)
     if whole < FEW:

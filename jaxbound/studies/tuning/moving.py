@@ -1,6 +1,5 @@
 """Bounds as a vector of positive numbers: which of them move, what they weigh, and how they go back into relations and model files."""
 
-import copy
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
@@ -133,7 +132,7 @@ def model_with(relations, moved, values, source):
         ValueError: a tolerance that would reach 1.
     """
     model, old = relations.model, model_bounds(relations.model)
-    new, values, at = copy.copy(model), [Fraction(v) for v in values], 0
+    changes, values, at = {"horizon": relations.horizon, "provenance": dict(model.provenance)}, [Fraction(v) for v in values], 0
     decimals = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": [x for pair in model.disturbance for x in pair]}
     for kind, count in moved.sizes:
         now, before = np.ravel(relations.bounds[kind]), np.ravel(old[kind])
@@ -143,13 +142,12 @@ def model_with(relations, moved, values, source):
         for i, b in np.argwhere(rows):
             exact[i] = int(rows[i, b]) * values[b]
         if kind == "disturbance":
-            new.disturbance = tuple(zip(exact[::2], exact[1::2], strict=True))
+            changes[kind] = model.G, tuple(zip(exact[::2], exact[1::2], strict=True))
         elif kind == "parameters":
             pairs = zip(model.uncertainties, exact, strict=True)
-            new.uncertainties = tuple(replace(u, between=(u.centre - k * u.radius, u.centre + k * u.radius)) for u, k in pairs)
+            changes["uncertainties"] = tuple(replace(u, between=(u.centre - k * u.radius, u.centre + k * u.radius)) for u, k in pairs)
         else:
-            setattr(new, kind, model._bound(kind, exact))
+            changes[kind] = exact
         if rows.any() and kind != "parameters":
-            new.provenance = {**new.provenance, kind: source}
-    new.horizon = relations.horizon
-    return new
+            changes["provenance"][kind] = source
+    return model.replace(**changes)

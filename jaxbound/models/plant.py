@@ -1,0 +1,159 @@
+"""The plant of a model: exact matrices, parameters within bounds, and what acts on it unmeasured."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TypeAlias
+
+import numpy as np
+
+from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix, MatrixLike, Number
+from jaxbound.models.uncertainty import Uncertainty, centred, influences
+from jaxbound.models.unknown import Coupling, decoupled, unbounded_inputs
+
+__all__ = ["Bounded", "Plant", "number", "plant"]
+
+Bounded: TypeAlias = tuple[MatrixLike, Number | Sequence[Number | Sequence[Number]] | np.ndarray]
+"""How a disturbance is given: (G, bound)."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """x+ = A x + B u + G w + F v, y = C x + D u + D_v v, every number exact. Build it with `plant`; the fields are those of a LinearSystem.
+
+    A, B, C, D are at the middle of the bounds of the uncertainties; w is within the pairs of `disturbance`, v has no bound; dt in seconds.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    G: Matrix
+    disturbance: tuple[tuple[Fraction, Fraction], ...]
+    F: Matrix
+    D_v: Matrix
+    uncertainties: tuple[Uncertainty, ...]
+    dt: float
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return len(self.D[0])
+
+    @property
+    def p(self) -> int:
+        """Number of outputs."""
+        return len(self.C)
+
+    @property
+    def g(self) -> int:
+        """Number of disturbances."""
+        return len(self.disturbance)
+
+    @property
+    def d(self) -> int:
+        """Number of unknown inputs."""
+        return len(self.D_v[0])
+
+
+def plant(
+    A: MatrixLike | None,
+    B: MatrixLike | None,
+    C: MatrixLike | None,
+    D: MatrixLike | None,
+    dt: Number,
+    disturbance: Bounded | None,
+    unknown_inputs: Coupling | None,
+    uncertainties: Uncertainty | Sequence[Uncertainty],
+    decouple: str | Sequence[str],
+) -> Plant:
+    """Check the arguments of a LinearSystem that speak of its plant and return them exactly.
+
+    Raises:
+        ValueError: shapes that do not fit, a number that is not finite, a negative bound, a dt that is not positive.
+    """
+    exact_A = _matrix("A", A) if A is not None and len(A) else ()
+    n = len(exact_A)
+    if n and len(exact_A[0]) != n:
+        raise ValueError(f"A must be square, one row per state: its shape is ({n}, {len(exact_A[0])})")
+    direct = _matrix("D", D) if D is not None and np.size(np.asarray(D, object)) else None
+    if not n and direct is None:
+        raise ValueError("A must be square, one row per state; a model without states needs D (y = D u)")
+    if C is not None and len(C):
+        exact_C = _matrix("C", C)
+    else:  # without states y = D u, and D says how many outputs there are
+        exact_C = ((),) * (len(direct) if direct is not None and not n else 0)
+    p = len(exact_C)
+    if p == 0:
+        raise ValueError("the model has no output: C needs at least one row")
+    exact_B = _matrix("B", B) if B is not None and np.size(np.asarray(B, object)) else ((),) * n
+    m = len(exact_B[0]) if n else len(direct[0]) if direct else 0
+    exact_D = ((Fraction(0),) * m,) * p if direct is None else direct
+    for label, a, shape in (("B", exact_B, (n, m)), ("C", exact_C, (p, n)), ("D", exact_D, (p, m))):
+        if a and (len(a), len(a[0])) != shape:
+            raise ValueError(f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}")
+    known = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
+    middle = {letter: centred(a, known, letter) for letter, a in zip("ABCD", (exact_A, exact_B, exact_C, exact_D), strict=True)}
+    G, pairs = _disturbance(disturbance, n)
+    bounded, F, D_v = decoupled(known, decouple, *unbounded_inputs(unknown_inputs, n, p))
+    period = float(number("dt", dt))
+    if period <= 0:
+        raise ValueError(f"dt must be a positive number of seconds, not {dt}")
+    return Plant(**middle, G=G, disturbance=pairs, F=F, D_v=D_v, uncertainties=bounded, dt=period)
+
+
+def number(field: str, x: Number) -> Fraction:
+    """Return a number of a field exactly; raise ValueError with its name."""
+    try:
+        return linalg.rational(x)
+    except ValueError as e:
+        raise ValueError(f"{field}: {e}") from None
+
+
+def _matrix(field: str, a: MatrixLike) -> Matrix:
+    try:
+        return linalg.matrix(a)
+    except (ValueError, TypeError) as e:
+        raise ValueError(f"{field}: {e}") from None
+
+
+def _disturbance(given: Bounded | None, n: int) -> tuple[Matrix, tuple[tuple[Fraction, Fraction], ...]]:
+    """Return G (n, g) and g pairs (lo, hi)."""
+    if given is None:
+        return ((),) * n, ()
+    try:
+        G, bound = given
+    except (TypeError, ValueError):
+        raise ValueError("disturbance needs a pair (G, bound): how it acts on the states, and how large it can be") from None
+    rows = _matrix("G of the disturbance", G)
+    if len(rows) != n:
+        raise ValueError(f"G of the disturbance needs one row per state ({n}): it has {len(rows)}")
+    g = len(rows[0])
+    bounds = [bound] * g if isinstance(bound, str) or not np.iterable(bound) else list(bound)
+    if len(bounds) != g:
+        raise ValueError(
+            f"the bound of the disturbance needs one number, or one (or a pair [lo, hi]) for each of {g} columns of G, not {len(bounds)}"
+        )
+    return rows, tuple(_pair(f"disturbance {j + 1}", b) for j, b in enumerate(bounds))
+
+
+def _pair(where: str, bound: Number | Sequence[Number]) -> tuple[Fraction, Fraction]:
+    """Return (lo, hi) from a pair, or from a number for both sides."""
+    if isinstance(bound, str) or not np.iterable(bound):
+        hi = number(where, bound)
+        if hi < 0:
+            raise ValueError(f"{where}: the bound must be >= 0, not {float(hi):g}")
+        return -hi, hi
+    ends = [number(where, x) for x in bound]
+    if len(ends) != 2:
+        raise ValueError(f"{where}: a bound is one number or a pair [lo, hi], not {len(ends)} numbers")
+    lo, hi = ends
+    if lo > hi:
+        raise ValueError(f"{where}: lo must be <= hi, not [{float(lo):g}, {float(hi):g}]")
+    return lo, hi

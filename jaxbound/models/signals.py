@@ -1,0 +1,144 @@
+"""The signals of a model and their sensors: what they are called, where they are recorded, and how far a recorded sample may be off."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TypeAlias, cast
+
+import jax
+import numpy as np
+
+from jaxbound.exact.linalg import Number, Vector
+from jaxbound.models.plant import number
+from jaxbound.recordings.expressions import expression, is_expression
+from jaxbound.recordings.naming import listed
+
+__all__ = ["Each", "ModelSignals", "Sensors", "Words", "model_signals", "sensors", "words"]
+
+Each: TypeAlias = Number | Sequence[Number] | np.ndarray | jax.Array
+"""One number for all, or one for each."""
+
+Words: TypeAlias = tuple[tuple[str, str], ...]
+"""Pairs (name, text) in one order, whatever the order of the table they came from."""
+
+
+@dataclass(frozen=True)
+class ModelSignals:
+    """The signals of a model. Build it with `model_signals`.
+
+    Fields: inputs, outputs, states: names; input_offset (m,), output_offset (p,): the operating point; units, columns: of signals by name.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    states: tuple[str, ...]
+    input_offset: Vector
+    output_offset: Vector
+    units: Words
+    columns: Words
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The bounds of the sensors of a model, one number an output. Build it with `sensors`; the fields are those of a LinearSystem."""
+
+    tolerance: Vector
+    noise: Vector
+    resolution: Vector
+    constant_tolerance: bool
+
+
+def model_signals(
+    sizes: tuple[int, int, int],
+    inputs: str | Sequence[str] | None,
+    outputs: str | Sequence[str] | None,
+    states: str | Sequence[str] | None,
+    offset: Mapping[str, Each] | None,
+    units: Mapping[str, str] | None,
+    columns: Mapping[str, str] | None,
+) -> ModelSignals:
+    """Check the arguments of a LinearSystem that speak of its signals and return them in one form.
+
+    Args:
+        sizes: (m, p, n), numbers of inputs, outputs and states. The rest: as of a LinearSystem.
+
+    Raises:
+        ValueError: a wrong number of names, a name used twice, a unit or column of a signal that the model does not have.
+    """
+    m, p, n = sizes
+    called = _names("inputs", inputs, m, "u"), _names("outputs", outputs, p, "y"), _names("states", states, n, "x")
+    recorded = called[0] + called[1]
+    twice = sorted({x for x in recorded if recorded.count(x) > 1})
+    if twice:
+        raise ValueError(f"a signal name may stand for one signal only: {listed(twice)} is used twice")
+    offset = dict(offset or {})
+    unknown = set(offset) - {"u", "y"}
+    if unknown:
+        raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
+    points = _vector("offset u", offset.get("u", 0), called[0]), _vector("offset y", offset.get("y", 0), called[1])
+    found = words("columns", columns, (*recorded, "time", "where"))
+    for name, text in found:
+        if name == "where" or (name != "time" and is_expression(text)):
+            expression(text)
+    return ModelSignals(*called, *points, words("units", units, recorded + called[2]), found)
+
+
+def sensors(
+    outputs: tuple[str, ...], tolerance: Each, noise: Each, resolution: Each | None, constant_tolerance: bool | np.bool_
+) -> Sensors:
+    """Check the arguments of a LinearSystem that speak of its sensors and return them exactly.
+
+    Raises:
+        ValueError: a number that is not finite, a wrong number of them, a negative bound, a tolerance >= 1.
+    """
+    if not isinstance(constant_tolerance, (bool, np.bool_)):
+        raise ValueError(f"constant_tolerance must be True or False, not {constant_tolerance!r}")
+    return Sensors(
+        _bound("tolerance", tolerance, outputs),
+        _bound("noise", noise, outputs),
+        _bound("resolution", 0 if resolution is None else resolution, outputs),
+        bool(constant_tolerance),
+    )
+
+
+def words(field: str, table: Mapping[str, str] | None, known: Collection[str]) -> Words:
+    """Return a table of texts as pairs in the order of the names that are known.
+
+    Raises:
+        ValueError: a name that is not known.
+    """
+    texts = {str(k): str(v) for k, v in dict(table or {}).items()}
+    unknown = sorted(set(texts) - set(known))
+    if unknown:
+        raise ValueError(f"{field} speaks of {listed(unknown)}, but the model knows only {listed(known)}")
+    return tuple((name, texts[name]) for name in dict.fromkeys(known) if name in texts)
+
+
+def _bound(field: str, value: Each, outputs: tuple[str, ...]) -> Vector:
+    bounds = _vector(field, value, outputs)
+    for output, b in zip(outputs, bounds, strict=True):
+        if b < 0:
+            raise ValueError(f"{field} must be >= 0: output {output!r} has {float(b):g}")
+        if field == "tolerance" and b >= 1:
+            raise ValueError(f"tolerance is relative and must be below 1 (2 % is 0.02): output {output!r} has {float(b):g}")
+    return bounds
+
+
+def _vector(field: str, value: Each, names: tuple[str, ...]) -> Vector:
+    if isinstance(value, str | Fraction) or np.asarray(value, object).ndim == 0:
+        return (number(field, cast("Number", value)),) * len(names)
+    values = list(cast("Sequence[Number]", value))
+    if len(values) != len(names):
+        raise ValueError(f"{field} needs one number, or one for each of {listed(names, str)}: {len(values)} given")
+    return tuple(number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
+
+
+def _names(field: str, given: str | Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+    if given is None:
+        return tuple(f"{letter}{i + 1}" for i in range(count))
+    names = (given,) if isinstance(given, str) else tuple(map(str, given))
+    if len(names) != count:
+        raise ValueError(f"{field} needs {count} names, one for each: {len(names)} given")
+    if len(set(names)) < count:
+        raise ValueError(f"{field} must have different names: {listed(names)}")
+    return names
