@@ -22,7 +22,7 @@ import pyarrow.parquet
 
 import jaxbound as jb
 from benchmarks import timing
-from jaxbound.diagnosis import detection
+from jaxbound.consistency import strips
 from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.runs.fleet import detect_fleet, read_manifest
 
@@ -123,9 +123,9 @@ def main():
             wall[kind], table = shell(folder, kind)
             check(table, count)
         units = read_manifest(folder / "csv.csv")[: min(count, 100)]
-        before = detection.verdicts._cache_size()
+        before = strips.verdicts._cache_size()
         list(detect_fleet(units))
-        traces = detection.verdicts._cache_size() - before
+        traces = strips.verdicts._cache_size() - before
         alone = stages(folder, units)
     timing.save(
         "fleet",

@@ -33,8 +33,8 @@ CASES = {
 
 def exchanges(relations, u, y):
     """Return the mean and the largest number of exchanges that the first windows take, by bisection on the cap."""
-    size = exchange._block_size(relations.test("joint", y.dtype))
-    test, one = relations.test("joint", y.dtype), np.ones(size)
+    size = relations.test("joint", y.dtype).block
+    test, one = relations.reading(y.dtype), np.ones(size)
     block = [np.ascontiguousarray(np.moveaxis(x[:size, :lags], 0, 2)) for x, lags in ((u, test.lags), (y, relations.horizon + 1))]
     low, high = np.zeros(size, int), np.full(size, 400)
     while (high - low > 1).any():

@@ -3,13 +3,13 @@
 from jaxbound import sets
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
+from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.compensation import compensation
 from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
 from jaxbound.diagnosis.detection import detect, margins
 from jaxbound.diagnosis.isolation import BankResult, evaluate
-from jaxbound.diagnosis.monitor import Monitor
 from jaxbound.diagnosis.result import Result
-from jaxbound.diagnosis.uncertain_margins import compensation
 from jaxbound.estimation.unknown_inputs import UnknownInputs, unknown_inputs
 from jaxbound.estimation.validation import Validation, validate
 from jaxbound.models.conversion import from_control, from_scipy

@@ -12,9 +12,15 @@ import numpy as np
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.consistency import devices, drive, exchange
+from jaxbound.consistency import devices, drive, unproved
+from jaxbound.consistency.bank import BankTest
+from jaxbound.consistency.strips import StripsTest
+from jaxbound.estimation import unknown_inputs
 
 jax.config.update("jax_enable_x64", True)
+
+
+KINDS = StripsTest, BankTest, unproved._Unproved, unknown_inputs._RangeTest  # whose blocks are made small
 
 
 def recording(samples, dtype=np.float64):
@@ -45,13 +51,14 @@ CASES = {
 
 def digests(cases, block, samples, counts):
     """Return {case: [sha256 of all it returns, on so many devices]}, with the status names that occur."""
-    drive.block_size = lambda test: block
+    for kind in KINDS:
+        kind.block = block
     u, y = recording(samples)
     found = {}
     for case in cases:
         for count in counts:
             chosen = tuple(jax.local_devices()[:count])
-            drive.usable_devices = exchange.usable_devices = lambda chosen=chosen: chosen
+            drive.usable_devices = unproved.usable_devices = lambda chosen=chosen: chosen
             arrays = [np.asarray(x) for x in CASES[case](u, y)]
             found.setdefault(case, []).append(hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest())
         found[case].append(len(np.unique(arrays[0])))

@@ -18,7 +18,7 @@ from jaxbound.certificates.blame import DIGITS, rounded_witness
 from jaxbound.certificates.exact_polynomials import polynomial_window
 from jaxbound.certificates.exact_window import ExactWindow
 from jaxbound.certificates.witness import Witnessed, rows_of
-from jaxbound.consistency import uncertain_windows
+from jaxbound.consistency import parametric_windows
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
 
@@ -161,7 +161,7 @@ class UncertainCertificate(Witnessed):
 def certify_uncertain(relations, u, y, method="joint", status=None, at=None):
     """Prove the verdict of one window of a model with uncertain parameters. See `certificate.certify`."""
     nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
-    found = list(uncertain_windows.cases(relations, u, y, np.zeros(1, int))) if not np.isnan(y).all() else []
+    found = list(parametric_windows.cases(relations, u, y, np.zeros(1, int))) if not np.isnan(y).all() else []
     if not found:
         raise nothing
     relations = found[0][0]
@@ -178,7 +178,7 @@ def certify_uncertain(relations, u, y, method="joint", status=None, at=None):
 def _proof(p, u, y, status, budget):
     """Return (proof, None) or (None, (FixedWindow, z)), or (None, None) if neither was found."""
     r, lo = p.relations, tuple(-x for x in p.size)
-    whole, few = (lo, p.size), polynomials.multiaffine(p.relations.exponents) and len(p.size) <= uncertain_windows.VERTICES
+    whole, few = (lo, p.size), polynomials.multiaffine(p.relations.exponents) and len(p.size) <= parametric_windows.VERTICES
     fault, consistent = status != Status.CONSISTENT, status != Status.FAULT
     alone = [tuple(Fraction(int(k == i)) for i in range(r.count)) for k in range(r.count)]
     if fault:
@@ -234,16 +234,16 @@ class _Boxes:
     """What floats propose for boxes of the parameters of one window, by the kernels of the detection."""
 
     def __init__(self, p, u, y):
-        self.p, self.test = p, p.relations.test(y.dtype)
+        self.p, self.test = p, p.relations.reading(y.dtype)
         self.samples = [x[..., None] for x in (np.nan_to_num(u[: self.test.window.lags]), np.nan_to_num(y))]
 
     def terms(self, count):
         """Return the terms of the window, so many times."""
-        return uncertain_windows.terms_of(self.test, *(np.repeat(x, count, -1) for x in self.samples))
+        return parametric_windows.terms_of(self.test, *(np.repeat(x, count, -1) for x in self.samples))
 
     def whole(self):
         """Return (margin, start, h) of the whole box."""
-        return [np.asarray(x)[..., 0] for x in uncertain_windows.on_whole(self.test, self.terms(uncertain_windows.BLOCK))]
+        return [np.asarray(x)[..., 0] for x in parametric_windows.on_whole(self.test, self.terms(parametric_windows.BLOCK))]
 
     def point(self, start):
         """Return (FixedWindow, z) near a start or near the middle, or None."""
@@ -289,8 +289,8 @@ class _Boxes:
         """Return (margin, start, h, axis, whether a point is proved to exist) of boxes (n, N)."""
         count = lo.shape[1]
         mid, radius = (np.pad(x, ((0, 0), (0, PART - count)), mode="edge") for x in (0.5 * (lo + hi), 0.5 * (hi - lo)))
-        said = uncertain_windows.on_boxes(self.test, terms, mid, radius)
-        inside = uncertain_windows.explained(self.test, terms, said[1]) if consistent else np.zeros(PART, bool)
+        said = parametric_windows.on_boxes(self.test, terms, mid, radius)
+        inside = parametric_windows.explained(self.test, terms, said[1]) if consistent else np.zeros(PART, bool)
         return [np.asarray(x)[..., :count] for x in (*said, inside)]
 
 

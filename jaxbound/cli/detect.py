@@ -19,7 +19,8 @@ import numpy as np
 from jaxbound.cli.share import merged, opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated, write_columns_of
-from jaxbound.diagnosis.detection import METHODS, detect
+from jaxbound.consistency.interface import METHODS
+from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.validation import least_horizon, validate
 from jaxbound.models.modelfile import load_model, save_model

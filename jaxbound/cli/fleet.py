@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
-from jaxbound.diagnosis.detection import METHODS
+from jaxbound.consistency.interface import METHODS
 from jaxbound.recordings.plaintext import cell, percent
 from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first

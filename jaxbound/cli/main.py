@@ -32,7 +32,7 @@ from jaxbound.cli.terminal import (
     system_trouble,
     write,
 )
-from jaxbound.diagnosis.detection import METHODS
+from jaxbound.consistency.interface import METHODS
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import distinct_relations
 from jaxbound.recordings.plaintext import clipped

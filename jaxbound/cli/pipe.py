@@ -20,8 +20,8 @@ import jax
 import numpy as np
 
 from jaxbound.cli.terminal import ENDS, door, nobody_reads, say, system_trouble, usable_device
+from jaxbound.consistency.monitor import Monitor, MonitorState
 from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
-from jaxbound.diagnosis.monitor import Monitor, MonitorState
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows

@@ -12,73 +12,85 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 """
 
 import dataclasses
-import math
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.reading import gather
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 
-__all__ = ["constant_windows"]
+__all__ = ["ConstantTest"]
 
 BLOCK = 2**11
 ROUNDS = 2  # of narrowing a box of gains by all strips
 HALVINGS = 8  # of the search for the margin
 DEPTH = 64  # cuts of a box of gains
-BOXES = 2000  # at most, per window that the first box leaves open
+BOXES = 2000  # at most for a window that the first box leaves open
 OPEN = 4  # beside the Status of a window: to be searched on
 
 
-def constant_windows(relations, method, u, y, progress):
-    """Return (status, margin), each (..., T), of NumPy recordings. See `consistency.detect`.
+class ConstantTest(WindowTest):
+    """Searches for gains, the same in all samples of a window, that explain it: FAULT and CONSISTENT are proofs.
 
-    FAULT and CONSISTENT are proofs. The sign of the margin is theirs, its size that of the best gains found: 1 - t, t not below the true
-    factor, but seldom 30 % above it.
+    The sign of the margin is that of the verdict, its size that of the best gains found: 1 - t, t not below the true factor, but seldom
+    30 % above it.
+
+    Raises:
+        NotImplementedError: relations that are too many to be tested one by one.
     """
-    if method == "joint" and relations.frame is not None:
-        raise NotImplementedError(
-            f"horizon {relations.horizon} is too long for constant_tolerance, whose relations are tested one by one: choose a shorter one, "
-            "or leave constant_tolerance out (wider bounds, that still give no false alarm)"
-        )
-    test, s = relations.test(method, y.dtype), relations.horizon
-    shape = y.shape[:-1]
-    u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
-    status, margin = np.zeros(len(y), np.int8), np.full(len(y), np.nan, y.dtype)
-    starts = test.starts(0, len(y), shape[-1])
-    on_device = jax.device_put(test)
-    for first in range(0, len(starts), BLOCK):
-        chosen = starts[first : first + BLOCK]
-        windows = test.gather(u, y, np.concatenate([chosen, np.repeat(chosen[:1], BLOCK - len(chosen))]))
-        for out, found in zip((status, margin), _first(on_device, *windows), strict=True):
-            out[chosen + s] = np.asarray(found)[: len(chosen)]
-        if progress is not None:
-            progress(0.9 * (first + len(chosen)) / len(starts))
-    left = np.flatnonzero(status == OPEN)
-    if len(left):
-        status[left] = _search(test, on_device, u, y, left - s)
-        margin[left] = np.where(status[left] == Status.UNDECIDED, 0, _signed(margin[left], status[left] == Status.CONSISTENT))
-    if method == "box" and relations.count > 1:  # each relation may need other gains
-        status[status == Status.CONSISTENT] = Status.UNDECIDED
-    if progress is not None:
-        progress(1.0)
-    return status.reshape(shape), margin.reshape(shape)
 
+    block = BLOCK
 
-def _search(test, on_device, u, y, starts):
-    """Return the status of windows that one box of gains does not decide."""
-    count = 2 ** max(len(starts) - 1, 127).bit_length()  # powers of two, so that few sizes compile
-    windows = jax.device_put(test.gather(u, y, np.concatenate([starts, np.repeat(starts[:1], count - len(starts))])))
-    lo, hi = (np.asarray(x) for x in _gains(test, np)[:2])
-    judge = partial(_boxes, on_device, *windows)
-    found = explore(judge, lo, hi, len(starts), DEPTH, BOXES * len(starts), "kernel", first=True, sizes=(2**10,))
-    status = np.where(np.bincount(found.owner, minlength=len(starts)) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
-    status[found.proofs[2]] = Status.CONSISTENT
-    missing = np.isnan(windows[0]).any((0, 1))[: len(starts)] if windows[0].size else np.zeros(len(starts), bool)
-    return np.where((status == Status.CONSISTENT) & missing, np.int8(Status.UNDECIDED), status)
+    def __init__(self, relations, method, dtype):
+        super().__init__(relations, method, dtype)
+        if method == "joint" and relations.frame is not None:
+            raise NotImplementedError(
+                f"horizon {relations.horizon} is too long for constant_tolerance, whose relations are tested one by one: choose a shorter "
+                "one, or leave constant_tolerance out (wider bounds, that still give no false alarm)"
+            )
+
+    def judge(self, run, blocks):
+        """Return (status, margin, open) of windows, each by one box of gains."""
+        said = ((np.asarray(status), margin) for status, margin in run(_first, blocks))
+        return [(status, margin, status == OPEN) for status, margin in said]
+
+    def settle(self, u, y, outs, left, again, progress):
+        """Cut the box of gains of those windows that it does not decide as a whole."""
+        if len(left):
+            status, margin = outs
+            at = left + self.horizon
+            status[at] = self._search(u, y, left)
+            margin[at] = np.where(status[at] == Status.UNDECIDED, 0, _signed(margin[at], status[at] == Status.CONSISTENT))
+
+    def judged(self, outs):
+        """Return the verdicts; tested alone, each relation may need other gains."""
+        status, margin = outs
+        if self.method == "box" and self.relations.count > 1:
+            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
+        return Judged(status, margin)
+
+    def margins(self, given):
+        """Raise: the best gains are found by a search that has no derivative."""
+        raise NotImplementedError("margins has no fast path for constant_tolerance yet; detect(...).margin has them")
+
+    def _search(self, u, y, starts):
+        """Return the status of windows that one box of gains does not decide."""
+        test, given = self.reading, gather(u, y, starts, self.lags, self.horizon)
+        count = 2 ** max(len(starts) - 1, 127).bit_length()  # powers of two, so that few sizes compile
+        fill = lambda x: np.concatenate([x, np.repeat(x[..., :1], count - len(starts), -1)], -1)
+        windows, on_device = jax.device_put((tuple(map(fill, given)), test))
+        lo, hi = (np.asarray(x) for x in _gains(test, np)[:2])
+        judge = partial(_boxes, on_device, *windows)
+        found = explore(judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(2**10,))
+        status = np.where(np.bincount(found.owner, minlength=len(starts)) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+        status[found.proofs[2]] = Status.CONSISTENT
+        missing = np.isnan(given[0]).any((0, 1)) if given[0].size else np.zeros(len(starts), bool)
+        return np.where((status == Status.CONSISTENT) & missing, np.int8(Status.UNDECIDED), status)
 
 
 def _gains(test, xp):

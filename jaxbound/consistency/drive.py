@@ -1,60 +1,170 @@
-"""Windows in blocks of one fixed size through one compiled kernel, so that recordings of any length share a compilation, on all devices."""
+"""The one driver of windows: a WindowTest over a Recording, in blocks of a fixed size: recordings of any length share a compilation.
+
+The recordings of a batch are laid end to end; windows across two of them, or across a gap, are MISSING like any warm-up. Short windows are
+tested on contiguous stretches, since gathering costs the speed of the memory; others are gathered, only those that count.
+"""
 
 import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jaxbound.consistency.devices import everywhere, on_devices
+from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.reading import gather
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.probe import usable_devices
-from jaxbound.sets.strips.separation import Frame
-from jaxbound.sets.strips.strips import UNROLLED
 
-__all__ = ["block_size", "in_blocks", "padded"]
+__all__ = ["drive"]
 
-
-def block_size(test):
-    """Return how many windows a kernel takes at once: a fixed function of the shape of the test, whatever the recording."""
-    if isinstance(test.shape, Frame):
-        return 2**14
-    return 2**16 if len(test.shape.h) <= UNROLLED else 2**14
+AHEAD = 3  # groups of blocks that are under way at once
 
 
-def in_blocks(kernel, test, u, y, dtypes, warm_up, progress):
-    """Run a kernel over all windows of (..., T, .) arrays and return one array (..., T) for each of its outputs."""
-    shape, s = y.shape[:-1], test.horizon
-    u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
-    samples, block = len(y), block_size(test)
-    outs = [_aligned(samples, d) for d in dtypes]
-    for out, first in zip(outs, warm_up, strict=True):
-        out[:s] = first
-    starts = range(0, max(samples - s, 0), block)
-    devices = usable_devices()[: None if len(starts) > 1 else 1]
-    on_device, pending = everywhere(test, devices), []
-    for i in range(0, len(starts), len(devices)):
-        chosen = starts[i : i + len(devices)]
-        blocks = [tuple(padded(x, start, min(start + block, samples - s) + s, block + s) for x in (u, y)) for start in chosen]
-        pending.append((chosen, on_devices(kernel, on_device, blocks, devices)))
-        if len(pending) > 2:
-            _collect(outs, pending.pop(0), block, s, progress)
+def drive(test: WindowTest, given: Recording, progress: Callable | None = None, size: int | None = None) -> Judged:
+    """Return the verdicts (..., T) of all windows of a recording, or of a batch of one length.
+
+    Args:
+        test: from `relations.test`. progress: called with the share of the work done. size: windows at once; None: as the test says.
+    """
+    s, shape = test.horizon, given.y.shape[:-1]
+    u, y = (np.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (given.u, given.y))
+    dead = given.across(s)
+    dead[:s] = True
+    report = _rising(progress)
+    over = _gathered if test.gathered else _stretches
+    outs = over(test, u, y, dead, size or test.block, report)
+    report(1.0)
+    return test.judged([out.reshape(shape) for out in outs])
+
+
+class _Run(NamedTuple):
+    """Runs kernels on blocks, one a device."""
+
+    constants: object
+    devices: tuple
+    axis: int
+
+    def __call__(self, kernel, blocks):
+        return on_devices(kernel, self.constants, blocks, self.devices, self.axis)
+
+
+def _rising(progress):
+    """Return a callback that passes on shares of work that are larger than the one before."""
+    last = 0.0
+
+    def report(share):
+        nonlocal last
+        if progress is not None and share > last:
+            last = share
+            progress(share)
+
+    return report
+
+
+def _stretches(test, u, y, dead, size, report):
+    """Judge all windows of contiguous samples, those that do not count among them."""
+    s, samples = test.horizon, len(y)
+    outs = [_aligned(samples, dtype) for dtype, _ in test.outputs]
+    firsts = range(0, max(samples - s, 0), size)
+    devices = usable_devices()[: None if len(firsts) > 1 else 1]
+    run, pending = _Run(_placed(test, devices), devices, 0), []
+
+    def collect(chosen, judged):
+        for first, found in zip(chosen, judged, strict=True):
+            for out, value in zip(outs, found, strict=True):
+                rest = out[first + s : first + s + size]
+                rest[:] = np.asarray(value)[: len(rest)]
+            report(min(first + s + size, samples) / samples)
+
+    for i in range(0, len(firsts), len(devices)):
+        chosen = firsts[i : i + len(devices)]
+        blocks = [tuple(_padded(x, k, min(k + size, samples - s) + s, size + s) for x in (u, y)) for k in chosen]
+        pending.append((chosen, test.judge(run, blocks)))
+        if len(pending) >= AHEAD:
+            collect(*pending.pop(0))
     for done in pending:
-        _collect(outs, done, block, s, progress)
-    outs = [out.reshape(shape) for out in outs]
-    for out, first in zip(outs, warm_up, strict=True):
-        out[..., :s] = first  # windows across the seam of two recordings
+        collect(*done)
+    gone = np.flatnonzero(dead)
+    few = len(gone) == s  # the warm-up alone
+    for out, (_, nothing) in zip(outs, test.outputs, strict=True):
+        each = out.reshape(len(y) // max(len(dead), 1), len(dead))
+        each[:, slice(s) if few else gone] = nothing
+    test.settle(u, y, outs, np.zeros(0, np.int64), None, report)
     return outs
 
 
-def _collect(outs, done, block, s, progress):
-    for start, values in zip(*done, strict=True):
-        values = values if isinstance(values, tuple) else (values,)
-        for out, value in zip(outs, values, strict=True):
-            rest = out[start + s : start + s + block]
-            rest[:] = np.asarray(value)[: len(rest)]
-        if progress is not None:
-            progress(min(start + s + block, len(outs[0])) / len(outs[0]))
+def _gathered(test, u, y, dead, size, report):
+    """Judge the windows that count, and settle what is left open."""
+    s = test.horizon
+    outs = [np.full(len(y), nothing, dtype) for dtype, nothing in test.outputs]
+    ends = np.flatnonzero(~dead)
+    if 0 < len(dead) < len(y):
+        ends = (ends + np.arange(0, len(y), len(dead))[:, None]).ravel()
+    cases, total, done = test.cases(u, y, ends - s), max(len(ends), 1), 0
+    for case, starts in cases:
+        before, share = done / total, len(starts) / total
+        step = lambda part, before=before, share=share: report(before + 0.9 * share * part)
+        left = _over_windows(case, u, y, starts, outs, size, step)
+        again = lambda other, chosen: _over_windows(other, u, y, chosen, outs, other.block, lambda share: None)
+        late = lambda part, before=before, share=share: report(before + share * (0.9 + 0.1 * part))
+        case.settle(u, y, outs, left, again, late)
+        done += len(starts)
+    return outs
 
 
-def padded(x, start, stop, length):
+def _over_windows(test, u, y, starts, outs, size, report):
+    """Judge the windows that start at `starts`, write what is found, and return the starts of those that are left open."""
+    s, devices = test.horizon, usable_devices()[: None if len(starts) > size else 1]
+    together = size * len(devices) if test.sharded else size
+    groups = [starts[i : i + together] for i in range(0, len(starts), together)]
+    wide, default = bool(jax.config.jax_enable_x64), jax.config.jax_default_device  # contexts of this thread, perhaps
+    run = _Run(_placed(test, devices), devices, -1) if test.sharded else None
+    finished = 0
+
+    def work(_, group):
+        parts = [group[i : i + size] for i in range(0, len(group), size)]
+        full = [np.concatenate([c, np.repeat(c[:1], size - len(c))]) if test.padded else c for c in parts]
+        return list(zip(parts, test.judge(run, [gather(u, y, c, test.lags, s) for c in full]), strict=True))
+
+    def beside(number, group):
+        own = default if test.sharded else devices[number % len(devices)]
+        with jax.enable_x64(wide), jax.default_device(own):
+            return work(number, group)
+
+    def collect(judged):
+        nonlocal finished
+        left = []
+        for chosen, found in judged:
+            found = [np.asarray(x)[..., : len(chosen)] for x in found]
+            test.write(outs, chosen + s, tuple(found[: len(outs)]))
+            left.append(chosen[found[-1]] if len(found) > len(outs) else chosen[:0])
+            finished += len(chosen)
+            report(finished / len(starts))
+        return np.concatenate(left)
+
+    numbers = range(len(groups))
+    workers = max(2, os.cpu_count() // len(devices)) if test.threads else 1 if run is not None else len(devices)
+    if workers == 1 or len(groups) < 2:
+        left = [collect(work(*job)) for job in zip(numbers, groups, strict=True)]
+    else:
+        with ThreadPoolExecutor(workers) as pool:  # compiled code runs outside the interpreter's lock
+            left = [collect(found) for found in pool.map(beside, numbers, groups)]
+    return np.concatenate([*left, np.zeros(0, np.int64)])
+
+
+def _placed(test, devices):
+    """Return the constants of a test on devices; a test remembers them."""
+    known = test.__dict__.setdefault("_on", {})
+    if devices not in known:
+        known[devices] = everywhere(test.constants, devices)
+    return known[devices]
+
+
+def _padded(x, start, stop, length):
     """Return rows start..stop, filled up with NaN to a fixed length."""
     part = x[start:stop]
     return part if len(part) == length else np.concatenate([part, np.full((length - len(part), x.shape[1]), np.nan, x.dtype)])

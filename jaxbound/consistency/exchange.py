@@ -5,66 +5,134 @@ that lack a sample on which the search is built get an exact frame without it, s
 """
 
 import dataclasses
-import math
-import os
-from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.devices import everywhere, on_devices
+from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.reading import gather
+from jaxbound.consistency.unproved import unproved_margins
 from jaxbound.exact import linalg
-from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.strips import separation
 from jaxbound.sets.strips.strips import status_of
 
-__all__ = ["candidates", "exchange_margins", "exchange_windows", "verdicts"]
+__all__ = ["ExchangeTest", "candidates", "exchange_margins", "verdicts"]
 
-SLAB = 2**16
 PATIENCE = 10
 """Exchanges per inner row after which a search is given up; it takes 2 to 4."""
 FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
 """Searches after which a window stays undecided, see `separation_search`: one in some thousands needs more than the first."""
 
 
-def exchange_windows(relations, u, y, progress):
-    """Return (status, margin), each (..., T), of NumPy recordings. See `consistency.detect`."""
-    test, s = relations.test("joint", y.dtype), relations.horizon
-    shape, k = y.shape[:-1], len(test.shape.inner)
-    u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
-    margin = np.full(shape, np.nan, y.dtype)
-    flat, left_open = margin.reshape(-1), []
-    for first in range(0, len(y), SLAB):
-        starts = test.starts(first, min(first + SLAB, len(y)), shape[-1])
-        left_open.append(_run(test, u, y, starts, flat, 2 * k + 6))
-        if progress is not None:
-            progress(0.95 * min(first + SLAB, len(y)) / len(y))
-    starts = np.concatenate([*left_open, np.zeros(0, np.int64)])
-    _settle(relations, test, u, y, flat)
-    for frame, chosen in _frames(relations, test, u, y, starts):
-        again, frame = starts[chosen], _rounded(relations, frame, y.dtype)
-        for finer in FINER:
-            again = _run(dataclasses.replace(test, shape=frame), u, y, again, flat, PATIENCE * (k + 10), finer)
-            again = again[flat[again + s] == 0]  # what is proved needs no other search
-    if progress is not None:
-        progress(1.0)
-    return np.asarray(status_of(margin)), margin
+class ExchangeTest(WindowTest):
+    """Searches for the combination of relations that speaks most against a window, or the behaviour that explains it.
+
+    Both verdicts are proofs. Windows that a first, short search leaves open are searched on; those that lack a sample on which the search
+    is built get an exact frame without it, shared by all windows that it fits.
+
+    Fields: shape: the Frame in floats; steps, finer: of `separation.separation_search`.
+    """
+
+    threads = True
+    short = 16  # the work grows with the block
+
+    def __init__(self, relations, dtype, shape=None, steps=None, finer=1.0):
+        super().__init__(relations, "joint", dtype)
+        self.shape, self.finer = shape, finer
+        self.steps = 2 * len(relations.frame.inner) + 6 if steps is None else steps
+
+    @cached_property
+    def reading(self):
+        """How kernels read a window, with the frame of this search."""
+        reading = self.relations.reading(self.dtype)
+        return reading if self.shape is None else dataclasses.replace(reading, shape=self.shape)
+
+    @property
+    def constants(self):
+        """The reading, and how long and how finely to search."""
+        return self.reading, self.steps, self.finer
+
+    @property
+    def block(self):
+        """How many windows are judged at once: their inverses should stay in the cache."""
+        return _block_of(self.reading.shape)
+
+    @property
+    def outputs(self):
+        """The margins, whose sign is the verdict."""
+        return ((self.dtype, np.nan),)
+
+    def judge(self, run, blocks):
+        """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real arrays, as proofs need."""
+        given = [(np.ones(y.shape[-1], self.dtype), u, y) for u, y in blocks]
+        searched = run(candidates, given)
+        judged = run(verdicts, [(*a, *b) for a, b in zip(given, searched, strict=True)])
+        return [(margin, ~np.asarray(settled)) for margin, settled in judged]
+
+    def write(self, outs, at, found):
+        """Write margins; a proof stays one."""
+        (margin,), (values,) = outs, found
+        before = margin[at]
+        margin[at] = np.where((values == 0) & (abs(before) > 0), before, values)
+
+    def settle(self, u, y, outs, left, again, progress):
+        """Decide what rounding leaves open far from the boundary, then search on with frames that fit the samples that are there."""
+        (margin,), s = outs, self.horizon
+        self._whole_numbers(u, y, margin)
+        k = len(self.relations.frame.inner)
+        for frame, chosen in self._frames(u, y, left):
+            starts = left[chosen]
+            shape = _rounded(self.relations, frame, self.dtype)
+            for finer in FINER:
+                starts = again(ExchangeTest(self.relations, self.dtype, shape, PATIENCE * (k + 10), finer), starts)
+                starts = starts[margin[starts + s] == 0]  # what is proved needs no other search
+
+    def judged(self, outs):
+        """Return the verdicts that the margins say."""
+        return Judged(np.asarray(status_of(outs[0])), outs[0])
+
+    def margins(self, given):
+        """Return the unproved margins (..., T); see `WindowTest.margins`."""
+        return unproved_margins(self, exchange_margins, given)
+
+    def _whole_numbers(self, u, y, margin):
+        starts = np.flatnonzero(margin == 0) - self.horizon
+        if len(starts):
+            starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
+        for frame, chosen in self._frames(u, y, starts):
+            windows = self._gather(u, y, starts[chosen])
+            margin[starts[chosen] + self.horizon] = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
+
+    def _gather(self, u, y, starts):
+        return gather(u, y, starts, self.lags, self.horizon)
+
+    def _frames(self, u, y, starts):
+        """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
+        if not len(starts):
+            return []
+        missing, absent = (np.isnan(x).reshape(-1, len(starts)).T for x in self._gather(u, y, starts))
+        patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
+        rows = absent.shape[1]
+        frames, numbers, by_inputs = [self.relations.frame], [], {(): [0]}
+        for pattern in patterns:
+            gone, inputs = set(np.flatnonzero(pattern[:rows]).tolist()), tuple(np.flatnonzero(pattern[rows:]).tolist())
+            number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
+            if number is None:
+                number = len(frames)
+                frames.append(linalg.reframe(self.relations.frame, gone, inputs))
+                by_inputs.setdefault(inputs, []).append(number)
+            numbers.append(number)
+        chosen = np.array(numbers)[which.ravel()]
+        return [(frames[i], np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
 
 
-def _settle(relations, test, u, y, margin):
-    """Decide what rounding leaves open far from the boundary."""
-    starts = np.flatnonzero(margin == 0) - test.horizon
-    if len(starts):
-        starts = starts[whole_numbers.thin(test, *test.gather(u, y, starts))]
-    for frame, chosen in _frames(relations, test, u, y, starts):
-        margin[starts[chosen] + test.horizon] = whole_numbers.exact_search(relations, test, frame, *test.gather(u, y, starts[chosen]))
-
-
+@jax.jit
 def exchange_margins(test, u, y):
     """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): differentiable, NaN where data are missing."""
-    count, size = y.shape[0] - test.horizon, _block_size(test)
+    count, size = y.shape[0] - test.horizon, _block_of(test.shape)
     blocks = -(-count // size)
     fill = lambda x: jnp.pad(x, ((0, blocks * size - count), (0, 0)), mode="edge")
     u, y = fill(u), fill(y)
@@ -93,53 +161,8 @@ def verdicts(given, one, u, y, h, d, done):
     return separation.separation_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift, one, h, d, done)
 
 
-def _run(test, u, y, starts, margin, steps, finer=1.0):
-    """Search the windows that start at the samples `starts`, write their margins, and return the starts of those left open."""
-    size = _block_size(test)
-    devices = usable_devices()[: None if len(starts) > size else 1]
-    one, on_device = np.ones(size, y.dtype), everywhere((test, steps, finer), devices)
-
-    def together(first):
-        chosen = [starts[i : i + size] for i in range(first, min(first + size * len(devices), len(starts)), size)]
-        full = [np.concatenate([c, np.repeat(c[:1], size - len(c))]) for c in chosen]
-        given = [(one, *test.gather(u, y, c)) for c in full]
-        searched = on_devices(candidates, on_device, given, devices, axis=-1)
-        judged = on_devices(verdicts, on_device, [(*a, *b) for a, b in zip(given, searched, strict=True)], devices, axis=-1)
-        return np.concatenate([collect(*pair) for pair in zip(chosen, judged, strict=True)])
-
-    def collect(chosen, judged):
-        found, settled = (np.asarray(x)[: len(chosen)] for x in judged)
-        before = margin[chosen + test.horizon]
-        margin[chosen + test.horizon] = np.where((found == 0) & (abs(before) > 0), before, found)  # a proof stays one
-        return chosen[~settled]
-
-    with ThreadPoolExecutor(max(2, os.cpu_count() // len(devices))) as threads:  # compiled code runs outside the interpreter's lock
-        return np.concatenate([*threads.map(together, range(0, len(starts), size * len(devices))), np.zeros(0, starts.dtype)])
-
-
-def _block_size(test):
-    """Return how many windows a kernel takes at once, a function of the shape of the test: their inverses should stay in the cache."""
-    return 1024 if len(test.shape.inner) <= 8 else 64
-
-
-def _frames(relations, test, u, y, starts):
-    """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
-    if not len(starts):
-        return []
-    missing, absent = (np.isnan(x).reshape(-1, len(starts)).T for x in test.gather(u, y, starts))
-    patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
-    rows = absent.shape[1]
-    frames, numbers, by_inputs = [relations.frame], [], {(): [0]}
-    for pattern in patterns:
-        gone, inputs = set(np.flatnonzero(pattern[:rows]).tolist()), tuple(np.flatnonzero(pattern[rows:]).tolist())
-        number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
-        if number is None:
-            number = len(frames)
-            frames.append(linalg.reframe(relations.frame, gone, inputs))
-            by_inputs.setdefault(inputs, []).append(number)
-        numbers.append(number)
-    chosen = np.array(numbers)[which.ravel()]
-    return [(frames[i], np.flatnonzero(chosen == i)) for i in np.unique(chosen).tolist()]
+def _block_of(frame):
+    return 1024 if len(frame.inner) <= 8 else 64
 
 
 def _rounded(relations, frame, dtype):

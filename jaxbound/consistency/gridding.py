@@ -8,14 +8,17 @@ import functools
 
 import numpy as np
 
+from jaxbound.consistency.interface import Open, WindowTest
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, add, interval, matmul
 from jaxbound.sets.paving.paving import pave
 
-__all__ = ["internal_form", "pave_windows"]
+__all__ = ["PavingTest", "internal_form", "whole_windows"]
+
+BUDGET = 3, 100_000
+"""(q, boxes a window) of a paving where nothing else is asked."""
 
 
 def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi, w_lo=(), w_hi=()):
@@ -36,24 +39,48 @@ def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi, w_lo=(), w_hi=()):
     return [functools.reduce(add, (W[r, i] * mu[i] for i in range(len(mu)))) for r in range(W.shape[0])]
 
 
-def pave_windows(relations, u, y, q, max_boxes, progress):
-    """Return (status, margin) of all windows by adaptive paving; windows with NaN are MISSING. The margin is NaN: no gauge is measured."""
-    model, s, dtype = relations.model, relations.horizon, y.dtype
-    status = np.full(y.shape[:-1], Status.MISSING, np.int8)
-    if y.shape[-2] > s:
-        Y, U = (np.moveaxis(np.lib.stride_tricks.sliding_window_view(x, s + 1, -2), -1, -2) for x in (y, u))  # (..., N, s + 1, channels)
-        U = U[..., : input_lags(model, s), :]
-        usable = ~(np.isnan(Y).any((-1, -2)) | np.isnan(U).any((-1, -2)))
-        found = np.zeros(usable.shape, np.int8)
-        if usable.any():
-            found[usable] = _pave(relations, U[usable], Y[usable], q, max_boxes, progress)
-        status[..., s:] = found
-    return status, np.full(status.shape, np.nan, dtype)
+class PavingTest(WindowTest):
+    """Paves the unknowns of each window: FAULT is a proof, anything else UNDECIDED. No gauge is measured, the margin is NaN.
+
+    Args:
+        budget: (q, boxes): stop at r > q - 1, and after so many boxes a window; None: `BUDGET`.
+    """
+
+    padded = sharded = False
+    block = short = 2**14
+
+    def __init__(self, relations, dtype, budget=None):
+        super().__init__(relations, "paving", dtype)
+        self.q, self.boxes = BUDGET if budget is None else budget
+        if self.boxes < 1:
+            raise ValueError(f"the budget of the paving needs at least one box, not {self.boxes}")
+
+    constants = None
+
+    @property
+    def lags(self):
+        """How many samples of u a window has."""
+        return input_lags(self.relations.model, self.horizon)
+
+    def cases(self, u, y, starts):
+        """Leave out windows with missing samples."""
+        return whole_windows(self, u, y, starts)
+
+    def judge(self, run, blocks):
+        """Return (status, margin) of windows."""
+        found = [_pave(self.relations, *(np.moveaxis(x, -1, 0) for x in block), self.q, self.boxes) for block in blocks]
+        return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
 
 
-def _pave(relations, U, Y, q, max_boxes, progress):
-    if max_boxes < 1:
-        raise ValueError(f"the budget of the paving needs at least one box, not {max_boxes}")
+def whole_windows(test, u, y, starts):
+    """Return the cases of a test that takes whole windows alone: what is missing makes a window MISSING, what is infinite UNDECIDED."""
+    span = lambda bad: np.convolve(bad, np.ones(test.horizon + 1, int))[starts + test.horizon] > 0 if len(bad) else np.zeros(0, bool)
+    lacking, endless = (span((bad(u).any(1) | bad(y).any(1)).astype(int)) for bad in (np.isnan, np.isinf))
+    cases = [(test, starts[~lacking & ~endless]), (Open(test, np.nan), starts[endless])]
+    return [(case, own) for case, own in cases if len(own)]
+
+
+def _pave(relations, U, Y, q, boxes):
     model, windows, dtype = relations.model, len(Y), Y.dtype
     count = 2 ** max(windows - 1, 127).bit_length()  # powers of two, so that few sizes compile
     U, Y = (np.concatenate([x, np.zeros((count - windows, *x.shape[1:]), dtype)]) for x in (U, Y))
@@ -80,5 +107,4 @@ def _pave(relations, U, Y, q, max_boxes, progress):
     edge = np.ones(len(tolerance) + measured + len(w_lo), dtype)
     filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
     target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
-    budget = max_boxes + count - windows
-    return pave(internal_form, interval(-edge, edge), target, q=q, max_boxes=budget, args=args, progress=progress).status[:windows]
+    return pave(internal_form, interval(-edge, edge), target, q=q, max_boxes=boxes, args=args).status[:windows]

@@ -17,6 +17,7 @@ from math import ceil, lcm
 import jax
 import numpy as np
 
+from jaxbound.consistency.reading import gather
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
@@ -67,12 +68,12 @@ def settle(relations, test, method, u, y, status, margin, progress=None):
         return
     left = np.flatnonzero((status == Status.UNDECIDED) & (margin == 0))
     if len(left):
-        left = left[thin(test, *test.gather(u, y, left - s))]
+        left = left[thin(test, *gather(u, y, left - s, test.lags, s))]
     if len(left):
         strips = (relations.circuits, relations.circuits_known) if method == "joint" else (relations.W, relations.K)
         for first in range(0, len(left), BLOCK):
             part = left[first : first + BLOCK]
-            margin[part] = exact_strips(relations, test, strips, *test.gather(u, y, part - s))
+            margin[part] = exact_strips(relations, test, strips, *gather(u, y, part - s, test.lags, s))
             if progress is not None and len(left) > BLOCK:
                 progress((first + len(part)) / len(left))
         status[left] = status_of(margin[left])
@@ -82,7 +83,7 @@ def exact_strips(relations, test, strips, u, y):
     """Return (N,) margins: > 0 inside, < 0 outside, both proved; 0: a missing input silences a strip; NaN: no strip has its data.
 
     Args:
-        relations: a ParityRelation; test: its WindowTest, whose bounds count. strips: (h, k), exact rows over (Y, w) and over U.
+        relations: a ParityRelation; test: its Reading, whose bounds count. strips: (h, k), exact rows over (Y, w) and over U.
         u (lags, m, N), y (s + 1, p, N): samples of N windows, NaN where missing.
     """
     return _strips(_rows_of(relations.model, test, u, y), strips, y.dtype)

@@ -4,26 +4,23 @@ A violated relation is a proof that something other than the faults it ignores h
 violated relation reacts to it. A relation that holds exonerates nobody: a fault may be too small to show in it.
 """
 
-import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax
 import numpy as np
 
+from jaxbound.consistency.bank import HIGH
 from jaxbound.diagnosis.detectability import visible_sizes
-from jaxbound.diagnosis.result import Result
+from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.recording import floats
 from jaxbound.recordings.table import as_table, is_table, unlabelled
-from jaxbound.relations.decoupling import Signatures
+from jaxbound.relations.decoupling import Signatures, signatures
+from jaxbound.relations.redundancy import Redundancy
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.strips.bank import PACKED, bank_of, bank_verdicts
+from jaxbound.sets.strips.bank import PACKED
 
-__all__ = ["BankResult", "bank_test", "bank_windows", "evaluate", "status_of_words", "words_of"]
-
-MOST = 128
-HIGH = np.uint32(0xAAAAAAAA)  # the high bit of every verdict; it is FAULT if the low one is set too
+__all__ = ["BankResult", "evaluate", "words_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,28 +114,9 @@ class BankResult(Result):
         return super().explain(at)
 
 
-def bank_test(bank, dtype):
-    """Return the WindowTest of a bank, each relation of which is tested alone."""
-    r = bank.relations
-    if r.model.constant_tolerance:
-        raise NotImplementedError("a bank is tested with tolerances drawn anew each sample: leave constant_tolerance out, it is wider then")
-    if r.count > MOST:
-        raise ValueError(f"a bank of {r.count} relations is more than is tested at once, {MOST}: choose fewer parts")
-    return dataclasses.replace(r.test("box", dtype), shape=bank_of(r.W, r.K, dtype))
-
-
-@jax.jit
-def bank_windows(test, u, y):
-    """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
-    return bank_verdicts(test.shape, *test.stretch(u, y), test.lift)
-
-
-def status_of_words(words, count):
-    """Return the status (...) of a bank from its words: it proves FAULT, and CONSISTENT where it is a single relation."""
-    fault = (words & (words << np.uint32(1)) & HIGH != 0).any(0)
-    inside = Status.CONSISTENT if count == 1 else Status.UNDECIDED
-    status = np.where(fault, np.int8(Status.FAULT), np.where((words != 0).any(0), np.int8(inside), np.int8(Status.MISSING)))
-    return np.where((count == 1) & ~fault & (words[0] == Status.UNDECIDED), np.int8(Status.UNDECIDED), status)
+@result_of.register
+def _(bank: Redundancy, judged, *about, **more):
+    return BankResult(judged.status, judged.margin, *about, signatures(bank), judged.words, **more)
 
 
 def words_of(statuses):

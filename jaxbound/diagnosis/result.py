@@ -1,11 +1,12 @@
 """What a detection returns."""
 
 from dataclasses import dataclass, field
+from functools import singledispatch
 
 import numpy as np
 
 from jaxbound.certificates import certificate
-from jaxbound.consistency import residual_windows
+from jaxbound.consistency import bisection
 from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.stillness import still_hints
@@ -13,7 +14,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Result", "suspected"]
+__all__ = ["Result", "result_of", "suspected"]
 
 
 def suspected(status, margin):
@@ -111,7 +112,7 @@ class Result:
             >>> print(jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1))
             y1[k-1] - 2 y1[k] = 0 cannot hold: it would need bounds 2 times as wide
         """
-        explain = residual_windows.explain_residual if isinstance(self.relations, Residual) else certificate.explain
+        explain = bisection.explain_residual if isinstance(self.relations, Residual) else certificate.explain
         return explain(self, at)
 
     def to_pandas(self):
@@ -126,3 +127,9 @@ class Result:
             raise ValueError(f"to_pandas is for one recording, this result has the shape {self.status.shape}: build a frame for each")
         names = pd.Categorical.from_codes(self.status, [s.name for s in Status])
         return pd.DataFrame({"status": names, "margin": self.margin, "suspect": self.suspect}, index=self.index)
+
+
+@singledispatch
+def result_of(relations, judged, *about, **more):
+    """Return the Result of what `detect` was given: method, relations, u, y, index, starts and aside beside the verdicts `judged`."""
+    return Result(judged.status, judged.margin, *about, **more)

@@ -6,6 +6,8 @@ consistent is worth a sentence. A dead signal explained by a factor of 1/1000 is
 
 import numpy as np
 
+from jaxbound.consistency.drive import drive
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.floats.status import Status
 
@@ -45,8 +47,6 @@ def unit_hints(result):
     Returns:
         A list of at most one sentence: which signals, which conversion, and what share of windows it makes consistent.
     """
-    from jaxbound.diagnosis.detection import detect
-
     relations, status = result.relations, np.asarray(result.status)
     if result.method != "joint" or not isinstance(relations, ParityRelation) or relations.model.constant_tolerance or status.ndim != 1:
         return []
@@ -69,7 +69,8 @@ def unit_hints(result):
         tries.append((group, None, _changed(signals, group, 0.0, 0.0)))
         tries += [(group, c, _changed(signals, group, c[1], c[2])) for c in _conversions(model, group)]
     found = np.stack([x for _, _, x in tries]).astype(result.y.dtype)
-    again = detect(relations, found[..., : model.m], found[..., model.m :]).status == Status.CONSISTENT
+    given = Recording(found[..., : model.m], found[..., model.m :], np.zeros(0, np.int64), model.inputs, model.outputs)
+    again = drive(relations.test("joint", found.dtype), given).status == Status.CONSISTENT
     share = again[:, mask].mean(1)
     zero = {group: x for (group, c, _), x in zip(tries, share, strict=True) if c is None}
     level = np.abs(np.nan_to_num(found - rest))[..., model.m :].mean((1, 2, 3))  # of alternatives that explain as much, the nearest to rest

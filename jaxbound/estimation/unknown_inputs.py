@@ -15,7 +15,9 @@ from math import comb
 import jax
 import numpy as np
 
-from jaxbound.consistency.drive import in_blocks
+from jaxbound.consistency.drive import drive
+from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.unproved import stretch_block
 from jaxbound.exact import linalg
 from jaxbound.models import window
 from jaxbound.models.conversion import as_model
@@ -84,7 +86,7 @@ def unknown_inputs(model, u, y=None, horizon=None, progress=None, starts=()):
     if not any(x is not None for x in positions):
         raise ValueError(f"no window of horizon {horizon} determines an unknown input: other unknown inputs or the state can do the same")
     given = Recording.of(model, u, y, starts).finite()
-    u, y, across = np.asarray(given.u), np.asarray(given.y), given.across(horizon)
+    y = np.asarray(given.y)
     lo, hi = (np.full((*y.shape[:-1], model.d), side, y.dtype) for side in (-np.inf, np.inf))
     lags = tuple(None if t is None else horizon - t for t in positions)
     for j, (position, lag) in enumerate(zip(positions, lags, strict=True)):
@@ -92,11 +94,10 @@ def unknown_inputs(model, u, y=None, horizon=None, progress=None, starts=()):
             continue
         test = _test(model, horizon, position, j, y.dtype)
         report = None if progress is None else lambda share, j=j: progress((j + share) / model.d)
-        found = in_blocks(_ranges, test, u, y, (y.dtype,) * 2, (-np.inf, np.inf), report)
+        found = drive(test, given, report)
         empty = found[0] > found[1]
         for side, values, nothing in zip((lo, hi), found, (np.inf, -np.inf), strict=True):
             values[empty] = nothing
-            values[..., across] = -nothing
             side[..., position : y.shape[-2] - lag, j] = values[..., horizon:]
     return UnknownInputs(Interval(lo, hi), horizon, lags)
 
@@ -141,8 +142,31 @@ def _test(model, s, position, j, dtype):
     ways = tuple(ways[:KEPT])
     known = linalg.matmul(ways, K) if K[0] else tuple(() for _ in ways)
     count = (s + 1) * model.p
-    test = stated_relations(model, s, tuple(h[:count] for h in ways), known).test("box", dtype)
-    return dataclasses.replace(test, shape=bank_of(ways, known, dtype))
+    return _RangeTest(stated_relations(model, s, tuple(h[:count] for h in ways), known), ways, known, dtype)
+
+
+class _RangeTest(WindowTest):
+    """Says in which interval a number is, of which each strip is a way to work it out."""
+
+    gathered = False
+
+    def __init__(self, relations, ways, known, dtype):
+        super().__init__(relations, "box", dtype)
+        self.reading = dataclasses.replace(relations.reading(dtype, "box"), shape=bank_of(ways, known, dtype))
+
+    @property
+    def block(self):
+        return stretch_block(self.reading)
+
+    @property
+    def outputs(self):
+        return (self.dtype, -np.inf), (self.dtype, np.inf)
+
+    def judge(self, run, blocks):
+        return run(_ranges, blocks)
+
+    def judged(self, outs):
+        return outs
 
 
 @jax.jit

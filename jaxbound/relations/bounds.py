@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.window_test import WindowTest
+from jaxbound.consistency.reading import Reading
 from jaxbound.models import window
 from jaxbound.sets.floats import rounding
 
-__all__ = ["changed_bounds", "checked_bound", "float_bound", "model_bounds", "window_test"]
+__all__ = ["changed_bounds", "checked_bound", "float_bound", "model_bounds", "reading"]
 
 KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance", "parameters": "parameter"}
 
@@ -70,13 +70,13 @@ def changed_bounds(model, old, new):
     return {name: checked_bound(model, name, new.get(name, value)) for name, value in old.items()}
 
 
-def window_test(shape, model, horizon, bounds, dtype):
-    """Return the WindowTest of a model under such bounds, rounded so that none is tighter."""
+def reading(shape, model, horizon, bounds, dtype):
+    """Return the Reading of a model under such bounds, rounded so that none is tighter."""
     lo_hi = bounds.get("disturbance", np.zeros((0, 2)))
     if not isinstance(lo_hi, jax.core.Tracer):
         lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
     nearest = np.vectorize(float, otypes=[np.float64])
-    return WindowTest(
+    return Reading(
         shape,
         float_bound(bounds["tolerance"], dtype),
         float_bound(bounds["noise"], dtype),

@@ -19,13 +19,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.window_test import forms
+from jaxbound.consistency.constant import ConstantTest
+from jaxbound.consistency.exchange import ExchangeTest
+from jaxbound.consistency.gridding import PavingTest
+from jaxbound.consistency.interface import refuse_options
+from jaxbound.consistency.reading import forms
+from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import PRIME
 from jaxbound.models import window
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.bounds import changed_bounds, model_bounds, window_test
+from jaxbound.recordings.recording import Recording
+from jaxbound.relations.bounds import changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.uncertain import uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
@@ -74,13 +80,32 @@ class ParityRelation:
     def _alone(self):
         return strips_of(self.W, self.K)
 
-    def test(self, method, dtype):
-        """Return the WindowTest of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
+    def reading(self, dtype, method="joint"):
+        """Return the Reading of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
         if method == "box":
             shape = self._alone.astype(dtype)
         else:
             shape = self._joint.astype(dtype) if self.frame is None else frame_of(self.frame, dtype)
-        return window_test(shape, self.model, self.horizon, self.bounds, dtype)
+        return reading(shape, self.model, self.horizon, self.bounds, dtype)
+
+    def test(self, method, dtype, budget=None, compensation=0.0):
+        """Return the WindowTest by which a method decides windows; see `detect`.
+
+        Raises:
+            ValueError: a method, budget or compensation that these relations cannot be tested by.
+        """
+        refuse_options(method, budget, compensation)
+        if method == "paving":
+            return PavingTest(self, dtype, budget)
+        if self.model.constant_tolerance:
+            return ConstantTest(self, method, dtype)
+        if method == "joint" and self.frame is not None:
+            return ExchangeTest(self, dtype)
+        return StripsTest(self, method, dtype)
+
+    def recording(self, u, y=None, starts=()):
+        """Return (relations, Recording) of what is given: see `Recording.of`."""
+        return self, Recording.of(self.model, u, y, starts)
 
     def with_bounds(self, bounds):
         """Return the same relations under other bounds.
@@ -112,7 +137,7 @@ class ParityRelation:
         return Interval(lo, hi)
 
     def _forms(self, u, y, starts):
-        return forms(_forms, self, partial(self.test, "box"), u, y, starts)
+        return forms(_forms, self, partial(self.reading, method="box"), u, y, starts)
 
     def text(self, circuits=False):
         """Return the relations, one a line, as a reader would write them; all circuits instead if asked for.

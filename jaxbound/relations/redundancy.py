@@ -18,9 +18,12 @@ from math import gcd
 
 import numpy as np
 
+from jaxbound.consistency.bank import BankTest
+from jaxbound.consistency.interface import refuse_options
 from jaxbound.exact import linalg
 from jaxbound.models.conversion import as_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
 from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import stated_relations
@@ -88,6 +91,21 @@ class Redundancy:
     def relations(self):
         """The same relations as a ParityRelation over windows of horizon + 1 samples, each to be tested alone."""
         return stated_relations(self.model, self.horizon, *self.windows())
+
+    def test(self, method, dtype, budget=None, compensation=0.0):
+        """Return the WindowTest by which a method decides windows; see `detect`.
+
+        Raises:
+            ValueError: a method, budget or compensation that these relations cannot be tested by.
+        """
+        if method not in ("joint", "box"):
+            raise ValueError(f"the relations of a bank are tested one by one: method {method!r} does not apply")
+        refuse_options(method, budget, compensation)
+        return BankTest(self.relations, dtype)
+
+    def recording(self, u, y=None, starts=()):
+        """Return (relations, Recording) of what is given: see `Recording.of`."""
+        return self, Recording.of(self.model, u, y, starts)
 
     def windows(self):
         """Return (W, K), rows over the samples of a window that ends at the newest sample of each relation: W Y = K U, exact.

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.residual_windows import flat
+from jaxbound.consistency.bisection import BisectionTest, flat
+from jaxbound.consistency.interface import refuse_options
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
@@ -95,6 +96,17 @@ class Residual:
         """Return (relations, recording): the residual with the names of the signals that it lacks, taken from what becomes a Recording."""
         model = self.model.of(u, y)
         return dataclasses.replace(self, model=model), Recording.of(Signals(model.inputs, model.outputs, {}), u, y, starts)
+
+    def test(self, method, dtype, budget=None, compensation=0.0):
+        """Return the WindowTest by which a method decides windows; see `detect`.
+
+        Raises:
+            ValueError: a method, budget or compensation that these relations cannot be tested by.
+        """
+        if method == "box":
+            raise ValueError("method 'box' is for parity relations: a residual is decided as a whole")
+        refuse_options(method, budget, compensation, adaptive=True)
+        return BisectionTest(self, method, dtype, budget)
 
     def shape(self, m, p):
         """Return the number of residuals for windows of m inputs and p outputs.

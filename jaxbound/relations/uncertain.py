@@ -12,12 +12,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.uncertain_test import UncertainTest
-from jaxbound.consistency.window_test import forms
+from jaxbound.consistency.interface import refuse_options
+from jaxbound.consistency.parametric import ParametricTest
+from jaxbound.consistency.polynomial_reading import PolynomialReading
+from jaxbound.consistency.reading import forms
 from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
-from jaxbound.relations.bounds import changed_bounds, float_bound, model_bounds, window_test
+from jaxbound.relations.bounds import changed_bounds, float_bound, model_bounds, reading
 from jaxbound.relations.polynomial import PolynomialMatrix, stacked
 from jaxbound.relations.uncertain_window import uncertain_window
 from jaxbound.sets.floats import rounding
@@ -70,13 +73,26 @@ class UncertainRelations:
         zero = (0,) * len(self.variables)
         return (zero, *sorted({*self.N.terms, *self.K.terms} - {zero}, key=lambda a: (sum(a), tuple(-e for e in a))))
 
-    def test(self, dtype):
-        """Return the UncertainTest of these relations in a float dtype: what compiled kernels take."""
+    def reading(self, dtype, method="joint"):
+        """Return the PolynomialReading of these relations in a float dtype: what compiled kernels take."""
         model, alphas = self.model, self.exponents
-        read = window_test(None, model, self.horizon, self.bounds, dtype)
+        read = reading(None, model, self.horizon, self.bounds, dtype)
         names = [u.name for u in model.uncertainties]
         size = float_bound(self.bounds["parameters"], dtype)[np.array([names.index(name) for name, _ in self.variables], int)]
-        return UncertainTest(read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy())
+        return PolynomialReading(read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy())
+
+    def test(self, method, dtype, budget=None, compensation=0.0):
+        """Return the WindowTest by which a method decides windows; see `detect`.
+
+        Raises:
+            ValueError: a method, budget or compensation that these relations cannot be tested by.
+        """
+        refuse_options(method, budget, compensation, linear=True)
+        return ParametricTest(self, method, dtype, budget, compensation)
+
+    def recording(self, u, y=None, starts=()):
+        """Return (relations, Recording) of what is given: see `Recording.of`."""
+        return self, Recording.of(self.model, u, y, starts)
 
     def _noisy(self):
         """Return the rows of z that have a bound of their own beyond what the recorder rounds away."""
@@ -105,13 +121,13 @@ class UncertainRelations:
         return dataclasses.replace(self, N=_on_rows(omega, V), K=omega @ H, steps=steps, complete=complete)
 
     def polynomials(self, u, y):
-        """Return (value, error, spread, rad), the relations of N windows as polynomials: see `UncertainTest.polynomials`.
+        """Return (value, error, spread, rad), the relations of N windows as polynomials: see `PolynomialReading.polynomials`.
 
         Args:
             u: (s + 1, m, N), y: (s + 1, p, N), as recorded, NaN where missing.
         """
         u, y = jnp.asarray(u), jnp.asarray(y)
-        return _polynomials(self.test(y.dtype), u, y)
+        return _polynomials(self.reading(y.dtype), u, y)
 
     def with_bounds(self, bounds):
         """Return the same relations under other bounds.
@@ -146,7 +162,7 @@ class UncertainRelations:
         return Interval(lo, hi)
 
     def _forms(self, u, y, starts):
-        return forms(_forms, self, self.test, u, y, starts)
+        return forms(_forms, self, self.reading, u, y, starts)
 
     def text(self):
         """Return the relations, one a line, as a reader would write them.

@@ -124,7 +124,7 @@ def test_the_script_needs_nothing_but_fractions_and_json(tmp_path, rng):
 def test_the_exact_window_is_what_the_kernel_reads(dtype, rng):
     relations, _ = plant("leak")
     u, y = (x.astype(dtype) for x in window(relations, 0.1, rng))
-    rows = relations.test("box", dtype).rows([list(now) for now in u[..., None]], [list(now) for now in y[..., None]])
+    rows = relations.reading(dtype, "box").rows([list(now) for now in u[..., None]], [list(now) for now in y[..., None]])
     for limits, mid, rad in zip(exact_window(relations, u, y).limits, rows[0], rows[1], strict=True):
         mid, rad = float(np.ravel(mid)[0]), float(np.ravel(rad)[0])
         assert np.isnan(mid) if limits is None else limits is not None

@@ -8,8 +8,7 @@ from oracles import MODELS, Plant
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.consistency import drive
-from jaxbound.diagnosis import detection
+from jaxbound.consistency import strips
 from jaxbound.sets.floats.status import Status
 
 
@@ -72,7 +71,7 @@ def test_margins_are_the_same_traced_and_not(rng):
 def test_verdicts_do_not_depend_on_where_a_block_ends(horizon, rng):
     """Around every multiple of the block size a long recording says what a short one of the same samples says."""
     r = jb.parity_relations(paper(), horizon=horizon)
-    block = drive.block_size(r.test("joint", np.float64))
+    block = r.test("joint", np.float64).block
     assert block == (2**16 if horizon == 1 else 2**14)
     for samples in (block - 1, block, block + 1, block + horizon - 1, block + horizon, block + horizon + 1, 2 * block + horizon + 5):
         u, y = recording((samples,), rng)
@@ -96,21 +95,21 @@ def test_a_batch_across_a_block_end_is_seamless(rng):
 def test_recordings_of_other_lengths_do_not_trace_again(rng):
     r = jb.parity_relations(paper(), horizon=2)
     jb.detect(r, *recording((50,), rng))
-    traced = detection.verdicts._cache_size()
+    traced = strips.verdicts._cache_size()
     for shape in ((51,), (2**14 + 77,), (3, 4, 20), (2,)):
         jb.detect(r, *recording(shape, rng))
-    assert detection.verdicts._cache_size() == traced
+    assert strips.verdicts._cache_size() == traced
 
 
 @pytest.mark.parametrize("horizon", [1, 2])
 def test_a_second_model_of_the_same_shape_does_not_trace_again(horizon, rng):
     u, y = recording((50,), rng)
     jb.detect(jb.parity_relations(paper(), horizon=horizon), u, y)
-    traced = detection.verdicts._cache_size()
+    traced = strips.verdicts._cache_size()
     other = paper(A=[[0.7, 0.3], [0.1, 0.4]], B=[[0.5], [2]], tolerance=0.05, noise=[1, 2], offset={"y": [3, 4]}, resolution=0.1)
     jb.detect(jb.parity_relations(other, horizon=horizon), u, y)
     jb.detect(jb.parity_relations(other, horizon=horizon).with_bounds({"noise": 3.0}), u, y)
-    assert detection.verdicts._cache_size() == traced
+    assert strips.verdicts._cache_size() == traced
 
 
 def test_float32_stays_float32(rng):

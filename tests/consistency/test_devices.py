@@ -40,9 +40,10 @@ def test_any_number_of_devices_finds_the_same_bits(counts, cases, monkeypatch):
     """Also those of this process, which has one device, and with blocks that do not come out even."""
     block, samples = 512, 4780
     found = on_eight_devices(block, samples, counts, cases)
-    monkeypatch.setattr(devices_case.drive, "block_size", None)  # put back at the end
+    for kind in devices_case.KINDS:
+        monkeypatch.setattr(kind, "block", None)  # put back at the end
     monkeypatch.setattr(devices_case.drive, "usable_devices", None)
-    monkeypatch.setattr(devices_case.exchange, "usable_devices", None)
+    monkeypatch.setattr(devices_case.unproved, "usable_devices", None)
     here = devices_case.digests(cases, block, samples, [1])
     for case in cases:
         *digests, kinds = found[case]
@@ -69,6 +70,6 @@ def test_unproved_margins_run_on_any_device(monkeypatch):
     class Accelerator:
         platform = "gpu"
 
-    monkeypatch.setattr(devices_case.drive, "usable_devices", lambda: (Accelerator(),))
+    monkeypatch.setattr(devices_case.unproved, "usable_devices", lambda: (Accelerator(),))
     margins = jb.margins(jb.parity_relations(paper()), np.zeros((5, 1)), np.zeros((5, 2)))
     np.testing.assert_array_equal(margins[1:] > 0, True)

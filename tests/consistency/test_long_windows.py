@@ -102,7 +102,7 @@ def test_every_fault_of_a_random_plant_is_one_in_exact_arithmetic(dtype, models,
         u, centre, y = draw(plant, 20, 12, rng, spread=2.0)
         y[:4] = moved(centre[:4], y[:4], at_boundary(r, u[:4], centre[:4], y[:4], 4) * (1 + 1e-6 * rng.normal(size=4)))
         u, y = u.astype(dtype), y.astype(dtype)
-        result, test = jb.detect(r, u, y), r.test("joint", dtype)
+        result, test = jb.detect(r, u, y), r.reading(dtype)
         status = last(result.status)
         fill = lambda x: np.repeat(np.moveaxis(x, 0, 2), 86, 2)[..., :1024]
         one = np.ones(1024, dtype)

@@ -9,7 +9,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound import Status
-from jaxbound.consistency.residual_windows import Explanation
+from jaxbound.consistency.bisection import Explanation
 
 BOX = jb.interval([-0.125, -0.0625], [0.125, 0.0625])
 

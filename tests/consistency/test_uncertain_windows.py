@@ -8,7 +8,7 @@ from ploix_experiment import in_fault, record
 from uncertain_systems import SYSTEMS, relations
 
 import jaxbound as jb
-from jaxbound.consistency import uncertain_windows
+from jaxbound.consistency import parametric_windows
 from jaxbound.sets.floats.status import Status
 
 GOLDEN = ("n2p1_paper_h3", "n2p1_Btwo_h3", "n3p1_inv2_h4", "n3p1_var2_h4", "n3p2_var3_h2", "n3p2_inv3_h3", "n3p2_mixed3_h3")
@@ -215,7 +215,7 @@ def test_a_single_relation_is_tested_at_its_vertices(rng):
 def test_a_second_call_does_not_trace(rng):
     r, (u, y) = relations("n2p1_Btwo_h3"), record(rng, "n2p1_Btwo_h3", 4, "uniform")
     jb.detect(r, u, y)
-    sizes = lambda: [f._cache_size() for f in (uncertain_windows.terms_of, uncertain_windows.at_vertices)]
+    sizes = lambda: [f._cache_size() for f in (parametric_windows.terms_of, parametric_windows.at_vertices)]
     before = sizes()
     jb.detect(r, u[:3, :77], y[:3, :77])
     assert sizes() == before

@@ -92,6 +92,6 @@ def test_windows_on_the_boundary_of_wide_bounds_stay_undecided_and_cost_nothing(
     from jaxbound.consistency import whole_numbers
 
     relations = jb.parity_relations(jb.LinearSystem(**TURN, noise=0.1, tolerance=0.02), 1)
-    test = relations.test("joint", np.float64)
+    test = relations.reading(np.float64)
     y = rng.uniform(-1000, 1000, (2, 2, 50))
     assert not whole_numbers.thin(test, np.zeros((2, 1, 50)), y).any()

@@ -168,13 +168,13 @@ def test_a_single_relation_proves_consistent(rng):
 
 def test_no_second_trace(stable, rng):
     m, bank = stable
-    from jaxbound.diagnosis import isolation
+    from jaxbound.consistency import bank as kernels
 
     u, y = trajectory(m, 50, rng)
     jb.detect(bank, u, y)
-    before = isolation.bank_windows._cache_size()
+    before = kernels.bank_windows._cache_size()
     jb.detect(bank, u[:31], y[:31])
-    assert isolation.bank_windows._cache_size() == before
+    assert kernels.bank_windows._cache_size() == before
 
 
 def test_the_residual_of_an_unstable_plant_does_not_leak(shared):

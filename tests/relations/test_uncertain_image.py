@@ -74,9 +74,9 @@ def image(r, u, y, how="compiled"):
         return c, G, polynomials.row_error(value, error, spread, rad, test.exponents)
 
     if how == "compiled":
-        return tuple(map(np.asarray, jax.jit(both)(r.test(y.dtype), u, y)))
+        return tuple(map(np.asarray, jax.jit(both)(r.reading(y.dtype), u, y)))
     with jax.disable_jit():
-        return tuple(map(np.asarray, both(r.test(y.dtype), jax.numpy.asarray(u), jax.numpy.asarray(y))))
+        return tuple(map(np.asarray, both(r.reading(y.dtype), jax.numpy.asarray(u), jax.numpy.asarray(y))))
 
 
 @pytest.mark.long
@@ -95,7 +95,7 @@ def check_image(case, dtype, rng, how):
     r = relations(name, **changes)
     u, y = draw_windows(r, rng, dtype, count=2 if how == "eager" else 5)
     c, G, bound = image(r, u, y, how)
-    noisy, alphas, n = r.test(np.dtype(dtype)).noisy, r.exponents, len(r.variables)
+    noisy, alphas, n = r.reading(np.dtype(dtype)).noisy, r.exponents, len(r.variables)
     units = [tuple(int(i == j) for j in range(n)) for i in range(n)]
     monomials = [a for a in alphas if sum(a) > 1]
     assert G.shape == (r.count, n + len(monomials) + (len(noisy) + r.count if noisy else 0), y.shape[2])
@@ -119,7 +119,7 @@ def test_polynomials_are_the_exact_ones_within_their_errors(case, dtype, rng):
     r = relations(name, **changes)
     u, y = draw_windows(r, rng, dtype, count=3)
     value, error, spread, rad = (np.asarray(x) for x in r.polynomials(u, y))
-    noisy = r.test(np.dtype(dtype)).noisy
+    noisy = r.reading(np.dtype(dtype)).noisy
     for k in range(y.shape[2]):
         exact_value, exact_spread, exact_rad = exact_terms(r, u[..., k], y[..., k], dtype)
         for i in range(r.count):
@@ -229,7 +229,7 @@ def test_a_second_call_and_another_model_of_the_shape_do_not_trace(rng):
     count = jax.jit(lambda test, u, y: (traces.append(1), test.polynomials(u, y))[1])
     u, y = draw_windows(r, rng, "float64")
     for some in (r, r.with_bounds({"noise": 0.3, "parameters": 2}), jb.parity_relations(other)):
-        count(some.test(y.dtype), u, y)
+        count(some.reading(y.dtype), u, y)
     assert len(traces) == 1
 
 

@@ -10,7 +10,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.diagnosis import detection
+from jaxbound.consistency import strips
 from jaxbound.models.modelfile import save_model
 from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.runs import fleet
@@ -162,11 +162,11 @@ def test_models_of_one_shape_share_one_compilation(tmp_path):
         save_model(model, tmp_path / f"{name}.toml")
         (tmp_path / f"{name}.csv").write_text(recorded(model, rng, 40 + 10 * i))  # and recordings of any length
     chosen = read_manifest(manifest(tmp_path, units))
-    before = detection.verdicts._cache_size()
+    before = strips.verdicts._cache_size()
     first = list(detect_fleet(chosen[:1]))
-    traced = detection.verdicts._cache_size()
+    traced = strips.verdicts._cache_size()
     rest = list(detect_fleet(chosen[1:]))
-    assert traced <= before + 1 and detection.verdicts._cache_size() == traced
+    assert traced <= before + 1 and strips.verdicts._cache_size() == traced
     assert [r.verdict for r in first + rest] == ["no fault"] * 12
 
 

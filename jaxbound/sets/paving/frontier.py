@@ -12,6 +12,7 @@ import numpy as np
 __all__ = ["Cover", "Verdicts", "explore", "in_blocks"]
 
 BLOCKS = (2**10, 2**14)  # the only sizes that are compiled: for few and for many boxes
+MOST = 10**8  # boxes of all targets together: what memory holds
 
 
 class Verdicts(NamedTuple):
@@ -46,7 +47,7 @@ def explore(kernel, lo, hi, count, depth, max_boxes, axis="alternate", first=Fal
     Args:
         kernel: of (lo, hi, owner) of a block; returns Verdicts of arrays, or keep alone.
         lo, hi: the first box (n,), the same for all `count` targets.
-        depth, max_boxes: no more levels than this; no level is begun that would bring the total of boxes evaluated above.
+        depth, max_boxes: no more levels than this; a target is left as it is before a level that would bring its boxes evaluated above.
         axis: "alternate", "widest" (the first if equal) or "kernel": where boxes are cut.
         first: drop all boxes of a target once one solution is proved.
         progress: called with the share of levels done. sizes: of blocks, the smaller for levels that fit into one.
@@ -59,8 +60,13 @@ def explore(kernel, lo, hi, count, depth, max_boxes, axis="alternate", first=Fal
     owner = np.arange(count, dtype=np.int32)
     evaluated, known = np.zeros(count, np.int64), np.zeros(count, bool)
     aside, proofs, level = [], [], 0
-    while level < depth and len(owner) and evaluated.sum() + len(owner) <= max_boxes:
-        evaluated += np.bincount(owner, minlength=count)
+    while level < depth and len(owner) and evaluated.sum() + len(owner) <= max(max_boxes, MOST):
+        more = np.bincount(owner, minlength=count)
+        if (spent := (evaluated + more > max_boxes)[owner]).any():
+            aside.append((lo[:, spent], hi[:, spent], owner[spent]))
+            lo, hi, owner = lo[:, ~spent], hi[:, ~spent], owner[~spent]
+            continue
+        evaluated += more
         said = Verdicts(*in_blocks(kernel, lo, hi, owner, sizes))
         keep = said.keep
         if said.proved is not None:

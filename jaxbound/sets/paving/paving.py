@@ -99,7 +99,8 @@ def pave(f, box, target=None, subdivision="adaptive", q=None, cut=None, max_boxe
             that is after n (q - 1) levels.
         cut: "alternate" (variables in turn), "widest" (widest edge, the first if equal) or "smear" (the edge that moves f most);
             default "alternate" where only excluding, else "smear".
-        max_boxes: no new level is begun that would evaluate more boxes than this in total; default 10^8, searching for solutions 10^7.
+        max_boxes: a target is left before a level that would evaluate more boxes than this for it; default 10^8, searching for solutions
+            10^7. All targets together never take more than 10^8, or max_boxes.
         max_depth: levels; default n (q - 1), else so many that every edge can be halved 20 times (float32: 9).
         args: arrays with leading axis B, handed to f one entry a target.
         progress: called with the share of levels (adaptive) or targets (uniform) done.

@@ -100,7 +100,7 @@ def count_block(course, test, plant, act, limits, u, key, numbers):
     """Simulate and test N scenarios.
 
     Args:
-        course: a Course. test: a WindowTest with Strips. plant, act: see `recursion`, `scenarios`. limits: (m, 2) of the inputs.
+        course: a Course. test: a Reading with Strips. plant, act: see `recursion`, `scenarios`. limits: (m, 2) of the inputs.
         u: None, or (T, m) inputs for all. key: (2,) uint32. numbers: (N,) uint32, of the scenarios.
 
     Returns:

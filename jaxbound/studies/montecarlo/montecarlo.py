@@ -171,7 +171,7 @@ def _engine(model, relations, course, at, room, u, limits, dtype):
     if at == "adversarial":
         if not (plain and certain) or relations.model.constant_tolerance:
             raise NotImplementedError("an adversary needs a certain model with noise on every output: use at='vertices' instead")
-        test = relations.test("joint", dtype)
+        test = relations.reading(dtype)
 
         def attacked(act, key, numbers):
             got = adversary.attack_block(course, test, plant, act, limits, u, key, numbers)
@@ -180,7 +180,7 @@ def _engine(model, relations, course, at, room, u, limits, dtype):
         return attacked, min(ATTACKED, recorded.recording_block(course))
     few = certain and 0 < len(relations.circuits) <= UNROLLED and not relations.model.constant_tolerance
     if plain and few:  # where circuits are many, what the fused kernel saves is nothing beside their test
-        devices, test = tuple(jax.local_devices(backend="cpu")), relations.test("joint", dtype)
+        devices, test = tuple(jax.local_devices(backend="cpu")), relations.reading(dtype)
 
         def counted(act, key, numbers):
             blocks = [(part,) for part in np.split(numbers, len(devices))]

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.window_test import WindowTest
+from jaxbound.consistency.reading import Reading
 from jaxbound.diagnosis.detection import margins
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.unrolled import stored
@@ -41,11 +41,11 @@ TIE = 0.01  # weight of the width where faulty windows count
 class Problem:
     """What a step needs beside the windows.
 
-    Fields: test, the WindowTest of parity relations; relations, if uncertain ones take its place; log_safety; fixed, select, weights, most,
+    Fields: test, the Reading of parity relations; relations, if uncertain ones take its place; log_safety; fixed, select, weights, most,
     sizes: of a Moving.
     """
 
-    test: WindowTest | None
+    test: Reading | None
     fixed: jax.Array
     select: jax.Array
     weights: jax.Array
@@ -59,7 +59,7 @@ def problem_of(relations, moved, safety, dtype):
     """Return the Problem of tuning the bounds `moved` of relations for recordings of a float dtype."""
     uncertain = isinstance(relations, UncertainRelations)
     arrays = (jnp.asarray(x, dtype) for x in (moved.fixed, moved.select, moved.weights, moved.most))
-    test = None if uncertain else jax.device_put(relations.test("joint", dtype))
+    test = None if uncertain else jax.device_put(relations.reading(dtype))
     return Problem(test, *arrays, jnp.log(jnp.asarray(safety, dtype)), moved.sizes, relations if uncertain else None)
 
 

@@ -240,7 +240,7 @@ import os, jax, jax.numpy as jnp
 jnp.ones(2) + 1  # the flags are read
 del os.environ["XLA_FLAGS"]
 import jaxbound as jb
-from jaxbound.cli import main
+from jaxbound.cli.main import main
 try:
     jb.pave(lambda z: z * z, jb.interval([0.0], [1.0]), [2.0], q=2)
 except RuntimeError as e:

@@ -107,7 +107,7 @@ def test_a_plain_comparison_would_be_wrong_at_the_vertices(rng):
     relations = jb.parity_relations(paper())
     run = jb.simulate(paper(), u, jax.random.key(int(rng.integers(2**32))), at="vertices")
     y = np.asarray(run.y)
-    test = relations.test("joint", np.float64)
+    test = relations.reading(np.float64)
     bare = jb.parity_relations(paper()).with_bounds(relations.bounds)
     pairs = [[u[:, :-1, 0]], [u[:, 1:, 0]]], [[y[:, :-1, 0], y[:, :-1, 1]], [y[:, 1:, 0], y[:, 1:, 1]]]
     mid, rad = [], []

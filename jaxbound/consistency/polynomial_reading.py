@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.window_test import WindowTest
+from jaxbound.consistency.reading import Reading
 from jaxbound.sets.floats import rounding
 
-__all__ = ["UncertainTest"]
+__all__ = ["PolynomialReading"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class UncertainTest:
+class PolynomialReading:
     """Uncertain relations in floats: arrays are traced, so models of one shape share a compilation.
 
     Fields: window, how rows z are read; N (count, K, R) and K (count, K, l), nearest to the exact coefficients; size (nv,), the bounds
@@ -29,7 +29,7 @@ class UncertainTest:
     are known to a few units roundoff, which count as rounding.
     """
 
-    window: WindowTest
+    window: Reading
     N: jax.Array
     K: jax.Array
     size: jax.Array

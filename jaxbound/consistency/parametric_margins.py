@@ -17,19 +17,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.uncertain_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
-from jaxbound.recordings.recording import Recording
-from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.consistency.parametric_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
 from jaxbound.sets.strips import polynomials
 
-__all__ = ["compensation", "uncertain_margins"]
+__all__ = ["needed_compensation", "parametric_margins"]
 
 STEPS = 30
 """Newton steps of a compensation; 3 to 5 are usual."""
 
 
-def uncertain_margins(relations, u, y):
+def parametric_margins(relations, u, y):
     """Return the unproved margins (..., T), NaN where a window has no usable data. See `consistency.margins`.
 
     Where u or y are traced nobody knows what is missing: windows that lack a sample which a relation needs are NaN.
@@ -37,7 +34,8 @@ def uncertain_margins(relations, u, y):
     shape, s = y.shape[:-1], relations.horizon
     u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
     out = jnp.full(len(y), jnp.nan, y.dtype)
-    starts = relations.test(y.dtype).window.starts(0, len(y), shape[-1])
+    samples = np.arange(len(y))
+    starts = samples[samples % shape[-1] < shape[-1] - s] if len(y) else samples
     if any(isinstance(x, jax.core.Tracer) for x in (u, y)):
         chosen = [(relations, np.arange(len(starts)))] if len(starts) else []
     else:
@@ -49,46 +47,13 @@ def uncertain_margins(relations, u, y):
     return out.reshape(shape)
 
 
-def compensation(relations, u, y=None, share=0.0, starts=()):
-    """Return the smallest compensation under which the linearised test lets a healthy recording pass.
-
-    `detect(relations, u, y, method="linearised", compensation=c)` neglects products of parameters, and marks healthy windows as suspect.
-    c is added to what each relation may be off by. Each window needs a certain c; this is the least number that is enough for all windows
-    but the given share of them.
-
-    Args:
-        relations: UncertainRelations. u (..., T, m), y (..., T, p), starts: healthy recordings, as for `detect`.
-        share: of the windows, 0 <= share < 1, that may stay suspect.
-
-    Returns:
-        A float, 0 where nothing is needed. Nothing is proved for other recordings: use method="joint" for that.
-
-    Raises:
-        TypeError: relations without uncertain parameters. ValueError: a share outside of [0, 1), infinite samples, no window with data.
-
-    Source: Ploix, Adrot 2006, section 4: the a-posteriori compensation of the linearisation.
-
-    Example:
-        >>> import numpy as np, jaxbound as jb
-        >>> gain = jb.Uncertainty("gain", C=[[0.5]])
-        >>> r = jb.parity_relations(jb.LinearSystem([[1]], None, [[1]], uncertainties=[gain]))
-        >>> y = np.array([[1.0], [0.9], [0.2], [1.0]])      # y[k-1] (1 + gain[k] / 2) = y[k] (1 + gain[k-1] / 2)
-        >>> round(compensation(r, None, y), 6)
-        0.2
-        >>> [int(jb.detect(r, None, y, method="linearised", compensation=c).suspect.sum()) for c in (0, 0.2)]
-        [2, 0]
-    """
-    if not isinstance(relations, UncertainRelations):
-        raise TypeError(f"compensation is for relations with uncertain parameters, not {type(relations).__name__}: others neglect nothing")
-    if not 0 <= share < 1:
-        raise ValueError(f"share is the part of the windows that may stay suspect: 0 <= share < 1, not {share}")
-    refuse_unverified()
-    given = Recording.of(relations.model, u, y, starts).finite()
+def needed_compensation(relations, given, share):
+    """Return the least compensation that is enough for all windows of a Recording but a share of them; see `compensation`."""
     u, y, across = np.asarray(given.u), np.asarray(given.y), given.across(relations.horizon)
     T = y.shape[-2]
     u, y = (x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y))
-    starts = relations.test(y.dtype).window.starts(0, len(y), T)
-    starts = starts[~across[(starts + relations.horizon) % T]]
+    across[: relations.horizon] = True
+    starts = np.flatnonzero(~np.tile(across, len(y) // T)) - relations.horizon
     needs = [
         np.zeros(len(own)) if case is None else np.asarray(_over_blocks(_needs, case, u, y, starts[own]))
         for case, own in cases(relations, u, y, starts)
@@ -102,7 +67,7 @@ def compensation(relations, u, y=None, share=0.0, starts=()):
 def _over_blocks(kernel, relations, u, y, starts):
     """Return what a kernel says of the windows that start at `starts`: compiled blocks, one loop inside where something is traced."""
     kind = judged_by(relations, "joint")
-    test = relations.test(y.dtype)
+    test = relations.reading(y.dtype)
     filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % BLOCK)]).reshape(-1, BLOCK)
     if not any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values())):
         test = jax.device_put(test)

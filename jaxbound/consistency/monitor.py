@@ -12,21 +12,14 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.consistency import drive, exchange, whole_numbers
-from jaxbound.diagnosis import detection
-from jaxbound.diagnosis.detection import METHODS, detect
+from jaxbound.consistency.drive import drive
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import TOLERATED_STEP, all_starts, crossing
+from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row, unlabelled
-from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.status import Status
-from jaxbound.sets.strips.separation import Frame
 
 __all__ = ["Monitor", "MonitorState", "Verdict"]
 
-SHORT, SHORT_SEARCH = 64, 16  # windows in a short block: strips; the exchange search, whose work grows with the block
 BURST = 8  # short blocks; more windows than in these are judged in long blocks
 
 
@@ -62,8 +55,8 @@ class Monitor:
     """Tests windows as their samples come: verdicts and margins are those of `detect` over the whole recording.
 
     Args:
-        relations: from `parity_relations`.
-        method: "joint" or "box", with uncertain parameters also "linearised"; see `detect`.
+        relations: from `parity_relations` or `residual` (whose signals have names), or a bank, as for `detect`.
+        method, budget, compensation: as for `detect`.
         dtype: of the samples, float64 or float32; None: as JAX is configured. Outputs of a wider type are rounded to it; a narrower type is
             refused, since more was rounded away than the verdicts would allow for.
 
@@ -72,7 +65,7 @@ class Monitor:
     exchange search over missing samples, uncertain parameters, constant_tolerance. The first sample compiles, the first burst once more.
 
     Raises:
-        TypeError: no relations from `parity_relations`. ValueError: an unknown method, or one that shares a budget among all windows.
+        TypeError: no relations. ValueError: a method, budget or compensation that they cannot be tested by.
         RuntimeError: on a device where rounding has not been verified, see `detect`.
 
     Encloses: FAULT and CONSISTENT are proofs, as those of `detect`.
@@ -90,21 +83,13 @@ class Monitor:
         FAULT -2.667
     """
 
-    def __init__(self, relations, method="joint", dtype=None):
-        if not isinstance(relations, ParityRelation | UncertainRelations):
-            raise TypeError(f"a Monitor needs relations from parity_relations, not {type(relations).__name__}; test others with detect")
-        uncertain = isinstance(relations, UncertainRelations)
-        methods = ("joint", "box", "linearised") if uncertain else ("joint", "box")
-        if method not in methods:
-            why = "gives one budget to all windows of a recording" if method in METHODS else "is unknown"
-            raise ValueError(f"method {method!r} {why}: a Monitor of this model tests by {' or '.join(methods)}")
+    def __init__(self, relations, method="joint", dtype=None, budget=None, compensation=0.0):
+        if not hasattr(relations, "test"):
+            raise TypeError(f"a Monitor needs relations, not {type(relations).__name__}: Monitor(parity_relations(model))")
         refuse_unverified()
-        self.relations, self.method = relations, method
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
-        self._test = self._on_device = None
-        if isinstance(relations, ParityRelation) and not relations.model.constant_tolerance:
-            self._test = relations.test(method, self.dtype)
-            self._on_device = jax.device_put(self._test)
+        self._test = relations.test(method, self.dtype, budget, compensation)
+        self.relations, self.method = self._test.relations, self._test.method
 
     def init(self):
         """Return the MonitorState before the first sample."""
@@ -150,12 +135,10 @@ class Monitor:
         count, (seams, last) = len(y), self._seams(given, time, state)
         starts = np.concatenate([given.starts, seams]) if len(seams) else given.starts
         all_u, all_y = np.concatenate([state.u, u]), np.concatenate([state.y, y])
-        across = np.zeros(count, bool)
-        if len(starts) or state.follows < s:
-            across = crossing([s - int(state.follows), *(starts + s)], s, s, s + count)
-        status, margin = self._judge(all_u, all_y, across) if count else (np.zeros(0, np.int8), np.zeros(0, self.dtype))
-        if across.any():
-            status, margin = np.where(across, np.int8(Status.MISSING), status), np.where(across, self.dtype.type(np.nan), margin)
+        seams_of_all = starts + s
+        if state.follows < s:
+            seams_of_all = np.concatenate([[s - int(state.follows)], seams_of_all])
+        status, margin = self._judge(all_u, all_y, seams_of_all) if count else (np.zeros(0, np.int8), np.zeros(0, self.dtype))
         follows = count - starts.max() if len(starts) else count + state.follows
         follows = 0 if given.excluded is not None and given.excluded[-1:].any() else follows
         keep = len(all_y) - s
@@ -196,43 +179,9 @@ class Monitor:
         seams[0] &= not np.isnan(state.time)
         return np.flatnonzero(seams), time[-1]
 
-    def _judge(self, u, y, across):
-        """Return (status, margin) of all windows in samples that begin with the s before the first of them; those across need none."""
-        s, search = self.relations.horizon, self._test is not None and isinstance(self._test.shape, Frame)
-        count, size = len(y) - s, SHORT_SEARCH if search else SHORT
-        if self._test is None or count > BURST * size:
-            found = detect(self.relations, u, y, self.method)
-            return found.status[s:], found.margin[s:]
-        judge = self._searched if search else self._in_strips
-        parts = [judge(u, y, across, first, size) for first in range(0, count, size)]
-        status, margin = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
-        if self.method == "box" and self.relations.count > 1:
-            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
-        return status, margin
-
-    def _in_strips(self, u, y, across, first, size):
-        """Return (status, margin) of at most `size` windows, tested circuit by circuit."""
-        stop = min(first + size, len(y) - (s := self.relations.horizon)) + s
-        blocks = (drive.padded(x, first, stop, size + s) for x in (u, y))
-        status, margin = (np.array(x)[: stop - s - first] for x in detection.verdicts(self._on_device, *blocks))
-        status, margin = (np.concatenate([np.zeros(s, x.dtype), x]) for x in (status, margin))  # the first window ends at sample s
-        whole_numbers.settle(self.relations, self._test, self.method, u[first:stop], y[first:stop], status, margin)
-        return status[s:], margin[s:]
-
-    def _searched(self, u, y, across, first, size):
-        """Return (status, margin) of at most `size` windows, tested by the exchange search; what it leaves open, as `detect` does."""
-        s, test = self.relations.horizon, self._test
-        chosen = np.arange(first, min(first + size, len(y) - s))
-        if len(chosen) == 1:
-            windows = [np.repeat(x[first : first + lags, :, None], size, 2) for x, lags in ((u, test.lags), (y, s + 1))]
-        else:
-            windows = test.gather(u, y, np.concatenate([chosen, np.repeat(chosen[:1], size - len(chosen))]))
-        one, given = np.ones(size, self.dtype), (self._on_device, 2 * len(test.shape.inner) + 6, 1.0)
-        margin, settled = exchange.verdicts(given, one, *windows, *exchange.candidates(given, one, *windows))
-        margin, settled = np.array(margin)[: len(chosen)], np.asarray(settled)[: len(chosen)]
-        for i in np.flatnonzero((~settled | (margin == 0)) & ~across[chosen]):
-            window = [x[chosen[i] : chosen[i] + s + 1] for x in (u, y)]
-            nothing = np.isnan(window[1]).all()
-            margin[i] = np.nan if nothing else exchange.exchange_windows(self.relations, *window, None)[1][s]
-        decided = np.where(margin < 0, Status.FAULT, np.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
-        return np.where(np.isnan(margin), Status.MISSING, decided).astype(np.int8), margin
+    def _judge(self, u, y, starts):
+        """Return (status, margin) of all windows in samples that begin with the s before the first of them."""
+        model, s = self.relations.model, self.relations.horizon
+        few = len(y) - s <= BURST * self._test.short
+        judged = drive(self._test, Recording(u, y, starts, model.inputs, model.outputs), size=self._test.short if few else None)
+        return judged.status[s:], judged.margin[s:]

@@ -1,6 +1,6 @@
 """Verdicts on windows of a model with uncertain parameters: refuted by strips or at vertices, explained by a point, else bisected.
 
-A window is a system of polynomials p(v, e) = 0 in parameters v and noises e within [-1, 1] (`UncertainTest.polynomials`).
+A window is a system of polynomials p(v, e) = 0 in parameters v and noises e within [-1, 1] (`PolynomialReading.polynomials`).
 
 FAULT: a direction separates 0 from a zonotope around all values of p, each neglected monomial a variable of its own, or 0 is outside the
 range of a single multi-affine relation. CONSISTENT: a zero of p is proved to exist near a point that a search found, or the range of a
@@ -12,64 +12,30 @@ A window that lacks samples is tested by relations made for it: those without th
 Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
 
-import math
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.recordings.recording import refuse_infinite
+from jaxbound.consistency.reading import gather
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.sets.strips import polynomials, varying
 from jaxbound.sets.strips.gauge import gauge_search
 
 __all__ = [
-    "BLOCK", "BUDGET", "VERTICES", "at_vertices", "cases", "explained", "farthest", "image_of", "judged_by", "on_boxes", "on_whole",
-    "samples_of", "terms_of", "uncertain_windows",
+    "BLOCK", "LEAST", "VERTICES", "at_vertices", "bisected", "cases", "explained", "farthest", "finite", "image_of", "judged_by",
+    "judged_whole", "on_boxes", "on_whole", "samples_of", "terms_of",
 ]  # fmt: skip
 
-BUDGET = 10_000
-"""Boxes a window that "paving" may evaluate, on average over a group of windows."""
-BLOCK, GROUP = 2**11, 2**12
+BLOCK = 2**11
 VERTICES = 8
 """Variables up to which the vertices of the box are enumerated."""
 PATTERNS = 64
 """Patterns of missing samples for which relations are made."""
 NEWTON = 4
 LEAST = 1e-6
-
-
-def uncertain_windows(relations, u, y, method, budget, progress, allowance=0.0):
-    """Return (status, margin), each (..., T), of NumPy recordings. See `consistency.detect`.
-
-    The sign of the margin is the verdict's. Its size is that of the zonotope, with which the neglected monomials grow as one: for an
-    UNDECIDED window the true margin is not above it. For "linearised" it is the gauge of the paper's set, and no proof.
-    """
-    if budget is not None and (isinstance(budget, bool) or not isinstance(budget, int | np.integer) or budget < 1):
-        raise ValueError(f"budget must be a whole number of boxes a window >= 1, not {budget!r}")
-    allowance = np.asarray(allowance, float)
-    if allowance.shape not in ((), (relations.count,)) or not (allowance >= 0).all() or not np.isfinite(allowance).all():
-        raise ValueError(f"compensation must be one finite number >= 0, or one for each of {relations.count} relations, not {allowance}")
-    refuse_infinite("u", u, relations.model.inputs)
-    refuse_infinite("y", y, relations.model.outputs)
-    s, shape = relations.horizon, y.shape[:-1]
-    flat_u, flat_y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
-    status, margin = np.full(len(flat_y), Status.MISSING, np.int8), np.full(len(flat_y), np.nan, y.dtype)
-    read = relations.test(y.dtype).window
-    starts = read.starts(0, len(flat_y), shape[-1])
-    for case, chosen in cases(relations, flat_u, flat_y, starts):
-        if case is None:
-            status[starts[chosen] + s], margin[starts[chosen] + s] = Status.UNDECIDED, 0
-            continue
-        own = allowance if case.count == relations.count else allowance.max()
-        found = _decide(case, flat_u, flat_y, starts[chosen], method, budget, own, progress)
-        for out, value in zip((status, margin), found, strict=True):
-            out[starts[chosen] + s] = value
-    if progress is not None:
-        progress(1.0)
-    return status.reshape(shape), margin.reshape(shape)
 
 
 def cases(relations, u, y, starts):
@@ -79,7 +45,9 @@ def cases(relations, u, y, starts):
     """
     if not len(starts):
         return
-    inputs, outputs = (np.isnan(x).reshape(-1, len(starts)).T for x in relations.test(y.dtype).window.gather(u, y, starts))
+    inputs, outputs = (
+        np.isnan(x).reshape(-1, len(starts)).T for x in gather(u, y, starts, relations.reading(y.dtype).window.lags, relations.horizon)
+    )
     lost, rows = np.concatenate([outputs, inputs], 1), outputs.shape[1]
     whole = ~lost.any(1)
     if whole.any():
@@ -98,34 +66,14 @@ def cases(relations, u, y, starts):
             yield case, broken[which.ravel() == number]
 
 
-def _decide(relations, u, y, starts, method, budget, allowance, progress):
-    """Return (status, margin) of the windows that start at `starts` and have all samples that the relations need."""
-    test, kind = relations.test(y.dtype), judged_by(relations, method)
-    on_device, proved = jax.device_put(test), relations.complete == "proved"
-    status, margin = np.empty(len(starts), np.int8), np.empty(len(starts), y.dtype)
-    for first in range(0, len(starts), BLOCK):
-        chosen = starts[first : first + BLOCK]
-        samples = samples_of(test, u, y, np.concatenate([chosen, np.repeat(chosen[:1], BLOCK - len(chosen))]))
-        found = _block(on_device, samples, kind, proved, allowance)
-        for out, value in zip((status, margin), found, strict=True):
-            out[first : first + len(chosen)] = np.asarray(value)[: len(chosen)]
-        if progress is not None:
-            progress(0.9 * (first + len(chosen)) / len(starts) * (0.2 if method == "paving" else 1))
-    if method == "paving":
-        left = np.flatnonzero(status == Status.UNDECIDED)
-        for first in range(0, len(left), GROUP):
-            chosen = left[first : first + GROUP]
-            status[chosen] = _pave(test, samples_of(test, u, y, starts[chosen]), proved, BUDGET if budget is None else budget)
-            if progress is not None:
-                progress(0.2 + 0.7 * (first + len(chosen)) / len(left))
-        margin = np.where(status == Status.FAULT, np.minimum(margin, -LEAST), margin)
-        margin = np.where(status == Status.CONSISTENT, np.maximum(margin, LEAST), margin)
-    return status, margin
-
-
 def samples_of(test, u, y, starts):
     """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become 0."""
-    return tuple(np.nan_to_num(x, nan=0.0, posinf=np.inf, neginf=-np.inf) for x in test.window.gather(u, y, starts))
+    return finite(gather(u, y, starts, test.window.lags, test.horizon))
+
+
+def finite(windows):
+    """Return samples with 0 for those that are missing, and not needed."""
+    return tuple(np.nan_to_num(x, nan=0.0, posinf=np.inf, neginf=-np.inf) for x in windows)
 
 
 def judged_by(relations, method):
@@ -136,7 +84,7 @@ def judged_by(relations, method):
     return "vertices" if exact else "zonotope"
 
 
-def _block(test, samples, kind, proved, allowance):
+def judged_whole(test, samples, kind, proved, allowance):
     """Return (status, margin) of a block of windows."""
     terms = terms_of(test, *samples)
     if kind == "vertices":
@@ -247,7 +195,7 @@ def _slopes(test, value, spread, rad, error, z):
     return p, J, bend, error, jnp.broadcast_to((order * error)[:, None], J.shape)
 
 
-def _pave(test, samples, proved, budget):
+def bisected(test, samples, proved, budget):
     """Return the status of windows by bisection of their parameters."""
     count, n = samples[1].shape[-1], len(test.size)
     filled = 2 ** max(count - 1, 127).bit_length()  # few sizes, few compilations
@@ -256,7 +204,7 @@ def _pave(test, samples, proved, budget):
     judge = lambda lo, hi, owner: _boxes(on_device, terms, lo, hi, owner, proved)
     one = np.ones(n, samples[1].dtype)
     sizes = (2**7, BLOCK) if count <= 2**7 else (BLOCK,)  # what is compiled already serves many windows best
-    found = explore(judge, -one, one, count, 200, budget * count, "kernel", first=True, sizes=sizes)
+    found = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=sizes)
     status = np.where(np.bincount(found.owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
     status[found.proofs[2]] = Status.CONSISTENT
     return status

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.gridding import whole_windows
+from jaxbound.consistency.interface import WindowTest
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
@@ -18,11 +20,10 @@ from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.paving import pave
 
-__all__ = ["BUDGET", "Explanation", "explain_residual", "residual_windows"]
+__all__ = ["BUDGET", "BisectionTest", "Explanation", "explain_residual", "flat", "whole_budget"]
 
 BUDGET = 1000
-"""Boxes a window that may be evaluated, on average over a group of windows."""
-GROUPS = (2**8, 2**13)
+"""Boxes that may be evaluated for a window."""
 
 
 @dataclass(frozen=True)
@@ -58,30 +59,54 @@ class Explanation:
         return f"{end} after {self.evaluated} boxes"
 
 
-def residual_windows(relations, u, y, budget=None, progress=None):
-    """Return (status, margin) of all windows; the margin is NaN: no gauge is measured.
+class BisectionTest(WindowTest):
+    """Bisects the unknowns of a residual: FAULT and CONSISTENT are proofs. No gauge is measured, the margin is NaN.
 
     Args:
-        relations: a Residual. u (..., T, m), y (..., T, p): arrays of one dtype, NaN where a sample is missing.
-        budget: boxes a window, on average over a group of windows.
+        budget: boxes that may be evaluated for a window; None: `BUDGET`.
 
     Raises:
         ValueError: a budget that is no whole number >= 1.
     """
-    budget = BUDGET if budget is None else budget
+
+    padded = sharded = False
+    block, short = 2**13, 2**8
+    constants = None
+
+    def __init__(self, relations, method, dtype, budget=None):
+        super().__init__(relations, method, dtype)
+        self.budget = BUDGET if budget is None else whole_budget(budget)
+        _ = relations.count  # refuses a function that gives nothing to be zero, and signals without names
+
+    @property
+    def lags(self):
+        """How many samples of u a window has: all."""
+        return self.horizon + 1
+
+    def cases(self, u, y, starts):
+        """Leave out windows with missing samples."""
+        return whole_windows(self, u, y, starts)
+
+    def judge(self, run, blocks):
+        """Return (status, margin) of windows."""
+        found = [self._judged(*(np.moveaxis(x, -1, 0) for x in block)) for block in blocks]
+        return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
+
+    def _judged(self, U, Y):
+        """Return the status of windows (N, s + 1, channels), their number filled up to one of two sizes, which alone are compiled."""
+        size = self.short if len(Y) <= self.short else self.block
+        status = _search(self.relations, U, Y, self.budget, size).status.copy()
+        outside = np.flatnonzero(status == Status.FAULT)
+        if len(outside):
+            status[outside] = _exclude(self.relations, U[outside], Y[outside], self.budget, size).status
+        return status
+
+
+def whole_budget(budget):
+    """Return a budget of boxes a window; raise ValueError if it is none."""
     if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or budget < 1:
         raise ValueError(f"budget must be a whole number of boxes a window >= 1, not {budget!r}")
-    s, shape = relations.horizon, y.shape[:-1]
-    status = np.full(shape, Status.MISSING, np.int8)
-    relations.shape(u.shape[-1], y.shape[-1])
-    if shape[-1] > s:
-        U, Y = (np.moveaxis(np.lib.stride_tricks.sliding_window_view(x, s + 1, -2), -1, -2) for x in (u, y))
-        usable = np.isfinite(Y).all((-1, -2)) & np.isfinite(U).all((-1, -2))
-        found = np.where(np.isinf(Y).any((-1, -2)) | np.isinf(U).any((-1, -2)), np.int8(Status.UNDECIDED), np.int8(Status.MISSING))
-        if usable.any():
-            found[usable] = _judged(relations, U[usable], Y[usable], budget, progress)
-        status[..., s:] = found
-    return status, np.full(shape, np.nan, y.dtype)
+    return int(budget)
 
 
 def explain_residual(result, at):
@@ -97,22 +122,7 @@ def explain_residual(result, at):
     return Explanation(status, witness, int(found.evaluated[0]))
 
 
-def _judged(relations, U, Y, budget, progress):
-    """Return the status of windows (N, s + 1, channels), worked off in groups of two fixed sizes, which alone are compiled."""
-    size = GROUPS[0] if len(Y) <= GROUPS[0] else GROUPS[1]
-    status = np.empty(len(Y), np.int8)
-    for start in range(0, len(Y), size):
-        part = slice(start, start + size)
-        status[part] = _search(relations, U[part], Y[part], budget, size).status
-        outside = start + np.flatnonzero(status[part] == Status.FAULT)
-        if len(outside):
-            status[outside] = _exclude(relations, U[outside], Y[outside], budget, size).status
-        if progress is not None:
-            progress(min(start + size, len(Y)) / len(Y))
-    return status
-
-
-def _search(relations, U, Y, budget, size=GROUPS[0]):
+def _search(relations, U, Y, budget, size=BisectionTest.short):
     """Search for unknowns that explain each window."""
     return _pave(relations, flat(relations.f), (U, Y), budget, size, solutions="one", cut="smear")
 
@@ -131,7 +141,7 @@ def _pave(relations, f, windows, budget, size, **options):
     filler = np.repeat((np.arange(size) >= count)[:, None], relations.shape(windows[0].shape[-1], windows[-1].shape[-1]), 1)
     target = Interval(np.where(filler, np.inf, 0).astype(dtype), np.where(filler, -np.inf, 0).astype(dtype))
     depth = box.shape[0] * (np.finfo(dtype).nmant + 1) // 2
-    found = pave(f, box, target, max_boxes=budget * count + size, max_depth=depth, args=args, **options)
+    found = pave(f, box, target, max_boxes=budget, max_depth=depth, args=args, **options)
     return dataclasses.replace(found, status=found.status[:count], evaluated=found.evaluated[:count])
 
 
@@ -142,6 +152,7 @@ class flat:
     f: object
 
     def __call__(self, z, u, y):
+        """Return what f returns, end to end."""
         parts = [jnp.ravel(x) for x in jax.tree.leaves(self.f(z, u, y))]
         return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
 

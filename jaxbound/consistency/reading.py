@@ -12,12 +12,12 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["WindowTest", "forms"]
+__all__ = ["Reading", "forms", "gather"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class WindowTest:
+class Reading:
     """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
 
     Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise, resolution, offset_y (p,);
@@ -38,16 +38,6 @@ class WindowTest:
     def lift(self):
         """At least every factor that multiplies a row after its own rounding."""
         return sensor.lift(self.tolerance)
-
-    def starts(self, first, stop, length):
-        """Return the samples first..stop-1 of recordings of one length, laid end to end, at which a whole window starts."""
-        samples = np.arange(first, stop)
-        return samples[samples % length < length - self.horizon] if length else samples
-
-    def gather(self, u, y, starts):
-        """Return the samples u (lags, m, N), y (s + 1, p, N) of N windows of NumPy recordings."""
-        take = lambda x, lags: np.ascontiguousarray(np.moveaxis(x[starts + np.arange(lags)[:, None]], 1, 2))
-        return take(u, self.lags), take(y, self.horizon + 1)
 
     def silenced(self, known):
         """Say which windows lack a known value that some circuit needs: the circuits that are left do not describe their set exactly."""
@@ -99,6 +89,12 @@ class WindowTest:
         known = [v - self.offset_u[i] for now in u for i, v in enumerate(now)]
         known_scale = [abs(v) + abs(self.offset_u[i]) for now in u for i, v in enumerate(now)]
         return mid, rad, scale, known, known_scale
+
+
+def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon: int) -> tuple:
+    """Return the samples u (lags, m, N), y (s + 1, p, N) of windows that start at samples of u (T, m), y (T, p)."""
+    take = lambda x, count: np.ascontiguousarray(np.moveaxis(x[starts + np.arange(count)[:, None]], 1, 2))
+    return take(u, lags), take(y, horizon + 1)
 
 
 def forms(kernel, relations, test, u, y, starts):

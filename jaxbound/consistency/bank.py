@@ -1,0 +1,77 @@
+"""Banks: every relation has a verdict of its own, packed beside those of the others."""
+
+import dataclasses
+from functools import cached_property
+
+import jax
+import numpy as np
+
+from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.unproved import stretch_block
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.strips.bank import bank_of, bank_verdicts, unpacked, verdict_dtypes
+
+__all__ = ["HIGH", "BankTest", "bank_windows"]
+
+MOST = 128
+HIGH = np.uint32(0xAAAAAAAA)  # the high bit of every verdict; it is FAULT if the low one is set too
+
+
+class BankTest(WindowTest):
+    """Tests each relation of a bank alone: FAULT is a proof, CONSISTENT only with a single relation.
+
+    Raises:
+        NotImplementedError: constant tolerances. ValueError: too many relations.
+    """
+
+    gathered = False
+
+    def __init__(self, relations, dtype):
+        super().__init__(relations, "box", dtype)
+        if relations.model.constant_tolerance:
+            raise NotImplementedError(
+                "a bank is tested with tolerances drawn anew each sample: leave constant_tolerance out, it is wider then"
+            )
+        if relations.count > MOST:
+            raise ValueError(f"a bank of {relations.count} relations is more than is tested at once, {MOST}: choose fewer parts")
+
+    @cached_property
+    def reading(self):
+        """How the kernel reads a window, and the strips of the bank."""
+        r = self.relations
+        return dataclasses.replace(r.reading(self.dtype, "box"), shape=bank_of(r.W, r.K, self.dtype))
+
+    @property
+    def block(self):
+        """How many windows are judged at once."""
+        return stretch_block(self.reading)
+
+    @property
+    def outputs(self):
+        """The packed arrays of `bank_verdicts`."""
+        first, *others = verdict_dtypes(self.reading.shape, self.dtype)
+        return (first, np.nan), *((dtype, 0) for dtype in others)
+
+    def judge(self, run, blocks):
+        """Return the packed verdicts of stretches of samples."""
+        return run(bank_windows, blocks)
+
+    def judged(self, outs):
+        """Return the verdicts of the whole bank, and those of its relations as words."""
+        words, margin = unpacked(*outs)
+        words = np.where(np.isnan(margin), np.uint32(0), words)
+        return Judged(status_of_words(words, self.relations.count), margin, words)
+
+
+@jax.jit
+def bank_windows(test, u, y):
+    """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
+    return bank_verdicts(test.shape, *test.stretch(u, y), test.lift)
+
+
+def status_of_words(words, count):
+    """Return the status (...) of a bank from its words: it proves FAULT, and CONSISTENT where it is a single relation."""
+    fault = (words & (words << np.uint32(1)) & HIGH != 0).any(0)
+    inside = Status.CONSISTENT if count == 1 else Status.UNDECIDED
+    status = np.where(fault, np.int8(Status.FAULT), np.where((words != 0).any(0), np.int8(inside), np.int8(Status.MISSING)))
+    return np.where((count == 1) & ~fault & (words[0] == Status.UNDECIDED), np.int8(Status.UNDECIDED), status)

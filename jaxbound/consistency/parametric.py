@@ -1,0 +1,94 @@
+"""Models with uncertain parameters: windows are refuted by strips or at vertices, explained by a point, else bisected."""
+
+from functools import cached_property
+
+import jax
+import numpy as np
+
+from jaxbound.consistency.bisection import whole_budget
+from jaxbound.consistency.interface import Open, WindowTest
+from jaxbound.consistency.parametric_margins import parametric_margins
+from jaxbound.consistency.parametric_windows import BLOCK, LEAST, bisected, cases, finite, judged_by, judged_whole
+from jaxbound.consistency.reading import gather
+from jaxbound.recordings.recording import refuse_infinite
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["BUDGET", "ParametricTest"]
+
+BUDGET = 10_000
+"""Boxes that "paving" may evaluate for a window."""
+GROUP = 2**12  # windows that are bisected together
+
+
+class ParametricTest(WindowTest):
+    """Tests windows of a model with uncertain parameters; see `parametric_windows`.
+
+    The sign of the margin is the verdict's. Its size is that of the zonotope, with which the neglected monomials grow as one: for an
+    UNDECIDED window the true margin is not above it. For "linearised" it is the gauge of the paper's set, and no proof.
+
+    Args:
+        budget: boxes a window that "paving" may evaluate; None: `BUDGET`. allowance: what each relation may be off by, for "linearised".
+
+    Raises:
+        ValueError: a budget that is no whole number >= 1, an allowance that is none.
+    """
+
+    sharded = False
+    block = short = BLOCK
+    constants = None
+
+    def __init__(self, relations, method, dtype, budget=None, allowance=0.0):
+        super().__init__(relations, method, dtype)
+        self.budget = BUDGET if budget is None else whole_budget(budget)
+        self.allowance = np.asarray(allowance, float)
+        fits = self.allowance.shape in ((), (relations.count,)) and (self.allowance >= 0).all() and np.isfinite(self.allowance).all()
+        if not fits:
+            raise ValueError(
+                f"compensation must be one finite number >= 0, or one for each of {relations.count} relations, not {allowance}"
+            )
+        self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
+
+    @property
+    def lags(self):
+        """How many samples of u a window has."""
+        return self.reading.window.lags
+
+    @cached_property
+    def _on_device(self):
+        return jax.device_put(self.reading)
+
+    def cases(self, u, y, starts):
+        """Return a test for each pattern of missing samples; the rarest stay open."""
+        refuse_infinite("u", u, self.relations.model.inputs)
+        refuse_infinite("y", y, self.relations.model.outputs)
+        found = []
+        for case, chosen in cases(self.relations, u, y, starts):
+            if case is None:
+                found.append((Open(self, 0.0), starts[chosen]))
+            else:
+                allowance = self.allowance if case.count == self.relations.count else self.allowance.max()
+                found.append((ParametricTest(case, self.method, self.dtype, self.budget, allowance), starts[chosen]))
+        return found
+
+    def judge(self, run, blocks):
+        """Return (status, margin, open) of blocks of windows; open is what paving may decide."""
+        found = [judged_whole(self._on_device, finite(block), self.kind, self.proved, self.allowance) for block in blocks]
+        left = lambda status: np.asarray(status) == Status.UNDECIDED if self.method == "paving" else np.zeros(len(status), bool)
+        return [(status, margin, left(status)) for status, margin in found]
+
+    def settle(self, u, y, outs, left, again, progress):
+        """Bisect the parameters of windows that were left open."""
+        if self.method != "paving":
+            return
+        status, margin = outs
+        for first in range(0, len(left), GROUP):
+            at = left[first : first + GROUP] + self.horizon
+            windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))
+            status[at] = found = bisected(self.reading, windows, self.proved, self.budget)
+            margin[at] = np.where(found == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])
+            margin[at] = np.where(found == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
+            progress((first + len(at)) / len(left))
+
+    def margins(self, given):
+        """Return the unproved margins (..., T); see `WindowTest.margins`."""
+        return parametric_margins(self.relations, given.u, given.y)

@@ -1,0 +1,60 @@
+"""Short windows: every circuit, or every relation alone, is a strip, tested over contiguous samples in one pass."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.consistency import whole_numbers
+from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.unproved import stretch_block, unproved_margins
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.strips.strips import status_of, strip_margin, strip_verdict
+
+__all__ = ["StripsTest", "verdicts"]
+
+
+class StripsTest(WindowTest):
+    """Tests windows circuit by circuit ("joint": both verdicts are proofs) or relation by relation ("box")."""
+
+    gathered = False
+
+    @property
+    def block(self):
+        """How many windows are judged at once."""
+        return stretch_block(self.reading)
+
+    def judge(self, run, blocks):
+        """Return (status, margin) of stretches of samples."""
+        return run(verdicts, blocks)
+
+    def settle(self, u, y, outs, left, again, progress):
+        """Decide in whole numbers what rounding leaves open far from the boundary."""
+        whole_numbers.settle(self.relations, self.reading, self.method, u, y, *outs, progress)
+
+    def judged(self, outs):
+        """Return the verdicts; what keeps all relations, each alone, need not keep them together."""
+        status, margin = outs
+        if self.method == "box" and self.relations.count > 1:
+            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
+        return Judged(status, margin)
+
+    def margins(self, given):
+        """Return the unproved margins (..., T); see `WindowTest.margins`."""
+        return unproved_margins(self, _margins, given)
+
+
+@jax.jit
+def verdicts(test, u, y):
+    """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
+    mid, rad, scale, known, known_scale = test.stretch(u, y)
+    margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)
+    margin = jax.lax.optimization_barrier(margin)  # else the compiler works out everything once for each of the two results
+    status = status_of(margin)
+    unsure = test.silenced(known) & (status == Status.CONSISTENT)
+    return jnp.where(unsure, Status.UNDECIDED, status).astype(jnp.int8), margin
+
+
+@jax.jit
+def _margins(test, u, y):
+    mid, rad, _, known, _ = test.stretch(u, y)
+    return strip_margin(test.shape, mid, rad, known)
