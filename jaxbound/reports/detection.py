@@ -2,8 +2,10 @@
 
 import contextlib
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.plots.canvas import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
 from jaxbound.recordings.plaintext import duration, factor
 from jaxbound.relations.uncertain import UncertainRelations
@@ -20,14 +22,27 @@ LINES = 20  # relations in words
 PATIENCE = 1.0  # seconds for the exact certificates of the table
 
 
-def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, min_coverage=0.5, extra=(), sizes=None, progress=None):
+def write_report(
+    directory: str | Path,
+    res,
+    recording,
+    alarms: Sequence[Alarm],
+    *,
+    hints: Sequence[str] = (),
+    seconds: dict[str, float] | None = None,
+    min_coverage: float = 0.5,
+    extra: Sequence[tuple] = (),
+    sizes: dict[str, float] | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> list[str]:
     """Write report.html, margin.png and residuals.png.
 
     Args:
         directory: an existing folder. res: a Result of one recording, or a Digest. alarms: its alarms.
         recording: with .label(k), .axis and .time, as `read_recording` returns it; for a Digest itself.
         hints: sentences for the reader. seconds: {stage: seconds}. min_coverage: as for `summary`.
-        extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections of one's own.
+        extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections
+            of one's own.
         sizes: from `sizes_seen`. progress: called with the share of the work done.
 
     Returns:
@@ -39,7 +54,8 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
         (Path(directory) / name).write_bytes(data)
         if progress:
             progress(share)
-    part, model = isinstance(res, Digest), res.relations.model
+    relations, model, part = res.relations, res.relations.model, isinstance(res, Digest)
+    dtype = res.data.dtype if part else res.y.dtype
     verdict, sentence = summary(res, alarms, recording.label, min_coverage)
     page = render(
         "detection.html",
@@ -50,7 +66,7 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
         recording=recording,
         samples=samples(res),
         counts=res.counts,
-        warm_up=res.relations.horizon,
+        warm_up=relations.horizon,
         decided=coverage(res),
         hints=[*hints, *bound_hints(model)],
         extra=extra,
@@ -61,9 +77,9 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
         sizes=sizes_text(res, sizes),
         part=part,
         method=res.method,
-        model=model_values(model, res.relations.bounds),
-        **_relations(res.relations),
-        computed=computed(res.method, res.relations.horizon, (res.data if part else res.y).dtype, seconds or {}),
+        model=model_values(model, relations.bounds),
+        **_relations(relations),
+        computed=computed(res.method, relations.horizon, dtype, seconds or {}),
     )
     (Path(directory) / "report.html").write_text(page, encoding="utf-8")
     if progress:
@@ -72,7 +88,7 @@ def write_report(directory, res, recording, alarms, *, hints=(), seconds=None, m
 
 
 def _pictures(res, recording, alarms):
-    """Yield (file name, PNG) of the margin, and of the residuals: of a Digest those around the worst window."""
+    """Yield (file name, PNG) of the margin and of the residuals, of a Digest around the worst window."""
     if isinstance(res, Digest):
         yield "margin.png", to_png(plot_timeline(res.line, res, res.alarm_count))
         res, recording = res.around(worst_window(res) or 0)
@@ -95,12 +111,13 @@ def _alarm_rows(res, recording, alarms):
         lasts = float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt
         needed = "" if a.depth != a.depth else f"× {factor(1 - a.depth)}"
         begun, ended = recording.label(a.start), recording.label(a.end)
-        rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, *why.get(i, ("", "")), a.ended))
+        wrong, violated = why.get(i, ("", ""))
+        rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended))
     return rows
 
 
 def _certified(res, alarms, chosen):
-    """Return {i: (errors of single sensors, violated relation)} of the chosen alarms, as many as patience allows."""
+    """Return {i: (errors of single sensors, violated relation)}, of as many alarms as patience allows."""
     stop, why = time.perf_counter() + PATIENCE, {}
     for i in chosen:
         if time.perf_counter() >= stop:
@@ -112,7 +129,7 @@ def _certified(res, alarms, chosen):
 
 
 def _sensor_errors(certificate):
-    """Return the smallest single-sensor errors as text, the most plausible first; nothing where they are not known."""
+    """Return the smallest single-sensor errors as text, the most plausible first, where they are known."""
     errors, unit = certificate.errors, certificate.window.model.unit
     if not errors:
         return ""
@@ -124,19 +141,26 @@ def _sensor_errors(certificate):
 
 
 def _relations(relations):
-    """Return what the page says of them: their number, those that differ in words, how they are tested."""
+    """Return what the page says of them: how many, those that differ, how they are tested."""
     lines, distinct = relations.text().splitlines(), distinct_relations(relations)
     shown = [lines[j] for j in distinct[:LINES]]
     if len(distinct) > LINES:
         shown.append("...")
-    return {"relations": relations.count, "distinct": len(distinct), "lines": shown, "tested_how": _tested(relations)}
+    return {
+        "relations": relations.count,
+        "distinct": len(distinct),
+        "lines": shown,
+        "tested_how": _tested(relations),
+    }
 
 
 def _tested(relations):
     """Say how their combinations are tested."""
     if isinstance(relations, UncertainRelations):
-        about = f"they are polynomials of order {relations.order} in {len(relations.variables)} uncertain numbers"
+        count = len(relations.variables)
+        about = f"they are polynomials of order {relations.order} in {count} uncertain numbers"
         return "; ".join((about, *relations.notes))
     if relations.frame is None:
         return f"{len(relations.circuits)} combinations are tested"
-    return "the combination that speaks most against a window is searched for, there are too many to test one by one"
+    most = "the combination that speaks most against a window is searched for"
+    return f"{most}, there are too many to test one by one"

@@ -2,17 +2,19 @@
 
 import shlex
 import time
+from collections.abc import Sequence
 
 from jaxbound.reports.page import TITLE, render
 
 __all__ = ["fleet_page"]
 
 
-def fleet_page(ordered, verdict, title):
+def fleet_page(ordered: Sequence, verdict: tuple[str, int, str], title: str) -> str:
     """Return the HTML text.
 
     Args:
-        ordered: UnitResults, the worst first. verdict: (verdict, exit code, sentence) of the fleet. title: of the page.
+        ordered: UnitResults, the worst first. verdict: (verdict, exit code, sentence) of the fleet.
+        title: of the page.
     """
     kind, _, sentence = verdict
     return render(
@@ -28,9 +30,9 @@ def fleet_page(ordered, verdict, title):
 
 
 def _command(ordered):
-    """Return the command line that makes the full report of the worst unit that was tested, None if there is none."""
+    """Return the command that makes the full report of the worst unit that was tested, if there is one."""
     for r in ordered:
         if r.verdict != "not tested":
-            parts = ("jaxbound", "detect", str(r.unit.model), str(r.unit.recording), "--out", f"report-{r.unit.name}")
-            return shlex.join(parts)
+            files = str(r.unit.model), str(r.unit.recording)
+            return shlex.join(("jaxbound", "detect", *files, "--out", f"report-{r.unit.name}"))
     return None

@@ -1,4 +1,4 @@
-"""Templates become pages: every value is escaped by the engine, none is missing unnoticed, the style sheet is in the page."""
+"""Templates become pages: the engine escapes every value and refuses one that is missing."""
 
 import base64
 import functools
@@ -15,11 +15,11 @@ TITLE = {
 }
 
 
-def render(template, **values):
+def render(template: str, **values: object) -> str:
     """Return the HTML text of a template of this folder.
 
     Args:
-        template: "fleet.html" and the like. values: what it shows, by name.
+        template: "fleet.html" and the like. values: what it shows, by name. The style sheet is in the page.
 
     Raises:
         jinja2.UndefinedError: it shows something that is not there.

@@ -2,10 +2,12 @@
 
 import platform
 import time
+from collections.abc import Mapping
 
 import numpy as np
 
 from jaxbound.models.modelfile import number_text
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.plaintext import percent
 
 __all__ = ["computed", "model_values"]
@@ -13,10 +15,10 @@ __all__ = ["computed", "model_values"]
 DIGITS = 12  # of an exact number, beyond which it is rounded
 
 
-def model_values(model, bounds):
-    """Return what `parts.model_tables` shows of a LinearSystem with bounds {"tolerance", "noise"} (p,)."""
+def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray]) -> dict[str, object]:
+    """Return what the macro `model_tables` shows of a model with bounds {"tolerance", "noise"} (p,)."""
     return {
-        "bounded": ("output", "column", "unit", "offset", *_headed(model, ("tolerance", "noise", "resolution"))),
+        "bounded": ("output", "column", "unit", "offset", *_headed(model)),
         "outputs": [(*_signal(model, "y", i), *_bounds(model, bounds, i)) for i in range(model.p)],
         "inputs": [_signal(model, "u", i) for i in range(model.m)],
         "disturbances": [_disturbance(model, j) for j in range(model.g)],
@@ -34,8 +36,8 @@ def _origin(model, field):
     return model.provenance.get(field, "origin not stated")
 
 
-def _headed(model, fields):
-    return [f"{field} ({_origin(model, field)})" for field in fields]
+def _headed(model):
+    return [f"{field} ({_origin(model, field)})" for field in ("tolerance", "noise", "resolution")]
 
 
 def _signal(model, kind, i):
@@ -62,7 +64,7 @@ def _parameter(u):
 
 
 def _matrices(model):
-    """Yield (letter, subscript, rows of texts) of the matrices that are there; D only where it is not zero."""
+    """Yield (letter, subscript, rows of texts) of the matrices that are there; D where it is not zero."""
     for name in ("A", "B", "C", "D", "G", "F", "D_v"):
         rows = getattr(model, name)
         if not rows or not rows[0] or (name[0] == "D" and not any(map(any, rows))):
@@ -77,7 +79,7 @@ def _short(x):
     return text if len(text) <= DIGITS else f"{float(x):.6g}"
 
 
-def computed(method, horizon, dtype, seconds):
+def computed(method: str, horizon: int, dtype: np.dtype, seconds: Mapping[str, float]) -> list[tuple[str, str]]:
     """Return rows of what a report was computed with. seconds: {stage: seconds}."""
     import jax
 

@@ -5,18 +5,31 @@ import numpy as np
 from jaxbound.recordings.plaintext import percent
 from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
+from jaxbound.studies.montecarlo.study_result import StudyResult
 
 __all__ = ["HEAD", "sentence", "study_page", "study_rows"]
 
-HEAD = ("fault", "size", "scenarios", "detected", "95 %", "FAULT windows", "95 %", "median delay", "90 % by", "guaranteed")
+HEAD = (
+    "fault",
+    "size",
+    "scenarios",
+    "detected",
+    "95 %",
+    "FAULT windows",
+    "95 %",
+    "median delay",
+    "90 % by",
+    "guaranteed",
+)
 NOT_SHOWN = ("key", "faults", "engine", "dtype")  # settings that are told elsewhere, or to nobody
 
 
-def study_page(res, found, png, seed, seconds):
+def study_page(res: StudyResult, found, png: bytes, seed: int, seconds: float) -> str:
     """Return the HTML text.
 
     Args:
-        res: StudyResult. found: its table. png: a picture of it. seed: of the study. seconds: that it took.
+        res: of the study. found: its table. png: a picture of it. seed: of the study.
+        seconds: that it took.
     """
     bounds = {"tolerance": res.model.tolerance, "noise": res.model.noise}
     return render(
@@ -45,7 +58,7 @@ def _settings(res, seed):
             yield f"onset of {trial.label}", f"samples {trial.onset[0]} to {trial.onset[1] - 1}"
 
 
-def study_rows(found):
+def study_rows(found) -> list[tuple[str, ...]]:
     """Return the table of a study as texts, a tuple a row, as HEAD names them."""
     return list(map(_row, found.itertuples()))
 
@@ -57,7 +70,8 @@ def _row(cell):
     share = f"{percent(cell.share_lo)} to {percent(cell.share_hi)}"
     sure = f"{cell.guaranteed:.4g}" if np.isfinite(cell.guaranteed) else ""
     soon = _delay(cell.delay_median), _delay(cell.delay_90)
-    return cell.fault, f"{cell.size:.4g}", f"{cell.scenarios:,}", percent(cell.share), share, rate, spread, *soon, sure
+    size, scenarios = f"{cell.size:.4g}", f"{cell.scenarios:,}"
+    return cell.fault, size, scenarios, percent(cell.share), share, rate, spread, *soon, sure
 
 
 def _delay(samples):
@@ -66,11 +80,13 @@ def _delay(samples):
     return "never" if np.isinf(samples) else f"{samples:.0f}"
 
 
-def sentence(res):
+def sentence(res: StudyResult) -> str:
     """Return what a study counted as a sentence."""
     false, clean = res.false_alarms
     if false:
         how = "the plant is not what the monitor takes it for"
     else:
-        how = f"fewer than {100 * res.false_alarm_interval()[1]:.2g} % of scenarios have one, with 95 % confidence"
-    return f"{res.scenarios:,} scenarios of {res.samples} samples: {false} false alarms in {clean:,} windows without a fault ({how})"
+        most = 100 * res.false_alarm_interval()[1]
+        how = f"fewer than {most:.2g} % of scenarios have one, with 95 % confidence"
+    alarms = f"{false} false alarms in {clean:,} windows without a fault ({how})"
+    return f"{res.scenarios:,} scenarios of {res.samples} samples: {alarms}"

@@ -1,9 +1,11 @@
-"""The page of a validated recording: which sensors were faulty when, and the band that holds the true value of each output."""
+"""The page of a validated recording: which sensors were faulty when, and what the true values were."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.plots.bands import plot_output
 from jaxbound.plots.canvas import PANELS, to_png
 from jaxbound.recordings.plaintext import duration
@@ -15,7 +17,17 @@ __all__ = ["write_page"]
 ROWS = 200  # stretches in the table
 
 
-def write_page(directory, res, recording, alarms, *, hints=(), seconds=None, min_coverage=0.5, progress=None):
+def write_page(
+    directory: str | Path,
+    res,
+    recording,
+    alarms: Sequence[Alarm],
+    *,
+    hints: Sequence[str] = (),
+    seconds: dict[str, float] | None = None,
+    min_coverage: float = 0.5,
+    progress: Callable[[float], object] | None = None,
+) -> list[str]:
     """Write report.html and a picture for each output. Args: as for `detection.write_report`.
 
     Returns:
@@ -57,10 +69,11 @@ def write_page(directory, res, recording, alarms, *, hints=(), seconds=None, min
 
 
 def _row(res, recording, i, first, last):
-    """Return the row of a faulty stretch, with what the sensor showed and should have shown in the middle of it."""
+    """Return the row of a faulty stretch, with what the sensor showed and should have shown in its middle."""
     name, k = res.model.outputs[i], (first + last) // 2
     unit, corrected = res.model.unit(name), res.found.corrected
     lo, hi = float(np.asarray(corrected.lo)[k, i]), float(np.asarray(corrected.hi)[k, i])
     lasts = float(recording.time[last] - recording.time[first]) + res.model.dt
     showed, true = f"{res.y[k, i]:.5g} {unit}".strip(), f"{lo:.5g} to {hi:.5g} {unit}".strip()
-    return name, recording.label(first), recording.label(last), duration(lasts), last - first + 1, showed, true
+    begun, ended = recording.label(first), recording.label(last)
+    return name, begun, ended, duration(lasts), last - first + 1, showed, true
