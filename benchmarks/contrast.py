@@ -24,7 +24,7 @@ import numpy as np
 
 import jaxbound as jb
 from benchmarks import timing
-from jaxbound.recordings.csvfiles import read_signals
+from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.status import Status
 

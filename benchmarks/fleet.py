@@ -23,7 +23,7 @@ import pyarrow.parquet
 import jaxbound as jb
 from benchmarks import timing
 from jaxbound.consistency import strips
-from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.read import read
 from jaxbound.runs.fleet import detect_fleet, read_manifest
 
 FAULTY = 20
@@ -101,9 +101,9 @@ def stages(folder, units):
         lap.append(time.perf_counter())
         relations = jb.parity_relations(model)
         lap.append(time.perf_counter())
-        r = read_recording(unit.recording, model)
+        r = read(unit.recording, model)
         lap.append(time.perf_counter())
-        read_recording(unit.recording.with_suffix(".parquet"), model)
+        read(unit.recording.with_suffix(".parquet"), model)
         lap.append(time.perf_counter())
         jb.detect(relations, r.u, r.y, starts=r.starts)
         lap.append(time.perf_counter())

@@ -22,6 +22,8 @@ from jaxbound.models.simulate import Trajectory, simulate
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.plots.plot import plot
+from jaxbound.recordings.read import read
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.decoupling import Isolability, Signatures, isolability, signatures, structured_relations
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.redundancy import Redundancy, redundancy
@@ -42,12 +44,12 @@ from jaxbound.studies.tuning.tuning import TuneResult, tune
 
 __all__ = [
     "Alarm", "BankResult", "Certificate", "Digest", "Fault", "FitCheck", "Fitted", "GuaranteedSize", "Inclusion", "Interval",
-    "IntervalSystem", "Isolability", "LinearSystem", "Monitor", "MultiModel", "ParityRelation", "Paving", "Redundancy", "Residual",
-    "Result", "Signatures", "Solution", "Solvability", "Status", "StudyResult", "Trajectory", "TuneResult", "UncertainCertificate",
-    "UncertainRelations", "Uncertainty", "UnknownInputs", "Validation", "Zonotope", "compensation", "detect", "detect_dataset",
-    "detectable", "evaluate", "fit", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "linearize",
-    "load_model", "margins", "membership", "parity_relations", "pave", "plot", "redundancy", "residual", "save_model", "sets",
-    "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "tune", "unknown_inputs", "validate",
-    "zonotope",
+    "IntervalSystem", "Isolability", "LinearSystem", "Monitor", "MultiModel", "ParityRelation", "Paving", "Recording", "Redundancy",
+    "Residual", "Result", "Signatures", "Solution", "Solvability", "Status", "StudyResult", "Trajectory", "TuneResult",
+    "UncertainCertificate", "UncertainRelations", "Uncertainty", "UnknownInputs", "Validation", "Zonotope", "compensation", "detect",
+    "detect_dataset", "detectable", "evaluate", "fit", "from_control", "from_scipy", "inclusion", "interval", "interval_system",
+    "isolability", "linearize", "load_model", "margins", "membership", "parity_relations", "pave", "plot", "read", "redundancy",
+    "residual", "save_model", "sets", "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "tune",
+    "unknown_inputs", "validate", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"

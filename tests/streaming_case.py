@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.read import read
 from jaxbound.runs import streaming
 
 N = 6000
@@ -75,7 +75,7 @@ def cases(tmp_path_factory):
             model, horizon, method = MODELS[name]()
             r = jb.parity_relations(model, horizon)
             folder = write(tmp_path_factory.mktemp("data") / "run", *recording(dtype, 2 if horizon == 20 else 60))
-            whole = read_recording(folder, model)
+            whole = read(folder, model)
             made[name, dtype] = r, folder, jb.detect(r, whole.u, whole.y, method=method, starts=whole.starts), whole
         return made[name, dtype]
 

@@ -10,7 +10,7 @@ import jaxbound as jb
 from jaxbound.cli import detect as detecting
 from jaxbound.cli import main
 from jaxbound.models.modelfile import load_model, save_model
-from jaxbound.recordings.csvfiles import read_recording, read_signals
+from jaxbound.recordings.read import read, read_signals
 from jaxbound.runs import fleet
 
 A, B = np.array([[0.9, 0.05], [0.05, 0.85]]), np.array([[0.1, 0.0], [0.0, 0.08]])
@@ -162,7 +162,7 @@ class TestClock:
         assert read_signals([three], ["Q1"], ["T1"], names)[0].dt == 3 and "Heater 1 (%)" in table
         model = jb.LinearSystem([[0.9]], [[0.1]], [[1]], dt=3, noise=1, inputs=["Heater 1 (%)"], outputs=["Temperature 1 (degC)"])
         with pytest.raises(ValueError, match="energy_1s.csv: the model has dt = 3 s, but .* 1.00[0-9]* s apart: keep one of every 3"):
-            read_recording(one, model)
+            read(one, model)
 
 
 class TestUnits:

@@ -25,10 +25,10 @@ from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.validation import least_horizon, validate
 from jaxbound.models.modelfile import load_model, save_model
 from jaxbound.recordings.contents import content
-from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.parquet import is_parquet
 from jaxbound.recordings.plaintext import percent, times
+from jaxbound.recordings.read import read
 from jaxbound.relations.parity import parity_relations
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.validation import write_page
@@ -124,16 +124,14 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     with door():
         model = load_model(args.model)
         held = content(Path(args.data))
-        recording = read_recording(args.data, model, lambda share: step("read", share))
-        refuse_short(args.data, len(recording.time), model.horizon if args.horizon is None else args.horizon)
+        recording = read(args.data, model, lambda share: step("read", share))
+        refuse_short(args.data, recording.samples, model.horizon if args.horizon is None else args.horizon)
         relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
-        refuse_short(args.data, len(recording.time), relations.horizon)
+        refuse_short(args.data, recording.samples, relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-        res = detect(relations, recording.u, recording.y, method=args.method, progress=lambda share: step("test", share),
-                     starts=recording.starts)  # fmt: skip
+        res = detect(relations, recording, method=args.method, progress=lambda share: step("test", share))
     step("test", 1.0)
-    res = replace(res, aside=recording.aside(relations.horizon))
     recording = replace(recording, hints=(*recording.hints, *unit_hints(res)))
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
@@ -159,7 +157,7 @@ def _validate(args, work, step):
     with door():
         model = load_model(args.model)
         held = content(Path(args.data))
-        recording = read_recording(args.data, model, lambda share: step("read", share))
+        recording = read(args.data, model, lambda share: step("read", share))
         if len(recording.starts):
             at, condition = recording.label(recording.starts[0]), recording.excluded is not None and recording.excluded.any()
             why = f"{model.columns['where']!r} does not hold all the time, see" if condition else "there is a gap in time before"

@@ -10,10 +10,10 @@ import numpy as np
 from jaxbound.certificates.certificate import certify
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.cli.terminal import door, show, write
-from jaxbound.recordings.csvfiles import Recording, read_recording
 from jaxbound.recordings.parquet import is_parquet, open_parquet
 from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.plaintext import times as factor_text
+from jaxbound.recordings.read import read
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
@@ -43,7 +43,7 @@ def certificate_of(directory, at):
         raise ValueError(f"sample {k} is too early: the first window ends at sample {horizon}, {source.label(horizon)}")
     part = source.read(k - horizon, k + 1)
     try:
-        if len(part.starts):
+        if part.across(horizon)[horizon]:
             raise ValueError("a window across a gap in time is MISSING")
         return certify(relations, part.u, part.y, method), k, [part.label(j) for j in range(horizon + 1)]
     except ValueError as e:
@@ -55,17 +55,14 @@ class _Source:
 
     def __init__(self, path, model):
         self.parquet = open_parquet(path, model) if is_parquet(path) else None
-        self.whole = read_recording(path, model) if self.parquet is None else None
+        self.whole = read(path, model) if self.parquet is None else None
         self.samples = self.parquet.samples if self.parquet is not None else len(self.whole.time)
 
     def read(self, first, stop):
         """Return the samples first..stop as a Recording."""
         if self.parquet is not None:
             return self.parquet.read(first, stop)
-        r = self.whole
-        cut = lambda x: None if x is None else x[first:stop]
-        starts = tuple(int(k) - first for k in r.starts if first < k < stop)
-        return Recording(cut(r.time), cut(r.stamps), cut(r.u), cut(r.y), (), cut(r.written), r.source, starts)
+        return self.whole.cut(first, stop)
 
     def label(self, k):
         """Return the time of sample k as text."""

@@ -10,9 +10,9 @@ from jaxbound.cli.terminal import INTERRUPTED, door, progress_bars, say, show, w
 from jaxbound.models.modelfile import load_model, model_text, number_text
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.tune import plot_tuning
-from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.keeping import whole
+from jaxbound.recordings.read import read
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import refuse_targets
 from jaxbound.studies.tuning.tuning import tune
@@ -33,13 +33,12 @@ def run(args):
     chosen = None if args.bounds is None else [name.strip() for name in args.bounds.split(",")]
     with door(), progress_bars(("read", "relations", "tune")) as step:
         model, files = load_model(args.model), [*args.healthy, *args.faulty]
-        read = lambda i: read_recording(files[i], model, lambda share: step("read", (i + share) / len(files)))
-        recordings = [read(i) for i in range(len(files))]
-        longest = int(np.argmax([len(r.time) for r in recordings]))
-        refuse_short(files[longest], len(recordings[longest].time), model.horizon if args.horizon is None else args.horizon)
+        report = lambda i: lambda share: step("read", (i + share) / len(files))
+        recordings = [read(file, model, report(i)) for i, file in enumerate(files)]
+        longest = int(np.argmax([r.samples for r in recordings]))
+        refuse_short(files[longest], recordings[longest].samples, model.horizon if args.horizon is None else args.horizon)
         relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
-        given = [(x.u, x.y, x.starts) for x in recordings]
-        healthy, faulty = given[: len(args.healthy)], given[len(args.healthy) :] or None
+        healthy, faulty = recordings[: len(args.healthy)], recordings[len(args.healthy) :] or None
         res = tune(relations, healthy, faulty, _optimizer(args.optimizer, args.steps), args.steps, bounds=chosen, safety=args.safety,
                    calibrate=args.calibrate, progress=lambda share: step("tune", share), state=state)  # fmt: skip
         with whole(args.out) as f:

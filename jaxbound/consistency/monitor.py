@@ -170,7 +170,8 @@ class Monitor:
             counted = given.index is not None and unlabelled(given.index) and not state.samples  # the numbers of later rows go on from here
             return NOWHERE, (count - 1) * dt if counted and count else state.time
         if time is None:
-            off = abs(given.origin - state.time - dt) - np.spacing(abs(given.origin))  # rows of one table were looked at already
+            begin = given.origin + given.time[0]
+            off = abs(begin - state.time - dt) - np.spacing(abs(begin))  # rows of one table were looked at already
             return np.zeros(int(off > TOLERATED_STEP * dt), np.int64), given.origin + given.time[-1]
         time = np.asarray(time, np.float64).reshape(-1)
         if len(time) != count:

@@ -10,7 +10,7 @@ from jaxbound.consistency.interface import Open, WindowTest
 from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import BLOCK, LEAST, bisected, cases, finite, judged_by, judged_whole
 from jaxbound.consistency.reading import gather
-from jaxbound.recordings.recording import refuse_infinite
+from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["BUDGET", "ParametricTest"]

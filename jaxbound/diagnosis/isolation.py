@@ -12,8 +12,8 @@ import numpy as np
 from jaxbound.consistency.bank import HIGH
 from jaxbound.diagnosis.detectability import visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
+from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.expressions import find_column
-from jaxbound.recordings.recording import floats
 from jaxbound.recordings.table import as_table, is_table, unlabelled
 from jaxbound.relations.decoupling import Signatures, signatures
 from jaxbound.relations.redundancy import Redundancy

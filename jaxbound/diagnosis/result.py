@@ -1,7 +1,7 @@
 """What a detection returns."""
 
 from dataclasses import dataclass, field
-from functools import singledispatch
+from functools import partial, singledispatch
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from jaxbound.consistency import bisection
 from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.stillness import still_hints
+from jaxbound.recordings.timestamps import row_label
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
@@ -66,7 +67,7 @@ class Result:
 
         A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for each of its recordings.
         """
-        label = lambda k: f"sample {k}" if self.index is None else str(self.index[k])
+        label = partial(row_label, self.index)
         out = []
         if len(self.starts):
             first = label(int(self.starts[0]))

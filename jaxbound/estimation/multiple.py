@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.recordings.recording import Recording, Signals, floats
+from jaxbound.recordings.arrays import floats
+from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval

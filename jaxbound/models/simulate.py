@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models.conversion import as_model
-from jaxbound.recordings.recording import inputs_of, missing_column, refuse_infinite
+from jaxbound.recordings.arrays import inputs_of, refuse_infinite
+from jaxbound.recordings.expressions import missing_column
 from jaxbound.sets.floats import rounding
 
 __all__ = ["Trajectory", "simulate"]

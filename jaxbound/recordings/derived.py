@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.recordings.expressions import TIMES, Expression, expression, fails, find_column, is_expression, likely
-from jaxbound.recordings.recording import Signals
 
-__all__ = ["Signals", "Wanted", "wanted", "where_hints"]
+__all__ = ["Wanted", "wanted", "where_hints"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,74 +1,10 @@
-"""A recording as it stands in a file: its columns, the time of a sample as a reader would write it, and what its owner should know."""
-
-import math
-from dataclasses import dataclass
+"""What the owner of a recording should know, as sentences: what is missing, what the recorder rounds, what is too short."""
 
 import numpy as np
 
 from jaxbound.recordings.naming import listed
-from jaxbound.recordings.seams import aside
 
-__all__ = ["Recording", "missing_hints", "missing_samples", "missing_sentences", "refuse_short", "rounding_hints", "time_label"]
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """One recording as it stands in a file.
-
-    Fields:
-        time: (T,) seconds: as in the file, or since the first sample where the file has time stamps.
-        stamps: (T,) datetime64[ns], or None where time is in seconds.
-        u, y: (T, m), (T, p) float64 in the order of the model's signals; NaN where a sample is missing.
-        hints: sentences that the user should read.
-        written: the time column as the file has it, a pyarrow array; None if the file has none.
-        source: the name of the file.
-        starts: numbers of the samples that do not follow the one before (`recordings.seams`).
-        dt: sampling period in s, of the model, or found where there is none yet; None: not looked for.
-        excluded: (T,) bool, samples that the model's `where` leaves out: NaN in u and y, with a start at either end of each stretch; or
-            None where the model has no such condition.
-    """
-
-    time: np.ndarray
-    stamps: np.ndarray | None
-    u: np.ndarray
-    y: np.ndarray
-    hints: tuple = ()
-    written: object = None
-    source: str = ""
-    starts: tuple = ()
-    excluded: np.ndarray | None = None
-    dt: float | None = None
-
-    def aside(self, horizon):
-        """Return how many windows of horizon + 1 samples have one that is left out."""
-        return aside(self.excluded, horizon)
-
-    def label(self, k):
-        """Return the time of sample k as a reader of the file would write it."""
-        written = self.written[k].as_py() if self.written is not None else None
-        if isinstance(written, str):
-            return written.strip()
-        steps = np.abs(np.diff(self.time[:1000]))  # gaps and a clock that goes back are exceptions
-        step = float(np.median(steps)) if len(steps) and np.median(steps) else 1.0
-        return time_label(self.time[k], None if self.stamps is None else self.stamps[k], step)
-
-    @property
-    def axis(self):
-        """The time for a plot: dates where there are, else seconds."""
-        return self.time if self.stamps is None else self.stamps
-
-
-def time_label(seconds, stamp, step):
-    """Return the time of a sample as text: of its time stamp if it has one, else of its seconds to a hundredth of a step.
-
-    Example:
-        >>> time_label(0.30000000000000004, None, 0.01), time_label(0.0, np.datetime64("2017-09-12T08:00:00.500"), 1.0)
-        ('0.3 s', '2017-09-12 08:00:00.500')
-    """
-    if stamp is not None:
-        return str(stamp.astype("datetime64[ms]")).replace("T", " ").removesuffix(".000")
-    text = f"{seconds:.{max(0, 2 - math.floor(math.log10(step)))}f}"
-    return f"{text.rstrip('0').rstrip('.') if '.' in text else text} s"
+__all__ = ["missing_hints", "missing_samples", "missing_sentences", "refuse_short", "rounding_hints"]
 
 
 def refuse_short(source, samples, horizon):

@@ -14,11 +14,12 @@ from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.contents import content
 from jaxbound.recordings.derived import Wanted, where_hints
 from jaxbound.recordings.expressions import Expression
-from jaxbound.recordings.hints import Recording, missing_hints, rounding_hints, time_label
+from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.parquetfiles import PARTIAL, SUFFIXES, VERDICTS, Damage, checked, files_of, opened, plan_of
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, check_period, irregular, seam_hints, tick, usual_period
 from jaxbound.recordings.stillness import still_hints
-from jaxbound.recordings.timestamps import EPOCHS, epoch_scale
+from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, time_label
 
 __all__ = ["PARTIAL", "VERDICTS", "ParquetSource", "is_parquet", "open_parquet"]
 
@@ -120,7 +121,7 @@ class ParquetSource:
             u, y, excluded = self.plan.samples(x, len(table), self.dtype)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
-        return Recording(time, stamps, u, y, (), written, self.path.name, (), excluded)
+        return Recording.filed(self.model, (u, y, excluded), (time, stamps, written), self.path.name)
 
     def _numeric(self, table):
         import pyarrow as pa
@@ -149,7 +150,7 @@ class ParquetSource:
             starts = np.union1d(starts, around(r.excluded))
             hints += where_hints(self.plan.where.text, np.count_nonzero(r.excluded), self.samples) if stop - start == self.samples else []
         report(1.0)
-        return replace(r, hints=tuple(hints), starts=tuple(starts.tolist()), dt=self.model.dt)
+        return replace(r, hints=tuple(hints), starts=starts)
 
     def name(self, file):
         """Return how the user knows one of the files."""

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.recordings.csvtext import is_number
-from jaxbound.recordings.hints import time_label
 from jaxbound.recordings.linetext import SOURCE, LineReader, WrongCells
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, Seam, check_period, tick
-from jaxbound.recordings.timestamps import EPOCHS, parse_stamps
+from jaxbound.recordings.timestamps import EPOCHS, parse_stamps, time_label
 
 __all__ = ["Piece", "PipeText"]
 

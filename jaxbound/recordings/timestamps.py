@@ -1,5 +1,6 @@
-"""Time stamps of a recording: text of any usual format, or numbers, to seconds."""
+"""Time stamps of a recording: text of any usual format, or numbers, to seconds; and back to text for a reader."""
 
+import math
 from datetime import datetime
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
 
-__all__ = ["epoch_scale", "parse_stamps", "read_numbers"]
+__all__ = ["epoch_scale", "parse_stamps", "read_numbers", "row_label", "time_label"]
 
 DATES = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
          "%m/%d/%y", "%d/%m/%y", "%d.%m.%y", "%Y%m%d")  # fmt: skip
@@ -73,6 +74,26 @@ def read_numbers(values, dt):
         return values, None, ""
     stamps = np.round(values * (1e9 / scale)).astype("int64").astype("datetime64[ns]")
     return (values - values[0]) / scale, stamps, "" if scale == 1 else f"the time column is read as an epoch in {EPOCHS[scale]}"
+
+
+def time_label(seconds, stamp, step):
+    """Return the time of a sample as text: of its time stamp if it has one, else of its seconds to a hundredth of a step.
+
+    Example:
+        >>> time_label(0.30000000000000004, None, 0.01), time_label(0.0, np.datetime64("2017-09-12T08:00:00.500"), 1.0)
+        ('0.3 s', '2017-09-12 08:00:00.500')
+    """
+    if stamp is not None:
+        return str(stamp.astype("datetime64[ms]")).replace("T", " ").removesuffix(".000")
+    text = f"{seconds:.{max(0, 2 - math.floor(math.log10(step)))}f}"
+    return f"{text.rstrip('0').rstrip('.') if '.' in text else text} s"
+
+
+def row_label(index, k):
+    """Return the label of row k as text; index: labels of all rows, None where they have none."""
+    if index is None:
+        return f"sample {k}"
+    return time_label(0.0, index[k], 1.0) if isinstance(index[k], np.datetime64) else str(index[k])
 
 
 def _split_fraction(cells):

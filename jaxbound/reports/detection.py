@@ -39,7 +39,7 @@ def write_report(
 
     Args:
         directory: an existing folder. res: a Result of one recording, or a Digest. alarms: its alarms.
-        recording: with .label(k), .axis and .time, as `read_recording` returns it; for a Digest itself.
+        recording: with .label(k), .axis and .time, as `read` returns it; for a Digest itself.
         hints: sentences for the reader. seconds: {stage: seconds}. min_coverage: as for `summary`.
         extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections
             of one's own.

@@ -10,11 +10,12 @@ from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.canvas import Timeline
 from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
 from jaxbound.recordings.derived import where_hints
-from jaxbound.recordings.hints import missing_sentences, rounding_hints, time_label
+from jaxbound.recordings.hints import missing_sentences, rounding_hints
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.stillness import signal_hints, windows_inside
+from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.shares import check_share, numbers_of

@@ -8,16 +8,16 @@ import csv
 import math
 from collections import Counter, deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.modelfile import load_model
-from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.recording import missing_column
+from jaxbound.recordings.read import read
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.summary import CODES, bound_hints, coverage, summary, worst
@@ -182,8 +182,8 @@ def detect_fleet(units, method="joint", horizon=None, alarm=(1, 1), min_coverage
 
     def prepare(unit):
         model, relations = models.get(unit.model) or (load_model(unit.model), None)
-        recording = read_recording(unit.recording, model)
-        refuse_short(unit.recording, len(recording.time), model.horizon if horizon is None else horizon)
+        recording = read(unit.recording, model)
+        refuse_short(unit.recording, recording.samples, model.horizon if horizon is None else horizon)
         relations = relations or parity_relations(model, horizon)
         if shared[unit.model] > 1:
             models[unit.model] = model, relations
@@ -206,9 +206,8 @@ def _tested(unit, job, method, alarm, min_coverage):
     try:
         model, relations, recording = job.result()
         s = relations.horizon
-        refuse_short(unit.recording, len(recording.time), s)
-        res = detect(relations, recording.u, recording.y, method=method, starts=recording.starts)
-        res = replace(res, aside=recording.aside(s))
+        refuse_short(unit.recording, recording.samples, s)
+        res = detect(relations, recording, method=method)
         alarms = res.alarms(*alarm)
         verdict, sentence = summary(res, alarms, recording.label, min_coverage)
         at, margin = worst(res)

@@ -13,7 +13,7 @@ def write_verdicts(path, result, recording=None):
     """Write one row a sample: time (as the recording has it), status, margin (blank where there is none), suspect.
 
     Args:
-        path: of the CSV file to write. result: of one recording. recording: from `read_recording`; None: sample numbers.
+        path: of the CSV file to write. result: of one recording. recording: from `read`; None: sample numbers.
     """
     written = to_arrow(np.arange(len(result.status))) if recording is None else recording.written
     columns = {

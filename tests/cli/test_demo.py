@@ -6,7 +6,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import demo, main
 from jaxbound.models.modelfile import load_model
-from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.read import read
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def test_joint_test_sees_more_and_never_errs(rates):
 def test_the_run_is_written_exactly(tmp_path):
     run = demo.demo_run(jax.random.key(0))
     demo.write_run(tmp_path / "run.csv", run)
-    r = read_recording(tmp_path / "run.csv", demo.demo_model())
+    r = read(tmp_path / "run.csv", demo.demo_model())
     assert (r.u == run.u).all() and (r.y == run.y).all() and r.hints == () and abs(r.time[-1] - 2) < 1e-12
 
 

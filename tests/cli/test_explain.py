@@ -159,13 +159,13 @@ class TestWhatIsGone:
 
     def test_a_recording_that_is_written_while_it_is_tested(self, reported, tmp_path, monkeypatch, capsys):
         shutil.copy(reported / "run.csv", tmp_path)
-        read = detect.read_recording
+        read = detect.read
 
         def late(path, *args):
             path.write_text(path.read_text().replace("0.58,", "0.59,", 1))
             return read(path, *args)
 
-        monkeypatch.setattr(detect, "read_recording", lambda path, *args: late(tmp_path / "run.csv", *args))
+        monkeypatch.setattr(detect, "read", lambda path, *args: late(tmp_path / "run.csv", *args))
         assert main.main(["detect", str(reported / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
         capsys.readouterr()
         code, _, err = explain(tmp_path, "31", capsys=capsys)

@@ -12,10 +12,10 @@ from jaxbound.cli import main
 from jaxbound.cli.fleet import write_fleet
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import canvas, to_png
-from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.recordings.expressions import expression, missing_column
 from jaxbound.recordings.naming import listed
 from jaxbound.recordings.plaintext import cell, clipped, printable
+from jaxbound.recordings.read import read
 from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import Unit, UnitResult
 
@@ -68,7 +68,7 @@ def test_a_recording_comes_through_a_pipe_as_from_its_file(model):
     sender = threading.Thread(target=lambda: (model / "pipe").write_text(text))
     sender.start()
     m = load_model(model / "m.toml")
-    piped, whole = read_recording(model / "pipe", m), read_recording(model / "r.csv", m)
+    piped, whole = read(model / "pipe", m), read(model / "r.csv", m)
     sender.join()
     np.testing.assert_array_equal(piped.y, whole.y)
     assert piped.source == "pipe"
@@ -84,7 +84,7 @@ def test_a_header_of_a_hundred_thousand_columns_is_read(model):
     names = ["time", "Pump [%]", "level", "flow", *(f"column{i}" for i in range(100_000))]
     row = lambda k: ",".join([str(k), "50", "1", "0.5", *["0"] * 100_000])
     (model / "wide.csv").write_text("\n".join([",".join(names), *map(row, range(3)), ""]))
-    assert read_recording(model / "wide.csv", load_model(model / "m.toml")).y.tolist() == [[1, 0.5]] * 3
+    assert read(model / "wide.csv", load_model(model / "m.toml")).y.tolist() == [[1, 0.5]] * 3
 
 
 def test_sentences_name_a_few_of_many_names():

@@ -9,7 +9,7 @@ import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.validate import Validated, write_columns_of
 from jaxbound.plots.bands import plot_output
-from jaxbound.recordings.csvfiles import Recording
+from jaxbound.recordings.recording import Recording
 from jaxbound.reports.validation import write_page
 from jaxbound.sets.intervals.interval import Interval
 
@@ -62,7 +62,7 @@ def found_in(T=60, faulty=(20, 21, 22, 40), missing=0):
 
 
 def recording_of(res):
-    return Recording(np.arange(len(res.y)) * 1.0, None, np.ones((len(res.y), 1)), res.y, source="run.csv")
+    return Recording(np.ones((len(res.y), 1)), res.y, time=np.arange(len(res.y)) * 1.0, source="run.csv")
 
 
 LABEL = "{} s".format

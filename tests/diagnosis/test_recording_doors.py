@@ -3,6 +3,8 @@
 The gap is a jump of the plant, the excluded stretch nonsense: a verb that forgets one, or takes a column by position, finds a fault.
 """
 
+import tempfile
+
 import jax
 import numpy as np
 import pandas as pd
@@ -15,7 +17,7 @@ T, GAP, OFF, LOST = 40, 14, slice(22, 27), (33, 1)
 STARTS = [GAP, OFF.start, OFF.stop]
 PIECES = [slice(0, GAP), slice(GAP, OFF.start), slice(OFF.stop, T)]
 TIME = pd.date_range("2024-01-01", periods=T, freq="s") + pd.to_timedelta(np.where(np.arange(T) < GAP, 0, 3600), "s")
-KINDS = ("pandas", "two frames", "polars-like", "pyarrow", "dict", "masked", "recording")
+KINDS = ("pandas", "two frames", "polars-like", "pyarrow", "dict", "masked", "recording", "jb.read of a CSV", "jb.read of Parquet")
 PLANT = dict(A=[[0.8, 0.5], [0, 0.2]], B=[[0], [1]], C=[[1, 0], [0, 1]], noise=[0.1, 0.1], inputs=["valve"], outputs=["level", "flow"])
 WHERE = {"where": "mode == 'on'"}
 MISSING = np.isin(np.arange(T), [0, *range(OFF.start, OFF.stop), *STARTS])  # windows of two samples that are none
@@ -63,6 +65,8 @@ def held(kind, u, y):
         return np.ma.array(u, mask=off), np.ma.array(y, mask=off | (y == -9999)), STARTS
     if kind == "recording":
         return Recording.of(plant(), frame), None, ()
+    if kind.startswith("jb.read"):
+        return stored(kind, frame), None, ()
     if kind == "pyarrow":
         import pyarrow as pa
 
@@ -73,6 +77,16 @@ def held(kind, u, y):
     if kind == "dict":
         one["time"] = pd.DatetimeIndex(one["time"])
     return one, None, ()
+
+
+def stored(kind, frame):
+    """Return what `jb.read` makes of a file that holds a table, its dates in a column."""
+    with tempfile.TemporaryDirectory() as folder:
+        if kind.endswith("CSV"):
+            frame.to_csv(path := f"{folder}/run.csv")
+        else:
+            frame.reset_index().to_parquet(path := f"{folder}/run.parquet")
+        return jb.read(path, plant())
 
 
 @pytest.fixture(params=KINDS)
@@ -131,7 +145,7 @@ def test_a_bank(given):
     assert res.counts["FAULT"] == 0
 
 
-@pytest.mark.parametrize("kind", ["two frames", "masked"])
+@pytest.mark.parametrize("kind", ["two frames", "masked", "jb.read of a CSV", "jb.read of Parquet"])
 def test_a_residual(kind):
     u, y, starts = held(kind, *course()[::2])
     f = lambda z, u, y: y[1, 1] - z[1] - 0.2 * (y[0, 1] - z[0]) - u[0, 0]
@@ -155,8 +169,7 @@ def test_a_monitor_in_pieces_of_any_size(given, size):
     monitor, status = jb.Monitor(r), []
     state = monitor.init()
     if hasattr(u, "outputs"):
-        cut = lambda k: (u.u[k : k + size], u.y[k : k + size])
-        starts = u.starts
+        cut = lambda k: (u.cut(k, k + size), None)
     elif y is None:
         cut = lambda k: (u.iloc[k : k + size], None)
     elif hasattr(y, "iloc"):
@@ -234,7 +247,7 @@ def test_tune(given):
     assert jb.tune(r, healthy, steps=0).scale == jb.tune(r, clean(*course()[::2]), steps=0).scale <= 1
 
 
-@pytest.mark.parametrize("kind", ["pandas", "polars-like", "masked", "recording"])
+@pytest.mark.parametrize("kind", ["pandas", "polars-like", "masked", "recording", "jb.read of a CSV", "jb.read of Parquet"])
 def test_fit(kind):
     u, _, y = course()
     given = held(kind, u, y)

@@ -12,7 +12,7 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.plots.canvas import distinct_relations, plot_residuals, to_png
 from jaxbound.plots.figures import figure_1, figure_2
 from jaxbound.plots.plot import plot
-from jaxbound.recordings.csvfiles import Recording
+from jaxbound.recordings.recording import Recording
 
 FAULT, MISSING, CONSISTENT, UNDECIDED = jb.Status.FAULT, jb.Status.MISSING, jb.Status.CONSISTENT, jb.Status.UNDECIDED
 
@@ -23,7 +23,7 @@ def run():
     u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 15), 20)[:, None]
     t = jb.simulate(paper(), u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 1.0, 100, 150)])
     u, y = np.asarray(t.u), np.asarray(t.y)
-    return jb.detect(jb.parity_relations(paper()), u, y), Recording(0.01 * np.arange(len(u)), None, u, y, source="run.csv")
+    return jb.detect(jb.parity_relations(paper()), u, y), Recording(u, y, time=0.01 * np.arange(len(u)), source="run.csv")
 
 
 def synthetic(status, margin=None, model=None, method="joint"):

@@ -12,9 +12,9 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import detect, main
 from jaxbound.models.modelfile import load_model, model_text, save_model
-from jaxbound.recordings.csvfiles import read_recording, read_signals
 from jaxbound.recordings.derived import wanted
 from jaxbound.recordings.parquet import open_parquet
+from jaxbound.recordings.read import read, read_signals
 from jaxbound.runs.streaming import write_parts
 
 COLUMNS = {"u1": "= `in [V]` * 2", "y1": "= hot - cold", "y2": "level ", "where": "fan > 0 and mode == 'auto'"}
@@ -82,8 +82,8 @@ def expected(relations, r, kept):
 class TestReading:
     def test_the_same_from_csv_and_from_parquet(self, tmp_path, rng):
         columns, kept = table(rng=rng)
-        a = read_recording(csv(tmp_path / "a.csv", columns), model())
-        b = read_recording(parquet(tmp_path / "b", columns), model())
+        a = read(csv(tmp_path / "a.csv", columns), model())
+        b = read(parquet(tmp_path / "b", columns), model())
         for r in (a, b):
             np.testing.assert_array_equal(r.y[kept, 0], (columns["hot"] - columns["cold"])[kept])
             np.testing.assert_array_equal(r.u[kept, 0], columns["in [V]"][kept] * 2)
@@ -96,7 +96,7 @@ class TestReading:
     @pytest.mark.parametrize("horizon", [1, 3])
     def test_windows_touch_no_sample_that_is_set_aside(self, tmp_path, rng, horizon):
         columns, kept = table(rng=rng)
-        r = read_recording(csv(tmp_path / "a.csv", columns), model())
+        r = read(csv(tmp_path / "a.csv", columns), model())
         relations = jb.parity_relations(model(), horizon)
         for method in ("joint", "box"):
             res = jb.detect(relations, r.u, r.y, method=method, starts=r.starts)
@@ -108,7 +108,7 @@ class TestReading:
 
     def test_only_what_is_needed_is_parsed(self, tmp_path):
         columns, _ = table(30)
-        r = read_recording(csv(tmp_path / "a.csv", columns | {"spare": ["not a number"] * 30}), model())
+        r = read(csv(tmp_path / "a.csv", columns | {"spare": ["not a number"] * 30}), model())
         assert len(r.time) == 30
         plan = wanted(list(columns), model())
         assert plan.columns == ["in [V]", "hot", "cold", "level", "fan", "mode", "t"] and plan.texts == ["mode"] and plan.time == "t"
@@ -116,7 +116,7 @@ class TestReading:
     def test_a_signal_of_its_own_name_serves_if_the_columns_are_absent(self, tmp_path):
         path = tmp_path / "a.csv"
         path.write_text("t,u1,y1,level,fan,mode\n0,1,2,3,1,auto\n0.01,1,2,3,1,auto\n")
-        assert read_recording(path, model()).y[0, 0] == 2
+        assert read(path, model()).y[0, 0] == 2
 
     @pytest.mark.parametrize("change, sentence", [
         ({"y1": "= hot - tepid"}, "for 'hot - tepid', has no column 'tepid': it has 't', 'in"),
@@ -127,20 +127,20 @@ class TestReading:
     def test_a_sentence_for_what_is_wrong(self, tmp_path, change, sentence):
         path = csv(tmp_path / "a.csv", table(30)[0])
         with pytest.raises(ValueError, match=sentence) as e:
-            read_recording(path, paper(columns=COLUMNS | change))
+            read(path, paper(columns=COLUMNS | change))
         assert str(path) in str(e.value)
 
     def test_dates_in_the_condition(self, tmp_path):
         path = tmp_path / "a.csv"
         path.write_text("Datetime,y1\n" + "".join(f"9/{19 + k // 2}/2017 {12 * (k % 2)}:00,{k}\n" for k in range(6)))
         m = jb.LinearSystem([[0.5]], None, [[1]], dt=43200, noise=1, columns={"where": "'2017-09-20' <= Datetime < '2017-09-21'"})
-        np.testing.assert_array_equal(read_recording(path, m).excluded, [True, True, False, False, True, True])
+        np.testing.assert_array_equal(read(path, m).excluded, [True, True, False, False, True, True])
 
     def test_float32_columns_are_computed_in_float64_and_count_as_float32(self, tmp_path, rng):
         a, b = rng.normal(size=(2, 50)).astype(np.float32)
         pq.write_table(pa.table({"t": np.arange(50.0), "a": a, "b": b}), tmp_path / "r.parquet")
         m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, columns={"y1": "= a - b"})
-        r = read_recording(tmp_path / "r.parquet", m)
+        r = read(tmp_path / "r.parquet", m)
         assert r.y.dtype == np.float32
         np.testing.assert_array_equal(r.y[:, 0], (a.astype(float) - b.astype(float)).astype(np.float32))
 
@@ -150,7 +150,7 @@ class TestChunks:
         shrink(monkeypatch)
         columns, _ = table(3000, rng)
         m = model()
-        r = read_recording(parquet(tmp_path / "run", columns, (700, 701, 2000)), m)
+        r = read(parquet(tmp_path / "run", columns, (700, 701, 2000)), m)
         relations = jb.parity_relations(m, 2)
         whole = jb.detect(relations, r.u, r.y, starts=r.starts)
         found = jb.detect_dataset(relations, tmp_path / "run", tmp_path / "out", chunk=500)
@@ -174,7 +174,7 @@ class TestChunks:
         with pytest.raises(KeyboardInterrupt):
             write_parts(relations, source, tmp_path / "out", chunk=500, progress=stop)
         found = jb.detect_dataset(relations, tmp_path / "run", tmp_path / "out")
-        r = read_recording(tmp_path / "run", model())
+        r = read(tmp_path / "run", model())
         assert found.aside == r.aside(1) and found.hints == r.hints
         np.testing.assert_array_equal(verdicts(tmp_path / "out")[0], jb.detect(relations, r.u, r.y, starts=r.starts).status)
 
@@ -216,7 +216,7 @@ class TestSignals:
         columns, kept = table(rng=rng)
         paths = [csv(tmp_path / "a.csv", columns), parquet(tmp_path / "b", columns)]
         found = read_signals(paths, [("u1", "= `in [V]` * 2")], [("y1", "= hot - cold"), "level"], {"where": COLUMNS["where"]})
-        r = read_recording(paths[0], model())
+        r = read(paths[0], model())
         for f in found:
             np.testing.assert_array_equal(f.y, r.y)
             np.testing.assert_array_equal(f.u, r.u)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.recordings.csvfiles import read_recording
-from jaxbound.recordings.hints import Recording
+from jaxbound.recordings.recording import Recording
 from jaxbound.runs.verdictfiles import write_alarms, write_verdicts
 
 MODEL = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=0.5, noise=0.1, resolution=1)
@@ -30,7 +29,7 @@ def read(tmp_path):
     def reading(text, model=MODEL, name="data.csv"):
         path = tmp_path / name
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return read_recording(path, model)
+        return jb.read(path, model)
 
     return reading
 
@@ -94,7 +93,7 @@ class TestFormats:
 
     def test_tclab_with_its_jitter(self, shared):
         model = jb.LinearSystem([[0.5]], None, [[1], [1]], dt=3, noise=0.1, outputs=["Temperature 1", "Temperature 2"])
-        r = read_recording(shared("data/tclab/mimo_hybrid_3s.csv"), model)
+        r = jb.read(shared("data/tclab/mimo_hybrid_3s.csv"), model)
         assert r.y.shape == (201, 2) and r.y[1, 1] == 16.35 and r.label(1) == "3 s" and r.label(50) == "150.09 s"
         assert "multiple of 0.01" in r.hints[0] and "`resolution = 0.005`" in r.hints[0]
 
@@ -216,7 +215,7 @@ class TestBad:
 
     def test_standard_input_is_refused(self):
         with pytest.raises(NotImplementedError, match="standard input is not implemented yet"):
-            read_recording("-", MODEL)
+            jb.read("-", MODEL)
 
     def test_parquet_under_another_name_is_read(self, read, tmp_path):
         import pyarrow as pa
@@ -229,7 +228,7 @@ class TestBad:
 
     def test_no_such_file(self, tmp_path):
         with pytest.raises(FileNotFoundError, match="there is no data file"):
-            read_recording(tmp_path / "none.csv", MODEL)
+            jb.read(tmp_path / "none.csv", MODEL)
 
     def test_unusual_but_finite_numbers_pass(self, read):
         assert read(text_of([(0, 1e308, -1e308), (0.5, 5e-324, 0), (1, 0, 1)])).u[0, 0] == 1e308
@@ -276,7 +275,7 @@ class TestWriting:
         import pandas as pd
 
         res, u, y = self.result()
-        write_verdicts(tmp_path / "v.csv", res, Recording(0.5 * np.arange(400), None, u, y))
+        write_verdicts(tmp_path / "v.csv", res, Recording(u, y, time=0.5 * np.arange(400)))
         table = pd.read_csv(tmp_path / "v.csv")
         assert list(table) == ["time", "status", "margin", "suspect"]
         np.testing.assert_array_equal(table.time, 0.5 * np.arange(400))
@@ -290,7 +289,7 @@ class TestWriting:
         if comma:  # a text that needs quotes: written by hand, no format of ours
             import pyarrow as pa
 
-            r = Recording(0.5 * np.arange(8), None, np.zeros((8, 1)), np.zeros((8, 1)), (), pa.array(stamps))
+            r = Recording(np.zeros((8, 1)), np.zeros((8, 1)), time=0.5 * np.arange(8), written=pa.array(stamps))
         else:
             r = read(text_of([(s, 0, 0) for s in stamps]))
         write_verdicts(tmp_path / "v.csv", jb.detect(jb.parity_relations(MODEL), r.u, r.y), r)
@@ -303,7 +302,7 @@ class TestWriting:
 
     def test_alarms(self, tmp_path):
         res, u, y = self.result()
-        write_alarms(tmp_path / "a.csv", res.alarms(), Recording(0.5 * np.arange(400), None, u, y), 0.5)
+        write_alarms(tmp_path / "a.csv", res.alarms(), Recording(u, y, time=0.5 * np.arange(400)), 0.5)
         header, *rows = (line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines())
         first = dict(zip(header, rows[0], strict=True))
         a = res.alarms()[0]
@@ -311,7 +310,7 @@ class TestWriting:
         assert float(first["duration_s"]) == 0.5 * (a.end - a.start + 1) and float(first["factor"]) == 1 - a.depth
 
     def test_no_alarms_is_a_header(self, tmp_path):
-        write_alarms(tmp_path / "a.csv", [], Recording(np.arange(4.0), None, np.zeros((4, 0)), np.zeros((4, 1))), 1)
+        write_alarms(tmp_path / "a.csv", [], Recording(np.zeros((4, 0)), np.zeros((4, 1)), time=np.arange(4.0)), 1)
         header = "start,end,duration_s,first_sample,last_sample,windows,depth,factor,worst,ended"
         assert (tmp_path / "a.csv").read_text().splitlines() == [header]
 
@@ -321,10 +320,10 @@ def test_reading_a_file_does_not_import_pandas(tmp_path):
     code = f"""
 import sys, numpy as np
 from jaxbound import LinearSystem, Status
-from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.read import read
 from jaxbound.runs.verdictfiles import write_verdicts
 m = LinearSystem([[0.5]], [[1]], [[1]], dt=0.5)
-r = read_recording({str(tmp_path / "d.csv")!r}, m)
+r = read({str(tmp_path / "d.csv")!r}, m)
 res = type("R", (), dict(status=np.zeros(50, np.int8), margin=np.full(50, np.nan), suspect=np.zeros(50, bool)))
 write_verdicts({str(tmp_path / "v.csv")!r}, res, r)
 print("pandas" in sys.modules)

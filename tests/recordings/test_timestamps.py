@@ -10,7 +10,6 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.models.modelfile import save_model
-from jaxbound.recordings.csvfiles import read_recording
 
 MODEL = jb.LinearSystem([[0.5]], None, [[1]], dt=60, noise=0.1, resolution=1)
 SPLIT = ": the recording is split there, and windows across are MISSING"
@@ -24,7 +23,7 @@ def read(tmp_path):
     def reading(stamps, header="time"):
         path = tmp_path / "data.csv"
         path.write_text("\n".join([f"{header};y1", *(f"{s};{k % 7}" for k, s in enumerate(stamps))]) + "\n")
-        return read_recording(path, MODEL)
+        return jb.read(path, MODEL)
 
     return reading
 

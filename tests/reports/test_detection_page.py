@@ -10,8 +10,8 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.diagnosis.result import Result
-from jaxbound.recordings.csvfiles import Recording
 from jaxbound.recordings.plaintext import duration, percent, times
+from jaxbound.recordings.recording import Recording
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.summary import bound_hints, coverage, summary, worst_window
 
@@ -24,7 +24,7 @@ def run():
     u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 15), 20)[:, None]
     t = jb.simulate(paper(), u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 1.0, 100, 150)])
     u, y = np.asarray(t.u), np.asarray(t.y)
-    return jb.detect(jb.parity_relations(paper()), u, y), Recording(0.01 * np.arange(len(u)), None, u, y, source="run.csv")
+    return jb.detect(jb.parity_relations(paper()), u, y), Recording(u, y, time=0.01 * np.arange(len(u)), source="run.csv")
 
 
 def synthetic(status, margin=None, model=None, method="joint"):
@@ -37,7 +37,7 @@ def synthetic(status, margin=None, model=None, method="joint"):
 
 
 def recording_of(res):
-    return Recording(res.relations.model.dt * np.arange(len(res.status)), None, res.u, res.y)
+    return Recording(res.u, res.y, time=res.relations.model.dt * np.arange(len(res.status)))
 
 
 class TestSummary:
@@ -169,7 +169,7 @@ class TestReport:
         y = np.zeros((50, 1))
         y[20] = 9
         res = jb.detect(jb.parity_relations(m), np.zeros((50, 1)), y)
-        recording = Recording(np.arange(50.0), None, res.u, res.y, source=evil)
+        recording = Recording(res.u, res.y, time=np.arange(50.0), source=evil)
         write_report(tmp_path, res, recording, res.alarms(), hints=[evil], extra=[(evil, None, evil, [(evil,), (evil,)])])
         text = (tmp_path / "report.html").read_text()
         assert "<script" not in text and Reader(text).text.count(evil) > 12

@@ -12,7 +12,7 @@ import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.consistency import strips
 from jaxbound.models.modelfile import save_model
-from jaxbound.recordings.csvfiles import read_recording
+from jaxbound.recordings.read import read
 from jaxbound.runs import fleet
 from jaxbound.runs.fleet import Unit, UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
 
@@ -104,7 +104,7 @@ class TestCommand:
     def test_a_unit_is_judged_as_by_detect_alone(self, plant):
         for result in detect_fleet(read_manifest(manifest(plant, ["good", "small", "silent"]))):
             model = jb.load_model(result.unit.model)
-            r = read_recording(result.unit.recording, model)
+            r = read(result.unit.recording, model)
             alone = jb.detect(jb.parity_relations(model), r.u, r.y)
             assert dict(zip(jb.Status.__members__, result.counts, strict=True)) == alone.counts
             assert result.margin == np.nanmin(alone.margin) and result.alarms == len(alone.alarms())
@@ -141,8 +141,8 @@ class TestCommand:
         assert "1 of 9 units were tested" in capsys.readouterr().err
 
     def test_trouble_of_our_own_costs_one_unit_only(self, plant, monkeypatch):
-        read = fleet.read_recording
-        monkeypatch.setattr(fleet, "read_recording", lambda path, m: {}["oops"] if "no-data" in m.name else read(path, m))
+        read = fleet.read
+        monkeypatch.setattr(fleet, "read", lambda path, m: {}["oops"] if "no-data" in m.name else read(path, m))
         save_model(paper(name="no-data"), plant / "no-data.toml")
         manifest(plant, ["good", "no-data", "small"])
         assert command(plant) == 1

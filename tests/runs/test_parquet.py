@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import jaxbound as jb
-from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.recordings.parquet import open_parquet
+from jaxbound.recordings.read import read
 
 MODEL = jb.LinearSystem([["0.5"]], [[1]], [[1]], dt=0.5, noise=0.1)
 ONE = jb.LinearSystem([["0.5"]], None, [[1]], dt=60, noise=0.1)
@@ -39,18 +39,18 @@ def folder(tmp_path):
 
 class TestReading:
     def test_a_folder_is_one_recording(self, folder):
-        r = read_recording(folder(a=table(5), b=table(7, 5)), MODEL)
+        r = read(folder(a=table(5), b=table(7, 5)), MODEL)
         np.testing.assert_array_equal(r.time, 0.5 * np.arange(12))
         np.testing.assert_array_equal(r.u[:, 0], np.sin(np.arange(12)))
         np.testing.assert_array_equal(r.y[:, 0], np.cos(np.arange(12)))
-        assert r.starts == () and r.hints == () and r.stamps is None and r.source == "data" and r.label(3) == "1.5 s"
+        assert not len(r.starts) and r.hints == () and r.stamps is None and r.source == "data" and r.label(3) == "1.5 s"
 
     def test_files_follow_each_other_by_name_as_people_count(self, folder):
         path = folder(**{"run-10": table(3, 5), "run-9": table(5), "run-9b": table(0), "_notes": pa.table({"x": [1]}), ".hidden": table(1),
                          "z__run-1": table(4, 8)})  # fmt: skip
         source = open_parquet(path, MODEL)
         assert [source.name(f) for f in source.files] == ["run-9.parquet", "run-9b.parquet", "run-10.parquet", "z/run-1.parquet"]
-        np.testing.assert_array_equal(read_recording(path, MODEL).time, 0.5 * np.arange(12))
+        np.testing.assert_array_equal(read(path, MODEL).time, 0.5 * np.arange(12))
         assert source.row(4) == "row 5 of run-9.parquet" and source.row(5) == "row 1 of run-10.parquet"
 
     @pytest.mark.parametrize("groups", [1, 4, 100])
@@ -73,11 +73,11 @@ class TestReading:
         (pa.nulls(3), [np.nan] * 3),
     ])  # fmt: skip
     def test_numbers_of_any_type(self, folder, column, expected):
-        np.testing.assert_array_equal(read_recording(folder(a=table(3, u1=column)), MODEL).u[:, 0], expected)
+        np.testing.assert_array_equal(read(folder(a=table(3, u1=column)), MODEL).u[:, 0], expected)
 
     def test_float32_is_tested_in_the_type_it_was_rounded_to(self, folder):
         y = np.cos(np.arange(12)).astype(np.float32)
-        r = read_recording(folder(a=table(y1=y)), MODEL)
+        r = read(folder(a=table(y1=y)), MODEL)
         assert r.y.dtype == np.float32 and r.u.dtype == np.float64  # inputs are taken as they were recorded
         np.testing.assert_array_equal(r.y[:, 0], y)
 
@@ -86,15 +86,15 @@ class TestReading:
         part = table().drop(["y1"])
         for name, values in (("top", np.arange(12, dtype=np.float32)), ("bottom", np.arange(12.0))):
             part = part.append_column(name, pa.array(values))
-        assert read_recording(folder(a=part), model).y.dtype == np.float32
+        assert read(folder(a=part), model).y.dtype == np.float32
 
     def test_only_what_the_model_names_is_needed_in_every_file(self, folder):
         path = folder(a=table(5, spare=["x"] * 5), b=table(7, 5))
-        assert len(read_recording(path, MODEL).time) == 12
+        assert len(read(path, MODEL).time) == 12
 
     def test_names_with_dots_and_dashes(self, folder):
         model = jb.LinearSystem([["0.5"]], [[1]], [[1]], dt=0.5, noise=0.1, columns={"y1": "tank.level [m]", "u1": "tank.level"})
-        r = read_recording(folder(a=pa.table({"t": [0, 0.5], "tank.level": [1.0, 2.0], "tank.level [m]": [3.0, 4.0]})), model)
+        r = read(folder(a=pa.table({"t": [0, 0.5], "tank.level": [1.0, 2.0], "tank.level [m]": [3.0, 4.0]})), model)
         np.testing.assert_array_equal(np.column_stack([r.u, r.y]), [[1, 3], [2, 4]])
 
     def test_pandas_is_not_imported(self, folder):
@@ -102,8 +102,8 @@ class TestReading:
         code = f"""
 import sys
 from jaxbound import LinearSystem
-from jaxbound.recordings.csvfiles import read_recording
-r = read_recording({str(path)!r}, LinearSystem([[0.5]], [[1]], [[1]], dt=0.5, noise=0.1))
+from jaxbound.recordings.read import read
+r = read({str(path)!r}, LinearSystem([[0.5]], [[1]], [[1]], dt=0.5, noise=0.1))
 print(len(r.time), "pandas" in sys.modules)
 """
         assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "15 False\n"
@@ -123,7 +123,7 @@ class TestTime:
     def test_time_stamps(self, folder, column):
         cut = lambda a, b: pa.table({"time": column[a:b], "y1": np.arange(a, b, dtype=float)})
         path = folder(a=cut(0, 3), b=cut(3, 4))
-        r = read_recording(path, ONE)
+        r = read(path, ONE)
         np.testing.assert_array_equal(r.time, 60.0 * np.arange(4))
         np.testing.assert_array_equal(r.stamps, STAMPS)
         source = open_parquet(path, ONE)
@@ -136,7 +136,7 @@ class TestTime:
     def test_dates(self, folder):
         model = jb.LinearSystem([["0.5"]], None, [[1]], dt=86400, noise=0.1)
         days = pa.array(np.arange("2020-02-27", "2020-03-03", dtype="datetime64[D]"))
-        assert read_recording(folder(a=pa.table({"date": days, "y1": np.arange(5.0)})), model).time[4] == 4 * 86400
+        assert read(folder(a=pa.table({"date": days, "y1": np.arange(5.0)})), model).time[4] == 4 * 86400
 
     def test_an_index_of_pandas(self, tmp_path):
         import pandas as pd
@@ -145,19 +145,19 @@ class TestTime:
             frame = pd.DataFrame({"y1": np.arange(4.0)}, index=pd.DatetimeIndex(STAMPS, name=name))
             frame.to_parquet(tmp_path / "a.parquet")
             model = ONE if name is None else jb.LinearSystem([["0.5"]], None, [[1]], dt=60, noise=0.1, columns={"time": "when"})
-            np.testing.assert_array_equal(read_recording(tmp_path / "a.parquet", model).stamps, STAMPS)
+            np.testing.assert_array_equal(read(tmp_path / "a.parquet", model).stamps, STAMPS)
 
     def test_without_time_the_rows_are_dt_apart(self, folder):
-        r = read_recording(folder(a=pa.table({"y1": [1.0, 2.0]}), b=pa.table({"y1": [3.0]})), ONE)
+        r = read(folder(a=pa.table({"y1": [1.0, 2.0]}), b=pa.table({"y1": [3.0]})), ONE)
         np.testing.assert_array_equal(r.time, [0, 60, 120])
         assert r.hints[:1] == ("the recording has no time column: the rows are taken to be dt = 60 s apart",)
 
     def test_a_gap_between_files_splits_the_recording(self, folder):
-        r = read_recording(folder(a=table(5), b=table(7, 8)), MODEL)
+        r = read(folder(a=table(5), b=table(7, 8)), MODEL)
         assert r.starts == (5,) and "gap" in r.hints[0] and "2 s before row 1 of b.parquet (4 s)" in r.hints[0]
 
     def test_a_repeated_last_row_splits_the_recording(self, folder):
-        r = read_recording(folder(a=table(5), b=table(7, 4)), MODEL)
+        r = read(folder(a=table(5), b=table(7, 4)), MODEL)
         assert r.starts == (5,) and "repeats the time of the row before" in r.hints[0]
 
 
@@ -205,7 +205,7 @@ class TestBad:
     def test_one_clear_sentence(self, folder, case):
         tables, message = BAD[case]
         with pytest.raises(ValueError, match=message) as caught:
-            read_recording(folder(**tables), MODEL)
+            read(folder(**tables), MODEL)
         assert "\n" not in str(caught.value)
 
     @pytest.mark.parametrize("name", ["a", "b"])
@@ -215,11 +215,11 @@ class TestBad:
         for length in (4, 100, len(content) - 1):
             (path / f"{name}.parquet").write_bytes(content[:length])
             with pytest.raises(ValueError, match=f"{name}.parquet is a truncated Parquet file: its end is missing"):
-                read_recording(path, MODEL)
+                read(path, MODEL)
         for content in (b"", b"PAR", b"t,u1,y1\n0,1,2\n"):
             (path / f"{name}.parquet").write_bytes(content)
             with pytest.raises(ValueError, match=f"{name}.parquet is no Parquet file"):
-                read_recording(path, MODEL)
+                read(path, MODEL)
 
     def test_a_damaged_file(self, folder):
         path = folder({"compression": "gzip"}, a=table(), b=table(5000, 12))
@@ -229,7 +229,7 @@ class TestBad:
             broken[at : at + 40] = b"\xff" * 40
             (path / "b.parquet").write_bytes(broken)
             with pytest.raises(ValueError, match="b.parquet is a damaged Parquet file: ") as caught:
-                read_recording(path, MODEL)
+                read(path, MODEL)
             assert "\n" not in str(caught.value)
 
     def test_a_page_whose_checksum_is_not_that_of_its_content(self, folder):
@@ -239,7 +239,7 @@ class TestBad:
         good[page.data_page_offset + page.total_compressed_size - 9] ^= 1  # a sample of y1: a number as good as any other
         (path / "a.parquet").write_bytes(good)
         with pytest.raises(ValueError, match="a.parquet is a damaged Parquet file: .*CRC checksum verification failed"):
-            read_recording(path, MODEL)
+            read(path, MODEL)
 
     def test_a_file_that_was_written_since_it_was_opened(self, folder):
         path = folder(a=table(), b=table(12, 12))
@@ -251,7 +251,7 @@ class TestBad:
 
     def test_folders_without_parquet(self, tmp_path):
         with pytest.raises(ValueError, match="is a folder without Parquet files: it is empty"):
-            read_recording(tmp_path, MODEL)
+            read(tmp_path, MODEL)
         (tmp_path / "a.csv").write_text("t,u1,y1\n")
         with pytest.raises(ValueError, match="is a folder without Parquet files: it has a.csv"):
-            read_recording(tmp_path, MODEL)
+            read(tmp_path, MODEL)

@@ -12,8 +12,8 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.plots.canvas import Timeline
 from jaxbound.recordings import parquet
-from jaxbound.recordings.csvfiles import read_recording
 from jaxbound.recordings.parquet import open_parquet
+from jaxbound.recordings.read import read
 from jaxbound.recordings.stillness import Runs, follow
 from jaxbound.relations import identity
 from jaxbound.runs import streaming
@@ -171,7 +171,7 @@ class TestResume:
         status, margin = verdicts(out)
         np.testing.assert_array_equal(status, whole.status)
         np.testing.assert_array_equal(margin, whole.margin)
-        assert found.hints == read_recording(folder, r.model).hints
+        assert found.hints == read(folder, r.model).hints
 
     def test_a_part_that_was_being_written_is_no_part(self, case, small, tmp_path):
         r, folder, whole, _ = case("section 5")

@@ -13,7 +13,8 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.recording import Recording, Signals, holds_both, is_made
+from jaxbound.recordings.arrays import holds_both, is_made
+from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.relations.parity import parity_relations

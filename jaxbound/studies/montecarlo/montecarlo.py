@@ -16,8 +16,8 @@ import numpy as np
 from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.models.conversion import as_model
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.recordings.keeping import Keeper
-from jaxbound.recordings.recording import inputs_of, refuse_infinite
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations

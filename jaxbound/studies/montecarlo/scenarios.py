@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.models.faults import KINDS, Fault
-from jaxbound.recordings.recording import missing_column
+from jaxbound.recordings.expressions import missing_column
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.studies.montecarlo import recursion
 

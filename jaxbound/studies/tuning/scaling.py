@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect, margins
-from jaxbound.recordings.recording import Recording, holds_both
+from jaxbound.recordings.arrays import holds_both
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import crossing
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status

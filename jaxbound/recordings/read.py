@@ -1,0 +1,118 @@
+"""Recordings from files: one door for whatever a path leads to."""
+
+import shutil
+import tempfile
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from jaxbound.recordings.csvfiles import read_csv
+from jaxbound.recordings.parquet import is_parquet, open_parquet
+from jaxbound.recordings.recording import Signals, signals_of
+from jaxbound.recordings.seams import TOLERATED_DT
+
+__all__ = ["read", "read_signals"]
+
+
+def read(path, model, progress=None):
+    r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow each other by name.
+
+    CSV: delimiter `,`, `;` or tab; decimal comma with the latter two. Blank, NaN, null and NA cells are missing samples. Columns that the
+    model does not name are ignored. Time in seconds, as time stamps or as an epoch; without a time column the samples are dt apart.
+
+    Args:
+        path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz). model: whose signals are wanted: a LinearSystem, an
+            IntervalSystem, or anything else with names of .inputs and .outputs. progress: called with the share of the work done.
+
+    Returns:
+        A Recording, which every verb takes in the place of u: detect(relations, read("run.csv", model)). Samples that do not follow each
+        other (.starts), those that the model's `where` leaves out (.excluded) and missing ones (NaN) are known to it; .hints are
+        sentences for whoever owns the file, .label(k) is the time of a sample as it stands there.
+
+    Raises:
+        OSError: no such file. NotImplementedError: standard input.
+        ValueError: anything that is not a regular recording of this model: what, and in which row.
+
+    Example:
+        >>> import tempfile, pathlib, jaxbound as jb
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.csv"
+        >>> _ = path.write_text("time,level\n0,1.0\n1,0.5\n2,0.8\n60,0.4\n61,0.2\n")
+        >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, outputs=["level"])
+        >>> run = jb.read(path, m)
+        >>> run.hints[0]
+        'the recording has a gap of 58 s before row 5 (60 s): the recording is split there, and windows across are MISSING'
+        >>> jb.detect(jb.parity_relations(m), run).status
+        array([0, 1, 3, 0, 1], dtype=int8)
+    """
+    path, model = Path(path), signals_of(model)
+    report = progress or (lambda share: None)
+    if str(path) == "-":
+        raise NotImplementedError("standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here")
+    if not path.exists():
+        raise FileNotFoundError(f"there is no data file {path}")
+    if not path.is_file() and not path.is_dir():
+        with _kept(path) as file:
+            return replace(_read_file(file, model, report, path), source=path.name)
+    return _read_file(path, model, report, path)
+
+
+@contextmanager
+def _kept(path):
+    """Give a file with all that comes out of a pipe, like bash's <(zcat run.csv.gz): it can be read once, and reading needs more."""
+    with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
+        with open(path, "rb") as pipe:
+            shutil.copyfileobj(pipe, file)
+        file.flush()
+        yield Path(file.name)
+
+
+def _read_file(path, model, report, named):
+    if is_parquet(path):
+        source = open_parquet(path, model)
+        return source.read(0, source.samples, report)
+    try:
+        return read_csv(path, model, report)
+    except ValueError as e:
+        raise ValueError(f"{named}: {e}") from None
+
+
+def read_signals(paths, inputs, outputs, columns=None, dt=None, progress=None):
+    """Read recordings before there is a model, to fit one.
+
+    Args:
+        paths: one path or several, each as for `read`.
+        inputs, outputs: of each signal the name, or (name, column), where a column may be "= an expression" over columns.
+        columns: {"time": column, "where": condition, signal: column}, as of a LinearSystem. dt: seconds between samples; None: the median
+            step of the time column, a sentence in .hints says which.
+        progress: called with the share of the work done.
+
+    Returns:
+        A list of Recordings, all with the same .dt.
+
+    Raises:
+        OSError, ValueError: as `read`; recordings of different dt; no sample for which `where` holds.
+    """
+    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    if not paths:
+        raise ValueError("there is no recording: give at least one")
+    named = [[s if isinstance(s, str) else s[0] for s in side] for side in (inputs, outputs)]
+    if not named[1]:
+        raise ValueError("there is no output: give at least one")
+    columns = dict(columns or {}) | {s[0]: s[1] for s in (*inputs, *outputs) if not isinstance(s, str)}
+    model = Signals(*map(tuple, named), columns, dt)
+    found = []
+    for i, path in enumerate(paths):
+        report = None if progress is None else lambda share, i=i: progress((i + share) / len(paths))
+        r = read(path, model, report)
+        if r.excluded is not None and r.excluded.all():
+            raise ValueError(f"{path}: the condition {columns['where']!r} holds for none of its {len(r.time)} samples")
+        found.append(r)
+    low, high = min(found, key=lambda r: r.dt), max(found, key=lambda r: r.dt)
+    if high.dt - low.dt > TOLERATED_DT * low.dt:
+        slow, quick = (paths[found.index(r)] for r in (high, low))
+        fold = high.dt / low.dt
+        thin = f"keep one of every {round(fold)} rows of {quick}" if abs(fold - round(fold)) < TOLERATED_DT else "bring them to one period"
+        raise ValueError(f"{slow} has a sample every {high.dt:g} s, {quick} every {low.dt:g} s, and a model has one sampling period: "
+                         f"fit a model to each, or {thin} first")  # fmt: skip
+    said = [] if dt is not None else [f"dt = {found[0].dt:g} s, the median step of the time"]
+    return [replace(r, dt=found[0].dt, hints=(*said, *r.hints)) for r in found]
