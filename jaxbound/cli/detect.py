@@ -158,23 +158,17 @@ def _validate(args, work, step):
         model = load_model(args.model)
         held = content(Path(args.data))
         recording = read(args.data, model, lambda share: step("read", share))
-        if len(recording.starts):
-            at, condition = recording.label(recording.starts[0]), recording.excluded is not None and recording.excluded.any()
-            why = f"{model.columns['where']!r} does not hold all the time, see" if condition else "there is a gap in time before"
-            raise ValueError(f"{args.data}: validation carries the state from sample to sample, but {why} {at}: "
-                             "cut the recording there, or choose another method")  # fmt: skip
         horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
-        _complete(args.data, model.inputs, recording.u, recording, "every sample of every input is needed")
-        _complete(args.data, model.outputs, recording.y[: horizon + 1], recording,
-                  f"the first {horizon + 1} samples say where the state is: begin the recording later")  # fmt: skip
+        _complete(args.data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
-        found = validate(model, recording.u, recording.y, horizon)
-        res = Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found))
+        found = validate(model, recording, horizon=horizon)
+        res = Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon))
     step("test", 1.0)
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    assumed = f"the first {horizon + 1} samples are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
+    first = f"the first {horizon + 1} {'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
+    assumed = f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
     hints = [*recording.hints, *bound_hints(model), assumed]
     write_columns_of(work / "verdicts.csv", res, recording)
     write_alarms(work / "alarms.csv", alarms, recording, model.dt)
@@ -185,10 +179,17 @@ def _validate(args, work, step):
     return res, recording, alarms, hints, seconds
 
 
-def _complete(data, names, samples, recording, why):
-    """Raise ValueError if a sample that validation cannot do without is missing."""
-    for k, j in np.argwhere(np.isnan(samples))[:1]:
-        raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
+def _complete(data, recording, horizon):
+    """Raise ValueError if a sample that validation cannot do without is missing; where nothing is known there is a gap, which it can."""
+    u, y, needs = recording.u, recording.y, "every sample of every input is needed"
+    known = ~(np.isnan(u).any(1) & np.isnan(y).all(1))
+    lost = [(recording.inputs, np.isnan(u) & known[:, None], needs)]
+    if known[: horizon + 1].all() and not recording.across(horizon)[horizon]:
+        begin = f"the first {horizon + 1} samples say where the state is: begin the recording later"
+        lost.append((recording.outputs, np.isnan(y[: horizon + 1]), begin))
+    for names, missing, why in lost:
+        for k, j in np.argwhere(missing)[:1]:
+            raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
 
 
 def conclude(args, res, recording, alarms, hints, seconds, sizes=None):

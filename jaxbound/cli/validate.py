@@ -19,14 +19,15 @@ class Validated:
     """A Validation of one recording with what a report needs beside it.
 
     Fields: model: LinearSystem. horizon: windows have horizon + 1 samples. y: (T, p) as recorded. found: Validation, NumPy inside.
+    aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
     """
 
     model: LinearSystem
     horizon: int
     y: np.ndarray
     found: Validation
+    aside: int = 0
     method = "validation"
-    aside = 0
 
     relations = property(lambda self: self, doc="Where reports look for the model and the horizon.")
     status = property(lambda self: np.asarray(self.found.status), doc="(T,) int8.")
@@ -38,10 +39,14 @@ class Validated:
         return {s.name: int(np.sum(self.status == s)) for s in Status}
 
     @property
+    def windows(self):
+        """How many windows there are: the warm-up is none, nor is what the model's `where` leaves out."""
+        return len(self.y) - self.horizon - self.aside
+
+    @property
     def tested(self):
-        """The share of full windows that have data."""
-        windows = len(self.y) - self.horizon
-        return 1 - (self.counts["MISSING"] - self.horizon) / windows if windows > 0 else 0.0
+        """The share of windows that have data."""
+        return 1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows if self.windows > 0 else 0.0
 
     @property
     def blamed(self):
@@ -58,7 +63,7 @@ class Validated:
 
     def summary(self, alarms, label, min_coverage):
         """Return (verdict, sentence). See `report.summary`."""
-        windows, faults, tested = len(self.y) - self.horizon, self.counts["FAULT"], self.tested
+        windows, faults, tested = self.windows, self.counts["FAULT"], self.tested
         if faults:
             whom = ", ".join(f"{name} in {count} sample{'s' * (count > 1)}" for name, count in self.blamed.items())
             whom = f"; faulty: {whom}" if whom else "; no single sensor explains it"

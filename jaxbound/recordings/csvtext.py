@@ -55,8 +55,6 @@ def sniff(path, head=None):
         raise ValueError("the file is empty")
     for magic, kind in SIGNATURES.items():
         if head.startswith(magic):
-            if magic == b"PAR1":
-                raise ValueError("this is a Parquet file, which is not implemented yet: give a CSV file")
             raise ValueError(f"this is {kind}, not text: give a CSV file")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise ValueError("the file is in UTF-16: save it as UTF-8")

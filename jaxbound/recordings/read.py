@@ -30,8 +30,7 @@ def read(path, model, progress=None):
         sentences for whoever owns the file, .label(k) is the time of a sample as it stands there.
 
     Raises:
-        OSError: no such file. NotImplementedError: standard input.
-        ValueError: anything that is not a regular recording of this model: what, and in which row.
+        OSError: no such file. ValueError: standard input; anything that is not a regular recording of this model: what, and in which row.
 
     Example:
         >>> import tempfile, pathlib, jaxbound as jb
@@ -47,7 +46,7 @@ def read(path, model, progress=None):
     path, model = Path(path), signals_of(model)
     report = progress or (lambda share: None)
     if str(path) == "-":
-        raise NotImplementedError("standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here")
+        raise ValueError("standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here")
     if not path.exists():
         raise FileNotFoundError(f"there is no data file {path}")
     if not path.is_file() and not path.is_dir():

@@ -142,7 +142,6 @@ class TestPicture:
 @pytest.mark.parametrize(
     ("recording", "options", "says"),
     [
-        ({"drop": (10, 11)}, (), "gap in time before 12 s"),
         ({}, ("--chunk", "70000"), "--chunk is for other methods"),
         ({}, ("--horizon", "0"), "horizon must be a whole number >= 1"),
         ({"blank": [(0, 2)]}, (), "y1 is missing at 0 s, and for validation the first 2 samples say"),
@@ -153,6 +152,20 @@ def test_bad_input_gets_a_sentence(place, capsys, recording, options, says):
     assert main.main(["detect", *place(**recording), "--method", "validation", *options]) == 2
     out, err = capsys.readouterr()
     assert out == "" and says in " ".join(err.split()) and err.count("jaxbound:") == 1
+
+
+def test_the_shell_validates_across_a_gap_and_an_excluded_stretch_as_python_does(place, capsys, tmp_path):
+    model, run, *rest = place(drop=(10, 11))
+    plant = dict(A=[["0.5"]], B=[[1]], C=[[1], [2]], noise="0.1", uncertainties=MODEL.uncertainties)
+    jb.save_model(jb.LinearSystem(**plant, columns={"where": "t < 25 or t > 28"}), model)
+    assert main.main(["detect", model, run, *rest, "--method", "validation", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    status = np.asarray(jb.validate(loaded := jb.load_model(model), jb.read(run, loaded)).status)
+    assert found["counts"] == {s.name: int((status == s).sum()) for s in Status} and found["counts"]["MISSING"] == 1 + 1 + 4 + 1
+    rows = (tmp_path / "out" / "verdicts.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[1] for row in rows] == [Status(s).name for s in status]
+    assert any("gap of 3 s" in h for h in found["hints"]) and any("behind each gap" in h for h in found["hints"])
+    assert found["summary"] == "No fault found: every sample of 31 windows fits what the samples before it allow."
 
 
 def test_other_commands_name_what_they_can_do(place, capsys, tmp_path):

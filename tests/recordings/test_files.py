@@ -214,7 +214,7 @@ class TestBad:
             read("stamps,y1\n0,1\n1,1\n", model)
 
     def test_standard_input_is_refused(self):
-        with pytest.raises(NotImplementedError, match="standard input is not implemented yet"):
+        with pytest.raises(ValueError, match="standard input is read by `jaxbound detect MODEL.toml -`"):
             jb.read("-", MODEL)
 
     def test_parquet_under_another_name_is_read(self, read, tmp_path):
