@@ -198,9 +198,8 @@ def _named(where, parts, inputs, outputs):
     if len(parts) == 1 and tables[0]:
         return inputs or (), outputs
     if len(parts) == 1:
-        own = parts[0]
-        inputs, outputs = inputs or getattr(own, "inputs", None), outputs or getattr(own, "outputs", None)
-        parts = own.u, own.y
+        inputs, outputs = (x or getattr(parts[0], side, None) or None for x, side in ((inputs, "inputs"), (outputs, "outputs")))
+        parts = parts[0].u, parts[0].y
     width = lambda x: 0 if x is None else np.shape(x)[-1] if np.ndim(x) > 1 else 1
     number = lambda letter, x: tuple(f"{letter}{i + 1}" for i in range(width(x)))
     inputs = number("u", parts[0]) if inputs is None else inputs
