@@ -43,9 +43,7 @@ def depends(path):
     return found
 
 
-GRAPH = {name: depends(path) for name, path in FILES.items() if name != "processes"}
-for others in GRAPH.values():
-    others.discard("processes")  # the last file without a room, soon gone
+GRAPH = {name: depends(path) for name, path in FILES.items()}
 GRAPH["diagnosis.units"].discard("diagnosis.detection")  # until there is one driver that both may call
 
 
@@ -74,7 +72,7 @@ def folder(name):
 def test_every_folder_is_known():
     folders = {str(p.relative_to(PACKAGE)) for p in PACKAGE.rglob("*") if p.is_dir() and p.name != "__pycache__"}
     assert folders - {*FLOORS, *(f"{floor}/{room}" for floor, rooms in ROOMS.items() for room in rooms)} == set()
-    assert {p.name for p in PACKAGE.iterdir() if p.is_file()} <= {"__init__.py", "py.typed", "processes.py"}
+    assert {p.name for p in PACKAGE.iterdir() if p.is_file()} <= {"__init__.py", "py.typed"}
 
 
 @pytest.mark.parametrize("name", [n for n in GRAPH if n != OUTSIDE])

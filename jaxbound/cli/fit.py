@@ -10,8 +10,8 @@ from jaxbound.models.modelfile import model_text
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.fit import plot_fit
 from jaxbound.recordings.expressions import expression
-from jaxbound.recordings.keeping import whole
 from jaxbound.recordings.read import read_signals
+from jaxbound.recordings.whole import whole
 from jaxbound.runs.outputs import refuse_targets
 from jaxbound.studies.identification.fitting import fit
 

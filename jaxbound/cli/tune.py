@@ -11,8 +11,8 @@ from jaxbound.models.modelfile import load_model, model_text, number_text
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.tune import plot_tuning
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.keeping import whole
 from jaxbound.recordings.read import read
+from jaxbound.recordings.whole import whole
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import refuse_targets
 from jaxbound.studies.tuning.tuning import tune

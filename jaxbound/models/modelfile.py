@@ -12,7 +12,7 @@ from pathlib import Path
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty, centred
-from jaxbound.recordings.keeping import whole
+from jaxbound.recordings.whole import whole
 
 __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from jaxbound.models.fingerprint import fingerprint
 
-__all__ = ["differences", "identity", "refuse_other"]
+__all__ = ["identity"]
 
 
 def identity(relations, **also):
@@ -26,15 +26,3 @@ def identity(relations, **also):
         "precision": str(jax.dtypes.canonicalize_dtype(np.float64)),
         **{what: plain(x) for what, x in also.items()},
     }
-
-
-def differences(before, now):
-    """Return what two identities differ in, as text; empty where they are the same. A note that holds no identity differs in all."""
-    before = before if isinstance(before, dict) else {}
-    return " and ".join(what for what in now if before.get(what) != now[what])
-
-
-def refuse_other(path, before, now):
-    """Raise ValueError if what is kept in a file is of another identity than what is to go on there."""
-    if changed := differences(before, now):
-        raise ValueError(f"{path} is of another {changed}: choose another folder, or delete it to begin anew")

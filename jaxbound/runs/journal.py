@@ -11,8 +11,8 @@ import json
 import os
 from pathlib import Path
 
-from jaxbound.recordings.keeping import whole
-from jaxbound.relations.identity import differences
+from jaxbound.recordings.checkpoint import refuse_other
+from jaxbound.recordings.whole import lock, whole
 from jaxbound.runs.refusals import Refused
 
 __all__ = ["STATE", "VERDICTS", "Journal"]
@@ -33,7 +33,7 @@ class Journal:
     Fields: before: what was remembered last, or None; pending: the rows of the last burst before a kill, which may not have been printed.
 
     Raises:
-        Refused: a state that is none, or another model's; verdicts that are not those that the state speaks of; another process on them.
+        ValueError: a state that is none, or another model's; verdicts that are not those that the state speaks of; another process on them.
     """
 
     def __init__(self, out, state, identity):
@@ -95,8 +95,7 @@ class Journal:
             self.pending, self.end = note["rows"].encode("latin-1"), note["end"].encode("latin-1")
         except (ValueError, KeyError, TypeError):
             raise Refused(f"{self.path} is no state of jaxbound detect: choose another, or delete it to begin anew") from None
-        if changed := differences(identity, self.identity):
-            raise Refused(f"{self.path} was left by another {changed}: choose another place, or delete it to begin anew")
+        refuse_other(self.path, identity, self.identity)
 
     def _open(self):
         """Open verdicts.csv, if it is wanted, and bring it to where the state is."""
@@ -110,7 +109,10 @@ class Journal:
             raise
 
     def _begin(self):
-        self._lock()
+        try:
+            lock(self.file)
+        except BlockingIOError:
+            raise Refused(f"another process is writing {self.verdicts}: choose another folder") from None
         if self.before is None:
             self.file.truncate(0)
             self._append(HEADER)
@@ -121,16 +123,6 @@ class Journal:
                           "to begin anew")  # fmt: skip
         self.file.truncate(self.length)
         self._append(self.pending)
-
-    def _lock(self):
-        try:
-            import fcntl
-        except ImportError:  # there are no locks on this system
-            return
-        try:
-            fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise Refused(f"another process is writing {self.verdicts}: choose another folder") from None
 
 
 def _write(file, data):

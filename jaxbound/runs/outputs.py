@@ -14,8 +14,8 @@ import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from jaxbound.recordings.keeping import locked, unshared, whole
 from jaxbound.recordings.parquetfiles import SUFFIXES
+from jaxbound.recordings.whole import locked, unshared, whole
 from jaxbound.runs.refusals import Refused
 
 __all__ = ["OutputFolder", "made", "output_folder", "refuse_targets", "shared_folder"]

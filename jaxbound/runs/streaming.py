@@ -20,12 +20,13 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import suspected
+from jaxbound.recordings.checkpoint import refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
-from jaxbound.recordings.keeping import UNFINISHED, whole
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
 from jaxbound.recordings.seams import Clock, around, tick
 from jaxbound.recordings.stillness import Run, Runs, follow, joined
-from jaxbound.relations.identity import identity, refuse_other
+from jaxbound.recordings.whole import UNFINISHED, whole
+from jaxbound.relations.identity import identity
 from jaxbound.runs.shares import Incomplete, listed, numbers_of, shares_that_make
 from jaxbound.sets.floats.status import Status
 

@@ -60,7 +60,7 @@ def test_an_interrupted_command_goes_on_and_says_so(model, tmp_path, capsys, mon
     assert told["false_alarms"] == 0 and told["scenarios"] == 9000 and told["cells"][0]["fault"] == "y1:bias"
     assert (out / "summary.csv").read_text() == (whole / "summary.csv").read_text()
     assert run(model, out, "--at", "vertices") == 2
-    assert "holds another study" in capsys.readouterr().err
+    assert "study.npz is of another at" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

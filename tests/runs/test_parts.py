@@ -166,7 +166,7 @@ class TestAnother:
         detect_dataset(other, folder, tmp_path, part=(2, 2))
         kept = parts_of(tmp_path / "verdicts.partial")
         for options in ({"part": (1, 2)}, {"merge": True}, {}):
-            with pytest.raises(ValueError, match="part-00003.parquet is of another model: choose another folder, or delete it"):
+            with pytest.raises(ValueError, match="part-00003.parquet is of another model: choose another place, or delete it"):
                 detect_dataset(r, folder, tmp_path, **options)
         assert parts_of(tmp_path / "verdicts.partial") == kept
 

@@ -218,7 +218,7 @@ class TestResume:
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         elif change == "precision":
             monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
-        with pytest.raises(ValueError, match=f"part-00000.parquet is of {what}: choose another folder, or delete it"):
+        with pytest.raises(ValueError, match=f"part-00000.parquet is of {what}: choose another place, or delete it"):
             detect_dataset(r, folder, tmp_path, method=method)
         assert part_files(tmp_path / "verdicts.partial") == kept != []
 

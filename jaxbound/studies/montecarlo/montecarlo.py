@@ -17,13 +17,13 @@ from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.models.conversion import as_model
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
-from jaxbound.recordings.keeping import Keeper
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, fused, recorded, recursion, scenarios
+from jaxbound.studies.montecarlo.keeper import Keeper
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import Tally
 
@@ -101,8 +101,7 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
                 "key": [w.tolist() for w in words], "engine": run.__name__,
                 "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials]}  # fmt: skip
     tallies = [Tally(len(t.sizes), samples) for t in trials]
-    mark = fingerprint(model, identity(relations), settings, rows)
-    keeper = None if out is None else Keeper(out, mark, tallies, rows)
+    keeper = None if out is None else Keeper(out, identity(relations, plant=model, rows=rows, **settings), tallies, rows)
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
     acts = [scenarios.act_of(t, model, dtype) for t in trials]
 

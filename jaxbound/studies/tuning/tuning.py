@@ -1,16 +1,14 @@
 """Tune bounds to healthy data: a direction by gradient, its smallest scale by the proved test, and what that says about other data."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
-from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.keeping import save_arrays
+from jaxbound.recordings.checkpoint import Checkpoint
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
@@ -173,10 +171,9 @@ class _Search:
     def __init__(self, relations, moved, good, unseen, bad, safety, optimizer, steps, every, file):
         self.relations, self.moved, self.good, self.unseen, self.bad = relations, moved, good, unseen, bad
         self.safety, self.optimizer, self.steps, self.every = safety, optimizer, steps, every
-        self.file = None if file is None else Path(file)
+        self.file, self.kept = file, None
         self.step, self.stopped, self.best, self.score = 0, False, moved.start, (np.inf, np.inf)
         self.history, self.ends = [], np.zeros(0, np.int64)
-        self.mark = "" if file is None else self._mark()
         strips = isinstance(relations, ParityRelation) and relations.frame is None
         self.capacity = CAPACITY if strips else SEARCHED
 
@@ -186,7 +183,10 @@ class _Search:
         dtype, s = self.good.y.dtype, self.relations.horizon
         problem = problem_of(self.relations, self.moved, self.safety, dtype)
         z = jnp.asarray(np.log(self.moved.start), dtype)
-        carry = self._load((z, optimizer.init(z)))
+        carry = z, optimizer.init(z)
+        if self.file is not None:
+            self.kept = Checkpoint(self.file, self._identity(carry))
+            carry = self._taken_up(carry)
         faulty = None if self.bad is None else self._blocks()
         try:
             if not self.step:
@@ -240,40 +240,33 @@ class _Search:
         step, width, outside, values = zip(*self.history, strict=True) if self.history else nothing
         return {"step": np.array(step, int), "width": np.array(width), "outside": np.array(outside), "values": np.array(values)}
 
-    def _mark(self):
-        """Return what tells this call from others."""
-        data = [None if w is None else (w.u, w.y, w.starts) for w in (self.good, self.bad)]
-        moved = self.moved.names, self.moved.select, self.moved.weights, self.moved.fixed, self.moved.start
-        return fingerprint(identity(self.relations), data, self.unseen, moved, self.safety, self.steps, self.every)
+    def _identity(self, carry):
+        """Return what tells this call from others. Of an optimiser nobody can say more than what it carries."""
+        data = lambda w: None if w is None else (w.u, w.y, w.starts)
+        carried = [str(jax.tree.structure(carry)), *((x.shape, str(x.dtype)) for x in jax.tree.leaves(carry))]
+        also = {
+            "healthy recordings": data(self.good), "faulty recordings": data(self.bad), "share held out": self.unseen,
+            "bounds": (self.moved.names, self.moved.select, self.moved.weights, self.moved.fixed, self.moved.start),
+            "safety": self.safety, "steps": self.steps, "every": self.every, "optimizer": carried}  # fmt: skip
+        return identity(self.relations, **also)
 
     def _save(self, carry):
-        if self.file is None:
+        if self.kept is None:
             return
-        told = self.told()
-        fields = {"mark": self.mark, "step": self.step, "best": self.best, "score": np.array(self.score), "ends": self.ends}
+        fields = {"step": self.step, "best": self.best, "score": np.array(self.score), "ends": self.ends}
         leaves = {f"leaf{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
-        save_arrays(self.file, **fields, **leaves, **{f"history_{name}": x for name, x in told.items()})
+        self.kept.save(**fields, **leaves, **{f"history_{name}": x for name, x in self.told().items()})
 
-    def _load(self, carry):
-        """Return the carry of the file, if there is one, and take over the rest of what it holds."""
-        if self.file is None or not self.file.exists():
+    def _taken_up(self, carry):
+        """Return the carry of the checkpoint, if there is one, and take over the rest of what it holds."""
+        held = self.kept.load()
+        if held is None:
             return carry
-        other = f"{self.file} holds the state of another tuning: delete it, or give another name"
-        try:
-            with np.load(self.file, allow_pickle=False) as kept:
-                held = dict(kept)
-            leaves, tree = jax.tree.flatten(carry)
-            found = [jnp.asarray(held[f"leaf{i}"]) for i in range(len(leaves))]
-            same = str(held["mark"]) == self.mark and f"leaf{len(leaves)}" not in held
-            same &= all(a.shape == b.shape and a.dtype == b.dtype for a, b in zip(found, leaves, strict=True))
-        except (ValueError, KeyError, OSError) as e:
-            raise ValueError(f"{other} ({type(e).__name__})") from None
-        if not same:
-            raise ValueError(other)
         self.step, self.best, self.score, self.ends = int(held["step"]), held["best"], tuple(held["score"].tolist()), held["ends"]
         columns = (held[f"history_{name}"] for name in ("step", "width", "outside", "values"))
         self.history = [(int(a), float(b), float(c), d) for a, b, c, d in zip(*columns, strict=True)]
-        return jax.tree.unflatten(tree, found)
+        leaves, tree = jax.tree.flatten(carry)
+        return jax.tree.unflatten(tree, [jnp.asarray(held[f"leaf{i}"]) for i in range(len(leaves))])
 
 
 def _vanished(moved, values):

@@ -103,9 +103,9 @@ def test_an_interrupted_study_goes_on_and_ends_with_the_same_counts(found, tmp_p
     assert tallies(run(progress=shares.append)) == tallies(found)
     assert shares == [2 / 3, 1]
     assert tallies(run()) == tallies(found)
-    with pytest.raises(ValueError, match="holds another study"):
+    with pytest.raises(ValueError, match="study.npz is of another n: choose another place, or delete it to begin anew"):
         run(n=9_000)
-    with monkeypatch.context() as patch, pytest.raises(ValueError, match="holds another study"):
+    with monkeypatch.context() as patch, pytest.raises(ValueError, match="study.npz is of another version of jaxbound: choose"):
         patch.setattr(jb, "__version__", "0.0.1")
         run()
     (tmp_path / "kept" / "study.npz").write_bytes(b"PK")

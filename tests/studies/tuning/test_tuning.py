@@ -154,14 +154,16 @@ def test_interrupted_and_called_again_gives_the_same(rng, tmp_path):
     for name, bound in whole.smallest.items():
         np.testing.assert_array_equal(bound, again.smallest[name])
     np.testing.assert_array_equal(whole.history["width"], again.history["width"])
-    with pytest.raises(ValueError, match="the state of another tuning"):
+    with pytest.raises(ValueError, match="state.npz is of another healthy recordings and share held out: choose another place"):
         jb.tune(r, good[:1], steps=60, state=state)
-    with pytest.raises(ValueError, match="the state of another tuning"):
+    with pytest.raises(ValueError, match="state.npz is of another optimizer: choose another place"):
         jb.tune(r, good, optimizer=optax.sgd(0.1, momentum=0.9), steps=60, state=state)
 
 
-@pytest.mark.parametrize("change", ["F", "D_v", "version", "dtype", "calibrate"])
-def test_the_state_of_another_tuning_is_not_taken_up(change, tmp_path, rng, monkeypatch):
+@pytest.mark.parametrize("change, what", [
+    ("F", "model"), ("D_v", "model"), ("version", "version of jaxbound"), ("dtype", "healthy recordings"), ("calibrate", "share held out"),
+])  # fmt: skip
+def test_the_state_of_another_tuning_is_not_taken_up(change, what, tmp_path, rng, monkeypatch):
     plant = lambda F, D_v: dict(BASE, noise=[0.1, 0.01], tolerance=0.02, unknown_inputs=(F, D_v))
     r, state = relations(plant([[1], [0]], [[0], [0]]), 3), tmp_path / "state.npz"
     good, more, given = (np.zeros((60, 1)), rng.uniform(-0.01, 0.01, (60, 2))), {}, dict(steps=1, every=1, state=state)
@@ -178,7 +180,7 @@ def test_the_state_of_another_tuning_is_not_taken_up(change, tmp_path, rng, monk
         good = tuple(x.astype(np.float32) for x in good)
     else:
         more = {"calibrate": 0.5}
-    with pytest.raises(ValueError, match="the state of another tuning"):
+    with pytest.raises(ValueError, match=f"state.npz is of another {what}"):
         jb.tune(r, good, **given, **more)
 
 

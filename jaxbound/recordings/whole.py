@@ -1,0 +1,104 @@
+"""The one way to write a file completely or not at all, and locks that die with their process."""
+
+import os
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["UNFINISHED", "lock", "locked", "unshared", "whole"]
+
+UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
+
+
+def lock(file, shared=False):
+    """Keep other processes away from an open file until it is closed; where the system has no locks, nobody is.
+
+    Args:
+        file: that is open. shared: others may lock it too if they share it.
+
+    Raises:
+        BlockingIOError: another process has it.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return
+    try:
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:  # a file system without locks
+        pass
+
+
+def unshared(file):
+    """Return whether nobody else shares the lock of a file any more; no other can then have it before it is closed."""
+    try:
+        lock(file)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def locked(path, shared=False):
+    """Open a file that no other process has open so; a lock dies with its process, so a killed one leaves none.
+
+    Args:
+        path: of the file, which is made if it is not there. shared: as for `lock`.
+
+    Returns:
+        A binary file, to be closed.
+
+    Raises:
+        BlockingIOError: another process has it.
+    """
+    while True:
+        file = open(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b")
+        try:
+            lock(file, shared)
+        except BlockingIOError:
+            file.close()
+            raise
+        if os.path.exists(path) and os.path.samestat(os.stat(path), os.fstat(file.fileno())):
+            return file
+        file.close()  # whoever had it has taken it away in between
+
+
+@contextmanager
+def whole(path, sync=True):
+    """Give a binary file whose bytes are found at `path` once the block has ended well; else what was there stays.
+
+    They are written beside it: what a killed process leaves there is taken over by the next one. Links are followed; a pipe or a device
+    is no file to replace, and is written as it is.
+
+    Args:
+        path: of the file. sync: force it to the disk first.
+
+    Raises:
+        ValueError: another process is writing it.
+    """
+    if os.path.exists(path) and not os.path.isfile(path):
+        with open(path, "wb") as file:
+            yield file
+        return
+    path = Path(os.path.realpath(path))
+    part = path.with_name(f".{path.name}{UNFINISHED}")
+    try:
+        file = locked(part)
+    except BlockingIOError:
+        raise ValueError(f"another process is writing {path}") from None
+    with file:
+        try:
+            file.truncate(0)
+            yield file
+            file.flush()
+            if sync:
+                os.fsync(file.fileno())
+            if path.exists():
+                shutil.copymode(path, part)
+            os.replace(part, path)
+        except BaseException as e:
+            part.unlink(missing_ok=True)
+            if isinstance(e, OSError) and e.errno and e.filename is None:
+                raise OSError(e.errno, os.strerror(e.errno), str(path)) from e
+            raise

@@ -1,0 +1,81 @@
+"""What a study keeps in a folder while it runs: counts by which it goes on after a kill, and the rows of single scenarios."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from jaxbound.recordings.checkpoint import Checkpoint
+from jaxbound.recordings.whole import whole
+
+__all__ = ["Keeper"]
+
+STATE, ROWS = "study.npz", "scenarios"
+
+
+class Keeper:
+    """The state of a study in a folder: counts, how many tasks they hold, and the rows of single scenarios if they are wanted."""
+
+    def __init__(self, folder, identity, tallies, rows):
+        """Open a folder; take up the counts that a study with the same identity left there.
+
+        Raises:
+            ValueError: the folder holds another study.
+        """
+        self.folder, self.tallies, self.rows = Path(folder), tallies, rows
+        self.checkpoint = Checkpoint(self.folder / STATE, identity)
+        self.done, self.parts, self.pending = 0, 0, []
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.begun = self._take_up()
+        if rows:
+            (self.folder / ROWS).mkdir(exist_ok=True)
+            if not self.begun and (there := sorted(os.listdir(self.folder / ROWS))):
+                raise ValueError(f"{self.folder / ROWS} holds {there[0]}, which is not of this study: choose another folder")
+            self._next_rows().unlink(missing_ok=True)  # written after the last state
+            self.first = self._arrays()
+
+    def _take_up(self):
+        """Take up what was kept; return whether there was anything."""
+        arrays = self.checkpoint.load()
+        if arrays is None:
+            return False
+        self.done, self.parts = int(arrays["done"]), int(arrays["parts"])
+        for i, tally in enumerate(self.tallies):
+            tally.load({name.split(".")[1]: x for name, x in arrays.items() if name.startswith(f"{i}.")})
+        return True
+
+    def save(self, done):
+        """Write the counts of the first `done` tasks, and the rows since the last time: completely or not at all."""
+        if self.rows and self.pending:
+            if not self.begun:  # rows without a state would be nobody's
+                self.checkpoint.save(done=0, parts=0, **self.first)
+            self._write_rows()
+        self.checkpoint.save(done=done, parts=self.parts, **self._arrays())
+        self.done, self.begun = done, True
+
+    def _arrays(self):
+        return {f"{i}.{name}": np.array(x) for i, tally in enumerate(self.tallies) for name, x in tally.arrays().items()}
+
+    def add_rows(self, label, sizes, number, onset, hits, false, delay):
+        """Keep the rows of single scenarios until the next `save`."""
+        if self.rows:
+            self.pending.append((label, sizes, number, onset, hits, false, delay))
+
+    def _next_rows(self):
+        return self.folder / ROWS / f"part-{self.parts:05d}.parquet"
+
+    def _write_rows(self):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        columns = list(zip(*self.pending, strict=True))
+        labels = [label for label, number in zip(columns[0], columns[2], strict=True) for _ in range(len(number))]
+        join = lambda parts: np.concatenate(parts)
+        delay = join(columns[6])
+        table = {
+            "fault": pa.array(labels).dictionary_encode(), "size": pa.array(join(columns[1])), "scenario": pa.array(join(columns[2])),
+            "onset": pa.array(join(columns[3])), "fault_windows": pa.array(join(columns[4])), "false_alarms": pa.array(join(columns[5])),
+            "delay": pa.array(delay, mask=delay < 0)}  # fmt: skip
+        with whole(self._next_rows()) as f:
+            pq.write_table(pa.table(table), f)
+        self.parts, self.pending = self.parts + 1, []
