@@ -5,7 +5,6 @@ scratch (`exact_window`), by whichever route it was found. As JSON a certificate
 but neither jaxbound nor the recording.
 """
 
-import json
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,17 +12,17 @@ from functools import cached_property
 
 from jaxbound.certificates.blame import rounded_witness, smallest_error
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
-from jaxbound.certificates.uncertain_certificate import certify_uncertain
+from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.relations.parity import ParityRelation, relation_text
-from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.relations.redundancy import Redundancy
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Certificate", "certify", "explain"]
+__all__ = ["Certificate"]
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate(Witnessed):
+class Certificate(Witnessed, WindowCertificate):
     """Why a window has its verdict; every number is an exact Fraction, so that anybody can check it.
 
     Fields:
@@ -110,18 +109,6 @@ class Certificate(Witnessed):
         }  # fmt: skip
         return self._document(self.proves, numbers, times, sample)
 
-    def to_json(self, times=None, sample=None, errors=True):
-        """Return `to_dict` as text.
-
-        Example:
-            >>> import jaxbound as jb
-            >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise="1/10")
-            >>> c = jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1)
-            >>> json.loads(c.to_json())["numbers"]["relation"]["h"]
-            [['1'], ['-2']]
-        """
-        return json.dumps(self.to_dict(times, sample, errors), indent=1)
-
     def _relation_dict(self, h, output=0, error=None):
         w, model = self.window, self.window.model
         k, residual, width = (w if error is None else w.with_error(output, error)).relation(h)
@@ -131,35 +118,9 @@ class Certificate(Witnessed):
                 "residual": residual, "width": width, "factor": abs(residual) / width}  # fmt: skip
 
 
-def explain(result, at):
-    """Return the Certificate of the window that ends at index `at`. See `Result.explain`."""
-    status = Status(int(result.status[at]))
-    if status == Status.MISSING:
-        raise ValueError(f"window {at} is MISSING: there is nothing to explain")
-    at = tuple(int(i) % n for i, n in zip(at if isinstance(at, tuple) else (at,), result.status.shape, strict=True))
-    s = result.relations.horizon
-    u, y = (x[at[:-1]][at[-1] - s : at[-1] + 1] for x in (result.u, result.y))
-    return certify(result.relations, u, y, result.method, status, at)
-
-
-def certify(relations, u, y, method="joint", status=None, at=None):
-    """Prove the verdict of one window.
-
-    Args:
-        relations: from `parity_relations`. u (s+1, m), y (s+1, p): the samples, arrays of floats. method: of the detection.
-        status: what the detection said; None: what exact numbers say. at: what to call the window, a tuple; default (s,).
-
-    Returns:
-        A Certificate.
-
-    Raises:
-        ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one behaviour cannot prove.
-    """
+@certify.register
+def _(relations: ParityRelation, u, y, method="joint", status=None, at=None):
     at = (relations.horizon,) if at is None else at
-    if isinstance(relations, UncertainRelations):
-        return certify_uncertain(relations, u, y, method, status, at)
-    if not isinstance(relations, ParityRelation):
-        raise NotImplementedError(f"certificates are given for parity relations, not {type(relations).__name__}")
     window = exact_window(relations, u, y)
     nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
     if all(v is None for v in window.y):
@@ -182,6 +143,11 @@ def certify(relations, u, y, method="joint", status=None, at=None):
     z = rounded_witness(window, found.z) if found.factor <= 1 else None
     text = relation_text(window.model, window.horizon, h, k)
     return Certificate(proved if status is None else status, at, text, h, k, residual, width, abs(residual) / width, window, found, z)
+
+
+@certify.register
+def _(relations: Redundancy, u, y, method="box", status=None, at=None):
+    return certify(relations.relations, u, y, "box", status, at)
 
 
 def _has_its_data(window, h):

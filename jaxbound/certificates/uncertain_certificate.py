@@ -5,7 +5,6 @@ FAULT: a tree of boxes of the parameters, a leaf for each with a direction h ove
 a first state and noise. Floats only propose boxes, directions and points.
 """
 
-import json
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -17,12 +16,14 @@ import numpy as np
 from jaxbound.certificates.blame import DIGITS, rounded_witness
 from jaxbound.certificates.exact_polynomials import polynomial_window
 from jaxbound.certificates.exact_window import ExactWindow
+from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.consistency import parametric_windows
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
 
-__all__ = ["Leaf", "UncertainCertificate", "certify_uncertain"]
+__all__ = ["Leaf", "UncertainCertificate"]
 
 BOXES = 2000
 """Boxes that the proof of one FAULT may look at."""
@@ -56,7 +57,7 @@ class Cut:
 
 
 @dataclass(frozen=True, eq=False)
-class UncertainCertificate(Witnessed):
+class UncertainCertificate(Witnessed, WindowCertificate):
     """Why a window of a model with uncertain parameters has its verdict; every number is an exact Fraction.
 
     Fields:
@@ -145,10 +146,6 @@ class UncertainCertificate(Witnessed):
         document["names"]["parameters"] = names
         return document
 
-    def to_json(self, times=None, sample=None, errors=True):
-        """Return `to_dict` as text."""
-        return json.dumps(self.to_dict(times, sample), indent=1)
-
     def _polynomial_dict(self, k, number):
         """Return the polynomials of one relation on the outputs, disturbances and inputs of each sample."""
         r, model = self.relations, self.relations.model
@@ -158,8 +155,9 @@ class UncertainCertificate(Witnessed):
                 "k": self._every_sample(row(r.K, range(r.K.columns)), [[]] * model.m)}  # fmt: skip
 
 
-def certify_uncertain(relations, u, y, method="joint", status=None, at=None):
-    """Prove the verdict of one window of a model with uncertain parameters. See `certificate.certify`."""
+@certify.register
+def _(relations: UncertainRelations, u, y, method="joint", status=None, at=None):
+    at = (relations.horizon,) if at is None else at
     nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
     found = list(parametric_windows.cases(relations, u, y, np.zeros(1, int))) if not np.isnan(y).all() else []
     if not found:

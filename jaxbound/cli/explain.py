@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from jaxbound.certificates.certificate import certify
+from jaxbound.certificates.interface import certify
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.cli.terminal import door, show, write
 from jaxbound.recordings.parquet import is_parquet, open_parquet

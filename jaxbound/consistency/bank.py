@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.strips import StripsTest
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.bank import bank_of, bank_verdicts, unpacked, verdict_dtypes
@@ -61,6 +62,10 @@ class BankTest(WindowTest):
         words, margin = unpacked(*outs)
         words = np.where(np.isnan(margin), np.uint32(0), words)
         return Judged(status_of_words(words, self.relations.count), margin, words)
+
+    def margins(self, given):
+        """Return the unproved margins (..., T) of the relation of each window that is tightest; see `WindowTest.margins`."""
+        return StripsTest(self.relations, "box", self.dtype).margins(given)
 
 
 @jax.jit

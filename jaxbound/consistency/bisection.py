@@ -5,7 +5,7 @@ recording rounds away, like everywhere in this library: a window that only its l
 """
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.paving import pave
 
-__all__ = ["BUDGET", "BisectionTest", "Explanation", "explain_residual", "flat", "whole_budget"]
+__all__ = ["BUDGET", "BisectionTest", "flat", "search", "whole_budget"]
 
 BUDGET = 1000
 """Boxes that may be evaluated for a window."""
@@ -34,29 +34,6 @@ class _Thick:
 
     def __call__(self, z, u_lo, u_hi, y_lo, y_hi):
         return inclusion(flat(self.f), "best")(z, Interval(u_lo, u_hi), Interval(y_lo, y_hi))
-
-
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """Why a window of a residual has its verdict.
-
-    Fields: status; witness: Interval (n,) that is proved to hold values of the unknowns that explain the window, or None; evaluated:
-    boxes it took. errors, candidates: empty, a residual does not say which sensor is wrong.
-    """
-
-    status: Status
-    witness: Interval | None
-    evaluated: int
-    errors: dict = field(default_factory=dict)
-    candidates: tuple = ()
-
-    def __str__(self):
-        """Return one sentence."""
-        if self.witness is not None:
-            at = ", ".join(f"{float(v):.6g}" for v in np.asarray(self.witness.mid))
-            return f"explained by the unknowns ({at})"
-        end = "no value of the unknowns explains it" if self.status == Status.FAULT else "no answer"
-        return f"{end} after {self.evaluated} boxes"
 
 
 class BisectionTest(WindowTest):
@@ -92,10 +69,14 @@ class BisectionTest(WindowTest):
         found = [self._judged(*(np.moveaxis(x, -1, 0) for x in block)) for block in blocks]
         return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
 
+    def margins(self, given):
+        """Raise: a residual is any function of its unknowns, and what is no set of half-widths has no common factor on them."""
+        raise NotImplementedError("a residual has no margin: its unknowns are a box, with no common factor on half-widths to be found")
+
     def _judged(self, U, Y):
         """Return the status of windows (N, s + 1, channels), their number filled up to one of two sizes, which alone are compiled."""
         size = self.short if len(Y) <= self.short else self.block
-        status = _search(self.relations, U, Y, self.budget, size).status.copy()
+        status = search(self.relations, U, Y, self.budget, size).status.copy()
         outside = np.flatnonzero(status == Status.FAULT)
         if len(outside):
             status[outside] = _exclude(self.relations, U[outside], Y[outside], self.budget, size).status
@@ -109,20 +90,7 @@ def whole_budget(budget):
     return int(budget)
 
 
-def explain_residual(result, at):
-    """Return the Explanation of one window of a Result on a Residual; see `Result.explain`."""
-    at = at if isinstance(at, tuple) else (at,)
-    status = Status(int(result.status[at]))
-    if status == Status.MISSING:
-        raise ValueError(f"window {at[0] if len(at) == 1 else at} is MISSING: there is nothing to explain")
-    rows = slice(at[-1] - result.relations.horizon, at[-1] + 1)
-    U, Y = (x[at[:-1]][rows][None] for x in (result.u, result.y))
-    found = _search(result.relations, U, Y, 100 * BUDGET)
-    witness = found.witness[0] if status == Status.CONSISTENT and found.witness is not None else None
-    return Explanation(status, witness, int(found.evaluated[0]))
-
-
-def _search(relations, U, Y, budget, size=BisectionTest.short):
+def search(relations, U, Y, budget, size=BisectionTest.short):
     """Search for unknowns that explain each window."""
     return _pave(relations, flat(relations.f), (U, Y), budget, size, solutions="one", cut="smear")
 

@@ -76,7 +76,7 @@ class ConstantTest(WindowTest):
 
     def margins(self, given):
         """Raise: the best gains are found by a search that has no derivative."""
-        raise NotImplementedError("margins has no fast path for constant_tolerance yet; detect(...).margin has them")
+        raise NotImplementedError("margins has no fast path for constant_tolerance, whose gains are searched for: use detect(...).margin")
 
     def _search(self, u, y, starts):
         """Return the status of windows that one box of gains does not decide."""

@@ -5,8 +5,7 @@ from functools import partial, singledispatch
 
 import numpy as np
 
-from jaxbound.certificates import certificate
-from jaxbound.consistency import bisection
+from jaxbound.certificates.interface import explain
 from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.stillness import still_hints
@@ -100,8 +99,8 @@ class Result:
 
         For FAULT the violated relation with its coefficients, bounds and excess, and .errors, the smallest error of each sensor alone that
         would explain the window; for CONSISTENT a behaviour that explains it. .to_json() is complete in itself. With uncertain
-        parameters an UncertainCertificate: ranges of polynomials, or parameters that explain the window. Of a residual an Explanation, with
-        an Interval of unknowns that explains a CONSISTENT window.
+        parameters an UncertainCertificate: ranges of polynomials, or parameters that explain the window. Of a residual a
+        ResidualCertificate, with an Interval of unknowns that explains a CONSISTENT window.
 
         Raises:
             ValueError: the window is MISSING. NotImplementedError: a verdict that rests on a tolerance constant over the window; with
@@ -113,7 +112,6 @@ class Result:
             >>> print(jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1))
             y1[k-1] - 2 y1[k] = 0 cannot hold: it would need bounds 2 times as wide
         """
-        explain = bisection.explain_residual if isinstance(self.relations, Residual) else certificate.explain
         return explain(self, at)
 
     def to_pandas(self):

@@ -17,8 +17,8 @@ from oracles import MODELS, Plant, Windows, draw
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.certificates.certificate import certify
 from jaxbound.certificates.exact_window import exact_window
+from jaxbound.certificates.interface import certify
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.sets.floats.status import Status
 
@@ -284,7 +284,7 @@ def test_what_has_no_certificate_yet_is_refused():
     class Other:
         horizon = 1
 
-    with pytest.raises(NotImplementedError, match="certificates are given for parity relations, not Other"):
+    with pytest.raises(NotImplementedError, match="certificates are given for relations that detect knows, not Other"):
         certify(Other(), np.zeros((2, 1)), np.zeros((2, 2)))
     r = jb.parity_relations(paper())
     with pytest.raises(NotImplementedError, match="the verdict of window 1 rests on more than its samples and bounds"):

@@ -10,7 +10,7 @@ from test_certificate import _flat, corrupted, refused
 from uncertain_systems import EXAMPLE, VT, relations
 
 import jaxbound as jb
-from jaxbound.certificates.certificate import certify
+from jaxbound.certificates.interface import certify
 from jaxbound.sets.floats.status import Status
 
 NOISY = dict(noise=[0.02, 0.05], tolerance=[0.01, 0], disturbance=([[0.1], [0], [0.2]], [[-0.05, 0.1]]))

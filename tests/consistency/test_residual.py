@@ -9,7 +9,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound import Status
-from jaxbound.consistency.bisection import Explanation
+from jaxbound.certificates.residual_certificate import ResidualCertificate
 
 BOX = jb.interval([-0.125, -0.0625], [0.125, 0.0625])
 
@@ -96,7 +96,7 @@ def test_explain_shows_unknowns_that_explain_a_window_or_how_many_boxes_exclude_
     z = np.asarray(witness.mid)
     assert abs(float(growth(z, np.zeros((2, 1)), y[:2]))) < 1e-9 and (np.asarray(witness.hi) <= BOX.hi).all()
     assert str(result.explain(1)).startswith("explained by the unknowns (")
-    assert isinstance(result.explain(2), Explanation) and "no value of the unknowns explains it after" in str(result.explain(2))
+    assert isinstance(result.explain(2), ResidualCertificate) and "no value of the unknowns explains it after" in str(result.explain(2))
     assert len(result.alarms()) == 1 and result.alarms()[0].candidates == ()
     with pytest.raises(ValueError, match="window 0 is MISSING"):
         result.explain(0)

@@ -10,8 +10,8 @@ from oracles import MODELS, Plant, Windows, draw
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.certificates.certificate import certify
 from jaxbound.certificates.exact_window import exact_window
+from jaxbound.certificates.interface import certify
 from jaxbound.diagnosis.detectability import visible_sizes
 from jaxbound.sets.floats.status import Status
 
