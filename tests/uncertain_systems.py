@@ -50,16 +50,20 @@ SYSTEMS = {  # name in golden: (matrices, parameters, samples in a window)
     "n3p1_var2_h4": (dict(THREE, C=ONE_OUTPUT), [A3, B1], 4),
 }
 
+TWO = "two relations"  # not golden's: the smallest with more than one relation and errors of every kind, compiled in seconds
+ERRORS = dict(noise=[0.02], tolerance=[0.01], disturbance=([[0.1], [0]], [[-0.05, 0.1]]))
+ALL = SYSTEMS | {TWO: (EXAMPLE | ERRORS, _constant(THETA, VT), 4)}
+
 
 def model(name, **changes):
     """Return one of the systems as a LinearSystem."""
-    matrices, parameters, _ = SYSTEMS[name]
-    return jb.LinearSystem(**matrices, uncertainties=[jb.Uncertainty(**p) for p in parameters], **changes)
+    matrices, parameters, _ = ALL[name]
+    return jb.LinearSystem(**matrices | changes, uncertainties=[jb.Uncertainty(**p) for p in parameters])
 
 
 def relations(name, **changes):
-    """Return the relations of one of the systems over golden's horizon."""
-    return jb.parity_relations(model(name, **changes), horizon=SYSTEMS[name][2] - 1)
+    """Return the relations of one of the systems over its windows."""
+    return jb.parity_relations(model(name, **changes), horizon=ALL[name][2] - 1)
 
 
 def trajectory(matrices, parameters, values, x, u, w=(), G=None, v=(), F=None, D_v=None):

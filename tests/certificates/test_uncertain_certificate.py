@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ploix_experiment import record
 from test_certificate import _flat, corrupted, refused
-from uncertain_systems import EXAMPLE, VT, relations
+from uncertain_systems import EXAMPLE, TWO, VT, relations
 
 import jaxbound as jb
 from jaxbound.certificates.interface import certify
@@ -17,13 +17,16 @@ NOISY = dict(noise=[0.02, 0.05], tolerance=[0.01, 0], disturbance=([[0.1], [0], 
 PROOF = ("h", "g", "k", "direction", "low", "high", "at", "state", "outputs")
 
 
+long = lambda *x: pytest.param(*x, marks=pytest.mark.long)
+
+
 def detected(rng, name, method="joint", budget=None, runs=2, **changes):
     """Return the Result of recordings that are faulty in part."""
     dC = np.zeros((len(relations(name).model.C), relations(name).model.n))
     dC[0] += rng.uniform(-0.5, 0.5, len(dC[0]))
     u, y = record(rng, name, runs, "uniform", **(changes or dict(dC=dC)))
-    if changes:
-        y[:, 40:70] += rng.uniform(-2, 2, (runs, 30, y.shape[-1]))
+    if changes or name == TWO:
+        y[:, 40:70] += rng.uniform(-1, 1, (runs, 30, y.shape[-1])) * (0.5 if name == TWO else 2)
     return jb.detect(relations(name, **changes), u, y, method=method, budget=budget)
 
 
@@ -66,19 +69,15 @@ def test_a_wrong_digit_is_caught(rng):
         check_round_trip(rng, healthy), check_round_trip(rng, fault)
 
 
-@pytest.mark.long
-def test_verdicts_of_a_single_relation_are_confirmed_and_a_wrong_digit_is_caught(rng):
-    res = detected(rng, "n2p1_paper_h3", runs=20, noise=0.01, tolerance=0.02)
+@pytest.mark.parametrize("name, changes, runs, count", [
+    (TWO, {}, 2, 3), ("n2p1_paper_h3", dict(noise=0.01, tolerance=0.02), 2, 3),
+    long("n2p1_paper_h3", dict(noise=0.01, tolerance=0.02), 20, 100),
+    *(long(*x, 16, 100) for x in (("n3p2_mixed3_h3", NOISY), ("n3p2_mixed3_h3", {}), ("n3p2_var3_h2", {}))),
+])  # fmt: skip
+def test_verdicts_of_one_and_many_parameters_are_confirmed_and_a_wrong_digit_is_caught(rng, name, changes, runs, count):
+    res = detected(rng, name, runs=runs, **changes)
     for status in (Status.FAULT, Status.CONSISTENT):
-        check_round_trips(rng, res, 100, status)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name, changes", [("n3p2_mixed3_h3", NOISY), ("n3p2_mixed3_h3", {}), ("n3p2_var3_h2", {})])
-def test_verdicts_of_many_parameters_are_confirmed_and_a_wrong_digit_is_caught(rng, name, changes):
-    res = detected(rng, name, runs=16, **changes)
-    for status in (Status.FAULT, Status.CONSISTENT):
-        check_round_trips(rng, res, 100, status)
+        check_round_trips(rng, res, count, status)
 
 
 @pytest.mark.long
@@ -94,9 +93,9 @@ def test_a_witness_settles_windows_whose_relations_are_not_proved_to_say_all(rng
         check_round_trip(rng, c)
 
 
-@pytest.mark.long
-def test_a_bisection_is_confirmed_box_by_box(rng):
-    joint, paved = (detected(np.random.default_rng(5), "n3p2_mixed3_h3", *how, runs=2) for how in ((), ("paving", 300)))
+@pytest.mark.parametrize("name", [TWO, long("n3p2_mixed3_h3")])
+def test_a_bisection_is_confirmed_box_by_box(rng, name):
+    joint, paved = (detected(np.random.default_rng(5), name, *how, runs=2) for how in ((), ("paving", 300)))
     won = (paved.status == Status.FAULT) & (joint.status == Status.UNDECIDED)
     assert won.sum() > 5
     with pytest.raises(NotImplementedError, match="neither a contradiction nor a behaviour is at hand .* method 'paving' goes on"):

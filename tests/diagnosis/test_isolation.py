@@ -74,7 +74,7 @@ def test_each_verdict_is_that_of_exact_numbers(name, rng):
     np.testing.assert_allclose(res.margin, box.margin, rtol=1e-9)
 
 
-@pytest.mark.parametrize("windows", [pytest.param(3000, marks=pytest.mark.slow), pytest.param(1_002_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("windows", [3000, pytest.param(1_002_000, marks=pytest.mark.long)])
 def test_no_false_alarm_whatever_the_unknown_input_does(stable, windows, rng):
     m, bank = stable
     joint, alarms = jb.parity_relations(m, 2), 0
