@@ -119,7 +119,8 @@ class _Run:
 
     def to_the_end(self, chunks, whole):
         m = self.monitor.relations.model
-        self.monitor.run(self.monitor.init(), np.zeros((1, m.m)), np.zeros((1, m.p)))  # compiled before a sample waits for it
+        window = self.monitor.relations.horizon + 1
+        self.monitor.run(self.monitor.init(), np.zeros((window, m.m)), np.zeros((window, m.p)))  # compiled before a sample waits for it
         if self.journal.before is not None:
             say(f"going on after {self.text.clock.samples} samples, the last at {self._label(self.found['last'])}")
             self.emit(self._printed(self.journal.pending))

@@ -21,6 +21,7 @@ from jaxbound.sets.floats.probe import usable_devices
 
 __all__ = ["drive"]
 
+CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 
 
@@ -32,11 +33,13 @@ def drive(test: WindowTest, given: Recording, progress: Callable | None = None, 
     """
     s, shape = test.horizon, given.y.shape[:-1]
     u, y = (np.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (given.u, given.y))
-    dead = given.across(s)
-    dead[:s] = True
-    report = _rising(progress)
+    if len(given.starts):
+        gone = np.flatnonzero(given.across(s) | (np.arange(shape[-1]) < s))
+    else:
+        gone = slice(0, s)  # the warm-up alone
+    report = _nothing if progress is None else _rising(progress)
     over = _gathered if test.gathered else _stretches
-    outs = over(test, u, y, dead, size or test.block, report)
+    outs = over(test, u, y, shape[-1], gone, size or test.block, report)
     report(1.0)
     return test.judged([out.reshape(shape) for out in outs])
 
@@ -52,20 +55,24 @@ class _Run(NamedTuple):
         return on_devices(kernel, self.constants, blocks, self.devices, self.axis)
 
 
+def _nothing(share):
+    """Report nothing."""
+
+
 def _rising(progress):
     """Return a callback that passes on shares of work that are larger than the one before."""
     last = 0.0
 
     def report(share):
         nonlocal last
-        if progress is not None and share > last:
+        if share > last:
             last = share
             progress(share)
 
     return report
 
 
-def _stretches(test, u, y, dead, size, report):
+def _stretches(test, u, y, length, gone, size, report):
     """Judge all windows of contiguous samples, those that do not count among them."""
     s, samples = test.horizon, len(y)
     outs = [_aligned(samples, dtype) for dtype, _ in test.outputs]
@@ -88,28 +95,25 @@ def _stretches(test, u, y, dead, size, report):
             collect(*pending.pop(0))
     for done in pending:
         collect(*done)
-    gone = np.flatnonzero(dead)
-    few = len(gone) == s  # the warm-up alone
     for out, (_, nothing) in zip(outs, test.outputs, strict=True):
-        each = out.reshape(len(y) // max(len(dead), 1), len(dead))
-        each[:, slice(s) if few else gone] = nothing
+        out.reshape(samples // max(length, 1), length)[:, gone] = nothing
     test.settle(u, y, outs, np.zeros(0, np.int64), None, report)
     return outs
 
 
-def _gathered(test, u, y, dead, size, report):
+def _gathered(test, u, y, length, gone, size, report):
     """Judge the windows that count, and settle what is left open."""
     s = test.horizon
     outs = [np.full(len(y), nothing, dtype) for dtype, nothing in test.outputs]
-    ends = np.flatnonzero(~dead)
-    if 0 < len(dead) < len(y):
-        ends = (ends + np.arange(0, len(y), len(dead))[:, None]).ravel()
+    ends = np.delete(np.arange(length), gone)
+    if 0 < length < len(y):
+        ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
     cases, total, done = test.cases(u, y, ends - s), max(len(ends), 1), 0
     for case, starts in cases:
         before, share = done / total, len(starts) / total
         step = lambda part, before=before, share=share: report(before + 0.9 * share * part)
         left = _over_windows(case, u, y, starts, outs, size, step)
-        again = lambda other, chosen: _over_windows(other, u, y, chosen, outs, other.block, lambda share: None)
+        again = lambda other, chosen: _over_windows(other, u, y, chosen, outs, other.block, _nothing)
         late = lambda part, before=before, share=share: report(before + share * (0.9 + 0.1 * part))
         case.settle(u, y, outs, left, again, late)
         done += len(starts)
@@ -147,7 +151,7 @@ def _over_windows(test, u, y, starts, outs, size, report):
         return np.concatenate(left)
 
     numbers = range(len(groups))
-    workers = max(2, os.cpu_count() // len(devices)) if test.threads else 1 if run is not None else len(devices)
+    workers = max(2, CORES // len(devices)) if test.threads else 1 if test.sharded else len(devices)
     if workers == 1 or len(groups) < 2:
         left = [collect(work(*job)) for job in zip(numbers, groups, strict=True)]
     else:
@@ -172,6 +176,8 @@ def _padded(x, start, stop, length):
 
 def _aligned(count, dtype):
     """Return an uninitialised array that a CPU device can adopt without a copy."""
+    if count < 2**10:
+        return np.empty(count, dtype)
     size = count * np.dtype(dtype).itemsize
     raw = np.empty(size + 64, np.uint8)
     start = -raw.ctypes.data % 64

@@ -16,8 +16,8 @@ from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.unproved import unproved_margins
 from jaxbound.exact import linalg
+from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
-from jaxbound.sets.strips.strips import status_of
 
 __all__ = ["ExchangeTest", "candidates", "exchange_margins", "verdicts"]
 
@@ -92,7 +92,9 @@ class ExchangeTest(WindowTest):
 
     def judged(self, outs):
         """Return the verdicts that the margins say."""
-        return Judged(np.asarray(status_of(outs[0])), outs[0])
+        (margin,) = outs
+        decided = np.where(margin < 0, Status.FAULT, np.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
+        return Judged(np.where(np.isnan(margin), Status.MISSING, decided).astype(np.int8), margin)
 
     def margins(self, given):
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

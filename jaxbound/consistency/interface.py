@@ -108,9 +108,9 @@ class WindowTest:
         return Judged(*outs)
 
     def margins(self, given: Recording) -> jax.Array:
-        """Return the unproved margins (..., T) of a recording: differentiable, under jit, vmap and grad; NaN where there are no data.
+        """Return the unproved margins (..., T) of a recording: differentiable, under jit, vmap and grad.
 
-        What stands at samples at which no window ends means nothing.
+        NaN where there are no data, and at samples at which no window ends.
         """
         raise NotImplementedError(f"margins has no fast path for these relations and {self.method!r}: detect(...).margin has them")
 

@@ -62,7 +62,7 @@ class Monitor:
 
     Bit for bit with strips, and with the exchange search for windows without missing samples; where samples are missing in windows that
     need the search, margins agree to 1e-9. A sample costs about 0.1 ms, an exchange search 0.5 to 1 ms; slow, tens of milliseconds: an
-    exchange search over missing samples, uncertain parameters, constant_tolerance. The first sample compiles, the first burst once more.
+    exchange search over missing samples, uncertain parameters, constant_tolerance. The first whole window compiles, and the first burst.
 
     Raises:
         TypeError: no relations. ValueError: a method, budget or compensation that they cannot be tested by.
@@ -90,6 +90,8 @@ class Monitor:
         self.dtype = np.dtype(jax.dtypes.canonicalize_dtype(float if dtype is None else dtype))
         self._test = relations.test(method, self.dtype, budget, compensation)
         self.relations, self.method = self._test.relations, self._test.method
+        model = self.relations.model
+        self._names, self._dt = (model.inputs, model.outputs), model.dt
 
     def init(self):
         """Return the MonitorState before the first sample."""
@@ -147,12 +149,12 @@ class Monitor:
 
     def _recording(self, u, y, starts):
         """Return what is given as a Recording of our dtype, or refuse it."""
-        model = self.relations.model
+        inputs, outputs = self._names
         fits = lambda x, n: type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == n
-        if fits(u, model.m) and fits(y, model.p) and len(u) == len(y):
-            given = Recording(u, y, all_starts(starts, len(y)) if np.size(starts) else NOWHERE, model.inputs, model.outputs)
+        if fits(u, len(inputs)) and fits(y, len(outputs)) and len(u) == len(y):
+            given = Recording(u, y, all_starts(starts, len(y)) if np.size(starts) else NOWHERE, inputs, outputs)
         else:
-            given = Recording.of(model, u, y, starts, regular=False)
+            given = Recording.of(self.relations.model, u, y, starts, regular=False)
             if given.y.dtype.itemsize < self.dtype.itemsize:
                 raise ValueError(
                     f"y is in {given.y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, allows for: "
@@ -160,12 +162,12 @@ class Monitor:
                 )
             given = replace(given, u=np.asarray(given.u, self.dtype), y=np.asarray(given.y, self.dtype))
             if given.y.ndim != 2:
-                raise ValueError(f"a Monitor follows one recording: y must have shape (N, {model.p}), not {given.y.shape}")
+                raise ValueError(f"a Monitor follows one recording: y must have shape (N, {len(outputs)}), not {given.y.shape}")
         return given.finite() if np.isinf(given.u).any() or np.isinf(given.y).any() else given
 
     def _seams(self, given, time, state):
         """Return the samples that do not follow the one before by their time, and the time of the last one, in s."""
-        dt, count = self.relations.model.dt, len(given.y)
+        dt, count = self._dt, len(given.y)
         if not count or (time is None and given.time is None):
             counted = given.index is not None and unlabelled(given.index) and not state.samples  # the numbers of later rows go on from here
             return NOWHERE, (count - 1) * dt if counted and count else state.time
@@ -182,7 +184,7 @@ class Monitor:
 
     def _judge(self, u, y, starts):
         """Return (status, margin) of all windows in samples that begin with the s before the first of them."""
-        model, s = self.relations.model, self.relations.horizon
+        s = self._test.horizon
         few = len(y) - s <= BURST * self._test.short
-        judged = drive(self._test, Recording(u, y, starts, model.inputs, model.outputs), size=self._test.short if few else None)
+        judged = drive(self._test, Recording(u, y, starts, *self._names), size=self._test.short if few else None)
         return judged.status[s:], judged.margin[s:]

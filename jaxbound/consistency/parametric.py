@@ -10,6 +10,7 @@ from jaxbound.consistency.interface import Open, WindowTest
 from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import BLOCK, LEAST, bisected, cases, finite, judged_by, judged_whole
 from jaxbound.consistency.reading import gather
+from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.sets.floats.status import Status
 
@@ -91,4 +92,4 @@ class ParametricTest(WindowTest):
 
     def margins(self, given):
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return parametric_margins(self.relations, given.u, given.y)
+        return within(parametric_margins(self.relations, given.u, given.y), given, self.horizon)

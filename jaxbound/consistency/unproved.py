@@ -12,7 +12,7 @@ from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import UNROLLED
 
-__all__ = ["is_traced", "stretch_block", "unproved_margins"]
+__all__ = ["is_traced", "stretch_block", "unproved_margins", "within"]
 
 
 def is_traced(*trees):
@@ -32,7 +32,13 @@ def unproved_margins(test, kernel, given):
         return jax.device_put(drive(_Unproved(test, kernel), given))
     shape = given.y.shape[:-1]
     u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (given.u, given.y))
-    return jnp.pad(kernel(reading, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape)
+    return within(jnp.pad(kernel(reading, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape), given, test.horizon)
+
+
+def within(margin, given, horizon):
+    """Return margins (..., T) with NaN at samples at which no window of a recording ends."""
+    gone = given.across(horizon) | (np.arange(margin.shape[-1]) < horizon)
+    return margin.at[..., np.flatnonzero(gone)].set(jnp.nan)
 
 
 class _Unproved(WindowTest):

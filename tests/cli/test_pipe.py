@@ -225,7 +225,7 @@ class TestTroubles:
 
     @pytest.mark.parametrize("options, message", [
         (["--method", "validation"], "validation reads a recording as a whole"), (["--chunk", "9"], "--chunk is for recordings"),
-        (["--alarm", "2/3"], "--alarm is for recordings"), (["--method", "paving"], "gives one budget to all windows"),
+        (["--alarm", "2/3"], "--alarm is for recordings"), (["--method", "exact"], "method must be one of"),
     ])  # fmt: skip
     def test_options_for_recordings_are_refused(self, place, capsys, options, message):
         assert main.main(["detect", "model.toml", "-", *options]) == 2
