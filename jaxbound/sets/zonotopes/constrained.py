@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxbound.sets.zonotopes.zonotope import finite_arrays
+from jaxbound.sets.zonotopes.zonotope import Zonotope, finite_arrays
 
-__all__ = ["ConstrainedZonotope", "constrained_zonotope"]
+__all__ = ["ConstrainedZonotope", "constrained_zonotope", "parts"]
 
 
 @jax.tree_util.register_dataclass
@@ -51,3 +51,12 @@ def constrained_zonotope(center, generators, A, b):
             f"a batch of sets needs as many constraints as centers: their leading shapes are {center.shape[:-1]} and {b.shape[:-1]}"
         )
     return ConstrainedZonotope(*finite_arrays(center=center, generators=generators, A=A, b=b))
+
+
+def parts(S):
+    """Return (c, G, A, b) of a Zonotope, with no rows in A and b, or of a ConstrainedZonotope, or of a batch of them."""
+    if isinstance(S, ConstrainedZonotope):
+        return S.center, S.generators, S.constraints, S.offsets
+    if not isinstance(S, Zonotope):
+        raise TypeError(f"a zonotope or a constrained zonotope is needed: this is {type(S).__name__}")
+    return S.center, S.generators, S.generators[..., :0, :], S.center[..., :0]

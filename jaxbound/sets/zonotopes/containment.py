@@ -3,7 +3,7 @@
 **A zonotope in a set** {c + G x : A x = b}. With M = [G; A] and D = [c2 - c, G2; b, 0], it is enough that some X has M X = D and row sums
 of |X| at most 1: then c2 + G2 z = c + G x for x = X (1, z). Source: Sadraddini, Tedrake, Linear encodings for polytope containment
 problems, 2019, theorem 3. X is looked for by projections, in turn onto M X = D and onto rows of a sum of at most 1, and checked like a
-point (`proof.gauge_below`, a column at a time). The condition is sufficient, not necessary: co-NP-hard otherwise.
+point (`proof.rows_below`). The condition is sufficient, not necessary: co-NP-hard otherwise.
 
 Not held is proved by one direction l: l'd + sum_j |l' D_j| > sum_j |l' M_j|, looked for by climbing: the vertex of the inner set that is
 farthest along l, the direction that shows it to be outside most, its farthest vertex, ..
@@ -15,27 +15,25 @@ import math
 from fractions import Fraction
 from functools import singledispatch
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.comparisons import contains as contains_number
 from jaxbound.sets.intervals.interval import Interval
-from jaxbound.sets.zonotopes import proof
+from jaxbound.sets.zonotopes import kernels, proof, search
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
-from jaxbound.sets.zonotopes.decisions import Answer, Decision, contains_points
+from jaxbound.sets.zonotopes.decisions import Answer, Decision, contains_points, unscaled
 from jaxbound.sets.zonotopes.facets import FEW, exact_strips
-from jaxbound.sets.zonotopes.gauges import gauge_bounds
-from jaxbound.sets.zonotopes.questions import Question, flat, parts
+from jaxbound.sets.zonotopes.gauges import gauge_bounds, power
+from jaxbound.sets.zonotopes.questions import Question, flat, numbers, traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["contains"]
 
 STEPS = (16, 64, 256)
 """Projections between two looks at the proof."""
-STARTS, CLIMBS = 16, 6
+CLIMBS = 6
 
 
 @singledispatch
@@ -50,7 +48,7 @@ def contains(Z, inner):
         A Decision with an answer a point, or a set. Its margin points in the answer's direction and does not overstate it: 1 - t, t the
         factor on the generators at which the point just belongs to Z; exact ones are worked out by `membership`. For a zonotope the
         condition for YES is sufficient, not necessary: what is neither that nor NO stays UNDECIDED unless the facets of Z are few.
-        For an Interval: an array of bool, IEEE 1788 isMember.
+        For an Interval: an array of bool, IEEE 1788 isMember. Inside jit and vmap: the same answer or UNDECIDED, without certificate.
 
     Raises:
         ValueError: shapes that do not fit, NaN or infinity.
@@ -77,7 +75,7 @@ def _(Z, inner):
 
 def contains_set(Z, inner):
     """Decide whether a set holds a whole zonotope: see `contains`."""
-    outer, inside = parts(Z), parts(inner)
+    outer, inside = numbers(Z, inner)
     if inside[3].shape[-1]:
         raise ValueError("the inner set must be a zonotope: for one with constraints ask `intersects`, or enclose it first")
     if outer[0].shape[-1] != inside[0].shape[-1]:
@@ -87,120 +85,86 @@ def contains_set(Z, inner):
         raise ValueError(f"a batch needs as many inner as outer sets: leading axes are {batch} and {inside[0].shape[:-1]}")
     refuse_unverified()
     question = Question("contains_set", (flat(outer, batch), flat(inside, batch)), None)
-    solid = not outer[3].shape[-1]
-    each = [_one(*(tuple(v[i] for v in x) for x in question.sets), solid) for i in range(math.prod(batch))]
-    answer, margin, direction, point = (np.array(v).reshape((*batch, *np.shape(v[0]))) for v in zip(*each, strict=True))
-    return Decision(answer.astype(np.int8), margin, question, direction, point)
+    answer, margin, direction, point = (_traced if traced(question) else _decided)(question)
+    lay = lambda v: v.reshape((*batch, *v.shape[1:]))
+    return Decision(lay(answer), lay(margin), None if traced(question) else question, lay(direction), lay(point))
 
 
-def _one(outer, inner, solid):
-    """Return (answer, margin, direction (m,), X (q, 1 + p))."""
-    (c, G, A, b), (c2, G2, _, _) = outer, inner
-    M = np.concatenate([G, A])
-    D = np.concatenate([np.c_[c2 - c, G2], np.c_[b, np.zeros((len(b), G2.shape[1]))]])
-    image = proof.image(M[None])
-    D = image.scaled(D.T[None])[0].T
-    l, least = _climb(image, D)
-    if least > 1:
-        return Answer.NO, 1 - least, np.ldexp(l, image.powers[0]), np.full((G.shape[1], D.shape[1]), np.nan)
-    X, most = _encode(image, D)
-    if most <= 1:
-        return Answer.YES, 1 - most, np.zeros(len(M)), X
-    answer, margin, direction = Answer.UNDECIDED, 0.0, np.zeros(len(M))
-    if solid and math.comb(G.shape[1], len(c) - 1) <= FEW:
-        answer, margin, direction = _by_facets(outer, inner)
-    return answer, margin, direction, X  # exact numbers may still make a certificate of it
+def _equations(question):
+    """Return M (S, m, q) and D (S, m, 1 + p)."""
+    (c, G, A, b), (c2, G2, _, _) = question.sets
+    xp = proof.library(c)
+    with np.errstate(over="ignore"):
+        top = xp.concatenate([(c2 - c)[..., None], G2], 2)
+    return xp.concatenate([G, A], 1), xp.concatenate([top, xp.pad(b[..., None], ((0, 0), (0, 0), (0, G2.shape[2])))], 1)
+
+
+def _decided(question):
+    """Return (answer (S,), margin (S,), direction (S, m), X (S, q, 1 + p)) on the host."""
+    M, D = _equations(question)
+    (S, _, q), image = M.shape, proof.image(M)
+    D = image.scaled(D.swapaxes(1, 2)).swapaxes(1, 2)
+    direction, least = _climb(image, D)
+    X, most = np.full((S, q, D.shape[2]), np.nan), np.full(S, np.inf)
+    rest = np.nonzero(~(least > 1))[0]
+    X[rest], most[rest] = _encode(image.of(rest), D[rest])
+    held, not_held = most <= 1, least > 1
+    answer = np.where(not_held, Answer.NO, np.where(held, Answer.YES, Answer.UNDECIDED)).astype(np.int8)
+    margin = np.where(not_held, 1 - least, np.where(held, 1 - most, 0.0))
+    direction = np.where(not_held[:, None], unscaled(direction[:, None], image.powers)[:, 0], 0)
+    (c, G, A, _), _ = question.sets
+    if not A.shape[1] and math.comb(q, c.shape[1] - 1) <= FEW:
+        for i in np.nonzero(answer == 0)[0]:  # X stays: exact numbers may still make a certificate of it
+            answer[i], margin[i], direction[i] = _by_facets(*(tuple(v[i] for v in x) for x in question.sets))
+    return answer, margin, direction, X
 
 
 def _encode(image, D):
-    """Return (X, t): M X = D nearly, and t at least the largest row sum of |X| of a true solution near it."""
-    M, R = image.M[0], image.R[0]
-    best, least = R @ D, np.inf
-    if not np.isfinite(image.loss[0]) or not np.isfinite(D).all():
-        return best, least
-    Z = R @ D
-    for steps in (0, *STEPS):
-        X, Z = (np.asarray(v, float) for v in _project_rows(M, R, D, Z, steps))
-        X = X + R @ (D - M @ X)
-        most = _row_sums(image, D, X)
-        best, least = (X, most) if most < least else (best, least)
-        if least <= 1:
-            break
+    """Return (X, t): M X = D nearly, and t (S,) at least the largest row sum of |X| of a true solution near it."""
+    with np.errstate(all="ignore"):
+        best = image.R @ D
+        Z, least, rest = best.copy(), proof.rows_below(image, D, best), np.arange(len(D))
+        for steps in STEPS:
+            rest = rest[~(least[rest] <= 1) & np.isfinite(D[rest]).all((1, 2)) & np.isfinite(image.loss[rest])]
+            if not len(rest):
+                break
+            some, size = image.of(rest), power(len(rest))
+            M, R, d, z = (np.resize(v, (size, *v.shape[1:])) for v in (some.M, some.R, D[rest], Z[rest]))
+            X, z = (np.asarray(v, float)[: len(rest)] for v in search.project_rows(M, R, d, z, steps))
+            Z[rest], X = z, X + some.R @ (D[rest] - some.M @ X)
+            most = proof.rows_below(some, D[rest], X)
+            better = most < least[rest]
+            best[rest[better]], least[rest[better]] = X[better], most[better]
     return best, least
-
-
-def _row_sums(image, D, X):
-    gamma, floor = rounding.product_error(X.shape[0] + 4, float)
-    size = abs(X).max(0, initial=0)
-    error = gamma * (image.sums[0][:, None] * size + abs(D)) + floor * 2 * (1 + size)
-    left = (abs(D - image.M[0] @ X) + error).max(0, initial=0)
-    up = (1 + rounding.product_error(X.shape[1] + 4, float)[0]) * proof.UP
-    return (abs(X).sum(1) + image.reach[0] * (left.sum() / (1 - image.loss[0]))).max(initial=0) * up
-
-
-@jax.jit
-def _project_rows(M, R, D, Z, steps):
-    """Run Douglas-Rachford between M X = D and rows of |X| with sums of at most 1; return the candidate and where to go on from."""
-    onto = lambda X: X + R @ (D - M @ X)
-
-    def step(_, Z):
-        Y = _row_balls(Z)
-        return Z + onto(2 * Y - Z) - Y
-
-    Z = jax.lax.fori_loop(0, steps, step, Z)
-    Y = _row_balls(Z)
-    near, reflected = onto(Y), onto(2 * Y - Z)
-    sums = lambda X: jnp.max(jnp.sum(jnp.abs(X), 1))
-    return jnp.where(sums(near) < sums(reflected), near, reflected), Z
-
-
-def _row_balls(X):
-    """Return the nearest rows with sums of |x| of at most 1 (Held, Wolfe, Crowder 1974)."""
-    size = jnp.abs(X)
-    falling = -jnp.sort(-size, 1)
-    rank = jnp.arange(1, X.shape[1] + 1, dtype=X.dtype)[None]
-    level = jnp.max((jnp.cumsum(falling, 1) - 1) / rank, 1, keepdims=True)
-    return jnp.sign(X) * jnp.maximum(size - jnp.maximum(level, 0), 0)
 
 
 def _climb(image, D):
-    """Return (l, t): the direction found along which the inner set reaches farthest in terms of the outer one, t at most that factor."""
-    m, p = D.shape
-    if not np.isfinite(D).all():
-        return np.zeros(m), 0.0
-    rng = np.random.default_rng(0)  # any directions will do; the same ones each time
-    l = np.concatenate([np.eye(m)[:STARTS], rng.normal(size=(STARTS, m)), image.R[0].sum(0)[None]])
-    best, least = np.zeros(m), 0.0
+    """Return (l (S, m), t): the directions found along which the inner sets reach farthest in terms of the outer, t at most that factor."""
+    S, m, _ = D.shape
+    l = kernels.starts(image.R)
+    best, least, rest = np.zeros((S, m)), np.zeros(S), np.nonzero(np.isfinite(D).all((1, 2)))[0]
     for _ in range(CLIMBS):
-        reach = l @ D
-        l = l * np.where(reach[:, :1] < 0, -1, 1)
-        reach = l @ D
-        far = D[:, 0] + np.where(reach[:, 1:] < 0, -1, 1) @ D[:, 1:].T
-        found = gauge_bounds(image, far[None], tight=True)
-        lower, at = _reached(image, D, found.l[0])
-        if lower <= least * (1 + 2.0**-20):
+        if not len(rest):
             break
-        best, least = found.l[0, at], lower
-        if least > 1:
-            break
-        l = found.l[0]
+        some, d = image.of(rest), D[rest]
+        l[rest], far = kernels.farthest(d, l[rest])
+        l[rest] = proof.unit(gauge_bounds(some, far, tight=True).l)
+        lower = proof.reach_above(some, d, l[rest])
+        at, lower = lower.argmax(1), lower.max(1)
+        better = lower > least[rest] * (1 + 2.0**-20)
+        rest, at, lower = rest[better], at[better], lower[better]
+        best[rest], least[rest] = l[rest, at], lower
+        rest = rest[~(lower > 1)]
     return best, least
 
 
-def _reached(image, D, l):
-    """Return (lower bound of (l'd + sum |l'D_j|) / sum |l'M_j| for the best of directions l (N, m), its number)."""
-    ends = np.where((l @ D)[:, 1:] < 0, -1, 1)
-    with np.errstate(all="ignore"):
-        gamma, floor = rounding.product_error(D.shape[0] + D.shape[1] + image.M.shape[2] + 4, float)
-        size = np.where(abs(l).max(1, initial=0) > 0, abs(l).max(1, initial=0), 1)
-        l = l / size[:, None]
-        ahead = (l * D[:, 0]).sum(1) + ((l @ D[:, 1:]) * ends).sum(1)
-        width = abs(l @ image.M[0]).sum(1)
-        slack = gamma * (abs(l) @ (image.sums[0] + abs(D).sum(1))) + floor * 2 * (3 + abs(D).max(initial=0))
-        bound = np.where(ahead - width > slack, np.maximum((ahead - slack) / (width + slack) / proof.UP, 1 + 2.0**-52), 0)
-        bound = np.where(bound > 1, bound, np.clip((ahead - slack) / (width + slack) / proof.UP, 0, 1))
-    bound = np.where(np.isfinite(bound), bound, 0)
-    return bound.max(), int(bound.argmax())
+def _traced(question):
+    """Return what `_decided` does, inside jit."""
+    M, D = _equations(question)
+    direction, X, least, most = kernels.contained(M, D)
+    held, not_held = most <= 1, least > 1
+    answer = jnp.where(not_held, int(Answer.NO), jnp.where(held, int(Answer.YES), 0)).astype(jnp.int8)
+    return answer, jnp.where(not_held, 1 - least, jnp.where(held, 1 - most, 0)), direction, X
 
 
 def _by_facets(outer, inner):

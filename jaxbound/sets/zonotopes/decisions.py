@@ -7,22 +7,26 @@ Each question asks whether some x in [-1, 1]^q has M x = d:
     two of them meet                         M = [G1 -G2; A1 0; 0 A2],          d = [c2 - c1; b1; b2]
 
 and t, the least max|x_j| with M x = d, says how far it is from the other answer. The work is `gauges.gauge_bounds`; what is left of a
-single question, on the boundary or in a flat set, is settled in exact numbers (`feasibility`), of a batch it stays UNDECIDED.
+single question, on the boundary or in a flat set, is settled in exact numbers (`feasibility`), of a batch it stays UNDECIDED. Inside jit
+and vmap the work is `kernels.bounds`, in the dtype of the sets, and what is left stays UNDECIDED.
 """
 
 import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.zonotopes import certificate, proof
+from jaxbound.sets.intervals.interval import interval, mid, rad
+from jaxbound.sets.zonotopes import certificate, kernels, proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
-from jaxbound.sets.zonotopes.questions import Question, flat, parts
+from jaxbound.sets.zonotopes.questions import Question, flat, numbers, traced
 
-__all__ = ["Answer", "Decision", "Separation", "contains_points", "intersects", "is_empty", "separate"]
+__all__ = ["Answer", "Decision", "Separation", "contains_points", "intersects", "is_empty", "separate", "unscaled"]
 
 EXACT = 100_000
 """How large m^2 (m + q) may be for exact numbers: a second or so."""
@@ -41,21 +45,22 @@ class Answer(IntEnum):
     YES = 1
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Decision:
     """Answers with proofs, one a question.
 
     Fields: answer (...,) int8, see `Answer`; margin (...,), a bound of how far the other answer is, with the sign of this one:
     |1 - t|, t the factor on all generators (for constrained sets, on all |x_i| <= 1) at which the answer changes; 0 where undecided or on
-    the boundary. question; direction (..., m), the combination of equations that proves what misses; point (..., q), the x that proves what
-    meets.
+    the boundary. question, None inside jit and vmap; direction (..., m), the combination of equations that proves what misses; point
+    (..., q), the x that proves what meets.
 
     `bool` of a single decision is its answer, and an error where there is none.
     """
 
     answer: np.ndarray
     margin: np.ndarray
-    question: Question
+    question: Question | None
     direction: np.ndarray
     point: np.ndarray
 
@@ -81,8 +86,11 @@ class Decision:
             at: which of the answers, an index.
 
         Raises:
-            ValueError: it is UNDECIDED. NotImplementedError: no short proof is known (a zonotope in another by all facets of that).
+            ValueError: it is UNDECIDED, or was taken inside jit or vmap. NotImplementedError: no short proof is
+                known (a zonotope in another by all facets of that).
         """
+        if self.question is None:
+            raise ValueError("a decision taken inside jit or vmap keeps no sets: ask again outside for a certificate")
         answer = Answer(int(self.answer[at]))
         if answer == Answer.UNDECIDED:
             raise ValueError("an answer that is UNDECIDED has no certificate")
@@ -94,6 +102,8 @@ class Decision:
         return certificate.document(self.question, where, answer.name, one(self.direction), one(self.point))
 
     def __repr__(self):
+        if traced(self.answer):
+            return f"Decision({self.answer})"
         if not self.answer.shape:
             return f"Decision({Answer(int(self.answer)).name}, margin={float(self.margin):.6g})"
         return f"Decision({self.yes.sum()} yes, {self.no.sum()} no, {(self.answer == 0).sum()} undecided)"
@@ -101,17 +111,26 @@ class Decision:
 
 def contains_points(Z, points):
     """Decide for each point whether the set holds it; see `contains`."""
-    sets = parts(Z)
+    points = points if isinstance(points, jax.Array) else np.asarray(points)
+    (sets,) = numbers(Z, points=points)
     batch, n = sets[0].shape[:-1], sets[0].shape[-1]
-    points = np.asarray(points)
     lead = points.shape[:-1]
     if points.ndim < 1 or points.shape[-1] != n or lead[: len(batch)] != batch:
         raise ValueError(f"points must have shape ({', '.join(map(str, (*batch, '...', n)))}): their shape is {points.shape}")
-    bad = ~np.isfinite(points.astype(float))
-    if bad.any():
-        raise ValueError(f"points must be finite: {bad.sum()} of {points.size} entries are not, first at {_place(bad)}")
-    question = Question("contains", (flat(sets, batch),), points.astype(float).reshape((math.prod(batch), -1, n)))
-    return _decide(question, lead, meets=Answer.YES)
+    if not isinstance(points, jax.core.Tracer) and not (fine := np.isfinite(np.asarray(points, float))).all():
+        raise ValueError(f"points must be finite: {(~fine).sum()} of {points.size} entries are not, first at {_place(~fine)}")
+    off = 0.0
+    if not traced(sets):
+        points = np.asarray(points, float)
+    else:
+        dtype = sets[0].dtype
+        if isinstance(points, np.ndarray):  # where there is only float32, numbers of float64 become their middle and radius
+            box = interval(points)
+            points, off = mid(box), rad(box).astype(dtype).reshape(math.prod(batch), -1, n)
+            off = jnp.pad(off, ((0, 0), (0, 0), (0, sets[3].shape[-1])))
+        (points,) = kernels.settled(rounding.widened(points, dtype))
+    question = Question("contains", (flat(sets, batch),), points.reshape(math.prod(batch), -1, n))
+    return _decide(question, lead, Answer.YES, off)
 
 
 def is_empty(Z):
@@ -121,14 +140,15 @@ def is_empty(Z):
         Z: a ConstrainedZonotope or Zonotope, or a batch of them with leading axes (...).
 
     Returns:
-        A Decision (...,). Its margin is t - 1, t the least bound on all |x_i| at which the set is not empty.
+        A Decision (...,). Its margin is t - 1, t the least bound on all |x_i| at which the set is not empty. Inside jit and vmap: the
+        same answer or UNDECIDED, without certificate.
 
     Example:
         >>> from jaxbound.sets import constrained_zonotope
         >>> is_empty(constrained_zonotope([0.0], [[1.0, 2.0]], [[1.0, 1.0]], [3.0]))
         Decision(YES, margin=0.5)
     """
-    sets = parts(Z)
+    (sets,) = numbers(Z)
     batch = sets[0].shape[:-1]
     return _decide(Question("is_empty", (flat(sets, batch),), None), batch, meets=Answer.NO)
 
@@ -140,14 +160,15 @@ def intersects(X, Y):
         X, Y: sets of one dimension, or batches of them whose leading axes broadcast.
 
     Returns:
-        A Decision (...,). Its margin is 1 - t, t the factor on the generators of both at which they just touch.
+        A Decision (...,). Its margin is 1 - t, t the factor on the generators of both at which they just touch. Inside jit and vmap: the
+        same answer or UNDECIDED, without certificate.
 
     Example:
         >>> from jaxbound.sets import zonotope
         >>> bool(intersects(zonotope([0.0], [[1.0]]), zonotope([3.0], [[1.0]])))
         False
     """
-    pair = parts(X), parts(Y)
+    pair = numbers(X, Y)
     n, batches = [x[0].shape[-1] for x in pair], [x[0].shape[:-1] for x in pair]
     if n[0] != n[1]:
         raise ValueError(f"two sets must have one dimension: they have {n[0]} and {n[1]}")
@@ -155,10 +176,12 @@ def intersects(X, Y):
         batch = np.broadcast_shapes(*batches)
     except ValueError:
         raise ValueError(f"leading axes of two sets must broadcast: they are {batches[0]} and {batches[1]}") from None
-    wide = tuple(tuple(np.broadcast_to(v, (*batch, *v.shape[len(b) :])) for v in x) for x, b in zip(pair, batches, strict=True))
+    xp = proof.library(pair[0][0])
+    wide = tuple(tuple(xp.broadcast_to(v, (*batch, *v.shape[len(b) :])) for v in x) for x, b in zip(pair, batches, strict=True))
     return _decide(Question("intersects", tuple(flat(x, batch) for x in wide), None), batch, meets=Answer.YES)
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Separation:
     """A hyperplane between two sets, or a common point.
@@ -189,42 +212,50 @@ def separate(X, Y):
         >>> found.normal * 1.0 < found.offset < found.normal * 2.0
         array([ True])
     """
-    meet = intersects(X, Y)
-    batch = meet.answer.shape
+    (first, second), meet = numbers(X, Y), intersects(X, Y)
     apart = Decision(-meet.answer, -meet.margin, meet.question, meet.direction, meet.point)
-    (c, G, A, b), (c2, G2, A2, b2) = meet.question.sets
-    n, k, q = c.shape[-1], b.shape[-1], G.shape[-1]
-    l, x = (v.reshape(len(c), v.shape[-1]) for v in (meet.direction, meet.point))
-    normal, of_first, of_second = l[:, :n], l[:, n : n + k], l[:, n + k :]
-    row = lambda v, W: (v[:, None] @ W)[:, 0]
-    dot = lambda v, w: (v * w).sum(1)
+    (c, G, A, b), (c2, G2, A2, b2) = first, second
+    xp, n, k, q = proof.library(c), c.shape[-1], b.shape[-1], G.shape[-1]
+    l = proof.unit(meet.direction)
+    (l,) = (l,) if xp is np else kernels.settled(l)
+    normal, of_first, of_second = l[..., :n], l[..., n : n + k], l[..., n + k :]
+    row = lambda v, W: (v[..., None, :] @ W)[..., 0, :]
+    dot = lambda v, w: (v * w).sum(-1)
     with np.errstate(all="ignore"):
-        top = dot(normal, c) + abs(row(normal, G) + row(of_first, A)).sum(1) - dot(of_first, b)
-        bottom = dot(normal, c2) - abs(row(normal, G2) - row(of_second, A2)).sum(1) + dot(of_second, b2)
-        offset, point = (top + bottom) / 2, c + (G @ x[:, :q, None])[..., 0]
-        size = sum(
-            dot(abs(v), abs(w) + abs(W).sum(2)) for v, w, W in ((normal, c, G), (of_first, b, A), (normal, c2, G2), (of_second, b2, A2))
-        )
-        gamma, floor = rounding.product_error(2 * (n + k + b2.shape[-1]) + q + G2.shape[-1], float)
-        between = (np.minimum(bottom - offset, offset - top) > gamma * size + floor * (1 + size)).reshape(batch)
+        top = dot(normal, c) + abs(row(normal, G) + row(of_first, A)).sum(-1) - dot(of_first, b)
+        bottom = dot(normal, c2) - abs(row(normal, G2) - row(of_second, A2)).sum(-1) + dot(of_second, b2)
+        offset, point = (top + bottom) / 2, c + (G @ meet.point[..., :q, None])[..., 0]
+        pairs = (normal, c, G), (of_first, b, A), (normal, c2, G2), (of_second, b2, A2)
+        size = sum(dot(abs(v), abs(w) + abs(W).sum(-1)) for v, w, W in pairs)
+        largest = sum(abs(w).max(-1, initial=0) + abs(W).max((-1, -2), initial=0) for _, w, W in pairs)
+        gamma, floor = rounding.product_error(2 * (n + k + b2.shape[-1]) + q + G2.shape[-1], l.dtype)
+        slack = gamma * size + floor * 2 * (1 + q + G2.shape[-1]) * (1 + largest)
+        between = xp.minimum(bottom - offset, offset - top) > slack
     proved, shared = meet.no & between, meet.yes
     return Separation(
         apart,
-        np.where(proved[..., None], normal.reshape((*batch, n)), np.nan),
-        np.where(proved, offset.reshape(batch), np.nan),
-        np.where(shared[..., None], point.reshape((*batch, n)), np.nan),
+        xp.where(proved[..., None], normal, np.nan),
+        xp.where(proved, offset, np.nan),
+        xp.where(shared[..., None], point, np.nan),
     )
 
 
-def _decide(question, shape, meets):
-    """Answer a question; `meets` is the answer where there is an x."""
+def _decide(question, shape, meets, off=0.0):
+    """Answer a question; `meets` is the answer where there is an x; its points are off by at most `off` beyond one rounding."""
     refuse_unverified()
     M, d = question.equations()
+    lay = lambda v: v.reshape((*shape, *v.shape[2:]))
+    if traced(question):
+        lower, upper, direction, x = kernels.bounds(M, d, off)
+        inside, outside = upper <= 1, lower > 1
+        margin = jnp.where(inside, 1 - upper, jnp.where(outside, 1 - lower, 0))
+        answer = jnp.where(inside, int(meets), jnp.where(outside, -int(meets), 0)).astype(jnp.int8)
+        return Decision(lay(answer), lay(margin * int(meets)), None, lay(direction), lay(x))
     image = proof.image(M)
     found = gauge_bounds(image, image.scaled(d))
     inside, outside = found.upper <= 1, found.lower > 1
     margin = np.where(inside, 1 - found.upper, np.where(outside, 1 - found.lower, 0.0))
-    direction = _unscaled(found.l, image.powers)
+    direction = unscaled(found.l, image.powers)
     m, q = M.shape[1:]
     if inside.size == 1 and not (inside | outside).any() and m * m * (m + q) <= EXACT:
         x, l = certificate.exactly(question, (0, 0), found.x[0, 0])
@@ -235,11 +266,10 @@ def _decide(question, shape, meets):
             top = max(map(abs, l))
             direction[0, 0] = [float(v / top) for v in l]
     answer = np.where(inside, meets, np.where(outside, -meets, Answer.UNDECIDED)).astype(np.int8)
-    lay = lambda v: v.reshape((*shape, *v.shape[2:]))
     return Decision(lay(answer), lay(margin * meets), question, lay(direction), lay(found.x))
 
 
-def _unscaled(l, powers):
+def unscaled(l, powers):
     """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
     mantissa, exponent = np.frexp(l)
     exponent = exponent + powers[:, None]

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
+from jaxbound.sets.zonotopes.constrained import parts
 from jaxbound.sets.zonotopes.intersections import cancelled
-from jaxbound.sets.zonotopes.maps import dimension, mapped, parts, product, reach, up
+from jaxbound.sets.zonotopes.maps import dimension, mapped, product, reach, up
 
 __all__ = ["interval_hull", "support"]
 

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval, matmul, mid, rad
 from jaxbound.sets.intervals.interval import intersection as interval_intersection
-from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
-from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, parts, product, reach, up, whole
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, parts
+from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, product, reach, up, whole
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["cancelled", "eliminate_constraints", "intersection", "strip_intersection"]

@@ -18,30 +18,22 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval, interval, matmul, mid, rad
 from jaxbound.sets.intervals.interval import sum as interval_sum
-from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
+from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, parts
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["added", "blocks", "cartesian_product", "convex_hull", "dimension", "from_interval", "linear_map", "mapped", "minkowski_sum",
-           "one_dtype", "parts", "product", "reach", "scale", "translate", "up", "whole"]  # fmt: skip
+           "one_dtype", "product", "reach", "scale", "translate", "up", "whole"]  # fmt: skip
 
 SHORT = 16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
-
-
-def parts(S):
-    """Return (c, G, A, b) of one Zonotope, with no constraints, or of one ConstrainedZonotope."""
-    if not isinstance(S, Zonotope | ConstrainedZonotope):
-        raise TypeError(f"a Zonotope or a ConstrainedZonotope is needed, not {type(S).__name__}: build one with zonotope")
-    if jnp.ndim(S.center) != 1:
-        raise ValueError(f"one set is needed, with a center (n,): its shape is {jnp.shape(S.center)}; use jax.vmap for a batch of sets")
-    if isinstance(S, ConstrainedZonotope):
-        return S.center, S.generators, S.constraints, S.offsets
-    return S.center, S.generators, jnp.zeros((0, S.generators.shape[1]), S.center.dtype), jnp.zeros(0, S.center.dtype)
 
 
 def dimension(S):
     """Return how many coordinates a set has, at the door of an operation: refused where arithmetic was not verified."""
     refuse_unverified(S)
-    return len(parts(S)[0])
+    shape = np.shape(S.center if isinstance(S, Zonotope) else parts(S)[0])
+    if len(shape) != 1:
+        raise ValueError(f"one set is needed, with a center (n,): its shape is {shape}; use jax.vmap for a batch of sets")
+    return shape[0]
 
 
 def whole(c, G, A, b, error=None):

@@ -1,28 +1,69 @@
-"""What proves that a point lies in a zonotope or outside of it: checks of given candidates, in float64 on the host.
+"""What proves that a point lies in a zonotope or outside of it: checks of given candidates.
 
 The question is always whether some x in [-1, 1]^q has M x = d, for a set that its matrix M (m, q) holds and points d. Whatever found the
-candidates (`zonotopes.search`), on whatever device and in whatever precision, has no part in the proof. NumPy's products are plain sums of
-products in some order, fused or not: `rounding.product_error` bounds them; that is the premise here.
+candidates (`zonotopes.search`), on whatever device and in whatever precision, has no part in the proof. It is the same proof on the host,
+in float64, and inside jit (`zonotopes.kernels`), in the precision of what is given: products are plain sums of products in some order,
+fused or not, numbers below the smallest normal one perhaps read as 0, and `rounding.product_error` bounds them; that is the premise here.
+Candidates must have one value for all their uses: NumPy arrays do, inside jit `kernels.settled` sees to it.
 
 **Outside** (`gauge_above`). Any l with l'd > sum_j |l' M_j|. In floats both sides together are off by at most
-gamma (|l|'|d| + sum_j |l|'|M_j|) + floor (1 + max|l|)(1 + max|M| + max|d|), that of a sum of m + q products. d, a difference of two floats
-rounded once, is off by u |d|, which gamma holds as well.
+gamma (|l|'|d| + sum_j |l|'|M_j|) + floor (1 + max|l|)(1 + max|M| + max|d|), that of a sum of m + q products; l has entries of at most 1.
+d, a difference of two floats rounded once, is off by u |d|, which gamma holds as well; by how much more d may be off, `off` says.
 
 **Inside** (`gauge_below`). Let R be such that every row sum of |1 - M R| is at most rho < 1 and x any point, r = d - M x. Then y with
 M R y = r exists, max|y| <= max|r| / (1 - rho), and M (x + R y) = d: x_j moves by at most reach_j max|y|, reach_j = sum_i |R_ji|.
 So min max|x| <= max_j (|x_j| + reach_j max|r| / (1 - rho)). A set that is flat, or flat but for rounding, has no such R.
+
+**A zonotope** D [1, z], D (m, 1 + p): outside by l with l'D_0 + sum_k |l'D_k| > sum_j |l'M_j| (`reach_above`); inside by X (q, 1 + p) with
+M X = D and row sums of |X| of at most 1, a column at a time as above (`rows_below`).
 """
 
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Image", "gauge_above", "gauge_below", "image", "vertices"]
+__all__ = ["Image", "gauge_above", "gauge_below", "image", "largest", "library", "measured", "more", "product", "reach_above", "rows_below",
+           "unit", "vertices"]  # fmt: skip
 
-UP = 1 + 2.0**-48
-"""More than the few roundings, each of 2^-53, of what it multiplies."""
+
+SINGLE = 2**18
+"""Products of numbers for which OpenBLAS stays on one thread; with two, 1000 points of 20 coordinates took five times as long."""
+
+
+def library(x):
+    """Return NumPy for its arrays, jax.numpy for what is inside jit."""
+    return np if isinstance(x, np.ndarray) else jnp
+
+
+def largest(x, axis):
+    """Return the largest |x|, infinite where one is NaN, which a compiled maximum of many numbers may overlook; 0 of none."""
+    xp = library(x)
+    return xp.where(xp.isfinite(x).all(axis), abs(x).max(axis, initial=0), np.inf)
+
+
+def product(A, B):
+    """Return A @ B, (S, N, k) by (S, k, j); on the host by blocks of rows that its library does not wake other threads for."""
+    (S, N, k), j = A.shape, B.shape[2]
+    rows = SINGLE // max(k * j, 1)
+    if library(A) is jnp or not 64 <= rows < N:
+        return A @ B
+    whole = N - N % rows
+    blocks = A[:, :whole].reshape(S, -1, rows, k) @ B[:, None]
+    return np.concatenate([blocks.reshape(S, whole, j), A[:, whole:] @ B], 1)
+
+
+def unit(l):
+    """Return directions (..., m), each in terms of its largest entry."""
+    size = abs(l).max(-1, initial=0)[..., None]
+    return l / library(l).where(size > 0, size, 1)
+
+
+def more(x):
+    """Return 1 and more than the few roundings of what it multiplies, each of a few u."""
+    return 1 + 64 * rounding.unit(x.dtype)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +93,24 @@ class Image:
 
 
 def image(M):
-    """Build the Image of matrices M (S, m, q), any finite floats."""
+    """Build the Image of matrices M (S, m, q), any finite floats, on the host."""
     M = np.asarray(M, float)
-    S, m, q = M.shape
     top = abs(M).max(2, initial=0)
     powers = np.where(top > 0, -np.frexp(top)[1], 0)
     M = np.ldexp(M, powers[..., None])
-    R = _right_inverse(M)
+    return measured(M, powers, _right_inverse(M))
+
+
+def measured(M, powers, R):
+    """Return the Image of scaled matrices M (S, m, q), with any R (S, q, m) for right inverses."""
+    xp, (_, m, q) = library(M), M.shape
     with np.errstate(all="ignore"):
-        gamma, floor = rounding.product_error(q + 2, float)
-        off = abs(M @ R - np.eye(m)) + gamma * (abs(M) @ abs(R) + 1) + 2 * floor * (1 + abs(R).max((1, 2), initial=0))[:, None, None]
-        loss = off.sum(2).max(1, initial=0) * (1 + rounding.product_error(m, float)[0])
-        reach = abs(R).sum(2) * (1 + rounding.product_error(m, float)[0])
-        return Image(M, powers, R, reach, np.where(loss < 0.5, loss, np.inf), abs(M).sum(2))
+        gamma, floor = rounding.product_error(q + 2, M.dtype)
+        up = 1 + rounding.product_error(m, M.dtype)[0]
+        off = abs(M @ R - xp.eye(m, dtype=M.dtype)[None]) + gamma * (abs(M) @ abs(R) + 1)
+        off += 2 * floor * (1 + largest(R, (1, 2)))[:, None, None]
+        loss = largest(off.sum(2), 1) * up
+        return Image(M, powers, R, abs(R).sum(2) * up, xp.where(loss < 0.5, loss, np.inf), abs(M).sum(2))
 
 
 def _right_inverse(M):
@@ -86,6 +132,9 @@ def _right_inverse(M):
 
 def _inverse(W):
     """Return (inverses of W (N, m, m), which of them there are)."""
+    if library(W) is jnp:
+        inverse = jnp.linalg.inv(W)
+        return inverse, jnp.isfinite(inverse).all((1, 2))
     try:
         return np.linalg.inv(W), np.ones(len(W), bool)
     except np.linalg.LinAlgError:
@@ -93,32 +142,65 @@ def _inverse(W):
         return np.linalg.inv(np.where(regular[:, None, None], W, np.eye(W.shape[1]))), regular
 
 
-def gauge_above(image, d, l):
-    """Return lower bounds (S, N) of the gauges of d (S, N, m), from any directions l (S, N, m); above 1 only where outside is proved."""
-    S, m, q = image.M.shape
-    gamma, floor = rounding.product_error(m + q + 4, float)
+def gauge_above(image, d, l, off=0.0):
+    """Return lower bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; above 1 only if proved outside.
+
+    Args:
+        l: (S, N, m), any directions of entries of at most 1.
+    """
+    xp, (_, m, q) = library(d), image.M.shape
+    gamma, floor = rounding.product_error(m + q + 4, d.dtype)
     with np.errstate(all="ignore"):
-        size = abs(l).max(2, initial=0)
-        l = np.ldexp(l, np.where((size > 0) & (size < np.inf), -np.frexp(size)[1], 0)[..., None])
-        ahead, width = (l * d).sum(2), abs(l @ image.M).sum(2)
-        slack = (gamma * (abs(l) @ image.sums[..., None] + (abs(l) * abs(d)).sum(2)[..., None]))[..., 0]
-        slack += floor * 2 * (3 + abs(d).max(2, initial=0))
-        bound = np.maximum((ahead - slack) / (width + slack) / UP, 0)
-        bound = np.where(ahead - width > slack, np.maximum(bound, 1 + 2.0**-52), np.minimum(bound, 1))
-        return np.where(np.isfinite(ahead) & np.isfinite(slack), bound, 0)
+        ahead, width = (l * d).sum(2), abs(product(l, image.M)).sum(2)
+        slack = gamma * ((abs(l) * image.sums[:, None]).sum(2) + (abs(l) * abs(d)).sum(2)) + (abs(l) * off).sum(2) * more(d)
+        slack += floor * 2 * (q + 1) * (3 + largest(d, 2))
+        bound = xp.maximum((ahead - slack) / (width + slack) / more(d), 0)
+        bound = xp.where(ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(d.dtype)), xp.minimum(bound, 1))
+        return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
 
 
-def gauge_below(image, d, x):
-    """Return upper bounds (S, N) of the gauges of d (S, N, m), from any points x (S, N, q); at most 1 only where inside is proved."""
-    S, m, q = image.M.shape
-    gamma, floor = rounding.product_error(q + 4, float)
+def gauge_below(image, d, x, off=0.0):
+    """Return upper bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; at most 1 only if proved inside.
+
+    Args:
+        x: (S, N, q), any points.
+    """
+    xp, q = library(d), image.M.shape[2]
+    gamma, floor = rounding.product_error(q + 4, d.dtype)
     with np.errstate(all="ignore"):
-        size = abs(x).max(2, initial=0)[..., None]
-        error = gamma * (size * image.sums[:, None] + abs(d)) + floor * 2 * (1 + size)
-        left = (abs(d - x @ image.M.swapaxes(1, 2)) + error).max(2, initial=0) / (1 - image.loss[:, None]) * UP
-        bound = (abs(x) + image.reach[:, None] * left[..., None]).max(2, initial=0) * UP
-        bound = np.where(np.isfinite(bound) & np.isfinite(image.loss)[:, None], bound, np.inf)
-        return np.where(abs(d).max(2, initial=0) == 0, 0, bound)
+        size = largest(x, 2)[..., None]
+        error = gamma * (size * image.sums[:, None] + abs(d)) + floor * 2 * (1 + size) + off
+        left = largest(abs(d - product(x, image.M.swapaxes(1, 2))) + error, 2) / (1 - image.loss[:, None]) * more(d)
+        bound = largest(abs(x) + image.reach[:, None] * left[..., None], 2) * more(d)
+        bound = xp.where(xp.isfinite(bound) & xp.isfinite(image.loss)[:, None], bound, np.inf)
+        return np.where(abs(d).max(2, initial=0) == 0, 0, bound) if xp is np else bound  # inside jit, what is read as 0 may not be
+
+
+def reach_above(image, D, l):
+    """Return lower bounds (S, N) of how far D [1, z] reaches in terms of M x, along directions l (S, N, m) of entries of at most 1."""
+    xp, (_, m, p), q = library(D), D.shape, image.M.shape[2]
+    gamma, floor = rounding.product_error(m + p + q + 4, D.dtype)
+    with np.errstate(all="ignore"):
+        along, width = l @ D, abs(l @ image.M).sum(2)
+        ahead = along[..., 0] + abs(along[..., 1:]).sum(2)
+        slack = gamma * (abs(l) * (image.sums + abs(D).sum(2))[:, None]).sum(2)
+        slack += (floor * 2 * (p + q + 1) * (3 + largest(D, (1, 2))))[:, None]
+        bound = xp.maximum((ahead - slack) / (width + slack) / more(D), 0)
+        bound = xp.where(ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(D.dtype)), xp.minimum(bound, 1))
+        return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
+
+
+def rows_below(image, D, X):
+    """Return upper bounds (S,) of the largest row sum of |X| with M X = D, of one near X (S, q, 1 + p)."""
+    xp = library(D)
+    gamma, floor = rounding.product_error(X.shape[1] + 4, D.dtype)
+    with np.errstate(all="ignore"):
+        size = largest(X, 1)[:, None]
+        error = gamma * (image.sums[..., None] * size + abs(D)) + floor * 2 * (1 + size)
+        left = largest(abs(D - image.M @ X) + error, 1).sum(1) / (1 - image.loss) * more(D)
+        up = (1 + rounding.product_error(X.shape[2] + 4, D.dtype)[0]) * more(D)
+        bound = largest(abs(X).sum(2) + image.reach * left[:, None], 1) * up
+        return xp.where(xp.isfinite(bound) & xp.isfinite(image.loss), bound, np.inf)
 
 
 def vertices(M, d, x, s):
@@ -126,18 +208,18 @@ def vertices(M, d, x, s):
 
     The m - 1 freest entries are unknown, the others are at +-t: m equations for them and t. The last row of the inverse is l.
 
-    Args: M (m, q) or (N, m, q); d (N, m).
+    Args: M (m, q) or (N, m, q), m <= q; d (N, m).
     """
-    N, m = d.shape
-    free = np.argsort(-s, axis=1, kind="stable")[:, : m - 1]
-    sign = np.where(x < 0, -1.0, 1.0)
-    np.put_along_axis(sign, free, 0, 1)
-    chosen = np.take_along_axis(np.broadcast_to(M, (N, *M.shape[-2:])), free[:, None], 2)
-    W = np.concatenate([chosen, (M @ sign[..., None] if M.ndim == 3 else (sign @ M.T)[..., None])], 2)
+    xp, (_, m), q = library(d), d.shape, x.shape[1]
+    order = xp.argsort(-s, axis=1)
+    rank = xp.argsort(order, axis=1)
+    sign = xp.where(rank < m - 1, 0, xp.where(x < 0, -1.0, 1.0)).astype(d.dtype)
+    chosen = xp.take_along_axis(xp.broadcast_to(M, (len(d), *M.shape[-2:])), order[:, None, : m - 1], 2)
+    W = xp.concatenate([chosen, (M @ sign[..., None] if M.ndim == 3 else (sign @ M.T)[..., None])], 2)
     with np.errstate(all="ignore"):
         inverse, regular = _inverse(W)
         y = inverse @ d[..., None]
-        y += inverse @ (d[..., None] - W @ y)
-        out = sign * y[:, -1]
-        np.put_along_axis(out, free, y[:, :-1, 0], 1)
-    return np.where(regular[:, None], out, x), np.where(regular[:, None], inverse[:, -1], 0)
+        y = (y + inverse @ (d[..., None] - W @ y))[..., 0]
+        places = xp.where(rank < m - 1, q + rank, xp.arange(q)[None])
+        out = xp.take_along_axis(xp.concatenate([sign * y[:, -1:], y[:, :-1]], 1), places, 1)
+    return xp.where(regular[:, None], out, x), xp.where(regular[:, None], inverse[:, -1], 0)

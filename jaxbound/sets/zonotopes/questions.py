@@ -1,19 +1,22 @@
 """What is asked of zonotopes and constrained zonotopes, as equations M x = d for x in [-1, 1]^q: rounded once, or exact."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import singledispatch
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
-from jaxbound.sets.zonotopes.zonotope import Zonotope
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.zonotopes.constrained import parts
+from jaxbound.sets.zonotopes.kernels import settled
+from jaxbound.sets.zonotopes.proof import library
 
-__all__ = ["Question", "flat", "parts"]
+__all__ = ["Question", "flat", "numbers", "traced"]
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Question:
     """What was asked, "contains", "contains_set", "is_empty" or "intersects", of sets [(c, G, A, b)], each with one batch axis.
@@ -21,24 +24,25 @@ class Question:
     Fields: name; sets; points (S, N, n), None for all but "contains".
     """
 
-    name: str
+    name: str = field(metadata={"static": True})
     sets: tuple
     points: np.ndarray | None
 
     def equations(self):
         """Return M (S, m, q) and d (S, N, m), the latter rounded once."""
         c, G, A, b = self.sets[0]
+        xp = library(c)
         if self.name == "is_empty":
             return A, b[:, None]
         if self.name == "contains":
-            beside = np.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
+            beside = xp.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
             with np.errstate(over="ignore"):
-                return np.concatenate([G, A], 1), np.concatenate([self.points - c[:, None], beside], 2)
+                return xp.concatenate([G, A], 1), xp.concatenate([self.points - c[:, None], beside], 2)
         c2, G2, A2, b2 = self.sets[1]
-        zeros = lambda rows, columns: np.zeros((len(c), rows.shape[1], columns.shape[2]))
-        M = np.concatenate([np.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1)
+        zeros = lambda rows, columns: xp.zeros((len(c), rows.shape[1], columns.shape[2]), c.dtype)
+        M = xp.concatenate([xp.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1)
         with np.errstate(over="ignore"):
-            return M, np.concatenate([c2 - c, b, b2], 1)[:, None]
+            return M, xp.concatenate([c2 - c, b, b2], 1)[:, None]
 
     def exact(self, at):
         """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first column of D.
@@ -68,28 +72,19 @@ def _exact(x):
     return [_exact(row) for row in x] if x.ndim > 1 else [Fraction(v) for v in x.tolist()]
 
 
-@singledispatch
-def parts(Z):
-    """Return (c, G, A, b) of a concrete set in float64, exactly; a zonotope has no rows in A and b."""
-    raise TypeError(f"a zonotope or a constrained zonotope is needed: this is {type(Z).__name__}")
+def numbers(*sets, points=None):
+    """Return (c, G, A, b) of each set: in float64 on the host, exactly; of one dtype if some of them, or the points, are inside jit."""
+    found = [parts(S) for S in sets]
+    if not traced((found, points)):
+        return [tuple(np.asarray(x, float) for x in each) for each in found]
+    leaves, tree = jax.tree.flatten(found)
+    dtype = jnp.result_type(*leaves, *([] if points is None else [points]), np.float32)
+    return tree.unflatten(settled(*(rounding.widened(jnp.asarray(x), dtype) for x in leaves)))
 
 
-@parts.register
-def _(Z: Zonotope):
-    c, G = _concrete(Z)
-    return c, G, np.zeros((*c.shape[:-1], 0, G.shape[-1])), np.zeros((*c.shape[:-1], 0))
-
-
-@parts.register
-def _(Z: ConstrainedZonotope):
-    return tuple(_concrete(Z))
-
-
-def _concrete(Z):
-    leaves = jax.tree.leaves(Z)
-    if any(isinstance(x, jax.core.Tracer) for x in leaves):
-        raise TypeError("a decision needs concrete sets: take it outside jit, grad and vmap; leading axes are a batch")
-    return [np.asarray(x, float) for x in leaves]
+def traced(tree):
+    """Return whether some of the arrays are inside jit, vmap or scan."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
 def flat(sets, batch):

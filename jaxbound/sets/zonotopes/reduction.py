@@ -12,7 +12,8 @@ import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, matmul
-from jaxbound.sets.zonotopes.maps import dimension, parts, product, reach, up, whole
+from jaxbound.sets.zonotopes.constrained import parts
+from jaxbound.sets.zonotopes.maps import dimension, product, reach, up, whole
 
 __all__ = ["reduce_order"]
 

@@ -15,7 +15,7 @@ Ten to twenty steps, whatever the size. At the end s is large where |x_j| < t: t
 import jax
 import jax.numpy as jnp
 
-__all__ = ["interior_point", "project"]
+__all__ = ["interior_point", "project", "project_rows"]
 
 STEPS = 40
 """At most so many steps of interior points; ten to twenty are the rule."""
@@ -43,6 +43,35 @@ def _project(M, R, d, z, steps):
     near, reflected = onto(y), onto(2 * y - z)
     x = jnp.where(jnp.max(jnp.abs(near)) < jnp.max(jnp.abs(reflected)), near, reflected)
     return x, (z - y) @ R, z
+
+
+@jax.jit
+def project_rows(M, R, D, Z, steps):
+    """Return (X, Z) for each set after so many steps between M X = D (S, m, p) and rows of |X| with sums of at most 1: as `project`."""
+    return jax.vmap(_project_rows, (0, 0, 0, 0, None))(M, R, D, Z, steps)
+
+
+def _project_rows(M, R, D, Z, steps):
+    onto = lambda X: X + R @ (D - M @ X)
+
+    def step(_, Z):
+        Y = _row_balls(Z)
+        return Z + onto(2 * Y - Z) - Y
+
+    Z = jax.lax.fori_loop(0, steps, step, Z)
+    Y = _row_balls(Z)
+    near, reflected = onto(Y), onto(2 * Y - Z)
+    sums = lambda X: jnp.max(jnp.sum(jnp.abs(X), 1))
+    return jnp.where(sums(near) < sums(reflected), near, reflected), Z
+
+
+def _row_balls(X):
+    """Return the nearest rows with sums of |x| of at most 1 (Held, Wolfe, Crowder 1974)."""
+    size = jnp.abs(X)
+    falling = -jnp.sort(-size, 1)
+    rank = jnp.arange(1, X.shape[1] + 1, dtype=X.dtype)[None]
+    level = jnp.max((jnp.cumsum(falling, 1) - 1) / rank, 1, keepdims=True)
+    return jnp.sign(X) * jnp.maximum(size - jnp.maximum(level, 0), 0)
 
 
 @jax.jit

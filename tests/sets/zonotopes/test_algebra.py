@@ -332,7 +332,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(call, sentence):
 
 
 def test_what_is_no_set_is_refused():
-    with pytest.raises(TypeError, match="Zonotope"):
+    with pytest.raises(TypeError, match="zonotope is needed: this is ndarray"):
         sets.linear_map(np.eye(2), np.eye(2))
     box = sets.constrained_zonotope([0.0], [[1.0]], [[1.0]], [0.0])
     for call in (lambda: sets.strip_intersection(box, sets.interval([0.0], [1.0]), [[1.0]]), lambda: sets.convex_hull(box, box)):

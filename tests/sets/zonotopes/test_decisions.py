@@ -180,6 +180,13 @@ def test_points_of_flat_sets_are_decided_one_at_a_time(rng):
     assert contains(Z, np.array([inside, inside + np.eye(4)[3], far])).answer.tolist() == [0, -1, -1]
 
 
+def test_batches_of_points_and_of_sets_with_fewer_generators_than_equations_are_answered():
+    line = zonotope(np.zeros(3), np.ones((3, 1)))
+    assert contains(line, [[0.5, 0.5, 0.5], [1.0, 1.0, 1.0], [1.0, 0.0, 0.0]]).answer.tolist() == [0, 0, -1]
+    sets_ = constrained_zonotope(np.zeros((2, 1)), np.ones((2, 1, 1)), np.ones((2, 3, 1)), [[0.5, 0.5, 0.5], [0.5, 0.5, 0.0]])
+    assert is_empty(sets_).answer.tolist() == [0, 1]
+
+
 def test_repeated_constraints_are_decided_one_at_a_time():
     for b, empty in ((1.0, False), (2.0, False), (2.5, True)):
         assert bool(is_empty(constrained_zonotope([0.0], [[1.0, 0.0]], [[1.0, 1.0]] * 2, [b, b]))) == empty

@@ -1,0 +1,152 @@
+"""Decisions inside jit and vmap: never another answer than outside, where linear programs and exact numbers judge them; else UNDECIDED."""
+
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from zonotope_cases import each_dtype, program
+
+from jaxbound import sets
+from jaxbound.sets import Zonotope, constrained_zonotope, contains, intersects, is_empty, separate, zonotope
+
+N, Q, COUNT = 3, 5, 64
+points_of_one_set = jax.jit(jax.vmap(contains, (None, 0)))
+one_of_each = jax.jit(jax.vmap(contains))
+
+
+def agree(inside, outside):
+    """Return the share left open of answers that must be the same where given."""
+    inside = np.asarray(inside)
+    assert ((inside == outside.answer) | (inside == 0)).all()
+    return (inside == 0).mean()
+
+
+def drawn(rng, dtype, count=COUNT):
+    """Return (centers, generators, points at known factors of the boundary, half of them far from it, the factors)."""
+    G = rng.normal(size=(count, N, Q)).astype(dtype)
+    center, d = rng.normal(size=(count, N)).astype(dtype), rng.normal(size=(count, N))
+    away = np.where(np.arange(count) % 2, rng.uniform(0.05, 0.9, count), 10.0 ** rng.uniform(-9, -3, count))
+    t = 1 + rng.choice([-1, 1], count) * away
+    points = center + d * np.array([f / program(g.astype(float), v) for f, g, v in zip(t, G, d, strict=True)])[:, None]
+    return center, G, points.astype(dtype), t
+
+
+@each_dtype
+def test_points_are_decided_as_outside_of_jit(rng, dtype):
+    center, G, points, t = drawn(rng, dtype)
+    Z = zonotope(center, G)
+    outside = contains(Z, points[:, None])
+    answer = one_of_each(Z, points[:, None]).answer
+    far = np.abs(t - 1) > 0.01
+    assert agree(answer, outside) <= (0 if dtype == np.float64 else 0.5)
+    assert (np.asarray(answer)[far, 0] == np.where(t < 1, 1, -1)[far]).all()
+    one = zonotope(center[0], G[0])
+    assert agree(points_of_one_set(one, points).answer, contains(one, points)) <= 0.1
+    assert agree(jax.jit(contains)(one, points).answer, contains(one, points)) <= 0.1
+
+
+def test_margins_inside_jit_do_not_overstate(rng):
+    center, G, points, t = drawn(rng, np.float64)
+    found = one_of_each(zonotope(center, G), points[:, None])
+    margin = np.asarray(found.margin)[:, 0]
+    assert (np.sign(margin) == np.asarray(found.answer)[:, 0]).all() and (np.abs(margin) <= np.abs(1 - t) + 1e-9).all()
+
+
+@each_dtype
+def test_emptiness_inside_jit_is_that_outside(rng, dtype):
+    A, b = rng.normal(size=(COUNT, 2, Q)), rng.normal(size=(COUNT, 2))
+    t = 1 + rng.choice([-1, 1], COUNT) * 10.0 ** rng.uniform(-6, -1, COUNT)
+    b = b * np.array([f / program(a, v) for f, a, v in zip(t, A, b, strict=True)])[:, None]
+    C = constrained_zonotope(*(v.astype(dtype) for v in (np.zeros((COUNT, 1)), rng.normal(size=(COUNT, 1, Q)), A, b)))
+    assert agree(jax.jit(jax.vmap(is_empty))(C).answer, is_empty(C)) <= (0 if dtype == np.float64 else 0.5)
+
+
+def test_two_sets_are_separated_inside_jit_as_outside(rng):
+    G, H, shift = rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N))
+    t = 1 + rng.choice([-1, 1], COUNT) * 10.0 ** rng.uniform(-6, 0, COUNT)
+    shift *= np.array([f / program(np.hstack([g, -h]), s) for f, g, h, s in zip(t, G, H, shift, strict=True)])[:, None]
+    X, Y = zonotope(np.zeros((COUNT, N)), G), zonotope(shift, H)
+    found = jax.jit(jax.vmap(separate))(X, Y)
+    assert agree(-found.apart.answer, intersects(X, Y)) == 0
+    exact = lambda v: [Fraction(float(x)) for x in v]
+    for i in np.nonzero(t > 1)[0]:
+        l, offset = exact(found.normal[i]), Fraction(float(found.offset[i]))
+        reach = lambda W, l=l: sum(abs(sum(a * b for a, b in zip(l, exact(g), strict=True))) for g in W.T)
+        assert reach(G[i]) < offset < sum(a * b for a, b in zip(l, exact(shift[i]), strict=True)) - reach(H[i])
+    assert (np.isnan(np.asarray(found.point)[:, 0]) == (t > 1)).all()
+
+
+def test_a_zonotope_in_a_set_is_decided_inside_jit_as_outside(rng):
+    G = rng.normal(size=(COUNT, N, Q))
+    shape = rng.normal(size=(COUNT, Q, 4)) * rng.uniform(0.05, 0.4, (COUNT, 1, 1))
+    outer, inner = zonotope(np.zeros((COUNT, N)), G), zonotope(0.1 * rng.normal(size=(COUNT, N)), G @ shape)
+    outside = contains(outer, inner)
+    inside = one_of_each(outer, inner).answer
+    assert agree(inside, outside) <= 0.3 and {-1, 1} <= set(np.asarray(inside).tolist())
+
+
+def test_the_boundary_and_flat_sets_stay_open_inside_jit_and_what_is_clear_does_not():
+    box, flat = zonotope(np.zeros(N), np.eye(N, Q)), zonotope(np.zeros(N), np.eye(N, Q) * [[1], [1], [0]])
+    points = np.array([[1.0, 0, 0], [0.5, 0, 0], [0.5, 0, 1], [2, 0, 0]])
+    assert points_of_one_set(box, points).answer.tolist() == [0, 1, 0, -1]
+    assert points_of_one_set(flat, points).answer.tolist() == [0, 0, -1, -1]
+
+
+def test_numbers_that_overflow_or_are_not_numbers_decide_nothing_inside_jit():
+    box = zonotope(np.zeros(N), np.eye(N, Q))
+    points = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0.5, 0, 0], [0, 0, -np.inf], [9, np.nan, 0]])
+    for found in (points_of_one_set(box, points), jax.jit(contains)(box, points)):
+        assert found.answer.tolist() == [0, 0, 1, 0, 0]
+    for hole in (np.nan, np.inf):
+        broken = Zonotope(box.center, box.generators.at[1, 1].set(hole))
+        assert not np.any(np.asarray(jax.jit(contains)(broken, np.zeros((5, N))).answer))
+
+
+def test_many_points_with_one_that_is_not_a_number_are_decided_but_for_it(rng):
+    """Compiled maxima of many numbers overlook NaN."""
+    center, G, points, _ = drawn(rng, np.float64, 300)
+    one = zonotope(center[0], G[0])
+    points[7, 1] = np.nan
+    answer = np.array(jax.jit(contains)(one, points).answer)
+    points[7, 1] = 0
+    assert answer[7] == 0 and (np.delete(answer, 7) == np.delete(contains(one, points).answer, 7)).all()
+
+
+def test_points_of_float64_among_sets_of_float32_are_not_rounded(rng):
+    with jax.enable_x64(False):
+        box = zonotope(np.zeros(1, np.float32), np.ones((1, 1), np.float32))
+        points = np.array([[1 + 2.0**-30], [1 - 2.0**-30], [0.5], [1.5]])
+        assert jax.jit(lambda Z: contains(Z, points))(box).answer.tolist() == [0, 0, 1, -1]
+
+
+def test_differences_below_the_smallest_number_are_not_taken_for_none(rng):
+    tiny = np.finfo(float).smallest_subnormal
+    Z = zonotope(np.zeros(N), np.zeros((N, Q)))
+    points = np.array([[tiny, 0, 0], [0, 0, 0], [-1e-310, 0, 1e-310]])
+    assert not np.any(np.asarray(points_of_one_set(Z, points).answer) == 1)
+
+
+def test_a_decision_taken_inside_jit_says_why_it_has_no_certificate():
+    found = jax.jit(contains)(zonotope(np.zeros(N), np.eye(N, Q)), jnp.zeros(N))
+    assert found.yes and repr(found) == "Decision(YES, margin=1)"
+    with pytest.raises(ValueError, match="inside jit or vmap keeps no sets: ask again outside"):
+        found.certificate()
+
+
+def test_decisions_are_trees_of_arrays():
+    Z = zonotope(np.zeros(N), np.eye(N, Q))
+    for thing in (contains(Z, np.zeros((2, N))), separate(Z, Z)):
+        assert all(isinstance(leaf, np.ndarray | np.generic) for leaf in jax.tree.leaves(thing))
+
+
+def test_an_observer_may_ask_in_a_scan():
+    Z = zonotope([0.0], [[1.0]])
+
+    def step(S, y):
+        S = sets.linear_map([[0.5]], S)
+        S = Zonotope(S.center, sets.reduce_order(S, 1).generators)
+        return S, contains(S, y[None]).answer
+
+    assert jax.lax.scan(step, Z, np.array([0.25, 0.1, 0.25]))[1].tolist() == [1, 1, -1]
