@@ -6,7 +6,9 @@ and from then on those decimals are the model.
 """
 
 import re
+from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any, NoReturn, Protocol, TypeAlias, cast
 
 import numpy as np
 
@@ -14,10 +16,33 @@ from jaxbound.exact.exponential import exponential
 from jaxbound.exact.linalg import rational
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["as_model", "from_control", "from_scipy", "hold"]
+__all__ = ["ModelLike", "StateSpace", "as_model", "from_control", "from_scipy", "hold"]
 
 
-def as_model(obj):
+class StateSpace(Protocol):
+    """A state-space object of python-control or scipy.signal: its matrices, arrays of numbers."""
+
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    dt: Any
+
+
+class LabelledStateSpace(StateSpace, Protocol):
+    """What python-control's has beside."""
+
+    name: str
+    input_labels: Sequence[str]
+    output_labels: Sequence[str]
+    state_labels: Sequence[str]
+
+
+ModelLike: TypeAlias = LinearSystem | StateSpace
+"""What `as_model` takes."""
+
+
+def as_model(obj: ModelLike) -> LinearSystem:
     """Return a LinearSystem as it is; convert a discrete state-space object of python-control or scipy.signal.
 
     Raises:
@@ -32,13 +57,13 @@ def as_model(obj):
         return obj
     packages = _packages(obj)
     if "control" in packages:
-        return from_control(obj)
+        return from_control(cast("LabelledStateSpace", obj))
     if "scipy" in packages:
         return from_scipy(obj)
     raise TypeError(f"a model is a LinearSystem, or a state-space object of python-control or scipy.signal, not {type(obj).__name__}")
 
 
-def from_control(sys, dt=None, **bounds):
+def from_control(sys: LabelledStateSpace, dt: float | None = None, **bounds: Any) -> LinearSystem:
     """Build a LinearSystem from a python-control StateSpace.
 
     Args:
@@ -66,7 +91,7 @@ def from_control(sys, dt=None, **bounds):
         _refuse(sys, kinds, "control.ss(sys)", "python-control")
     if sys.dt is None:
         raise ValueError("sys has no time base (dt=None): set sys.dt to 0 (continuous) or to its sampling period in seconds")
-    names = {
+    names: dict[str, Any] = {
         "inputs": _given(sys.input_labels, r"u\[\d+\]"),
         "outputs": _given(sys.output_labels, r"y\[\d+\]"),
         "states": _given(sys.state_labels, r"x\[\d+\]"),
@@ -76,7 +101,7 @@ def from_control(sys, dt=None, **bounds):
     return _build(sys, 0 if sys.dt == 0 and sys.dt is not False else sys.dt, dt, names, bounds)
 
 
-def from_scipy(sys, dt=None, **bounds):
+def from_scipy(sys: StateSpace, dt: float | None = None, **bounds: Any) -> LinearSystem:
     """Build a LinearSystem from a scipy.signal StateSpace, as lti(A, B, C, D) or dlti(A, B, C, D, dt=...) return it.
 
     Args:
@@ -98,26 +123,26 @@ def from_scipy(sys, dt=None, **bounds):
     return _build(sys, sys.dt if "dlti" in kinds else 0, dt, {}, bounds)
 
 
-def _packages(obj):
+def _packages(obj: object) -> dict[str, set[str]]:
     """Return {package: names of the classes of that package that obj is an instance of}."""
-    found = {}
+    found: dict[str, set[str]] = {}
     for c in type(obj).__mro__:
         found.setdefault(c.__module__.split(".")[0], set()).add(c.__name__)
     return found
 
 
-def _refuse(sys, kinds, convert, package):
+def _refuse(sys: object, kinds: set[str], convert: str, package: str) -> NoReturn:
     transfer = {"TransferFunction", "ZerosPolesGain", "FrequencyResponseData"} & kinds
     advice = f": convert it first, {convert}" if transfer else ""
     raise TypeError(f"a state-space object of {package} is needed, not {type(sys).__name__}{advice}")
 
 
-def _given(labels, automatic):
+def _given(labels: Sequence[str], automatic: str) -> tuple[str, ...] | None:
     """Return the labels, or None if python-control made them up."""
     return None if all(re.fullmatch(automatic, s) for s in labels) else tuple(labels)
 
 
-def _build(sys, own, dt, names, bounds):
+def _build(sys: StateSpace, own: float | bool, dt: float | None, names: dict[str, Any], bounds: dict[str, Any]) -> LinearSystem:
     """Build the model; own is the period of sys: 0 continuous, True discrete without a period, else seconds."""
     A, B, C, D = (np.asarray(x, np.float64) for x in (sys.A, sys.B, sys.C, sys.D))
     if own is True:
@@ -143,7 +168,7 @@ def _hold(A, B, dt):
     return step[:n, :n].astype(float), step[:n, n:].astype(float)
 
 
-def hold(A, B, dt):
+def hold(A: np.ndarray, B: np.ndarray, dt: Fraction) -> tuple[np.ndarray, Fraction]:
     """Return (X, e): an array near exp([[A, B], [0, 0]] dt), (n + m, n + m), and a bound of the error of each entry.
 
     Args:

@@ -42,7 +42,7 @@ class Affine:
     spread: np.ndarray
 
 
-def held(g, n, dt):
+def held(g: Affine, n: int, dt: Fraction) -> Affine:
     """Return the Affine of z+ for one of dz/dt, over a step dt with held inputs; zeta has n states first.
 
     Encloses: every solution that stays in the box of g over the step; the matrices are decimals, what they round away is in the remainder.
@@ -65,12 +65,12 @@ def held(g, n, dt):
     ), error)  # fmt: skip
 
 
-def _largest(g):
+def _largest(g: Affine) -> np.ndarray:
     """Return the bounds (k, q) of |shift + change zeta| over the box."""
     return abs(g.shift + g.change @ ((g.low + g.high) / 2)) + abs(g.change) @ ((g.high - g.low) / 2)
 
 
-def decimals(g, error=0):
+def decimals(g: Affine, error: Fraction | int = 0) -> Affine:
     """Return g with its matrices rounded to decimals of floats; what is rounded away, and an error of each number, goes to the remainder.
 
     The shift is left out: a parameter that pushes without a signal is counted to the remainder too.

@@ -33,7 +33,7 @@ class Fault:
     start: int = 0
     stop: int | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ValueError(f"kind of fault must be one of {', '.join(KINDS)}, not {self.kind!r}")
         if not abs(self.size) < float("inf"):

@@ -4,6 +4,7 @@ A field that is forgotten lets the state of one model be taken up by another, so
 """
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 
@@ -15,7 +16,7 @@ from jaxbound.models.system import LinearSystem
 __all__ = ["fingerprint"]
 
 
-def fingerprint(*things):
+def fingerprint(*things: object) -> str:
     """Return a text that differs where any of the things differs, exactly: a model in any field, an array in type, shape or an entry.
 
     Args:
@@ -36,7 +37,7 @@ def fingerprint(*things):
     return digest.hexdigest()
 
 
-def _pieces(x):
+def _pieces(x: object) -> Iterator[bytes]:
     """Yield what a thing consists of as bytes."""
     if isinstance(x, np.generic):
         x = x.item()

@@ -1,16 +1,26 @@
 """Linear models whose matrices are intervals, and their static form: one interval linear system in the states of a window."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.models.signals import Each
+from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 
 __all__ = ["IntervalSystem", "as_intervals", "interval_system", "stacked"]
+
+Entries: TypeAlias = Interval | np.ndarray | Sequence[Sequence[Any]]
+"""A matrix: an Interval, or rows whose entries are numbers or pairs (lo, hi)."""
+
+Moves: TypeAlias = tuple[Interval, Interval, Interval, Interval]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,16 +39,16 @@ class IntervalSystem:
     w: Interval
     tolerance: np.ndarray
     noise: np.ndarray
-    offset: dict
-    inputs: tuple
-    outputs: tuple
-    states: tuple
-    moves: tuple | None = None
+    offset: Mapping[str, Interval]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    states: tuple[str, ...]
+    moves: Moves | None = None
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return isinstance(other, IntervalSystem) and fingerprint(self) == fingerprint(other)
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(fingerprint(self))
 
     n = property(lambda self: self.A.shape[0], doc="Number of states.")
@@ -46,7 +56,17 @@ class IntervalSystem:
     p = property(lambda self: self.C.shape[0], doc="Number of outputs.")
 
 
-def interval_system(A, B, C, *, noise=0.0, tolerance=0.0, inputs=None, outputs=None, states=None):
+def interval_system(
+    A: Entries,
+    B: Entries | None,
+    C: Entries,
+    *,
+    noise: Each = 0.0,
+    tolerance: Each = 0.0,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    states: Sequence[str] | None = None,
+) -> IntervalSystem:
     """Build a model from interval matrices: x+ = [A] x + [B] u, y = [C] x.
 
     Args:
@@ -87,12 +107,12 @@ def interval_system(A, B, C, *, noise=0.0, tolerance=0.0, inputs=None, outputs=N
     return IntervalSystem(A, B, C, zero(p, m), zero(n), tolerance, noise, {"u": zero(m), "y": zero(p)}, *called)
 
 
-def _numbers(field, value, count):
-    values = [value] * count if isinstance(value, str) or np.ndim(value) == 0 else list(value)
-    if len(values) != count:
-        raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(values)} given")
+def _numbers(field: str, value: Each, count: int) -> list[Fraction]:
+    given = [value] * count if isinstance(value, str) or np.asarray(value, object).ndim == 0 else list(cast("Sequence[Number]", value))
+    if len(given) != count:
+        raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(given)} given")
     try:
-        values = [linalg.rational(v) for v in values]
+        values = [linalg.rational(cast("Number", v)) for v in given]
     except (ValueError, TypeError) as e:
         raise ValueError(f"{field}: {e}") from None
     if any(v < 0 for v in values):
@@ -100,7 +120,7 @@ def _numbers(field, value, count):
     return values
 
 
-def _entries(name, rows):
+def _entries(name: str, rows: Entries) -> Interval:
     """Return rows of numbers and pairs as an Interval, rounded outward from their decimals."""
     if isinstance(rows, Interval):
         if len(rows.shape) != 2:
@@ -120,7 +140,7 @@ def _entries(name, rows):
     return _outward([[x[0] for x in row] for row in ends], [[x[1] for x in row] for row in ends])
 
 
-def _upper(values):
+def _upper(values: Sequence[Fraction]) -> np.ndarray:
     """Return exact numbers as floats, rounded up, in an array that nobody writes."""
     out = rounding.round_up(np.array(values, object))
     out.setflags(write=False)
@@ -131,7 +151,7 @@ def _outward(lo, hi):
     return interval(rounding.round_down(np.array(lo, object)), rounding.round_up(np.array(hi, object)))
 
 
-def as_intervals(model):
+def as_intervals(model: LinearSystem | IntervalSystem) -> IntervalSystem:
     """Return a model as an IntervalSystem: uncertain parameters become the interval hulls of the matrices they act on.
 
     Raises:
@@ -146,7 +166,7 @@ def as_intervals(model):
 
     def hull(letter, left=None):
         """Return the hull of a matrix, or of left times it."""
-        middle, spread = getattr(model, letter), [u.on(letter) for u in model.uncertainties if u.on(letter)]
+        middle, spread = getattr(model, letter), [rows for u in model.uncertainties if (rows := u.on(letter))]
         if not middle or not middle[0]:
             return interval(np.zeros((len(left or middle), 0)))
         if left:
@@ -160,14 +180,14 @@ def as_intervals(model):
         return _outward(*([sum((e[side] for e in row), Fraction(0)) for row in ends] for side in (0, 1)))
 
     w, left = pushed(model.G), _combinations(model)
-    moves = left and (hull("A", left), _outward(left, left), hull("B", left), pushed(linalg.matmul(left, model.G)))
+    moves = None if left is None else (hull("A", left), _outward(left, left), hull("B", left), pushed(linalg.matmul(left, model.G)))
     noise = _upper([a + b for a, b in zip(model.noise, model.resolution, strict=True)])
     offset = {k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()}
-    matrices = [hull(letter) for letter in "ABCD"]
-    return IntervalSystem(*matrices, w, _upper(model.tolerance), noise, offset, model.inputs, model.outputs, model.states, moves)
+    A, B, C, D = (hull(letter) for letter in "ABCD")
+    return IntervalSystem(A, B, C, D, w, _upper(model.tolerance), noise, offset, model.inputs, model.outputs, model.states, moves)
 
 
-def _combinations(model):
+def _combinations(model: LinearSystem) -> Sequence[Vector] | None:
     """Return rows L (e, n) such that L (A x + B u + G d - x+) = 0 uses that the disturbances are fewer than the states; None if not.
 
     A box around G d forgets that its entries move together. With T G = [I, 0]', T regular, nothing is lost where A and B are certain;
@@ -186,7 +206,7 @@ def _combinations(model):
     return [*unit, *free]
 
 
-def stacked(model, horizon, moves=None):
+def stacked(model: IntervalSystem, horizon: int, moves: Moves | None = None) -> Interval:
     """Return M of the static form M x = h, x the states of a window of horizon + 1 samples: first [A, -I] rows, then the C rows.
 
     h holds -B u - w, then what each sample says of C x. moves: rows [E, -K] in place of [A, -I], see `IntervalSystem`.

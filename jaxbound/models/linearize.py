@@ -1,5 +1,6 @@
 """A physical model, linear around a working point: what the linear model leaves out becomes a bounded disturbance."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
@@ -10,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.exact.linalg import rational
+from jaxbound.exact.linalg import Number, rational
 from jaxbound.models.discretise import Affine, decimals, held
 from jaxbound.models.remainder import derivatives, plane
+from jaxbound.models.signals import Each
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -20,7 +22,19 @@ from jaxbound.sets.floats.probe import refuse_unverified
 __all__ = ["linearize"]
 
 
-def linearize(f, x0, u0=None, dt=1.0, *, region, output=None, parameters=None, varying=True, continuous=True, **bounds):
+def linearize(
+    f: Callable[..., jax.Array],
+    x0: Each,
+    u0: Each | None = None,
+    dt: Number = 1.0,
+    *,
+    region: Mapping[str, Any],
+    output: Callable[..., jax.Array] | None = None,
+    parameters: Mapping[str, Sequence[Number]] | None = None,
+    varying: bool = True,
+    continuous: bool = True,
+    **bounds: Any,
+) -> LinearSystem:
     """Return a LinearSystem that holds, with a bounded disturbance, wherever a nonlinear model stays in a region.
 
     Args:
@@ -60,26 +74,26 @@ def linearize(f, x0, u0=None, dt=1.0, *, region, output=None, parameters=None, v
     if refused:
         raise ValueError(f"linearize itself finds {', '.join(refused)}: give x0, u0 and parameters instead")
     refuse_unverified()
-    x0, u0, dt = _point("x0", x0), _point("u0", [] if u0 is None else u0), rational(dt)
-    n, m = len(x0), len(u0)
-    if not n or dt <= 0:
-        raise ValueError(f"linearize needs at least one state and a positive dt: {n} states, dt={float(dt):g}")
+    at_x, at_u, period = _point("x0", x0), _point("u0", () if u0 is None else u0), rational(dt)
+    n, m = len(at_x), len(at_u)
+    if not n or period <= 0:
+        raise ValueError(f"linearize needs at least one state and a positive dt: {n} states, dt={float(period):g}")
     names, between = _parameters(parameters)
     signals = [*_names(bounds, "states", n, "x"), *_names(bounds, "inputs", m, "u")]
     if not isinstance(region, dict) or set(region) - {"x", "u"} or "x" not in region or (m and "u" not in region):
         raise ValueError(f'region needs the fields "x" and, with inputs, "u": not {region!r}')
-    box = [*_box("x", region["x"], x0), *(_box("u", region["u"], u0) if m else ()), *between]
+    box = [*_box("x", region["x"], at_x), *(_box("u", region["u"], at_u) if m else ()), *between]
     call = lambda function: _Call(function, n, m, names)
 
-    g = _about(call(f), box, [*x0, *u0], "f", n, signals)
-    g = held(g, n, dt) if continuous else replace(g, constant=g.constant - np.array(x0, object))
+    g = _about(call(f), box, [*at_x, *at_u], "f", n, signals)
+    g = held(g, n, period) if continuous else replace(g, constant=g.constant - np.array(at_x, object))
     g, at_zero = _at_zero(g, middles := _middles(between))
-    given, y0 = dict(bounds), x0
+    given, y0 = dict(bounds), at_x
     seen, seen_at_zero = 0 * g.change, np.array([[Fraction(i == j) for j in range(n + m)] for i in range(n)], object)
     if output is None:
         given.setdefault("outputs", tuple(signals[:n]) if "states" in bounds else None)
     else:
-        seen, seen_at_zero, y0, given["noise"] = _measured(call(output), box, [*x0, *u0], middles, bounds)
+        seen, seen_at_zero, y0, given["noise"] = _measured(call(output), box, [*at_x, *at_u], middles, bounds)
     ranges = [f"{s} in [{float(a):g}, {float(b):g}]" for s, (a, b) in zip([*signals, *names], box, strict=True)]
     where = f"linearised over {', '.join(ranges)}"
     sides = {"model": where, "disturbance": where, **({"noise": f"as given, plus what was {where}"} if output is not None else {})}
@@ -93,8 +107,8 @@ def linearize(f, x0, u0=None, dt=1.0, *, region, output=None, parameters=None, v
             uncertainties.append(Uncertainty(name, **parts, varying=varying, between=between[k]))
     (A, B), (C, D) = (np.split(matrix, [n], axis=1) for matrix in (at_zero, seen_at_zero))
     return LinearSystem(
-        A.tolist(), B.tolist() if m else None, C.tolist(), D.tolist() if m else None, dt,
-        uncertainties=uncertainties, offset={"u": list(u0), "y": list(y0)}, **given,
+        A.tolist(), B.tolist() if m else None, C.tolist(), D.tolist() if m else None, period,
+        uncertainties=uncertainties, offset={"u": list(at_u), "y": list(y0)}, **given,
     )  # fmt: skip
 
 
@@ -107,7 +121,7 @@ class _Call:
     m: int
     names: tuple
 
-    def __call__(self, z):
+    def __call__(self, z: jax.Array) -> jax.Array:
         x, u, p = z[: self.n], z[self.n : self.n + self.m], z[self.n + self.m :]
         value = self.f(x, u, *([{name: p[k] for k, name in enumerate(self.names)}] if self.names else []))
         return jnp.ravel(jnp.asarray(value, z.dtype))
@@ -123,7 +137,7 @@ class _Parts:
     f: _Call
     middles: tuple
 
-    def __call__(self, z):
+    def __call__(self, z: jax.Array) -> jax.Array:
         here = len(z) - len(self.middles)
         by = derivatives(lambda p: self.f(jnp.concatenate([z[:here], p])))(z[here:])
         return jnp.concatenate([self.f(jnp.concatenate([z[:here], jnp.array(self.middles, z.dtype)])), by.T.ravel()])
@@ -162,10 +176,10 @@ def _middles(between):
 
 def _measured(h, box, origin, middles, bounds):
     """Return what parameters change of the outputs, their matrix at 0, their values at the working point, and the noise with the rest."""
-    y0 = np.asarray(h(jnp.asarray(np.array([*origin, *middles], float))))
-    if not np.isfinite(y0).all():
-        raise ValueError(f"the outputs at the working point must be numbers, not {y0.tolist()}")
-    y0 = [rational(float(y)) for y in y0]
+    there = np.asarray(h(jnp.asarray(np.array([*origin, *middles], float))))
+    if not np.isfinite(there).all():
+        raise ValueError(f"the outputs at the working point must be numbers, not {there.tolist()}")
+    y0 = [rational(float(y)) for y in there]
     g, at_zero = _at_zero(_about(h, box, origin, "output", None, None), middles)
     reach = abs(g.constant - np.array(y0, object)) + g.remainder
     factor = [1 + t for t in _each("tolerance", bounds.get("tolerance", 0), len(y0))]

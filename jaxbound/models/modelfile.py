@@ -8,7 +8,9 @@ import difflib
 import json
 import re
 from fractions import Fraction
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty, centred
@@ -27,7 +29,7 @@ PROVENANCE = ("model", "tolerance", "noise", "resolution", "disturbance")
 UNCERTAINTY = ("name", "varying", "between", "A", "B", "C", "D")
 
 
-def load_model(path):
+def load_model(path: str | PathLike[str]) -> LinearSystem:
     """Read a LinearSystem from a TOML file; `jaxbound info --template` prints a commented one.
 
     Args:
@@ -63,7 +65,7 @@ def load_model(path):
         raise ValueError(f"{path}: {e}") from None
 
 
-def save_model(model, path):
+def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:
     """Write a LinearSystem to a TOML file from which `load_model` reads the very same model.
 
     What the file held before is replaced, completely or not at all; only the commands of the shell ask first.
@@ -80,7 +82,7 @@ def save_model(model, path):
         f.write(model_text(model).encode())
 
 
-def number_text(x):
+def number_text(x: Fraction | int) -> str:
     """Return an exact number as text that reads back as the same number: a decimal if there is a finite one, else "p/q".
 
     Example:
@@ -112,7 +114,7 @@ def _mantissa(digits):
     return f"{digits[0]}.{digits[1:]}" if len(digits) > 1 else digits
 
 
-def template():
+def template() -> str:
     """Return a commented model file that loads as it is: a starting point for one's own.
 
     Example:
@@ -242,7 +244,7 @@ def _rows(field, rows):
             _number(field, x)
 
 
-def _uncertainty(index, table):
+def _uncertainty(index: int, table: Any) -> Uncertainty:
     """Return one [[uncertainty]] entry."""
     where = f"number {index + 1} of uncertainty" + (f", {table['name']!r}," if isinstance(table, dict) and "name" in table else "")
     table = _known(where, _table(where, table), UNCERTAINTY)
@@ -256,12 +258,12 @@ def _uncertainty(index, table):
     if not isinstance(between, list) or len(between) != 2:
         raise ValueError(f"between of {where} must be [lowest, highest]")
     return Uncertainty(
-        _string(f"name of {where}", table["name"]), *(table.get(letter) for letter in "ABCD"),
+        _string(f"name of {where}", table["name"]), table.get("A"), table.get("B"), table.get("C"), table.get("D"),
         varying=_truth(f"varying of {where}", table.get("varying", True)),
         between=[_number(f"between of {where}", x) for x in between])  # fmt: skip
 
 
-def model_text(model):
+def model_text(model: LinearSystem) -> str:
     """Return the TOML text of a model, from which `load_model` reads the very same model."""
     quote = lambda s: json.dumps(s, ensure_ascii=False).replace("\x7f", "\\u007f")
     number = lambda x: f'"{t}"' if "/" in (t := number_text(x)) else t

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, cast
 
+import jax
 import numpy as np
 
 from jaxbound.models.intervals import IntervalSystem, as_intervals
@@ -40,11 +42,11 @@ class MultiModel:
         2
     """
 
-    models: tuple
-    weights: Callable
+    models: tuple[IntervalSystem, ...]
+    weights: Callable[..., Any]
     partial: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         models = tuple(as_intervals(m) for m in self.models)
         if len(models) < 2:
             raise ValueError(f"a MultiModel needs at least two models, not {len(models)}")
@@ -58,7 +60,7 @@ class MultiModel:
 
     n = property(lambda self: sum(m.n for m in self.models), doc="Number of states of all sub-models.")
 
-    def joined(self):
+    def joined(self) -> IntervalSystem:
         """Return all sub-models as one IntervalSystem with C = [C_1 .. C_L], to be weighted at each sample, and with the widest noise."""
         models, first = self.models, self.models[0]
         ends = lambda pick: interval(*(pick(side) for side in ("lo", "hi")))
@@ -84,7 +86,7 @@ class MultiModel:
         return IntervalSystem(diagonal([m.A for m in models]), beside("B", 0), beside("C", 1), first.D, beside("w", 0), tolerance, noise,
                               first.offset, first.inputs, first.outputs, states, moves)  # fmt: skip
 
-    def mu(self, u):
+    def mu(self, u: np.ndarray) -> Interval:
         """Return the weights (..., L) for inputs u (..., m), as an Interval in the type of u.
 
         Raises:
@@ -100,9 +102,10 @@ class MultiModel:
             raise ValueError("weights must be >= 0 and sum to 1 at every sample")
         coarse = rounding.unit(lo.dtype) / rounding.unit(u.dtype) if np.issubdtype(lo.dtype, np.floating) else 1
         lo, hi = rounding.outward(lo.astype(u.dtype), hi.astype(u.dtype), UNITS * max(float(coarse), 1))
-        return Interval(np.maximum(lo, 0), np.asarray(hi))
+        return Interval(cast("jax.Array", np.maximum(lo, 0)), cast("jax.Array", np.asarray(hi)))
 
-    def columns(self, u):
+    def columns(self, u: np.ndarray) -> Interval:
         """Return the weight of each state's column of C, (..., n), for inputs u (..., m). See `mu`."""
         mu, times = self.mu(u), [m.n for m in self.models]
-        return Interval(*(np.repeat(side, times, axis=-1) for side in (mu.lo, mu.hi)))
+        lo, hi = (cast("jax.Array", np.repeat(side, times, axis=-1)) for side in (mu.lo, mu.hi))
+        return Interval(lo, hi)

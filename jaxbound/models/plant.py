@@ -3,19 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TypeAlias
 
 import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 from jaxbound.models.uncertainty import Uncertainty, centred, influences
-from jaxbound.models.unknown import Coupling, decoupled, unbounded_inputs
+from jaxbound.models.unknown import Bounded, Coupling, decoupled, unbounded_inputs
 
-__all__ = ["Bounded", "Plant", "number", "plant"]
-
-Bounded: TypeAlias = tuple[MatrixLike, Number | Sequence[Number | Sequence[Number]] | np.ndarray]
-"""How a disturbance is given: (G, bound)."""
+__all__ = ["Plant", "number", "plant"]
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ of second order in the size of a cell.
 Source: Moore, Kearfott, Cloud 2009, chapter 6: mean value form, refinement.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +27,8 @@ __all__ = ["Plane", "derivatives", "plane"]
 
 CELLS = 4096
 
+Function: TypeAlias = Callable[[jax.Array], jax.Array]
+
 
 @dataclass(frozen=True)
 class Plane:
@@ -38,7 +42,9 @@ class Plane:
     remainder: np.ndarray
 
 
-def plane(f, lo, hi, level=0, smooth=()):
+def plane(
+    f: Function, lo: Sequence[Fraction] | np.ndarray, hi: Sequence[Fraction] | np.ndarray, level: int = 0, smooth: tuple[Function, ...] = ()
+) -> Plane:
     """Return the Plane of f over a box.
 
     Args:
@@ -68,7 +74,7 @@ def plane(f, lo, hi, level=0, smooth=()):
     return Plane(exact(c), exact(slopes), exact(ends))
 
 
-def derivatives(f):
+def derivatives(f: Function) -> Function:
     """Return the derivatives (k, N) of f as a function; those of its mathematics: no custom rule, no stop_gradient."""
 
     def mathematics(x):

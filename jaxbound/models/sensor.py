@@ -9,6 +9,9 @@ are [t_lo, t_hi] with t_hi = max((y + rho) / (1 + sigma), (y + rho) / (1 - sigma
 without cancellation, without a case distinction and differentiable.
 """
 
+from collections.abc import Sequence
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,7 +23,14 @@ RECORDER_ULPS = 4
 """A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the window plus noise."""
 
 
-def true_value(samples, tolerance, noise, resolution, offset, largest=None):
+def true_value(
+    samples: Sequence[jax.Array],
+    tolerance: jax.Array,
+    noise: jax.Array,
+    resolution: jax.Array,
+    offset: jax.Array,
+    largest: jax.Array | None = None,
+) -> tuple[list[jax.Array], list[jax.Array], list[jax.Array]]:
     """Return (mid, rad, scale) of the true values behind the samples of one output in one window, minus the offset.
 
     Args:
@@ -52,7 +62,7 @@ def true_value(samples, tolerance, noise, resolution, offset, largest=None):
     return mid, rad, scale
 
 
-def largest_error(y, noise, recorded, horizon):
+def largest_error(y: np.ndarray, noise: np.ndarray, recorded: np.dtype | type, horizon: int) -> np.ndarray:
     """Return (..., T, p), at least |delta| of each sample of recordings y (..., T, p): the noise (p,) and what was rounded away.
 
     As in `true_value`, for the largest of all windows of horizon + 1 samples that the sample belongs to. recorded: the float type in which
@@ -68,7 +78,7 @@ def largest_error(y, noise, recorded, horizon):
     return rounding.round_up(error * (1 + 2.0**-50), y.dtype)  # 2^-50: for these four operations
 
 
-def input_slip(u):
+def input_slip(u: np.ndarray) -> np.ndarray:
     """Return at least the difference between inputs as given and u, what is computed with: an array like u.
 
     Inputs are exact, but in float32 they may have been rounded to it once, for outputs in float32 or because JAX runs with x64 off: nothing
@@ -79,6 +89,6 @@ def input_slip(u):
     return 1.01 * rounding.unit(u.dtype) * np.abs(u) + rounding.tiny(u.dtype)
 
 
-def lift(tolerance):
+def lift(tolerance: jax.Array) -> jax.Array:
     """Return the largest factor e that multiplies a row: an underflow may be followed by it."""
     return jnp.max(1 / ((1 - tolerance) * (1 + tolerance)))

@@ -5,6 +5,7 @@ trajectory's within its resolution even where it is the difference of large leve
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -12,8 +13,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
-from jaxbound.models.conversion import as_model
+from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.models.faults import Fault
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.sets.floats import rounding
@@ -39,7 +43,15 @@ class Trajectory:
     parameters: jax.Array | None = None
 
 
-def simulate(model, u, key, x0=None, at="uniform", faults=(), unknown_input=None):
+def simulate(
+    model: ModelLike,
+    u: object,
+    key: jax.Array,
+    x0: ArrayLike | None = None,
+    at: str = "uniform",
+    faults: Sequence[Fault] = (),
+    unknown_input: ArrayLike | None = None,
+) -> Trajectory:
     """Simulate x+ = A x + B u + G w + F v, y = (1 + theta) (C x + D u + D_v v) + noise with w, theta and noise within their bounds;
     uncertain parameters, within theirs, change A, B, C, D.
 
@@ -109,7 +121,7 @@ def simulate(model, u, key, x0=None, at="uniform", faults=(), unknown_input=None
     return Trajectory(*(v.reshape(*batch, *v.shape[1:]) for v in out))
 
 
-def _switches(model, faults, T):
+def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarray:
     """Return (faults, T) bool: where each fault acts."""
     rows = []
     for f in faults:
@@ -207,12 +219,12 @@ def _faulty(signals, kinds, sizes, active, extra, channel, dropped):
         x, size, on = signals[:, c], sizes[i], active[i]
         since = jnp.cumsum(on) - 1
         changed = {
-            "bias": lambda x=x, size=size: x + size,
-            "drift": lambda x=x, size=size, since=since: x + size * since,
-            "gain": lambda x=x, size=size: x * (1 + size),
-            "noise": lambda x=x, size=size, i=i: x + size * extra[i],
-            "stuck": lambda x=x, on=on: jnp.broadcast_to(x[jnp.argmax(on)], x.shape),
-            "dropout": lambda x=x: jnp.full_like(x, dropped),
-        }[fault[0]]()
+            "bias": x + size,
+            "drift": x + size * since,
+            "gain": x * (1 + size),
+            "noise": x + size * extra[i],
+            "stuck": jnp.broadcast_to(x[jnp.argmax(on)], x.shape),
+            "dropout": jnp.full_like(x, dropped),
+        }[fault[0]]  # what is not chosen is never compiled
         signals = signals.at[:, c].set(jnp.where(on, changed, x))
     return signals

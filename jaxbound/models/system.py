@@ -11,10 +11,10 @@ from typing import Any, Generic, NoReturn, TypeVar, overload
 import numpy as np
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
-from jaxbound.models.plant import Bounded, Plant, plant
+from jaxbound.models.plant import Plant, plant
 from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_signals, sensors, words
 from jaxbound.models.uncertainty import Uncertainty, centred
-from jaxbound.models.unknown import Coupling, without_descriptor
+from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
 
 __all__ = ["LinearSystem"]
 

@@ -7,14 +7,14 @@ from fractions import Fraction
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix
+from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 
 __all__ = ["Uncertainty", "centred", "influences"]
 
 LETTERS = ("A", "B", "C", "D")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Uncertainty:
     """A parameter of which only bounds are known, and what it multiplies: A(v) = A + v dA, and likewise B, C, D.
 
@@ -39,37 +39,43 @@ class Uncertainty:
     """
 
     name: str
-    A: tuple | None = None
-    B: tuple | None = None
-    C: tuple | None = None
-    D: tuple | None = None
-    varying: bool = True
-    between: tuple = (-1, 1)
+    A: Matrix | None
+    B: Matrix | None
+    C: Matrix | None
+    D: Matrix | None
+    varying: bool
+    between: tuple[Fraction, Fraction]
 
-    def __post_init__(self) -> None:
-        name = str(self.name)
+    def __init__(
+        self,
+        name: str,
+        A: MatrixLike | None = None,
+        B: MatrixLike | None = None,
+        C: MatrixLike | None = None,
+        D: MatrixLike | None = None,
+        varying: bool | np.bool_ = True,
+        between: Sequence[Number] | np.ndarray = (-1, 1),
+    ) -> None:
+        name = str(name)
         if not name:
             raise ValueError("an uncertainty needs a name")
-        keep = lambda field, value: object.__setattr__(self, field, value)
-        keep("name", name)
-        for letter in LETTERS:
-            given = getattr(self, letter)
+        matrices: dict[str, Matrix | None] = {}
+        for letter, given in zip(LETTERS, (A, B, C, D), strict=True):
             try:
-                keep(letter, None if given is None or not len(given) else linalg.matrix(given))
+                matrices[letter] = None if given is None or not len(given) else linalg.matrix(given)
             except (ValueError, TypeError) as e:
                 raise ValueError(f"{letter} of uncertainty {name!r}: {e}") from None
-        if not any(x for letter in LETTERS for row in getattr(self, letter) or () for x in row):
+        if not any(x for rows in matrices.values() for row in rows or () for x in row):
             raise ValueError(f"uncertainty {name!r} acts on nothing: give its coefficient in A, B, C or D")
-        if not isinstance(self.varying, (bool, np.bool_)):
-            raise ValueError(f"varying of uncertainty {name!r} must be True or False, not {self.varying!r}")
-        keep("varying", bool(self.varying))
+        if not isinstance(varying, (bool, np.bool_)):
+            raise ValueError(f"varying of uncertainty {name!r} must be True or False, not {varying!r}")
         try:
-            lo, hi = (linalg.rational(x) for x in self.between)
+            lo, hi = (linalg.rational(x) for x in between)
         except (ValueError, TypeError):
-            raise ValueError(f"between of uncertainty {name!r} needs two numbers, lowest and highest: not {self.between!r}") from None
+            raise ValueError(f"between of uncertainty {name!r} needs two numbers, lowest and highest: not {between!r}") from None
         if lo >= hi:
             raise ValueError(f"between of uncertainty {name!r} needs lo < hi, not [{float(lo):g}, {float(hi):g}]")
-        keep("between", (lo, hi))
+        vars(self).update(name=name, **matrices, varying=bool(varying), between=(lo, hi))
 
     @property
     def centre(self) -> Fraction:

@@ -7,16 +7,18 @@ from typing import TypeAlias, cast
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix, MatrixLike
+from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.recordings.naming import listed
 
-__all__ = ["Coupling", "decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
+__all__ = ["Bounded", "Coupling", "decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
 
 ZERO = Fraction(0)
 
 Coupling: TypeAlias = MatrixLike | tuple[MatrixLike, MatrixLike]
 """How unknown inputs are given: F, or (F, D_v)."""
+Bounded: TypeAlias = tuple[MatrixLike, Number | Sequence[Number | Sequence[Number]] | np.ndarray]
+"""How a disturbance is given: (G, bound)."""
 
 
 def unbounded_inputs(given: Coupling | None, n: int, p: int) -> tuple[Matrix, Matrix]:
@@ -67,7 +69,9 @@ def decoupled(
     return rest, tuple(map(tuple, rows[:n])), tuple(map(tuple, rows[n:]))
 
 
-def explicit(E, A, B, C, D, G, F, D_v):
+def explicit(
+    E: Matrix, A: Matrix, B: Matrix, C: Matrix, D: Matrix, G: Matrix, F: Matrix, D_v: Matrix
+) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix, Matrix, Matrix, tuple[int, ...] | None]:
     """Bring E z+ = A z + B u + G w + F v, y = C z + D u + D_v v into the form of a model: return (A, B, C, D, G, F, D_v, states).
 
     E (r, n) may be singular and need not be square. The new state x is what E determines, the reduced rows of E times z; the rest of z is
@@ -112,28 +116,42 @@ def explicit(E, A, B, C, D, G, F, D_v):
     return cut(rows, 0), cut(rows, 1), cut(outputs, 0), cut(outputs, 1), cut(rows, 2), pick(rows), pick(outputs), states
 
 
-def without_descriptor(E, A, B, C, D, disturbance, given, states):
+def without_descriptor(
+    E: MatrixLike,
+    A: MatrixLike | None,
+    B: MatrixLike | None,
+    C: MatrixLike | None,
+    D: MatrixLike | None,
+    disturbance: Bounded | None,
+    given: Coupling | None,
+    states: str | Sequence[str] | None,
+) -> tuple[Matrix, Matrix, Matrix, Matrix, Bounded | None, Coupling | None, list[str] | None]:
     """Return (A, B, C, D, disturbance, unknown_inputs, states) of a model without E from the fields of one with it, see `explicit`.
 
     Raises ValueError: shapes that do not fit, and as `explicit`.
     """
-    E, A, C = _matrix("E", E), _matrix("A", A), _matrix("C", C)
-    r, n, p = len(E), len(E[0]), len(C)
-    B = _matrix("B", B) if B is not None and np.size(B) else tuple(() for _ in range(r))
-    m = len(B[0])
-    D = _matrix("D", D) if D is not None and np.size(D) else tuple((ZERO,) * m for _ in range(p))
-    G, bound = (_matrix("G", disturbance[0]), disturbance[1]) if disturbance is not None else (tuple(() for _ in range(r)), None)
-    for letter, M, shape in (("A", A, (r, n)), ("B", B, (r, m)), ("C", C, (p, n)), ("D", D, (p, m)), ("G", G, (r, len(G[0])))):
+    descriptor, exact_A, exact_C = _matrix("E", E), _matrix("A", A), _matrix("C", C)
+    r, n, p = len(descriptor), len(descriptor[0]), len(exact_C)
+    exact_B = _matrix("B", B) if B is not None and np.size(np.asarray(B, object)) else ((),) * r
+    m = len(exact_B[0])
+    exact_D = _matrix("D", D) if D is not None and np.size(np.asarray(D, object)) else ((ZERO,) * m,) * p
+    G = ((),) * r if disturbance is None else _matrix("G", disturbance[0])
+    shapes = ((r, n), (r, m), (p, n), (p, m), (r, len(G[0])))
+    for letter, M, shape in zip("ABCDG", (exact_A, exact_B, exact_C, exact_D, G), shapes, strict=True):
         if (len(M), len(M[0])) != shape:
             raise ValueError(f"{letter} must have shape {shape} to fit E, {(r, n)}: its shape is {(len(M), len(M[0]))}")
+    called = (states,) if isinstance(states, str) else states
+    if called is not None and len(called) != n:
+        raise ValueError(f"states needs {n} names, one for each: {len(called)} given")
     F, D_v = unbounded_inputs(given, r, p)
-    A, B, C, D, G, F, D_v, numbers = explicit(E, A, B, C, D, G, F, D_v)
-    names = [states[j] for j in numbers] if states is not None and numbers is not None else None
-    return A, B, C, D, None if bound is None else (G, bound), (F, D_v) if D_v[0] else None, names
+    *plant, F, D_v, numbers = explicit(descriptor, exact_A, exact_B, exact_C, exact_D, G, F, D_v)
+    names = [called[j] for j in numbers] if called is not None and numbers is not None else None
+    kept_A, kept_B, kept_C, kept_D, G = plant
+    return kept_A, kept_B, kept_C, kept_D, None if disturbance is None else (G, disturbance[1]), (F, D_v) if D_v[0] else None, names
 
 
-def _matrix(letter, given):
+def _matrix(letter: str, given: MatrixLike | None) -> Matrix:
     try:
-        return linalg.matrix(given)
+        return linalg.matrix(cast("MatrixLike", given))  # None is refused there
     except (ValueError, TypeError) as e:
         raise ValueError(f"{letter}{' of the unknown inputs' if letter in ('F', 'D_v') else ''}: {e}") from None

@@ -13,33 +13,36 @@ Rows are time-major: y_k, then y_{k+1}, ... The inputs are u_k .. u_{k+s-1}, and
 Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 """
 
+from collections.abc import Mapping
 from fractions import Fraction
 
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.models.system import LinearSystem
 
 __all__ = ["disturbance_form", "first_form", "input_lags", "second_form", "unbounded", "unknown_lags", "unknowns"]
 
 ZERO = Fraction(0)
 
 
-def input_lags(model, horizon):
+def input_lags(model: LinearSystem, horizon: int) -> int:
     """Return how many samples of u a window of s + 1 outputs depends on: s, or s + 1 with feedthrough."""
     return horizon + 1 if model.has_feedthrough else horizon
 
 
-def unknown_lags(model, horizon):
+def unknown_lags(model: LinearSystem, horizon: int) -> int:
     """Return how many samples of v a window of s + 1 outputs depends on: s, or s + 1 with D_v."""
     return (horizon + 1 if model.has_direct_unknown else horizon) if model.d else 0
 
 
-def unbounded(model, horizon):
+def unbounded(model: LinearSystem, horizon: int) -> Matrix:
     """Return [O G_v], all that has no bound; its first rows are those of a shorter horizon, filled up with zeros."""
     blocks = _outputs_on_state(model, horizon)
     through = _toeplitz(blocks, model.F, model.D_v, unknown_lags(model, horizon))
     return tuple(o + v for o, v in zip((row for block in blocks for row in block), through, strict=True))
 
 
-def _outputs_on_state(model, horizon):
+def _outputs_on_state(model: LinearSystem, horizon: int) -> list[Matrix]:
     """Return C, CA, .., CA^s."""
     out = [model.C]
     for _ in range(horizon):
@@ -47,7 +50,7 @@ def _outputs_on_state(model, horizon):
     return out
 
 
-def _toeplitz(outputs_on_state, drive, direct, lags):
+def _toeplitz(outputs_on_state: list[Matrix], drive: Matrix, direct: Matrix, lags: int) -> Matrix:
     """Return the rows of the outputs on a signal that acts by `drive` on the state and by `direct` on the outputs, `lags` samples of it."""
     width, p = len(direct[0]), len(direct)
     still = tuple((ZERO,) * width for _ in direct)
@@ -59,19 +62,19 @@ def _toeplitz(outputs_on_state, drive, direct, lags):
     )
 
 
-def first_form(model, horizon):
+def first_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (O, H) with Y = O x_k + H U for an exact plant. Source: (3)."""
     blocks = _outputs_on_state(model, horizon)
     return tuple(row for block in blocks for row in block), _toeplitz(blocks, model.B, model.D, input_lags(model, horizon))
 
 
-def disturbance_form(model, horizon):
+def disturbance_form(model: LinearSystem, horizon: int) -> Matrix:
     """Return V with Y = O x_k + H U + V w for an exact plant."""
     none = tuple((ZERO,) * model.g for _ in range(model.p))
     return _toeplitz(_outputs_on_state(model, horizon), model.G, none, horizon)
 
 
-def unknowns(model, horizon):
+def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (E, K): all that bounds speak of in a window, on its unknowns and inputs, for an exact plant.
 
     The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w) = E (x_k, w, v) + K U,
@@ -87,7 +90,7 @@ def unknowns(model, horizon):
     return tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
 
 
-def second_form(model, horizon):
+def second_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """Return (L, M, N, H) with Y = L X + H U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}, v_k, ..). Source: (10)-(12)."""
     n, m, lags, unknown = model.n, model.m, input_lags(model, horizon), unknown_lags(model, horizon)
     L, H, M, N = [], [], [], []
@@ -103,5 +106,5 @@ def second_form(model, horizon):
     return tuple(L), tuple(M), tuple(N), tuple(H)
 
 
-def _blocks(count, width, filled):
+def _blocks(count: int, width: int, filled: Mapping[int, Vector]) -> Vector:
     return tuple(x for j in range(count) for x in filled.get(j, (ZERO,) * width))

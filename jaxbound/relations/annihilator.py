@@ -14,19 +14,27 @@ Source: Ploix, Adrot 2006, section 3.
 
 import itertools
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import comb, lcm
+from typing import TypeAlias
 
 import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.sparse import null_space, pivot_columns
-from jaxbound.relations.polynomial import PolynomialMatrix, monomials
+from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, monomials
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_other_modes
 
 __all__ = ["Step", "annihilator", "constraints", "generic_rank", "rank_over_box"]
+
+Relation: TypeAlias = dict[tuple[Exponents, int], Fraction]
+"""{(exponents, column): coefficient}."""
+Kept: TypeAlias = tuple[int, Relation, Relation]
+"""A relation that was found: its order, itself in all variables and in those that are used."""
+Points: TypeAlias = list[tuple[Fraction, ...]]
 
 LARGEST = 30_000
 """Unknowns of one null space beyond which the search gives up."""
@@ -46,7 +54,7 @@ class Step:
     new: int
 
 
-def annihilator(E):
+def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...], str]:
     """Return (Omega, steps, complete): relations that span the left null space of E(v) at every v of [-1, 1]^q.
 
     Args:
@@ -59,7 +67,9 @@ def annihilator(E):
     Source: Ploix, Adrot 2006, (8)-(10).
     """
     target = E.rows - generic_rank(E)
-    points, kept, steps = _points(E.variables), [], []
+    points = _points(E.variables)
+    kept: list[Kept] = []
+    steps: list[Step] = []
     used = [i for i in range(E.variables) if any(a[i] for a in E.terms)]
     small = PolynomialMatrix(E.rows, E.columns, len(used), {tuple(a[i] for i in used): m for a, m in E.terms.items()})
     wide = lambda beta: tuple(beta[used.index(i)] if i in used else 0 for i in range(E.variables))
@@ -75,13 +85,13 @@ def annihilator(E):
         if fresh and len(kept) >= target and _spans(_matrix(kept, E), points, target)[0]:
             chosen = _matrix(_fewest(kept, E, points, target), E)
             proof, where = rank_over_box(chosen, target)
-            if proof != "drops":
+            if proof != "drops" or where is None:
                 return chosen, tuple(steps), "proved" if proof == "proved" else "sampled"
             points.append(where)
     return _matrix(kept, E), tuple(steps), "partial"
 
 
-def constraints(E, order):
+def constraints(E: PolynomialMatrix, order: int) -> tuple[list[dict[int, int]], int]:
     """Return (equations, size): what the coefficients of a relation of one order must satisfy, in whole numbers, and how many these are.
 
     Unknown b * E.rows + j is the coefficient of monomial b (`monomials`) at row j of E; an equation of zeros counts, but is not returned.
@@ -90,7 +100,7 @@ def constraints(E, order):
     """
     scale = lcm(*(x.denominator for entries in E.terms.values() for x in entries.values()))
     whole = [(a, [(k, int(x * scale)) for k, x in entries.items()]) for a, entries in E.terms.items()]
-    equations = {}
+    equations: dict[tuple[Exponents, int], dict[int, int]] = {}
     for b, beta in enumerate(monomials(E.variables, order)):
         for alpha, entries in whole:
             gamma = tuple(map(int.__add__, alpha, beta))
@@ -100,7 +110,7 @@ def constraints(E, order):
     return list(equations.values()), len({gamma for gamma, _ in equations}) * E.columns
 
 
-def _one_order(E, betas, order, kept):
+def _one_order(E: PolynomialMatrix, betas: list[Exponents], order: int, kept: list[Kept]) -> tuple[list[Relation], Step]:
     """Return the relations {(beta, column): x} of one order that are no multiples of those kept, and the Step."""
     equations, size = constraints(E, order)
     kernel = null_space(equations, len(betas) * E.rows)
@@ -119,9 +129,9 @@ def _one_order(E, betas, order, kept):
     return fresh, Step(order, len(betas) * E.rows, size, len(kernel), len(spanned), len(fresh))
 
 
-def _matrix(kept, E):
+def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
     """Return relations as a matrix, each divided by its largest coefficient at v = 0 (or anywhere), the first one positive."""
-    terms = {}
+    terms: Terms = {}
     for i, (_, g, _) in enumerate(kept):
         nominal = [abs(x) for (b, _), x in g.items() if not any(b)]
         first = min(g, key=lambda k: (sum(k[0]), tuple(-e for e in k[0]), k[1]))
@@ -132,7 +142,7 @@ def _matrix(kept, E):
     return PolynomialMatrix(len(kept), E.rows, E.variables, ordered)
 
 
-def _fewest(kept, E, points, target):
+def _fewest(kept: list[Kept], E: PolynomialMatrix, points: Points, target: int) -> list[Kept]:
     """Return as few relations as are well conditioned at all points; of these, where a choice is left, the lowest orders."""
     if len(kept) <= target:
         return kept
@@ -146,7 +156,7 @@ def _fewest(kept, E, points, target):
     return kept
 
 
-def _spans(P, points, target):
+def _spans(P: PolynomialMatrix, points: Points, target: int) -> tuple[bool, float]:
     """Return whether the rank of P is at least the target at all points, and the smallest singular value that makes it so."""
     powers = np.array(list(P.terms), float).reshape(-1, P.variables)
     values = np.array([P.coefficient(a) for a in P.terms], float)
@@ -156,14 +166,14 @@ def _spans(P, points, target):
     return all(ok or linalg.rank(P.at(v)) >= target for ok, v in zip(plain, points, strict=True)), singular[:, target - 1].min()
 
 
-def generic_rank(E):
+def generic_rank(E: PolynomialMatrix) -> int:
     """Return the rank of E at almost every v: its largest rank at a few random points."""
     draw = random.Random(7)
     point = lambda: [Fraction(draw.randrange(-999, 1000), 1000) for _ in range(E.variables)]
     return max(linalg.rank(E.at(point())) for _ in range(2)) if E.columns and E.rows else 0
 
 
-def _points(q):
+def _points(q: int) -> Points:
     """Return the middle, up to 64 vertices and 8 random points of [-1, 1]^q, as Fractions."""
     draw = random.Random(11)
     if q <= 6:
@@ -174,7 +184,7 @@ def _points(q):
     return [(Fraction(0),) * q, *(tuple(map(Fraction, v)) for v in vertices), *inside]
 
 
-def rank_over_box(P, rank):
+def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, ...] | None]:
     """Decide whether P(v) has at least a given rank for every v in [-1, 1]^q, and return ("proved" | "drops" | "open", where).
 
     On a box v = c + r w, L P R = I + sum over alpha of N_alpha w^alpha, with fixed matrices L and R from the singular vectors at its
@@ -222,7 +232,7 @@ def rank_over_box(P, rank):
     return "proved", None
 
 
-def _moved(powers, centre, radius):
+def _moved(powers: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Return T (K, K) with (centre + radius w)^alpha = sum over low of T[low, alpha] w^low, for all exponents `powers` (K, q)."""
     top = powers.max(initial=0) + 1
     binomial = np.array([[comb(e, k) for e in range(top)] for k in range(top)], float)  # 0 where k > e

@@ -1,19 +1,29 @@
 """The bounds of relations at the door: checked, given their shape, rounded so that they are never tighter than what the user wrote."""
 
+from collections.abc import Mapping
+from typing import TypeAlias, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.reading import Reading
 from jaxbound.models import window
+from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.strips.separation import Frame
+from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["changed_bounds", "checked_bound", "float_bound", "model_bounds", "reading"]
+__all__ = ["Bounds", "changed_bounds", "checked_bound", "float_bound", "model_bounds", "reading"]
+
+Bounds: TypeAlias = dict[str, np.ndarray | jax.Array]
+"""{"tolerance": (p,), "noise": (p,), ..}, see `model_bounds`."""
 
 KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance", "parameters": "parameter"}
 
 
-def model_bounds(model):
+def model_bounds(model: LinearSystem) -> Bounds:
     """Return the bounds of a model as floats: "tolerance", "noise", and "disturbance" (g, 2), "parameters" (q,) where it has them."""
     bounds = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
     if model.g:
@@ -26,43 +36,46 @@ def model_bounds(model):
     return bounds
 
 
-def checked_bound(model, name, value):
+def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> np.ndarray | jax.Array:
     """Check one entry of `bounds` and give it its shape: an array of its own, which nobody writes.
 
     Raises:
         ValueError: a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
     """
     kind = KINDS[name]
-    names = {"output": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
-    names = names[kind] if kind in names else tuple(u.name for u in model.uncertainties)
-    shape, traced = np.shape(value), isinstance(value, jax.core.Tracer)
+    if kind == "output":
+        names = model.outputs
+    elif kind == "disturbance":
+        names = tuple(f"w{j + 1}" for j in range(model.g))
+    else:
+        names = tuple(u.name for u in model.uncertainties)
+    shape = np.shape(value)
     allowed = ((), (len(names),), (len(names), 2))[: 3 if kind == "disturbance" else 2]
     if shape not in allowed:
         raise ValueError(f"{name} needs one number or one per {kind} ({len(names)}): its shape is {shape}")
-    if not traced:
-        value = np.array(value, np.float64)
-        value.setflags(write=False)
-    spread = (jnp if traced else np).broadcast_to(value, (len(names),)) if len(shape) < 2 else value
-    if not traced:
-        top = 1 if name == "tolerance" else np.inf
-        for who, b in zip(names, spread, strict=True):
-            if len(shape) == 2 and not -np.inf < b[0] <= b[1] < np.inf:
-                raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{b[0]:g}, {b[1]:g}]")
-            if len(shape) < 2 and not 0 <= b < top:
-                raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {b:g}")
+    if isinstance(value, jax.core.Tracer):
+        traced = value if len(shape) == 2 else jnp.broadcast_to(value, (len(names),))
+        return jnp.stack([-traced, traced], 1) if kind == "disturbance" and len(shape) < 2 else traced
+    given = np.array(value, np.float64)
+    top = 1 if name == "tolerance" else np.inf
+    spread = given if len(shape) == 2 else np.broadcast_to(given, (len(names),))
+    for who, b in zip(names, spread, strict=True):
+        if len(shape) == 2 and not -np.inf < b[0] <= b[1] < np.inf:
+            raise ValueError(f"{name} needs lo <= hi, both finite: {kind} {who!r} has [{b[0]:g}, {b[1]:g}]")
+        if len(shape) < 2 and not 0 <= b < top:
+            raise ValueError(f"{name} must be in [0, {top}): {kind} {who!r} has {b:g}")
     if kind == "disturbance" and len(shape) < 2:
-        spread = (jnp if traced else np).stack([-spread, spread], 1)
-    if not traced:
-        spread.setflags(write=False)
+        spread = np.stack([-spread, spread], 1)
+    spread.setflags(write=False)
     return spread
 
 
-def float_bound(bound, dtype):
+def float_bound(bound: np.ndarray | jax.Array, dtype: DTypeLike) -> np.ndarray | jax.Array:
     """Return a bound in a float dtype, rounded up."""
     return bound.astype(dtype) if isinstance(bound, jax.core.Tracer) else rounding.round_up(np.asarray(bound, np.float64), dtype)
 
 
-def changed_bounds(model, old, new):
+def changed_bounds(model: LinearSystem, old: Bounds, new: Mapping[str, ArrayLike]) -> Bounds:
     """Return the bounds `old` with the entries of `new` in their place, checked as in `checked_bound`; ValueError for an unknown name."""
     unknown = sorted(set(new) - set(old))
     if unknown:
@@ -70,18 +83,19 @@ def changed_bounds(model, old, new):
     return {name: checked_bound(model, name, new.get(name, value)) for name, value in old.items()}
 
 
-def reading(shape, model, horizon, bounds, dtype):
+def reading(shape: Strips | Frame | None, model: LinearSystem, horizon: int, bounds: Bounds, dtype: DTypeLike) -> Reading:
     """Return the Reading of a model under such bounds, rounded so that none is tighter."""
     lo_hi = bounds.get("disturbance", np.zeros((0, 2)))
     if not isinstance(lo_hi, jax.core.Tracer):
         lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
     nearest = np.vectorize(float, otypes=[np.float64])
+    taken = lambda x: cast("jax.Array", x)  # kernels take arrays of NumPy too
     return Reading(
-        shape,
-        float_bound(bounds["tolerance"], dtype),
-        float_bound(bounds["noise"], dtype),
+        cast("Strips | Frame", shape),  # None for a PolynomialReading: only windows are read by it
+        taken(float_bound(bounds["tolerance"], dtype)),
+        taken(float_bound(bounds["noise"], dtype)),
         rounding.round_up(list(model.resolution), dtype),
-        lo_hi.astype(dtype),
+        taken(lo_hi.astype(dtype)),
         nearest(model.offset["u"]).astype(dtype),
         nearest(model.offset["y"]).astype(dtype),
         horizon,

@@ -7,6 +7,7 @@ constants were measured on one core of a desk computer; they are right within a 
 from math import comb
 
 from jaxbound.models import window
+from jaxbound.models.system import LinearSystem
 
 __all__ = ["BYTES", "SECONDS", "affordable", "duration_text", "elimination_seconds", "refuse_many_states", "relation_cost"]
 
@@ -15,7 +16,7 @@ SECONDS, BYTES = 600.0, 2e9
 LONGEST = 10**12  # of a horizon in what is computed here: beyond, floats would overflow
 
 
-def elimination_seconds(model, horizon, unknown=0):
+def elimination_seconds(model: LinearSystem, horizon: int, unknown: int = 0) -> float:
     """Return how long the exact elimination of a window takes, with so many more unknown inputs."""
     s = min(horizon, model.n)
     rows, columns = (s + 1) * model.p, model.n + (model.d + unknown) * s
@@ -23,7 +24,7 @@ def elimination_seconds(model, horizon, unknown=0):
     return 1e-6 * rank * rows * (rows + columns) * (1 + (_digits(model) * (s + 1) * rank / 160) ** 1.2)
 
 
-def relation_cost(model, horizon):
+def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
     """Return (seconds, bytes) that `parity_relations` takes."""
     s = min(horizon, LONGEST)
     if model.uncertainties:
@@ -37,7 +38,7 @@ def relation_cost(model, horizon):
     return seconds, 16.0 * rows * (rows + known) + 150.0 * left * (columns + known)
 
 
-def affordable(model, horizon):
+def affordable(model: LinearSystem, horizon: int) -> None:
     """Raise ValueError if relations of this horizon would take too long or too much memory."""
     fits = lambda s: all(a <= b for a, b in zip(relation_cost(model, s), (SECONDS, BYTES), strict=True))
     if fits(horizon):
@@ -55,7 +56,7 @@ def affordable(model, horizon):
     raise ValueError(f"horizon {named} is too long: exact relations for {what} would take {needs}; {do}")
 
 
-def refuse_many_states(model):
+def refuse_many_states(model: LinearSystem) -> None:
     """Raise ValueError if even the shortest useful horizon would take too long to find."""
     seconds = _power_seconds(model, model.n) + 2e-7 * (model.p + 1) * model.p * float(model.n) ** 3
     if seconds > SECONDS:
@@ -63,7 +64,7 @@ def refuse_many_states(model):
                          f"{duration_text(seconds)}; reduce the model first")  # fmt: skip
 
 
-def duration_text(seconds):
+def duration_text(seconds: float) -> str:
     """Return a rough duration as text.
 
     Example:

@@ -9,6 +9,7 @@ one more unknown input, is eliminated like the others. So for every set of fault
 Source: Ragot, Maquin, Kratz 1993, (21)-(22); structured residuals: Gertler 1991; achievable specifications: Varga 2017.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations
@@ -17,11 +18,14 @@ from math import comb
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.models.conversion import as_model
+from jaxbound.exact.linalg import Vector
+from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.naming import listed
 from jaxbound.relations import shift
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy, basis, redundancy
+from jaxbound.relations.shift import Row
 
 __all__ = ["Isolability", "Signatures", "Structure", "isolability", "signatures", "structured_relations", "structures"]
 
@@ -32,7 +36,7 @@ SOMEWHERE = Fraction(1_000_003)
 """A value of q at which supports are looked for; every relation that is found is then worked out for all q."""
 
 
-def structured_relations(model, insensitive_to=None):
+def structured_relations(model: ModelLike, insensitive_to: Sequence[str | Sequence[str]] | None = None) -> Redundancy:
     """Return a bank of relations, each of which ignores the faults of some signals.
 
     Args:
@@ -56,7 +60,8 @@ def structured_relations(model, insensitive_to=None):
     model = as_model(model)
     if insensitive_to is None:
         return _best(model)
-    rows, ignored = [], []
+    rows: list[Row] = []
+    ignored: list[tuple[str, ...]] = []
     for names in insensitive_to:
         names = (names,) if isinstance(names, str) else tuple(names)
         found = _ignoring(model, names)
@@ -67,7 +72,7 @@ def structured_relations(model, insensitive_to=None):
     return Redundancy(model, tuple(rows), tuple(ignored))
 
 
-def _ignoring(model, names):
+def _ignoring(model: LinearSystem, names: Sequence[str]) -> tuple[Row, ...]:
     """Return a minimal basis of the relations that ignore the faults of some signals."""
     F, D_v = [list(row) for row in model.F], [list(row) for row in model.D_v]
     for name in names:
@@ -84,10 +89,10 @@ def _ignoring(model, names):
     return tuple(sorted(map(shift.presentable, found), key=shift.degree))
 
 
-def _supports(rows, columns):
+def _supports(rows: Sequence[Row], columns: Sequence[int]) -> list[tuple[int, ...]]:
     """Return the minimal supports (tuples of positions in `columns`) of the combinations of rows that do not vanish there."""
-    numbers = [tuple(shift.at(row, SOMEWHERE)[c] for c in columns) for row in rows]
-    numbers = linalg.row_reduce(numbers)[0] if numbers else ()
+    at_once = [tuple(shift.at(row, SOMEWHERE)[c] for c in columns) for row in rows]
+    numbers = linalg.row_reduce(at_once)[0] if at_once else ()
     if not numbers:
         return []
     null = linalg.left_null_space(linalg.transpose(numbers))  # what is orthogonal to all of them
@@ -97,7 +102,7 @@ def _supports(rows, columns):
     return [tuple(j for j, x in enumerate(h) if x) for h in linalg.circuits(a)]
 
 
-def _best(model):
+def _best(model: LinearSystem) -> Redundancy:
     names = model.outputs + model.inputs
     rows, ignored = [], []
     for support in _supports(basis(model), range(len(names))):
@@ -111,10 +116,12 @@ def _best(model):
     return Redundancy(model, tuple(rows[i] for i in order), tuple(ignored[i] for i in order))
 
 
-def _chosen(table, order):
+def _chosen(table: Sequence[Sequence[bool]], order: list[int]) -> list[int]:
     """Return BANK of the relations, added one by one so that the closest pair of columns is as different as possible."""
-    table, left, taken = np.array(table), list(range(len(order))), []
-    apart = lambda chosen: sorted((table[chosen][:, [i]] != table[chosen][:, [j]]).sum() for i, j in combinations(range(table.shape[1]), 2))
+    reacts, left = np.array(table), list(range(len(order)))
+    taken: list[int] = []
+    pairs = list(combinations(range(reacts.shape[1]), 2))
+    apart = lambda chosen: sorted((reacts[chosen][:, [i]] != reacts[chosen][:, [j]]).sum() for i, j in pairs)
     for _ in range(BANK):
         best = max(left, key=lambda i: apart([*taken, i]))
         taken.append(best)
@@ -129,29 +136,29 @@ class Signatures:
     Fields: relations: labels (R,); faults: names (N,); weak, constant: (R, N) bool, whether it reacts at all, and to a constant fault too.
     """
 
-    relations: tuple
-    faults: tuple
+    relations: tuple[str, ...]
+    faults: tuple[str, ...]
     weak: np.ndarray
     constant: np.ndarray
 
     @property
-    def distance(self):
+    def distance(self) -> int:
         """The smallest number of relations in which two faults differ; 0 where two cannot be told apart by whether relations react."""
         pairs = combinations(range(len(self.faults)), 2)
         return min((int((self.weak[:, i] != self.weak[:, j]).sum()) for i, j in pairs), default=0)
 
     @property
-    def columns(self):
+    def columns(self) -> dict[str, str]:
         """{fault: text with a sign for each relation}: 1 reacts, t only to changes of the fault, 0 not."""
         signs = np.where(self.constant, "1", np.where(self.weak, "t", "0"))
         return {name: "".join(signs[:, j]) for j, name in enumerate(self.faults)}
 
-    def text(self):
+    def text(self) -> str:
         """Return the table, a relation a line."""
         return _table("", self.faults, self.relations, np.where(self.constant, "1", np.where(self.weak, "t", ".")))
 
 
-def signatures(relations):
+def signatures(relations: Redundancy | ParityRelation) -> Signatures:
     """Return the table of which relation reacts to which single fault of an output or input.
 
     Args:
@@ -179,14 +186,14 @@ def signatures(relations):
     return Signatures(tuple(f"r{i + 1}" for i in range(relations.count)), relations.names, weak, constant)
 
 
-def _as_row(r, h, k):
+def _as_row(r: ParityRelation, h: Vector, k: Vector) -> Row:
     """Return one relation of a window as polynomials."""
     p, m = r.model.p, r.model.m
     outputs = [shift.trim(h[i : (r.horizon + 1) * p : p]) for i in range(p)]
     return (*outputs, *(shift.trim([-x for x in k[j::m]]) for j in range(m)))
 
 
-def _reactions(rows, width):
+def _reactions(rows: Sequence[Row], width: int) -> tuple[np.ndarray, np.ndarray]:
     """Return (weak, constant), (R, width) bool."""
     weak = np.array([[bool(p) for p in row] for row in rows], bool).reshape(len(rows), width)
     return weak, np.array([[bool(sum(p)) for p in row] for row in rows], bool).reshape(len(rows), width)
@@ -201,14 +208,14 @@ class Isolability:
     that such a relation needs, -1 where there is none.
     """
 
-    faults: tuple
+    faults: tuple[str, ...]
     detectable: np.ndarray
     isolable: np.ndarray
     detectable_constant: np.ndarray
     isolable_constant: np.ndarray
     degree: np.ndarray
 
-    def text(self):
+    def text(self) -> str:
         """Return a table: 1 where the fault of the row shows although that of the column is ignored, t only its changes."""
         signs = np.where(self.isolable_constant, "1", np.where(self.isolable, "t", "."))
         np.fill_diagonal(signs, "-")
@@ -216,7 +223,7 @@ class Isolability:
         return _table("", ("seen", *self.faults), self.faults, np.column_stack([seen, signs]))
 
 
-def isolability(model):
+def isolability(model: ModelLike) -> Isolability:
     """Return which single faults are detectable, and which pairs can be told apart, weakly and for constant faults.
 
     Args:
@@ -244,7 +251,7 @@ def isolability(model):
         for i in range(count):
             degree[i, j] = min((shift.degree(row) for row in rows if row[i]), default=-1)
     seen, steady = _reactions(redundancy(model).rows, count)
-    return Isolability(names, seen.any(0), weak, steady.any(0), constant, degree)
+    return Isolability(names, np.any(seen, 0), weak, np.any(steady, 0), constant, degree)
 
 
 @dataclass(frozen=True)
@@ -256,14 +263,14 @@ class Structure:
     them for good.
     """
 
-    faults: tuple
+    faults: tuple[str, ...]
     count: int
     order: int
     least_degree: int
     constant: bool
 
 
-def structures(model, faults=None):
+def structures(model: ModelLike, faults: Sequence[str] | None = None) -> list[Structure]:
     """Return every achievable weak structure: each set of faults to which some relation reacts, and to no other of `faults`.
 
     Args:
@@ -283,7 +290,8 @@ def structures(model, faults=None):
     columns = [names.index(name) for name in faults if name in names]
     if len(columns) < len(faults):
         _ignoring(model, faults)
-    unions, minimal = {frozenset()}, _supports(basis(model), columns)
+    unions: set[frozenset[int]] = {frozenset()}
+    minimal = _supports(basis(model), columns)
     for support in minimal:
         unions |= {old | set(support) for old in unions}
         if len(unions) > SUBSETS:
@@ -299,7 +307,7 @@ def structures(model, faults=None):
     return out
 
 
-def _table(corner, columns, rows, cells):
+def _table(corner: str, columns: Sequence[str], rows: Sequence[str], cells: np.ndarray) -> str:
     width = max([len(corner), *map(len, rows)])
     head = [corner.ljust(width), *columns]
     lines = [[label.ljust(width), *(c.rjust(len(name)) for c, name in zip(line, columns, strict=True))]

@@ -11,15 +11,19 @@ A step (16)-(20) with the corrections that the paper needs: rows of C that depen
 the elimination goes on until no state is left or C = 0 (stopping at a scalar state loses a relation of the paper's own example).
 """
 
+from collections.abc import Sequence
 from fractions import Fraction
 
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix
+from jaxbound.models.system import LinearSystem
 from jaxbound.relations import shift
+from jaxbound.relations.shift import Row
 
 __all__ = ["eliminate"]
 
 
-def eliminate(model):
+def eliminate(model: LinearSystem) -> tuple[Row, ...]:
     """Return the rows of polynomials of all relations of a model; see `redundancy.redundancy` for when it refuses."""
     if model.has_direct_unknown:
         raise ValueError("the elimination is for unknown inputs that act on the state only, and D_v is not zero; use method='window'")
@@ -52,11 +56,11 @@ def eliminate(model):
     ]
     split = len(E) - len(hidden)
     later = shift.minus_shift(given[1], given[0])  # q E1 y - A1 y - B u = A2 w - (0, q w)
-    z, b = later[:split], tuple(tuple(tuple(-c for c in p) for p in row) for row in later[split:])
+    z, b = list(later[:split]), tuple(tuple(tuple(-c for c in p) for p in row) for row in later[split:])
     C, A = (tuple(r[measured:] for r in part) for part in (EAP[:split], EAP[split:]))
     while True:
         order = sorted(range(len(z)), key=lambda i: shift.degree(z[i]))
-        z, C = [z[i] for i in order], [C[i] for i in order]
+        z, C = [z[i] for i in order], tuple(C[i] for i in order)
         found, z, C = _relations(z, C)
         rows += found
         if not z:
@@ -64,18 +68,19 @@ def eliminate(model):
         A, C, b, z = _step(A, C, b, z)
 
 
-def _relations(z, C):
+def _relations(z: Sequence[Row], C: Matrix) -> tuple[list[Row], list[Row], Matrix]:
     """Return the relations among z = C x, and the independent rows that are left."""
     if not C or not C[0]:
-        return list(z), [], []
+        return list(z), [], ()
     null = linalg.left_null_space(C[::-1])  # reversed: each relation is led by the row that depends on those before it
     null = [row[::-1] for row in null]
-    led, relations = set(), []
+    led: set[int] = set()
+    relations: list[Row] = []
     for row in _echelon(null):
         led.add(max(i for i, x in enumerate(row) if x))
         relations += shift.apply((row,), z, len(z[0]))
     keep = [i for i in range(len(z)) if i not in led]
-    return relations, [z[i] for i in keep], [C[i] for i in keep]
+    return relations, [z[i] for i in keep], tuple(C[i] for i in keep)
 
 
 def _echelon(rows):
@@ -127,7 +132,8 @@ def _independent_columns(F):
 
 def _independent_outputs(model):
     """Return the outputs whose rows of C are independent, and the relations that the others give at once."""
-    kept, rows = list(linalg.row_reduce(linalg.transpose(model.C))[1]), []
+    kept = list(linalg.row_reduce(linalg.transpose(model.C))[1])
+    rows: list[Row] = []
     y = _signals(model, range(model.p))
     for row in _echelon(linalg.left_null_space(model.C)):
         rows += shift.apply((row,), y, model.p + model.m)

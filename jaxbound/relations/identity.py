@@ -4,11 +4,13 @@ import jax
 import numpy as np
 
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.uncertain import UncertainRelations
 
 __all__ = ["identity"]
 
 
-def identity(relations, **also):
+def identity(relations: ParityRelation | UncertainRelations, **also: object) -> dict[str, str]:
     """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for JSON.
 
     Args:

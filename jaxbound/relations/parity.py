@@ -11,32 +11,36 @@ values of exact coefficients, whose error `sets.floats.rounding` counts. Source:
 
 import dataclasses
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
+from typing import Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.constant import ConstantTest
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.gridding import PavingTest
-from jaxbound.consistency.interface import refuse_options
-from jaxbound.consistency.reading import forms
+from jaxbound.consistency.interface import WindowTest, refuse_options
+from jaxbound.consistency.reading import Reading, forms
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import PRIME
+from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
-from jaxbound.models.conversion import as_model
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
-from jaxbound.relations.bounds import changed_bounds, model_bounds, reading
+from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
-from jaxbound.relations.uncertain import uncertain_relations
+from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import frame_of
-from jaxbound.sets.strips.strips import strips_of
+from jaxbound.sets.strips.strips import Strips, strips_of
 
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
@@ -57,30 +61,30 @@ class ParityRelation:
     search needs (`sets.strips.separation`), else None.
     """
 
-    bounds: dict
+    bounds: Bounds
     model: LinearSystem = field(metadata={"static": True})
     horizon: int = field(metadata={"static": True})
     form: str = field(metadata={"static": True})
-    W: tuple = field(metadata={"static": True})
-    K: tuple = field(metadata={"static": True})
-    circuits: tuple = field(metadata={"static": True})
-    circuits_known: tuple = field(metadata={"static": True})
+    W: Matrix = field(metadata={"static": True})
+    K: Matrix = field(metadata={"static": True})
+    circuits: Matrix = field(metadata={"static": True})
+    circuits_known: Matrix = field(metadata={"static": True})
     frame: linalg.Frame | None = field(default=None, metadata={"static": True})
 
     @property
-    def count(self):
+    def count(self) -> int:
         """Number of independent relations."""
         return len(self.W)
 
     @cached_property
-    def _joint(self):
+    def _joint(self) -> Strips:
         return strips_of(self.circuits, self.circuits_known)
 
     @cached_property
-    def _alone(self):
+    def _alone(self) -> Strips:
         return strips_of(self.W, self.K)
 
-    def reading(self, dtype, method="joint"):
+    def reading(self, dtype: DTypeLike, method: str = "joint") -> Reading:
         """Return the Reading of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
         if method == "box":
             shape = self._alone.astype(dtype)
@@ -88,7 +92,7 @@ class ParityRelation:
             shape = self._joint.astype(dtype) if self.frame is None else frame_of(self.frame, dtype)
         return reading(shape, self.model, self.horizon, self.bounds, dtype)
 
-    def test(self, method, dtype, budget=None, compensation=0.0):
+    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
@@ -103,11 +107,11 @@ class ParityRelation:
             return ExchangeTest(self, dtype)
         return StripsTest(self, method, dtype)
 
-    def recording(self, u, y=None, starts=()):
+    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
-    def with_bounds(self, bounds):
+    def with_bounds(self, bounds: Mapping[str, ArrayLike]) -> Self:
         """Return the same relations under other bounds.
 
         Args:
@@ -118,7 +122,7 @@ class ParityRelation:
         """
         return dataclasses.replace(self, bounds=changed_bounds(self.model, self.bounds, bounds))
 
-    def external(self, u, y=None, starts=()):
+    def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
         """Return p_ext (..., T, count), the residuals, NaN where a window is incomplete. Not rounded: for plots and studies.
 
         Args:
@@ -128,7 +132,7 @@ class ParityRelation:
         """
         return self._forms(u, y, starts)[0]
 
-    def internal(self, u, y=None, starts=()):
+    def internal(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> Interval:
         """Return the Interval (..., T, count) that each residual alone may have when the sensors are healthy. Not rounded: for plots.
 
         Source: Adrot 2000, (9), (15), with mu in [y - t_hi, y - t_lo].
@@ -139,7 +143,7 @@ class ParityRelation:
     def _forms(self, u, y, starts):
         return forms(_forms, self, partial(self.reading, method="box"), u, y, starts)
 
-    def text(self, circuits=False):
+    def text(self, circuits: bool = False) -> str:
         """Return the relations, one a line, as a reader would write them; all circuits instead if asked for.
 
         Example:
@@ -152,7 +156,7 @@ class ParityRelation:
         return "\n".join(f"{letter}{i + 1}: {relation_text(self.model, self.horizon, h, k)}" for i, (h, k) in enumerate(rows))
 
 
-def relation_text(model, horizon, h, k):
+def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> str:
     """Return one relation h Y - k U = 0 as text."""
     at = [f"[k-{horizon - j}]" if j < horizon else "[k]" for j in range(horizon + 1)]
     count = (horizon + 1) * model.p
@@ -187,7 +191,9 @@ def _forms(test, u, y):
     return tuple(jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in (external, centre - width, centre + width))
 
 
-def parity_relations(model, horizon=None, form="first", progress=None):
+def parity_relations(
+    model: ModelLike, horizon: int | None = None, form: str = "first", progress: Callable[[float], object] | None = None
+) -> ParityRelation | UncertainRelations:
     """Eliminate the unknown state from a window exactly: chooses the elimination that the model needs.
 
     Args:
@@ -250,7 +256,7 @@ def parity_relations(model, horizon=None, form="first", progress=None):
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known)
 
 
-def _without_relation(model, horizon):
+def _without_relation(model: LinearSystem, horizon: int) -> str:
     """Return why a window has no relation, and which one has."""
     first = next((s for s in range(model.n + 1) if linalg.left_null_space(window.unbounded(model, s))), None)
     if first is None:
@@ -262,12 +268,12 @@ def _without_relation(model, horizon):
     )
 
 
-def stated_relations(model, horizon, samples, K):
+def stated_relations(model: LinearSystem, horizon: int, samples: Matrix, K: Matrix) -> ParityRelation:
     """Return given relations samples Y = K U of an exact plant as a ParityRelation, to be tested one by one (method "box")."""
     return ParityRelation(model_bounds(model), model, horizon, "stated", _with_disturbance(model, horizon, samples), K, (), ())
 
 
-def _few_circuits(E, most):
+def _few_circuits(E: Matrix, most: int) -> Matrix:
     """Return the circuits of the rows E, or none if they are more than `most`."""
     rank = linalg.rank(E)
     if rank and math.comb(len(E), rank + 1) > SUBSETS:
@@ -276,7 +282,7 @@ def _few_circuits(E, most):
     return tuple(map(linalg.presentable, circuits)) if not rank or len(circuits) <= most else ()
 
 
-def _with_disturbance(model, horizon, relations):
+def _with_disturbance(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix:
     """Append to relations h Y = k U the coefficients of the disturbances: Y = .. + V w."""
     if not model.g or not horizon:
         return relations
@@ -284,7 +290,7 @@ def _with_disturbance(model, horizon, relations):
     return tuple(h + tuple(-x for x in v) for h, v in zip(relations, through, strict=True))
 
 
-def _first(model, horizon, report):
+def _first(model: LinearSystem, horizon: int, report: Callable[[float], object]) -> tuple[Matrix, Matrix]:
     """Return (W, K), of minimal span: beyond n samples every further one brings p relations, the last ones once more, later."""
     short = min(horizon, model.n)
     samples = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))))
@@ -300,7 +306,7 @@ def _first(model, horizon, report):
     return W, tuple(pad(K[i], model.m, shift) for i, shift in shifted)
 
 
-def _second(model, horizon):
+def _second(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (W~_L, action on U) of the second static form. Source: (13)-(14)."""
     L, M, N, F = window.second_form(model, horizon)
     stacked = linalg.left_null_space(L + M)
@@ -315,15 +321,15 @@ def _second(model, horizon):
     return W, tuple(tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True))
 
 
-def _smallest_useful_horizon(model):
+def _smallest_useful_horizon(model: LinearSystem) -> int:
     """Return the smallest horizon at which as many outputs are checked as at any, and, with uncertainties, as many states are seen.
 
     A relation checks an output iff the samples of that output raise the rank by less than their number. Ranks are taken modulo a prime: a
     model that fools it gets another horizon, whose relations are exact all the same.
     """
     refuse_many_states(model)
-    O = window.unbounded(model, model.n)  # a longer window involves no further output (Cayley-Hamilton)
-    O = [[x.numerator * pow(x.denominator, -1, PRIME) % PRIME for x in row] for row in O]
+    exact = window.unbounded(model, model.n)  # a longer window involves no further output (Cayley-Hamilton)
+    O = [[x.numerator * pow(x.denominator, -1, PRIME) % PRIME for x in row] for row in exact]
     whole = _ranks(O, model.p, model.n + 1)
     others = [_ranks([row for j, row in enumerate(O) if j % model.p != i], model.p - 1, model.n + 1) for i in range(model.p)]
     checked = lambda s: [whole[s] - other[s] <= s for other in others]
@@ -331,11 +337,12 @@ def _smallest_useful_horizon(model):
     return next(s for s in range(model.n + 1) if checked(s) == checked(model.n) and seen[s] == seen[model.n])
 
 
-def _ranks(rows, width, count):
+def _ranks(rows: list[list[int]], width: int, count: int) -> list[int]:
     """Return the ranks modulo PRIME of the first width, 2 width, .., count width rows."""
     if not width:
         return [0] * count
-    kept, out = {}, []
+    kept: dict[int, list[int]] = {}
+    out: list[int] = []
     for i, row in enumerate(rows, 1):
         for j, head in kept.items():
             if f := row[j]:

@@ -9,12 +9,21 @@
 Source: Ploix, Adrot 2006, (7)-(8).
 """
 
+from __future__ import annotations
+
 import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
+from typing import TypeAlias
 
-__all__ = ["PolynomialMatrix", "constant", "monomials", "stacked"]
+from jaxbound.exact.linalg import Matrix
+
+__all__ = ["Exponents", "PolynomialMatrix", "Terms", "constant", "monomials", "stacked"]
+
+Exponents: TypeAlias = tuple[int, ...]
+Terms: TypeAlias = dict[Exponents, dict[tuple[int, int], Fraction]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,43 +33,43 @@ class PolynomialMatrix:
     rows: int
     columns: int
     variables: int
-    terms: dict
+    terms: Terms
 
     @property
-    def order(self):
+    def order(self) -> int:
         """The largest order of a monomial."""
         return max(map(sum, self.terms), default=0)
 
-    def __matmul__(self, other):
-        by_row = {}
+    def __matmul__(self, other: PolynomialMatrix) -> PolynomialMatrix:
+        by_row: dict[int, list[tuple[Exponents, int, Fraction]]] = {}
         for b, entries in other.terms.items():
             for (i, j), x in entries.items():
                 by_row.setdefault(i, []).append((b, j, x))
-        out = {}
+        out: Terms = {}
         for a, entries in self.terms.items():
             for (i, k), x in entries.items():
                 for b, j, y in by_row.get(k, ()):
                     term = out.setdefault(tuple(map(int.__add__, a, b)), {})
-                    term[i, j] = term.get((i, j), 0) + x * y
+                    term[i, j] = term.get((i, j), Fraction(0)) + x * y
         return _clean(self.rows, other.columns, self.variables, out)
 
-    def __add__(self, other):
+    def __add__(self, other: PolynomialMatrix) -> PolynomialMatrix:
         out = {a: dict(entries) for a, entries in self.terms.items()}
         for a, entries in other.terms.items():
             term = out.setdefault(a, {})
             for k, x in entries.items():
-                term[k] = term.get(k, 0) + x
+                term[k] = term.get(k, Fraction(0)) + x
         return _clean(self.rows, self.columns, self.variables, out)
 
-    def __neg__(self):
+    def __neg__(self) -> PolynomialMatrix:
         return PolynomialMatrix(self.rows, self.columns, self.variables, {a: {k: -x for k, x in m.items()} for a, m in self.terms.items()})
 
-    def coefficient(self, alpha):
+    def coefficient(self, alpha: Exponents) -> Matrix:
         """Return the matrix of one monomial as a tuple of rows."""
         entries = self.terms.get(alpha, {})
         return tuple(tuple(entries.get((i, j), Fraction(0)) for j in range(self.columns)) for i in range(self.rows))
 
-    def at(self, point):
+    def at(self, point: Sequence[Fraction]) -> Matrix:
         """Return the exact matrix at a point of Fractions."""
         out = [[Fraction(0)] * self.columns for _ in range(self.rows)]
         for a, entries in self.terms.items():
@@ -69,7 +78,7 @@ class PolynomialMatrix:
                 out[i][j] += size * x
         return tuple(map(tuple, out))
 
-    def pick(self, rows=None, columns=None):
+    def pick(self, rows: Iterable[int] | None = None, columns: Iterable[int] | None = None) -> PolynomialMatrix:
         """Return some rows and columns, in the order given."""
         rows, columns = (range(n) if some is None else some for n, some in ((self.rows, rows), (self.columns, columns)))
         i_of, j_of = ({old: new for new, old in enumerate(some)} for some in (rows, columns))
@@ -77,16 +86,17 @@ class PolynomialMatrix:
         return _clean(len(i_of), len(j_of), self.variables, out)
 
 
-def constant(matrix, variables, columns=None):
+def constant(matrix: Matrix, variables: int, columns: int | None = None) -> PolynomialMatrix:
     """Return an exact matrix as a PolynomialMatrix; columns: how many it has, if it may be without rows."""
     entries = {(i, j): x for i, row in enumerate(matrix) for j, x in enumerate(row) if x}
     columns = len(matrix[0]) if matrix else columns or 0
     return PolynomialMatrix(len(matrix), columns, variables, {(0,) * variables: entries} if entries else {})
 
 
-def stacked(blocks):
+def stacked(blocks: Sequence[Sequence[PolynomialMatrix]]) -> PolynomialMatrix:
     """Return a grid of matrices, a list of rows of blocks, as one matrix."""
-    out, top = {}, 0
+    out: Terms = {}
+    top = 0
     for row in blocks:
         left = 0
         for block in row:
@@ -97,7 +107,7 @@ def stacked(blocks):
     return PolynomialMatrix(top, left, blocks[0][0].variables, out)
 
 
-def monomials(variables, order):
+def monomials(variables: int, order: int) -> list[Exponents]:
     """Return all alpha of at most an order, the orders ascending, the first variables first.
 
     Example:
@@ -111,11 +121,11 @@ def monomials(variables, order):
     return out
 
 
-def _clean(rows, columns, variables, terms):
+def _clean(rows: int, columns: int, variables: int, terms: Terms) -> PolynomialMatrix:
     kept = {a: {k: x for k, x in entries.items() if x} for a, entries in terms.items()}
     return PolynomialMatrix(rows, columns, variables, {a: kept[a] for a in sorted(kept, key=_graded) if kept[a]})
 
 
-def _graded(alpha):
+def _graded(alpha: Exponents) -> tuple[int, Exponents]:
     """Sort key of monomials: by order, the first variables first."""
     return sum(alpha), tuple(-e for e in alpha)

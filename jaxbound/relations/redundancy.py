@@ -11,22 +11,27 @@ Forney indices. Numbers are exact: whether a relation exists is a question of ra
 Source: Ragot, Maquin, Kratz 1993; degrees: Forney 1975.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import gcd
+from typing import Self
 
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.bank import BankTest
-from jaxbound.consistency.interface import refuse_options
+from jaxbound.consistency.interface import WindowTest, refuse_options
 from jaxbound.exact import linalg
-from jaxbound.models.conversion import as_model
+from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
 from jaxbound.relations.elimination import eliminate
-from jaxbound.relations.parity import stated_relations
+from jaxbound.relations.parity import ParityRelation, stated_relations
+from jaxbound.relations.shift import Row
 
 __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
 
@@ -42,31 +47,31 @@ class Redundancy:
     """
 
     model: LinearSystem
-    rows: tuple
-    insensitive: tuple
+    rows: tuple[Row, ...]
+    insensitive: tuple[tuple[str, ...], ...]
 
     @property
-    def count(self):
+    def count(self) -> int:
         """Number of relations."""
         return len(self.rows)
 
     @property
-    def names(self):
+    def names(self) -> tuple[str, ...]:
         """The signals of the columns: outputs, then inputs."""
         return self.model.outputs + self.model.inputs
 
     @property
-    def degrees(self):
+    def degrees(self) -> np.ndarray:
         """(r,) int: a relation of degree j spans j + 1 samples."""
         return np.array([shift.degree(row) for row in self.rows], int)
 
     @property
-    def horizon(self):
+    def horizon(self) -> int:
         """The largest degree: a window of horizon + 1 samples holds every relation."""
         return int(self.degrees.max(initial=0))
 
     @cached_property
-    def _dense(self):
+    def _dense(self) -> np.ndarray:
         out = np.full((self.count, self.horizon + 1, len(self.names)), Fraction(0), object)
         for r, row in enumerate(self.rows):
             for j, numbers in enumerate(shift.coefficients(row)):
@@ -74,25 +79,25 @@ class Redundancy:
         return out
 
     @property
-    def My(self):
+    def My(self) -> np.ndarray:
         """(r, horizon + 1, p) Fractions: coefficients on the outputs by ascending powers of q."""
         return self._dense[:, :, : self.model.p]
 
     @property
-    def Mu(self):
+    def Mu(self) -> np.ndarray:
         """(r, horizon + 1, m) Fractions: coefficients on the inputs by ascending powers of q."""
         return self._dense[:, :, self.model.p :]
 
-    def text(self):
+    def text(self) -> str:
         """Return the relations, one a line."""
         return "\n".join(f"r{i + 1}: {shift.relation_text(row, self.names)}" for i, row in enumerate(self.rows))
 
     @cached_property
-    def relations(self):
+    def relations(self) -> ParityRelation:
         """The same relations as a ParityRelation over windows of horizon + 1 samples, each to be tested alone."""
         return stated_relations(self.model, self.horizon, *self.windows())
 
-    def test(self, method, dtype, budget=None, compensation=0.0):
+    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
@@ -103,11 +108,11 @@ class Redundancy:
         refuse_options(method, budget, compensation)
         return BankTest(self.relations, dtype)
 
-    def recording(self, u, y=None, starts=()):
+    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
-    def windows(self):
+    def windows(self) -> tuple[Matrix, Matrix]:
         """Return (W, K), rows over the samples of a window that ends at the newest sample of each relation: W Y = K U, exact.
 
         W (count, (s+1)p), K (count, l) as in `ParityRelation`, s the horizon.
@@ -123,7 +128,7 @@ class Redundancy:
         return tuple(W), tuple(K)
 
 
-def redundancy(model, method="window"):
+def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
     """Return a minimal basis of all relations between outputs and known inputs, exact.
 
     Args:
@@ -155,7 +160,7 @@ def redundancy(model, method="window"):
     return Redundancy(model, rows, ((),) * len(rows))
 
 
-def basis(model, F=None, D_v=None):
+def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = None) -> tuple[Row, ...]:
     """Return the rows of a minimal basis; F, D_v instead of the model's own unknown inputs.
 
     Outputs are taken sample after sample. One that depends on those before it gives a relation, and so do its later samples, whose
@@ -164,12 +169,14 @@ def basis(model, F=None, D_v=None):
     """
     if model.uncertainties:
         raise NotImplementedError("relations polynomial in q are for a certain model: leave its uncertainties out, or decouple them")
-    F, D_v = (model.F, model.D_v) if F is None else (F, D_v)
+    F, D_v = model.F if F is None else F, model.D_v if D_v is None else D_v
     A, C, n, p = model.A, model.C, model.n, model.p
     free = len(D_v[0])
     most = p - (linalg.rank(_pencil(model, F, D_v)) - n) if free else p  # a rank at one q can only be too small, and `most` too large
     reached, responses = C, [D_v]
-    waiting, kept, rows = list(range(p)), [], []
+    waiting = list(range(p))
+    kept: list[tuple[int, list[int], dict[int, int]]] = []
+    rows: list[Row] = []
     for j in range(n + 1):
         again = []
         for i in waiting:
@@ -190,14 +197,14 @@ def basis(model, F=None, D_v=None):
     return tuple(rows)
 
 
-def _pencil(model, F, D_v):
+def _pencil(model: LinearSystem, F: Matrix, D_v: Matrix) -> Matrix:
     """Return [[q - A, F], [C, D_v]] at some q."""
     q = Fraction(1_000_003)
     top = tuple(tuple(q * (i == j) - x for j, x in enumerate(row)) + F[i] for i, row in enumerate(model.A))
     return top + tuple(c + v for c, v in zip(model.C, D_v, strict=True))
 
 
-def _reduced(row, used, kept):
+def _reduced(row: list[int], used: dict[int, int], kept: list[tuple[int, list[int], dict[int, int]]]) -> tuple[list[int], dict[int, int]]:
     """Return a row of integers less its share of those kept, and how it is made of samples."""
     for pivot, other, others in kept:
         if row[pivot]:
@@ -222,7 +229,7 @@ def _row(model, used, last):
     return tuple(shift.trim(c) for c in zip(*numbers, strict=True)) + known_side(model, numbers)
 
 
-def known_side(model, h):
+def known_side(model: LinearSystem, h: Sequence[Sequence[Fraction]]) -> Row:
     """Return the m polynomials of the inputs in a relation with the numbers h (degree + 1, p) on the outputs."""
     state, known = (Fraction(0),) * model.n, []
     for now in reversed(h):  # how the samples later than this one depend on the state after it
@@ -232,5 +239,5 @@ def known_side(model, h):
     return tuple(shift.trim(c) for c in zip(*reversed(known), strict=True))
 
 
-def _times(row, matrix, width):
+def _times(row: Sequence[Fraction], matrix: Matrix, width: int) -> Vector:
     return linalg.matmul((row,), matrix)[0] if matrix else (Fraction(0),) * width

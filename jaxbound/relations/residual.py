@@ -5,14 +5,17 @@ first state, sensor errors and disturbances are all entries of z.
 """
 
 import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.bisection import BisectionTest, flat
-from jaxbound.consistency.interface import refuse_options
+from jaxbound.consistency.interface import WindowTest, refuse_options
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
@@ -24,19 +27,19 @@ __all__ = ["Channels", "Residual", "residual"]
 class Channels:
     """Names of the signals that a residual reads; None: those of the recording."""
 
-    inputs: tuple | None
-    outputs: tuple | None
+    inputs: tuple[str, ...] | None
+    outputs: tuple[str, ...] | None
     dt: float
     name: str
 
     m = property(lambda self: len(self.inputs), doc="Number of inputs.")
     p = property(lambda self: len(self.outputs), doc="Number of outputs.")
 
-    def column(self, signal):
+    def column(self, signal: str) -> str:
         """Return the column of a signal: its name."""
         return signal
 
-    def of(self, u, y):
+    def of(self, u: Any, y: Any) -> Self:
         """Return these channels with the names that are missing taken from the columns of u and y, or numbered."""
         if y is None and None in (self.inputs, self.outputs):
             if not hasattr(u, "outputs"):
@@ -49,13 +52,13 @@ class Channels:
         )
 
 
-def _names(data, letter):
-    data = as_table(data, letter)
-    if data is None:
+def _names(data: object, letter: str) -> tuple[str, ...]:
+    table = as_table(data, letter)
+    if table is None:
         return ()
-    if is_table(data):
-        return tuple(data.select_dtypes(exclude=["datetime", "datetimetz", "timedelta"]).columns)
-    return tuple(f"{letter}{i + 1}" for i in range(1 if np.ndim(data) < 2 else np.shape(data)[-1]))
+    if is_table(table):
+        return tuple(table.select_dtypes(exclude=["datetime", "datetimetz", "timedelta"]).columns)
+    return tuple(f"{letter}{i + 1}" for i in range(1 if np.ndim(table) < 2 else np.shape(table)[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +68,17 @@ class Residual:
     Fields: f; box: Interval (n,); horizon s: a window has s + 1 samples; model: Channels, the names of the signals.
     """
 
-    f: object
+    f: Callable[..., Any]
     box: Interval
     horizon: int
     model: Channels
 
     @property
-    def bounds(self):
+    def bounds(self) -> dict[str, np.ndarray]:
         """{"parameters": (n, 2)}: lo and hi of every unknown."""
         return {"parameters": np.stack([np.asarray(self.box.lo), np.asarray(self.box.hi)], 1)}
 
-    def with_bounds(self, bounds):
+    def with_bounds(self, bounds: Mapping[str, ArrayLike]) -> Self:
         """Return the same residual over another box.
 
         Args:
@@ -92,12 +95,13 @@ class Residual:
         lo, hi = np.moveaxis(np.asarray(bounds["parameters"]), -1, 0)
         return dataclasses.replace(self, box=_bounded(interval(lo, hi)))
 
-    def recording(self, u, y=None, starts=()):
+    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
         """Return (relations, recording): the residual with the names of the signals that it lacks, taken from what becomes a Recording."""
         model = self.model.of(u, y)
-        return dataclasses.replace(self, model=model), Recording.of(Signals(model.inputs, model.outputs, {}), u, y, starts)
+        signals = Signals(model.inputs or (), model.outputs or (), {})
+        return dataclasses.replace(self, model=model), Recording.of(signals, u, y, starts)
 
-    def test(self, method, dtype, budget=None, compensation=0.0):
+    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
@@ -108,7 +112,7 @@ class Residual:
         refuse_options(method, budget, compensation, adaptive=True)
         return BisectionTest(self, method, dtype, budget)
 
-    def shape(self, m, p):
+    def shape(self, m: int, p: int) -> int:
         """Return the number of residuals for windows of m inputs and p outputs.
 
         Raises:
@@ -122,7 +126,7 @@ class Residual:
         return out.size
 
     @property
-    def count(self):
+    def count(self) -> int:
         """Number of residuals.
 
         Raises:
@@ -132,7 +136,7 @@ class Residual:
             raise ValueError("the number of residuals depends on that of the signals: name them, residual(f, box, s, inputs=, outputs=)")
         return self.shape(self.model.m, self.model.p)
 
-    def external(self, u, y=None, starts=()):
+    def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
         """Return f at the middle of the box, (..., T, count), NaN where a window is incomplete. Not rounded: for plots and studies.
 
         Args:
@@ -150,7 +154,7 @@ class Residual:
         found = jnp.concatenate([jnp.full((*y.shape[:-2], s, count), jnp.nan, found.dtype), found], -2)
         return jnp.where(given.across(s)[:, None], jnp.nan, found) if len(given.starts) else found
 
-    def text(self):
+    def text(self) -> str:
         """Return the relation as a reader would write it."""
         name, s = getattr(self.f, "__name__", "f"), self.horizon
         span = f"[k-{s}..k]" if s else "[k]"
@@ -159,7 +163,15 @@ class Residual:
         return f"{'f' if name == '<lambda>' else name}(z, u{span}, y{span}) = 0 for some z in {box}"
 
 
-def residual(f, box, horizon=0, inputs=None, outputs=None, dt=1.0, name="residual"):
+def residual(
+    f: Callable[[jax.Array, jax.Array, jax.Array], Any],
+    box: Interval,
+    horizon: int = 0,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    dt: float = 1.0,
+    name: str = "residual",
+) -> Residual:
     """Describe healthy windows by an equation that must hold for some value of bounded unknowns.
 
     Args:
@@ -190,11 +202,11 @@ def residual(f, box, horizon=0, inputs=None, outputs=None, dt=1.0, name="residua
     for kind, names in (("inputs", inputs), ("outputs", outputs)):
         if names is not None and (isinstance(names, str) or len(set(names)) != len(names)):
             raise ValueError(f"{kind} must be different names, not {names!r}")
-    channels = (None if x is None else tuple(x) for x in (inputs, outputs))
-    return Residual(f, _bounded(interval(box)), int(horizon), Channels(*channels, float(dt), str(name)))
+    named = lambda names: None if names is None else tuple(names)
+    return Residual(f, _bounded(interval(box)), int(horizon), Channels(named(inputs), named(outputs), float(dt), str(name)))
 
 
-def _bounded(box):
+def _bounded(box: Interval) -> Interval:
     lo, hi = np.asarray(box.lo), np.asarray(box.hi)
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():
         raise ValueError(f"box must be a bounded, non-empty Interval of shape (n,): its shape is {lo.shape}")

@@ -3,15 +3,34 @@
 A polynomial is a tuple of Fractions by ascending powers without trailing zeros, () is 0; a matrix a tuple of rows of polynomials.
 """
 
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import zip_longest
+from typing import TypeAlias
 
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix, Vector
 
-__all__ = ["add", "apply", "at", "coefficients", "degree", "matmul", "minus_shift", "presentable", "relation_text", "text"]
+__all__ = [
+    "Polynomial",
+    "Row",
+    "add",
+    "apply",
+    "at",
+    "coefficients",
+    "degree",
+    "matmul",
+    "minus_shift",
+    "presentable",
+    "relation_text",
+    "text",
+]
+
+Polynomial: TypeAlias = tuple[Fraction, ...]
+Row: TypeAlias = tuple[Polynomial, ...]
 
 
-def trim(a):
+def trim(a: Sequence[Fraction]) -> Polynomial:
     """Return a polynomial without trailing zeros."""
     n = len(a)
     while n and not a[n - 1]:
@@ -19,7 +38,7 @@ def trim(a):
     return tuple(a[:n])
 
 
-def add(a, b):
+def add(a: Polynomial, b: Polynomial) -> Polynomial:
     """Return a + b.
 
     Example:
@@ -29,7 +48,7 @@ def add(a, b):
     return trim([x + y for x, y in zip_longest(a, b, fillvalue=Fraction(0))])
 
 
-def mul(a, b):
+def mul(a: Polynomial, b: Polynomial) -> Polynomial:
     """Return a b."""
     out = [Fraction(0)] * (len(a) + len(b) - 1) if a and b else []
     for i, x in enumerate(a):
@@ -38,25 +57,25 @@ def mul(a, b):
     return trim(out)
 
 
-def matmul(a, b):
+def matmul(a: Sequence[Row], b: Sequence[Row]) -> tuple[Row, ...]:
     """Return the product of two matrices of polynomials."""
     out = []
     for row in a:
-        total = [()] * len(b[0])
+        total: list[Polynomial] = [()] * len(b[0])
         for x, other in zip(row, b, strict=True):
             total = [add(t, mul(x, y)) for t, y in zip(total, other, strict=True)] if x else total
         out.append(tuple(total))
     return tuple(out)
 
 
-def apply(a, rows, width):
+def apply(a: Sequence[Vector], rows: Sequence[Row], width: int) -> tuple[Row, ...]:
     """Return a rows: numbers a (r, c) times c rows of `width` polynomials."""
     if not rows:
         return tuple(((),) * width for _ in a)
-    return matmul([[trim((x,)) for x in r] for r in a], rows)
+    return matmul([tuple(trim((x,)) for x in r) for r in a], rows)
 
 
-def minus_shift(rows, others):
+def minus_shift(rows: Sequence[Row], others: Sequence[Row]) -> tuple[Row, ...]:
     """Return q rows - others."""
     return tuple(
         tuple(add((Fraction(0), *x) if x else (), tuple(-c for c in y)) for x, y in zip(r, o, strict=True))
@@ -64,29 +83,29 @@ def minus_shift(rows, others):
     )
 
 
-def degree(row):
+def degree(row: Row) -> int:
     """Return the highest power in a row, -1 for zeros."""
     return max(map(len, row)) - 1
 
 
-def at(row, q):
+def at(row: Row, q: Fraction) -> Vector:
     """Return the numbers that a row of polynomials takes at q."""
     return tuple(sum((c * q**j for j, c in enumerate(p)), Fraction(0)) for p in row)
 
 
-def coefficients(row):
+def coefficients(row: Row) -> Matrix:
     """Return a row as a tuple over ascending powers of rows of numbers."""
     return tuple(tuple(p[j] if j < len(p) else Fraction(0) for p in row) for j in range(degree(row) + 1))
 
 
-def presentable(row):
+def presentable(row: Row) -> Row:
     """Scale a row to coprime integers, or to largest entry 1 where these are long; the first leading coefficient is positive."""
     scaled = linalg.presentable(linalg.primitive([c for p in row for c in p]))
     numbers = iter(scaled if scaled[len(next(p for p in row if p)) - 1] > 0 else [-x for x in scaled])
     return tuple(tuple(next(numbers) for _ in p) for p in row)
 
 
-def text(a):
+def text(a: Polynomial) -> str:
     """Return a polynomial as text, the highest power first.
 
     Example:
@@ -106,7 +125,7 @@ def _term(size, power):
     return power if size == 1 and power else f"{factor} {power}".strip()
 
 
-def relation_text(row, names):
+def relation_text(row: Row, names: Sequence[str]) -> str:
     """Return a row of polynomials as a relation among signals.
 
     Example:

@@ -6,23 +6,26 @@ Source: Ploix, Adrot 2006, (4)-(6).
 """
 
 import dataclasses
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
-from jaxbound.consistency.interface import refuse_options
+from jaxbound.consistency.interface import WindowTest, refuse_options
 from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.consistency.polynomial_reading import PolynomialReading
 from jaxbound.consistency.reading import forms
 from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
-from jaxbound.relations.annihilator import annihilator, generic_rank, rank_over_box
-from jaxbound.relations.bounds import changed_bounds, float_bound, model_bounds, reading
-from jaxbound.relations.polynomial import PolynomialMatrix, stacked
-from jaxbound.relations.uncertain_window import uncertain_window
+from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
+from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
+from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, stacked
+from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 
@@ -42,38 +45,38 @@ class UncertainRelations:
     notes: sentences for the user.
     """
 
-    bounds: dict
+    bounds: Bounds
     model: LinearSystem = field(metadata={"static": True})
     horizon: int = field(metadata={"static": True})
-    variables: tuple = field(metadata={"static": True})
+    variables: tuple[Variable, ...] = field(metadata={"static": True})
     N: PolynomialMatrix = field(metadata={"static": True})
     K: PolynomialMatrix = field(metadata={"static": True})
-    steps: tuple = field(metadata={"static": True})
+    steps: tuple[Step, ...] = field(metadata={"static": True})
     complete: str = field(metadata={"static": True})
-    notes: tuple = field(metadata={"static": True})
+    notes: tuple[str, ...] = field(metadata={"static": True})
 
     @property
-    def count(self):
+    def count(self) -> int:
         """Number of relations."""
         return self.N.rows
 
     @property
-    def form(self):
+    def form(self) -> str:
         """How they were made."""
         return "polynomial"
 
     @property
-    def order(self):
+    def order(self) -> int:
         """The largest order of a monomial in the relations."""
         return max(self.N.order, self.K.order)
 
     @property
-    def exponents(self):
+    def exponents(self) -> tuple[Exponents, ...]:
         """The monomials of the relations, the constant first, orders ascending."""
         zero = (0,) * len(self.variables)
         return (zero, *sorted({*self.N.terms, *self.K.terms} - {zero}, key=lambda a: (sum(a), tuple(-e for e in a))))
 
-    def reading(self, dtype, method="joint"):
+    def reading(self, dtype: DTypeLike, method: str = "joint") -> PolynomialReading:
         """Return the PolynomialReading of these relations in a float dtype: what compiled kernels take."""
         model, alphas = self.model, self.exponents
         read = reading(None, model, self.horizon, self.bounds, dtype)
@@ -81,7 +84,7 @@ class UncertainRelations:
         size = float_bound(self.bounds["parameters"], dtype)[np.array([names.index(name) for name, _ in self.variables], int)]
         return PolynomialReading(read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy())
 
-    def test(self, method, dtype, budget=None, compensation=0.0):
+    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
@@ -90,7 +93,7 @@ class UncertainRelations:
         refuse_options(method, budget, compensation, linear=True)
         return ParametricTest(self, method, dtype, budget, compensation)
 
-    def recording(self, u, y=None, starts=()):
+    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
@@ -102,7 +105,7 @@ class UncertainRelations:
         used = {j for entries in self.N.terms.values() for _, j in entries}
         return tuple(j for j in range(self.N.columns) if j in used and (j >= outputs or j % self.model.p not in quiet))
 
-    def without(self, rows, inputs):
+    def without(self, rows: Collection[int], inputs: Collection[int]) -> Self | None:
         """Return relations of the same window that need neither these of its rows nor these of its inputs, or None if there are none.
 
         Args:
@@ -120,7 +123,7 @@ class UncertainRelations:
         omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
         return dataclasses.replace(self, N=_on_rows(omega, V), K=omega @ H, steps=steps, complete=complete)
 
-    def polynomials(self, u, y):
+    def polynomials(self, u: ArrayLike, y: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Return (value, error, spread, rad), the relations of N windows as polynomials: see `PolynomialReading.polynomials`.
 
         Args:
@@ -129,7 +132,7 @@ class UncertainRelations:
         u, y = jnp.asarray(u), jnp.asarray(y)
         return _polynomials(self.reading(y.dtype), u, y)
 
-    def with_bounds(self, bounds):
+    def with_bounds(self, bounds: Mapping[str, ArrayLike]) -> Self:
         """Return the same relations under other bounds.
 
         Args:
@@ -145,7 +148,7 @@ class UncertainRelations:
         complete = "sampled" if wider and self.complete == "proved" else self.complete
         return dataclasses.replace(self, bounds=fresh, complete=complete)
 
-    def external(self, u, y=None, starts=()):
+    def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
         """Return (..., T, count), the residuals at the middle of all bounds, NaN where a window is incomplete. Not rounded: for plots.
 
         Args:
@@ -153,7 +156,7 @@ class UncertainRelations:
         """
         return self._forms(u, y, starts)[0]
 
-    def internal(self, u, y=None, starts=()):
+    def internal(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> Interval:
         """Return the Interval (..., T, count) that contains each residual alone when the plant is healthy. Not rounded: for plots.
 
         Every monomial and noise is taken at its worst by itself. Source: Ploix, Adrot 2006, (14).
@@ -164,7 +167,7 @@ class UncertainRelations:
     def _forms(self, u, y, starts):
         return forms(_forms, self, self.reading, u, y, starts)
 
-    def text(self):
+    def text(self) -> str:
         """Return the relations, one a line, as a reader would write them.
 
         Example:
@@ -196,7 +199,7 @@ class UncertainRelations:
         return out[3:] if out.startswith(" + ") else "-" + out[3:]
 
 
-def uncertain_relations(model, horizon):
+def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations:
     """Eliminate the unknown state, and unknown inputs, from a window of a model with uncertainties: see `parity_relations`."""
     if model.constant_tolerance:
         raise NotImplementedError(
@@ -283,9 +286,10 @@ def _forms(test, u, y):
     u, y = (jnp.stack([x[j : j + count].T for j in range(s + 1)]) for x in (u, y))
     value, _, spread, rad = test.polynomials(u, y)
     samples = (y - test.window.offset_y[None, :, None]).reshape(-1, count)
+    none = jnp.zeros((), y.dtype)
     known = (u[: test.window.lags] - test.window.offset_u[None, :, None]).reshape(-1, count)
-    external = sum(jnp.where(test.N[:, 0, j, None] == 0, 0, test.N[:, 0, j, None] * x[None]) for j, x in enumerate(samples))
-    external -= sum((jnp.where(test.K[:, 0, j, None] == 0, 0, test.K[:, 0, j, None] * x[None]) for j, x in enumerate(known)), 0.0)
+    external = sum((jnp.where(test.N[:, 0, j, None] == 0, 0, test.N[:, 0, j, None] * x[None]) for j, x in enumerate(samples)), none)
+    external -= sum((jnp.where(test.K[:, 0, j, None] == 0, 0, test.K[:, 0, j, None] * x[None]) for j, x in enumerate(known)), none)
     centre, width = value[:, 0], sum((abs(spread[:, :, j]).sum(1)[:, None] * rad[j][None] for j in range(len(rad))), 0.0)
     for a, alpha in enumerate(test.exponents[1:], 1):
         even = all(e % 2 == 0 for e in alpha)

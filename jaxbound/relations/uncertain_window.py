@@ -12,14 +12,22 @@ Source: Ploix, Adrot 2006, (1), (4).
 """
 
 from fractions import Fraction
+from typing import TypeAlias
 
+from jaxbound.exact.linalg import Matrix
 from jaxbound.models import window
+from jaxbound.models.system import LinearSystem
 from jaxbound.relations.polynomial import PolynomialMatrix, constant, stacked
 
-__all__ = ["uncertain_window"]
+__all__ = ["Variable", "uncertain_window"]
+
+Variable: TypeAlias = tuple[str, int | None]
+"""(name of the parameter, lag; None if it keeps one value)."""
 
 
-def uncertain_window(model, horizon):
+def uncertain_window(
+    model: LinearSystem, horizon: int
+) -> tuple[tuple[Variable, ...], PolynomialMatrix, PolynomialMatrix, PolynomialMatrix]:
     """Return (variables, E, H, V): PolynomialMatrices with (s+1)p rows, time-major, in variables within [-1, 1].
 
     Returns:
@@ -33,7 +41,7 @@ def uncertain_window(model, horizon):
     first["u"] = n + lags["v"] * width["v"]
     first["w"] = first["u"] + lags["u"] * width["u"]
     total = first["w"] + lags["w"] * width["w"]
-    named = [(u.name, j) for j in range(s + 1) for u in model.uncertainties if u.varying]
+    named: list[Variable] = [(u.name, j) for j in range(s + 1) for u in model.uncertainties if u.varying]
     named += [(u.name, None) for u in model.uncertainties if not u.varying]
     count, number = len(named), {name: i for i, name in enumerate(named)}
 
@@ -74,9 +82,9 @@ def uncertain_window(model, horizon):
     return tuple(named[i] for i in seen), E, H, V
 
 
-def _entries(rows):
+def _entries(rows: Matrix) -> dict[tuple[int, int], Fraction]:
     return {(i, j): x for i, row in enumerate(rows) for j, x in enumerate(row) if x}
 
 
-def _zero(rows, columns, count):
+def _zero(rows: int, columns: int, count: int) -> PolynomialMatrix:
     return PolynomialMatrix(rows, columns, count, {})

@@ -124,3 +124,13 @@ C = [[1, 1]]
     jb.save_model(m, path)
     again = jb.load_model(path)
     assert (again.A, again.F, again.D_v, again.C) == (m.A, m.F, m.D_v, m.C)
+
+
+def test_one_state_of_a_descriptor_system_may_be_named_by_a_text():
+    assert jb.LinearSystem([[1]], [[1]], [[1]], E=[[2]], states="level").states == ("level",)
+
+
+@pytest.mark.parametrize("names", [("a",), ("a", "b", "c")])
+def test_a_descriptor_system_with_a_wrong_number_of_names_is_refused(names):
+    with pytest.raises(ValueError, match=f"states needs 2 names, one for each: {len(names)} given"):
+        jb.LinearSystem([[1, 0], [0, 1]], None, [[1, 1]], E=[[1, 0], [0, 1]], states=names)
