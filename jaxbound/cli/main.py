@@ -34,7 +34,7 @@ from jaxbound.cli.terminal import (
 )
 from jaxbound.consistency.interface import METHODS
 from jaxbound.models.modelfile import load_model, template
-from jaxbound.plots.canvas import distinct_relations
+from jaxbound.plots.residuals import distinct_relations
 from jaxbound.recordings.plaintext import clipped
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.runfile import VALIDATION

@@ -9,7 +9,7 @@ import numpy as np
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.models.modelfile import load_model
 from jaxbound.plots.canvas import to_png
-from jaxbound.plots.curves import plot_study
+from jaxbound.plots.study import plot_study
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.plaintext import cell
 from jaxbound.relations.parity import parity_relations

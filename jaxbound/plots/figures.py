@@ -1,11 +1,22 @@
 """The figures of Adrot, Maquin, Ragot 2000, redrawn from computation."""
 
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
+from jaxbound.diagnosis.result import Result
+from jaxbound.models.faults import Fault
+from jaxbound.models.simulate import Trajectory
 from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.intervals.interval import interval
+from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.paving.paving import pave
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["figure_1", "figure_2", "paper_example"]
 
@@ -15,7 +26,7 @@ def paper_example(z):
     return [2 * z[0] ** 2 + z[1], z[0] - z[1]]
 
 
-def figure_1():
+def figure_1() -> "Figure":
     """Redraw Fig. 1 of Adrot, Maquin, Ragot 2000 from computation: p(z) = (2 z1^2 + z2, z1 - z2) over z in [-1, 2] x [1, 3].
 
     Left: the exact set A(p), its box, and the uniform pavings of order 10 and 20. Right: the boxes that the adaptive test of
@@ -54,7 +65,7 @@ def figure_1():
     return fig
 
 
-def figure_2(trajectory, res, faults=()):
+def figure_2(trajectory: Trajectory, res: Result, faults: Sequence[Fault] = ()) -> "Figure":
     """Redraw Fig. 2 of the same paper: measurements, true combinations of states, fault intervals in grey, and the test result.
 
     Args:
@@ -85,16 +96,16 @@ def figure_2(trajectory, res, faults=()):
     return fig
 
 
-def _combination(names, coefficients):
+def _combination(names: Sequence[str], coefficients: Sequence[Fraction]) -> str:
     """Return "x1 + 0.5 x2" for the row of a matrix."""
     size = lambda c: "" if abs(c) == 1 else f"{float(abs(c)):g} "
     parts = [f"{'-' if c < 0 else '+'} {size(c)}{s}" for s, c in zip(names, coefficients, strict=True) if c]
     return " ".join(parts).removeprefix("+ ") or "0"
 
 
-def _boxes(ax, boxes, label=None, **style):
+def _boxes(ax: "Axes", boxes: Interval, label: str | None = None, **style: Any) -> None:
     from matplotlib.collections import PolyCollection
 
     lo, hi = np.asarray(boxes.lo), np.asarray(boxes.hi)
     corners = np.stack([lo, np.column_stack([hi[:, 0], lo[:, 1]]), hi, np.column_stack([lo[:, 0], hi[:, 1]])], 1)
-    ax.add_collection(PolyCollection(corners, label=label, **style))
+    ax.add_collection(PolyCollection(list(corners), label=label, **style))

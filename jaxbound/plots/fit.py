@@ -1,14 +1,22 @@
 """The picture of a fit."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
+from jaxbound.studies.identification.fitting import Fitted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["plot_fit"]
 
 
-def plot_fit(model):
+@plot.register(Fitted)
+def plot_fit(model: Fitted) -> "Figure":
     """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by a first fit, in what was held out."""
     check = model.check
     rows = [("final model, all recordings", check.used, INK)]

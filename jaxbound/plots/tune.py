@@ -1,16 +1,24 @@
 """The picture of a search for bounds."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from jaxbound.plots.canvas import COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
+from jaxbound.studies.tuning.tuning import TuneResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["plot_tuning"]
 
 LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT], "#cc79a7", "#f0e442", "#0072b2", "#999999")
 
 
-def plot_tuning(res):
+@plot.register(TuneResult)
+def plot_tuning(res: TuneResult) -> "Figure":
     """Draw a TuneResult: its bounds and their width over the steps, and the margins of the healthy windows at the end."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 

@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.plots.canvas import distinct_relations, plot_residuals, plot_result, plot_timeline, to_png
+from jaxbound.plots.canvas import to_png
+from jaxbound.plots.plot import plot
+from jaxbound.plots.residuals import distinct_relations, plot_residuals
 from jaxbound.recordings.plaintext import duration, factor
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.page import TITLE, render
@@ -90,10 +92,10 @@ def write_report(
 def _pictures(res, recording, alarms):
     """Yield (file name, PNG) of the margin and of the residuals, of a Digest around the worst window."""
     if isinstance(res, Digest):
-        yield "margin.png", to_png(plot_timeline(res.line, res, res.alarm_count))
+        yield "margin.png", to_png(plot(res))
         res, recording = res.around(worst_window(res) or 0)
     else:
-        yield "margin.png", to_png(plot_result(res, recording.axis, alarms))
+        yield "margin.png", to_png(plot(res, recording.axis, alarms))
     yield "residuals.png", to_png(plot_residuals(res, recording.axis))
 
 

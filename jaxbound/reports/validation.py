@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.plots.bands import plot_output
 from jaxbound.plots.canvas import PANELS, to_png
+from jaxbound.plots.validation import plot_output
 from jaxbound.recordings.plaintext import duration
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values

@@ -1,13 +1,15 @@
 """Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follows, stretches
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
-from jaxbound.plots.canvas import Timeline
+from jaxbound.plots.plot import plot
+from jaxbound.plots.timeline import Timeline, plot_timeline
 from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
 from jaxbound.recordings.derived import where_hints
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
@@ -34,6 +36,9 @@ from jaxbound.runs.streaming import (
 from jaxbound.runs.verdictfiles import alarm_columns
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Digest", "detect_dataset", "digest"]
 
@@ -90,6 +95,12 @@ class Digest:
         first = max(k - s, 0)
         r = self.data.read(first, k + 1)
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
+
+
+@plot.register(Digest)
+def plot_digest(found: Digest) -> "Figure":
+    """Draw the whole recording as a Result of its verdicts would be drawn."""
+    return plot_timeline(found.line, found.relations.model.name, found.method, found.alarm_count)
 
 
 def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 1), progress=None, part=None,

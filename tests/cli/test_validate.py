@@ -8,7 +8,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.validate import Validated, write_columns_of
-from jaxbound.plots.bands import plot_output
+from jaxbound.plots.validation import plot_output
 from jaxbound.recordings.recording import Recording
 from jaxbound.reports.validation import write_page
 from jaxbound.sets.intervals.interval import Interval

@@ -1,5 +1,6 @@
 """Pictures of tables and banks: drawn for what they say, and readable whatever the length of a recording."""
 
+import jax
 import numpy as np
 import pytest
 from systems import paper
@@ -55,3 +56,58 @@ def test_sets_in_the_plane_are_drawn_with_their_outlines():
     assert abs(inner.sum(1).min() - 2.8) < 0.02 and abs(inner.sum(1).max() - 3.1) < 0.02
     with pytest.raises(ValueError, match="linear_map"):
         jb.plot(jb.zonotope([0.0], [[1.0]]))
+
+
+def test_a_new_kind_of_thing_registers_in_three_lines():
+    @jb.plot.register(complex)
+    def drawn(number, time=None):
+        return number, time
+
+    assert jb.plot(1j) == (1j, None) and jb.plot(2j, time=3) == (2j, 3)
+
+
+@pytest.mark.parametrize("thing", [1.5, "run.csv", paper(), None], ids=lambda x: type(x).__name__)
+def test_what_cannot_be_drawn_gets_one_sentence(thing):
+    with pytest.raises(TypeError, match=f"^plot draws .*BankResult.* Result.* Zonotope.*, not {type(thing).__name__}$"):
+        jb.plot(thing)
+
+
+def test_every_file_of_a_picture_is_registered_where_its_type_is_drawn():
+    drawn = {kind.__name__: draw.__module__.rpartition(".")[2] for kind, draw in jb.plot.registry.items() if kind.__module__ != "builtins"}
+    assert drawn == {"BankResult": "bank", "ConstrainedZonotope": "sets", "Digest": "digest", "Fitted": "fit", "Isolability": "signatures",
+                     "Result": "result", "Signatures": "signatures", "StudyResult": "study", "TuneResult": "tune",
+                     "Validation": "validation", "Zonotope": "sets"}  # fmt: skip
+
+
+@pytest.fixture
+def validated():
+    """Return (Validation, y) made up: the truth is 1 +- 0.5 from sample 1 on, y1 shows 4 in samples 8 to 10 and 20."""
+    band = jb.Interval(*(np.concatenate([np.full((1, 2), side * np.inf), np.full((29, 2), 1 + side * 0.5)]) for side in (-1, 1)))
+    faulty = np.zeros((30, 2), bool)
+    faulty[[8, 9, 10, 20], 0] = True
+    status = np.where(faulty.any(1), jb.Status.FAULT, jb.Status.UNDECIDED).astype(np.int8)
+    return jb.Validation(band, band, band, faulty, band, status), np.where(faulty, 4.0, 1.0)
+
+
+def test_a_validation_shows_the_band_of_every_output_and_marks_what_is_faulty(validated):
+    found, y = validated
+    first, second = jb.plot(found, time=np.arange(30.0), y=y).axes
+    lines = {line.get_label(): np.asarray(line.get_ydata(), float) for line in first.lines}
+    assert np.flatnonzero(np.isfinite(lines["measured, faulty"])).tolist() == [8, 9, 10, 20]
+    assert first.get_title(loc="left").startswith("y1: 4 faulty samples in 2 stretches")
+    assert "no faulty sample" in second.get_title(loc="left") and second.get_xlabel() == "time (s)"
+    assert first.get_ylim()[0] < 0.5 < 1.5 < first.get_ylim()[1]
+
+
+def test_a_validation_without_its_samples_claims_no_measurement(validated):
+    names = [t.get_text() for t in jb.plot(validated[0]).axes[0].get_legend().texts]
+    assert names == ["true value", "corrected"]
+
+
+def test_a_validation_of_other_samples_or_of_a_batch_is_refused(validated):
+    found, y = validated
+    for options, says in (({"time": np.arange(3)}, "one entry for each of the 30 samples"), ({"y": y[:5]}, "samples that were validated")):
+        with pytest.raises(ValueError, match=says):
+            jb.plot(found, **options)
+    with pytest.raises(ValueError, match="a plot shows one recording"):
+        jb.plot(jax.tree.map(lambda x: x[None], found))

@@ -9,9 +9,10 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.diagnosis.result import Result
-from jaxbound.plots.canvas import distinct_relations, plot_residuals, to_png
+from jaxbound.plots.canvas import to_png
 from jaxbound.plots.figures import figure_1, figure_2
 from jaxbound.plots.plot import plot
+from jaxbound.plots.residuals import distinct_relations, plot_residuals
 from jaxbound.recordings.recording import Recording
 
 FAULT, MISSING, CONSISTENT, UNDECIDED = jb.Status.FAULT, jb.Status.MISSING, jb.Status.CONSISTENT, jb.Status.UNDECIDED

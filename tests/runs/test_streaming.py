@@ -10,7 +10,7 @@ from streaming_case import MODELS, N, Stop, cases, recording, shrink, stopped_af
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.plots.canvas import Timeline
+from jaxbound.plots.timeline import Timeline
 from jaxbound.recordings import parquet
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read

@@ -1,9 +1,16 @@
 """The picture of a Monte-Carlo study: how many scenarios are detected against the size of the fault, and how soon."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
+from jaxbound.studies.montecarlo.study_result import StudyResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["plot_study"]
 
@@ -11,7 +18,8 @@ FAULTS, CURVES = 8, 4
 SEEN = COLOURS[Status.CONSISTENT]
 
 
-def plot_study(res):
+@plot.register(StudyResult)
+def plot_study(res: StudyResult) -> "Figure":
     """Draw a StudyResult: a row for each fault.
 
     Left: the share of scenarios detected and of FAULT windows against the size, with their intervals, and the size from which on no

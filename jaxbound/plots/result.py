@@ -1,0 +1,28 @@
+"""The picture of a Result: the margin of every window over time, with a ribbon of verdicts and the alarms."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.result import Result
+from jaxbound.plots.canvas import time_of
+from jaxbound.plots.plot import plot
+from jaxbound.plots.timeline import Timeline, plot_timeline
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_result"]
+
+
+@plot.register(Result)
+def plot_result(res: Result, time: np.ndarray | None = None, alarms: Sequence[Alarm] | None = None) -> "Figure":
+    """Draw a Result of one recording: `plot` says what, and takes the same arguments."""
+    x = time_of(res, time)
+    alarms = res.alarms() if alarms is None else alarms
+    line = Timeline(len(x))
+    line.add(0, x, res.status, res.margin)
+    line.mark([a.worst for a in alarms])
+    return plot_timeline(line, res.relations.model.name, res.method, len(alarms))

@@ -1,0 +1,138 @@
+"""The picture of a recording of any length: its margin over time, a ribbon of verdicts, and where its alarms are."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxbound.plots.canvas import (
+    COLOURS,
+    ENVELOPE,
+    FAULTY,
+    GRID,
+    INK,
+    SAMPLES,
+    bins,
+    finish,
+    shade,
+    stacked,
+    style,
+    thinning,
+    time_axis,
+)
+from jaxbound.sets.floats.status import Status
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Timeline", "plot_timeline"]
+
+FACTORS = (0, 0.5, 1, 1.5, 2, 2.5, 3, 4, 5)
+
+
+class Timeline:
+    """The extremes of a recording of any length, given piece by piece: what a picture of it can show.
+
+    Fields: samples; bins: where each bin starts, one sample each up to 5000; x: its time; status: the worst of each bin; low, high: the
+    extremes of its margin, NaN where there is none; marked: whether the deepest window of an alarm lies in it.
+    """
+
+    def __init__(self, samples: int) -> None:
+        """Begin a recording of so many samples."""
+        self.samples, self.bins = samples, bins(samples)
+        self.x: np.ndarray | None = None
+        self.status = np.zeros(len(self.bins), np.int8)
+        self.low, self.high = np.full((2, len(self.bins)), np.nan)
+        self.marked = np.zeros(len(self.bins), bool)
+
+    def add(self, start: int, x: np.ndarray, status: np.ndarray, margin: np.ndarray) -> None:
+        """Take the samples from number `start` on: their time (seconds or datetime64), status and margin."""
+        first, stop = np.searchsorted(self.bins, (start, start + len(x)), "left")
+        begun = int(first) - (first == len(self.bins) or self.bins[first] > start)  # a bin that begins in an earlier piece
+        edges, put = np.maximum(self.bins[begun:stop] - start, 0), slice(begun, stop)
+        margin = np.where(np.isneginf(margin), -1e15, margin)
+        self.x = np.empty(len(self.bins), x.dtype) if self.x is None else self.x
+        self.x[first:stop] = x[self.bins[first:stop] - start]
+        self.status[put] = np.maximum(self.status[put], np.maximum.reduceat(status, edges))
+        self.low[put] = np.fmin(self.low[put], np.fmin.reduceat(margin, edges))
+        self.high[put] = np.fmax(self.high[put], np.fmax.reduceat(margin, edges))
+
+    def mark(self, samples: Sequence[int] | np.ndarray) -> None:
+        """Mark the bins in which these samples lie."""
+        self.marked[np.searchsorted(self.bins, np.asarray(samples, np.int64), "right") - 1] = True
+
+
+def plot_timeline(line: Timeline, name: str, method: str, alarms: int) -> "Figure":
+    """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are."""
+    at, label, dates = time_axis(line.x)
+    with style():
+        fig, (ax, ribbon) = stacked(2, (11, 4.3), [12, 1])
+        shade(ax, at, line.status == Status.FAULT)
+        if np.isnan(line.low).all():
+            ax.text(0.5, 0.5, _no_margin(method), ha="center", va="center", transform=ax.transAxes, color="#57606a")
+            ax.set_yticks([])
+        else:
+            _margin(ax, at, line.low, line.high, line.samples > SAMPLES)
+        if alarms:
+            _mark_alarms(ax, at[line.marked], alarms)
+        _ribbon(ribbon, at, line.status)
+        title = f"Margin of {name}" + thinning(line.samples, len(at), "extremes")
+        ax.set_title(title, pad=16, parse_math=False)
+        finish(fig, [ax, ribbon], at, label, dates)
+    return fig
+
+
+def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinned: bool) -> None:
+    lowest = float(np.nanmin(low))
+    if thinned:
+        ax.fill_between(x, low, high, color=ENVELOPE, alpha=0.5, lw=0)
+    ax.plot(x, low, color=INK, lw=0.9)
+    with np.errstate(invalid="ignore"):
+        out = low < 0
+    ax.plot(x[out], low[out], ls="", marker="o", ms=2.6, color=FAULTY, zorder=3)
+    ax.axhline(0, color="#30363d", lw=1.1, zorder=2)
+    steep = lowest < -4
+    scale = {"linthresh": 1, "linscale": max(0.6, 0.35 * np.log10(-lowest))} if steep else {}
+    right = ax.twinx()
+    ax.set_yscale("symlog" if steep else "linear", **scale)
+    right.set_yscale("symlog" if steep else "linear", **scale)
+    pad = 0.06 * (1 - min(lowest, 0))
+    ax.set_ylim(*((lowest * 1.6, 1.25) if steep else (min(lowest, 0) - pad, 1 + pad)))
+    right.set_ylim(ax.get_ylim())
+    if steep:
+        powers = range(0, int(np.ceil(np.log10(-lowest))) + 1)
+        powers = powers[:: max(1, len(powers) // 4)]
+        ax.set_yticks([1, 0.5, 0, *(-(10.0**n) for n in powers)], ["1", "0.5", "0", *(f"$-10^{{{n}}}$" if n else "-1" for n in powers)])
+        factors = [(1, "×1"), (2, "×2"), *((10**n, f"×10$^{{{n}}}$" if n > 1 else "×10") for n in powers if n)]
+    else:
+        factors = [(f, f"×{f:g}") for f in FACTORS if 1 - f >= ax.get_ylim()[0]]
+    right.set_yticks([1 - f for f, _ in factors], [text for _, text in factors])
+    for side, text in ((ax, "margin   (< 0: outside the bounds)"), (right, "bounds needed to explain it")):
+        side.minorticks_off()
+        side.set_ylabel(text)
+    ax.grid(color=GRID, lw=0.7, axis="y")
+
+
+def _mark_alarms(ax: "Axes", x: np.ndarray, count: int) -> None:
+    ax.plot(x, np.full(len(x), 1.02), ls="", marker="v", ms=4, color=FAULTY, transform=ax.get_xaxis_transform(), clip_on=False)
+    text = f"{count} alarm" + "s" * (count != 1)
+    ax.text(1.0, 1.055, text, ha="right", transform=ax.transAxes, fontsize=9.5, color=FAULTY)
+
+
+def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray) -> None:
+    """Draw a strip in the colour of the worst verdict of each bin, with a legend of the verdicts that occur."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    edges = np.concatenate([x[:1], x[1:] - (x[1:] - x[:-1]) / 2, x[-1:]])
+    ax.pcolormesh(edges, [0, 1], status[None, :], cmap=ListedColormap([COLOURS[s] for s in Status]), vmin=-0.5, vmax=3.5)
+    ax.set_yticks([])
+    ax.set_ylabel("verdict", rotation=0, ha="right", va="center")
+    present = [s for s in Status if (status == s).any()]
+    handles = [Patch(color=COLOURS[s], label=s.name) for s in present]
+    ax.figure.legend(handles=handles, loc="lower left", ncols=4, fontsize=9, bbox_to_anchor=(0.066, 0.0))
+
+
+def _no_margin(method: str) -> str:
+    return "paving proves FAULT but measures no margin" if method == "paving" else "no window has usable data"
