@@ -14,16 +14,15 @@ def identity(relations: ParityRelation | UncertainRelations, **also: object) -> 
     """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for JSON.
 
     Args:
-        relations: from `parity_relations`. also: {what: value} more, as `fingerprint` takes it; texts and
+        relations: of a model, which say by .made how they came from it. also: {what: value} more, as `fingerprint` takes it; texts and
             whole numbers are kept as they are.
     """
     from jaxbound import __version__
 
-    made = relations.form, getattr(relations, "order", None)  # the rest of them follows from the model and the horizon
     plain = lambda x: str(x) if isinstance(x, str | int) else fingerprint(x)
     return {
         "version of jaxbound": __version__,
-        "model": fingerprint(relations.model, relations.bounds, made),
+        "model": fingerprint(relations.model, relations.bounds, relations.made),
         "horizon": str(relations.horizon),
         "precision": str(jax.dtypes.canonicalize_dtype(np.float64)),
         **{what: plain(x) for what, x in also.items()},

@@ -76,6 +76,11 @@ class ParityRelation:
         """Number of independent relations."""
         return len(self.W)
 
+    @property
+    def made(self):
+        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
+        return self.form, None
+
     @cached_property
     def _joint(self) -> Strips:
         return strips_of(self.circuits, self.circuits_known)

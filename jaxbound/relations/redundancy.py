@@ -56,6 +56,16 @@ class Redundancy:
         return len(self.rows)
 
     @property
+    def made(self) -> tuple:
+        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
+        return "bank", self.relations.W, self.relations.K
+
+    @property
+    def bounds(self) -> dict:
+        """The bounds of the relations, as of `parity_relations`."""
+        return self.relations.bounds
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The signals of the columns: outputs, then inputs."""
         return self.model.outputs + self.model.inputs

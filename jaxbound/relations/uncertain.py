@@ -66,6 +66,11 @@ class UncertainRelations:
         return "polynomial"
 
     @property
+    def made(self) -> tuple:
+        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
+        return self.form, self.order
+
+    @property
     def order(self) -> int:
         """The largest order of a monomial in the relations."""
         return max(self.N.order, self.K.order)

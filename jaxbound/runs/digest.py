@@ -19,6 +19,8 @@ from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.redundancy import Redundancy
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.streaming import (
@@ -59,7 +61,7 @@ class Digest:
         ended: {ending of an Alarm: how many of all alarms have it}.
     """
 
-    relations: ParityRelation
+    relations: ParityRelation | UncertainRelations | Redundancy
     method: str
     data: ParquetSource
     samples: int
@@ -108,10 +110,11 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
     Args:
-        relations: from `parity_relations`. path: a Parquet file, or a folder of them that follow each other by name.
+        relations: from `parity_relations` or `structured_relations`.
+        path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
             A call that was stopped is continued by the same call.
-        method: "joint" or "box", see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
+        method: see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
             depend on it.
         alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
         part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time, on other machines too, where
@@ -134,8 +137,8 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
         >>> found.counts["FAULT"], found.worst[0]
         (1, 2)
     """
-    if not isinstance(relations, ParityRelation):
-        raise TypeError(f"detect_dataset needs parity relations, not {type(relations).__name__}")
+    if not hasattr(relations, "made"):
+        raise TypeError(f"detect_dataset needs relations of a model, whose verdicts can be kept, not {type(relations).__name__}")
     check_rule(*alarm)
     if part is not None:
         check_share(part)

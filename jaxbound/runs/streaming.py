@@ -38,7 +38,6 @@ LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
 RUNS, IDENTITY = b"runs", b"identity"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
-STREAMED = ("joint", "box")
 
 
 def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None, part=None):
@@ -245,8 +244,7 @@ class _Pending:
 
 def _begun(relations, source, out, method):
     """Return (folder for the parts, what they depend on); refuse parts of another run, and a folder with anything else in it."""
-    if method not in STREAMED:
-        raise ValueError(f"Parquet is tested by method {' or '.join(STREAMED)}, not {method!r}, whose budget is one for all windows")
+    relations.test(method, source.dtype)  # refuses what these relations cannot be tested by
     if source.samples <= relations.horizon:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
     folder, note = out / PARTIAL, identity(relations, method=method, recording=source.content)

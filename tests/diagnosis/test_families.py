@@ -104,3 +104,20 @@ def test_a_budget_is_that_of_a_window_whatever_stands_beside_it():
     whole = jb.detect(r, u, y, method="paving", budget=20).status
     alone = [int(jb.detect(r, u[k - 1 : k + 1], y[k - 1 : k + 1], method="paving", budget=20).status[1]) for k in range(1, len(y))]
     assert whole[1:].tolist() == alone
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_parquet_holds_the_same_verdicts(name, tmp_path):
+    import pandas as pd
+
+    u, y, res = detected(name)
+    names = [f"u{i + 1}" for i in range(u.shape[1])] + [f"y{i + 1}" for i in range(y.shape[1])]
+    pd.DataFrame(np.concatenate([u, y], 1), columns=names).to_parquet(tmp_path / "run.parquet")
+    if name == "residual":
+        with pytest.raises(TypeError, match="relations of a model, whose verdicts can be kept, not Residual"):
+            jb.detect_dataset(relations(name), tmp_path / "run.parquet", tmp_path / "out")
+        return
+    found = jb.detect_dataset(relations(name), tmp_path / "run.parquet", tmp_path / "out", method=METHODS[name])
+    kept = pd.concat(pd.read_parquet(p) for p in sorted((tmp_path / "out" / "verdicts.parquet").iterdir()) if p.suffix == ".parquet")
+    assert found.counts == res.counts and kept.status.tolist() == [jb.Status(int(k)).name for k in res.status]
+    np.testing.assert_array_equal(kept.margin.to_numpy(float), res.margin)

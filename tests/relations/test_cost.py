@@ -115,7 +115,8 @@ def test_progress_of_relations_rises_to_the_end():
 
 
 def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, capsys, monkeypatch):
-    from jaxbound import cli, detecting
+    from jaxbound.cli import detect as detecting
+    from jaxbound.cli import main as cli
 
     save_model(CHAIN, tmp_path / "m.toml")
     (tmp_path / "r.csv").write_text("u1,y1,y2\n" + "0,0,0\n" * 201)
@@ -127,7 +128,7 @@ def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, 
 
 
 def test_info_of_many_states_says_what_it_leaves_out(rng):
-    from jaxbound.describing import isolation_text
+    from jaxbound.cli.info import isolation_text
 
     text = isolation_text(dense(60, 2, rng), 30)
     assert "not worked out" in text and "would take about" in text
