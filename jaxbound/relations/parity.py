@@ -77,7 +77,7 @@ class ParityRelation:
         return len(self.W)
 
     @property
-    def made(self):
+    def made(self) -> tuple:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
         return self.form, None
 
