@@ -11,7 +11,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -24,11 +23,9 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.validation import least_horizon, validate
 from jaxbound.models.modelfile import load_model, save_model
-from jaxbound.recordings.contents import content
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.parquet import is_parquet
 from jaxbound.recordings.plaintext import percent, times
-from jaxbound.recordings.read import read
+from jaxbound.recordings.read import kind_of, open_source
 from jaxbound.relations.parity import parity_relations
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.validation import write_page
@@ -59,8 +56,9 @@ def run_detect(args):
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
     if args.method not in (*METHODS, VALIDATION):
         raise Refused(f"--method must be one of {', '.join((*METHODS, VALIDATION))}, not {args.method!r}")
-    data = Path(args.data)
-    refuse_shares(args, data)
+    with door(OSError):
+        kind = kind_of(args.data)
+    refuse_shares(args, kind)
     if args.part is not None:
         return run_share(args)
     threading.Thread(target=_load_plotting, daemon=True).start()
@@ -68,11 +66,11 @@ def run_detect(args):
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
         found = _report(args, _validate, ("output1.png",), ("read", "test", "report"))
-    elif data.exists() and is_parquet(data):
+    elif kind.parts:
         names, inputs = (VERDICTS, *REPORT, "margin.png", "residuals.png"), (args.model, args.data)
         with door(), output_folder(args.out, names, inputs) as folder, progress_bars(("relations", "test", "report")) as step:
             found = _stream(args, folder, step)
-    elif data.exists() and args.chunk is not None:
+    elif args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
         found = _report(args, _evaluate, ("margin.png", "residuals.png"), ("read", "relations", "test", "report"))
@@ -123,8 +121,8 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     seconds, start = {}, time.perf_counter()
     with door():
         model = load_model(args.model)
-        held = content(Path(args.data))
-        recording = read(args.data, model, lambda share: step("read", share))
+        source = open_source(args.data, model)
+        held, recording = source.content, source.read(progress=lambda share: step("read", share))
         refuse_short(args.data, recording.samples, model.horizon if args.horizon is None else args.horizon)
         relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
         refuse_short(args.data, recording.samples, relations.horizon)
@@ -156,8 +154,8 @@ def _validate(args, work, step):
     seconds, start = {}, time.perf_counter()
     with door():
         model = load_model(args.model)
-        held = content(Path(args.data))
-        recording = read(args.data, model, lambda share: step("read", share))
+        source = open_source(args.data, model)
+        held, recording = source.content, source.read(progress=lambda share: step("read", share))
         horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
         _complete(args.data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()

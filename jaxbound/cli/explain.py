@@ -10,10 +10,9 @@ import numpy as np
 from jaxbound.certificates.interface import certify
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.cli.terminal import door, show, write
-from jaxbound.recordings.parquet import is_parquet, open_parquet
 from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.plaintext import times as factor_text
-from jaxbound.recordings.read import read
+from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
@@ -37,36 +36,30 @@ def certificate_of(directory, at):
         raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
                          "only by the other methods of jaxbound detect")  # fmt: skip
     relations = parity_relations(model, horizon)
-    source = _Source(data, model)
-    k = source.find(at)
+    source = open_source(data, model)
+    axis = _Axis(source)
+    k = axis.find(at)
     if k < horizon:
-        raise ValueError(f"sample {k} is too early: the first window ends at sample {horizon}, {source.label(horizon)}")
+        raise ValueError(f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}")
     part = source.read(k - horizon, k + 1)
     try:
         if part.across(horizon)[horizon]:
             raise ValueError("a window across a gap in time is MISSING")
         return certify(relations, part.u, part.y, method), k, [part.label(j) for j in range(horizon + 1)]
     except ValueError as e:
-        raise ValueError(f"{source.label(k)} (sample {k}): {e}") from None
+        raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
 
 
-class _Source:
-    """The samples of a recording by number: of a file in memory, or of Parquet that is read where it is needed."""
+class _Axis:
+    """The samples of a Source by number and by time; only those that are asked for are read, where it can."""
 
-    def __init__(self, path, model):
-        self.parquet = open_parquet(path, model) if is_parquet(path) else None
-        self.whole = read(path, model) if self.parquet is None else None
-        self.samples = self.parquet.samples if self.parquet is not None else len(self.whole.time)
-
-    def read(self, first, stop):
-        """Return the samples first..stop as a Recording."""
-        if self.parquet is not None:
-            return self.parquet.read(first, stop)
-        return self.whole.cut(first, stop)
+    def __init__(self, source):
+        self.source, self.samples = source, source.samples
+        self.stamped = self._one(0).stamps is not None
 
     def label(self, k):
         """Return the time of sample k as text."""
-        return self.whole.label(k) if self.whole is not None else self._one(k).label(0)
+        return self._one(k).label(0)
 
     def find(self, text):
         """Return the number of the sample that a text names: a whole number is a sample, anything else a time."""
@@ -75,9 +68,8 @@ class _Source:
             if not 0 <= int(text) < self.samples:
                 raise ValueError(f"there is no sample {text}: the recording has {self.samples}, numbered from 0")
             return int(text)
-        if self.whole is not None and self.whole.written is not None and isinstance(self.whole.written[0].as_py(), str):
-            if (k := self.whole.written.index(text).as_py()) >= 0:
-                return k
+        if (k := self.source.find(text)) is not None:
+            return k
         wanted = self._parsed(text)
         low, high = 0, self.samples - 1  # the last sample that is not later
         while low < high:
@@ -92,24 +84,18 @@ class _Source:
 
     def _parsed(self, text):
         try:
-            if self._stamped:
+            if self.stamped:
                 return np.datetime64(text.replace(" ", "T").removesuffix("Z"), "ns")
             return float(text.removesuffix("s"))
         except ValueError:
             like = f"its time as alarms.csv has it, like {self.label(0)}"
             raise ValueError(f"--at {text} names no sample: give its number, or {like}") from None
 
-    @property
-    def _stamped(self):
-        return (self.whole if self.whole is not None else self._one(0)).stamps is not None
-
     def _time(self, k):
-        r, i = (self.whole, k) if self.whole is not None else (self._one(k), 0)
-        return r.time[i] if r.stamps is None else r.stamps[i]
+        return self._one(k).axis[0]
 
     def _one(self, k):
-        ((_, table),) = self.parquet.tables(k, k + 1, 1)
-        return self.parquet.chunk(k, table)
+        return self.source.read(k, k + 1)
 
 
 def run(args):

@@ -7,7 +7,7 @@ import time
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.parquet import is_parquet, open_parquet
+from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import shared_folder
 from jaxbound.runs.refusals import Interrupted, Refused
@@ -18,14 +18,14 @@ from jaxbound.runs.streaming import CHUNK, PARTIAL, all_parts, part_count, part_
 __all__ = ["merged", "opened", "refuse_shares", "run_share"]
 
 
-def refuse_shares(args, data):
-    """Raise Refused if --part or --merge is given where there are no parts."""
+def refuse_shares(args, kind):
+    """Raise Refused if --part or --merge is given where there are no parts. kind: of source."""
     given = [option for option, on in (("--part", args.part is not None), ("--merge", args.merge)) if on]
     if len(given) > 1:
         raise Refused("--merge reports on what --part makes: give one of the two")
     if given and args.method == VALIDATION:
         raise Refused(f"{given[0]} is for other methods: {VALIDATION} reads {args.data} as a whole")
-    if given and data.exists() and not is_parquet(data):
+    if given and not kind.parts:
         raise Refused(f"{given[0]} is for Parquet: {args.data} is read as a whole")
 
 
@@ -63,10 +63,10 @@ def run_share(args):
 
 
 def opened(args, step):
-    """Return (ParquetSource, relations) of what is to be tested chunk by chunk."""
+    """Return (Source, relations) of what is to be tested chunk by chunk."""
     model = load_model(args.model)
     usable_device()
-    source = open_parquet(args.data, model)
+    source = open_source(args.data, model)
     refuse_short(args.data, source.samples, model.horizon if args.horizon is None else args.horizon)
     return source, parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
 

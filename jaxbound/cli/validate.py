@@ -95,7 +95,7 @@ def write_columns_of(path, res, recording):
     blank = lambda x: to_arrow(np.where(np.isfinite(x), x, np.nan))
     band = lambda name, x, i: {f"{name}.lo": blank(np.asarray(x.lo)[:, i]), f"{name}.hi": blank(np.asarray(x.hi)[:, i])}
     columns = {
-        "time": to_arrow(recording.time) if recording.written is None else recording.written,
+        "time": recording.column,
         "status": words([s.name for s in Status], res.status),
     }
     found = res.found

@@ -29,13 +29,16 @@ def valid(column):
 
 
 def to_arrow(x):
-    """Return floats (NaN becomes null), whole numbers or bools as a pyarrow array."""
+    """Return floats (NaN becomes null), whole numbers, bools or datetime64[ns] as a pyarrow array."""
     import pyarrow as pa
 
     x = np.ascontiguousarray(x)
     bits = lambda mask: pa.py_buffer(np.packbits(mask, bitorder="little"))
     if x.dtype == bool:
         return pa.Array.from_buffers(pa.bool_(), len(x), [None, bits(x)])
+    if x.dtype.kind == "M":
+        x = x.astype("datetime64[ns]")
+        return pa.Array.from_buffers(pa.timestamp("ns"), len(x), [bits(~np.isnat(x)), pa.py_buffer(x.view(np.int64))])
     if x.dtype.kind == "f":
         x = x.astype(np.float64)
         return pa.Array.from_buffers(pa.float64(), len(x), [bits(~np.isnan(x)), pa.py_buffer(x)])

@@ -1,27 +1,41 @@
 """CSV files as recordings: a million rows are parsed column by column, only the columns that the model names."""
 
 from dataclasses import replace
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.csvtext import is_number, parse_columns, sniff
-from jaxbound.recordings.derived import wanted, where_hints
-from jaxbound.recordings.hints import missing_hints, rounding_hints
+from jaxbound.recordings.derived import wanted
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import Clock, around, check_period, irregular, seam_hints, tick, usual_period
-from jaxbound.recordings.stillness import still_hints
+from jaxbound.recordings.seams import check_period, usual_period
+from jaxbound.recordings.source import Source, register, told
 from jaxbound.recordings.timestamps import parse_stamps, read_numbers
 
-__all__ = ["read_csv"]
+__all__ = ["CsvFile"]
 
 
-def read_csv(path, model, report):
-    """Return the Recording of a CSV file. report: called with the share of the work done.
+@register
+class CsvFile(Source):
+    """A CSV file, or any file that no other kind of source takes."""
 
-    Raises:
-        ValueError: anything that is not a regular recording of this model: what, and in which row.
-    """
+    @classmethod
+    def takes(cls, data):
+        """Return True for every path: what is no CSV file is refused in a sentence."""
+        return isinstance(data, str | PathLike)
+
+    def whole(self, progress=None):
+        """Return the Recording of the file.
+
+        Raises:
+            ValueError: anything that is not a regular recording of this model: what, and in which row.
+        """
+        return _read(Path(self.data), self.model, progress or (lambda share: None))
+
+
+def _read(path, model, report):
     layout = sniff(path)
     plan = wanted(layout.names, model)
     if plan.time is None and layout.names[0] == "" and layout.first[0] and not is_number(layout.first[0], layout.decimal):
@@ -57,22 +71,8 @@ def read_csv(path, model, report):
     recording = Recording.filed(model, (u, y, excluded), (time, stamps, written), path.name)
     dt = usual_period(time) if model.dt is None else model.dt
     check_period(time, dt, getattr(model, "stated", "the model has"))
-    starts, seams = _seams(time, dt, recording.label, layout.row)
     report(0.9)
-    hints += seams + missing_hints(model, u, y, excluded) + rounding_hints(model, y) + still_hints(model, u, y, recording.label)
-    if excluded is not None:
-        starts = np.union1d(starts, around(excluded))
-        hints += where_hints(plan.where.text, np.count_nonzero(excluded), count)
-    report(1.0)
-    return replace(recording, hints=tuple(hints), starts=starts, dt=dt)
-
-
-def _seams(time, dt, label, where):
-    """Return (starts, hints) of a whole time axis; refuse one that is irregular."""
-    clock, starts = tick(Clock(dt), time)
-    if sentence := irregular(clock, label, where):
-        raise ValueError(sentence)
-    return starts, seam_hints(clock, label, where)
+    return told(model, replace(recording, dt=dt), layout.row, plan.where and plan.where.text, tuple(hints))
 
 
 def _values(layout, name, column):

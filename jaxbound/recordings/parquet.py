@@ -6,19 +6,18 @@ Rows count from 1.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
-from jaxbound.recordings.contents import content
-from jaxbound.recordings.derived import Wanted, where_hints
+from jaxbound.recordings.derived import Wanted
 from jaxbound.recordings.expressions import Expression
-from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.parquetfiles import PARTIAL, SUFFIXES, VERDICTS, Damage, checked, files_of, opened, plan_of
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import Clock, around, check_period, irregular, seam_hints, tick, usual_period
-from jaxbound.recordings.stillness import still_hints
+from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
+from jaxbound.recordings.source import Source, overlapping, register, told
 from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, time_label
 
 __all__ = ["PARTIAL", "VERDICTS", "ParquetSource", "is_parquet", "open_parquet"]
@@ -37,8 +36,9 @@ def is_parquet(path):
         return f.read(4) == b"PAR1"
 
 
+@register
 @dataclass(frozen=True, eq=False)
-class ParquetSource:
+class ParquetSource(Source):
     """A recording in Parquet files, none of which is held in memory. Build it with `open_parquet`.
 
     Fields:
@@ -62,10 +62,27 @@ class ParquetSource:
     hints: tuple = ()
     states: tuple = ()
 
+    parts = True
+
+    @classmethod
+    def takes(cls, data):
+        """Return whether data are the path of a folder, or of a file that is called or that begins like Parquet."""
+        return isinstance(data, str | PathLike) and is_parquet(Path(data))
+
+    @classmethod
+    def open(cls, data, model):
+        """Return the source of a file or folder. See `open_parquet`."""
+        return open_parquet(data, model)
+
     @cached_property
     def content(self):
         """The digest of all files, as they are when it is first asked for. See `contents`."""
-        return content(self.path)
+        return self.digest(self.path)
+
+    @property
+    def label(self):
+        """The name of the file or folder."""
+        return self.path.name
 
     def unchanged(self, *files):
         """Raise ValueError if one of the files, by default any, was written since it was opened."""
@@ -129,28 +146,32 @@ class ParquetSource:
         kind = table.column(self.time_name).type
         return pa.types.is_integer(kind) or pa.types.is_floating(kind)
 
-    def read(self, start, stop, progress=None):
-        """Return the samples start..stop as one Recording, with its seams; hints only if that is all of them.
+    def pieces(self, size, overlap=0, first=0, stop=None):
+        """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` before them. See `tables`, `chunk`."""
+        chunks = ((at, self.chunk(at, table)) for at, table in self.tables(first, self.samples if stop is None else stop, size))
+        return overlapping(chunks, overlap, self.model.dt)
+
+    def find(self, text):
+        """Return None: what is written in files is not searched, but where its time is."""
+        return None
+
+    def read(self, first=0, stop=None, progress=None):
+        """Return the samples first..stop as one Recording, with its seams; hints only if that is all of them.
 
         Raises:
             ValueError: as `tables` and `chunk`; more seams than steps of one sampling period, if these are all samples.
         """
         report = progress or (lambda share: None)
-        ((_, table),) = self.tables(start, stop, stop - start)
+        stop = self.samples if stop is None else stop
+        ((_, table),) = self.tables(first, stop, stop - first)
         report(0.7)
-        r = self.chunk(start, table)
-        clock, starts = tick(Clock(self.model.dt), r.time)
-        hints = []
-        if stop - start == self.samples:
-            if sentence := irregular(clock, r.label, self.row):
-                raise ValueError(f"{self.path}: {sentence}")
-            hints += [*self.hints, *seam_hints(clock, r.label, self.row), *missing_hints(self.model, r.u, r.y, r.excluded)]
-            hints += [*rounding_hints(self.model, r.y), *still_hints(self.model, r.u, r.y, r.label)]
-        if r.excluded is not None:
-            starts = np.union1d(starts, around(r.excluded))
-            hints += where_hints(self.plan.where.text, np.count_nonzero(r.excluded), self.samples) if stop - start == self.samples else []
-        report(1.0)
-        return replace(r, hints=tuple(hints), starts=starts)
+        r = self.chunk(first, table)
+        if stop - first < self.samples:
+            return replace(r, starts=np.union1d(tick(Clock(self.model.dt), r.time)[1], around(r.excluded)))
+        try:
+            return told(self.model, r, self.row, self.plan.where and self.plan.where.text, self.hints)
+        except ValueError as e:
+            raise ValueError(f"{self.path}: {e}") from None
 
     def name(self, file):
         """Return how the user knows one of the files."""

@@ -2,16 +2,16 @@
 
 import shutil
 import tempfile
-from contextlib import contextmanager
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 
-from jaxbound.recordings.csvfiles import read_csv
-from jaxbound.recordings.parquet import is_parquet, open_parquet
+from jaxbound.recordings import arraysource, csvfiles, parquet  # noqa: F401, they register what they read
 from jaxbound.recordings.recording import Signals, signals_of
 from jaxbound.recordings.seams import TOLERATED_DT
+from jaxbound.recordings.source import KINDS, Source, register
 
-__all__ = ["read", "read_signals"]
+__all__ = ["kind_of", "open_source", "read", "read_signals"]
 
 
 def read(path, model, progress=None):
@@ -43,36 +43,52 @@ def read(path, model, progress=None):
         >>> jb.detect(jb.parity_relations(m), run).status
         array([0, 1, 3, 0, 1], dtype=int8)
     """
-    path, model = Path(path), signals_of(model)
-    report = progress or (lambda share: None)
-    if str(path) == "-":
-        raise ValueError("standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here")
-    if not path.exists():
-        raise FileNotFoundError(f"there is no data file {path}")
-    if not path.is_file() and not path.is_dir():
-        with _kept(path) as file:
-            return replace(_read_file(file, model, report, path), source=path.name)
-    return _read_file(path, model, report, path)
+    return open_source(path, model).read(progress=progress)
 
 
-@contextmanager
-def _kept(path):
-    """Give a file with all that comes out of a pipe, like bash's <(zcat run.csv.gz): it can be read once, and reading needs more."""
-    with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
-        with open(path, "rb") as pipe:
-            shutil.copyfileobj(pipe, file)
-        file.flush()
-        yield Path(file.name)
+def open_source(data, model):
+    """Return the Source of what a user holds: a path, arrays, tables. See `read` for the paths, and for what is raised.
+
+    Args:
+        data: a path; or what `Recording.of` takes: a table or a Recording of both, or a tuple (u, y) or (u, y, starts).
+        model: as for `read`.
+    """
+    return kind_of(data).open(data, signals_of(model))
 
 
-def _read_file(path, model, report, named):
-    if is_parquet(path):
-        source = open_parquet(path, model)
-        return source.read(0, source.samples, report)
-    try:
-        return read_csv(path, model, report)
-    except ValueError as e:
-        raise ValueError(f"{named}: {e}") from None
+def kind_of(data):
+    """Return the kind of source that takes the data: the one that was registered last."""
+    if isinstance(data, str | PathLike) and str(data) != "-" and not Path(data).exists():
+        raise FileNotFoundError(f"there is no data file {data}")
+    return next(kind for kind in reversed(KINDS) if kind.takes(data))
+
+
+@register
+class ReadOnce(Source):
+    """A pipe like bash's <(zcat run.csv.gz): it can be read once, and reading needs more, so all that comes out of it is kept meanwhile."""
+
+    @classmethod
+    def takes(cls, data):
+        """Return whether data are a path that is neither a file nor a folder."""
+        return isinstance(data, str | PathLike) and not Path(data).is_file() and not Path(data).is_dir()
+
+    @classmethod
+    def digest(cls, data):
+        """Return None: what was read is gone."""
+        return None
+
+    def whole(self, progress=None):
+        """Return the Recording of what is in it, of whatever kind."""
+        if str(self.data) == "-":
+            raise ValueError("standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here")
+        with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
+            with open(self.data, "rb") as pipe:
+                shutil.copyfileobj(pipe, file)
+            file.flush()
+            try:
+                return replace(open_source(file.name, self.model).read(progress=progress), source=self.label)
+            except ValueError as e:
+                raise ValueError(str(e).replace(f"{file.name}: ", "", 1)) from None
 
 
 def read_signals(paths, inputs, outputs, columns=None, dt=None, progress=None):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
+from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, irregular, tick, usual_period
 from jaxbound.recordings.table import as_table, is_date, is_table, paired, time_like, unlabelled, usual_step
@@ -188,6 +189,26 @@ class Recording:
         inside = starts[(starts >= first) & (starts < stop)] - first
         parts = {name: take(getattr(self, name)) for name in ("excluded", "index", "time", "stamps", "written")}
         return replace(self, u=self.u[..., first:stop, :], y=self.y[..., first:stop, :], starts=inside, hints=(), **parts)
+
+    @property
+    def column(self):
+        """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of samples; a pyarrow array."""
+        if self.written is not None:
+            return self.written
+        given = self.time if self.stamps is None else self.stamps
+        return to_arrow(np.arange(self.samples) if given is None else given)
+
+    def followed(self, other):
+        """Return this recording and the one that comes behind it as one; .starts stay those of the first."""
+        join = lambda a, b: None if a is None or b is None else np.concatenate([a, b])
+        written = None
+        if self.written is not None and other.written is not None:
+            import pyarrow as pa
+
+            written = pa.concat_arrays([self.written, other.written])
+        parts = {name: join(getattr(self, name), getattr(other, name)) for name in ("excluded", "index", "time", "stamps")}
+        u, y = np.concatenate([self.u, other.u], -2), np.concatenate([self.y, other.y], -2)
+        return replace(self, u=u, y=y, written=written, **parts)
 
     def across(self, horizon):
         """Return (T,) bool: True where the window of horizon + 1 samples that ends at a sample lies across a seam."""

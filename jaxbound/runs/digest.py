@@ -13,8 +13,9 @@ from jaxbound.plots.timeline import Timeline, plot_timeline
 from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
 from jaxbound.recordings.derived import where_hints
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
-from jaxbound.recordings.parquet import ParquetSource, open_parquet
+from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
+from jaxbound.recordings.read import open_source
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
@@ -148,11 +149,11 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
     report = progress or (lambda share: None)
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
-            source = open_parquet(path, relations.model)
+            source = _source(path, relations.model)
             folder, _ = write_parts(relations, source, out, method, chunk, report, part)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
-        source = open_parquet(path, relations.model)
+        source = _source(path, relations.model)
         if merge:
             folder = all_parts(relations, source, out, method)
         else:
@@ -161,6 +162,14 @@ def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 
         publish(place)
     report(1.0)
     return found
+
+
+def _source(path, model):
+    """Return the Source of a recording; refuse one that is read as a whole."""
+    source = open_source(path, model)
+    if not source.parts:
+        raise ValueError(f"{path} is read as a whole: give it to detect, or write it as Parquet")
+    return source
 
 
 def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=None, progress=None):

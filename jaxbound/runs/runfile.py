@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 from jaxbound.models.modelfile import load_model, model_text
-from jaxbound.recordings.contents import content
+from jaxbound.recordings.read import kind_of
 
 __all__ = ["VALIDATION", "load_run", "save_run"]
 
@@ -54,6 +54,6 @@ def load_run(directory):
     data = data if data.exists() or not (directory / data.name).exists() else directory / data.name
     if not data.exists():
         raise FileNotFoundError(f"the recording of this report, {data}, is no longer there: put it back, or run jaxbound detect again")
-    if (data.is_file() and data.stat().st_size != size) or content(data) != digest:
+    if (data.is_file() and data.stat().st_size != size) or kind_of(data).digest(data) != digest:
         raise ValueError(f"the recording of this report, {data}, has changed since: run jaxbound detect again")
     return load_model(directory / MODEL), data, method, horizon

@@ -11,7 +11,7 @@ import os
 import re
 import time
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import reduce
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from jaxbound.diagnosis.result import suspected
 from jaxbound.recordings.checkpoint import refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
-from jaxbound.recordings.seams import Clock, around, tick
 from jaxbound.recordings.stillness import Run, Runs, follow, joined
 from jaxbound.recordings.whole import UNFINISHED, whole
 from jaxbound.relations.identity import identity
@@ -118,32 +117,21 @@ def _number(part):
 
 
 def _test(relations, source, pending, method, size, report, lap, parts):
-    s, model, done, end = relations.horizon, relations.model, parts.start * PART, min(parts.stop * PART, source.samples)
-    first = max(done - s, 0)
-    tail = [np.zeros((0, n), source.dtype) for n in (model.m, model.p)]
-    condition, left_out = source.plan.where is not None, np.zeros(0, bool)
-    clock, starts = Clock(model.dt, samples=first), np.zeros(0, np.int64)
+    s, done, end = relations.horizon, parts.start * PART, min(parts.stop * PART, source.samples)
     report(done)
-    for start, table in source.tables(first, end, size):
+    for first, piece in source.pieces(size, s, max(done - s, 0), end):
         lap("read")
-        piece = source.chunk(start, table)
-        tail = [np.concatenate(pair) for pair in zip(tail, (piece.u, piece.y), strict=True)]
-        u, y = jax.block_until_ready(jax.device_put(tuple(tail)))
+        u, y = jax.block_until_ready(jax.device_put((piece.u, piece.y)))
         lap("transfer")
-        clock, seams = tick(clock, piece.time)
-        stop = start + len(table)
-        origin = stop - len(y)
-        starts = np.concatenate([starts[starts > origin], seams[seams > origin]])
-        left_out = np.concatenate([left_out, piece.excluded])[-len(y) :] if condition else left_out
-        found = detect(relations, u, y, method=method, starts=np.concatenate([starts - origin, around(left_out)]))
+        found = detect(relations, replace(piece, u=u, y=y), method=method)
         lap("compute")
-        fresh = slice(done - stop, None)
-        written = to_arrow(piece.time) if piece.written is None else piece.written
-        part_of_it = [np.where(piece.excluded, np.nan, 1)[:, None]] if condition else []
+        stop = first + piece.samples
+        fresh = slice(done - first, None)
+        part_of_it = [] if piece.excluded is None else [np.where(piece.excluded, np.nan, 1)[:, None]]
         signals = np.concatenate([piece.u, piece.y, *part_of_it], 1)
-        pending.add(written[fresh], found.status[fresh], found.margin[fresh], signals[fresh], stop == end)
+        pending.add(piece.column[fresh], found.status[fresh], found.margin[fresh], signals[fresh], stop == end)
         lap("write")
-        tail, done = [x[len(x) - min(s, len(x)) :] for x in tail], stop
+        done = stop
         report(done)
 
 

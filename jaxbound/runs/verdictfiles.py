@@ -15,9 +15,8 @@ def write_verdicts(path, result, recording=None):
     Args:
         path: of the CSV file to write. result: of one recording. recording: from `read`; None: sample numbers.
     """
-    written = to_arrow(np.arange(len(result.status))) if recording is None else recording.written
     columns = {
-        "time": to_arrow(recording.time) if written is None else written,
+        "time": to_arrow(np.arange(len(result.status))) if recording is None else recording.column,
         "status": words([x.name for x in Status], result.status),
         "margin": to_arrow(result.margin),
         "suspect": to_arrow(result.suspect),
@@ -31,7 +30,7 @@ def write_alarms(path, alarms, recording, dt):
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt; `ended`: see `Alarm`.
     """
     column = lambda name, kind=np.int64: np.array([getattr(a, name) for a in alarms], kind)
-    written = recording.written if recording.written is not None else to_arrow(recording.time)
+    written = recording.column
     starts, ends, depth = column("start"), column("end"), column("depth", np.float64)
     when = {name: written.take(to_arrow(column(name))) for name in ("start", "end", "worst")}
     seconds = {"from": recording.time[starts], "to": recording.time[ends]}

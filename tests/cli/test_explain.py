@@ -11,9 +11,10 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.cli import detect, main
+from jaxbound.cli import main
 from jaxbound.cli.explain import certificate_of
 from jaxbound.models.modelfile import save_model
+from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.sets.floats.status import Status
 
 FAULTY = range(30, 33)
@@ -159,13 +160,13 @@ class TestWhatIsGone:
 
     def test_a_recording_that_is_written_while_it_is_tested(self, reported, tmp_path, monkeypatch, capsys):
         shutil.copy(reported / "run.csv", tmp_path)
-        read = detect.read
+        read, path = CsvFile.whole, tmp_path / "run.csv"
 
-        def late(path, *args):
+        def late(source, progress):
             path.write_text(path.read_text().replace("0.58,", "0.59,", 1))
-            return read(path, *args)
+            return read(source, progress)
 
-        monkeypatch.setattr(detect, "read", lambda path, *args: late(tmp_path / "run.csv", *args))
+        monkeypatch.setattr(CsvFile, "whole", late)
         assert main.main(["detect", str(reported / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
         capsys.readouterr()
         code, _, err = explain(tmp_path, "31", capsys=capsys)

@@ -208,7 +208,7 @@ class TestFiles:
         assert main.main(["detect", str(tmp_path / "m.toml"), str(data), "--out", str(tmp_path / "out")]) == 3
         assert "Too little evidence: only 0 of 0 windows" in capsys.readouterr().out
         assert main.main(["detect", str(tmp_path / "m.toml"), str(data), "--out", str(tmp_path / "out"), "--method", "validation"]) == 2
-        assert "does not hold all the time" in capsys.readouterr().err
+        assert "no stretch of 2 complete samples in a row" in capsys.readouterr().err
 
 
 class TestSignals:

@@ -73,7 +73,7 @@ class TestSameBytes:
         detect_dataset(r, folder, tmp_path, part=(1, 3))
         detect_dataset(r, folder, tmp_path, part=(4, 4))
         tested = []
-        monkeypatch.setattr(streaming, "detect", lambda r, u, y, **k: tested.append(len(y)) or jb.detect(r, u, y, **k))
+        monkeypatch.setattr(streaming, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
         assert detect_dataset(r, folder, tmp_path).counts == whole.counts
         assert sum(tested) == 2 * 1024 + r.horizon  # parts 2 and 3, and the window before them
         assert parts_of(tmp_path / "verdicts.parquet") == parts_of(one[0] / "verdicts.parquet")
@@ -152,7 +152,7 @@ class TestMissing:
         assert [p.name for p in kept] == ["part-00003.parquet"]
         (tmp_path / "verdicts.partial/.part-00004.parquet.jaxbound-part").write_bytes(b"PAR1 and half of the rest")  # kill -9
         tested = []
-        monkeypatch.setattr(streaming, "detect", lambda r, u, y, **k: tested.append(len(y)) or jb.detect(r, u, y, **k))
+        monkeypatch.setattr(streaming, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
         shares(case, tmp_path, 2, chunk=N)
         assert sum(tested) == N - 1024 + r.horizon and {p: p.stat().st_mtime_ns for p in kept} == kept
         detect_dataset(r, folder, tmp_path, merge=True)

@@ -153,7 +153,7 @@ class TestResume:
     def test_stopped_anywhere_it_goes_on_without_losing_or_repeating_a_window(self, case, small, tmp_path, rng, monkeypatch):
         r, folder, whole, _ = case("section 5")
         tested = []
-        monkeypatch.setattr(streaming, "detect", lambda r, u, y, **k: tested.append(len(y)) or jb.detect(r, u, y, **k))
+        monkeypatch.setattr(streaming, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
         source, out = open_parquet(folder, r.model), tmp_path / "out"
         for share in np.sort(rng.uniform(0.1, 0.95, 3)):
             before = len(part_files(out / "verdicts.partial"))

@@ -1,0 +1,30 @@
+"""Arrays and tables in memory as a source, so that what takes a file takes them too."""
+
+from os import PathLike
+
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.source import Source, register
+
+__all__ = ["Arrays"]
+
+
+@register
+class Arrays(Source):
+    """What `Recording.of` takes: a table or a Recording that holds both inputs and outputs, or a tuple (u, y) or (u, y, starts)."""
+
+    label = "recording"
+
+    @classmethod
+    def takes(cls, data):
+        """Return whether data are no path."""
+        return not isinstance(data, str | PathLike)
+
+    @classmethod
+    def digest(cls, data):
+        """Return None: nothing on a disk will be the same later."""
+        return None
+
+    def whole(self, progress=None):
+        """Return the Recording."""
+        parts = self.data if isinstance(self.data, tuple) else (self.data,)
+        return Recording.of(self.model, *parts)
