@@ -54,13 +54,13 @@ def test_unknowns_at_their_bounds_raise_no_fault(rng):
     assert result.status.shape == (4, 60) and result.counts["FAULT"] == 0 and np.isnan(result.margin).all()
 
 
-@pytest.mark.long
-def test_it_agrees_with_the_joint_test_of_a_linear_model(rng):
+@pytest.mark.parametrize("s, T", [(1, 60), pytest.param(2, 400, marks=pytest.mark.long)])
+def test_it_agrees_with_the_joint_test_of_a_linear_model(rng, s, T):
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
-    u, y = rng.uniform(-0.1, 0.1, (400, 1)), rng.uniform(-0.15, 0.15, (400, 1))
-    joint = jb.detect(jb.parity_relations(model, horizon=2), u, y)
-    parity = lambda z, u, y: [y[k + 1, 0] - z[k + 1] - 0.5 * (y[k, 0] - z[k]) - u[k, 0] for k in range(2)]
-    own = jb.detect(jb.residual(parity, jb.interval([-0.1] * 3, [0.1] * 3), 2), u, y)
+    u, y = rng.uniform(-0.1, 0.1, (T, 1)), rng.uniform(-0.15, 0.15, (T, 1)) * (1 if s == 2 else 2)
+    joint = jb.detect(jb.parity_relations(model, horizon=s), u, y)
+    parity = lambda z, u, y: [y[k + 1, 0] - z[k + 1] - 0.5 * (y[k, 0] - z[k]) - u[k, 0] for k in range(s)]
+    own = jb.detect(jb.residual(parity, jb.interval([-0.1] * (s + 1), [0.1] * (s + 1)), s), u, y)
     clear = abs(joint.margin) > 1e-6
     assert (own.status[clear] == joint.status[clear]).mean() > 0.99
     assert not ((own.status == Status.FAULT) & (joint.status == Status.CONSISTENT)).any()

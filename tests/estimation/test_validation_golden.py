@@ -88,16 +88,16 @@ def test_what_a_fault_inside_the_first_window_does(rng):
         assert (np.asarray(found.status)[:, :20] == jb.Status.FAULT).any(1).mean() > 0.9
 
 
-@pytest.mark.long
-def test_several_sensors_fail_at_once_and_one_for_long(rng):
+@pytest.mark.parametrize("T", [91, pytest.param(160, marks=pytest.mark.long)])  # 91 samples: a shape that other tests compile anyway
+def test_several_sensors_fail_at_once_and_one_for_long(rng, T):
     m = paper()
-    u, x, y = record(rng, m, 16, T=160)
+    u, x, y = record(rng, m, 16, T=T)
     size = 20 * reference_width(m, u, y) / 0.573
     both, truth = y.copy(), np.zeros(y.shape, bool)
     truth[:, 40:46] = True
     both[truth] += size
     long, gone = y.copy(), np.zeros(y.shape, bool)
-    gone[:, 25:155, 0] = True
+    gone[:, 25 : T - 5, 0] = True
     long[gone] += size
     for method in ("sequential", "joint"):
         for bad, where in ((both, truth), (long, gone)):

@@ -53,11 +53,11 @@ def test_a_million_fault_free_windows_give_no_alarm(rng, method, kind):
     assert check(rng, method, kind, 6 * BATCH) > 500_000
 
 
-@pytest.mark.long
-def test_the_paper_s_correction_by_the_centre_loses_the_state_and_never_calls_it_a_proof(rng):
+@pytest.mark.parametrize("count", [16, pytest.param(64, marks=pytest.mark.long)])
+def test_the_paper_s_correction_by_the_centre_loses_the_state_and_never_calls_it_a_proof(rng, count):
     """Golden: all faults of 6 are found, and the true state is outside in 1 to 5 % of the windows."""
     m = paper()
-    u, x, y = record(rng, m, 64)
+    u, x, y = record(rng, m, count)
     bad, truth = faulty(y, 6.0 * reference_width(m, u, y) / 0.573)
     sound, centre = (jb.validate(m, u, bad, method="sequential", correction=c) for c in ("interval", "centre"))
     assert inside(sound, x).all() and 0.85 < inside(centre, x).mean() < 1

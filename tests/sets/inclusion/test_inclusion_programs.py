@@ -146,7 +146,6 @@ def test_a_second_box_does_not_trace(method):
     assert traced > 0 and f.count == traced
 
 
-@pytest.mark.long
 def test_gradients_of_an_enclosure_flow():
     width = lambda r: (lambda y: y.hi - y.lo)(
         inclusion(lambda z: z[0] * z[1] ** 2)(Interval(jnp.array([1 - r, 2 - r]), jnp.array([1 + r, 2 + r])))

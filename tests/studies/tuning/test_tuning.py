@@ -85,7 +85,7 @@ def test_several_bounds_come_within_2_percent_of_the_program_over_all_of_them(gu
     assert jb.detect(res.relations, u, y).counts["CONSISTENT"] == 150
 
 
-@pytest.mark.parametrize("plant, s", [pytest.param(TOLERANT, 1, marks=pytest.mark.slow), long(dict(BLOWN, tolerance=[0.02, 0.1]), 2)])
+@pytest.mark.parametrize("plant, s", [slow(TOLERANT, 1), long(dict(BLOWN, tolerance=[0.02, 0.1]), 2)])
 def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     u, y = tuning_case.recording(Plant(**plant), 60, rng)
     r = relations(plant, s)
@@ -234,14 +234,14 @@ def test_parameters_move_and_detect_has_the_last_word(rng):
     assert jb.detect(jb.parity_relations(model, 2), u, y).counts["FAULT"] == 0
 
 
-@pytest.mark.long
-def test_constant_tolerance_is_scaled(rng):
-    r = relations(dict(TOLERANT, constant_tolerance=True), 2)
+@pytest.mark.parametrize("s", [1, long(2)])
+def test_constant_tolerance_is_scaled(rng, s):
+    r = relations(dict(TOLERANT, constant_tolerance=True), s)
     good = tuning_case.recording(Plant(**TOLERANT), 30, rng, level=0.3)
     with pytest.raises(NotImplementedError, match="steps=0"):
         jb.tune(r, good)
     res = jb.tune(r, good, steps=0)
-    assert res.counts["FAULT"] == 0 and res.scale >= jb.tune(relations(TOLERANT, 2), good, steps=0).scale
+    assert res.counts["FAULT"] == 0 and res.scale >= jb.tune(relations(TOLERANT, s), good, steps=0).scale
 
 
 GOOD = np.zeros((5, 1)), np.ones((5, 2))
