@@ -5,6 +5,7 @@ are for pictures and experiments, and prove nothing.
 """
 
 from fractions import Fraction
+from functools import partial
 from itertools import combinations
 from math import comb
 
@@ -14,7 +15,10 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.zonotopes import search
+from jaxbound.sets.zonotopes.constrained import parts
 from jaxbound.sets.zonotopes.facets import exact_strips
+from jaxbound.sets.zonotopes.questions import traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["minkowski_difference", "sample", "vertices", "volume"]
@@ -23,23 +27,28 @@ DETERMINANTS = 20_000  # of exact numbers, above which `volume` would take more 
 
 
 def vertices(Z):
-    """Return the corners of a Zonotope in the plane counter-clockwise, or of a parallelotope of any dimension.
+    """Return the corners of a set in the plane counter-clockwise, or of a parallelotope of any dimension.
 
     Args:
-        Z: a Zonotope of concrete numbers in the plane, or one with linearly independent generators, at most 12.
+        Z: a Zonotope or ConstrainedZonotope of concrete numbers in the plane, or a Zonotope with linearly independent generators, at
+            most 12. With constraints, a linear program a corner and one a side find them all.
 
     Returns:
-        (v, n) NumPy array in plain floats, for pictures: not proved.
+        (v, n) NumPy array in plain floats, for pictures: not proved. No rows where the set is empty.
 
     Raises:
-        ValueError: another Zonotope.
+        ValueError: another set. TypeError: inside jit.
 
     Example:
         >>> from jaxbound import sets
         >>> vertices(sets.zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]])).tolist()
         [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
     """
-    c, G = (np.asarray(x, float) for x in (Z.center, Z.generators))
+    if traced(Z):
+        raise TypeError("corners need concrete numbers, since their number depends on them: ask outside jit, grad and vmap")
+    c, G, A, b = (np.asarray(x, float) for x in parts(Z))
+    if len(b):
+        return _touched(c, G, A, b)
     G = G[:, np.abs(G).max(0, initial=0) > 1e-13 * np.abs(G).max(initial=0)]  # what only holds roundings is no edge
     if len(c) == 2:
         return _corners(c, G)
@@ -67,6 +76,39 @@ def _corners(c, G):
     return c + np.concatenate([half, -half])
 
 
+def _touched(c, G, A, b):
+    """Return the corners of a constrained set in the plane: beyond a side there is another corner, or none."""
+    from scipy.optimize import linprog
+
+    if len(c) != 2:
+        raise ValueError(
+            f"corners of a set with constraints are found in the plane: it has {len(c)} coordinates, choose two with linear_map"
+        )
+
+    def farthest(l):
+        found = linprog(-l @ G, A_eq=A, b_eq=b, bounds=(-1, 1))
+        return c + G @ found.x if found.status == 0 else None
+
+    first, last = (farthest(np.array([s, 0.0])) for s in (1, -1))
+    if first is None or last is None:
+        return np.zeros((0, 2))
+    size = 1e-9 * (abs(c).max() + abs(G).sum())
+
+    def between(p, r):
+        """Return the corners after p and up to r, where the set lies to the left of the way from p to r, or beyond it."""
+        along = r - p
+        normal = np.array([along[1], -along[0]]) if abs(along).max() > size else np.array([0.0, 1.0 if p is first else -1.0])
+        q = farthest(normal / abs(normal).max())
+        if q is None or normal @ (q - p) <= size * abs(normal).max() or min(abs(q - p).max(), abs(q - r).max()) <= size:
+            return [r]
+        return between(p, q) + between(q, r)
+
+    round_trip = between(first, last) + between(last, first)
+    return np.array(
+        [p for p, before in zip(round_trip, round_trip[-1:] + round_trip, strict=False) if abs(p - before).max() > size] or [first]
+    )
+
+
 def volume(Z):
     """Return the volume 2^n sum |det(n generators)| of a small Zonotope, worked out exactly and rounded to nearest.
 
@@ -91,16 +133,48 @@ def volume(Z):
 
 
 def sample(Z, key, count):
-    """Draw points of a Zonotope: every coefficient uniform in [-1, 1], so more points near the middle. Plain floats, not proved.
+    """Draw points of a set, so more near the middle. Plain floats, not proved.
+
+    The coefficients are uniform in [-1, 1]; with constraints nearly uniform among those that keep them: each point ends a walk of its own
+    of 10 steps a generator, each uniform on a line through the last place in a direction drawn afresh (hit and run), from the coefficients
+    with most room.
 
     Args:
-        Z: a Zonotope. key: a jax random key. count: how many.
+        Z: a Zonotope or ConstrainedZonotope. key: a jax random key. count: how many.
 
     Returns:
-        (count, n) points.
+        (count, n) points; NaN if the constraints cannot be kept.
+
+    Source: Smith 1984 (hit and run).
     """
-    x = jax.random.uniform(key, (count, Z.generators.shape[1]), Z.center.dtype, -1, 1)
-    return Z.center[None] + x @ Z.generators.T
+    c, G, A, b = parts(Z)
+    if not len(b):
+        return c[None] + jax.random.uniform(key, (count, G.shape[1]), c.dtype, -1, 1) @ G.T
+    return c[None] + _walked(A, b, key, count) @ G.T
+
+
+@partial(jax.jit, static_argnames="count")
+def _walked(A, b, key, count):
+    R = jnp.linalg.pinv(A)
+    x, *_ = search.interior_point(A[None], R[None], b[None, None], np.inf)
+    x = x[0, 0] + R @ (b - A @ x[0, 0])
+    noise, eps = 64 * jnp.finfo(A.dtype).eps, jnp.finfo(A.dtype).eps ** 0.5
+    kept = (jnp.max(jnp.abs(b - A @ x)) <= eps * jnp.max(jnp.abs(b) + jnp.sum(jnp.abs(A), 1))) & (jnp.max(jnp.abs(x)) <= 1 + eps)
+
+    def step(_, carry):
+        x, key = carry
+        key, one, two = jax.random.split(key, 3)
+        g = jax.random.normal(one, x.shape, x.dtype)
+        v = g - R @ (A @ g)
+        v = jnp.where(jnp.abs(v) > noise * jnp.max(jnp.abs(g)), v, 0)
+        to = lambda end: jnp.where(v != 0, (end * jnp.sign(v) - x) / jnp.where(v != 0, v, 1), end * jnp.inf)
+        most, least = jnp.min(to(1)), jnp.max(to(-1))
+        t = least + (most - least) * jax.random.uniform(two, (), x.dtype)
+        return jnp.clip(x + jnp.where(jnp.isfinite(t), t, 0) * v, -1, 1), key
+
+    walk = lambda key: jax.lax.fori_loop(0, 10 * len(x), step, (x, key))[0]
+    found = jax.vmap(walk)(jax.random.split(key, count))
+    return jnp.where(kept, found, jnp.nan)
 
 
 def minkowski_difference(Z, Y):

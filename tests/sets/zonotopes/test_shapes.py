@@ -1,10 +1,13 @@
 """Corners, volumes, samples and differences of small zonotopes, against exact values and strips."""
 
+import itertools
 from fractions import Fraction
 
 import jax
 import numpy as np
 import pytest
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
 
 from jaxbound import sets
 from jaxbound.exact.linalg import transpose
@@ -52,6 +55,42 @@ def test_samples_lie_within_up_to_rounding(rng):
     Z = sets.zonotope(rng.normal(size=3), rng.normal(size=(3, 7)))
     points = sets.sample(Z, jax.random.key(1), 500)
     assert points.shape == (500, 3) and (sets.membership(Z, points) > -1e-12).all()
+
+
+def test_corners_of_a_constrained_set_go_round_and_are_those_of_all_its_bases(rng):
+    """Every corner has two coefficients free of 4, the others at an end: all such points, and their convex hull."""
+    for _ in range(4):
+        c, G, A = rng.normal(size=2), rng.normal(size=(2, 4)), rng.normal(size=(1, 4))
+        b = A @ rng.uniform(-0.8, 0.8, 4)
+        points = []
+        for free in range(4):
+            for ends in itertools.product((-1, 1), repeat=3):
+                x = np.insert(np.array(ends, float), free, 0)
+                x[free] = (b - A @ x)[0] / A[0, free]
+                points += [c + G @ x] if abs(x[free]) <= 1 else []
+        hull = ConvexHull(points)
+        expected = np.array(points)[hull.vertices]  # counter-clockwise, from anywhere
+        found = sets.vertices(sets.constrained_zonotope(c, G, A, b))
+        start = np.argmin(abs(found - expected[0]).max(1))
+        assert found.shape == expected.shape and abs(np.roll(found, -start, 0) - expected).max() <= 1e-9
+
+
+def test_corners_of_a_segment_a_point_and_nothing_with_constraints():
+    corners = lambda A, b: sets.vertices(sets.constrained_zonotope([1.0, 0.0], np.eye(2, 3), A, b)).tolist()
+    assert sorted(corners([[1.0, 0, 0]], [0.5])) == [[1.5, -1.0], [1.5, 1.0]]
+    assert corners(np.eye(2, 3), [0.5, 0.25]) == [[1.5, 0.25]]
+    assert corners([[1.0, 0, 0]], [2.0]) == []
+
+
+def test_samples_keep_the_constraints_spread_and_are_not_there_where_nothing_is(rng):
+    A, G = rng.normal(size=(2, 6)), np.eye(6)
+    C = sets.constrained_zonotope(np.zeros(6), G, A, A @ rng.uniform(-0.5, 0.5, 6))
+    x = np.asarray(sets.sample(C, jax.random.key(0), 400))
+    assert np.abs(x).max() <= 1 and np.abs(x @ A.T - np.asarray(C.offsets)).max() <= 1e-12
+    box = np.array([[linprog(s * g, A_eq=A, b_eq=C.offsets, bounds=(-1, 1)).fun * s for s in (1, -1)] for g in G])
+    assert (np.ptp(x, axis=0) >= 0.5 * (box[:, 1] - box[:, 0])).all()
+    nothing = sets.constrained_zonotope(np.zeros(6), G, A, 100 * np.ones(2))
+    assert np.isnan(sets.sample(nothing, jax.random.key(0), 400)).all()
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
