@@ -13,6 +13,7 @@ from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
 from jaxbound.sets.zonotopes.constrained import parts
 from jaxbound.sets.zonotopes.intersections import cancelled
 from jaxbound.sets.zonotopes.maps import dimension, mapped, product, reach, up
+from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["interval_hull", "support"]
 
@@ -58,6 +59,8 @@ def interval_hull(S):
 
 @jax.jit
 def _interval_hull(S):
+    if isinstance(S, Zonotope):
+        return S.hull()
     axes = jnp.eye(len(S.center), dtype=S.center.dtype)
     far = _supports(S, Interval(axes := jnp.concatenate([-axes, axes]), axes))
     return Interval(-far[: len(S.center)], far[len(S.center) :])

@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.interval import Interval, interval, matmul, mid, rad
+from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
 from jaxbound.sets.intervals.interval import intersection as interval_intersection
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, parts
-from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, product, reach, up, whole
+from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, product, reach, up, weighed, whole
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["cancelled", "eliminate_constraints", "intersection", "strip_intersection"]
@@ -176,10 +176,7 @@ def _least_squares(H, A):
 def cancelled(h, H, A, b, K):
     """Return (h + K b, H - K A, error): the rounding of a row in sum, for every |x| <= 1."""
     gamma, floor = rounding.product_error(A.shape[0] + 1, h.dtype)
-    top = lambda x: 1 + jnp.max(jnp.abs(x), initial=0)
-    far, load = reach(h, H), reach(b, A)
-    weight = gamma * jnp.abs(K)
-    error = up(up(matmul(Interval(weight, weight), Interval(load, load)).hi + gamma * far) + floor * (H.shape[1] + 1)
-               * top(K) * jnp.maximum(jnp.maximum(top(H), top(h)), jnp.maximum(top(A), top(b))))  # fmt: skip
-    both = jnp.concatenate([h[:, None], H], 1) + product(K, jnp.concatenate([b[:, None], -A], 1))
-    return both[:, 0], both[:, 1:], error
+    far, load, most = reach(h, H), reach(b, A), jnp.max(jnp.abs(K), initial=0)
+    floor = floor * (H.shape[1] + 1) * (1 + most) * (1 + jnp.maximum(jnp.max(far, initial=0), jnp.max(load, initial=0)))
+    error = up(up(weighed(gamma * jnp.abs(K), load) + gamma * far) + floor)
+    return h + product(K, b[:, None])[:, 0], H - product(K, A), error

@@ -16,13 +16,13 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.intervals.interval import Interval, interval, matmul, mid, rad
-from jaxbound.sets.intervals.interval import sum as interval_sum
+from jaxbound.sets.intervals.interval import interval, mid, rad
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, parts
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["added", "blocks", "cartesian_product", "convex_hull", "dimension", "from_interval", "linear_map", "mapped", "minkowski_sum",
-           "one_dtype", "product", "reach", "scale", "translate", "up", "whole"]  # fmt: skip
+           "one_dtype", "product", "reach", "scale", "translate", "up",
+           "weighed", "whole"]  # fmt: skip
 
 SHORT = 16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
 
@@ -46,15 +46,22 @@ def whole(c, G, A, b, error=None):
 
 def reach(c, G):
     """Return (n,) upper bounds of |c_i| + sum_j |G_ij|."""
-    row = jnp.abs(jnp.concatenate([c[:, None], G], 1))
-    return interval_sum(Interval(row, row), axis=1).hi
+    size = jnp.abs(G)
+    return up(rounding.outward_sum(size, size, 1)[1] + jnp.abs(c))
 
 
 def product(M, G):
     """Return M G in floats, off by at most what `rounding.product_error` says, in whatever order it is added."""
     if M.shape[1] > SHORT:
-        return M @ G
+        return jnp.matmul(M, G, precision="highest")
     return jnp.sum(M[:, :, None] * G[None], 1)
+
+
+def weighed(W, x):
+    """Return (r,) upper bounds of W x, for W (r, n) and x (n,) not negative."""
+    gamma, floor = rounding.product_error(W.shape[1], x.dtype)
+    total = jnp.sum(W * x[None], 1)
+    return up(total + (gamma * total + floor * (1 + jnp.max(W, initial=0)) * (1 + jnp.max(x, initial=0))))
 
 
 def mapped(M, spread, c, G):
@@ -62,11 +69,8 @@ def mapped(M, spread, c, G):
     far, size = reach(c, G), M.shape[1]
     gamma, floor = rounding.product_error(size, c.dtype)
     weight = up(gamma * jnp.abs(M) + spread)
-    top = lambda *arrays: 1 + sum(jnp.max(jnp.abs(x), initial=0) for x in arrays)
-    floor = floor * (G.shape[1] + 1) * top(M, spread) * top(c, G)
-    error = up(matmul(Interval(weight, weight), Interval(far, far)).hi + floor)
-    both = product(M, jnp.concatenate([c[:, None], G], 1))
-    return both[:, 0], both[:, 1:], error
+    floor = floor * (G.shape[1] + 1) * (1 + jnp.max(jnp.abs(M), initial=0)) * (1 + jnp.max(far, initial=0))
+    return product(M, c[:, None])[:, 0], product(M, G), up(weighed(weight, far) + floor)
 
 
 def up(x):

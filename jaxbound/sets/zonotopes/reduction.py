@@ -11,9 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.interval import Interval, matmul
 from jaxbound.sets.zonotopes.constrained import parts
-from jaxbound.sets.zonotopes.maps import dimension, product, reach, up, whole
+from jaxbound.sets.zonotopes.maps import dimension, product, reach, up, weighed, whole
 
 __all__ = ["reduce_order"]
 
@@ -78,7 +77,7 @@ def _turned_box(R):
     n, far = len(R), _sums(R)
     gamma, floor = rounding.product_error(n, R.dtype)
     floor = floor * (R.shape[1] + n) * n * (1 + jnp.max(jnp.abs(R))) * (1 + jnp.max(jnp.abs(U)))
-    bound = lambda weight, x: up(matmul(Interval(weight, weight), Interval(x, x)).hi + floor)
+    bound = lambda weight, x: up(weighed(weight, x) + floor)
     r = up(_sums(product(U.T, R)) + bound(gamma * jnp.abs(U.T), far))
     rest = jnp.abs(jnp.eye(n, dtype=R.dtype) - product(U, U.T)) + gamma * (jnp.eye(n, dtype=R.dtype) + product(jnp.abs(U), jnp.abs(U.T)))
     e = up(bound(up(rest + floor), far) + bound(4 * rounding.unit(R.dtype) * jnp.abs(U), r))

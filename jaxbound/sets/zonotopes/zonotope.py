@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.sets.intervals.interval import Interval, interval
-from jaxbound.sets.intervals.interval import sum as interval_sum
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["Zonotope", "zonotope"]
 
@@ -25,8 +25,9 @@ class Zonotope:
 
     def hull(self):
         """Return the smallest box around it, rounded outward: an Interval (..., n)."""
-        spread = interval_sum(interval(jnp.abs(self.generators)), axis=-1).hi
-        return interval(self.center) + Interval(-spread, spread)
+        size = jnp.abs(self.generators)
+        spread = rounding.outward_sum(size, size, -1)[1]
+        return Interval(*rounding.unbounded(*rounding.outward(self.center - spread, self.center + spread)))
 
 
 def zonotope(center, generators):
