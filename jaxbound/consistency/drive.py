@@ -8,13 +8,13 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.interface import Observer, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.probe import usable_devices
@@ -25,12 +25,15 @@ CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 
 
-def drive(test: WindowTest, given: Recording, progress: Callable | None = None, size: int | None = None) -> Judged:
-    """Return the verdicts (..., T) of all windows of a recording, or of a batch of one length.
+def drive(test: WindowTest | Observer, given: Recording, progress: Callable | None = None, size: int | None = None) -> Any:
+    """Return the verdicts (..., T) of all windows of a recording, or of a batch of one length; of an Observer what it judges of one.
 
     Args:
-        test: from `relations.test`. progress: called with the share of the work done. size: windows at once; None: as the test says.
+        test: from `relations.test`, or an Observer. progress: called with the share of the work done.
+        size: windows at once; None: as the test says.
     """
+    if isinstance(test, Observer):
+        return test.fold(test.init(), given)[1]
     s, shape = test.horizon, given.y.shape[:-1]
     u, y = (np.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (given.u, given.y))
     if len(given.starts):

@@ -14,7 +14,7 @@ import numpy as np
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["METHODS", "Judged", "Open", "WindowTest", "refuse_options"]
+__all__ = ["METHODS", "Judged", "Observer", "Open", "WindowTest", "refuse_options"]
 
 METHODS = ("joint", "box", "paving", "linearised")
 
@@ -129,6 +129,23 @@ def refuse_options(method: str, budget: Any, compensation: Any, adaptive: bool =
         raise ValueError(f"compensation belongs to method='linearised'; {method!r} neglects nothing")
     if budget is not None and method != "paving" and not adaptive:
         raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
+
+
+class Observer:
+    """What carries something from sample to sample of one recording: a state that never forgets, where a WindowTest has a window.
+
+    `Monitor` and `drive` take one in place of a test; a gap ends what is carried.
+    """
+
+    signals: Any  # of what model: names of inputs and outputs, dt
+
+    def init(self) -> Any:
+        """Return the carry before the first sample, a PyTree."""
+        raise NotImplementedError
+
+    def fold(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
+        """Take the next samples; return (carry, what is judged of them, with a .status (T,) as int8)."""
+        raise NotImplementedError
 
 
 class Open(WindowTest):

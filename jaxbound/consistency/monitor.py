@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.drive import drive
+from jaxbound.consistency.interface import Observer
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row, unlabelled
@@ -55,7 +56,8 @@ class Monitor:
     """Tests windows as their samples come: verdicts and margins are those of `detect` over the whole recording.
 
     Args:
-        relations: from `parity_relations` or `residual` (whose signals have names), or a bank, as for `detect`.
+        relations: from `parity_relations` or `residual` (whose signals have names), or a bank, as for `detect`; or an Observer, whose
+            carry is then the state, and what it judges, of one sample or of N, the verdict.
         method, budget, compensation: as for `detect`.
         dtype: of the samples, float64 or float32; None: as JAX is configured. Outputs of a wider type are rounded to it; a narrower type is
             refused, since more was rounded away than the verdicts would allow for.
@@ -84,6 +86,10 @@ class Monitor:
     """
 
     def __init__(self, relations, method="joint", dtype=None, budget=None, compensation=0.0):
+        self._observer = relations if isinstance(relations, Observer) else None
+        if self._observer is not None:
+            self.relations, self.method = relations, "observer"
+            return
         if not hasattr(relations, "test"):
             raise TypeError(f"a Monitor needs relations, not {type(relations).__name__}: Monitor(parity_relations(model))")
         refuse_unverified()
@@ -94,7 +100,9 @@ class Monitor:
         self._names, self._dt = (model.inputs, model.outputs), model.dt
 
     def init(self):
-        """Return the MonitorState before the first sample."""
+        """Return the MonitorState before the first sample; of an Observer what it carries."""
+        if self._observer is not None:
+            return self._observer.init()
         s, m = self.relations.horizon, self.relations.model
         nothing = lambda n: np.full((s, n), np.nan, self.dtype)
         return MonitorState(nothing(m.m), nothing(m.p), np.int64(0), np.int64(0), np.float64(np.nan))
@@ -115,8 +123,8 @@ class Monitor:
             ValueError: shapes that do not fit the model, an infinite sample, y narrower than dtype. The state given is still good.
         """
         u, y = (one_row(x, name) for x, name in ((u, "u"), (y, "y")))
-        state, (status, margin) = self.run(state, u, y, starts=(0,) if new else (), time=None if time is None else [time])
-        return state, Verdict(status[0], margin[0])
+        state, judged = self.run(state, u, y, starts=(0,) if new else (), time=None if time is None else [time])
+        return state, jax.tree.map(lambda x: x[0], judged)
 
     def run(self, state, u, y=None, *, starts=(), time=None):
         """Take the next N samples at once.
@@ -131,6 +139,10 @@ class Monitor:
         Raises:
             ValueError: as `step`.
         """
+        if self._observer is not None:
+            if time is not None:
+                raise ValueError("an Observer has no clock: say with starts, or new, where samples do not follow each other")
+            return self._observer.fold(state, Recording.of(self._observer.signals, u, y, starts, narrow=False))
         s = self.relations.horizon
         given = self._recording(u, y, starts)
         u, y = given.u, given.y

@@ -12,6 +12,7 @@ contradicts it: then the recording is marked FAULT, but sound sensors may be bla
 Source: Alhaj-Dibo, Maquin, Ragot 2004.
 """
 
+import copy
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -34,7 +35,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.linear_systems.fixed_systems import prepare
 
-__all__ = ["Validation", "validate"]
+__all__ = ["Validation", "prepared", "validate"]
 
 BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
@@ -99,18 +100,13 @@ def validate(model, u, y=None, horizon=None, method="joint", x0=None, correction
         [False, True]
     """
     refuse_unverified()
-    several = isinstance(model, MultiModel)
-    if several and model.partial:
+    if isinstance(model, MultiModel) and model.partial:
         options = dict(horizon=horizon, method=method, correction=correction)
         return validate_parts(model, u, y, x0, partial(validate, **options), starts)
-    m = model.joined() if several else as_intervals(model)
-    if method not in ("joint", "sequential"):
-        raise ValueError(f"method must be 'joint' or 'sequential', not {method!r}")
-    if correction not in ("interval", "centre"):
-        raise ValueError(f"correction must be 'interval' or 'centre', not {correction!r}")
-    signals = model if hasattr(model, "columns") and not several else Signals(m.inputs, m.outputs, {})
+    signals, run = prepared(model, horizon, method, correction)
     given = Recording.of(signals, u, y, starts, narrow=False)
-    u, y, recorded = np.asarray(given.u), np.asarray(given.y, m.A.dtype), given.y.dtype
+    u, y, s, n = np.asarray(given.u), np.asarray(given.y, run.m.A.dtype), run.s, run.m.n
+    run = run.of(given.y.dtype)
     T = y.shape[-2]
     left_out = (np.isnan(u).any(-1) & np.isnan(y).all(-1)).reshape(-1, T).all(0)  # nothing is known there: like a gap
     left_out |= False if given.excluded is None else given.excluded
@@ -120,59 +116,91 @@ def validate(model, u, y=None, horizon=None, method="joint", x0=None, correction
         raise ValueError(f"validate needs every input: {gone} samples of u are missing or infinite")
     if np.isinf(y).any():
         raise ValueError(f"y must be numbers, or NaN where a sample is absent: {np.isinf(y).sum()} are infinite")
-    s = least_horizon(m.n, m.p) if horizon is None else horizon
-    if several and method == "sequential":
-        raise ValueError("a MultiModel has another matrix in every window: use method='joint'")
-    if not isinstance(s, (int, np.integer)) or s < 1 or T <= s:
+    if T <= s:
         raise ValueError(f"horizon must be a whole number >= 1 with more samples than it ({T}), not {s!r}")
     gapless = not len(seams) or seams[0] > s
     if x0 is None and gapless and np.isnan(y[..., : s + 1, :]).any():
         raise ValueError(f"the first {s + 1} samples must be complete, or x0 must say where the first state is")
+    if not len(seams):
+        return run(u, y, x0)[0]
+    return _piecewise(run, u, y, x0, seams, left_out, s, n)
+
+
+def prepared(model, horizon, method, correction):
+    """Return (the signals that are read, what validates them) of a model; the rest as for `validate`, which says what is refused."""
+    several = isinstance(model, MultiModel)
+    m = model.joined() if several else as_intervals(model)
+    if method not in ("joint", "sequential"):
+        raise ValueError(f"method must be 'joint' or 'sequential', not {method!r}")
+    if correction not in ("interval", "centre"):
+        raise ValueError(f"correction must be 'interval' or 'centre', not {correction!r}")
+    if several and method == "sequential":
+        raise ValueError("a MultiModel has another matrix in every window: use method='joint'")
+    s = least_horizon(m.n, m.p) if horizon is None else horizon
+    if isinstance(s, bool) or not isinstance(s, (int, np.integer)) or s < 1:
+        raise ValueError(f"horizon must be a whole number >= 1, not {s!r}")
     if method == "sequential" and s * m.p < m.n:
         raise ValueError(f"the square systems need a horizon of at least n / p ({-(-m.n // m.p)}), not {s}: see (9) of the paper")
-    run = partial(_side_by_side, model if several else None, m, recorded, int(s), method, correction == "centre")
-    if not len(seams):
-        return run(u, y, x0)
-    return _piecewise(run, u, y, x0, seams, left_out, int(s), m.n)
+    signals = model if hasattr(model, "columns") and not several else Signals(m.inputs, m.outputs, {})
+    return signals, _Slide(model if several else None, m, m.A.dtype, int(s), method, correction == "centre")
 
 
-def _side_by_side(multiple, m, recorded, s, method, centre, u, y, x0):
-    """Validate recordings without a gap, u (..., T, m), y (..., T, p) in the type of the model. multiple: a MultiModel, or None."""
-    *lead, _, _ = y.shape
-    count = int(np.prod(lead))
-    flat = lambda a: None if a is None else jax.tree.map(lambda v: np.asarray(v).reshape(count, *v.shape[len(lead) :]), a)
-    if x0 is not None:
-        x0 = interval(x0)
-        if x0.shape[-1:] != (m.n,):
-            raise ValueError(f"x0 needs one interval for each of {m.n} states: its shape is {x0.shape}")
-        x0 = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a, y.dtype), (*lead, m.n)), x0)
-    plant = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"]}
-    if m.moves and method == "joint":
-        plant |= {"H": m.moves[2], "d": m.moves[3]}
-    plant |= {"tolerance": rounding.round_up(m.tolerance, y.dtype)}
-    error = largest_error(y, m.noise, recorded, s)
-    pushed = Interval(rounding.round_down(u, y.dtype), rounding.round_up(u, y.dtype))  # a point, unless it had to be narrowed
-    u = u.astype(y.dtype)
-    M = stacked(m, s, m.moves if method == "joint" else None)
-    given = flat(pushed), flat(y), flat(error), flat(multiple.columns(u) if multiple else None), flat(x0)
-    shared = None
-    if method == "sequential":
-        shared = prepare(M[..., None], m.p * (s + 1) - m.n + 1)
-    elif x0 is None and not multiple:
-        shared = _first_window(M[..., None], m.p)
+class _Slide:
+    """Validates recordings side by side, without a gap. multiple: a MultiModel, or None; m: the IntervalSystem; recorded: type of y."""
 
-    def kernel(u, y, error, weight, start):
-        systems = shared
-        if multiple and start is None:
-            early = jax.tree.map(lambda a: np.moveaxis(a[:, : s + 1], 0, -1), weight)
-            systems = _first_window(weighted(M[..., None], early, m.p), m.p)
-        return slide(plant, M, systems, u, y, error, weight, start, s, method, centre)
+    def __init__(self, multiple, m, recorded, s, method, centre):
+        self.multiple, self.m, self.recorded, self.s, self.method, self.centre = multiple, m, recorded, s, method, centre
+        dtype = m.A.dtype
+        plant = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"]}
+        if m.moves and method == "joint":
+            plant |= {"H": m.moves[2], "d": m.moves[3]}
+        self.plant = plant | {"tolerance": rounding.round_up(m.tolerance, dtype)}
+        self.M = stacked(m, s, m.moves if method == "joint" else None)
+        self.systems = prepare(self.M[..., None], m.p * (s + 1) - m.n + 1) if method == "sequential" else None
 
-    found, bounded = _blocks(kernel, given, count, min(BLOCK[method], 1 << (count - 1).bit_length()))
-    if not bounded.all():
-        raise ValueError(f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
-    state, output, residual, corrected, faulty, status = jax.tree.map(lambda a: jnp.asarray(a.reshape(*lead, *a.shape[1:])), found)
-    return Validation(state, output, residual, faulty, corrected, status)
+    def of(self, recorded):
+        """Return the same for samples that were recorded in another float type."""
+        other = copy.copy(self)
+        other.recorded = recorded
+        return other
+
+    def __call__(self, u, y, x0=None, before=None, earlier=None):
+        """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the model.
+
+        Args:
+            before: what this returned, to go on: then the first s samples are those before the new ones. earlier: y of the s before these,
+                which say how large samples get in the windows of the first.
+        """
+        m, s, dtype = self.m, self.s, y.dtype
+        *lead, _, _ = y.shape
+        count = int(np.prod(lead))
+        flat = lambda a: None if a is None else jax.tree.map(lambda v: np.asarray(v).reshape(count, *v.shape[len(lead) :]), a)
+        if x0 is not None:
+            x0 = interval(x0)
+            if x0.shape[-1:] != (m.n,):
+                raise ValueError(f"x0 needs one interval for each of {m.n} states: its shape is {x0.shape}")
+            x0 = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a, dtype), (*lead, m.n)), x0)
+        known = y if earlier is None else np.concatenate([earlier, y], -2)
+        error = largest_error(known, m.noise, self.recorded, s)[..., known.shape[-2] - y.shape[-2] :, :]
+        pushed = Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype))  # a point, unless it had to be narrowed
+        weight = self.multiple.columns(u.astype(dtype)) if self.multiple else None
+        given = flat(pushed), flat(y), flat(error), flat(weight), flat(x0), before
+        shared = self.systems
+        if self.method == "joint" and x0 is None and before is None and not self.multiple:
+            shared = _first_window(self.M[..., None], m.p)
+
+        def kernel(u, y, error, weight, start, before):
+            systems = shared
+            if self.multiple and start is None and before is None:
+                early = jax.tree.map(lambda a: np.moveaxis(a[:, : s + 1], 0, -1), weight)
+                systems = _first_window(weighted(self.M[..., None], early, m.p), m.p)
+            return slide(self.plant, self.M, systems, u, y, error, weight, start, before, s, self.method, self.centre)
+
+        found, bounded, after = _blocks(kernel, given, count, min(BLOCK[self.method], 1 << (count - 1).bit_length()))
+        if not bounded.all():
+            raise ValueError(f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
+        state, output, residual, corrected, faulty, status = jax.tree.map(lambda a: jnp.asarray(a.reshape(*lead, *a.shape[1:])), found)
+        return Validation(state, output, residual, faulty, corrected, status), after
 
 
 def _piecewise(run, u, y, x0, starts, left_out, s, n):
@@ -202,7 +230,7 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
         behind = np.arange(length) >= np.array([b - a for a, b in pieces])[:, None]
         take = lambda x, rows=rows: np.moveaxis(x[..., rows, :], -3, 0)
         some = np.where(behind.reshape(len(pieces), *[1] * len(batch), length, 1), np.nan, take(y)).astype(y.dtype)
-        found = run(take(u), some, x0 if known else None)
+        found, _ = run(take(u), some, x0 if known else None)
         for to, value in zip(jax.tree.leaves(out), jax.tree.leaves(found), strict=True):
             for i, (a, b) in enumerate(pieces):
                 at = (*[slice(None)] * len(batch), slice(a, b))

@@ -25,7 +25,7 @@ STEPS = 20
 
 
 @partial(jax.jit, static_argnames=("s", "method", "centre"))
-def slide(plant, M, systems, u, y, error, weight, start, s, method, centre=False):
+def slide(plant, M, systems, u, y, error, weight, start, before, s, method, centre=False):
     """Validate N recordings.
 
     Args:
@@ -35,10 +35,12 @@ def slide(plant, M, systems, u, y, error, weight, start, s, method, centre=False
         u, y, error: Interval (N, T, m), (N, T, p), (N, T, p): see `sensor.largest_error`. weight: None or an Interval (N, T, n) that
             multiplies the columns of C.
         start: Interval (N, n) that holds the first state; None: it comes from the first window.
+        before: what this returned for the samples up to the first s of these, to go on from there; None: they are the first.
         centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for sound: nothing is proved then.
 
     Returns:
-        ((state, output, residual, corrected) Intervals, faulty, status, each (N, T, ..)), and (N,) whether the first window is bounded.
+        ((state, output, residual, corrected) Intervals, faulty, status, each (N, T, ..)), (N,) whether the first window is bounded, and
+        what goes on from here: (states of the last window, its last s samples that are left out, these samples if any was moved), (N, ..).
     """
     u, y, error, weight = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), (u, y, error, weight))
     n, p, (T, _, N) = plant["A"].shape[0], plant["C"].shape[0], y.shape
@@ -59,7 +61,10 @@ def slide(plant, M, systems, u, y, error, weight, start, s, method, centre=False
         moved = _part(pushed, k - s, s)
         return stored(_stack(_rows(Interval(-moved.hi, -moved.lo)), _rows(samples)))
 
-    if start is not None:
+    gone, moved = absent[:s], seen[:s] if centre else None
+    if before is not None:
+        X, gone, moved = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), before)
+    elif start is not None:
         grow = lambda x, k: (predict(x, k), x)
         last, before = jax.lax.scan(grow, jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), start), jnp.arange(s))
         X = _stack(_rows(before), last)
@@ -97,16 +102,18 @@ def slide(plant, M, systems, u, y, error, weight, start, s, method, centre=False
         out = X[s * n :], output, residual, corrected, faulty, jnp.any(faulty, 0) | unclear
         return (X, gone[1:], jnp.ones((), bool), moved), out
 
-    carry = X, absent[:s], jnp.zeros((), bool), seen[:s] if centre else None
-    state, output, residual, corrected, faulty, fault = jax.lax.scan(window, carry, jnp.arange(s, T))[1]
+    carry = X, gone, jnp.full((), before is not None), moved
+    (X, gone, _, moved), found = jax.lax.scan(window, carry, jnp.arange(s, T))
+    state, output, residual, corrected, faulty, fault = found
     bounded = jnp.all(jnp.isfinite(state.lo[0]) & jnp.isfinite(state.hi[0]), 0)
     output, corrected = (_plus(_plus(x, through[s:]), plant["y0"][None, :, None]) for x in (output, corrected))
     proved = jnp.zeros_like(fault) if centre else fault
     status = jnp.where(proved, Status.FAULT, jnp.where(jnp.all(absent[s:], 1), Status.MISSING, Status.UNDECIDED)).astype(jnp.int8)
     entire = Interval(-jnp.inf, jnp.inf)
     fills = *(entire,) * 4, False, int(Status.MISSING)
-    before = lambda a, fill: jnp.moveaxis(jnp.concatenate([jnp.full((s, *a.shape[1:]), fill, a.dtype), a]), -1, 0)
-    return jax.tree.map(before, (state, output, residual, corrected, faulty, status), fills), bounded
+    warm_up = lambda a, fill: jnp.moveaxis(jnp.concatenate([jnp.full((s, *a.shape[1:]), fill, a.dtype), a]), -1, 0)
+    found = jax.tree.map(warm_up, (state, output, residual, corrected, faulty, status), fills)
+    return found, bounded, jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), (X, gone, moved))
 
 
 def weighted(M, weight, p):

@@ -1,0 +1,85 @@
+"""Validation as an Observer: whatever the pieces, what `validate` says of the whole recording."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.consistency.drive import drive
+from jaxbound.estimation.validation_observer import ValidationObserver
+from jaxbound.recordings.recording import Recording
+
+MODEL = jb.interval_system([[[0.89, 0.91]]], [[1]], [[1], [1]], noise=0.1)
+
+
+def recorded(rng, samples=40):
+    """Return u, y: a plant with a wrong sensor for a while, a missing sample, and a stretch without any."""
+    x, y = 1.0, []
+    for _ in range(samples):
+        y.append([x + rng.uniform(-0.05, 0.05), x + rng.uniform(-0.05, 0.05)])
+        x = 0.9 * x + 1
+    y = np.array(y)
+    y[12:15, 1] += 2
+    y[20, 0] = np.nan
+    u = np.ones((samples, 1))
+    u[26:28], y[26:28] = np.nan, np.nan
+    return u, y
+
+
+def in_pieces(observer, u, y, cuts):
+    carry, found = observer.init(), []
+    for a, b in zip([0, *cuts], [*cuts, len(y)], strict=True):
+        carry, judged = observer.fold(carry, Recording.of(observer.signals, u[a:b], y[a:b]))
+        assert judged.status.shape == (b - a,)
+        found.append(judged)
+    return jax.tree.map(lambda *x: np.concatenate(x), *found)
+
+
+def agree(found, want):
+    np.testing.assert_array_equal(found.status, want.status)
+    np.testing.assert_array_equal(found.faulty, want.faulty)
+    for name in ("state", "output", "residual", "corrected"):
+        for end in ("lo", "hi"):
+            np.testing.assert_allclose(getattr(getattr(found, name), end), getattr(getattr(want, name), end), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["joint", "sequential"])
+def test_sample_by_sample_and_in_one_piece_it_is_validate(method, rng):
+    u, y = recorded(rng)
+    want = jb.validate(MODEL, u, y, method=method)
+    assert want.faulty[12].tolist() == [False, True] and want.status[27] == jb.Status.MISSING
+    observer = ValidationObserver(MODEL, method=method)
+    agree(in_pieces(observer, u, y, range(1, len(y))), want)
+    agree(in_pieces(observer, u, y, [7, 13, 27]), want)
+    agree(drive(observer, Recording.of(observer.signals, u, y)), want)
+
+
+def test_a_first_state_and_a_gap_are_those_of_validate(rng):
+    u, y = recorded(rng)
+    x0 = jb.interval([0.5], [1.5])
+    want = jb.validate(MODEL, u, y, x0=x0, starts=[9])
+    observer = ValidationObserver(MODEL, x0=x0)
+    carry, first = observer.fold(observer.init(), Recording.of(observer.signals, u[:9], y[:9]))
+    _, second = observer.fold(carry, Recording.of(observer.signals, u[9:], y[9:], starts=[0]))
+    agree(jax.tree.map(lambda *x: np.concatenate(x), first, second), want)
+
+
+def test_a_monitor_takes_an_observer(rng):
+    u, y = recorded(rng)
+    want = jb.validate(MODEL, u, y)
+    mon = jb.Monitor(ValidationObserver(MODEL))
+    state, found = mon.init(), []
+    for k in range(16):
+        state, judged = mon.step(state, u[k], y[k])
+        found.append(judged.faulty.tolist())
+    assert found == want.faulty[:16].tolist()
+    _, rest = mon.run(state, u[16:], y[16:])
+    np.testing.assert_array_equal(rest.status, want.status[16:])
+    with pytest.raises(ValueError, match="an Observer has no clock"):
+        mon.step(state, u[0], y[0], time=3.0)
+
+
+def test_a_missing_input_beside_a_sample_is_refused_in_a_sentence():
+    observer = ValidationObserver(MODEL)
+    with pytest.raises(ValueError, match="validation needs every input: 1 samples of u are missing"):
+        observer.fold(observer.init(), Recording.of(observer.signals, [[np.nan]], [[1.0, 1.0]]))
