@@ -9,15 +9,21 @@ misses most enters, the one whose multiplier first falls to zero leaves. The sea
 stopped, usually for a single step, and accept an optimum only if z keeps every row. What floats got wrong costs steps, never truth.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import lcm
+from typing import TypeAlias
 
 import numpy as np
 
 from jaxbound.exact import linalg
 
 __all__ = ["Optimum", "Subspace", "chebyshev", "subspace"]
+
+Reference: TypeAlias = tuple[tuple[int, int], ...]
+"""Rows, each with the sign of its error."""
+Rows: TypeAlias = Sequence[Sequence[Fraction]]
 
 PRIME = 2**61 - 1
 """Ranks are guessed modulo this prime; what rests on a guess is checked exactly."""
@@ -31,9 +37,9 @@ class Optimum:
     """
 
     t: Fraction
-    h: tuple
-    z: tuple
-    reference: tuple
+    h: linalg.Vector
+    z: linalg.Vector
+    reference: Reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,19 +49,19 @@ class Subspace:
     Fields: rows: E as integers, a row each multiplied by its entry of `scales`; columns, independent: of a regular minor of largest size.
     """
 
-    rows: tuple
-    scales: tuple
-    columns: list
-    independent: list
+    rows: tuple[tuple[int, ...], ...]
+    scales: tuple[int, ...]
+    columns: list[int]
+    independent: list[int]
 
 
-def subspace(E):
+def subspace(E: Rows) -> Subspace:
     """Return the Subspace of rows E (m, N) of Fractions."""
     rows, scales = zip(*map(linalg.primitive_scale, E), strict=True)
     return Subspace(rows, scales, *_independent(rows))
 
 
-def chebyshev(E, b, r, start=None):
+def chebyshev(E: Rows | Subspace, b: Sequence[Fraction], r: Sequence[Fraction], start: Reference | None = None) -> Optimum:
     """Solve min over z of max |b_i - E_i z| / r_i exactly.
 
     Args:
@@ -78,11 +84,11 @@ def chebyshev(E, b, r, start=None):
         raise ValueError("a Chebyshev problem needs at least one row, and radii > 0")
     space = E if isinstance(E, Subspace) else subspace(E)
     common = lcm(*(x.denominator for x in (*b, *r)))
-    b, r = ([x.numerator * (common // x.denominator) * f for x, f in zip(v, space.scales, strict=True)] for v in (b, r))
+    right, radii = ([x.numerator * (common // x.denominator) * f for x, f in zip(v, space.scales, strict=True)] for v in (b, r))
     while True:
         kept = [[row[j] for j in space.columns] for row in space.rows]
-        reference = _search(kept, b, r, common, space.independent, start)
-        t, h, z, reference = _settle(kept, b, r, reference, space.independent)
+        reference = _search(kept, right, radii, common, space.independent, start)
+        t, h, z, reference = _settle(kept, right, radii, reference, space.independent)
         unused = set(range(len(space.rows[0]))) - set(space.columns)
         if all(sum(x * row[j] for x, row in zip(h, space.rows, strict=True) if x) == 0 for j in unused):
             break
@@ -93,11 +99,11 @@ def chebyshev(E, b, r, start=None):
     out = [Fraction(0)] * len(space.rows[0])
     for j, x in zip(space.columns, z, strict=True):
         out[j] = x / common
-    h = linalg.primitive([Fraction(x * f) for x, f in zip(h, space.scales, strict=True)])
-    return Optimum(t, h, tuple(out), reference)
+    circuit = linalg.primitive([Fraction(x * f) for x, f in zip(h, space.scales, strict=True)])
+    return Optimum(t, circuit, tuple(out), reference)
 
 
-def _independent(rows):
+def _independent(rows: Sequence[Sequence[int]]) -> tuple[list[int], list[int]]:
     """Return (columns, rows) of a largest minor that is not zero modulo a prime."""
     work = [[x % PRIME for x in row] for row in rows]
     left, columns, found = list(range(len(work))), [], []
@@ -105,7 +111,9 @@ def _independent(rows):
         i = next((i for i in left if work[i][j]), None)
         if i is None:
             continue
-        left.remove(i), columns.append(j), found.append(i)
+        left.remove(i)
+        columns.append(j)
+        found.append(i)
         inverse = pow(work[i][j], -1, PRIME)
         head = [(k, x * inverse % PRIME) for k, x in enumerate(work[i]) if x]
         for a in left:
@@ -116,7 +124,7 @@ def _independent(rows):
     return columns, found
 
 
-def _search(E, b, r, common, independent, start):
+def _search(E: list[list[int]], b: list[int], r: list[int], common: int, independent: list[int], start: Reference | None) -> Reference:
     """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error. The exchange in floats.
 
     Source: the dual simplex method; a reference determines multipliers >= 0, and (z, t) with all its errors at t times their radii.
@@ -154,14 +162,15 @@ def _search(E, b, r, common, independent, start):
     return tuple((int(own[i]), int(signs[i])) for i in order)
 
 
-def _plain(m, independent):
+def _plain(m: int, independent: list[int]) -> Reference:
     """Return a reference without any search."""
     return tuple((i, 1) for i in (*independent, next(i for i in range(m) if i not in independent)))
 
 
-def _spread_reference(F, c):
+def _spread_reference(F: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (rows, signs): N rows of F (m, N), each the farthest from the span of those before, and the worst at their z."""
-    rest, S = F.copy(), []
+    rest = F.copy()
+    S: list[int] = []
     for _ in range(F.shape[1]):
         size = (rest**2).sum(1)
         size[S] = -1
@@ -176,11 +185,13 @@ def _spread_reference(F, c):
     return own, np.where(h < 0, -1, 1) * (-1 if h @ c[own] < 0 else 1)
 
 
-def _settle(E, b, r, reference, independent):
+def _settle(
+    E: list[list[int]], b: list[int], r: list[int], reference: Reference, independent: list[int]
+) -> tuple[Fraction, list[int], list[Fraction], Reference]:
     """Return (t, h, z, reference) of the optimum: exact exchanges on integers, from a reference on."""
     m = len(E)
     if not reference:  # as many rows as unknowns: everything fits
-        Z, det = _solve(E, b)
+        Z, det = _regular(E, b)
         return Fraction(0), [0] * m, [Fraction(x, det) for x in Z], reference
     (*S, q), signs, steps = [i for i, _ in reference], [1] * m, 0
     for i, sign in reference:
@@ -198,7 +209,7 @@ def _settle(E, b, r, reference, independent):
         for i, x in h.items():
             signs[i] = signs[i] if x == 0 else 1 if x > 0 else -1
         size = sum(abs(x) * r[i] for i, x in h.items())
-        Z, det = _solve([E[i] for i in S], [b[i] * size - signs[i] * total * r[i] for i in S])
+        Z, det = _regular([E[i] for i in S], [b[i] * size - signs[i] * total * r[i] for i in S])
         gaps = [b[i] * size * det - sum(x * y for x, y in zip(E[i], Z, strict=True) if x) for i in range(m)]
         limit = total * abs(det)
         out = [i for i in range(m) if abs(gaps[i]) > limit * r[i]]
@@ -208,7 +219,7 @@ def _settle(E, b, r, reference, independent):
         steps += 1
         worst = max(out, key=lambda i: Fraction(abs(gaps[i]), r[i])) if steps < 200 else out[0]  # by number: cannot cycle
         signs[worst] = 1 if (gaps[worst] > 0) == (det > 0) else -1
-        share, det = _solve(linalg.transpose([E[i] for i in S]), E[worst])
+        share, det = _regular(linalg.transpose([E[i] for i in S]), E[worst])
         shares = [(i, signs[worst] * signs[i] * x * (1 if det > 0 else -1)) for i, x in zip(S, share, strict=True)]
         growing = [(i, x) for i, x in shares if x > 0]
         if not growing:
@@ -219,7 +230,14 @@ def _settle(E, b, r, reference, independent):
         S[S.index(leaves)] = worst
 
 
-def _solve(M, right):
+def _regular(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int], int]:
+    """Solve a system that is known to be regular."""
+    solved = _solve(M, right)
+    assert solved is not None
+    return solved
+
+
+def _solve(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int], int] | None:
     """Return (x, det) of integers with M x = right * det, or None if M is singular (Bareiss: every division is exact).
 
     det is the determinant up to its sign; pivots come from the sparsest row, so that identity rows cost nothing.
@@ -237,7 +255,8 @@ def _solve(M, right):
         head = rows[k]
         j = min((j for j in free if head[j]), key=lambda j: abs(head[j]))
         pivot = head[j]
-        free.remove(j), order.append(j)
+        free.remove(j)
+        order.append(j)
         support = [c for c in (*free, n) if head[c]]
         for a in range(k + 1, n):
             row = rows[a]

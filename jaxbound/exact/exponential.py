@@ -6,10 +6,17 @@ of a few known terms; with 160 bits and more they are far below what a float can
 Source: scaling and squaring with a truncated series, Moler, Van Loan 2003, methods 1 and 3, with all error terms kept.
 """
 
+from collections.abc import Sequence
 from fractions import Fraction
 from math import ceil
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
+
+Exact: TypeAlias = NDArray[np.object_]
+"""A matrix of Fractions, or of Python's integers."""
+Rational: TypeAlias = Sequence[Sequence[Fraction | int]] | Exact
 
 __all__ = ["absolute_integral", "exponential"]
 
@@ -18,7 +25,7 @@ BITS = 160
 PIECES = 512
 
 
-def exponential(M):
+def exponential(M: Rational) -> tuple[Exact, Fraction]:
     """Return (X, e): a matrix near e^M, and a bound of the error of each entry.
 
     Args:
@@ -37,7 +44,7 @@ def exponential(M):
         >>> [[float(x) for x in row] for row in X], e < Fraction(1, 10**40)
         ([[1.0, 1.0], [0.0, 1.0]], True)
     """
-    M = np.array(M, object)
+    M = np.array(M, np.object_)
     halvings = _halvings(M, Fraction(1, 4))
     bits = BITS + 4 * halvings
     X, e = _series(M, halvings, bits)
@@ -48,7 +55,7 @@ def exponential(M):
     return _fractions(X, bits), Fraction(e, 1 << bits)
 
 
-def absolute_integral(A, T):
+def absolute_integral(A: Rational, T: Fraction | int) -> Exact:
     """Return a bound of the integral of |e^(A t)|, entry by entry, over t from 0 to T.
 
     Between two of many points of time an entry is within h^2 / 8 times its second derivative of a straight line; past PIECES points
@@ -69,7 +76,7 @@ def absolute_integral(A, T):
         >>> print(f"{float(absolute_integral([[-2]], 1)[0, 0]):.3f}")  # (1 - e^-2) / 2 = 0.4323
         0.433
     """
-    A = np.array(A, object)
+    A = np.array(A, np.object_)
     halvings = max(_halvings(A * T, Fraction(1, 16)), 5)
     doublings, bits = max(halvings - PIECES.bit_length() + 1, 0), BITS + 4 * halvings
     pieces, h = 1 << (halvings - doublings), T / Fraction(1 << halvings)
@@ -78,7 +85,8 @@ def absolute_integral(A, T):
     growth = growth + e_growth
     size = lambda X, e: abs(X) + e
     curved = abs(_scaled(A @ A, bits)) + 1
-    X, e, ends, curvature = _one(len(A), bits), 0, 0, 0
+    X, e = _one(len(A), bits), 0
+    ends, curvature = np.zeros_like(X), np.zeros_like(X)
     for _ in range(pieces):
         curvature = curvature + size(X, e)  # |A^2 X| <= |A^2| |X|, the same for every piece
         before = size(X, e)
@@ -94,32 +102,32 @@ def absolute_integral(A, T):
     return _rounded_up(total, bits)
 
 
-def _halvings(M, small):
+def _halvings(M: Exact, small: Fraction) -> int:
     """Return how often M must be halved for a norm of at most `small`."""
     return max(0, ceil(Fraction(_norm(M)) / small) - 1).bit_length()
 
 
-def _norm(M):
+def _norm(M: Exact) -> int:
     return abs(M).sum(axis=1).max()
 
 
-def _one(n, bits):
+def _one(n: int, bits: int) -> Exact:
     return np.array([[(i == j) << bits for j in range(n)] for i in range(n)], object)
 
 
-def _scaled(M, bits):
+def _scaled(M: Exact, bits: int) -> Exact:
     return np.vectorize(lambda x: (Fraction(x) * (1 << bits)).__floor__(), otypes=[object])(M)
 
 
-def _fractions(X, bits):
+def _fractions(X: Exact, bits: int) -> Exact:
     return np.vectorize(lambda x: Fraction(x, 1 << bits), otypes=[object])(X)
 
 
-def _rounded_up(X, bits):
+def _rounded_up(X: Exact, bits: int) -> Exact:
     return np.vectorize(lambda x: Fraction(ceil(x * (1 << bits)), 1 << bits), otypes=[object])(X)
 
 
-def _series(M, halvings, bits):
+def _series(M: Exact, halvings: int, bits: int) -> tuple[Exact, int]:
     """Return e^(M / 2^halvings) as integers and the norm of its error, for a matrix M / 2^halvings of norm 1/4 or less.
 
     Horner's rule: each of the steps P = 1 + N P / k adds one unit an entry, damped by 1/4 from step to step; N itself is off by one
@@ -133,6 +141,6 @@ def _series(M, halvings, bits):
     return P, 4 * n
 
 
-def _product(X, e, Y, f, bits):
+def _product(X: Exact, e: int, Y: Exact, f: int, bits: int) -> tuple[Exact, int]:
     """Return X Y and the norm of its error."""
     return (X @ Y) >> bits, ((_norm(X) * f + _norm(Y) * e + e * f) >> bits) + 1 + len(X)

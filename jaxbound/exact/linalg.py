@@ -3,14 +3,14 @@
 A matrix is a tuple of rows, a row a tuple of Fractions. Costs are those of the host; nothing here runs per window.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from itertools import combinations
 from math import gcd, lcm
 from operator import mul
-from typing import TypeAlias
+from typing import Any, TypeAlias, TypeVar, cast
 
 import jax
 import numpy as np
@@ -44,6 +44,8 @@ Number: TypeAlias = int | float | str | Fraction | Decimal | np.number
 """What `rational` reads."""
 MatrixLike: TypeAlias = Sequence[Number] | Sequence[Sequence[Number]] | np.ndarray | jax.Array
 """What `matrix` reads."""
+Rows: TypeAlias = Sequence[Sequence[Fraction | int]]
+T = TypeVar("T")
 
 
 def rational(x: Number) -> Fraction:
@@ -56,7 +58,7 @@ def rational(x: Number) -> Fraction:
         (Fraction(1, 10), Fraction(1, 3))
     """
     try:
-        x = np.asarray(x)[()] if hasattr(x, "dtype") else x
+        x = cast(Number, np.asarray(x)[()]) if hasattr(x, "dtype") else x
         if isinstance(x, (str, Decimal)) and "/" not in str(x) and not -400 < Decimal(x).adjusted() < 400:
             raise OverflowError("far outside the range of floats, and its integers would not end")
         if isinstance(x, np.floating):
@@ -69,18 +71,19 @@ def rational(x: Number) -> Fraction:
 
 def matrix(a: MatrixLike) -> Matrix:
     """Read nested sequences or an array as an exact matrix; a vector becomes a column."""
-    rows = [list(r) if np.ndim(r) else [r] for r in (np.asarray(a) if hasattr(a, "dtype") else a)]
+    given: Iterable[Any] = np.asarray(a) if hasattr(a, "dtype") else a  # numbers, or rows of them
+    rows = [list(r) if np.ndim(r) else [r] for r in given]
     if len({len(r) for r in rows}) > 1:
         raise ValueError(f"rows have different lengths: {[len(r) for r in rows]}")
     return tuple(tuple(rational(x) for x in r) for r in rows)
 
 
-def transpose(a):
+def transpose(a: Sequence[Sequence[T]]) -> tuple[tuple[T, ...], ...]:
     """Return the transpose."""
     return tuple(zip(*a, strict=True))
 
 
-def matmul(a, b):
+def matmul(a: Rows, b: Rows) -> Matrix:
     """Return a b."""
     if any(len(r) != len(b) for r in a):
         raise ValueError(f"a row of {len(a[0])} numbers times a matrix of {len(b)} rows has no meaning")
@@ -88,9 +91,10 @@ def matmul(a, b):
     return tuple(tuple(Fraction(sum(map(mul, r, c)), p * q) for c, q in right) for r, p in left)
 
 
-def row_reduce(a, progress=None):
+def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tuple[Matrix, tuple[int, ...]]:
     """Return the reduced row echelon form of `a` without zero rows, and its pivot columns. progress: called with the share done."""
-    rows = [primitive_scale(r)[0] for r in a]  # whole numbers, each row divided by its common factor: ten times as fast as fractions
+    # whole numbers, each row divided by its common factor: ten times as fast as fractions
+    rows: list[Sequence[int]] = [primitive_scale(r)[0] for r in a]
     pivots, top = [], 0
     for j in range(len(rows[0]) if rows else 0):
         k = next((i for i in range(top, len(rows)) if rows[i][j]), None)
@@ -111,12 +115,12 @@ def row_reduce(a, progress=None):
     return tuple(tuple(Fraction(x, r[j]) for x in r) for r, j in zip(rows[:top], pivots, strict=True)), tuple(pivots)
 
 
-def rank(a):
+def rank(a: Rows) -> int:
     """Return the rank."""
     return len(row_reduce(a)[1])
 
 
-def left_null_space(a, progress=None):
+def left_null_space(a: Rows, progress: Callable[[float], object] | None = None) -> Matrix:
     """Return a basis W of {w : w a = 0}, one row a basis vector (possibly no rows). progress: called with the share done."""
     m, n = len(a), len(a[0]) if a else 0
     augmented = [tuple(r) + tuple(Fraction(i == j) for j in range(m)) for i, r in enumerate(a)]
@@ -124,7 +128,7 @@ def left_null_space(a, progress=None):
     return tuple(r[n:] for r, p in zip(reduced, pivots, strict=True) if p >= n)
 
 
-def inverse(a):
+def inverse(a: Rows) -> Matrix:
     """Return the inverse of a regular matrix."""
     n = len(a)
     if any(len(r) != n for r in a):
@@ -135,7 +139,7 @@ def inverse(a):
     return tuple(r[n:] for r in reduced)
 
 
-def primitive(row):
+def primitive(row: Sequence[Fraction]) -> Vector:
     """Scale a row to coprime integers, the first non-zero entry positive."""
     scale = lcm(*(x.denominator for x in row))
     whole = [int(x * scale) for x in row]
@@ -144,13 +148,13 @@ def primitive(row):
     return tuple(Fraction(sign * x // divisor) for x in whole)
 
 
-def presentable(row):
+def presentable(row: Sequence[Fraction]) -> Vector:
     """Return a primitive row as it is while its integers are short, else divided by its largest entry."""
     largest = max(map(abs, row))
     return tuple(row) if largest < 10**4 else tuple(x / largest for x in row)
 
 
-def minimal_span(a):
+def minimal_span(a: Rows) -> Matrix:
     """Return a basis of the row space of `a` whose rows start at different columns and end at different columns, in order.
 
     Each row then spans as few consecutive columns as it can: with time-major columns, the fewest samples. Rows are primitive.
@@ -166,7 +170,7 @@ def minimal_span(a):
         rows[i] = [x - f * y for x, y in zip(rows[i], rows[k], strict=True)]
 
 
-def circuits(a):
+def circuits(a: Matrix) -> Matrix:
     """Return every vector of minimal support with h a = 0 (one of each pair h, -h), primitive, by support in lexicographic order.
 
     They are the strips of any zonotope whose directions have the left null space of `a` as row space
@@ -177,13 +181,13 @@ def circuits(a):
     m, r = len(a), len(basis[0]) if basis and basis[0] else 0
     if r == 0:
         return tuple(tuple(Fraction(i == j) for j in range(m)) for i in range(m))
-    found = {}
+    found: dict[tuple[int, ...], Vector] = {}
     for row in _among_rows(basis, r) if r < m - r else _among_zeros(left_null_space(basis), m):
         found.setdefault(tuple(i for i, x in enumerate(row) if x), row)
     return tuple(found[k] for k in sorted(found))
 
 
-def _among_rows(basis, r):
+def _among_rows(basis: Matrix, r: int) -> Iterator[Vector]:
     """Yield the circuits, some more than once: each lies in r + 1 of the rows."""
     whole = [primitive_scale(row) for row in basis]
     for subset in combinations(range(len(basis)), r + 1):
@@ -195,7 +199,7 @@ def _among_rows(basis, r):
             yield primitive(row)
 
 
-def _among_zeros(null, m):
+def _among_zeros(null: Matrix, m: int) -> Iterator[Vector]:
     """Yield the circuits, some more than once: each vanishes at k - 1 columns of the null space (k, m), whose minors are small."""
     whole, k = [[int(x) for x in primitive(row)] for row in null], len(null)
     for subset in combinations(range(m), k - 1) if k else ():
@@ -204,18 +208,18 @@ def _among_zeros(null, m):
             yield primitive([Fraction(sum(map(mul, c, column))) for column in zip(*whole, strict=True)])
 
 
-def primitive_scale(row):
+def primitive_scale(row: Sequence[Fraction | int]) -> tuple[tuple[int, ...], int]:
     """Return the row as integers and the factor by which it was multiplied."""
     scale = lcm(*(x.denominator for x in row))
     return tuple(x.numerator * (scale // x.denominator) for x in row), scale
 
 
-def _cofactors(rows):
+def _cofactors(rows: Sequence[Sequence[int]]) -> list[int]:
     """Return the signed maximal minors of an (r + 1) x r integer matrix: its left null vector, or zeros if its rank is below r."""
     return [(-1) ** i * determinant([r for k, r in enumerate(rows) if k != i]) for i in range(len(rows))]
 
 
-def determinant(rows):
+def determinant(rows: Sequence[Sequence[int]]) -> int:
     """Return the determinant of an integer matrix (Bareiss: every division is exact)."""
     a, sign, previous = [list(r) for r in rows], 1, 1
     for k in range(len(a) - 1):
@@ -238,14 +242,14 @@ class Frame:
     Fields: R (c, k), K (c, l), inner (k,) and outer (c,) row numbers, used (c,): False where a relation was given up.
     """
 
-    R: tuple
-    K: tuple
-    inner: tuple
-    outer: tuple
-    used: tuple
+    R: Matrix
+    K: Matrix
+    inner: tuple[int, ...]
+    outer: tuple[int, ...]
+    used: tuple[bool, ...]
 
 
-def frame(E, K, largest=2, progress=None):
+def frame(E: Matrix, K: Matrix, largest: float = 2, progress: Callable[[float], object] | None = None) -> Frame:
     """Eliminate x from the rows y = E x + K u, with inner rows so chosen that no entry of R exceeds `largest` by much.
 
     Then neither rounding nor an unstable plant blows up: R is made of well-balanced combinations of samples, whatever the powers of A.
@@ -264,7 +268,7 @@ def frame(E, K, largest=2, progress=None):
         out = _exchanged(out, j, i)  # each exchange multiplies the volume of the inner rows by more than `largest`: it ends
 
 
-def reframe(given, absent, missing):
+def reframe(given: Frame, absent: Collection[int], missing: Iterable[int]) -> Frame:
     """Return a frame for a window in which the rows `absent` and the known values `missing` are not there.
 
     Absent inner rows change places with present ones; a missing known value is eliminated by one relation, whose row joins the inner ones.
@@ -284,7 +288,7 @@ def reframe(given, absent, missing):
     return out
 
 
-def _exchanged(f, j, i):
+def _exchanged(f: Frame, j: int, i: int) -> Frame:
     """Let outer row j and inner row i change places."""
     pivot = f.R[j][i]
     solved = tuple((1 if q == i else -x) / pivot for q, x in enumerate(f.R[j]))  # the old inner row in terms of the new ones
@@ -292,7 +296,8 @@ def _exchanged(f, j, i):
     R, K = [], []
     for a, (row, known) in enumerate(zip(f.R, f.K, strict=True)):
         if a == j:
-            R.append(solved), K.append(through)
+            R.append(solved)
+            K.append(through)
             continue
         share = row[i]
         R.append(tuple((0 if q == i else x) + share * y for q, (x, y) in enumerate(zip(row, solved, strict=True))) if share else row)
@@ -302,7 +307,7 @@ def _exchanged(f, j, i):
     return Frame(tuple(R), tuple(K), tuple(inner), tuple(outer), f.used)
 
 
-def _given_up(f, j, b):
+def _given_up(f: Frame, j: int, b: int) -> Frame:
     """Solve relation j for the known value b, put that into the other relations, and take row j among the inner ones."""
     R, K = [], []
     for a, (row, known) in enumerate(zip(f.R, f.K, strict=True)):

@@ -6,13 +6,14 @@ millions of zeros: 5 082 equations in 1 980 unknowns take a tenth of a second.
 """
 
 import heapq
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from math import gcd
 
 __all__ = ["null_space", "pivot_columns"]
 
 
-def null_space(equations, count):
+def null_space(equations: Iterable[Mapping[int, int]], count: int) -> list[dict[int, Fraction]]:
     """Return a basis of all solutions of homogeneous equations, each solution {unknown: Fraction}, in reduced echelon form.
 
     Reduced by ascending unknown: the first unknown of each solution is 1 and 0 in the others, and they come in order of it. The basis
@@ -30,20 +31,20 @@ def null_space(equations, count):
     return _reduced(_solutions(solved, count))
 
 
-def pivot_columns(rows):
+def pivot_columns(rows: Iterable[Mapping[int, Fraction]]) -> list[int]:
     """Return the first columns of the echelon form of sparse rows {column: Fraction}: as many as the rank of the rows."""
     return sorted(min(row) for row in _reduced(rows))
 
 
-def _primitive(equation):
+def _primitive(equation: Mapping[int, int]) -> dict[int, int]:
     """Return an equation without zeros, divided by its common factor."""
     common = gcd(*equation.values())
     return {k: x // common for k, x in equation.items() if x}
 
 
-def _eliminate(equations, count):
+def _eliminate(equations: list[dict[int, int]], count: int) -> list[tuple[int, dict[int, int]]]:
     """Return (pivot, equation) pairs; the equation of a pair has no pivot of an earlier one."""
-    where = [set() for _ in range(count)]
+    where: list[set[int]] = [set() for _ in range(count)]
     for i, equation in enumerate(equations):
         for k in equation:
             where[k].add(i)
@@ -68,7 +69,7 @@ def _eliminate(equations, count):
     return solved
 
 
-def _subtract(equations, j, equation, pivot, where):
+def _subtract(equations: list[dict[int, int]], j: int, equation: dict[int, int], pivot: int, where: list[set[int]]) -> None:
     """Remove the pivot from equation j."""
     other = equations[j]
     common = gcd(equation[pivot], other[pivot])
@@ -90,26 +91,26 @@ def _subtract(equations, j, equation, pivot, where):
             other[k] //= common
 
 
-def _solutions(solved, count):
+def _solutions(solved: list[tuple[int, dict[int, int]]], count: int) -> list[dict[int, Fraction]]:
     """Return one solution for each unknown that is no pivot, by substituting backwards."""
     free = set(range(count)) - {pivot for pivot, _ in solved}
     value = {k: {k: Fraction(1)} for k in free}  # of an unknown, in terms of the free ones
     for pivot, equation in reversed(solved):
-        total = {}
+        total: dict[int, Fraction] = {}
         for k, x in equation.items():
             for f, y in value[k].items() if k != pivot else ():
                 total[f] = total.get(f, 0) - x * y
         value[pivot] = {f: y / equation[pivot] for f, y in total.items() if y}
-    found = {f: {} for f in sorted(free)}
+    found: dict[int, dict[int, Fraction]] = {f: {} for f in sorted(free)}
     for k, terms in value.items():
         for f, y in terms.items():
             found[f][k] = y
     return list(found.values())
 
 
-def _reduced(rows):
+def _reduced(rows: Iterable[Mapping[int, Fraction]]) -> list[dict[int, Fraction]]:
     """Return the reduced echelon form of sparse rows, ordered by their first column."""
-    done = {}  # first column: row
+    done: dict[int, dict[int, Fraction]] = {}  # first column: row
     for row in rows:
         row = dict(row)
         while row and (first := min(row)) in done:
@@ -127,7 +128,7 @@ def _reduced(rows):
     return [dict(sorted(done[first].items())) for first in sorted(done)]
 
 
-def _add(row, factor, other):
+def _add(row: dict[int, Fraction], factor: Fraction, other: Mapping[int, Fraction]) -> None:
     for k, x in other.items():
         value = row.get(k, 0) + factor * x
         if value:

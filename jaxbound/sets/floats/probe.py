@@ -18,6 +18,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding
 
@@ -43,7 +44,7 @@ class Unverified(RuntimeError):
     """Nothing can be proved in this process, or on this device; the message says why, and what to do."""
 
 
-def refuse_unverified(*given):
+def refuse_unverified(*given: object) -> None:
     """Raise Unverified if a proof from these arguments would rest on arithmetic that was not verified.
 
     Args:
@@ -59,7 +60,7 @@ def refuse_unverified(*given):
             raise Unverified(why)
 
 
-def refuse_other_modes():
+def refuse_other_modes() -> None:
     """Raise Unverified if this process does not round to the nearest float, on which every bound in `rounding` rests.
 
     Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on, in threads to come too.
@@ -72,26 +73,27 @@ def refuse_other_modes():
         )
 
 
-def usable_devices():
+def usable_devices() -> tuple[jax.Device, ...]:
     """Return the devices that work goes to: all of this process, or the one of `jax.default_device` where that is set."""
-    chosen = jax.config.jax_default_device
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # made at run time
     if chosen is None:
         return tuple(jax.local_devices())
     return tuple(jax.local_devices(backend=chosen)[:1]) if isinstance(chosen, str) else (chosen,)
 
 
-def verified(device):
+def verified(device: jax.Device) -> bool:
     """Return whether what is computed on a device may carry a proof; the first question about a device takes a tenth of a second."""
     return not _doubt(device)
 
 
-def _doubt(device):
+def _doubt(device: jax.Device) -> str:
     """Return why a device proves nothing, in a sentence; empty where it may."""
-    return _found(device, os.environ.get("XLA_FLAGS", ""), bool(jax.config.jax_enable_x64))
+    x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]  # made at run time
+    return _found(device, os.environ.get("XLA_FLAGS", ""), x64)
 
 
 @lru_cache
-def _found(device, flags, x64):
+def _found(device: jax.Device, flags: str, x64: bool) -> str:
     if device.platform not in EXAMINED:
         return (
             f"proofs need a device whose rounding was verified, so far only CPU, not {device.platform}: set JAX_PLATFORMS=cpu, or give "
@@ -108,7 +110,7 @@ def _found(device, flags, x64):
     return ""
 
 
-def _loose(flags):
+def _loose(flags: str) -> list[str]:
     """Return the flags that give arithmetic up, of XLA_FLAGS: the flags themselves, or the name of a file with them."""
     if flags and flags.split() and not flags.split()[0].startswith("-"):
         file = Path(flags)
@@ -125,7 +127,7 @@ def _loose(flags):
 COUNT = 16
 
 
-def measure(device, dtype):
+def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, float]]:
     """Return {what `rounding` assumes: (what a compiled kernel did on a device, the most that is assumed)}, errors in units u.
 
     Few numbers, and a kernel that compiles fast: it stands before every first verdict. `tests/sets/test_probe.py` asks more, of thousands.
@@ -158,7 +160,7 @@ def measure(device, dtype):
 
 
 @jax.jit
-def _kernel(a, b, one, small, sixteen, top, odd):
+def _kernel(a: jax.Array, b: jax.Array, one: jax.Array, small: jax.Array, sixteen: jax.Array, top: jax.Array, odd: jax.Array) -> jax.Array:
     """Return (8, COUNT) results: more of them would be spread over several loops, and take four times as long to compile."""
     lost = jnp.maximum(odd - odd, b)  # odd: NaN and infinite
     return jnp.stack([*rounding.two_sum(a, b), a / b, a / one, jnp.sqrt(b), small / sixteen, top + top, lost])

@@ -20,10 +20,12 @@ FMA only removes roundings. A quotient needs a divisor whose reciprocal is not f
 
 from fractions import Fraction
 from functools import partial
+from typing import TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 __all__ = [
     "above",
@@ -56,17 +58,25 @@ __all__ = [
 ]
 
 
-def unit(dtype):
+Pair: TypeAlias = tuple[jax.Array, jax.Array]
+"""A number in two floats, the second what the first leaves."""
+
+
+def _scalar(value: ArrayLike, dtype: DTypeLike) -> np.floating:
+    return cast(np.floating, np.asarray(value, dtype)[()])
+
+
+def unit(dtype: DTypeLike) -> np.floating:
     """Return the unit roundoff u (2^-53 in float64) as a scalar of `dtype`."""
-    return np.asarray(np.finfo(dtype).eps / 2, dtype)[()]
+    return _scalar(np.finfo(dtype).eps / 2, dtype)
 
 
-def tiny(dtype):
+def tiny(dtype: DTypeLike) -> np.floating:
     """Return the smallest normal number of `dtype`: the largest error of a flushed subnormal."""
-    return np.asarray(np.finfo(dtype).tiny, dtype)[()]
+    return _scalar(np.finfo(dtype).tiny, dtype)
 
 
-def outward(lo, hi, units=4):
+def outward(lo: ArrayLike, hi: ArrayLike, units: float | np.floating = 4) -> tuple[jax.Array, jax.Array]:
     """Widen the computed bounds (lo, hi) of one operation so that they enclose the exact ones.
 
     The bounds may be off by (units - 1.16) u |f| + tiny: four units fit one operation; `approximations` states its own.
@@ -80,7 +90,7 @@ def outward(lo, hi, units=4):
 
 
 @partial(jax.jit, static_argnums=2)
-def outward_sum(lo, hi, axis):
+def outward_sum(lo: jax.Array, hi: jax.Array, axis: int) -> tuple[jax.Array, jax.Array]:
     """Enclose the sums of lo and of hi along `axis`, in any order of addition.
 
     n terms added in any order are off by at most (n - 1) u sum|x|, and sum|x| is at most its computed value / (1 - n u).
@@ -97,7 +107,7 @@ def outward_sum(lo, hi, axis):
     )
 
 
-def _total(x, axis):
+def _total(x: jax.Array, axis: int) -> jax.Array:
     """Add along a short axis term by term, which fuses with its surroundings; a reduction does not."""
     if x.shape[axis] > 32:
         return jnp.sum(x, axis)
@@ -105,7 +115,7 @@ def _total(x, axis):
     return sum(parts[1:], parts[0]) if parts else jnp.sum(x, axis)
 
 
-def residual_error(terms, dtype):
+def residual_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:
     """Return (gamma, floor) such that a compiled strip test is safe with the slack gamma * scale + floor.
 
     The test is |sum_i h_i m_i - sum_j k_j v_j| <= sum_i |h_i| r_i with, per row i,
@@ -122,10 +132,10 @@ def residual_error(terms, dtype):
     N u < 1e-3. Each of at most 8 N operations may flush a result below `tiny`, after which a factor |h| may follow: `floor` is
     to be multiplied by 1 + max|h|.
     """
-    return np.asarray((2 * terms + 32) * unit(dtype), dtype)[()], np.asarray(8 * terms * tiny(dtype), dtype)[()]
+    return _scalar((2 * terms + 32) * unit(dtype), dtype), _scalar(8 * terms * tiny(dtype), dtype)
 
 
-def search_error(outer, inner, known, dtype):
+def search_error(outer: int, inner: int, known: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:
     """Return (gamma, floor) for the two proofs of `sets.strips.separation`, with c outer rows, k inner rows and l known values.
 
     Per outer row, z_j = m_j - sum_i R_ji m_i - sum_b K_jb v_b is one sum of N = k + l + 1 products as in `residual_error`, whose bound
@@ -142,49 +152,50 @@ def search_error(outer, inner, known, dtype):
     """
     terms = 2 * (outer + inner + known) + 10
     gamma, floor = residual_error(terms, dtype)
-    return gamma, np.asarray(floor * terms, dtype)[()]
+    return gamma, _scalar(floor * terms, dtype)
 
 
 @jax.jit
-def settle_subnormals(lo, hi):
+def settle_subnormals(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Move subnormal bounds outward to the smallest normal number where reading them as 0, as compiled code does, would go inward."""
     return _settle(lo, up=False), _settle(hi, up=True)
 
 
-def _settle(x, up):
+def _settle(x: jax.Array, up: bool) -> jax.Array:
     pattern, least, first = _pattern(x)
     subnormal = (pattern > 0) & (pattern < least) if up else (pattern > first) & (pattern < first + least)
     return jnp.where(subnormal, tiny(x.dtype) if up else -tiny(x.dtype), x)
 
 
-def readable(lo, hi):
+def readable(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return bounds that compiled code reads as they are or further out: subnormal ones settled, none (infinite) for NaN."""
     return unbounded(*settle_subnormals(lo, hi))
 
 
-def unbounded(lo, hi):
+def unbounded(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return bounds of which none is NaN, but infinite there."""
     return jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi)
 
 
 def _pattern(x):
     """Return the bits of floats as integers, those of the smallest normal number and those of -0."""
-    bits = {8: np.int64, 4: np.int32, 2: np.int16}[x.dtype.itemsize]
+    sizes: dict[int, type[np.signedinteger]] = {8: np.int64, 4: np.int32, 2: np.int16}
+    bits = sizes[x.dtype.itemsize]
     return jax.lax.bitcast_convert_type(x, bits), bits(1 << jnp.finfo(x.dtype).nmant), np.iinfo(bits).min
 
 
-def order(x):
+def order(x: jax.Array) -> jax.Array:
     """Return integers in the order of the floats x, subnormal ones included; -0 is 0. NaN is beyond all others of its sign."""
     pattern, _, first = _pattern(x)
     return jnp.where(pattern < 0, first - pattern, pattern)
 
 
-def above(x, y):
+def above(x: jax.Array, y: jax.Array) -> jax.Array:
     """True where x > y, subnormal numbers included; never for NaN."""
     return (order(x) > order(y)) & (x == x) & (y == y)
 
 
-def widened(x, dtype):
+def widened(x: jax.Array, dtype: DTypeLike) -> jax.Array:
     """Convert float32 to float64 exactly, subnormal numbers included, which compiled code converts to 0."""
     if x.dtype == dtype or x.dtype.itemsize != 4:
         return x.astype(dtype)
@@ -196,25 +207,25 @@ def widened(x, dtype):
     return jnp.where(small, counted, digits.astype(dtype))
 
 
-def positive(x):
+def positive(x: jax.Array) -> jax.Array:
     """True where x > 0, subnormal numbers included, which compiled comparisons take for 0."""
     return jax.lax.bitcast_convert_type(x, _layout(x.dtype)[0]) > 0
 
 
-def product_error(terms, dtype):
+def product_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:
     """Return (gamma, floor): a compiled sum of `terms` products a b is within half of gamma sum|a b| + floor (1 + max|a|)(1 + max|b|).
 
     Proof: in any order, with or without FMA, the sum is off by terms u sum|a b| to first order. An a that is read as zero costs
     tiny max|b|, and likewise b; a product or partial sum that is flushed costs tiny. gamma holds twice that and 8 u, floor twice that:
     the half that is left covers the rounding of this bound itself and of a few operations more on it and the sum.
     """
-    return np.asarray(2 * (2 * terms + 8) * unit(dtype), dtype)[()], np.asarray(16 * (terms + 1) * tiny(dtype), dtype)[()]
+    return _scalar(2 * (2 * terms + 8) * unit(dtype), dtype), _scalar(16 * (terms + 1) * tiny(dtype), dtype)
 
 
-def fraction_to_float(value, dtype=np.float64):
+def fraction_to_float(value: Fraction | float, dtype: DTypeLike = np.float64) -> np.floating:
     """Round an exact rational to the nearest float; refuse one that `dtype` would flush to zero."""
     with np.errstate(over="ignore"):
-        out = np.asarray(_nearest(value), dtype)[()]
+        out = _scalar(_nearest(value), dtype)
     if value != 0 and (abs(out) < tiny(dtype) or not np.isfinite(out)):
         raise ValueError(
             f"the coefficients of a relation span more than {np.dtype(dtype).name} holds: give the signals units of similar size"
@@ -222,9 +233,9 @@ def fraction_to_float(value, dtype=np.float64):
     return out
 
 
-def nearest_normal(value, dtype=np.float64):
+def nearest_normal(value: Fraction | float, dtype: DTypeLike = np.float64) -> np.floating:
     """Round an exact rational to the nearest float, one below the normal range to the smallest normal number of its sign: never to 0."""
-    out, least = np.asarray(_nearest(value), dtype)[()], tiny(dtype)
+    out, least = _scalar(_nearest(value), dtype), tiny(dtype)
     return out if abs(out) >= least or not value else np.copysign(least, value > 0 or -1)
 
 
@@ -236,12 +247,12 @@ def _nearest(value):
         return np.inf if value > 0 else -np.inf
 
 
-def round_up(value, dtype=np.float64):
+def round_up(value: object, dtype: DTypeLike = np.float64) -> np.ndarray:
     """Return the float of `dtype` next above or equal to `value` (an array of floats, or of any exact numbers), on the host."""
     return _directed(value, dtype, np.inf)
 
 
-def round_down(value, dtype=np.float64):
+def round_down(value: object, dtype: DTypeLike = np.float64) -> np.ndarray:
     """Return the float of `dtype` next below or equal to `value` (an array of floats, or of any exact numbers), on the host."""
     return _directed(value, dtype, -np.inf)
 
@@ -258,7 +269,7 @@ def _directed(value, dtype, towards):
         return np.where(wrong, np.nextafter(out, np.asarray(towards, dtype)), out)
 
 
-def two_sum(a, b):
+def two_sum(a: jax.Array, b: ArrayLike) -> Pair:
     """Return (s, e) with s = fl(a + b) and s + e = a + b exactly (Knuth).
 
     The barrier keeps the compiler from turning (1 + b) - 1 into b. An inexact product handed in directly may be fused into the sum.
@@ -266,13 +277,13 @@ def two_sum(a, b):
     return _two_sum(*jax.lax.optimization_barrier((a, b)))
 
 
-def _two_sum(a, b):
+def _two_sum(a: jax.Array, b: jax.Array) -> Pair:
     s = a + b
     z = s - a
     return s, (a - (s - z)) + (b - z)
 
 
-def two_prod(a, b):
+def two_prod(a: jax.Array, b: jax.Array) -> Pair:
     """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow of e.
 
     The products of halves and the sum of the two mixed ones fit the digits, so that contraction into an FMA changes nothing (it
@@ -286,7 +297,7 @@ def two_prod(a, b):
     return p, rest - (p - s)
 
 
-def _halves(x):
+def _halves(x: jax.Array) -> Pair:
     """Split floats into two of half the digits, by rounding the bits."""
     bits, low = {8: (jnp.int64, 27), 4: (jnp.int32, 12)}[x.dtype.itemsize]
     pattern = jax.lax.bitcast_convert_type(x, bits) + (1 << (low - 1))
@@ -294,7 +305,7 @@ def _halves(x):
     return hi, x - hi
 
 
-def dd_add(x, y):
+def dd_add(x: Pair, y: Pair) -> Pair:
     """Add two double-word numbers (hi, lo): about twice the digits of the dtype."""
     s, e = two_sum(x[0], y[0])
     t, f = two_sum(x[1], y[1])
@@ -302,13 +313,13 @@ def dd_add(x, y):
     return _two_sum(s, e + f)
 
 
-def dd_mul(x, y):
+def dd_mul(x: Pair, y: Pair) -> Pair:
     """Multiply two double-word numbers (hi, lo)."""
     p, e = two_prod(x[0], y[0])
     return _two_sum(p, e + (x[0] * y[1] + x[1] * y[0]))
 
 
-def quotient(n, d):
+def quotient(n: jax.Array, d: jax.Array) -> jax.Array:
     """Divide with an error of 1.01 u |n / d|, whatever the compiler makes of the division; d and 1 / d normal, n / d far from overflow.
 
     Half the digits of n / d leave a remainder n - q d that is exact (its products fit the digits, its digits start where those of q
@@ -323,14 +334,14 @@ def quotient(n, d):
     return jnp.where(keeps, q + ((n - q * high) - q * low) * inverse, rough)
 
 
-def root(x):
+def root(x: jax.Array) -> jax.Array:
     """Return the square root of x >= 0 with an error of 1.01 u, whatever the compiler's is; sqrt(0) = 0, x far from underflow."""
     s = jnp.sqrt(x)
     p, e = two_prod(s, s)
     return s + ((x - p) - e) / jnp.where(s > 0, 2 * s, 1)
 
 
-def mantissa_exponent(x):
+def mantissa_exponent(x: jax.Array) -> Pair:
     """Split x > 0, subnormal or not, exactly into m 2^k with sqrt(1/2) <= m < sqrt(2); k is an integer as a float."""
     bits, mantissa, bias, magic = _layout(x.dtype)
     as_bits, as_float = (lambda v: np.asarray(v, x.dtype).view(bits)), (lambda v: jax.lax.bitcast_convert_type(v, x.dtype))
@@ -343,14 +354,14 @@ def mantissa_exponent(x):
     return m, as_float(jnp.where(small, k - (bias + mantissa - 1), k) + as_bits(magic)) - magic
 
 
-def power_of_two(k):
+def power_of_two(k: jax.Array) -> jax.Array:
     """Return 2^k, exactly, for an integer k (as a float) in the normal range."""
     bits, mantissa, bias, magic = _layout(k.dtype)
     # the last digits of k + magic are those of k + bias in two's complement; the shift leaves them as an exponent
     return jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(k + (magic + bias), bits) << mantissa, k.dtype)
 
 
-def scale(x, k):
+def scale(x: jax.Array, k: jax.Array) -> jax.Array:
     """Return x 2^k, exact barring underflow (flushed) and overflow (infinite), for |k| up to twice the normal range."""
     half = jnp.floor(k * 0.5)
     return x * power_of_two(half) * power_of_two(k - half)

@@ -1,12 +1,18 @@
 """Sums and extremes over a few rows, written out term by term: with the windows on the last axis the compiler fuses them."""
 
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
 
 __all__ = ["largest", "most", "stored", "total"]
 
 
-def stored(x):
+Tree = TypeVar("Tree")
+
+
+def stored(x: Tree) -> Tree:
     """Return x, divided by ones that the compiler takes for numbers: it stores a quotient, not to work it out for each of its uses again.
 
     (A barrier does not stop it from doing so, and a division by a broadcast becomes a product.)
@@ -14,7 +20,7 @@ def stored(x):
     return jax.tree.map(lambda a: a / jnp.where(a == a, jnp.ones((), a.dtype), 0), x)
 
 
-def total(terms):
+def total(terms: Iterable[jax.Array]) -> jax.Array:
     """Return the sum of one or more terms, added up in order."""
     first, *rest = terms
     for x in rest:
@@ -22,7 +28,7 @@ def total(terms):
     return first
 
 
-def most(rows):
+def most(rows: Sequence[jax.Array] | jax.Array) -> jax.Array:
     """Return the largest of the rows."""
     top = rows[0]
     for x in rows[1:]:
@@ -30,7 +36,7 @@ def most(rows):
     return top
 
 
-def largest(rows, one):
+def largest(rows: Sequence[jax.Array] | jax.Array, one: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the largest of the rows and the first row that has it. one: N ones, traced, see `separation`."""
     top = most(rows) / one
     first = jnp.full_like(top, len(rows) - 1)

@@ -4,25 +4,28 @@ Custom rules and stop_gradient may state another derivative than the function ha
 selections by a comparison, which an interval can decide.
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
-from jaxbound.sets.inclusion.jaxprs import bind, body
+from jaxbound.sets.inclusion.equations import bind, body, dtype_of
 
 __all__ = ["plain"]
 
 
-def plain(jaxpr, consts, args):
+def plain(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
     """Evaluate a jaxpr on numbers like JAX does, with the primitives replaced whose derivative would not serve."""
     env = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, args, strict=True))
-    read = lambda v: jnp.asarray(v.val, v.aval.dtype) if isinstance(v, Literal) else env[v]
+    read = lambda v: jnp.asarray(v.val, dtype_of(v)) if isinstance(v, Literal) else env[v]
     for eqn in jaxpr.eqns:
         env.update(zip(eqn.outvars, _apply(eqn, [read(v) for v in eqn.invars]), strict=True))
     return [read(v) for v in jaxpr.outvars]
 
 
-def _apply(eqn, values):
+def _apply(eqn: JaxprEqn, values: list[Any]) -> Sequence[Any]:
     name, inner = eqn.primitive.name, body(eqn)
     if inner is not None:
         return plain(inner.jaxpr, inner.consts, values)
@@ -33,7 +36,7 @@ def _apply(eqn, values):
     return bind(eqn, *values, **{k: _plain_param(v) for k, v in eqn.params.items() if _holds_jaxpr(v)})
 
 
-def _holds_jaxpr(value):
+def _holds_jaxpr(value: object) -> bool:
     return isinstance(value, ClosedJaxpr) or isinstance(value, tuple) and any(isinstance(v, ClosedJaxpr) for v in value)
 
 
@@ -43,19 +46,19 @@ def _plain_param(value):
     return jax.make_jaxpr(lambda *args: plain(value.jaxpr, value.consts, args))(*value.in_avals)
 
 
-def _greater(x, y, **_):
+def _greater(x: jax.Array, y: jax.Array, **_: object) -> jax.Array:
     return jnp.where(x > y, x, y)
 
 
-def _less(x, y, **_):
+def _less(x: jax.Array, y: jax.Array, **_: object) -> jax.Array:
     return jnp.where(x < y, x, y)
 
 
-def _clamp(low, x, high, **_):
+def _clamp(low: jax.Array, x: jax.Array, high: jax.Array, **_: object) -> jax.Array:
     return _less(_greater(x, low), high)
 
 
-def _folded(pick):
+def _folded(pick: Callable[[jax.Array, jax.Array], jax.Array]) -> Callable[..., jax.Array]:
     """Reduce along axes by comparing halves."""
 
     def reduce(x, axes, **_):
@@ -70,4 +73,10 @@ def _folded(pick):
     return reduce
 
 
-SELECTED = {"max": _greater, "min": _less, "clamp": _clamp, "reduce_max": _folded(_greater), "reduce_min": _folded(_less)}
+SELECTED: dict[str, Callable[..., jax.Array]] = {
+    "max": _greater,
+    "min": _less,
+    "clamp": _clamp,
+    "reduce_max": _folded(_greater),
+    "reduce_min": _folded(_less),
+}

@@ -7,10 +7,13 @@
 Source: Moore, Kearfott, Cloud 2009, chapters 5 and 6.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,16 +21,18 @@ import numpy as np
 
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.derivatives import plain
-from jaxbound.sets.inclusion.jaxprs import evaluate, refuse_unsupported
+from jaxbound.sets.inclusion.jaxprs import Value, evaluate, refuse_unsupported
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.intervals.interval import Interval, add, intersection, interval, matmul, mid, sub
 
 __all__ = ["Inclusion", "inclusion"]
 
+Tree = TypeVar("Tree")
+
 METHODS = ("natural", "mean_value", "best")
 
 
-def inclusion(f, method="natural"):
+def inclusion(f: Callable[..., Any], method: str = "natural") -> Inclusion:
     """Return F with F(box) enclosing {f(z) : z in box}.
 
     Args:
@@ -72,10 +77,10 @@ def inclusion(f, method="natural"):
 class Inclusion:
     """An inclusion function, built by `inclusion`: call it on Intervals and points."""
 
-    f: Any
+    f: Callable[..., Any]
     method: str
 
-    def __call__(self, *args, **options):
+    def __call__(self, *args: Any, **options: Any) -> Any:
         """Return the enclosure: f's own structure with an Interval for each float array.
 
         Raises:
@@ -83,7 +88,7 @@ class Inclusion:
         """
         return _run(_enclose, self, args, options)
 
-    def continuous(self, *args, **options):
+    def continuous(self, *args: Any, **options: Any) -> jax.Array:
         """Return a boolean array (): True where f is proved to be defined and continuous all over the box.
 
         Raises:
@@ -91,7 +96,7 @@ class Inclusion:
         """
         return _run(_continuous, self, args, options)
 
-    def jacobian(self, *args, **options):
+    def jacobian(self, *args: Any, **options: Any) -> Interval:
         """Return an Interval (m, n) that holds the derivatives of all m float outputs by all n numbers of the Interval arguments.
 
         Entire where f is not proved to be defined and continuous over the box. Kinks of abs, max, min and clamp count with all
@@ -103,7 +108,7 @@ class Inclusion:
         return _run(_jacobian, self, args, options)
 
 
-def _run(kernel, F, args, options):
+def _run(kernel: Callable[..., Any], F: Inclusion, args: tuple[Any, ...], options: dict[str, Any]) -> Any:
     """Call a compiled kernel; a refusal while tracing comes out as the one sentence that it is."""
     refuse_unverified(args, options)
     leaves, structure = jax.tree.flatten((args, options), is_leaf=lambda x: isinstance(x, Interval))
@@ -162,15 +167,15 @@ class _Traced:
         self.free = [i for i, x in enumerate(leaves) if sets[i] and jnp.issubdtype(x.dtype, jnp.floating)]
         self.real = [i for i, v in enumerate(closed.jaxpr.outvars) if jnp.issubdtype(v.aval.dtype, jnp.floating)]
 
-    def outputs(self, leaves):
+    def outputs(self, leaves: Sequence[Value]) -> tuple[list[Value], jax.Array]:
         """Return (outs, continuous) over the leaves."""
         outs, continuous = evaluate(self.jaxpr, self.consts, leaves)
-        outs = [enclose(o) if i in self.real else o for i, o in enumerate(outs)]
-        for i in self.real:  # a constant NaN, say: nowhere defined
-            continuous = continuous & ~jnp.any(outs[i].is_empty)
+        for i in self.real:
+            outs[i] = found = enclose(outs[i])
+            continuous = continuous & ~jnp.any(found.is_empty)  # a constant NaN, say: nowhere defined
         return outs, jnp.asarray(continuous)
 
-    def vector(self):
+    def vector(self) -> Interval:
         """Return the Interval (n,) of all numbers that vary."""
         return _joined([self.leaves[i] for i in self.free])
 
@@ -181,7 +186,7 @@ class _Traced:
             out[i], start = _part(z, start, self.leaves[i].shape)
         return out
 
-    def jacobian(self):
+    def jacobian(self) -> Interval:
         """Return the Interval (m, n) of the derivatives."""
         others = [x for i, x in enumerate(self.leaves) if i not in self.free]
 
@@ -199,7 +204,7 @@ class _Traced:
         return Interval(jnp.where(none, -jnp.inf, J.lo), jnp.where(none, jnp.inf, J.hi))
 
 
-def _joined(parts):
+def _joined(parts: Sequence[Interval]) -> Interval:
     return jax.tree.map(lambda *ends: jnp.concatenate([e.ravel() for e in ends]), *parts)
 
 
@@ -255,13 +260,13 @@ def _sharpened(traced, best):
     return outs
 
 
-def _once(J):
+def _once(J: Interval) -> Interval:
     """Return J, worked out once: the compiler repeats what made it for each of its uses, but never a division, even one by 1."""
     one = jnp.where(J.lo > J.hi, 2, 1).astype(J.dtype)  # J is not empty, which the compiler does not know
     return Interval(J.lo / one, J.hi / one)
 
 
-def _faces(z, J):
+def _faces(z: Interval, J: Interval) -> tuple[Interval, Interval]:
     """Return the box without what a derivative with a sign spares, for the lower bound of each output, then for the upper one."""
     rising = J.lo >= 0
     falling = (J.hi <= 0) & ~rising
@@ -270,7 +275,7 @@ def _faces(z, J):
     return low, Interval(jnp.where(rising, at_hi, at_lo), jnp.where(falling, at_lo, at_hi))
 
 
-def _part(z, start, shape):
+def _part(z: Tree, start: int, shape: Sequence[int]) -> tuple[Tree, int]:
     """Return the numbers of z from `start` that fill a shape, and where they end."""
     stop = start + math.prod(shape)
     return jax.tree.map(lambda v: v[start:stop].reshape(shape), z), stop

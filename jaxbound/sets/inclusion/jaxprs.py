@@ -7,28 +7,33 @@ conversions observe: a program may turn NaN back into a number.
 
 import functools
 import operator
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.inclusion.lifted import enclose, least, most, settled, whole
+from jaxbound.sets.inclusion.equations import bind, body, by_key, dtype_of, inexact, inside
+from jaxbound.sets.inclusion.lifted import enclose, settled
+from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.inclusion.primitives import CONTINUOUS, MOVED, RISING, RULES, WHOLE
 from jaxbound.sets.inclusion.undefined import OBSERVED, either, observes, possible
 from jaxbound.sets.intervals.interval import Interval, computed
 
-__all__ = ["bind", "body", "evaluate", "refuse_unsupported"]
+__all__ = ["Value", "evaluate", "refuse_unsupported"]
 
-CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call", "custom_vjp_call",
-         "custom_vjp_call_jaxpr"}  # fmt: skip
 POINTWISE = {"abs", "neg", "max", "min", "select_n", "iota", "bitcast_convert_type", "argmax", "argmin", "is_finite"}  # exact on numbers
 LOOPS = 10_000
 """A while loop whose end depends on an interval is followed this far; one that may still run has any result."""
 
 
-def evaluate(jaxpr, consts, args):
+Value: TypeAlias = Interval | jax.Array | np.ndarray
+
+
+def evaluate(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Value]) -> tuple[list[Value], bool | jax.Array]:
     """Return (outs, continuous): enclosures of the outputs of a jaxpr.
 
     Args:
@@ -45,7 +50,7 @@ def evaluate(jaxpr, consts, args):
     return outs, continuous
 
 
-def _door(x):
+def _door(x: Value) -> Value:
     """Return an argument that compiled code reads as it is; a bound that is NaN bounds nothing."""
     return computed(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
 
@@ -60,7 +65,7 @@ def _follow(jaxpr, consts, args, absent, asked):
     args = [_computed(x) if isinstance(x, Interval) else x for x in args]
     known = lambda x: (_constant(x), _absent(x))
     env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(zip(jaxpr.invars, zip(args, absent, strict=True), strict=True))
-    read = lambda v: known(np.asarray(v.val, v.aval.dtype)) if isinstance(v, Literal) else env[v]
+    read = lambda v: known(np.asarray(v.val, dtype_of(v))) if isinstance(v, Literal) else env[v]
     continuous = True
     for eqn in jaxpr.eqns:
         values, missing = zip(*map(read, eqn.invars), strict=True) if eqn.invars else ((), ())
@@ -71,7 +76,7 @@ def _follow(jaxpr, consts, args, absent, asked):
     return list(outs), list(absent), continuous
 
 
-def _watched(jaxpr, asked):
+def _watched(jaxpr: Jaxpr, asked: Sequence[bool]) -> set[Var]:
     """Return the variables that may not be NaN unnoticed: of outputs that are asked for, or of what a program observes."""
     found = {v for v, a in zip(jaxpr.outvars, asked, strict=True) if a and not isinstance(v, Literal)}
     for eqn in reversed(jaxpr.eqns):
@@ -80,14 +85,14 @@ def _watched(jaxpr, asked):
             inner = _watched(called.jaxpr, passed)
             given = [v for v, w in zip(eqn.invars, called.jaxpr.invars, strict=True) if w in inner]
         else:
-            given = eqn.invars if any(passed) or _observes(eqn) else ()
-        found.update(v for v in given if not isinstance(v, Literal) and _inexact(v.aval))
+            given = eqn.invars if any(passed) or _observes(eqn) else []
+        found.update(v for v in given if not isinstance(v, Literal) and inexact(v.aval))
     return found
 
 
-def _observes(eqn):
+def _observes(eqn: JaxprEqn) -> bool:
     """True if a primitive, or anything inside it, asks whether a number is NaN."""
-    inner = _inside(eqn)
+    inner = inside(eqn)
     return observes(eqn) if inner is None else any(_observes(e) for part in inner for e in part.jaxpr.eqns)
 
 
@@ -101,23 +106,10 @@ def _absent(x):
     return jnp.asarray(host) if host.any() else None
 
 
-def body(eqn):
-    """Return the ClosedJaxpr that a call evaluates, or None."""
-    if eqn.primitive.name not in CALLS:
-        return None
-    inner = next(eqn.params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in eqn.params)
-    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
-
-
-def bind(eqn, *values, **changed):
-    """Apply the primitive of an equation to numbers; always a list of outputs."""
-    out = eqn.primitive.bind(*values, **{**eqn.params, **changed})
-    return out if eqn.primitive.multiple_results else [out]
-
-
-def refuse_unsupported(jaxpr, name, advice):
+def refuse_unsupported(jaxpr: Jaxpr, name: str, advice: str) -> None:
     """Raise one error that names everything in a jaxpr that has no rule."""
-    missing, types = set(), set()
+    missing: set[str] = set()
+    types: set[str] = set()
     _collect(jaxpr, missing, types)
     if types:
         raise NotImplementedError(f"inclusion works in float32 and float64, but {name} computes in {', '.join(sorted(types))}")
@@ -126,35 +118,17 @@ def refuse_unsupported(jaxpr, name, advice):
         raise NotImplementedError(f"inclusion has no rule for the {word} {', '.join(sorted(missing))}, used by {name}: {advice}")
 
 
-def _collect(jaxpr, missing, types):
+def _collect(jaxpr: Jaxpr, missing: set[str], types: set[str]) -> None:
     for eqn in jaxpr.eqns:
-        name, variables = eqn.primitive.name, [v.aval for v in (*eqn.invars, *eqn.outvars)]
-        types |= {str(a.dtype) for a in variables if _inexact(a) and a.dtype not in (np.float32, np.float64)}
-        inner = _inside(eqn)
+        name, variables = eqn.primitive.name, (*eqn.invars, *eqn.outvars)
+        floats = [dtype_of(v) for v in variables if inexact(v.aval)]
+        types |= {str(d) for d in floats if d not in (np.float32, np.float64)}
+        inner = inside(eqn)
         if inner is not None:
             for part in inner:
                 _collect(part.jaxpr, missing, types)
-        elif any(map(_inexact, variables)) and (not any(name in t for t in (MOVED, RISING, RULES, POINTWISE)) or _by_key(eqn)):
+        elif floats and (not any(name in t for t in (MOVED, RISING, RULES, POINTWISE)) or by_key(eqn)):
             missing.add(name)
-
-
-def _inside(eqn):
-    """Return the jaxprs that a call, a branch or a loop evaluates; None for a primitive."""
-    return [*_jaxprs(eqn.params)] if eqn.primitive.name in CONTROL else [body(eqn)] if body(eqn) else None
-
-
-def _by_key(eqn):
-    """True for a sort that moves other arrays along."""
-    return eqn.primitive.name == "sort" and len(eqn.invars) > 1
-
-
-def _jaxprs(params):
-    for value in params.values():
-        yield from (v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, ClosedJaxpr))
-
-
-def _inexact(aval):
-    return hasattr(aval, "dtype") and jnp.issubdtype(aval.dtype, jnp.inexact)
 
 
 def _constant(x):
@@ -177,7 +151,7 @@ def _apply(eqn, values, absent, asked):
         return CONTROL[name](values, absent, eqn.params, any(asked) or _observes(eqn))
     if not any(isinstance(v, Interval) for v in values) and _exact(eqn):
         outs = bind(eqn, *values)
-        made = name == "bitcast_convert_type" and _inexact(eqn.outvars[0].aval)  # any bits: NaN, infinite and subnormal numbers too
+        made = name == "bitcast_convert_type" and inexact(eqn.outvars[0].aval)  # any bits: NaN, infinite and subnormal numbers too
         return [settled(o) for o in outs] if made else outs, [jnp.isnan(o) if made else None for o in outs], True
     about = {**eqn.params, "bind": lambda *v: bind(eqn, *v)[0], "numbers": [_number(v) for v in values]}
     about |= {"known": [not isinstance(v, Interval) for v in values], "same": len(values) == 2 and eqn.invars[0] is eqn.invars[1]}
@@ -187,7 +161,7 @@ def _apply(eqn, values, absent, asked):
     if name == "sort":  # NaN comes last, infinities at the ends
         loose = lambda x, a: Interval(jnp.where(a, -jnp.inf, x.lo), jnp.where(a, jnp.inf, x.hi))
         sets = [x if a is None else loose(x, a) for x, a in zip(sets, absent, strict=True)]
-    if name in RISING and not _by_key(eqn):
+    if name in RISING and not by_key(eqn):
         outs = [Interval(*ends) for ends in zip(bind(eqn, *(v.lo for v in sets)), bind(eqn, *(v.hi for v in sets)), strict=True)]
     elif name in (rules := WHOLE if whole(sets[0]) else RULES):
         outs = [rules[name](*sets, **about)]
@@ -204,26 +178,27 @@ def _apply(eqn, values, absent, asked):
     return shown, found, fine
 
 
-def _computed(x):
+def _computed(x: Interval) -> Interval:
     return computed(x.lo, x.hi)
 
 
-def _exact(eqn):
+def _exact(eqn: JaxprEqn) -> bool:
     """True if a primitive of numbers is computed without rounding."""
     name, avals = eqn.primitive.name, [v.aval for v in (*eqn.invars, *eqn.outvars)]
-    if name in MOVED or name in RISING or name in POINTWISE or not any(map(_inexact, avals)):
+    if name in MOVED or name in RISING or name in POINTWISE or not any(map(inexact, avals)):
         return True
     if name != "convert_element_type":
         return False
-    old, new = avals
-    return not _inexact(new) or old.dtype == bool or _inexact(old) and new.dtype.itemsize >= old.dtype.itemsize or _small(eqn.invars[0])
+    (x,), (y,) = eqn.invars, eqn.outvars
+    old, new = dtype_of(x), dtype_of(y)
+    return not inexact(y.aval) or jnp.issubdtype(old, jnp.bool_) or inexact(x.aval) and new.itemsize >= old.itemsize or _small(x)
 
 
 def _small(v):
     return isinstance(v, Literal) and abs(v.val) <= 2**24
 
 
-def _number(value):
+def _number(value: object) -> float | None:
     """Return a value as a float if it is one number that is known while tracing, else None."""
     return float(value.ravel()[0]) if isinstance(value, np.ndarray | np.generic) and value.size == 1 else None
 
@@ -237,7 +212,7 @@ def _moved(eqn, values, absent, asked):
     ready = [enclose(v) if i in moved else v for i, v in enumerate(values)]
     lower, upper = (bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready))) for end in ("lo", "hi"))
     outs = [Interval(*pair) for pair in zip(lower, upper, strict=True)]
-    floating = [_inexact(v.aval) for v in eqn.outvars]
+    floating = [inexact(v.aval) for v in eqn.outvars]
     filled = eqn.primitive.name == "gather" and floating[0] and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
     if filled:
         outs = [Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi)) for o in outs]
@@ -257,7 +232,7 @@ def _as(value, kind):
 
 def _steady(step, carry):
     """Return the carry of a loop in a form that its step keeps: an Interval wherever one can arise."""
-    carry = [enclose(c) if _inexact(c) else c for c in carry]
+    carry = [enclose(c) if inexact(c) else c for c in carry]
     while True:
         after = jax.eval_shape(step, carry)
         grown = [enclose(c) if isinstance(a, Interval) else c for c, a in zip(carry, after, strict=True)]
@@ -270,8 +245,7 @@ def _marked(values, absent, asked):
     """Return where each value of a loop's carry may be NaN as an array; None for what is never NaN, and where nobody asks."""
     shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
     return [
-        jnp.broadcast_to(False if a is None else a, shape(v)) if asked and _inexact(v) else None
-        for v, a in zip(values, absent, strict=True)
+        jnp.broadcast_to(False if a is None else a, shape(v)) if asked and inexact(v) else None for v, a in zip(values, absent, strict=True)
     ]
 
 
@@ -384,7 +358,7 @@ def _cond(values, absent, params, asked):
         gone = [either(*cases) for cases in zip(*(gone for _, gone, _ in found), strict=True)]
         return outs, gone, functools.reduce(operator.and_, (fine for *_, fine in found), index.lo == index.hi)
     shapes = [jax.eval_shape(lambda ops, b=b: b(ops, away)[0], operands) for b in branches]
-    sets = [any(isinstance(o, Interval) or _inexact(o) for o in outs) for outs in zip(*shapes, strict=True)]
+    sets = [any(isinstance(o, Interval) or inexact(o) for o in outs) for outs in zip(*shapes, strict=True)]
 
     def chosen(branch):
         def run(ops, away):
@@ -397,4 +371,4 @@ def _cond(values, absent, params, asked):
     return jax.lax.switch(index, list(map(chosen, branches)), operands, away)
 
 
-CONTROL = {"scan": _scan, "while": _while, "cond": _cond}
+CONTROL: dict[str, Callable[..., Any]] = {"scan": _scan, "while": _while, "cond": _cond}

@@ -1,34 +1,39 @@
-"""Primitives of JAX lifted from numbers to sets of numbers, of integers and of predicates.
+"""Primitives of JAX lifted from numbers to sets of numbers; those of integers and predicates are in `predicates`.
 
-An Interval of predicates says in `lo` what surely holds and in `hi` what possibly does; an Interval of integers holds all integers
-from lo to hi. Operations that `interval` and `elementary` offer as they are do not appear here.
+Operations that `interval` and `elementary` offer as they are do not appear here.
 """
 
-import functools
 import math
+from collections.abc import Callable, Sequence
+from typing import TypeAlias, TypeGuard
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.inclusion.predicates import Rule, equals, extreme, least, most, negated, whole
 from jaxbound.sets.intervals.elementary import atan2, atanh, exp, log, sqrt, tanh
 from jaxbound.sets.intervals.interval import Interval, add, computed, div, hull, intersection, mag, mul, neg, pown, recip, sqr, sub
 from jaxbound.sets.intervals.interval import sum as total
 
 __all__ = [
-    "added", "angle", "comparison", "contracted", "converted", "cube_root", "divided", "enclose", "equals", "expm1", "extreme", "integers",
-    "integral", "least", "log1p", "logistic", "most", "multiplied", "negated", "of", "poles", "power", "predicates", "product", "remainder",
-    "scanned", "scattered", "selected", "settled", "subtracted", "summed", "whole",
+    "added", "angle", "contracted", "converted", "cube_root", "divided", "enclose", "expm1", "integral", "log1p", "logistic",
+    "multiplied", "of", "poles", "power", "product", "remainder", "scanned", "scattered", "selected", "settled", "subtracted", "summed",
 ]  # fmt: skip
 
 
-def enclose(x):
+Known: TypeAlias = Sequence[bool]
+Numbers: TypeAlias = Sequence[float | None]
+
+
+def enclose(x: Interval | ArrayLike) -> Interval:
     """Return an Interval that is `x` or the number x, finite and not subnormal."""
     return x if isinstance(x, Interval) else computed(jnp.asarray(x), jnp.asarray(x))
 
 
-def settled(x):
+def settled(x: jax.Array) -> Interval:
     """Return an Interval that holds any float `x`: NaN becomes the empty set, infinity all numbers too large for a float."""
     lo, hi = rounding.settle_subnormals(x, x)
     absent, top = jnp.isnan(x), np.finfo(x.dtype).max
@@ -36,63 +41,26 @@ def settled(x):
     return computed(jnp.where(absent, jnp.inf, lo), jnp.where(absent, -jnp.inf, hi))
 
 
-def whole(x):
-    """True for an Interval of integers or predicates."""
-    return not jnp.issubdtype(x.dtype, jnp.floating)
-
-
-def least(dtype):
-    """Return the least number (or predicate) of a type, -inf for floats."""
-    return False if dtype == jnp.bool_ else np.iinfo(dtype).min if jnp.issubdtype(dtype, jnp.integer) else -np.inf
-
-
-def most(dtype):
-    """Return the greatest number (or predicate) of a type, inf for floats."""
-    return True if dtype == jnp.bool_ else np.iinfo(dtype).max if jnp.issubdtype(dtype, jnp.integer) else np.inf
-
-
-def integers(f):
-    """Lift an integer operation that is monotone in each operand; where it could wrap around, anything is possible."""
-
-    def rule(*xs, axes=None, **_):
-        dtype, along = xs[0].dtype, {} if axes is None else {"axis": axes}
-        corners = [[(x.lo, x.hi)[k >> i & 1] for i, x in enumerate(xs)] for k in range(2 ** len(xs))]
-        exact = [f(*ends, **along) for ends in corners]
-        real = [f(*(e.astype(float) for e in ends), **along) for ends in corners]
-        size = [f(*(jnp.abs(e.astype(float)) for e in ends), **along) for ends in corners]
-        limit = 2.0 ** jnp.finfo(real[0].dtype).nmant  # floats hold all integers up to here
-        wraps = (
-            (extreme(jnp.minimum, real) < least(dtype)) | (extreme(jnp.maximum, real) > most(dtype)) | (extreme(jnp.maximum, size) > limit)
-        )
-        lo, hi = extreme(jnp.minimum, exact), extreme(jnp.maximum, exact)
-        return Interval(jnp.where(wraps, least(dtype), lo), jnp.where(wraps, most(dtype), hi))
-
-    return rule
-
-
-def extreme(pick, values):
-    """Return the least (pick = jnp.minimum) or greatest of arrays."""
-    return functools.reduce(pick, values)
-
-
-def added(x, y, **_):
+def added(x: Interval, y: Interval, **_: object) -> Interval:
     """Return the sum; 2 min(lo) and 2 max(hi) keep its sign, and 0 + 0 exact, which proves monotonicity."""
     out = add(x, y)
     return Interval(jnp.maximum(out.lo, _twice(jnp.minimum(x.lo, y.lo), -1)), jnp.minimum(out.hi, _twice(jnp.maximum(x.hi, y.hi), 1)))
 
 
-def _twice(bound, side):
+def _twice(bound: jax.Array, side: int) -> jax.Array:
     """Double a bound; an overflow towards the other side stays finite."""
     top = np.finfo(bound.dtype).max
     return jnp.minimum(2 * bound, top) if side < 0 else jnp.maximum(2 * bound, -top)
 
 
-def subtracted(x, y, same=False, **_):
+def subtracted(x: Interval, y: Interval, same: bool = False, **_: object) -> Interval:
     """Return the difference; x - x is 0."""
     return scaled(x, 0.0) if same else added(x, neg(y))
 
 
-def multiplied(x, y, same=False, known=(False, False), numbers=(None, None), **_):
+def multiplied(
+    x: Interval, y: Interval, same: bool = False, known: Known = (False, False), numbers: Numbers = (None, None), **_: object
+) -> Interval:
     """Return the product; x * x is a square, and a factor that is a number needs two products instead of four."""
     if same:
         return sqr(x)
@@ -101,7 +69,7 @@ def multiplied(x, y, same=False, known=(False, False), numbers=(None, None), **_
     return scaled(x, y.lo if numbers[1] is None else numbers[1]) if known[1] else mul(x, y)
 
 
-def divided(x, y, known=(False, False), numbers=(None, None), **_):
+def divided(x: Interval, y: Interval, known: Known = (False, False), numbers: Numbers = (None, None), **_: object) -> Interval:
     """Return the quotient; a divisor that is one number of ordinary size needs two quotients instead of four."""
     c = numbers[1]
     if not known[1] or c is None or not 2.0**-60 < abs(c) < 2.0**60:
@@ -113,7 +81,7 @@ def divided(x, y, known=(False, False), numbers=(None, None), **_):
     return _kept_sign(Interval(lo, hi), *rounding.outward(lo / abs(c), hi / abs(c)))
 
 
-def scaled(x, factor):
+def scaled(x: Interval, factor: float | jax.Array) -> Interval:
     """Return x times numbers; 0, 1 and -1 are exact, because derivatives are full of them."""
     if isinstance(factor, float):
         if factor == 0:
@@ -128,16 +96,16 @@ def scaled(x, factor):
     return Interval(jnp.where(none, 0, jnp.where(one, turned.lo, out.lo)), jnp.where(none, 0, jnp.where(one, turned.hi, out.hi)))
 
 
-def _scaled_up(x, size):
+def _scaled_up(x: Interval, size: float | jax.Array) -> Interval:
     return _kept_sign(x, *rounding.outward(x.lo * size, x.hi * size))
 
 
-def _kept_sign(x, lo, hi):
+def _kept_sign(x: Interval, lo: jax.Array, hi: jax.Array) -> Interval:
     """Keep rounding from carrying a positive multiple of x across 0."""
     return Interval(jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi))
 
 
-def summed(x, axes, **_):
+def summed(x: Interval, axes: Sequence[int], **_: object) -> Interval:
     """Add along axes; nonnegative terms keep a nonnegative sum."""
     if not axes:
         return x
@@ -151,7 +119,7 @@ def summed(x, axes, **_):
     return Interval(jnp.where(low >= 0, jnp.maximum(out.lo, 0), out.lo), jnp.where(high <= 0, jnp.minimum(out.hi, 0), out.hi))
 
 
-def product(x, axes, **_):
+def product(x: Interval, axes: Sequence[int], **_: object) -> Interval:
     """Multiply along axes, half by half."""
     for axis in sorted(axes, reverse=True):
         while (count := x.shape[axis]) > 1:
@@ -163,7 +131,7 @@ def product(x, axes, **_):
     return x
 
 
-def scanned(combine):
+def scanned(combine: Callable[[Interval, Interval], Interval]) -> Rule:
     """Return the partial results of an operation along an axis."""
 
     def rule(x, axis, reverse, **_):
@@ -172,7 +140,13 @@ def scanned(combine):
     return rule
 
 
-def contracted(x, y, dimension_numbers, known=(False, False), **_):
+def contracted(
+    x: Interval,
+    y: Interval,
+    dimension_numbers: tuple[tuple[Sequence[int], Sequence[int]], tuple[Sequence[int], Sequence[int]]],
+    known: Known = (False, False),
+    **_: object,
+) -> Interval:
     """Multiply and add over the contracted axes, entry by entry."""
     (cx, cy), (bx, by) = dimension_numbers
     fx, fy = ([i for i in range(len(v.shape)) if i not in (*c, *b)] for v, c, b in ((x, cx, bx), (y, cy, by)))
@@ -180,11 +154,19 @@ def contracted(x, y, dimension_numbers, known=(False, False), **_):
     B, M, N, K = (math.prod(s) for s in (sizes(x, bx), sizes(x, fx), sizes(y, fy), sizes(x, cx)))
     left = jax.tree.map(lambda v: v.transpose(*bx, *fx, *cx).reshape(B, M, 1, K), x)
     right = jax.tree.map(lambda v: v.transpose(*by, *fy, *cy).reshape(B, 1, N, K), y)
-    out = summed(multiplied(*(computed(v.lo, v.hi) for v in (left, right)), known=known), axes=(3,))  # moved, and settled as before
+    left, right = (computed(v.lo, v.hi) for v in (left, right))  # moved, and settled as before
+    out = summed(multiplied(left, right, known=known), axes=(3,))
     return jax.tree.map(lambda v: v.reshape(*sizes(x, bx), *sizes(x, fx), *sizes(y, fy)), out)
 
 
-def scattered(x, indices, updates, bind, dimension_numbers, **_):
+def scattered(
+    x: Interval,
+    indices: jax.Array,
+    updates: Interval,
+    bind: Callable[..., jax.Array],
+    dimension_numbers: jax.lax.ScatterDimensionNumbers,
+    **_: object,
+) -> Interval:
     """Add every update on its own, so that one sum of known length bounds all of them."""
     count = math.prod(indices.shape[:-1])
     window = dimension_numbers.update_window_dims
@@ -197,61 +179,21 @@ def scattered(x, indices, updates, bind, dimension_numbers, **_):
     return summed(Interval(terms(x.lo, updates.lo), terms(x.hi, updates.hi)), axes=(0,))
 
 
-def comparison(holds, swap):
-    """Lift < or <= to Intervals: surely where it holds for the farthest ends, possibly where for the nearest."""
-
-    def rule(x, y, same=False, **_):
-        if same:
-            return jnp.full(x.shape, holds(0, 0))
-        x, y = (y, x) if swap else (x, y)
-        return Interval(holds(x.hi, y.lo), holds(x.lo, y.hi))
-
-    return rule
-
-
-def equals(x, y, same=False, **_):
-    """Compare for equality: sure for one and the same number, possible where x and y overlap."""
-    if same:
-        return jnp.ones(x.shape, bool)
-    return Interval((x.lo == x.hi) & (y.lo == y.hi) & (x.lo == y.lo), (x.lo <= y.hi) & (y.lo <= x.hi))
-
-
-def predicates(f):
-    """Lift an increasing operation on predicates."""
-
-    def rule(*xs, **_):
-        _need_predicates(xs)
-        return Interval(f(*(x.lo for x in xs)), f(*(x.hi for x in xs)))
-
-    return rule
-
-
-def _need_predicates(xs):
-    if any(x.dtype != jnp.bool_ for x in xs):
-        raise NotImplementedError("inclusion cannot follow the bits of an integer that depends on an interval")
-
-
-def negated(x, **_):
-    """Return not x."""
-    _need_predicates([x])
-    return Interval(~x.hi, ~x.lo)
-
-
-def selected(which, *cases, **_):
+def selected(which: Interval, *cases: Interval, **_: object) -> Interval:
     """Return the hull of the cases that are possible."""
-    none = Interval(most(cases[0].dtype), least(cases[0].dtype))
+    top, bottom = most(cases[0].dtype), least(cases[0].dtype)
     first, last = (end.astype(jnp.int32) for end in (which.lo, which.hi))
     possible = [(first <= k) & (k <= last) for k in range(len(cases))]
-    lo = [jnp.where(p, case.lo, none.lo) for p, case in zip(possible, cases, strict=True)]
-    hi = [jnp.where(p, case.hi, none.hi) for p, case in zip(possible, cases, strict=True)]
+    lo = [jnp.where(p, case.lo, top) for p, case in zip(possible, cases, strict=True)]
+    hi = [jnp.where(p, case.hi, bottom) for p, case in zip(possible, cases, strict=True)]
     return Interval(extreme(jnp.minimum, lo), extreme(jnp.maximum, hi))
 
 
-def converted(x, new_dtype, **_):
+def converted(x: Interval, new_dtype: DTypeLike, **_: object) -> Interval:
     """Change the type and not the number; a float cut to an integer rounds towards 0, and a predicate says whether it is not 0."""
     new = jnp.dtype(new_dtype)
     if new == jnp.bool_:
-        return negated(equals(x, enclose(jnp.zeros_like(x.lo))))
+        return negated(enclose(equals(x, enclose(jnp.zeros_like(x.lo)))))
     lo, hi = x.lo.astype(new), x.hi.astype(new)
     if jnp.issubdtype(new, jnp.floating):
         if x.dtype == jnp.bool_ or not whole(x) and new.itemsize >= x.dtype.itemsize:
@@ -266,14 +208,14 @@ def converted(x, new_dtype, **_):
     return Interval(jnp.where(fits, lo, least(new)), jnp.where(fits, hi, most(new)))
 
 
-def _near_zero(x, out, near, limit):
+def _near_zero(x: Interval, out: Interval, near: Callable[[Interval], Interval], limit: float) -> Interval:
     """Replace the ends of an increasing function within [-limit, limit] by those of a formula that keeps its digits there."""
     low, high = (jnp.clip(v, -limit, limit) for v in (x.lo, x.hi))
     lo, hi = near(Interval(low, low)).lo, near(Interval(high, high)).hi
     return Interval(jnp.where(low == x.lo, lo, out.lo), jnp.where(high == x.hi, hi, out.hi))
 
 
-def expm1(x, **_):
+def expm1(x: Interval, **_: object) -> Interval:
     """Return e^x - 1, near 0 by 2 t / (1 - t), t = tanh(x / 2)."""
 
     def near(v):
@@ -283,22 +225,22 @@ def expm1(x, **_):
     return _near_zero(x, sub(exp(x), 1.0), near, 1.0)
 
 
-def log1p(x, **_):
+def log1p(x: Interval, **_: object) -> Interval:
     """Return log(1 + x), near 0 by 2 atanh(x / (2 + x))."""
     return _near_zero(x, log(add(x, 1.0)), lambda v: scaled(atanh(div(v, add(v, 2.0))), 2.0), 0.5)
 
 
-def logistic(x, **_):
+def logistic(x: Interval, **_: object) -> Interval:
     """Return 1 / (1 + e^-x)."""
     return recip(add(exp(neg(x)), 1.0))
 
 
-def cube_root(x, **_):
+def cube_root(x: Interval, **_: object) -> Interval:
     """Return the cube root, by exp(log|x| / 3)."""
     return _signed_power(x, lambda v: exp(div(log(v), 3.0)), odd=True, at_zero=True)
 
 
-def power(x, y, numbers=(None, None), **_):
+def power(x: Interval, y: Interval, numbers: Numbers = (None, None), **_: object) -> Interval:
     """Return x^y: the real power of x >= 0, or of any x for an integer exponent."""
     exponent = numbers[1]
     if exponent == 0.5:
@@ -320,21 +262,21 @@ def power(x, y, numbers=(None, None), **_):
     return _with(out, 1, _meets_zero(x) & _meets_zero(y))  # 0^0
 
 
-def angle(y, x, **_):
+def angle(y: Interval, x: Interval, **_: object) -> Interval:
     """Return atan2, 0 at the origin."""
     return _with(atan2(y, x), 0, _meets_zero(y) & _meets_zero(x))
 
 
-def _with(x, number, present):
+def _with(x: Interval, number: float, present: jax.Array) -> Interval:
     """Add a number where it is present."""
     return Interval(jnp.where(present, jnp.minimum(x.lo, number), x.lo), jnp.where(present, jnp.maximum(x.hi, number), x.hi))
 
 
-def _meets_zero(x):
+def _meets_zero(x: Interval) -> jax.Array:
     return (x.lo <= 0) & (x.hi >= 0)
 
 
-def poles(f, *places):
+def poles(f: Callable[..., Interval], *places: tuple[float, float]) -> Rule:
     """Lift a function that is infinite at its poles, where it would be empty."""
 
     def rule(x, **_):
@@ -346,16 +288,16 @@ def poles(f, *places):
     return rule
 
 
-def integral(exponent):
+def integral(exponent: float | None) -> TypeGuard[float]:
     """True for a known exponent that is an integer."""
     return exponent is not None and float(exponent).is_integer() and abs(exponent) <= 2**31
 
 
-def _cut(x, lo, hi):
+def _cut(x: Interval, lo: float, hi: float) -> Interval:
     return intersection(x, Interval(jnp.full_like(x.lo, lo), jnp.full_like(x.hi, hi)))
 
 
-def _signed_power(x, power, odd, at_zero):
+def _signed_power(x: Interval, power: Callable[[Interval], Interval], odd: bool, at_zero: bool | jax.Array) -> Interval:
     """Join the powers of the positive and of the negative numbers of x; `at_zero` says where 0 has the power 0 (log 0 has no value)."""
 
     def half(v):
@@ -367,7 +309,7 @@ def _signed_power(x, power, odd, at_zero):
     return hull(right, neg(left) if odd else left)
 
 
-def remainder(x, y, **_):
+def remainder(x: Interval, y: Interval, **_: object) -> Interval:
     """Return x - y trunc(x / y), which has the sign of x and is smaller than y."""
     turns = div(x, y)
     low, high = jnp.trunc(turns.lo), jnp.trunc(turns.hi)
@@ -380,6 +322,6 @@ def remainder(x, y, **_):
     return Interval(jnp.where(turns.is_empty, jnp.inf, lo), jnp.where(turns.is_empty, -jnp.inf, hi))
 
 
-def of(f):
+def of(f: Callable[..., Interval]) -> Rule:
     """Lift a function of Intervals: the parameters of the primitive carry no mathematics."""
     return lambda *xs, **_: f(*xs)

@@ -10,30 +10,27 @@
 """
 
 import operator
+from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.inclusion.lifted import (
     added,
     angle,
-    comparison,
     contracted,
     converted,
     cube_root,
     divided,
     enclose,
-    equals,
     expm1,
-    integers,
     integral,
     log1p,
     logistic,
     multiplied,
-    negated,
     of,
     poles,
     power,
-    predicates,
     product,
     remainder,
     scanned,
@@ -41,15 +38,15 @@ from jaxbound.sets.inclusion.lifted import (
     selected,
     subtracted,
     summed,
-    whole,
 )
+from jaxbound.sets.inclusion.predicates import Rule, comparison, equals, integers, negated, predicates, whole
 from jaxbound.sets.intervals import elementary
 from jaxbound.sets.intervals.interval import Interval, div, mul, neg, pown, recip, sqr
 from jaxbound.sets.intervals.interval import abs as absolute
 
 __all__ = ["CONTINUOUS", "MOVED", "RISING", "RULES", "WHOLE"]
 
-MOVED = {  # the operands that are moved; all others are indices
+MOVED: dict[str, tuple[int, ...] | None] = {  # the operands that are moved; all others are indices
     "broadcast_in_dim": (0,), "reshape": (0,), "transpose": (0,), "squeeze": (0,), "expand_dims": (0,), "slice": (0,), "rev": (0,),
     "split": (0,), "tile": (0,), "copy": (0,), "copy_p": (0,), "stop_gradient": (0,), "dynamic_slice": (0,), "gather": (0,),
     "pad": (0, 1), "dynamic_update_slice": (0, 1), "scatter": (0, 2), "concatenate": None, "stack": None,
@@ -59,7 +56,7 @@ RISING = {"max", "min", "floor", "ceil", "round", "sign", "clamp", "sort", "redu
           "cummin"}  # fmt: skip
 
 
-COMPARISONS = {
+COMPARISONS: dict[str, Rule] = {
     "lt": comparison(operator.lt, False),
     "gt": comparison(operator.lt, True),
     "le": comparison(operator.le, False),
@@ -72,7 +69,7 @@ COMPARISONS = {
     "convert_element_type": converted,
 }
 
-RULES = COMPARISONS | {
+RULES: dict[str, Rule] = COMPARISONS | {
     "add": added,
     "add_any": added,
     "sub": subtracted,
@@ -102,7 +99,7 @@ ELEMENTARY = ("sqrt", "exp", "exp2", "log", "sin", "cos", "tan", "asin", "acos",
 RULES |= {name: of(getattr(elementary, name)) for name in ELEMENTARY} | {"atan2": angle}
 RULES |= {"log": poles(elementary.log, (0, -1)), "atanh": poles(elementary.atanh, (-1, -1), (1, 1)), "log1p": poles(log1p, (-1, -1))}
 
-WHOLE = COMPARISONS | {
+WHOLE: dict[str, Rule] = COMPARISONS | {
     "add": integers(jnp.add),
     "sub": integers(jnp.subtract),
     "mul": integers(jnp.multiply),
@@ -111,10 +108,10 @@ WHOLE = COMPARISONS | {
     "and": predicates(jnp.logical_and),
     "or": predicates(jnp.logical_or),
     "not": negated,
-    "xor": lambda x, y, **_: negated(equals(negated(x), negated(y))),
+    "xor": lambda x, y, **_: negated(enclose(equals(negated(x), negated(y)))),
 }
 
-CONTINUOUS = {
+CONTINUOUS: dict[str, Callable[..., jax.Array]] = {
     "sqrt": lambda out, x, **_: x.lo >= 0,
     "rsqrt": lambda out, x, **_: x.lo > 0,
     "log": lambda out, x, **_: x.lo > 0,
@@ -138,13 +135,13 @@ CONTINUOUS = {
 }
 
 
-def _decided(x):
+def _decided(x: Interval) -> jax.Array:
     return x.lo == x.hi
 
 
-def _nonzero(x):
+def _nonzero(x: Interval) -> jax.Array:
     return (x.lo > 0) | (x.hi < 0)
 
 
-def _constant(step, x):
+def _constant(step: Callable[[jax.Array], jax.Array], x: Interval) -> jax.Array:
     return step(x.lo) == step(x.hi)

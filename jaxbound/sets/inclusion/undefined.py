@@ -11,18 +11,24 @@ does not bound, so unbounded operands count as infinite. -0 counts as 0. `None`:
 
 import functools
 import operator
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias, overload
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Literal
+from jax.extend.core import JaxprEqn, Literal
 
-from jaxbound.sets.inclusion.lifted import integral, least, most, whole
+from jaxbound.sets.inclusion.lifted import integral
+from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.intervals.interval import Interval, hull, mag
 
 __all__ = ["MADE", "OBSERVED", "either", "observes", "possible"]
 
 
-def observes(eqn):
+Mark: TypeAlias = jax.Array | None
+
+
+def observes(eqn: JaxprEqn) -> bool:
     """True if the result of a primitive may be a number, a predicate or an integer though an operand is NaN."""
     name, params = eqn.primitive.name, eqn.params
     if name == "integer_pow":
@@ -34,13 +40,17 @@ def observes(eqn):
     return name in OBSERVED or name == "sort"
 
 
-def either(*marks):
+@overload
+def either(*marks: jax.Array) -> jax.Array: ...
+@overload
+def either(*marks: Mark) -> Mark: ...
+def either(*marks: Mark) -> Mark:
     """Return where any of the marks is True; None if none is given."""
     given = [m for m in marks if m is not None]
     return functools.reduce(operator.or_, given) if given else None
 
 
-def possible(name, out, sets, absent, about):
+def possible(name: str, out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], about: Mapping[str, Any]) -> Mark:
     """Return where the result `out` of a primitive may be NaN, from its operands and from where they may be."""
     made = MADE[name](out, *sets, **about) if name in MADE else None
     if name == "select_n":
@@ -51,7 +61,7 @@ def possible(name, out, sets, absent, about):
     return None if found is None else jnp.broadcast_to(found, out.shape)
 
 
-def _passed(name, mark, shape, about):
+def _passed(name: str, mark: jax.Array, shape: tuple[int, ...], about: Mapping[str, Any]) -> jax.Array:
     """Return where NaN among the operands reaches the results."""
     if name == "sort":
         return jnp.broadcast_to(jnp.any(mark, about["dimension"], keepdims=True), shape)  # NaN comes last, infinity at either end
@@ -64,7 +74,7 @@ def _passed(name, mark, shape, about):
     return mark if mark.shape == shape or not mark.shape else jnp.any(mark)
 
 
-def _chosen(which, marks, shape):
+def _chosen(which: Interval, marks: Sequence[Mark], shape: tuple[int, ...]) -> Mark:
     if all(m is None for m in marks):
         return None
     first, last = (end.astype(jnp.int32) for end in (which.lo, which.hi))
@@ -72,36 +82,36 @@ def _chosen(which, marks, shape):
     return jnp.broadcast_to(either(*parts), shape)
 
 
-def _unbounded(*xs):
+def _unbounded(*xs: Interval) -> jax.Array:
     return either(*((x.lo == -jnp.inf) | (x.hi == jnp.inf) for x in xs))
 
 
-def _zero(x):
+def _zero(x: Interval) -> jax.Array:
     return (x.lo <= 0) & (x.hi >= 0)
 
 
-def _sum(out, x, y, **_):
+def _sum(out: Interval, x: Interval, y: Interval, **_: object) -> jax.Array:
     return (x.hi == jnp.inf) & (y.lo == -jnp.inf) | (x.lo == -jnp.inf) & (y.hi == jnp.inf)
 
 
-def _difference(out, x, y, **_):
+def _difference(out: Interval, x: Interval, y: Interval, **_: object) -> jax.Array:
     return (x.hi == jnp.inf) & (y.hi == jnp.inf) | (x.lo == -jnp.inf) & (y.lo == -jnp.inf)
 
 
-def _product(out, x, y, **_):
+def _product(out: Interval, x: Interval, y: Interval, **_: object) -> jax.Array:
     return _zero(x) & _unbounded(y) | _zero(y) & _unbounded(x)
 
 
-def _unbounded_anywhere(out, *xs, **_):
+def _unbounded_anywhere(out: Interval, *xs: Interval, **_: object) -> jax.Array:
     return _unbounded(out) | jnp.any(jnp.stack([jnp.any(_unbounded(x)) for x in xs if isinstance(x, Interval)]))
 
 
-def _large(out, x, **_):
+def _large(out: Interval, x: Interval, **_: object) -> jax.Array:
     """True where a partial product of all factors may overflow, or be infinite, before a factor 0 comes."""
     return jnp.prod(jnp.maximum(mag(x), 1)) == jnp.inf
 
 
-MADE = {
+MADE: dict[str, Callable[..., jax.Array]] = {
     "sqrt": lambda out, x, **_: x.lo < 0,
     "rsqrt": lambda out, x, **_: x.lo <= 0,
     "log": lambda out, x, **_: x.lo <= 0,
@@ -130,30 +140,38 @@ MADE = {
 }
 
 
-def _undecided(out, sets, absent, **_):
-    return Interval(out.lo & ~either(*absent), out.hi | either(*absent))
+def _anywhere(absent: Sequence[Mark]) -> jax.Array:
+    """Return where any operand may be NaN; at least one may be."""
+    found = either(*absent)
+    assert found is not None
+    return found
 
 
-def _converted(out, sets, absent, **_):
+def _undecided(out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], **_: object) -> Interval:
+    return Interval(out.lo & ~_anywhere(absent), out.hi | _anywhere(absent))
+
+
+def _converted(out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], **_: object) -> Interval:
     """Leave a float; a predicate may be True, an integer anything."""
     if not whole(out):
         return out
-    return Interval(
-        jnp.where(absent[0], out.lo if out.dtype == bool else least(out.dtype), out.lo), jnp.where(absent[0], most(out.dtype), out.hi)
-    )
+    lost = _anywhere(absent)
+    return Interval(jnp.where(lost, out.lo if out.dtype == bool else least(out.dtype), out.lo), jnp.where(lost, most(out.dtype), out.hi))
 
 
-def _power(out, sets, absent, **_):
+def _power(out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], **_: object) -> Interval:
     """Add 1, which is NaN^0 and 1^NaN."""
     one = hull(out, Interval(jnp.ones_like(out.lo), jnp.ones_like(out.hi)))
-    return jax.tree.map(lambda a, b: jnp.where(either(*absent), a, b), one, out)
+    return jax.tree.map(lambda a, b: jnp.where(_anywhere(absent), a, b), one, out)
 
 
-def _clamped(out, sets, absent, **_):
+def _clamped(out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], **_: object) -> Interval:
     """Join all operands: clamp gives a bound for NaN, on some devices."""
     every = functools.reduce(hull, sets)
-    return jax.tree.map(lambda a, b: jnp.where(either(*absent), a, b), every, out)
+    return jax.tree.map(lambda a, b: jnp.where(_anywhere(absent), a, b), every, out)
 
 
-OBSERVED = {name: _undecided for name in ("lt", "gt", "le", "ge", "eq", "ne", "is_finite", "lt_to", "le_to")}
+OBSERVED: dict[str, Callable[..., Interval]] = {
+    name: _undecided for name in ("lt", "gt", "le", "ge", "eq", "ne", "is_finite", "lt_to", "le_to")
+}
 OBSERVED |= {"convert_element_type": _converted, "pow": _power, "integer_pow": _power, "clamp": _clamped}

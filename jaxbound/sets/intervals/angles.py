@@ -35,19 +35,19 @@ ARCSINE = [math.comb(2 * n, n) / 4**n / (2 * n + 1) for n in range(1, 15)]
 ASIN = {8: ARCSINE, 4: ARCSINE[:6]}
 
 
-def sin_cos_quadrant(x):
+def sin_cos_quadrant(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (sin x, cos x, q) for |x| <= LARGEST_ANGLE, x between q pi/2 and (q + 1) pi/2 exactly."""
     sine, cosine, k, below = _sin_cos(x)
     return sine, cosine, k - below
 
 
-def tan(x):
+def tan(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (tan x, q), q as in `sin_cos_quadrant`."""
     sine, cosine, q = sin_cos_quadrant(x)
     return rounding.quotient(sine, cosine), q
 
 
-def _reduced(x):
+def _reduced(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (r, rest, k) with x = k pi/2 + r + rest to more than twice the digits of x."""
     first, *middle, last = PI_HALVES[x.dtype.itemsize]
     k = jnp.round(x * float(2 / PI))
@@ -60,7 +60,7 @@ def _reduced(x):
 
 
 @jax.custom_jvp
-def _sin_cos(x):
+def _sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     r, rest, k = _reduced(x)
     z = r * r
     s = r + (rest - r * (z * series(z, SIN, alternating=True)))
@@ -78,7 +78,7 @@ def _sin_cos_rule(primals, tangents):
     return (sine, cosine, k, below), (cosine * tangents[0], -sine * tangents[0], jnp.zeros_like(k), jnp.zeros_like(k))
 
 
-def _angle(a, b):
+def _angle(a: jax.Array, b: jax.Array) -> jax.Array:
     """Return atan(a / b) for 0 <= a <= b, b of moderate size: atan c + atan t, t = (a - c b) / (b + c a)."""
     size = a.dtype.itemsize
     c, high, low = jnp.zeros_like(a), jnp.zeros_like(a), jnp.zeros_like(a)
@@ -90,7 +90,7 @@ def _angle(a, b):
     return high + (t + (low - t * (z * series(z, ODD, alternating=True))))
 
 
-def _direction(y, x):
+def _direction(y: jax.Array, x: jax.Array) -> jax.Array:
     """Return the angle in [0, pi] of (x, y), y >= 0."""
     size = x.dtype.itemsize
     length = jnp.abs(x)
@@ -101,7 +101,7 @@ def _direction(y, x):
 
 
 @jax.custom_jvp
-def atan2(y, x):
+def atan2(y: jax.Array, x: jax.Array) -> jax.Array:
     """Return the angle of (x, y) in [-pi, pi]; both 0, or both infinite, give a number without meaning."""
     largest = jnp.maximum(jnp.abs(y), jnp.abs(x))
     far = 2.0 ** (np.finfo(x.dtype).maxexp // 2)
@@ -115,7 +115,7 @@ def atan2(y, x):
 
 
 @with_derivative(lambda x, y: 1 / (1 + x * x))
-def atan(x):
+def atan(x: jax.Array) -> jax.Array:
     """Return the inverse tangent; from 2^100 on pi / 2."""
     return jnp.copysign(_direction(jnp.minimum(jnp.abs(x), 2.0**100), jnp.ones_like(x)), x)
 
@@ -129,13 +129,13 @@ def _atan2_rule(primals, tangents):
     return atan2(y, x), jnp.where(finite, (x / square) * dy - (y / square) * dx, 0)
 
 
-def _arcsine_near(x):
+def _arcsine_near(x: jax.Array) -> jax.Array:
     z = jnp.minimum(x * x, 0.0625)
     return x + x * (z * series(z, ASIN))
 
 
 @with_derivative(lambda x, y: 1 / jnp.sqrt((1 - x) * (1 + x)))
-def asin(x):
+def asin(x: jax.Array) -> jax.Array:
     """Return the inverse sine of -1 <= x <= 1."""
     size = jnp.abs(x)
     far = _direction(size, rounding.root((1 - size) * (1 + size)))
@@ -143,7 +143,7 @@ def asin(x):
 
 
 @with_derivative(lambda x, y: -1 / jnp.sqrt((1 - x) * (1 + x)))
-def acos(x):
+def acos(x: jax.Array) -> jax.Array:
     """Return the inverse cosine of -1 <= x <= 1; from 7/8 on 2 asin(sqrt((1 - x) / 2))."""
     far = _direction(rounding.root((1 - x) * (1 + x)), x)
     return jnp.where(x > 0.875, 2 * _arcsine_near(rounding.root(0.5 * (1 - x))), far)

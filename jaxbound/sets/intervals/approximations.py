@@ -21,12 +21,15 @@ shortened (`economized`).
 """
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
@@ -34,6 +37,8 @@ __all__ = [
     "UNITS", "acosh", "asinh", "atanh", "cosh", "exp", "exp10", "exp2", "log", "log10", "log2", "power", "parts", "series",
     "sinh", "tanh", "two_parts", "with_derivative",
 ]  # fmt: skip
+
+Function: TypeAlias = Callable[[jax.Array], jax.Array]
 
 UNITS = {
     "sqrt": 4, "exp": 4, "exp2": 4, "exp10": 4, "log": 4, "log2": 5.2, "log10": 5.2, "sin": 4, "cos": 4, "tan": 6, "asin": 6, "acos": 6,
@@ -44,7 +49,7 @@ LOG_2 = Fraction("0.693147180559945309417232121458176568075500134360255254120680
 LOG_10 = Fraction("2.30258509299404568401799145468436420760110148862877297603332790096757260967735248")
 
 
-def parts(value, grids):
+def parts(value: Fraction, grids: Sequence[int]) -> list[float]:
     """Split an exact number into floats: the first ones multiples of 2^-g for g in grids, the last one the rest."""
     out = []
     for g in grids:
@@ -56,7 +61,7 @@ def parts(value, grids):
 GRID = {8: 42, 4: 15}  # multiples of log 2 with k up to 2^11 (2^8) are exact on this grid
 
 
-def two_parts(value, grid):
+def two_parts(value: Fraction, grid: Mapping[int, int]) -> dict[int, list[float]]:
     """Split an exact number for each size of float into a multiple of 2^-g and the rest."""
     return {size: parts(value, (digits,)) for size, digits in grid.items()}
 
@@ -68,14 +73,15 @@ BASES = {  # base b: log_b 2 in two parts, 1 / log_b 2, log b
 }
 
 
-def economized(coefficients, lo, hi, count):
+def economized(coefficients: Sequence[Fraction], lo: Fraction, hi: Fraction, count: int) -> list[float]:
     """Shorten a polynomial on [lo, hi] to `count` terms: from the top, each term gives way to its best approximation (Chebyshev's)."""
     out, mid, rad = list(coefficients), (hi + lo) / 2, (hi - lo) / 2
+    zero = Fraction(0)
     while len(out) > count:
         before, wave = [Fraction(1)], [-mid / rad, 1 / rad]  # T_n((x - mid) / rad) of growing n
         while len(wave) < len(out):
-            up = [2 * (b - mid * a) / rad for a, b in zip([*wave, 0], [0, *wave], strict=True)]
-            before, wave = wave, [a - b for a, b in zip(up, [*before, 0, 0], strict=True)]
+            up = [2 * (b - mid * a) / rad for a, b in zip([*wave, zero], [zero, *wave], strict=True)]
+            before, wave = wave, [a - b for a, b in zip(up, [*before, zero, zero], strict=True)]
         out = [a - b * out[-1] / wave[-1] for a, b in zip(out, wave, strict=True)][:-1]
     return [float(c) for c in out]
 
@@ -95,7 +101,7 @@ LOG = {size: economized(LOG_TERMS, Fraction(0), Fraction(1, 33), count) for size
 ODD = {8: [1 / (2 * n + 1) for n in range(1, 11)], 4: [1 / (2 * n + 1) for n in range(1, 5)]}
 
 
-def series(z, coefficients, alternating=False):
+def series(z: jax.Array, coefficients: Mapping[int, Sequence[float]], alternating: bool = False) -> jax.Array:
     """Return the polynomial c0 + c1 z + c2 z^2 + ... (with alternating signs: in -z)."""
     chosen = coefficients[z.dtype.itemsize]
     z = -z if alternating else z
@@ -105,7 +111,7 @@ def series(z, coefficients, alternating=False):
     return total
 
 
-def with_derivative(derivative):
+def with_derivative(derivative: Callable[[jax.Array, jax.Array], ArrayLike]) -> Callable[[Function], Function]:
     """Make f(x) differentiable by derivative(x, f(x)), 0 where that is not finite."""
 
     def decorate(f):
@@ -114,7 +120,7 @@ def with_derivative(derivative):
         @g.defjvp
         def rule(primals, tangents):
             y = g(*primals)
-            slope = derivative(*primals, y)
+            slope = derivative(primals[0], y)
             return y, jnp.where(jnp.isfinite(slope), slope, 0) * tangents[0]
 
         return g
@@ -125,7 +131,7 @@ def with_derivative(derivative):
 # exponentials
 
 
-def _exp_reduced(x, base="e"):
+def _exp_reduced(x: jax.Array, base: str = "e") -> tuple[jax.Array, jax.Array]:
     """Return (r, k) with base^x = 2^k e^r, |r| < 0.35."""
     digits, per_unit, log_base = BASES[base]
     high, low = digits[x.dtype.itemsize]
@@ -133,13 +139,13 @@ def _exp_reduced(x, base="e"):
     return ((x - k * high) - k * low) * log_base, k
 
 
-def _exp_parts(x, base="e"):
+def _exp_parts(x: jax.Array, base: str = "e") -> tuple[jax.Array, jax.Array]:
     """Return (s, k) with base^x = 2^k (1 + s), |s| < 0.42."""
     r, k = _exp_reduced(x, base)
     return r + r * r * series(r, EXP), k
 
 
-def _exponential(x, base):
+def _exponential(x: jax.Array, base: str) -> jax.Array:
     """Return base^x: 0 where it is below 1.42 times the smallest normal number, twice which `rounding.outward` adds."""
     top, per_unit = np.finfo(x.dtype).maxexp, BASES[base][1]
     if base == "2":  # its smallest value is exact
@@ -150,19 +156,19 @@ def _exponential(x, base):
 
 
 @with_derivative(lambda x, y: y)
-def exp(x):
+def exp(x: jax.Array) -> jax.Array:
     """Return e^x."""
     return _exponential(x, "e")
 
 
 @with_derivative(lambda x, y: y * float(LOG_2))
-def exp2(x):
+def exp2(x: jax.Array) -> jax.Array:
     """Return 2^x."""
     return _exponential(x, "2")
 
 
 @with_derivative(lambda x, y: y * float(LOG_10))
-def exp10(x):
+def exp10(x: jax.Array) -> jax.Array:
     """Return 10^x."""
     return _exponential(x, "10")
 
@@ -170,43 +176,43 @@ def exp10(x):
 # logarithms
 
 
-def _log1p_near(f):
+def _log1p_near(f: jax.Array) -> jax.Array:
     """Return log(1 + f) for 1 + f between sqrt(1/2) and sqrt(2)."""
     s, half_square = f / (2 + f), 0.5 * f * f
     z = s * s
     return f - (half_square - s * (half_square + 2 * z * series(z, LOG)))
 
 
-def _logarithm(x, base):
+def _logarithm(x: jax.Array, base: str) -> jax.Array:
     m, k = rounding.mantissa_exponent(x)
     return _joined(_log1p_near(m - 1), k, x, base)
 
 
-def _joined(near, k, x, base="e"):
+def _joined(near: jax.Array, k: jax.Array, x: jax.Array, base: str = "e") -> jax.Array:
     high, low = BASES[base][0][x.dtype.itemsize]
     near = near if base == "e" else near * float(1 / {"2": LOG_2, "10": LOG_10}[base])
     return jnp.where(jnp.isinf(x), x, k * high + (near + k * low))
 
 
 @with_derivative(lambda x, y: 1 / x)
-def log(x):
+def log(x: jax.Array) -> jax.Array:
     """Return log x for normal x > 0."""
     return _logarithm(x, "e")
 
 
 @with_derivative(lambda x, y: float(1 / LOG_2) / x)
-def log2(x):
+def log2(x: jax.Array) -> jax.Array:
     """Return the logarithm to base 2 of normal x > 0."""
     return _logarithm(x, "2")
 
 
 @with_derivative(lambda x, y: float(1 / LOG_10) / x)
-def log10(x):
+def log10(x: jax.Array) -> jax.Array:
     """Return the logarithm to base 10 of normal x > 0."""
     return _logarithm(x, "10")
 
 
-def _log1p(a, shift):
+def _log1p(a: jax.Array, shift: jax.Array) -> jax.Array:
     """Return log(1 + a) + shift log 2 for a >= 0, without the rounding of 1 + a: f = a 2^-k + (2^-k - 1)."""
     _, k = rounding.mantissa_exponent(1 + a)
     k = jnp.minimum(k, np.finfo(a.dtype).maxexp - 2)
@@ -215,7 +221,7 @@ def _log1p(a, shift):
 
 
 @with_derivative(lambda x, y: 1 / jnp.sqrt(1 + x * x))
-def asinh(x):
+def asinh(x: jax.Array) -> jax.Array:
     """Return the inverse hyperbolic sine: log(1 + a), a = |x| + x^2 / (1 + sqrt(1 + x^2)); from 2^60 on log(2 |x|)."""
     size = jnp.abs(x)
     big = size > 2.0**60
@@ -227,7 +233,7 @@ def asinh(x):
 
 
 @with_derivative(lambda x, y: 1 / jnp.sqrt((x - 1) * (x + 1)))
-def acosh(x):
+def acosh(x: jax.Array) -> jax.Array:
     """Return the inverse hyperbolic cosine of x >= 1: log(1 + a), a = t + sqrt(t (t + 2)), t = x - 1; from 2^60 on log(2 x)."""
     big = x > 2.0**60
     t = jnp.minimum(x, 2.0**60) - 1
@@ -236,7 +242,7 @@ def acosh(x):
 
 
 @with_derivative(lambda x, y: 1 / ((1 - x) * (1 + x)))
-def atanh(x):
+def atanh(x: jax.Array) -> jax.Array:
     """Return the inverse hyperbolic tangent of -1 < x < 1: log(1 + 2 |x| / (1 - |x|)) / 2; near 0 its series."""
     size = jnp.abs(x)
     z = jnp.minimum(size, 0.17) ** 2
@@ -248,12 +254,12 @@ def atanh(x):
 # hyperbolic functions
 
 
-def _small_sinh_cosh(x):
+def _small_sinh_cosh(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     z = jnp.minimum(x * x, 1)
     return x + x * (z * series(z, SINH)), 1 + (0.5 * z + z * z * series(z, COSH))
 
 
-def _large_sinh_cosh(x):
+def _large_sinh_cosh(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return both for x >= 1: 2^(k-1) (1 + (s -+ h)), h = 2^-2k / (1 + s)."""
     s, k = _exp_parts(jnp.minimum(x, 0.8 * np.finfo(x.dtype).maxexp))
     h = rounding.power_of_two(-2 * jnp.clip(k, 0, 60)) / (1 + s)
@@ -261,21 +267,21 @@ def _large_sinh_cosh(x):
 
 
 @with_derivative(lambda x, y: cosh(x))
-def sinh(x):
+def sinh(x: jax.Array) -> jax.Array:
     """Return the hyperbolic sine."""
     size = jnp.abs(x)
     return jnp.where(size > 1, jnp.copysign(_large_sinh_cosh(size)[0], x), _small_sinh_cosh(x)[0])
 
 
 @with_derivative(lambda x, y: sinh(x))
-def cosh(x):
+def cosh(x: jax.Array) -> jax.Array:
     """Return the hyperbolic cosine."""
     size = jnp.abs(x)
     return jnp.where(size > 1, _large_sinh_cosh(size)[1], _small_sinh_cosh(size)[1])
 
 
 @with_derivative(lambda x, y: (1 - y) * (1 + y))
-def tanh(x):
+def tanh(x: jax.Array) -> jax.Array:
     """Return the hyperbolic tangent: |x| (1 - q), q = w N / B, up to 1; from there 1 - q, q = 2 / (e^2|x| + 1); 1 beyond 30.
 
     With tanh y = y A / B, A = B - w N, e^r is (B + y A) / (B - y A), y = r / 2: one division serves both.
@@ -296,11 +302,12 @@ def tanh(x):
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
-def power(x, n):
+def power(x: jax.Array, n: int) -> jax.Array:
     """Return x^n for normal x >= 0 and a Python integer n > 0, by squaring in double-word arithmetic with exponents apart."""
     inside = (x > 0) & jnp.isfinite(x)
     m, k = rounding.mantissa_exponent(jnp.where(inside, x, 1))
-    base, out, exponent = (m, jnp.zeros_like(m)), None, jnp.zeros_like(m)
+    base, exponent = (m, jnp.zeros_like(m)), jnp.zeros_like(m)
+    out: rounding.Pair | None = None
     while n:
         if n & 1:
             out, exponent = base if out is None else rounding.dd_mul(out, base), exponent + k
@@ -309,6 +316,7 @@ def power(x, n):
             high, low = rounding.dd_mul(base, base)
             m, more = rounding.mantissa_exponent(high)
             base, k = (m, low * rounding.power_of_two(-more)), jnp.clip(2 * k + more, -1e5, 1e5)
+    assert out is not None  # n > 0
     limit = 1.9 * np.finfo(x.dtype).maxexp
     m, more = rounding.mantissa_exponent(out[0] + out[1])
     return jnp.where(inside, rounding.scale(m, jnp.clip(exponent + more, -limit, limit)), x)

@@ -1,15 +1,24 @@
 """What a user hands over as a bound, made a float: checked on the host, rounded outward where a float cannot say it."""
 
+from collections.abc import Callable
+from fractions import Fraction
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
 __all__ = ["bound", "check"]
 
 
-def check(lo, hi):
+Number: TypeAlias = ArrayLike | Fraction
+"""What a bound is read from."""
+
+
+def check(lo: np.ndarray, hi: np.ndarray) -> None:
     """Raise ValueError if two arrays of bounds are not intervals: NaN, lo > hi (unless empty), an infinite point."""
     empty = (lo == np.inf) & (hi == -np.inf)
     for bad, rule in (
@@ -22,7 +31,7 @@ def check(lo, hi):
             raise ValueError(f"{rule}: {bad.sum()} of {bad.size} entries violate it, first at {first}")
 
 
-def bound(x, directed):
+def bound(x: Number, directed: Callable[..., np.ndarray]) -> jax.Array | np.ndarray:
     """Convert to a float32 or float64 array; a number that does not fit is rounded in the given direction."""
     if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
         return x if x.dtype.itemsize >= 4 else x.astype(jnp.float32)

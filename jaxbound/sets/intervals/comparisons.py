@@ -1,24 +1,25 @@
 """Relations between Intervals, and membership: exact for all floats, by their bits, for compiled code compares subnormal numbers as 0."""
 
 import operator
+from collections.abc import Callable
 from functools import reduce, wraps
 
 import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.bounds import bound
-from jaxbound.sets.intervals.interval import Interval, pair
+from jaxbound.sets.intervals.bounds import Number, bound
+from jaxbound.sets.intervals.interval import Interval, Operand, pair
 
 __all__ = ["contains", "disjoint", "equal", "interior", "less", "precedes", "subset"]
 
 
-def _ordered(x):
+def _ordered(x: Interval) -> Interval:
     """Return the bounds as integers in the order of floats, which are compared exactly."""
     return Interval(rounding.order(x.lo), rounding.order(x.hi))
 
 
-def _relation(holds):
+def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], jax.Array]:
     """Lift holds(x, y, no x, no y, infinity), its bounds integers in the order of floats; no relation holds for a bound that is NaN."""
 
     @wraps(holds)
@@ -31,43 +32,43 @@ def _relation(holds):
 
 
 @_relation
-def equal(x, y, *_):
+def equal(x: Interval, y: Interval, *_: jax.Array) -> jax.Array:
     """True where both are the same set. Source: IEEE 1788 equal."""
     return (x.lo == y.lo) & (x.hi == y.hi)
 
 
 @_relation
-def subset(x, y, nothing, *_):
+def subset(x: Interval, y: Interval, nothing: jax.Array, *_: jax.Array) -> jax.Array:
     """True where x lies in y. Source: IEEE 1788 subset."""
     return nothing | ((x.lo >= y.lo) & (x.hi <= y.hi))
 
 
 @_relation
-def interior(x, y, nothing, nowhere, infinite):
+def interior(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, infinite: jax.Array) -> jax.Array:
     """True where x lies in the interior of y. Source: IEEE 1788 interior."""
     below, above = (x.lo > y.lo) | (y.lo == -infinite), (x.hi < y.hi) | (y.hi == infinite)
     return nothing | (below & above & ~nowhere)
 
 
 @_relation
-def disjoint(x, y, nothing, nowhere, _):
+def disjoint(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, _: jax.Array) -> jax.Array:
     """True where no point is shared. Source: IEEE 1788 disjoint."""
     return nothing | nowhere | (x.hi < y.lo) | (y.hi < x.lo)
 
 
 @_relation
-def less(x, y, nothing, nowhere, _):
+def less(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, _: jax.Array) -> jax.Array:
     """True where x is weakly below y: both ends are. Source: IEEE 1788 less."""
     return (nothing & nowhere) | (~nothing & ~nowhere & (x.lo <= y.lo) & (x.hi <= y.hi))
 
 
 @_relation
-def precedes(x, y, nothing, nowhere, _):
+def precedes(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, _: jax.Array) -> jax.Array:
     """True where every point of x is <= every point of y. Source: IEEE 1788 precedes."""
     return nothing | nowhere | (x.hi <= y.lo)
 
 
-def contains(x, point):
+def contains(x: Interval, point: Number) -> jax.Array:
     """True where the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
     # a number between two floats lies in x where both do
     below, above = (jnp.asarray(bound(point, directed)) for directed in (rounding.round_down, rounding.round_up))

@@ -17,15 +17,18 @@ Example:
     True
 """
 
+from collections.abc import Callable, Sequence
 from functools import reduce, wraps
+from typing import cast, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals import angles, approximations
-from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.intervals.interval import Interval, Operand, interval
 
 __all__ = [
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "exp10", "exp2", "fma", "log", "log10", "log2",
@@ -33,15 +36,21 @@ __all__ = [
 ]  # fmt: skip
 
 
-def _elementary(f):
+@overload
+def _elementary(f: Callable[[Interval], Interval]) -> Callable[[Operand], Interval]: ...
+@overload
+def _elementary(f: Callable[[Interval, Interval], Interval]) -> Callable[[Operand, Operand], Interval]: ...
+@overload
+def _elementary(f: Callable[[Interval, Interval, Interval], Interval]) -> Callable[[Operand, Operand, Operand], Interval]: ...
+def _elementary(f: Callable[..., Interval]) -> Callable[..., Interval]:
     """Compile a function of Intervals; numbers and arrays are taken as points."""
 
     @jax.jit
     def compiled(*xs):
-        xs = [Interval(*rounding.readable(x.lo, x.hi)) for x in xs]
-        out = f(*xs)
-        lo = jnp.where(reduce(jnp.logical_or, [x.lo == jnp.inf for x in xs]), jnp.inf, out.lo)
-        return Interval(lo, jnp.where(reduce(jnp.logical_or, [x.hi == -jnp.inf for x in xs]), -jnp.inf, out.hi))
+        sets = [Interval(*rounding.readable(x.lo, x.hi)) for x in xs]
+        out = f(*sets)
+        lo = jnp.where(reduce(jnp.logical_or, [x.lo == jnp.inf for x in sets]), jnp.inf, out.lo)
+        return Interval(lo, jnp.where(reduce(jnp.logical_or, [x.hi == -jnp.inf for x in sets]), -jnp.inf, out.hi))
 
     @wraps(f)
     def call(*xs):
@@ -50,7 +59,7 @@ def _elementary(f):
     return call
 
 
-def _joined(xs):
+def _joined(xs: Sequence[Operand]) -> list[Interval]:
     """Return Intervals of one shape and dtype; a plain number takes the dtype of its partners, outward."""
     given = [x for x in xs if isinstance(x, Interval)]
     dtype = jnp.result_type(*(x.dtype for x in given)) if given else None
@@ -64,34 +73,34 @@ def _joined(xs):
     return [Interval(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (x.lo, x.hi))) for x in out]
 
 
-def _widen(name, lo, hi, least=-np.inf, largest=np.inf):
+def _widen(name: str, lo: jax.Array, hi: jax.Array, least: ArrayLike = -np.inf, largest: ArrayLike = np.inf) -> tuple[jax.Array, jax.Array]:
     """Widen by the bound of `name` and cut to its range."""
     lo, hi = rounding.outward(lo, hi, approximations.UNITS[name])
     return jnp.maximum(lo, least), jnp.minimum(hi, largest)
 
 
-def _odd(x, lo, hi):
+def _odd(x: Interval, lo: jax.Array, hi: jax.Array) -> Interval:
     """Keep the sign of an odd increasing function, and 0 at 0."""
     return Interval(jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi))
 
 
-def _up(value, dtype):
+def _up(value: object, dtype: DTypeLike) -> np.floating:
     """Return the float of `dtype` above an exact number."""
-    return rounding.round_up(value, dtype)[()]
+    return cast(np.floating, rounding.round_up(value, dtype)[()])
 
 
-def _within(x, least, largest):
+def _within(x: Interval, least: float, largest: float) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the ends of x cut to a domain, and whether anything is left."""
     lo, hi = jnp.clip(x.lo, least, largest), jnp.clip(x.hi, least, largest)
     return lo, hi, (x.hi < least) | (x.lo > largest)
 
 
-def _emptied(empty, lo, hi):
+def _emptied(empty: jax.Array, lo: jax.Array, hi: jax.Array) -> Interval:
     return Interval(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
 @_elementary
-def sqrt(x):
+def sqrt(x: Interval) -> Interval:
     """Return the square root of the numbers >= 0 in x. Source: IEEE 1788 sqrt."""
     empty = rounding.positive(-x.hi)
     low, high = (_root(jnp.where(empty, jnp.nan, jnp.maximum(end, 0))) for end in (x.lo, x.hi))
@@ -100,11 +109,11 @@ def sqrt(x):
 
 
 @approximations.with_derivative(lambda x, y: 0.5 / y)
-def _root(x):
+def _root(x: jax.Array) -> jax.Array:
     return jnp.sqrt(x)
 
 
-def _exponential(name, x):
+def _exponential(name: str, x: Interval) -> Interval:
     """Enclose a power of x, exactly where the power is known to be a float."""
     f = getattr(approximations, name)
     low, high = f(x.lo), f(x.hi)
@@ -117,24 +126,24 @@ def _exponential(name, x):
 
 
 @_elementary
-def exp(x):
+def exp(x: Interval) -> Interval:
     """Return e^x. Source: IEEE 1788 exp."""
     return _exponential("exp", x)
 
 
 @_elementary
-def exp2(x):
+def exp2(x: Interval) -> Interval:
     """Return 2^x. Source: IEEE 1788 exp2."""
     return _exponential("exp2", x)
 
 
 @_elementary
-def exp10(x):
+def exp10(x: Interval) -> Interval:
     """Return 10^x. Source: IEEE 1788 exp10."""
     return _exponential("exp10", x)
 
 
-def _logarithm(name, x):
+def _logarithm(name: str, x: Interval) -> Interval:
     f, low, high = getattr(approximations, name), rounding.positive(x.lo), rounding.positive(x.hi)
     lo, hi = _widen(name, f(jnp.where(low, x.lo, 1)), f(jnp.where(high, x.hi, 1)))
     lo, hi = jnp.where(x.lo == 1, 0, lo), jnp.where(x.hi == 1, 0, hi)
@@ -142,19 +151,19 @@ def _logarithm(name, x):
 
 
 @_elementary
-def log(x):
+def log(x: Interval) -> Interval:
     """Return the natural logarithm of the numbers > 0 in x. Source: IEEE 1788 log."""
     return _logarithm("log", x)
 
 
 @_elementary
-def log2(x):
+def log2(x: Interval) -> Interval:
     """Return the logarithm to base 2 of the numbers > 0 in x. Source: IEEE 1788 log2."""
     return _logarithm("log2", x)
 
 
 @_elementary
-def log10(x):
+def log10(x: Interval) -> Interval:
     """Return the logarithm to base 10 of the numbers > 0 in x. Source: IEEE 1788 log10."""
     return _logarithm("log10", x)
 
@@ -167,12 +176,12 @@ def _turns(x, f):
     return jax.lax.optimization_barrier((f(jnp.clip(x.lo, -limit, limit)), f(jnp.clip(x.hi, -limit, limit)), cut))
 
 
-def _meets(low, high, k, period):
+def _meets(low: jax.Array, high: jax.Array, k: int, period: int) -> jax.Array:
     """True where [lo, hi], in quadrants low to high, holds a multiple n of pi/2 with n = k modulo the period."""
     return jnp.floor((high - k) / period) > jnp.floor((low - k) / period)
 
 
-def _wave(x, which):
+def _wave(x: Interval, which: int) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Enclose sin (which = 0) or cos (1), 1 at quarter turn `top`, -1 two quarters later; return the quadrants of the ends as well."""
     (*low, first), (*high, last), cut = _turns(x, angles.sin_cos_quadrant)
     a, b, top = low[which], high[which], 1 - which
@@ -182,7 +191,7 @@ def _wave(x, which):
 
 
 @_elementary
-def sin(x):
+def sin(x: Interval) -> Interval:
     """Return the sine. Source: IEEE 1788 sin."""
     lo, hi, first, last = _wave(x, 0)
     lo = jnp.where((x.lo == 0) & (last < 2), jnp.maximum(lo, 0), lo)
@@ -190,14 +199,14 @@ def sin(x):
 
 
 @_elementary
-def cos(x):
+def cos(x: Interval) -> Interval:
     """Return the cosine. Source: IEEE 1788 cos."""
     lo, hi, *_ = _wave(x, 1)
     return Interval(jnp.where((x.lo == 0) & (x.hi == 0), 1, lo), hi)
 
 
 @_elementary
-def tan(x):
+def tan(x: Interval) -> Interval:
     """Return the tangent; entire where x meets a pole. Source: IEEE 1788 tan."""
     (low, first), (high, last), cut = _turns(x, angles.tan)
     lo, hi = _widen("tan", low, high)
@@ -207,7 +216,7 @@ def tan(x):
 
 
 @_elementary
-def asin(x):
+def asin(x: Interval) -> Interval:
     """Return the inverse sine of the numbers of x in [-1, 1]. Source: IEEE 1788 asin."""
     low, high, empty = _within(x, -1, 1)
     top = _up(angles.PI / 2, x.dtype)
@@ -216,7 +225,7 @@ def asin(x):
 
 
 @_elementary
-def acos(x):
+def acos(x: Interval) -> Interval:
     """Return the inverse cosine of the numbers of x in [-1, 1]. Source: IEEE 1788 acos."""
     low, high, empty = _within(x, -1, 1)
     lo, hi = _widen("acos", angles.acos(high), angles.acos(low), 0, _up(angles.PI, x.dtype))
@@ -224,14 +233,14 @@ def acos(x):
 
 
 @_elementary
-def atan(x):
+def atan(x: Interval) -> Interval:
     """Return the inverse tangent. Source: IEEE 1788 atan."""
     top = _up(angles.PI / 2, x.dtype)
     return _odd(x, *_widen("atan", angles.atan(x.lo), angles.atan(x.hi), -top, top))
 
 
 @_elementary
-def atan2(y, x):
+def atan2(y: Interval, x: Interval) -> Interval:
     """Return the angles in (-pi, pi] of the points (x, y), the origin left out; [-pi, pi] across the cut. Source: IEEE 1788 atan2."""
     above, below = y.lo >= 0, y.hi <= 0
     straddling = ~above & ~below
@@ -250,13 +259,13 @@ def atan2(y, x):
 
 
 @_elementary
-def sinh(x):
+def sinh(x: Interval) -> Interval:
     """Return the hyperbolic sine. Source: IEEE 1788 sinh."""
     return _odd(x, *_widen("sinh", approximations.sinh(x.lo), approximations.sinh(x.hi)))
 
 
 @_elementary
-def cosh(x):
+def cosh(x: Interval) -> Interval:
     """Return the hyperbolic cosine. Source: IEEE 1788 cosh."""
     near, far = jnp.maximum(jnp.maximum(x.lo, -x.hi), 0), jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi))
     lo, hi = _widen("cosh", approximations.cosh(near), approximations.cosh(far), least=1)
@@ -264,19 +273,19 @@ def cosh(x):
 
 
 @_elementary
-def tanh(x):
+def tanh(x: Interval) -> Interval:
     """Return the hyperbolic tangent. Source: IEEE 1788 tanh."""
     return _odd(x, *_widen("tanh", approximations.tanh(x.lo), approximations.tanh(x.hi), -1, 1))
 
 
 @_elementary
-def asinh(x):
+def asinh(x: Interval) -> Interval:
     """Return the inverse hyperbolic sine. Source: IEEE 1788 asinh."""
     return _odd(x, *_widen("asinh", approximations.asinh(x.lo), approximations.asinh(x.hi)))
 
 
 @_elementary
-def acosh(x):
+def acosh(x: Interval) -> Interval:
     """Return the inverse hyperbolic cosine of the numbers >= 1 in x. Source: IEEE 1788 acosh."""
     low, high, empty = _within(x, 1, jnp.inf)
     lo, hi = _widen("acosh", approximations.acosh(low), approximations.acosh(high), least=0)
@@ -284,7 +293,7 @@ def acosh(x):
 
 
 @_elementary
-def atanh(x):
+def atanh(x: Interval) -> Interval:
     """Return the inverse hyperbolic tangent of the numbers of x in (-1, 1). Source: IEEE 1788 atanh."""
     low, high, _ = _within(x, -1, 1)
     out = _odd(x, *_widen("atanh", approximations.atanh(low), approximations.atanh(high)))
@@ -292,14 +301,14 @@ def atanh(x):
 
 
 @_elementary
-def fma(x, y, z):
+def fma(x: Interval, y: Interval, z: Interval) -> Interval:
     """Return x * y + z, rounded once. Source: IEEE 1788 fma."""
     factors = [(a, b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
     low, high = ([_fused(a, b, c, side) for a, b in factors] for side, c in enumerate((z.lo, z.hi)))
     return Interval(reduce(jnp.minimum, low), reduce(jnp.maximum, high))
 
 
-def _fused(a, b, c, side):
+def _fused(a: jax.Array, b: jax.Array, c: jax.Array, side: int) -> jax.Array:
     """Return a bound of a b + c from below (side 0) or above (1): two_prod and two_sum keep what the product and the sum lose.
 
     Factors whose product could overflow or lose digits to underflow, and sums that could overflow, are rounded twice instead.

@@ -7,9 +7,13 @@ Compiled code reads a subnormal number as 0. Operations therefore move such a bo
 has room for it), and comparisons look at the bits. So it does not matter who built an Interval, the factory or the class.
 """
 
+from __future__ import annotations
+
 import operator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial, reduce
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +21,7 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals import approximations
-from jaxbound.sets.intervals.bounds import bound, check
+from jaxbound.sets.intervals.bounds import Number, bound, check
 
 __all__ = [
     "Interval", "abs", "add", "div", "hull", "interval", "mag", "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown",
@@ -42,55 +46,78 @@ class Interval:
 
     _settled = False  # see `computed`
 
-    mid = property(lambda self: mid(self), doc="A float inside, near the middle; NaN if empty.")
-    rad = property(lambda self: rad(self), doc="Half the width, rounded up: [mid - rad, mid + rad] encloses; NaN if empty.")
-    wid = property(lambda self: wid(self), doc="hi - lo, rounded up; NaN if empty.")
-    is_empty = property(lambda self: self.lo > self.hi, doc="True where there is no point.")
-    shape = property(lambda self: jnp.shape(self.lo), doc="Shape of the array of intervals.")
-    dtype = property(lambda self: self.lo.dtype, doc="Float type of the bounds.")
+    @property
+    def mid(self) -> jax.Array:
+        """A float inside, near the middle; NaN if empty."""
+        return mid(self)
 
-    def __add__(self, other):
+    @property
+    def rad(self) -> jax.Array:
+        """Half the width, rounded up: [mid - rad, mid + rad] encloses; NaN if empty."""
+        return rad(self)
+
+    @property
+    def wid(self) -> jax.Array:
+        """Hi - lo, rounded up; NaN if empty."""
+        return wid(self)
+
+    @property
+    def is_empty(self) -> jax.Array:
+        """True where there is no point."""
+        return self.lo > self.hi
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array of intervals."""
+        return jnp.shape(self.lo)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Float type of the bounds."""
+        return self.lo.dtype
+
+    def __add__(self, other: Operand) -> Interval:
         return add(self, other)
 
-    def __sub__(self, other):
+    def __sub__(self, other: Operand) -> Interval:
         return sub(self, other)
 
-    def __mul__(self, other):
+    def __mul__(self, other: Operand) -> Interval:
         return mul(self, other)
 
-    def __truediv__(self, other):
+    def __truediv__(self, other: Operand) -> Interval:
         return div(self, other)
 
-    def __matmul__(self, other):
+    def __matmul__(self, other: Operand) -> Interval:
         return matmul(self, other)
 
-    def __rsub__(self, other):
+    def __rsub__(self, other: Operand) -> Interval:
         return sub(other, self)
 
-    def __rtruediv__(self, other):
+    def __rtruediv__(self, other: Operand) -> Interval:
         return div(other, self)
 
-    def __rmatmul__(self, other):
+    def __rmatmul__(self, other: Operand) -> Interval:
         return matmul(other, self)
 
     __radd__, __rmul__ = __add__, __mul__
 
-    def __neg__(self):
+    def __neg__(self) -> Interval:
         return neg(self)
 
-    def __abs__(self):
+    def __abs__(self) -> Interval:
         return abs(self)
 
-    def __pow__(self, n):
+    def __pow__(self, n: int) -> Interval:
         return pown(self, n)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: object) -> Interval:
         return (computed if self._settled else Interval)(self.lo[index], self.hi[index])
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.lo)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[Interval]:
         return (self[i] for i in range(len(self)))
 
     __array_priority__ = 100  # numpy_array * interval comes here
@@ -98,7 +125,11 @@ class Interval:
     __contains__ = None  # `number in x` would walk the entries: use contains
 
 
-def interval(lo, hi=None):
+Operand: TypeAlias = Interval | Number
+"""What an operation takes: numbers are points."""
+
+
+def interval(lo: Operand, hi: Number | None = None) -> Interval:
     """Build an Interval from bounds of one shape (broadcast); `interval(x)` is the point x.
 
     Args:
@@ -128,38 +159,41 @@ def interval(lo, hi=None):
     return computed(*rounding.settle_subnormals(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi))))
 
 
-def pair(x, y):
+def pair(x: Operand, y: Operand) -> tuple[Interval, Interval]:
     """Return both as Intervals; a plain number takes the dtype of its partner, outward."""
     if not isinstance(x, Interval):
-        x, y = pair(y, x)[::-1] if isinstance(y, Interval) else (interval(x), y)
+        if isinstance(y, Interval):
+            return pair(y, x)[::-1]
+        x = interval(x)
     if not isinstance(y, Interval):
         number = isinstance(y, (int, float)) and not isinstance(y, bool)
         y = interval(rounding.round_down(y, x.dtype), rounding.round_up(y, x.dtype)) if number else interval(y)
     if x.dtype != y.dtype:
         dtype = jnp.result_type(x.dtype, y.dtype)
-        x, y = (jax.tree.map(lambda end: rounding.widened(end, dtype), v) for v in (x, y))
+        wider = lambda v: jax.tree.map(lambda end: rounding.widened(end, dtype), v)
+        return wider(x), wider(y)
     return x, y
 
 
-def computed(lo, hi):
+def computed(lo: jax.Array, hi: jax.Array) -> Interval:
     """Return an Interval of bounds that an operation computed: none is subnormal towards the inside, so that the next need not look."""
     out = Interval(lo, hi)
     object.__setattr__(out, "_settled", True)  # forgotten by a PyTree's round trip, after which the bounds are looked at again
     return out
 
 
-def _read(x):
+def _read(x: Interval) -> Interval:
     """Return x with bounds that compiled code reads as they are or further out."""
     return x if x._settled else computed(*rounding.settle_subnormals(x.lo, x.hi))
 
 
-def _close(lo, hi, *arguments):
+def _close(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
     """Round outward; empty if any argument is."""
     lo, hi = rounding.outward(lo, hi)
     return _or_empty(lo, hi, *arguments)
 
 
-def _or_empty(lo, hi, *arguments):
+def _or_empty(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
     """Make the result empty where an argument is; only an empty set has lo = inf, or hi = -inf, so that no bound asks for the other."""
     return computed(
         jnp.where(reduce(operator.or_, [x.lo == jnp.inf for x in arguments]), jnp.inf, lo),
@@ -167,28 +201,28 @@ def _or_empty(lo, hi, *arguments):
     )
 
 
-def _empty_where(empty, lo, hi):
+def _empty_where(empty: jax.Array, lo: jax.Array, hi: jax.Array) -> Interval:
     return computed(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
-def add(x, y):
+def add(x: Operand, y: Operand) -> Interval:
     """Return the sum. Source: IEEE 1788 add."""
     x, y = pair(x, y)
     return _close(x.lo + y.lo, x.hi + y.hi, x, y)
 
 
-def sub(x, y):
+def sub(x: Operand, y: Operand) -> Interval:
     """Return the difference. Source: IEEE 1788 sub."""
     x, y = pair(x, y)
     return _close(x.lo - y.hi, x.hi - y.lo, x, neg(y))
 
 
-def neg(x):
+def neg(x: Interval) -> Interval:
     """Return -x, exactly. Source: IEEE 1788 neg."""
     return (computed if x._settled else Interval)(-x.hi, -x.lo)
 
 
-def mul(x, y):
+def mul(x: Operand, y: Operand) -> Interval:
     """Return the product; 0 times an infinite bound is 0. Source: IEEE 1788 mul."""
     x, y = map(_read, pair(x, y))
     (above, below), (up, down) = ((v.lo >= 0, v.hi <= 0) for v in (x, y))
@@ -204,13 +238,13 @@ def mul(x, y):
     return computed(jnp.where(known, lo, jnp.nan), jnp.where(known, hi, jnp.nan))
 
 
-def _times(a, b):
+def _times(a: jax.Array, b: jax.Array) -> jax.Array:
     """Return a b, and 0 for 0 times infinity."""
     product = a * b
     return jnp.where(jnp.isnan(product), 0, product)
 
 
-def div(x, y):
+def div(x: Operand, y: Operand) -> Interval:
     """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE 1788 div."""
     x, y = (computed(*rounding.unbounded(v.lo, v.hi)) for v in map(_read, pair(x, y)))
     down = y.hi <= 0  # x / y = (-x) / (-y)
@@ -224,7 +258,7 @@ def div(x, y):
     return computed(jnp.where(jnp.isnan(low), jnp.inf, lo), jnp.where(jnp.isnan(high), -jnp.inf, hi))
 
 
-def _quotient(a, b, over_zero):
+def _quotient(a: jax.Array, b: jax.Array, over_zero: float) -> jax.Array:
     """Return a / b for b >= 0; a / 0 is `over_zero`. Its sign is that of a, even flushed, so that the caller need not ask a again.
 
     A divisor beyond 2^(emax/2) is scaled first, so that its reciprocal, which the compiler may use, is not flushed to zero. The
@@ -237,19 +271,19 @@ def _quotient(a, b, over_zero):
     return a / b
 
 
-def recip(x):
+def recip(x: Interval) -> Interval:
     """Return 1 / x. Source: IEEE 1788 recip."""
     return div(computed(jnp.ones_like(x.lo), jnp.ones_like(x.hi)), x)
 
 
-def sqr(x):
+def sqr(x: Interval) -> Interval:
     """Return x^2, never negative, and 0 for 0 (so that [0, 0]^-2 is empty). Source: IEEE 1788 sqr."""
     near, far = mig(x), mag(x)
     out = _close(near * near, far * far, x)
     return computed(jnp.maximum(out.lo, 0), jnp.where(far == 0, 0, out.hi))
 
 
-def pown(x, n):
+def pown(x: Interval, n: int) -> Interval:
     """Return x^n for a Python integer n; x^0 is 1. Source: IEEE 1788 pown."""
     if not isinstance(n, (int, np.integer)) or isinstance(n, bool):
         raise TypeError(f"the exponent must be an integer, not {n!r}")
@@ -263,7 +297,7 @@ def pown(x, n):
 
 
 @partial(jax.jit, static_argnums=1)
-def _power(x, n):
+def _power(x: Interval, n: int) -> Interval:
     x = _read(x)
     near, far = (x.lo, x.hi) if n % 2 else (mig(x), mag(x))
     power = lambda v: jnp.where(v < 0, -1, 1) * approximations.power(jnp.abs(v), n)
@@ -272,29 +306,29 @@ def _power(x, n):
     return _or_empty(lo, hi, x)
 
 
-def abs(x):
+def abs(x: Interval) -> Interval:
     """Return |x|, exactly. Source: IEEE 1788 abs."""
     return _or_empty(mig(x), mag(x), x)
 
 
-def min(x, y):
+def min(x: Operand, y: Operand) -> Interval:
     """Return the range of the smaller, exactly. Source: IEEE 1788 min."""
     x, y = map(_read, pair(x, y))
     return _or_empty(jnp.minimum(x.lo, y.lo), jnp.minimum(x.hi, y.hi), x, y)
 
 
-def max(x, y):
+def max(x: Operand, y: Operand) -> Interval:
     """Return the range of the larger, exactly. Source: IEEE 1788 max."""
     x, y = map(_read, pair(x, y))
     return _or_empty(jnp.maximum(x.lo, y.lo), jnp.maximum(x.hi, y.hi), x, y)
 
 
-def sum(x, axis=0):
+def sum(x: Interval, axis: int = 0) -> Interval:
     """Return the sum along `axis`; the bound holds for any order of addition."""
     return _empty_where(jnp.any(x.is_empty, axis), *rounding.outward_sum(x.lo, x.hi, axis))
 
 
-def matmul(x, y):
+def matmul(x: Operand, y: Operand) -> Interval:
     """Return the matrix product of (..., n, k) or (k,) and (..., k, m) or (k,): every entry an enclosed sum of products."""
     x, y = pair(x, y)
     if not x.shape or not y.shape or x.shape[-1] != y.shape[-2:][0]:
@@ -307,7 +341,7 @@ def matmul(x, y):
     return sum(mul(left, right), axis=-1 if vector else -2)
 
 
-def mid(x):
+def mid(x: Interval) -> jax.Array:
     """Return a float inside x near its middle (half-line: the largest float, entire: 0, empty: NaN). Source: IEEE 1788 mid."""
     top = np.finfo(x.dtype).max
     unbounded = jnp.isnan(x.lo) | (x.lo == -jnp.inf), jnp.isnan(x.hi) | (x.hi == jnp.inf)
@@ -320,42 +354,42 @@ def mid(x):
     return jnp.where(x.is_empty, jnp.nan, ends)
 
 
-def rad(x):
+def rad(x: Interval) -> jax.Array:
     """Return a radius, rounded up, with x inside [mid - rad, mid + rad]; NaN for empty. Source: IEEE 1788 rad."""
     m = mid(x)
     return _spread(x, jnp.maximum(m - x.lo, x.hi - m))
 
 
-def wid(x):
+def wid(x: Interval) -> jax.Array:
     """Return hi - lo, rounded up; NaN for empty. Source: IEEE 1788 wid."""
     return _spread(x, x.hi - x.lo)
 
 
-def _spread(x, size):
+def _spread(x: Interval, size: jax.Array) -> jax.Array:
     """Return at least the size, off by two subnormal numbers read as 0: nothing for a point, infinite where a bound is not known."""
     out = _close(jnp.zeros_like(size), jnp.where(jnp.isnan(size), jnp.inf, size), x).hi
     return jnp.where(x.is_empty, jnp.nan, jnp.where(rounding.above(x.hi, x.lo), out, 0))
 
 
-def mag(x):
+def mag(x: Interval) -> jax.Array:
     """Return the largest absolute value, rounded up if subnormal; NaN for empty. Source: IEEE 1788 mag."""
     x = _read(x)
     return jnp.where(x.is_empty, jnp.nan, jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi)))
 
 
-def mig(x):
+def mig(x: Interval) -> jax.Array:
     """Return the smallest absolute value, rounded down if subnormal; NaN for empty. Source: IEEE 1788 mig."""
     x = _read(x)
     return jnp.where(x.is_empty, jnp.nan, jnp.maximum(jnp.maximum(x.lo, -x.hi), 0))
 
 
-def hull(x, y):
+def hull(x: Operand, y: Operand) -> Interval:
     """Return the smallest interval that holds both. Source: IEEE 1788 convexHull."""
     x, y = map(_read, pair(x, y))
     return computed(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi))
 
 
-def intersection(x, y):
+def intersection(x: Operand, y: Operand) -> Interval:
     """Return what both share, possibly empty. Source: IEEE 1788 intersection."""
     x, y = pair(x, y)
     above = operator.gt if x._settled and y._settled else rounding.above

@@ -37,7 +37,7 @@ class Prepared:
     scale: Interval
 
 
-def prepare(M, systems=1):
+def prepare(M: Interval, systems: int = 1) -> Prepared:
     """Prepare `systems` systems of M (r, n, K): the first r - systems rows, and one of the last rows each."""
     r = M.shape[0]
     C, A, *inverse = _preconditioned(M[np.array([[*range(r - systems), last] for last in range(r - systems, r)])])
@@ -46,15 +46,16 @@ def prepare(M, systems=1):
 
 @jax.jit
 @jax.vmap
-def _preconditioned(M):
+def _preconditioned(M: Interval) -> tuple[jax.Array, Interval, jax.Array, jax.Array, jax.Array]:
     C = preconditioner(M)
+    assert C is not None  # as only "none" gives
     A = times(C, M)
     return C, A, *comparison_inverse(A)
 
 
 @jax.jit
 @jax.vmap
-def _bounds(C, A, near, v, omega):
+def _bounds(C: jax.Array, A: Interval, near: jax.Array, v: jax.Array, omega: jax.Array) -> Prepared:
     """Return what is Prepared; |N - near| <= v omega'."""
     n = A.shape[0]
     slack = rounding.outward(*(v[:, None] * omega[None],) * 2)[1]
@@ -73,7 +74,7 @@ def _bounds(C, A, near, v, omega):
     return Prepared(C, jnp.where(jnp.eye(n, dtype=bool)[..., None] | ~proved[:, None], 0, weight), scale)
 
 
-def solutions(systems, h):
+def solutions(systems: Prepared, h: Interval) -> Interval:
     """Enclose the solutions of every system for h (r, N).
 
     Returns:

@@ -26,7 +26,7 @@ __all__ = ["orthant_hull", "tighten"]
 _held = jax.lax.optimization_barrier
 
 
-def orthant_hull(M, h, box):
+def orthant_hull(M: Interval, h: Interval, box: Interval) -> Interval:
     """Return the hull (n, N) of the solutions in the box: the union over all 2^n orthants, each found by `tighten`."""
     n, N = box.shape
     signs = np.array(np.meshgrid(*[[1, -1]] * n, indexing="ij")).reshape(n, -1)  # (n, 2^n)
@@ -45,7 +45,7 @@ def orthant_hull(M, h, box):
     return _held(Interval(jnp.min(lo, 1), jnp.max(hi, 1)))
 
 
-def tighten(M, h, box, steps):
+def tighten(M: Interval, h: Interval, box: Interval, steps: int) -> Interval:
     """Bound every unknown from above and below over {x in box : M x = h}, at once by all rows.
 
     Args:
@@ -67,7 +67,7 @@ def tighten(M, h, box, steps):
     return Interval(jnp.where(finite, out.lo, box.lo), jnp.where(finite, out.hi, box.hi))
 
 
-def _bound(M, h, X, w, targets):
+def _bound(M: Interval, h: Interval, X: Interval, w: jax.Array, targets: jax.Array) -> jax.Array:
     """Return an upper bound (2n, N) of e x for each target e, by its multipliers w (2n, r, N); infinity where there is none."""
     r, n = M.shape[:2]
     gamma, floor = rounding.product_error(r + n + 2, X.dtype)
@@ -87,7 +87,7 @@ def _bound(M, h, X, w, targets):
     return jnp.where(jnp.isnan(total.hi), jnp.inf, total.hi)
 
 
-def multipliers(M, h, X, steps):
+def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
     """Search multipliers (2n, r, N) of the rows, in plain floats, by exchanges from the box: no claim is made.
 
     A vertex is n rows of P x <= c, the box's sides among them; T is the inverse of these rows, lam >= 0 what each adds to the target.
@@ -146,19 +146,19 @@ def multipliers(M, h, X, steps):
     return jnp.where(jnp.isfinite(w), w, 0)
 
 
-def _largest(rows):
+def _largest(rows: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the largest of the rows and the number of the first row that has it."""
     if len(rows) > 64:  # written out, they would take minutes to compile
         return jnp.max(rows, 0), jnp.argmax(rows, 0).astype(jnp.int32)
-    rows = list(rows)
-    top = stored(most(rows))
-    first = jnp.full_like(top, len(rows) - 1)
-    for i in reversed(range(len(rows) - 1)):
-        first = jnp.where(rows[i] == top, i, first)
+    each = list(rows)
+    top = stored(most(each))
+    first = jnp.full_like(top, len(each) - 1)
+    for i in reversed(range(len(each) - 1)):
+        first = jnp.where(each[i] == top, i, first)
     return top, stored(first).astype(jnp.int32)
 
 
-def _half_spaces(M, h, X):
+def _half_spaces(M: Interval, h: Interval, X: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return P (2r + 2n, n, N), c (2r + 2n, N) with P x <= c for the solutions in the box X, and the factors (2r, N) put on its rows."""
     r, n = M.shape[:2]
     middle, radius, wide = mid(M), rad(M), X.hi - X.lo

@@ -10,12 +10,14 @@ Source: Neumaier 1990, 1999 (comparison matrix, Hansen-Bliek-Rohn); Alhaj-Dibo, 
 Krawczyk).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import most, total
@@ -47,13 +49,13 @@ class Factored:
     """All of a square system that does not depend on its right-hand side: A, its triangular factors, its comparison matrix's bounds."""
 
     A: Interval  # (n, n, N)
-    lefts: tuple  # of Intervals (n - k, n - k, N): what is left of A after k steps of the elimination
-    reciprocals: tuple  # of Intervals (N,): 1 / their first entry
-    shares: tuple  # of Intervals (n - 1 - k, N): what each row below takes of row k
-    inverse: tuple  # of the comparison matrix <A>: (near (n, n, N), v (n, N), omega (n, N)): |<A>^-1 - near| <= v omega'; NaN if unproved
+    lefts: tuple[Interval, ...]  # (n - k, n - k, N): what is left of A after k steps of the elimination
+    reciprocals: tuple[Interval, ...]  # (N,): 1 / their first entry
+    shares: tuple[Interval, ...]  # (n - 1 - k, N): what each row below takes of row k
+    inverse: tuple[jax.Array, jax.Array, jax.Array]  # of <A>, as `comparison_inverse` gives it
 
 
-def factor(A):
+def factor(A: Interval) -> Factored:
     """Prepare a square system: triangular factors without exchange of rows, and bounds of the inverse of its comparison matrix."""
     lefts, reciprocals, shares = [A], [_reciprocal(A)], []
     for _ in range(1, A.shape[0]):
@@ -69,7 +71,7 @@ _substituted = apart(lambda y, shares: _less(y[1:], shares, y[0][None], True))
 
 
 @apart
-def _shares(x, over_pivot):
+def _shares(x: Interval, over_pivot: Interval) -> Interval:
     """Enclose what each row takes of the first one, and widen it by gamma of its size.
 
     The products of a share s with y are then wide enough for their own rounding: where s y is largest (or least), s moved outward by
@@ -80,7 +82,7 @@ def _shares(x, over_pivot):
     return Interval(s.lo - wider, s.hi + wider)
 
 
-def _less(x, s, y, widened=False):
+def _less(x: Interval, s: Interval, y: Interval, widened: bool = False) -> Interval:
     """Enclose x - s y; an end that overflowed stays infinite, or NaN, until `_unless_infinite`.
 
     The rounding of a product, of the difference, and of the bound are u each, or tiny; gamma and the floor hold many times that.
@@ -92,12 +94,12 @@ def _less(x, s, y, widened=False):
     return Interval(lo - slack(lo, greatest), hi + slack(hi, least))
 
 
-def _unless_infinite(x):
+def _unless_infinite(x: Interval) -> Interval:
     known = (jnp.abs(x.lo) < jnp.inf) & (jnp.abs(x.hi) < jnp.inf)
     return Interval(jnp.where(known, x.lo, jnp.nan), jnp.where(known, x.hi, jnp.nan))
 
 
-def comparison_inverse(A):
+def comparison_inverse(A: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (near, v, omega) with |<A>^-1 - near| <= v omega' entry by entry, <A> the comparison matrix; NaN where none is proved.
 
     <A> has the least |a_ii| on its diagonal and -max|a_ij| beside it. v > 0 with <A> v > 0 proves that every matrix in A is regular and
@@ -119,7 +121,7 @@ _reciprocal_of = apart(lambda w: reciprocal(Interval(w, w)).hi)
 
 
 @apart
-def _largest_quotient(x, over_w, eye):
+def _largest_quotient(x: Interval, over_w: jax.Array, eye: jax.Array) -> jax.Array:
     """Return an upper bound (n, N) of the largest |x - I| / w over the rows, over_w >= 1 / w > 0; NaN where it is unknown."""
     n = len(eye)
     off = jnp.maximum(jnp.abs(x.lo[:, :n] - eye), jnp.abs(x.hi[:, :n] - eye)) + 4 * rounding.tiny(x.dtype)
@@ -128,12 +130,13 @@ def _largest_quotient(x, over_w, eye):
 
 
 @apart
-def _proved(near, v, w, omega):
+def _proved(near: jax.Array, v: jax.Array, w: jax.Array, omega: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     proved = (most(list(-w)) < 0) & (most(list(omega)) < jnp.inf)
-    return tuple(jnp.where(proved[(None,) * (x.ndim - 1)], x, jnp.nan) for x in (near, v, omega))
+    near, v, omega = (jnp.where(proved[(None,) * (x.ndim - 1)], x, jnp.nan) for x in (near, v, omega))
+    return near, v, omega
 
 
-def enclose(F, b, method, start):
+def enclose(F: Factored, b: Interval, method: str, start: Interval) -> Interval:
     """Return an enclosure (n, N) of the solutions in the start box."""
     found = [_gauss(F, b)] if method in ("gauss", "intersection") else []
     if method != "gauss":
@@ -150,9 +153,10 @@ def enclose(F, b, method, start):
 _all_of = apart(lambda box, *others: reduce(intersection, others, box))
 
 
-def _gauss(F, b):
+def _gauss(F: Factored, b: Interval) -> Interval:
     """Substitute forward and backward. Source: Alhaj-Dibo et al. 2004, appendix; a pivot that holds 0 gives everything."""
-    right, x = [b], []
+    right = [b]
+    x: list[Interval] = []
     for share in F.shares:
         right.append(_substituted(right[-1], share))
     for left, over_pivot, y in zip(reversed(F.lefts), reversed(F.reciprocals), reversed(right), strict=True):
@@ -161,13 +165,13 @@ def _gauss(F, b):
 
 
 @apart
-def _solved(y, left, x, over_pivot):
+def _solved(y: Interval, left: Interval, x: list[Interval], over_pivot: Interval) -> Interval:
     """Enclose y_0 minus all terms of the first row that are known, over its pivot."""
     y = reduce(lambda y, j: _less(y, left[0, j + 1], x[j]), range(len(x)), y[0])
     return product(_unless_infinite(y), over_pivot)
 
 
-def _hansen_bliek_rohn(F, b):
+def _hansen_bliek_rohn(F: Factored, b: Interval) -> tuple[Interval, Interval]:
     """Return the enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]), and |x| <= <A>^-1 |b| as a box.
 
     With N = <A>^-1: alpha_i = <A>_ii - 1 / N_ii and beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source: Neumaier 1999, theorem 2.1.
@@ -178,19 +182,19 @@ def _hansen_bliek_rohn(F, b):
     return _hbr_box(b, beside, low, divisor), _around(all_of)
 
 
-def _slack(v, omega):
+def _slack(v: jax.Array, omega: jax.Array) -> jax.Array:
     return rounding.outward(v * omega, v * omega)[1]
 
 
 @apart
-def _above(near, v, omega):
+def _above(near: jax.Array, v: jax.Array, omega: jax.Array) -> jax.Array:
     """Return an upper bound of the inverse of the comparison matrix."""
     bound = near + _slack(v[:, None], omega[None])
     return jnp.maximum(rounding.outward(bound, bound)[1], 0)
 
 
 @apart
-def _divisor(A, near, v, omega):
+def _divisor(A: Interval, near: jax.Array, v: jax.Array, omega: jax.Array) -> tuple[jax.Array, Interval]:
     """Return lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i]."""
     n = A.shape[0]
     diagonal = lambda X: jnp.stack([X[i, i] for i in range(n)])
@@ -205,7 +209,7 @@ def _divisor(A, near, v, omega):
 
 
 @apart
-def _sums(above, b):
+def _sums(above: jax.Array, b: Interval) -> tuple[jax.Array, jax.Array]:
     """Return upper bounds of N |b|, and of the same without the diagonal of N. See `_ball`."""
     n, eye = len(above), jnp.eye(len(above), dtype=bool)[..., None]
     gamma, floor = rounding.product_error(n, b.dtype)
@@ -215,7 +219,7 @@ def _sums(above, b):
 
 
 @apart
-def _hbr_box(b, beside, low, divisor):
+def _hbr_box(b: Interval, beside: jax.Array, low: jax.Array, divisor: Interval) -> Interval:
     beta = over(*[Interval(x, x) for x in (beside, low)]).hi
     x = over(minus(b, Interval(-beta, beta)), divisor)
     return Interval(jnp.where(jnp.isnan(beside), -jnp.inf, x.lo), jnp.where(jnp.isnan(beside), jnp.inf, x.hi))
@@ -224,7 +228,7 @@ def _hbr_box(b, beside, low, divisor):
 _around = apart(lambda size: Interval(jnp.where(jnp.isnan(size), -jnp.inf, -size), jnp.where(jnp.isnan(size), jnp.inf, size)))
 
 
-def gauss_seidel(A, b, x):
+def gauss_seidel(A: Interval, b: Interval, x: Interval) -> Interval:
     """Solve each row for its own unknown, one after another, and intersect. Source: Alhaj-Dibo et al. 2004, appendix."""
 
     def row(i, x):
@@ -235,25 +239,25 @@ def gauss_seidel(A, b, x):
 
 
 @apart
-def _alone(a, b, x, i):
+def _alone(a: Interval, b: Interval, x: Interval, i: ArrayLike) -> Interval:
     """Enclose b minus all terms a_j x_j but the i-th."""
     terms, own = product(a, x), jnp.arange(len(x))[:, None] == i
     return minus(b, interval_sum(where(own, Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), terms)))
 
 
 @apart
-def _narrowed(x, known, a, i):
+def _narrowed(x: Interval, known: Interval, a: Interval, i: ArrayLike) -> Interval:
     own = jnp.arange(len(x))[:, None] == i
     return where(own, intersection(x, over(known, a)[None]), x)
 
 
-def krawczyk(A, b, x):
+def krawczyk(A: Interval, b: Interval, x: Interval) -> Interval:
     """Return (b + (I - A) x) intersected with x. Source: Alhaj-Dibo et al. 2004, appendix; Krawczyk 1969."""
     return _contracted(_off(A, x), b, x)
 
 
 @apart
-def _off(A, x):
+def _off(A: Interval, x: Interval) -> Interval:
     eye = jnp.broadcast_to(jnp.eye(A.shape[0], dtype=A.dtype)[..., None], A.shape)
     return product(minus(A, Interval(eye, eye)), x[None])
 
@@ -261,7 +265,7 @@ def _off(A, x):
 _contracted = apart(lambda off, b, x: intersection(x, minus(b, interval_sum(off, axis=1))))
 
 
-def _iterate(step, A, b, x):
+def _iterate(step: Callable[[Interval, Interval, Interval], Interval], A: Interval, b: Interval, x: Interval) -> Interval:
     """Repeat a contracting step; a system whose widths no longer shrink by 1e-4 is left as it is, whatever its neighbours do."""
     shape = jnp.broadcast_shapes(x.shape, b.shape, A.shape[1:])
     wide = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a, shape), v)
@@ -278,13 +282,13 @@ def _iterate(step, A, b, x):
 
 
 @apart
-def _progress(new, x, active, gone):
+def _progress(new: Interval, x: Interval, active: jax.Array, gone: jax.Array) -> tuple[Interval, jax.Array, jax.Array]:
     lost = jnp.any(new.is_empty, 0)
     better = jnp.any((new.hi - new.lo < 0.9999 * (x.hi - x.lo)) | ((new.hi - new.lo < jnp.inf) & (x.hi - x.lo == jnp.inf)), 0)
     return where((active & ~lost)[None], new, x), active & better & ~lost, gone | (active & lost)
 
 
-def contract(M, h, x):
+def contract(M: Interval, h: Interval, x: Interval) -> Interval:
     """Solve every row of M x = h for every unknown once, and intersect; a row that no x in the box fulfils leaves nothing."""
     n, shape = M.shape[1], jnp.broadcast_shapes(x.shape, h.shape[-1:], M.shape[-1:])
     gone = jnp.any(x.is_empty, 0)
@@ -307,12 +311,12 @@ _terms = apart(product)
 
 
 @apart
-def _each(x, terms, m, right, eye):
+def _each(x: Interval, terms: Interval, m: Interval, right: Interval, eye: jax.Array) -> Interval:
     beside = Interval(*(jnp.where(eye, 0, t[None]) for t in (terms.lo, terms.hi)))
     return intersection(x, over(minus(right[None], interval_sum(beside, axis=1)), m))
 
 
 @apart
-def _kept(new, x, terms, right, gone):
+def _kept(new: Interval, x: Interval, terms: Interval, right: Interval, gone: jax.Array) -> tuple[Interval, jax.Array]:
     lost = jnp.any(new.is_empty, 0) | disjoint(interval_sum(terms), right)
     return where(lost[None], x, new), gone | lost

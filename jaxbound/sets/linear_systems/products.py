@@ -3,12 +3,15 @@
 One matrix lies in the leading axes, a batch in the axis behind: every step is a pass over the batch.
 """
 
+from collections.abc import Callable
 from functools import wraps
+from typing import TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
+from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import most, total
@@ -17,7 +20,11 @@ from jaxbound.sets.intervals.interval import Interval, mag, mig
 __all__ = ["apart", "at", "extremes", "inverse", "minus", "over", "preconditioner", "product", "reciprocal", "solved_for", "times", "where"]
 
 
-def apart(f):
+Kernel = TypeVar("Kernel", bound=Callable[..., object])
+Tree = TypeVar("Tree")
+
+
+def apart(f: Kernel) -> Kernel:
     """Compile f as a function of its own: what it returns is stored.
 
     Within one function the compiler works a value out anew for each of its uses, which doubles at every step of a chain, and rounds it
@@ -34,10 +41,10 @@ def apart(f):
         with set_xla_metadata(inlineable="false"):
             return compiled(*args)
 
-    return call
+    return cast(Kernel, call)
 
 
-def preconditioner(M, kind="midpoint"):
+def preconditioner(M: Interval, kind: str = "midpoint") -> jax.Array | None:
     """Return C (n, r, N): near the (pseudo-)inverse of the middle of M, or of its diagonal; None for none."""
     if kind == "none":
         return None
@@ -54,7 +61,7 @@ def preconditioner(M, kind="midpoint"):
 _middle = apart(lambda lo, hi: 0.5 * lo + 0.5 * hi)
 
 
-def inverse(a):
+def inverse(a: jax.Array) -> jax.Array:
     """Return a float inverse of a (n, n, N): Gauss-Jordan in place, each step takes the row with the largest entry; no claim is made."""
     n, N = a.shape[0], a.shape[2]
     index = jnp.arange(n)[:, None]
@@ -73,7 +80,7 @@ def inverse(a):
 
 
 @apart
-def _largest(column, free):
+def _largest(column: jax.Array, free: jax.Array) -> jax.Array:
     """Return the row (N,) of the largest of a column (n, N) among those that are free (1, not 0)."""
     sizes = [jnp.abs(c) * f - (1 - f) for c, f in zip(column, free, strict=True)]
     top, place = most(sizes), jnp.full(column.shape[1:], len(sizes) - 1, jnp.int32)
@@ -85,13 +92,13 @@ def _largest(column, free):
 _picked = apart(lambda place, free: (place[None] == jnp.arange(len(free))[:, None]).astype(free.dtype))
 
 
-def solved_for(a, pick, k):
+def solved_for(a: jax.Array, pick: jax.Array, k: ArrayLike) -> jax.Array:
     """Solve the row that pick (n, N) marks with 1 for unknown k and put it into the others; column k becomes that of the inverse."""
     return _combined(a, pick, *_pivot_row(a, pick, k))
 
 
 @apart
-def _pivot_row(a, pick, k):
+def _pivot_row(a: jax.Array, pick: jax.Array, k: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
     index = jnp.arange(len(a))[:, None] == k
     row = total([pick[i][None] * a[i] for i in range(len(a))])
     over_pivot = 1 / jnp.sum(jnp.where(index, row, 0), 0)
@@ -100,18 +107,18 @@ def _pivot_row(a, pick, k):
 
 
 @apart
-def _combined(a, pick, row, share, others):
+def _combined(a: jax.Array, pick: jax.Array, row: jax.Array, share: jax.Array, others: jax.Array) -> jax.Array:
     return (1 - pick)[:, None] * (a * others[None]) + share[:, None] * row[None]
 
 
-def times(C, A):
+def times(C: jax.Array, A: Interval) -> Interval:
     """Enclose C A for numbers C (n, r, N) and an Interval A (r, k, N) or (r, N)."""
     middle, radius = _ball(A)
     return _interval(_matrix_product(C, middle), _matrix_product(_raised(C, len(A)), radius))
 
 
 @apart
-def _ball(A):
+def _ball(A: Interval) -> tuple[jax.Array, jax.Array]:
     """Return the middle of A, and a radius that covers its rounding and that of a product with C.
 
     By `rounding.product_error` a row of C A is off by less than gamma sum|C| size + floor (1 + max|C|) (1 + max size). With
@@ -122,7 +129,7 @@ def _ball(A):
     return middle, jnp.maximum(middle - A.lo, A.hi - middle) + gamma * size + np.sqrt(floor)
 
 
-def _raised(C, terms):
+def _raised(C: jax.Array, terms: int) -> jax.Array:
     return _above_all(C, np.sqrt(rounding.product_error(terms, C.dtype)[1]))
 
 
@@ -130,57 +137,57 @@ _above_all = apart(lambda C, t: jnp.abs(C) + t)
 
 
 @apart
-def _matrix_product(C, A):
+def _matrix_product(C: jax.Array, A: jax.Array) -> jax.Array:
     """Return C A for numbers (n, r, N) and (r, k, N) or (r, N), elementwise over N."""
     return total([(C[:, j, None] if A.ndim == 3 else C[:, j]) * A[j][None] for j in range(len(A))])
 
 
 @apart
-def _interval(middle, radius):
+def _interval(middle: jax.Array, radius: jax.Array) -> Interval:
     known = (radius < jnp.inf) & (jnp.abs(middle) < jnp.inf)
     return Interval(jnp.where(known, middle - radius, -jnp.inf), jnp.where(known, middle + radius, jnp.inf))
 
 
-def at(x, k, axis):
+def at(x: Tree, k: ArrayLike, axis: int) -> Tree:
     """Return entry k, which may be traced, along an axis."""
     return jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, k, axis, keepdims=False), x)
 
 
-def where(condition, x, y):
+def where(condition: jax.Array, x: Interval, y: Interval) -> Interval:
     """Return x where the condition holds, else y, both Intervals."""
     return Interval(jnp.where(condition, x.lo, y.lo), jnp.where(condition, x.hi, y.hi))
 
 
-def product(x, y):
+def product(x: Interval, y: Interval) -> Interval:
     """Enclose x y for non-empty Intervals; everything where 0 meets infinity."""
     return _closed(*extremes(x, y))
 
 
-def extremes(x, y):
+def extremes(x: Interval, y: Interval) -> tuple[jax.Array, jax.Array]:
     """Return the least and the largest product of the ends."""
     ends = [a * b for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
     least = jnp.minimum(jnp.minimum(ends[0], ends[1]), jnp.minimum(ends[2], ends[3]))
     return least, jnp.maximum(jnp.maximum(ends[0], ends[1]), jnp.maximum(ends[2], ends[3]))
 
 
-def minus(x, y):
+def minus(x: Interval, y: Interval) -> Interval:
     """Enclose x - y for non-empty Intervals."""
     return _closed(x.lo - y.hi, x.hi - y.lo)
 
 
-def reciprocal(y):
+def reciprocal(y: Interval) -> Interval:
     """Enclose 1 / y for a non-empty Interval: everything where y holds 0, or is too large. See `over`."""
     sound = _divides(y)
     lo, hi = (jnp.where(sound, 1 / jnp.where(sound, end, 1), jnp.nan) for end in (y.hi, y.lo))
     return _closed(lo, hi)
 
 
-def _divides(y):
+def _divides(y: Interval) -> jax.Array:
     """True where 0 is not in y, and its ends are not so large that the compiler's reciprocal could be flushed."""
     return (mig(y) > 0) & (mag(y) < 2.0 ** (np.finfo(y.dtype).maxexp // 2))
 
 
-def over(x, y):
+def over(x: Interval, y: Interval) -> Interval:
     """Enclose every z with y' z = x' for some x' in x and y' in y, for non-empty Intervals: everything where y holds 0.
 
     (The set-based quotient by [0, 0] is empty, which would pass for a proof that there is no solution.)
@@ -193,7 +200,7 @@ def over(x, y):
     return _closed(jnp.where(sound, low, jnp.nan), jnp.where(sound, high, jnp.nan))
 
 
-def _closed(lo, hi):
+def _closed(lo: jax.Array, hi: jax.Array) -> Interval:
     """Round outward; NaN gives everything."""
     lo, hi = rounding.outward(lo, hi)
     return Interval(jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi))

@@ -7,11 +7,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.linear_systems.hull import orthant_hull
-from jaxbound.sets.linear_systems.kernels import contract, enclose, factor, preconditioner, times
+from jaxbound.sets.linear_systems.kernels import Factored, contract, enclose, factor, preconditioner, times
 from jaxbound.sets.linear_systems.products import apart
 
 __all__ = ["Solution", "Solvability", "solve_interval"]
@@ -46,7 +47,9 @@ class Solution:
     status: jax.Array
 
 
-def solve_interval(M, h, method="intersection", x0=None, precondition="midpoint"):
+def solve_interval(
+    M: Operand, h: Operand, method: str = "intersection", x0: Operand | None = None, precondition: str = "midpoint"
+) -> Solution:
     """Enclose every solution of an interval linear system M x = h, or of a batch of them.
 
     Args:
@@ -89,13 +92,13 @@ def solve_interval(M, h, method="intersection", x0=None, precondition="midpoint"
     return Solution(jax.tree.map(lambda v: full(v, (n,)), x), full(status, ()))
 
 
-def _flat(v, tail, batch, dtype):
+def _flat(v: Interval, tail: tuple[int, ...], batch: tuple[int, ...], dtype: DTypeLike) -> Interval:
     """Make the batch axes one; an array that all systems share keeps length 1 there."""
     shared = v.shape[: -len(tail)] == (1,) * (len(v.shape) - len(tail))
     return jax.tree.map(lambda a: (a if shared else jnp.broadcast_to(a, batch + tail)).astype(dtype).reshape(-1, *tail), v)
 
 
-def _check(M, h, x0, method, precondition):
+def _check(M: tuple[int, ...], h: tuple[int, ...], x0: tuple[int, ...] | None, method: str, precondition: str) -> None:
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     if precondition not in PRECONDITIONS:
@@ -114,7 +117,7 @@ def _check(M, h, x0, method, precondition):
 
 
 @partial(jax.jit, static_argnames=("method", "precondition"))
-def _solve(M, h, start, method, precondition):
+def _solve(M: Interval, h: Interval, start: Interval, method: str, precondition: str) -> tuple[Interval, jax.Array]:
     """Enclose N systems, BLOCK at a time: they stay in the processor's cache. Shapes (N or 1, r, n), (N or 1, r), (N or 1, n)."""
     prepared = _prepared(_last(M), precondition) if len(M) == 1 else None
     given, count = (M, h, start), max(len(M), len(h), len(start))
@@ -138,12 +141,12 @@ def _solve(M, h, start, method, precondition):
 _last = apart(lambda x: jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), x))
 
 
-def _prepared(M, precondition):
+def _prepared(M: Interval, precondition: str) -> tuple[jax.Array | None, Factored]:
     C = preconditioner(M, precondition)
     return C, factor(M if C is None else times(C, M))
 
 
-def _enclosed(M, h, C, F, method, start):
+def _enclosed(M: Interval, h: Interval, C: jax.Array | None, F: Factored, method: str, start: Interval) -> tuple[Interval, jax.Array]:
     """Enclose one block; shapes (r, n, N or 1), (r, N or 1), ..., (n, N or 1)."""
     box = enclose(F, h if C is None else times(C, h), "hbr" if method == "hull" else method, start)
     if method == "hull":
@@ -154,7 +157,7 @@ def _enclosed(M, h, C, F, method, start):
 
 
 @apart
-def _judged(box):
+def _judged(box: Interval) -> tuple[Interval, jax.Array]:
     proved = jnp.all(jnp.isfinite(box.lo) & jnp.isfinite(box.hi), 0)
     empty = jnp.any(box.is_empty, 0)
     box = Interval(jnp.where(empty[None], jnp.inf, box.lo).T, jnp.where(empty[None], -jnp.inf, box.hi).T)

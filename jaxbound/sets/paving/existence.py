@@ -11,13 +11,15 @@ depends on how good P or x are. Slopes are used only where f is proved to be con
 Source: Krawczyk 1969 (the operator); Neumaier 1990, Interval methods for systems of equations, section 5.
 """
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.inclusion.inclusion import inclusion
+from jaxbound.sets.inclusion.inclusion import Inclusion, inclusion
 from jaxbound.sets.intervals.comparisons import subset
 from jaxbound.sets.intervals.interval import Interval, hull, intersection, mag, mid, rad, wid
 from jaxbound.sets.paving.frontier import Verdicts
@@ -25,7 +27,7 @@ from jaxbound.sets.paving.frontier import Verdicts
 __all__ = ["components", "continuous", "is_interval_function", "search"]
 
 
-def components(f, z, args):
+def components(f: Callable[..., Any], z: Interval, args: tuple[jax.Array, ...]) -> list[Interval]:
     """Return the image of a box z as a list of Intervals (); f is a function of numbers or of Intervals."""
     if is_interval_function(f, z.lo, args):
         return list(f(z, *args))
@@ -33,7 +35,7 @@ def components(f, z, args):
     return [x for image in images for x in jax.tree.map(jnp.ravel, image)]
 
 
-def is_interval_function(f, z, args):
+def is_interval_function(f: Callable[..., Any], z: jax.Array, args: tuple[jax.Array, ...]) -> bool:
     """True if f takes an Interval (n,) and not an array (n,), or returns Intervals even for an array."""
     try:
         return any(map(_is_interval, jax.tree.leaves(jax.eval_shape(f, z, *args), is_leaf=_is_interval)))
@@ -45,34 +47,36 @@ def is_interval_function(f, z, args):
         return True
 
 
-def _is_interval(x):
+def _is_interval(x: object) -> bool:
     return isinstance(x, Interval)
 
 
-def _flat(f, args):
+def _flat(f: Callable[..., Any], args: tuple[jax.Array, ...]) -> Inclusion:
     """Return z -> f(z, *args) with all its outputs in one array, f a JAX function of numbers, as an inclusion function."""
     return inclusion(lambda z: jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(f(z, *args))]))
 
 
-def continuous(f, lo, hi, args):
+def continuous(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[jax.Array, ...]) -> jax.Array:
     """True for each box (n, N) all over which f is proved to be defined and continuous; args (..., N)."""
     return jax.vmap(lambda lo, hi, *a: _flat(f, a).continuous(Interval(lo, hi)), in_axes=-1)(lo, hi, *args)
 
 
 @partial(jax.jit, static_argnums=0)
-def _image(f, X, args):
+def _image(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> tuple[Interval, jax.Array]:
     """Return the images (m, N) of boxes (n, N), and where f is proved to be defined and continuous (N,)."""
     one = lambda X, *a: (_flat(f, a)(X), _flat(f, a).continuous(X))
     return jax.vmap(one, in_axes=-1, out_axes=-1)(X, *args)
 
 
 @partial(jax.jit, static_argnums=0)
-def _slope(f, X, args):
+def _slope(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> Interval:
     """Return the slopes (m, n, N) of f over boxes (n, N), entire where f is not proved to be continuous."""
     return jax.vmap(lambda X, *a: _flat(f, a).jacobian(X), in_axes=-1, out_axes=-1)(X, *args)
 
 
-def search(f, X, T, domain, args, unique, region):
+def search(
+    f: Callable[..., Any], X: Interval, T: Interval, domain: Interval, args: tuple[jax.Array, ...], unique: bool, region: bool
+) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes X, an Interval (n, N), with f of numbers and args (..., N).
 
     Args:
@@ -96,7 +100,9 @@ def search(f, X, T, domain, args, unique, region):
 
 @jax.jit
 @partial(jax.vmap, in_axes=(-1, -1, None, -1, -1, -1, -1, -1), out_axes=-1)
-def _narrow(X, T, domain, image, smooth, centre, value, slope):
+def _narrow(
+    X: Interval, T: Interval, domain: Interval, image: Interval, smooth: jax.Array, centre: jax.Array, value: Interval, slope: Interval
+) -> tuple[jax.Array, Interval, jax.Array, jax.Array]:
     """Return (excluded, what is left of X, a guess x at a solution, P)."""
     d, J = rad(X), mid(slope)
     reach = _upper(mag(slope), d)
@@ -115,7 +121,9 @@ def _narrow(X, T, domain, image, smooth, centre, value, slope):
 
 
 @partial(jax.jit, static_argnums=(7, 8))
-def _around(X, T, slope, x, P, reached, rest, unique, region):
+def _around(
+    X: Interval, T: Interval, slope: Interval, x: jax.Array, P: jax.Array, reached: Interval, rest: Interval, unique: bool, region: bool
+) -> tuple[jax.Array, jax.Array, Interval, Interval]:
     """Return (|f(x) - t|, r, the box Z around x, the box over which slopes have to be close).
 
     r is in proportion to how far f moves over X, component by component, and twice the largest miss.
@@ -136,7 +144,22 @@ def _around(X, T, slope, x, P, reached, rest, unique, region):
 
 
 @partial(jax.jit, static_argnums=13)
-def _conclude(T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, near, region):
+def _conclude(
+    T: Interval,
+    domain: Interval,
+    out: jax.Array,
+    rest: Interval,
+    slope: Interval,
+    x: jax.Array,
+    P: jax.Array,
+    reached: Interval,
+    defined: jax.Array,
+    miss: jax.Array,
+    r: jax.Array,
+    Z: Interval,
+    near: Interval,
+    region: bool,
+) -> Verdicts[jax.Array]:
     def one(T, out, rest, slope, x, P, reached, defined, miss, r, Z, near):
         n, m = P.shape
         J = mid(near)
@@ -154,16 +177,16 @@ def _conclude(T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, n
     return jax.vmap(one, in_axes=-1, out_axes=-1)(T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)
 
 
-def _point(x):
+def _point(x: jax.Array) -> Interval:
     return Interval(x, x)
 
 
-def _apart(image, T):
+def _apart(image: Interval, T: Interval) -> jax.Array:
     """True where some component misses its target; a bound that is NaN excludes nothing."""
     return jnp.any((image.lo > T.hi) | (T.lo > image.hi))
 
 
-def _times(A, B):
+def _times(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (A B, a bound of its error), for numbers (p, k) and (k, q) or (k,)."""
     gamma, floor = rounding.product_error(A.shape[-1], A.dtype)
     exactly = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
@@ -171,13 +194,13 @@ def _times(A, B):
     return exactly(A, B), gamma * exactly(jnp.abs(A), jnp.abs(B)) + floor * ends[0] * ends[1]
 
 
-def _upper(A, B):
+def _upper(A: jax.Array, B: jax.Array) -> jax.Array:
     """Return an upper bound of A B, both >= 0."""
     product, error = _times(A, B)
     return product + error
 
 
-def _stray(A, B, A_size, B_size):
+def _stray(A: jax.Array, B: jax.Array, A_size: jax.Array, B_size: jax.Array) -> jax.Array:
     """Return a bound of |I - M|, M any product of a point and an interval matrix with the middles A and B.
 
     A_size, B_size: absolute values of the one and radii of the other.
@@ -186,12 +209,12 @@ def _stray(A, B, A_size, B_size):
     return _upward(jnp.abs(jnp.eye(len(product), dtype=product.dtype) - product) + error + _upper(A_size, B_size))
 
 
-def _upward(x):
+def _upward(x: jax.Array) -> jax.Array:
     """Return at least the exact sum of a few numbers >= 0 that x was computed as."""
     return x * (1 + 8 * rounding.unit(x.dtype)) + 8 * rounding.tiny(x.dtype)
 
 
-def _right_inverse(J, scale):
+def _right_inverse(J: jax.Array, scale: jax.Array) -> jax.Array:
     """Return P (n, m) with J P near I (n >= m) or P J near I (n < m), moving variables in proportion to `scale`; zeros if there is none."""
     m, n = J.shape
     scale = scale / jnp.max(scale)

@@ -4,9 +4,11 @@ A level judges all its boxes in blocks of fixed sizes, by one compiled kernel; w
 That gives the same boxes and counts as one target at a time, first in, first out.
 """
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
+import jax
 import numpy as np
 
 __all__ = ["Cover", "Verdicts", "explore", "in_blocks"]
@@ -15,18 +17,27 @@ BLOCKS = (2**10, 2**14)  # the only sizes that are compiled: for few and for man
 MOST = 10**8  # boxes of all targets together: what memory holds
 
 
-class Verdicts(NamedTuple):
+Array = TypeVar("Array", np.ndarray, jax.Array)
+Boxes: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""lo, hi (n, N) and owner (N,)."""
+
+
+class Verdicts(NamedTuple, Generic[Array]):
     """What a kernel says of N boxes (n, N). None: nothing to say.
 
     Fields: keep (N,): neither excluded nor settled; proved (N,): `proof` holds a solution of the box's target; proof: (lo, hi) (n, N);
     rest: (lo, hi) (n, N), the box without parts that hold no solution; axis (N,): along which to cut.
     """
 
-    keep: np.ndarray
-    proved: np.ndarray | None = None
-    proof: tuple | None = None
-    rest: tuple | None = None
-    axis: np.ndarray | None = None
+    keep: Array
+    proved: Array | None = None
+    proof: tuple[Array, Array] | None = None
+    rest: tuple[Array, Array] | None = None
+    axis: Array | None = None
+
+
+Kernel: TypeAlias = Callable[..., Verdicts[jax.Array] | tuple[Any, ...] | jax.Array]
+"""Judges the boxes lo, hi (n, N) of owner (N,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +47,23 @@ class Cover:
     lo: np.ndarray
     hi: np.ndarray
     owner: np.ndarray
-    proofs: tuple
+    proofs: Boxes
     evaluated: np.ndarray
     levels: int
 
 
-def explore(kernel, lo, hi, count, depth, max_boxes, axis="alternate", first=False, progress=None, sizes=BLOCKS):
+def explore(
+    kernel: Kernel,
+    lo: np.ndarray,
+    hi: np.ndarray,
+    count: int,
+    depth: int,
+    max_boxes: int,
+    axis: str = "alternate",
+    first: bool = False,
+    progress: Callable[[float], object] | None = None,
+    sizes: Sequence[int] = BLOCKS,
+) -> Cover:
     """Judge and cut boxes until none is left or the budget is spent.
 
     Args:
@@ -59,7 +81,9 @@ def explore(kernel, lo, hi, count, depth, max_boxes, axis="alternate", first=Fal
     lo, hi = (np.repeat(x[:, None], count, 1) for x in (lo, hi))
     owner = np.arange(count, dtype=np.int32)
     evaluated, known = np.zeros(count, np.int64), np.zeros(count, bool)
-    aside, proofs, level = [], [], 0
+    aside: list[Boxes] = []
+    proofs: list[Boxes] = []
+    level = 0
     while level < depth and len(owner) and evaluated.sum() + len(owner) <= max(max_boxes, MOST):
         more = np.bincount(owner, minlength=count)
         if (spent := (evaluated + more > max_boxes)[owner]).any():
@@ -67,11 +91,11 @@ def explore(kernel, lo, hi, count, depth, max_boxes, axis="alternate", first=Fal
             lo, hi, owner = lo[:, ~spent], hi[:, ~spent], owner[~spent]
             continue
         evaluated += more
-        said = Verdicts(*in_blocks(kernel, lo, hi, owner, sizes))
+        said: Verdicts[np.ndarray] = Verdicts(*in_blocks(kernel, lo, hi, owner, sizes))
         keep = said.keep
-        if said.proved is not None:
+        if said.proved is not None and said.proof is not None:
             which = np.flatnonzero(said.proved)
-            proofs.append((*(end[:, which] for end in said.proof), owner[which]))
+            proofs.append((said.proof[0][:, which], said.proof[1][:, which], owner[which]))
             known[owner[which]] = True
             keep = keep & ~known[owner] if first else keep
         lo, hi = (lo, hi) if said.rest is None else said.rest
@@ -96,7 +120,7 @@ def explore(kernel, lo, hi, count, depth, max_boxes, axis="alternate", first=Fal
     return Cover(lo, hi, owner, _join(proofs or [(lo[:, :0], hi[:, :0], owner[:0])]), evaluated, level)
 
 
-def in_blocks(kernel, lo, hi, owner, sizes=BLOCKS):
+def in_blocks(kernel: Kernel, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, sizes: Sequence[int] = BLOCKS) -> tuple[Any, ...]:
     """Return what a kernel says of boxes (n, N), calling it with blocks of fixed sizes only: a tuple, N the last axis of everything."""
     total = lo.shape[1]
     size = sizes[0] if total <= sizes[0] else sizes[-1]
@@ -113,7 +137,10 @@ def in_blocks(kernel, lo, hi, owner, sizes=BLOCKS):
 
 def _host(said, count):
     """Return the first `count` columns of everything, on the host."""
-    here = lambda x: None if x is None else tuple(map(here, x)) if isinstance(x, tuple) else np.asarray(x)[..., :count]
+
+    def here(x: Any) -> Any:
+        return None if x is None else tuple(map(here, x)) if isinstance(x, tuple) else np.asarray(x)[..., :count]
+
     return tuple(map(here, said))
 
 
@@ -125,21 +152,22 @@ def _concatenated(parts):
     return np.concatenate(parts, -1)
 
 
-def _join(parts):
-    return tuple(np.concatenate(x, -1) for x in zip(*parts, strict=True))
+def _join(parts: Iterable[Boxes]) -> Boxes:
+    lo, hi, owner = (np.concatenate(x, -1) for x in zip(*parts, strict=True))
+    return lo, hi, owner
 
 
-def _middle(lo, hi, axis):
+def _middle(lo: np.ndarray, hi: np.ndarray, axis: np.ndarray) -> np.ndarray:
     columns = np.arange(lo.shape[1])
     return lo[axis, columns] * 0.5 + hi[axis, columns] * 0.5
 
 
-def _cuttable(lo, hi, axis):
+def _cuttable(lo: np.ndarray, hi: np.ndarray, axis: np.ndarray) -> np.ndarray:
     middle, columns = _middle(lo, hi, axis), np.arange(lo.shape[1])
     return (lo[axis, columns] < middle) & (middle < hi[axis, columns])
 
 
-def _cut(lo, hi, owner, axis):
+def _cut(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, axis: np.ndarray) -> Boxes:
     """Cut boxes (n, N) in two, each along its axis; children follow each other."""
     columns, middle = np.arange(lo.shape[1]), _middle(lo, hi, axis)
     lo, hi = np.repeat(lo, 2, 1), np.repeat(hi, 2, 1)

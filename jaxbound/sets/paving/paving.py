@@ -7,6 +7,7 @@ solution (`existence`) is settled; any other is cut in two. An empty list withou
 Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded box goes on with step (5), and closed containment.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -14,12 +15,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
-from jaxbound.sets.paving.frontier import BLOCKS, Verdicts, explore, in_blocks
+from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Kernel, Verdicts, explore, in_blocks
 
 __all__ = ["Paving", "pave"]
 
@@ -48,14 +51,15 @@ class Paving:
     witness: Interval | None = None
     witness_owner: np.ndarray | None = None
     levels: int = 0
-    _again: Any = None  # a function that evaluates the images
+    _again: Callable[[], Interval] | None = None  # a function that evaluates the images
 
     @cached_property
-    def images(self):
+    def images(self) -> Interval:
         """Interval (N, m): the enclosures of f over `boxes`, evaluated when first asked for."""
+        assert self._again is not None
         return self._again()
 
-    def area(self):
+    def area(self) -> float:
         """Return the area of the union of the images in the plane (m = 2), to rounding.
 
         Raises:
@@ -84,8 +88,11 @@ class Paving:
         return total
 
 
-def pave(f, box, target=None, subdivision="adaptive", q=None, cut=None, max_boxes=None, max_depth=None, args=(), progress=None,
-         solutions=None):  # fmt: skip
+def pave(
+    f: Callable[..., Any], box: Operand, target: Operand | None = None, subdivision: str = "adaptive", q: int | None = None,
+    cut: str | None = None, max_boxes: int | None = None, max_depth: int | None = None, args: Sequence[ArrayLike] = (),
+    progress: Callable[[float], object] | None = None, solutions: str | None = None,
+) -> Paving:  # fmt: skip
     """Cover {f(z) : z in box} by boxes, or decide whether `target` is in it, with a proof.
 
     Args:
@@ -132,12 +139,12 @@ def pave(f, box, target=None, subdivision="adaptive", q=None, cut=None, max_boxe
         raise ValueError("box must be a bounded, non-empty Interval of shape (n,)")
     goal, single = _goals(target, lo.dtype)
     count = 1 if goal is None else goal.shape[0]
-    args = tuple(jnp.asarray(a) for a in args)
-    if any(a.shape[:1] != (count,) for a in args):
-        raise ValueError(f"every array of args needs one entry for each of the {count} targets: shapes {[a.shape for a in args]}")
-    plain = is_interval_function(f, jnp.asarray(lo), tuple(a[0] for a in args))
+    given = tuple(jnp.asarray(a) for a in args)
+    if any(a.shape[:1] != (count,) for a in given):
+        raise ValueError(f"every array of args needs one entry for each of the {count} targets: shapes {[a.shape for a in given]}")
+    plain = is_interval_function(f, jnp.asarray(lo), tuple(a[0] for a in given))
     region = isinstance(target, Interval)
-    thick = region and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
+    thick = region and goal is not None and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
     if solutions is None:
         m = 0 if goal is None else goal.shape[1]
         solutions = "none" if q is not None or plain or subdivision == "uniform" else "all" if m == len(lo) and not thick else "one"
@@ -149,19 +156,20 @@ def pave(f, box, target=None, subdivision="adaptive", q=None, cut=None, max_boxe
     if subdivision == "uniform":
         if max_depth is not None:
             raise ValueError("max_depth belongs to subdivision='adaptive': the depth of a uniform one is q")
+        assert q is not None
         if int(q) ** len(lo) > most:
             raise ValueError(f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = {most}")
-        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, args, count, int(q), progress)
+        left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, given, count, int(q), progress)
     else:
         if goal is None:
             raise ValueError("adaptive subdivision needs a target; subdivision='uniform' covers the whole image")
         depth = len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5) if max_depth is None else max_depth
         if solutions == "none":
-            kernel = lambda *boxes: _meets(f, *boxes, goal, args)
+            kernel = lambda *boxes: _meets(f, *boxes, goal, given)
         elif solutions == "all" and thick:
-            kernel = lambda *boxes: _inner(f, *boxes, goal, args)
+            kernel = lambda *boxes: _inner(f, *boxes, goal, given)
         else:
-            kernel = partial(_search, f, solutions == "all", region, goal, args, box)
+            kernel = partial(_search, f, solutions == "all", region, goal, given, box)
         sizes = BLOCKS if solutions == "none" or (solutions == "all" and thick) else SEARCHED
         found = explore(kernel, lo, hi, count, depth, most, "kernel" if cut == "smear" else cut, solutions == "one", progress, sizes)
         left_lo, left_hi, owner, evaluated, levels = found.lo, found.hi, found.owner, found.evaluated, found.levels
@@ -175,12 +183,14 @@ def pave(f, box, target=None, subdivision="adaptive", q=None, cut=None, max_boxe
     if single:
         status, evaluated = None if status is None else status[0], evaluated[0]
     turned = lambda lo, hi: Interval(jnp.asarray(lo.T), jnp.asarray(hi.T))
-    again = partial(_images, f, left_lo, left_hi, owner, args, goal.shape[1] if goal is not None else 0)
-    witness = (None, None) if proofs is None else (turned(*proofs[:2]), proofs[2])
-    return Paving(status, turned(left_lo, left_hi), owner, evaluated, *witness, levels, again)
+    again = partial(_images, f, left_lo, left_hi, owner, given, goal.shape[1] if goal is not None else 0)
+    witness, witness_owner = (None, None) if proofs is None else (turned(*proofs[:2]), proofs[2])
+    return Paving(status, turned(left_lo, left_hi), owner, evaluated, witness, witness_owner, levels, again)
 
 
-def _check_options(subdivision, q, cut, max_boxes, max_depth, solutions, plain):
+def _check_options(
+    subdivision: str, q: int | None, cut: str, max_boxes: int | None, max_depth: int | None, solutions: str, plain: bool
+) -> None:
     if subdivision not in ("adaptive", "uniform"):
         raise ValueError(f"subdivision must be 'adaptive' or 'uniform', not {subdivision!r}")
     if cut not in CUTS:
@@ -195,7 +205,7 @@ def _check_options(subdivision, q, cut, max_boxes, max_depth, solutions, plain):
             raise ValueError(f"{name} must be a whole number >= {least}, not {value!r}")
 
 
-def _goals(target, dtype):
+def _goals(target: Operand | None, dtype: DTypeLike) -> tuple[Interval | None, bool]:
     """Return the targets as an Interval (B, m), and whether there is just one."""
     if target is None:
         return None, True
@@ -206,28 +216,30 @@ def _goals(target, dtype):
     return Interval(jnp.atleast_2d(goal.lo), jnp.atleast_2d(goal.hi)), single
 
 
-def _evaluate(f, lo, hi, args):
+def _evaluate(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[jax.Array, ...]) -> list[Interval]:
     """Enclose f over boxes (n, N) with args (..., N): a list of m Intervals (N,). Stacking them would break the fusion."""
     return jax.vmap(lambda lo, hi, *a: components(f, Interval(lo, hi), a), in_axes=-1)(lo, hi, *args)
 
 
-def _of_owner(args, owner):
+def _of_owner(args: tuple[jax.Array, ...], owner: jax.Array | np.ndarray) -> tuple[jax.Array, ...]:
     """Return args (B, ...) as (..., N), each column that of the box's target."""
     return tuple(jnp.moveaxis(a, 0, -1)[..., owner] for a in args)
 
 
-def _goals_of_owner(goal, owner):
+def _goals_of_owner(goal: Interval, owner: jax.Array) -> list[tuple[jax.Array, jax.Array]]:
     return [(goal.lo[:, j][owner], goal.hi[:, j][owner]) for j in range(goal.shape[1])]
 
 
 @partial(jax.jit, static_argnums=0)
-def _meets(f, lo, hi, owner, goal, args):
+def _meets(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, goal: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     """True for each box (n, N) whose image meets the target of its owner (closed sets)."""
     return _touch(_evaluate(f, lo, hi, _of_owner(args, owner)), _goals_of_owner(goal, owner))
 
 
 @partial(jax.jit, static_argnums=0)
-def _inner(f, lo, hi, owner, goal, args):
+def _inner(
+    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, goal: Interval, args: tuple[jax.Array, ...]
+) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N): settled are those that map into the target altogether."""
     args = _of_owner(args, owner)
     images, goals = _evaluate(f, lo, hi, args), _goals_of_owner(goal, owner)
@@ -238,23 +250,33 @@ def _inner(f, lo, hi, owner, goal, args):
     return Verdicts(meets & ~inside, inside, (lo, hi))
 
 
-def _search(f, unique, region, goal, args, box, lo, hi, owner):
+def _search(
+    f: Callable[..., Any],
+    unique: bool,
+    region: bool,
+    goal: Interval,
+    args: tuple[jax.Array, ...],
+    box: Interval,
+    lo: jax.Array,
+    hi: jax.Array,
+    owner: np.ndarray,
+) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N) by `existence.search`."""
     T = Interval(*(jnp.asarray(np.asarray(end).T[:, owner]) for end in (goal.lo, goal.hi)))
     return search(f, Interval(lo, hi), T, box, _of_owner(args, owner), unique, region)
 
 
-def _touch(images, goals):
+def _touch(images: Sequence[Interval], goals: Sequence[tuple[jax.Array, jax.Array]]) -> jax.Array:
     """True where every component shares a point with its goal (lo, hi); a bound that is NaN excludes nothing."""
     if len(images) != len(goals):
         raise ValueError(f"the target has {len(goals)} components, f has {len(images)}")
-    apart = False
+    apart: jax.Array | bool = False
     for image, (lo, hi) in zip(images, goals, strict=True):
         apart |= (image.lo > hi) | (lo > image.hi)
-    return ~apart
+    return jnp.logical_not(apart)
 
 
-def _distinct(proofs, solutions, kernel):
+def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
     """Return one box for each solution that was proved, ordered by target, and as small as three more steps make it."""
     order = np.argsort(proofs[2], kind="stable")
     lo, hi, owner = (x[..., order] for x in proofs)
@@ -263,6 +285,7 @@ def _distinct(proofs, solutions, kernel):
         lo, hi, owner = lo[:, first], hi[:, first], owner[first]
     for _ in range(3):
         said = Verdicts(*in_blocks(kernel, lo, hi, owner, SEARCHED))
+        assert said.proved is not None and said.proof is not None
         smaller = said.proved & ((said.proof[1] - said.proof[0]).max(0) < (hi - lo).max(0))
         lo, hi = (np.where(smaller, new, old) for new, old in zip(said.proof, (lo, hi), strict=True))
     if solutions == "one":
@@ -279,19 +302,30 @@ def _distinct(proofs, solutions, kernel):
 
 
 @partial(jax.jit, static_argnums=0)
-def _image_block(f, lo, hi, owner, args):
+def _image_block(
+    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, args: tuple[jax.Array, ...]
+) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
     images = _evaluate(f, lo, hi, _of_owner(args, owner))
     return tuple(x.lo for x in images), tuple(x.hi for x in images)
 
 
-def _images(f, lo, hi, owner, args, width):
+def _images(f: Callable[..., Any], lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, args: tuple[jax.Array, ...], width: int) -> Interval:
     if not len(owner):
         return Interval(jnp.zeros((0, width), lo.dtype), jnp.zeros((0, width), lo.dtype))
     ends = in_blocks(lambda *b: _image_block(f, *b, args), lo, hi, owner)
     return Interval(*(jnp.asarray(np.stack(x, 1)) for x in ends))
 
 
-def _uniform(f, lo, hi, goal, args, count, q, progress):
+def _uniform(
+    f: Callable[..., Any],
+    lo: np.ndarray,
+    hi: np.ndarray,
+    goal: Interval | None,
+    args: tuple[jax.Array, ...],
+    count: int,
+    q: int,
+    progress: Callable[[float], object] | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = len(lo)
     share = np.arange(q + 1, dtype=lo.dtype) / q
     edges = np.clip(lo[:, None] * (1 - share) + hi[:, None] * share, lo[:, None], hi[:, None])  # hi - lo could overflow
@@ -302,21 +336,21 @@ def _uniform(f, lo, hi, goal, args, count, q, progress):
     if goal is None:
         return cell_lo, cell_hi, np.zeros(total, np.int32), np.array([total])
     kept = []
-    share = max(1, 2**27 // total)  # targets at once: the answers are one byte a box
-    for start in range(0, count, share):
-        part = slice(start, start + share)
+    at_once = max(1, 2**27 // total)  # targets at once: the answers are one byte a box
+    for start in range(0, count, at_once):
+        part = slice(start, start + at_once)
         block = Interval(goal.lo[part], goal.hi[part])
         meet = np.asarray(_meets_uniform(f, cell_lo, cell_hi, block, tuple(a[part] for a in args)))
         which, cell = np.nonzero(meet)
         kept.append((which + start, cell))
         if progress is not None:
-            progress(min(start + share, count) / count)
+            progress(min(start + at_once, count) / count)
     owner, cell = (np.concatenate(x) for x in zip(*kept, strict=True))
     return cell_lo[:, cell], cell_hi[:, cell], owner.astype(np.int32), np.full(count, total)
 
 
 @partial(jax.jit, static_argnums=0)
-def _meets_uniform(f, lo, hi, goal, args):
+def _meets_uniform(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, goal: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     def one(now):
         (goal_lo, goal_hi), a = now
         return _touch(_evaluate(lambda z: f(z, *a), lo, hi, ()), list(zip(goal_lo, goal_hi, strict=True)))

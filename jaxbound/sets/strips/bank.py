@@ -5,12 +5,15 @@ a coefficient that is 0. Verdicts are packed, two bits each, and travel with the
 does its work twice.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
+from jaxbound.exact.linalg import Rows
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 
@@ -28,13 +31,13 @@ class Bank:
     Fields: h, k: coefficients that are not 0, strip by strip; rows, known: static, a tuple for each strip of what they belong to.
     """
 
-    h: jax.Array
-    k: jax.Array
-    rows: tuple = field(metadata={"static": True})
-    known: tuple = field(metadata={"static": True})
+    h: jax.Array | np.ndarray
+    k: jax.Array | np.ndarray
+    rows: tuple[tuple[int, ...], ...] = field(metadata={"static": True})
+    known: tuple[tuple[int, ...], ...] = field(metadata={"static": True})
 
 
-def bank_of(exact_h, exact_k, dtype):
+def bank_of(exact_h: Rows, exact_k: Rows, dtype: DTypeLike) -> Bank:
     """Build a Bank from exact rows.
 
     Raises ValueError: coefficients that the float type does not hold.
@@ -48,13 +51,22 @@ def bank_of(exact_h, exact_k, dtype):
     return Bank(h, k, used(exact_h), used(exact_k))
 
 
-def bank_verdicts(bank, mid, rad, scale, known, known_scale, lift):
+def bank_verdicts(
+    bank: Bank,
+    mid: Sequence[jax.Array],
+    rad: Sequence[jax.Array],
+    scale: Sequence[jax.Array],
+    known: Sequence[jax.Array],
+    known_scale: Sequence[jax.Array],
+    lift: jax.Array | float,
+) -> tuple[jax.Array, ...]:
     """Return the proved Status of each strip alone and the margin of the tightest one, packed as `unpacked` reads it.
 
     Args:
         bank: from `bank_of`. mid, rad, scale, known, known_scale, lift: as for `strips.strip_verdict`.
     """
-    words, gauge = [], jnp.full_like(mid[0], -1)
+    words: list[jax.Array] = []
+    gauge = jnp.full_like(mid[0], -1)
     for c, (residual, width, error) in enumerate(_each(bank, mid, rad, scale, known, known_scale, lift)):
         size, absent = jnp.abs(residual), jnp.isnan(error)
         fault, holds = size - width > error, width - size > error
@@ -69,22 +81,31 @@ def bank_verdicts(bank, mid, rad, scale, known, known_scale, lift):
     return jax.lax.complex(margin, jax.lax.bitcast_convert_type(bits, margin.dtype)), *words[1:]
 
 
-def unpacked(first, *others):
+def unpacked(first: np.ndarray, *others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the words (words, ...) uint32, strip c in two bits of word c // PACKED, and the margins (...), its sign as proved."""
     word = np.ascontiguousarray(first.imag).view(_bits(first.real.dtype)).astype(np.uint32)
     return np.stack([word, *others]), np.ascontiguousarray(first.real)
 
 
-def verdict_dtypes(bank, dtype):
+def verdict_dtypes(bank: Bank, dtype: DTypeLike) -> tuple[DTypeLike, ...]:
     """Return the dtypes of what `bank_verdicts` gives for samples of a dtype."""
     return (np.result_type(dtype, np.complex64), *[np.uint32] * (-(-len(bank.rows) // PACKED) - 1))
 
 
-def _bits(dtype):
-    return {4: np.uint32, 8: np.uint64}[np.dtype(dtype).itemsize]
+def _bits(dtype: DTypeLike) -> type[np.unsignedinteger]:
+    sizes: dict[int, type[np.unsignedinteger]] = {4: np.uint32, 8: np.uint64}
+    return sizes[np.dtype(dtype).itemsize]
 
 
-def bank_range(bank, mid, rad, scale, known, known_scale, lift):
+def bank_range(
+    bank: Bank,
+    mid: Sequence[jax.Array],
+    rad: Sequence[jax.Array],
+    scale: Sequence[jax.Array],
+    known: Sequence[jax.Array],
+    known_scale: Sequence[jax.Array],
+    lift: jax.Array | float,
+) -> tuple[jax.Array, jax.Array]:
     """Return (lo, hi), what all strips that have their data say together of one number, h x - k v for every strip; entire where none has.
 
     The number is within the width of the residual; its two ends are off by less than the error bound, which also covers their own
@@ -98,14 +119,24 @@ def bank_range(bank, mid, rad, scale, known, known_scale, lift):
     return lo, hi
 
 
-def _each(bank, mid, rad, scale, known, known_scale, lift):
+def _each(
+    bank: Bank,
+    mid: Sequence[jax.Array],
+    rad: Sequence[jax.Array],
+    scale: Sequence[jax.Array],
+    known: Sequence[jax.Array],
+    known_scale: Sequence[jax.Array],
+    lift: jax.Array | float,
+) -> Iterator[tuple[jax.Array | int, jax.Array | int, jax.Array]]:
     """Yield (residual, width, error bound of their comparison) of every strip; the last is NaN where data are missing."""
     widest = max(map(len, bank.rows)) + max(map(len, bank.known))
-    gamma, floor = rounding.residual_error(widest, mid[0].dtype)
-    floor = floor * (1 + jnp.max(jnp.abs(bank.h))) * lift
+    gamma, least = rounding.residual_error(widest, mid[0].dtype)
+    floor = least * (1 + jnp.max(jnp.abs(bank.h))) * lift
     a = b = 0
     for rows, inputs in zip(bank.rows, bank.known, strict=True):
-        residual, width, magnitude = 0, 0, 0
+        residual: jax.Array | int = 0
+        width: jax.Array | int = 0
+        magnitude: jax.Array | int = 0
         for i in rows:
             size = jnp.abs(bank.h[a])
             residual += bank.h[a] * mid[i]

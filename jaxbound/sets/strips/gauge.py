@@ -29,7 +29,7 @@ __all__ = ["gauge_search"]
 
 
 @partial(jax.jit, static_argnames="steps")
-def gauge_search(c, G, one, steps=60):
+def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h, z, done): candidates for the two problems, optimal up to rounding where done.
 
     Args:
@@ -97,7 +97,7 @@ def gauge_search(c, G, one, steps=60):
     return h, jnp.where(_pick(c, top)[None] == 0, 0, z), done
 
 
-def _first_basis(c, top):
+def _first_basis(c: jax.Array, top: jax.Array) -> jax.Array:
     """Return the inverse P (r, r, N) of the columns c and all unit vectors but the one along c's largest entry."""
     r = len(c)
     biggest = _pick(c, top)
@@ -111,15 +111,15 @@ def _first_basis(c, top):
     return jnp.stack(basis).astype(c.dtype)
 
 
-def _slopes(T, signs):
+def _slopes(T: jax.Array, signs: jax.Array) -> jax.Array:
     """Return how fast sum_j |h g_j| over the generators outside the basis changes along each edge, (r - 1, N)."""
     return jnp.stack([total(signs[j] * T[s, j] for j in range(T.shape[1])) for s in range(1, len(T))])
 
 
-def _row(T, number):
+def _row(T: jax.Array, number: jax.Array) -> jax.Array:
     return jnp.take_along_axis(T, number[None, None], 0, mode="clip")[0]
 
 
-def _pick(rows, number):
+def _pick(rows: jax.Array, number: jax.Array) -> jax.Array:
     """Return for each window one of its rows."""
     return jnp.take_along_axis(rows, number[None], 0, mode="clip")[0]

@@ -7,7 +7,9 @@ from these by at most `error`, one bound a row for all v and e (`row_error`), ro
 """
 
 import math
+from collections.abc import Sequence
 from itertools import product
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +21,18 @@ from jaxbound.sets.floats.unrolled import total
 __all__ = ["bends", "image", "multiaffine", "row_error", "slopes", "vertex_gauge", "vertex_margin"]
 
 
-def multiaffine(exponents):
+Exponents: TypeAlias = Sequence[tuple[int, ...]]
+
+
+NOTHING: list[Any] = [0.0]  # the terms of a sum without any: a number of any dtype
+
+
+def multiaffine(exponents: Exponents) -> bool:
     """Return whether no variable has an exponent above 1: extremes over a box are then at its vertices."""
     return all(e <= 1 for a in exponents for e in a)
 
 
-def row_error(value, error, spread, rad, exponents):
+def row_error(value: jax.Array, error: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents) -> jax.Array:
     """Return (r, N): at least |exact p_k - p_k as computed in here| for all |v| <= 1, |e| <= 1.
 
     Args: error (r, K, N): the exact coefficients, and the noise terms with them, are within error[k, a] |v^a|.
@@ -40,7 +48,15 @@ def row_error(value, error, spread, rad, exponents):
     return jnp.stack([(1 + gamma) * bound[k] + gamma * size[k] + floor * (1 + size[k]) for k in range(r)])
 
 
-def image(value, spread, rad, exponents, mid=None, radius=None, linear=False):
+def image(
+    value: jax.Array,
+    spread: jax.Array,
+    rad: jax.Array,
+    exponents: Exponents,
+    mid: jax.Array | None = None,
+    radius: jax.Array | None = None,
+    linear: bool = False,
+) -> tuple[jax.Array, jax.Array]:
     """Return (c (r, N), G (r, q, N)): p(v, e) is in c + G [-1, 1]^q, up to `row_error`, for all v in mid +- radius and e.
 
     Every monomial of order 2 and more in the variables of the box is a variable of its own, the noise e_j keeps its direction in the middle
@@ -73,7 +89,7 @@ def image(value, spread, rad, exponents, mid=None, radius=None, linear=False):
     return c, jnp.stack(columns, 1)
 
 
-def bends(value, exponents, radius):
+def bends(value: jax.Array, exponents: Exponents, radius: jax.Array) -> jax.Array:
     """Return (n, N): how much each variable of a box adds to what an image does not keep, relative to the rows: where to cut."""
     n = len(exponents[0])
     size = total(value[:, a] * 0 + jnp.abs(value[:, a]) for a in range(len(exponents)))
@@ -88,7 +104,9 @@ def bends(value, exponents, radius):
     return jnp.stack(out)
 
 
-def slopes(value, spread, rad, exponents, z):
+def slopes(
+    value: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents, z: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (p (r, N), J (r, n + m, N), bend (r, N)) at z = (v, e) (n + m, N): the values, their derivative and a bound on its change.
 
     bend: at least max_i |J(x) - J(z)|_i / max_i |x_i - z_i| for x, z in the box. Both p and J are within `row_error` of the exact ones, J
@@ -97,7 +115,7 @@ def slopes(value, spread, rad, exponents, z):
     n, m, order, count = len(exponents[0]), rad.shape[0], _order(exponents), len(exponents)
     v, e = z[:n], z[n:]
     power = [_power(v, a) for a in exponents]
-    w = [value[:, a] + total([spread[:, a, j, None] * (rad[j] * e[j])[None] for j in range(m)] or [0.0]) for a in range(count)]
+    w = [value[:, a] + total([spread[:, a, j, None] * (rad[j] * e[j])[None] for j in range(m)] or NOTHING) for a in range(count)]
     p = total(w[a] * _row(power[a]) for a in range(count))
     J = []
     for i in range(n):
@@ -108,7 +126,9 @@ def slopes(value, spread, rad, exponents, z):
     return p, jnp.stack(J, 1), jnp.stack(bend)
 
 
-def vertex_margin(value, spread, rad, exponents, error):
+def vertex_margin(
+    value: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents, error: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Return (margin (N,), inside (N,)) of one multi-affine polynomial: margin < 0 is proof that it has no zero, inside that it has one.
 
     Its range over the box is the interval between its extremes at the vertices. margin is 1 - t, see `vertex_gauge`.
@@ -121,7 +141,9 @@ def vertex_margin(value, spread, rad, exponents, error):
     return jnp.where(jnp.isnan(value[0, 0]), jnp.nan, margin), inside
 
 
-def vertex_gauge(value, spread, rad, exponents, smooth=True):
+def vertex_gauge(
+    value: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents, smooth: bool = True
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (t, low, high), each (N,), of one multi-affine polynomial: the ends of its range over the box, at the vertices.
 
     t is the factor on the box at which 0 just belongs to the range, within 2^+-10; not rounded, to about 1e-6. smooth: differentiable.
@@ -156,7 +178,7 @@ def vertex_gauge(value, spread, rad, exponents, smooth=True):
 
     def nearest(t, parts):
         """Return how far t times the box is from reaching 0."""
-        least, most = ends(*parts, t)
+        least, most = ends(parts[0], parts[1], parts[2], t)
         return jnp.where(centre > 0, least, -most)
 
     def halve(_, bracket):
@@ -175,15 +197,17 @@ def vertex_gauge(value, spread, rad, exponents, smooth=True):
     return jnp.clip(t, below * (1 - 1e-6), above * (1 + 1e-6)), low, high
 
 
-def _expansion(exponents, mid, radius):
+def _expansion(
+    exponents: Exponents, mid: jax.Array | None, radius: jax.Array | None
+) -> dict[tuple[int, ...], dict[int, float | jax.Array]]:
     """Return {d: {a: factor}}: (mid + radius w)^a = sum_d factor w^d."""
-    out = {}
+    out: dict[tuple[int, ...], dict[int, float | jax.Array]] = {}
     for a, alpha in enumerate(exponents):
-        if mid is None:
+        if mid is None or radius is None:
             out.setdefault(alpha, {})[a] = 1.0
             continue
         for d in product(*(range(e + 1) for e in alpha)):
-            factor = float(math.prod(math.comb(e, x) for e, x in zip(alpha, d, strict=True)))
+            factor: float | jax.Array = float(math.prod(math.comb(e, x) for e, x in zip(alpha, d, strict=True)))
             for i, (e, x) in enumerate(zip(alpha, d, strict=True)):
                 for _ in range(e - x):
                     factor = factor * mid[i]
@@ -193,36 +217,37 @@ def _expansion(exponents, mid, radius):
     return dict(sorted(out.items(), key=lambda item: (sum(item[0]), tuple(-e for e in item[0]))))
 
 
-def _change(alpha, mid, radius):
+def _change(alpha: tuple[int, ...], mid: jax.Array | None, radius: jax.Array | None) -> float | jax.Array:
     """Return at least |v^alpha - mid^alpha| over the box."""
-    if mid is None:
+    if mid is None or radius is None:
         return 1.0
-    far, near = 1.0, 1.0
+    far: float | jax.Array = 1.0
+    near: float | jax.Array = 1.0
     for i, e in enumerate(alpha):
         for _ in range(e):
             far, near = far * (jnp.abs(mid[i]) + radius[i]), near * jnp.abs(mid[i])
     return far - near
 
 
-def _row(x):
+def _row(x: float | jax.Array) -> float | jax.Array:
     """Return a number a window as a row beside others; a plain number as it is."""
     return x[None] if isinstance(x, jax.Array) else x
 
 
-def _power(v, alpha):
-    out = 1.0
+def _power(v: jax.Array, alpha: tuple[int, ...]) -> float | jax.Array:
+    out: float | jax.Array = 1.0
     for i, e in enumerate(alpha):
         for _ in range(e):
             out = out * v[i]
     return out
 
 
-def _sizes(value, spread, rad):
+def _sizes(value: jax.Array, spread: jax.Array, rad: jax.Array) -> list[jax.Array]:
     """Return sum_a |value| + sum_j sum_a |spread| rad, row by row."""
     noise = jnp.sum(jnp.abs(spread), 1)
     m = rad.shape[0]
-    return [total(jnp.abs(value[k])) + total([noise[k, j] * rad[j] for j in range(m)] or [0.0]) for k in range(value.shape[0])]
+    return [total(jnp.abs(value[k])) + total([noise[k, j] * rad[j] for j in range(m)] or NOTHING) for k in range(value.shape[0])]
 
 
-def _order(exponents):
+def _order(exponents: Exponents) -> int:
     return max(1, *map(sum, exponents))

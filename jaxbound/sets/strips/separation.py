@@ -23,15 +23,21 @@ Everything is written for a block of N windows, the last axis, and elementwise o
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
+from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import largest, most, total
 
 __all__ = ["Frame", "exchange_search", "frame_of", "separation_margin", "separation_search", "separation_verdict"]
+
+
+Numbers: TypeAlias = jax.Array | np.ndarray
 
 
 @jax.tree_util.register_dataclass
@@ -43,15 +49,15 @@ class Frame:
     a column only fills up to a fixed width.
     """
 
-    R: jax.Array
-    K: jax.Array
-    inner: jax.Array
-    outer: jax.Array
-    used: jax.Array
-    real: jax.Array
+    R: Numbers
+    K: Numbers
+    inner: Numbers
+    outer: Numbers
+    used: Numbers
+    real: Numbers
 
 
-def frame_of(exact_frame, dtype, width=None):
+def frame_of(exact_frame: linalg.Frame, dtype: DTypeLike, width: int | None = None) -> Frame:
     """Round an `exact.Frame`; fill its inner rows up to `width`."""
     c, k = len(exact_frame.outer), len(exact_frame.inner)
     width = k if width is None else width
@@ -63,7 +69,7 @@ def frame_of(exact_frame, dtype, width=None):
     return Frame(R, K, inner, np.array(exact_frame.outer, np.int32), np.array(exact_frame.used, bool), np.arange(width) < k)
 
 
-def separation_margin(frame, mid, rad, known, steps=1000):
+def separation_margin(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000) -> jax.Array:
     """Return 1 - t, unrounded and differentiable in mid, rad and known; NaN where no relation has its data, or an inner row has none.
 
     Args:
@@ -72,11 +78,13 @@ def separation_margin(frame, mid, rad, known, steps=1000):
     absent, missing = jnp.isnan(mid), jnp.isnan(known)
     z, r_outer, r_inner, present, complete = _image(frame, mid, rad, known, absent, missing)
     stop = jax.lax.stop_gradient  # the best h stays the best for a small change: envelope theorem
-    h, _, _ = exchange_search(stop(frame.R), *map(stop, (z, r_outer, r_inner)), present, jnp.ones_like(stop(z[0])), steps)
+    h, _, _ = exchange_search(stop(frame.R), stop(z), stop(r_outer), stop(r_inner), present, jnp.ones_like(stop(z[0])), steps)
     return jnp.where(complete & present.any(0), 1 - _factor(total(h * z), _width(frame.R, h, r_outer, r_inner)), jnp.nan)
 
 
-def separation_search(frame, mid, rad, known, one, steps, finer=1.0):
+def separation_search(
+    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, one: jax.Array, steps: int, finer: jax.Array | float = 1.0
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly optimal where done.
 
     Args:
@@ -88,7 +96,19 @@ def separation_search(frame, mid, rad, known, one, steps, finer=1.0):
     return exchange_search(frame.R, z / one[None], r_outer / one[None], r_inner / one[None], present, one, steps, finer)
 
 
-def separation_verdict(frame, mid, rad, scale, known, known_scale, lift, one, h, d, done):
+def separation_verdict(
+    frame: Frame,
+    mid: jax.Array,
+    rad: jax.Array,
+    scale: jax.Array,
+    known: jax.Array,
+    known_scale: jax.Array,
+    lift: jax.Array | float,
+    one: jax.Array,
+    h: jax.Array,
+    d: jax.Array,
+    done: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled): margin > 0 inside, < 0 outside (both proved), 0 where rounding or the number of steps left it open, NaN
     where no relation has its data.
 
@@ -111,8 +131,8 @@ def separation_verdict(frame, mid, rad, scale, known, known_scale, lift, one, h,
     if len(known):
         magnitude += _product(jnp.abs(frame.K), jnp.where(missing, 0, known_scale))
     magnitude = magnitude / one[None]
-    gamma, floor = rounding.search_error(c, k, len(known), mid.dtype)
-    floor = floor * lift * (1 + jnp.max(size)) * (1 + jnp.max(jnp.abs(frame.K), initial=0))
+    gamma, least = rounding.search_error(c, k, len(known), mid.dtype)
+    floor = least * lift * (1 + jnp.max(size)) * (1 + jnp.max(jnp.abs(frame.K), initial=0))
     floor = floor * (1 + total(magnitude) + total([*s_inner, *jnp.where(missing, 0, known_scale)]))
     residual, width = jnp.abs(total(h * z)), _width(frame.R, h, r_outer, r_inner)
     outside = residual - width > gamma * total(jnp.abs(h) * magnitude) + floor
@@ -120,14 +140,16 @@ def separation_verdict(frame, mid, rad, scale, known, known_scale, lift, one, h,
     excess = jnp.where(present, gap + gamma * magnitude + floor[None] - r_outer, -jnp.inf)
     excess = jnp.concatenate([excess, jnp.abs(d) + gamma * s_inner + floor[None] - r_inner]) / one[None]
     inside = most(excess) <= 0
-    margin, least = jnp.nan_to_num(1 - _factor(residual, width), nan=0.0), jnp.finfo(mid.dtype).eps  # NaN says absent: sums may overflow
-    margin = jnp.where(outside, jnp.minimum(margin, -least), jnp.where(inside, jnp.maximum(margin, least), 0))
+    margin, eps = jnp.nan_to_num(1 - _factor(residual, width), nan=0.0), jnp.finfo(mid.dtype).eps  # NaN says absent: sums may overflow
+    margin = jnp.where(outside, jnp.minimum(margin, -eps), jnp.where(inside, jnp.maximum(margin, eps), 0))
     margin = jnp.where(complete, margin, 0)
     nothing = complete & ~present.any(0)
     return jnp.where(nothing, jnp.nan, margin), nothing | (complete & done)
 
 
-def _image(frame, mid, rad, known, absent, missing):
+def _image(
+    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, absent: jax.Array, missing: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, Numbers, jax.Array]:
     """Return (z, r_outer, r_inner, present, complete); radii are 1 and middles 0 where there is no sample."""
     real = frame.real[:, None] & ~absent[frame.inner]
     present = frame.used[:, None] & ~absent[frame.outer]
@@ -142,18 +164,27 @@ def _image(frame, mid, rad, known, absent, missing):
     return jnp.where(present, z, 0), jnp.where(present, rad[frame.outer], 1), jnp.where(real, rad[frame.inner], 1), present, complete
 
 
-def _width(R, h, r_outer, r_inner):
+def _width(R: Numbers, h: jax.Array, r_outer: jax.Array, r_inner: jax.Array) -> jax.Array:
     """Return sum_j |h_j| r_j + sum_i |h R|_i r_i."""
     across = jnp.abs(_product(R.T, h))
     return total(jnp.abs(h) * r_outer) + total(across * r_inner)
 
 
-def _factor(residual, width):
+def _factor(residual: jax.Array, width: jax.Array) -> jax.Array:
     """Return |residual| / width, 0 where no row takes part."""
     return jnp.abs(residual) / jnp.where(width > 0, width, 1)
 
 
-def exchange_search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
+def exchange_search(
+    R: Numbers,
+    z: jax.Array,
+    r_outer: jax.Array,
+    r_inner: jax.Array,
+    present: Numbers,
+    one: jax.Array,
+    steps: int,
+    finer: jax.Array | float = 1.0,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where done.
 
     `/ one` in here is nothing but a sign to the compiler: it does not work out a quotient again for each of its uses.
@@ -238,11 +269,12 @@ def exchange_search(R, z, r_outer, r_inner, present, one, steps, finer=1.0):
     return jnp.where(jnp.abs(h) > rounding.unit(dtype) ** 2, h, 0), d, done
 
 
-def _product(R, x):
+def _product(R: Numbers, x: Numbers) -> jax.Array:
     """Return R x of a matrix (c, k) and rows (k, N), k > 0."""
-    return total(R[:, i, None] * x[i][None] for i in range(len(x)))
+    matrix, rows = cast(jax.Array, R), cast(jax.Array, x)
+    return total(matrix[:, i, None] * rows[i][None] for i in range(len(rows)))
 
 
-def _pick(rows, number):
+def _pick(rows: jax.Array, number: jax.Array) -> jax.Array:
     """Return for each window one of its rows."""
     return jnp.take_along_axis(rows, number[None], 0, mode="clip")[0]

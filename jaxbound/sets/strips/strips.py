@@ -12,12 +12,17 @@ result. A few circuits are unrolled with static supports, so that everything fus
 circuits, whose compile time does not grow with their number.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
+from jaxbound.exact.linalg import Rows
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 
@@ -35,12 +40,12 @@ class Strips:
     A circuit shorter than w repeats its first row, with that row's coefficient split by powers of two.
     """
 
-    rows: jax.Array
-    h: jax.Array
-    k: jax.Array
-    supports: tuple | None = field(metadata={"static": True})
+    rows: jax.Array | np.ndarray
+    h: jax.Array | np.ndarray
+    k: jax.Array | np.ndarray
+    supports: tuple[tuple[int, ...], ...] | None = field(metadata={"static": True})
 
-    def astype(self, dtype):
+    def astype(self, dtype: DTypeLike) -> Strips:
         """Return the strips in another float dtype; refuse coefficients that it would flush to zero."""
         low = [np.abs(x[x != 0]).min(initial=1) for x in (self.h, self.k)]
         high = [np.abs(x).max(initial=0) for x in (self.h, self.k)]
@@ -52,7 +57,7 @@ class Strips:
         return Strips(self.rows, self.h.astype(dtype), self.k.astype(dtype), self.supports)
 
 
-def strips_of(exact_h, exact_k):
+def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
     """Build Strips from exact rows h (over the box) and k (over the known values)."""
     widest = max(sum(1 for x in h if x) for h in exact_h)
     rows, coefficients, known = [], [], []
@@ -69,7 +74,7 @@ def strips_of(exact_h, exact_k):
     return Strips(np.array(rows, np.int32), np.array(coefficients), np.array(known).reshape(len(rows), -1), supports)
 
 
-def strip_margin(strips, mid, rad, known):
+def strip_margin(strips: Strips, mid: Sequence[jax.Array], rad: Sequence[jax.Array], known: Sequence[jax.Array]) -> jax.Array:
     """Return 1 - gauge, unrounded and differentiable; NaN where no circuit has all its data.
 
     Args:
@@ -88,7 +93,15 @@ def strip_margin(strips, mid, rad, known):
     return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
 
 
-def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
+def strip_verdict(
+    strips: Strips,
+    mid: Sequence[jax.Array],
+    rad: Sequence[jax.Array],
+    scale: Sequence[jax.Array],
+    known: Sequence[jax.Array],
+    known_scale: Sequence[jax.Array],
+    lift: jax.Array | float,
+) -> jax.Array:
     """Return the margin with a proved sign: > 0 inside, < 0 outside, 0 where rounding cannot tell, NaN where no circuit has its data.
 
     Outside: one circuit is violated by more than its error bound. Inside: every circuit with data holds by more than its error bound, and
@@ -99,8 +112,8 @@ def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
         scale, known_scale: magnitudes of rows and known values as in `rounding.residual_error`, which has the proof.
         lift: at least every factor that multiplied a row after its own rounding (scalar).
     """
-    gamma, floor = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
-    floor = floor * (1 + jnp.max(jnp.abs(strips.h))) * lift
+    gamma, least = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
+    floor = least * (1 + jnp.max(jnp.abs(strips.h))) * lift
     mid, rad, scale = _indexable(strips, mid, rad, scale)
 
     def step(gauge, strip):
@@ -114,7 +127,7 @@ def strip_verdict(strips, mid, rad, scale, known, known_scale, lift):
     return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
 
 
-def status_of(margin):
+def status_of(margin: jax.Array | np.ndarray) -> jax.Array:
     """Read the proved sign of a margin as a Status (int8)."""
     status = jnp.where(margin < 0, Status.FAULT, jnp.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
     return jnp.where(jnp.isnan(margin), Status.MISSING, status).astype(jnp.int8)
@@ -123,7 +136,9 @@ def status_of(margin):
 def _one(strip, mid, rad, scale, known, known_scale):
     """Evaluate one strip: the residual, its largest healthy size and the magnitude that its rounding error is relative to."""
     rows, h, k = strip
-    residual, width, magnitude = 0, 0, 0
+    residual: jax.Array | int = 0
+    width: jax.Array | int = 0
+    magnitude: jax.Array | int = 0
     for a in range(len(rows)):
         i, size = rows[a], jnp.abs(h[a])
         residual += h[a] * mid[i]

@@ -24,10 +24,14 @@ at z.
 """
 
 import math
+from collections.abc import Iterable
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import most, total
@@ -42,12 +46,16 @@ FLAT = 2.0**10
 BLOCK = 2**11
 
 
-def strip_count(r, q):
+Test: TypeAlias = tuple[jax.Array, jax.Array | int, jax.Array]
+"""|h c|, sum |h g_j| and the slack of their comparison."""
+
+
+def strip_count(r: int, q: int) -> int:
     """Return how many strips `strip_margins` tests for r rows and q generators, unit vectors included; 0 where it is not made for them."""
     return math.comb(q + r, r - 1) if r <= 3 and math.comb(q, r) <= UNROLLED else 0
 
 
-def affine_error(c, G, c_error=None, G_error=None):
+def affine_error(c: jax.Array, G: jax.Array, c_error: jax.Array | None = None, G_error: jax.Array | None = None) -> jax.Array:
     """Return E (r, N): at least |true row - computed row| over [-1, 1]^q, if c and G are off by up to c_error and G_error.
 
     Args:
@@ -57,7 +65,7 @@ def affine_error(c, G, c_error=None, G_error=None):
     return error if G_error is None else error + total(jnp.swapaxes(G_error, 0, 1)) * (1 + 4 * G.shape[1] * rounding.unit(c.dtype))
 
 
-def strip_margins(c, G, error):
+def strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     """Return 1 - gauge (N,) of 0 for up to three rows: < 0 is proved outside, anything else is not refuted.
 
     The gauge t is the factor on G at which 0 just belongs to the set, not above the true one. NaN stays NaN.
@@ -74,7 +82,7 @@ def strip_margins(c, G, error):
 
 
 @jax.jit
-def _strip_margins(c, G, error):
+def _strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     margin = _strips(c, G, error)
     if len(c) < 3:
         return margin
@@ -82,12 +90,13 @@ def _strip_margins(c, G, error):
     return jax.lax.cond(jnp.any(margin > 1), complete, lambda: margin)
 
 
-def _strips(c, G, error):
+def _strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     """Return the margin of all strips; in three dimensions of those that two generators fix, 2 where these generators may be flat."""
     across, unit, slack = _scales(c, G, error)
     r, q = G.shape[:2]
     g = [[G[i, j] for i in range(r)] for j in range(q)]
-    tests, width = [], {}  # (|h c|, sum |h g|, its slack)
+    tests: list[Test] = []  # (|h c|, sum |h g|, its slack)
+    width: dict[object, jax.Array] = {}
     if r == 1:
         tests.append((jnp.abs(c[0]), total(jnp.abs(x[0]) for x in g), slack(1)))
     elif r == 2:
@@ -108,17 +117,19 @@ def _strips(c, G, error):
     if r < 3:
         return margin
     solid = jnp.full_like(c[0], -jnp.inf)
-    for _, width, error in tests:
-        solid = jnp.maximum(solid, width - FLAT * error)
+    for _, size, loss in tests:
+        solid = jnp.maximum(solid, size - FLAT * loss)
     return jnp.where((solid > 0) | (margin < 0), margin, jnp.where(jnp.isnan(margin), margin, 2))
 
 
-def _completed_strips(c, G, error):
+def _completed_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     """Return the margin of the strips in three dimensions that a generator and a unit vector, or two unit vectors, fix."""
     across, unit, slack = _scales(c, G, error)
-    q, tests = G.shape[1], []
+    q = G.shape[1]
+    tests: list[Test] = []
     for m in range(3):
-        a, b, width = m - 2, m - 1, {}
+        a, b = m - 2, m - 1
+        width: dict[object, jax.Array] = {}
         for j in range(q):
             for k in range(j + 1, q):
                 _add(width, jnp.abs(G[a, j] * G[b, k] - G[b, j] * G[a, k]), j, k)
@@ -139,7 +150,7 @@ def _scales(c, G, error):
     return [total(jnp.abs(G[i, j]) * unit[i] for i in range(r)) for j in range(q)], unit, lambda s: kappa * s + floor
 
 
-def _worst(tests, floor, like):
+def _worst(tests: Iterable[Test], floor: jax.Array, like: jax.Array) -> jax.Array:
     excess, gauge = jnp.full_like(like, -jnp.inf), jnp.zeros_like(like)
     for residual, width, slack in tests:
         short = residual - slack
@@ -153,7 +164,7 @@ def _add(width, term, *strips):
         width[strip] = width[strip] + term if strip in width else term
 
 
-def refutes(c, G, error, h):
+def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.Array:
     """Return 1 - |h c| / sum_j |h g_j| (N,): < 0 is proof that 0 is outside, for any finite h (r, N) that is an array, not an expression.
 
     Args: as for `strip_margins`.
@@ -168,7 +179,7 @@ def refutes(c, G, error, h):
     return _signed(short / (width + floor), short - width)
 
 
-def _with_rounding(c, G, error):
+def _with_rounding(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[list[jax.Array], list[jax.Array]]:
     """Return (E, M), lists of rows: E with the rounding of a strip test, M the size of a row."""
     r, q = G.shape[:2]
     gamma, floor = rounding.product_error(q + 2 * r + 8, c.dtype)
@@ -176,17 +187,17 @@ def _with_rounding(c, G, error):
     return [(1 + 2 * gamma) * error[i] + gamma * M[i] + floor for i in range(r)], M
 
 
-def _floor(dtype, r, q):
+def _floor(dtype: DTypeLike, r: int, q: int) -> np.floating:
     return rounding.product_error((q + 1) * r * r, dtype)[1]
 
 
-def _signed(gauge, excess):
+def _signed(gauge: jax.Array, excess: jax.Array) -> jax.Array:
     """Return 1 - gauge, < 0 exactly where the excess is > 0."""
     least = jnp.finfo(gauge.dtype).eps
     return jnp.where(excess > 0, jnp.minimum(1 - gauge, -least), jnp.maximum(1 - gauge, 0))
 
 
-def right_inverse(J, z):
+def right_inverse(J: jax.Array, z: jax.Array) -> jax.Array:
     """Return R (q, r, N), nearly J R = 1, that moves most the variables with most room in [-1, 1]; 0 where none was found. No claim.
 
     Args: J (r, q, N), z (q, N).
@@ -206,7 +217,9 @@ def right_inverse(J, z):
     return jnp.where(jnp.isfinite(R), R, 0)
 
 
-def holds(F, F_error, J, J_error, z, R, curvature=0.0):
+def holds(
+    F: jax.Array, F_error: jax.Array, J: jax.Array, J_error: jax.Array, z: jax.Array, R: jax.Array, curvature: ArrayLike = 0.0
+) -> jax.Array:
     """Return where an x in [-1, 1]^q near z with f(x) = 0 is proved to exist, (N,) bool.
 
     Args:
@@ -240,7 +253,7 @@ def holds(F, F_error, J, J_error, z, R, curvature=0.0):
     return proved
 
 
-def zonotope_margins(c, G, c_error=None, G_error=None):
+def zonotope_margins(c: ArrayLike, G: ArrayLike, c_error: ArrayLike | None = None, G_error: ArrayLike | None = None) -> np.ndarray:
     """Return the margin 1 - gauge (N,) of 0 in each of N zonotopes c + G [-1, 1]^q: > 0 proved inside, < 0 proved outside, 0 unknown.
 
     The gauge is the factor on G at which 0 just belongs to the set. A set that is flat, or flat but for rounding, can be proved to miss 0,
@@ -276,7 +289,7 @@ def zonotope_margins(c, G, c_error=None, G_error=None):
     return out
 
 
-def _margins(c, G, c_error, G_error):
+def _margins(c: jax.Array, G: jax.Array, c_error: jax.Array, G_error: jax.Array) -> jax.Array:
     """Return the margins of one block."""
     r, q = G.shape[:2]
     error, one = affine_error(c, G, c_error, G_error), jnp.ones_like(c[0])
@@ -288,20 +301,22 @@ def _margins(c, G, c_error, G_error):
 
 
 @jax.jit
-def row_sizes(c, G):
+def row_sizes(c: jax.Array, G: jax.Array) -> jax.Array:
     """Return |c_i| + sum_j |g_ij| (r, N), 1 where it is 0."""
     size = jnp.abs(c) + jnp.sum(jnp.abs(G), 1)
     return jnp.where(size > 0, size, 1)
 
 
 @jax.jit
-def scaled(c, G, size):
+def scaled(c: jax.Array, G: jax.Array, size: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return c and G with the rows divided by their sizes, as `gauge.gauge_search` needs them."""
     return c / size, G / size[:, None]
 
 
 @jax.jit
-def _polished(c, G, c_error, G_error, z):
+def _polished(
+    c: jax.Array, G: jax.Array, c_error: jax.Array, G_error: jax.Array, z: jax.Array
+) -> tuple[tuple[jax.Array, jax.Array], jax.Array, jax.Array]:
     """Return ((c + G z, its error), z, error of G)."""
     r, q = G.shape[:2]
     gamma, floor = rounding.product_error(q + 2, c.dtype)
@@ -312,7 +327,7 @@ def _polished(c, G, c_error, G_error, z):
 
 
 @jax.jit
-def _settled(margin, inside):
+def _settled(margin: jax.Array, inside: jax.Array) -> jax.Array:
     least = jnp.finfo(margin.dtype).eps
     return jnp.where(margin < 0, margin, jnp.where(inside, jnp.maximum(margin, least), jnp.where(jnp.isnan(margin), margin, 0)))
 
