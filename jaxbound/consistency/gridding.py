@@ -74,10 +74,15 @@ class PavingTest(WindowTest):
 
 def whole_windows(test, u, y, starts):
     """Return the cases of a test that takes whole windows alone: what is missing makes a window MISSING, what is infinite UNDECIDED."""
-    span = lambda bad: np.convolve(bad, np.ones(test.horizon + 1, int))[starts + test.horizon] > 0 if len(bad) else np.zeros(0, bool)
-    lacking, endless = (span((bad(u).any(1) | bad(y).any(1)).astype(int)) for bad in (np.isnan, np.isinf))
+    lacking, endless = (_span(bad(u), starts, test.lags) | _span(bad(y), starts, test.horizon + 1) for bad in (np.isnan, np.isinf))
     cases = [(test, starts[~lacking & ~endless]), (Open(test, np.nan), starts[endless])]
     return [(case, own) for case, own in cases if len(own)]
+
+
+def _span(bad, starts, length):
+    """Return whether any of so many samples from each of `starts` on is bad (T, channels)."""
+    counted = np.concatenate([[0], np.cumsum(bad.any(1))])
+    return counted[starts + length] > counted[starts]
 
 
 def _pave(relations, U, Y, q, boxes):

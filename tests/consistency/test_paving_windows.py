@@ -167,3 +167,13 @@ def test_a_budget_of_one_box_a_window_is_enough_for_the_first_box(count):
     r, y = jb.parity_relations(paper(), horizon=1), np.tile([[[0, 0], [100.0, 0]]], (count, 1, 1))
     found = jb.detect(r, np.zeros((count, 2, 1)), y, method="paving", budget=(2, count)).status[:, -1]
     assert (found == Status.FAULT).all()
+
+
+def test_a_missing_input_that_its_relations_do_not_use_costs_a_window_nothing(rng):
+    """The last input of a window acts on no sample of it."""
+    u, y = outside(rng, 4)
+    lost = u.copy()
+    lost[:, -1] = np.nan
+    np.testing.assert_array_equal(verdict(lost, y, "paving"), verdict(u, y, "paving"))
+    lost[0, 0] = np.nan
+    assert verdict(lost, y, "paving")[0] == Status.MISSING
