@@ -16,7 +16,6 @@ from jaxbound.recordings.expressions import expression, missing_column
 from jaxbound.recordings.naming import listed
 from jaxbound.recordings.plaintext import cell, clipped, printable
 from jaxbound.recordings.read import read
-from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import Unit, UnitResult
 
 
@@ -118,13 +117,6 @@ def test_no_cell_of_fleet_csv_is_a_formula(tmp_path, name):
     shown = repr(name)[1:-1] if name[0] in "\t\r" else f"'{name}"
     assert row["unit"] == shown and row["sentence"] == f"{shown} is not there" and row["margin"] == "-3.0"
     assert cell("pump 7") == "pump 7"
-
-
-def test_pages_show_control_characters_as_escapes(tmp_path):
-    unit = Unit("\x1b[2J<b>", tmp_path / "m.toml", tmp_path / "r\udcff.csv")
-    page = fleet_page([UnitResult(unit, "not tested", "\u202e")], ("not tested", 2, "x"), "t")
-    page.encode()
-    assert "\\x1b[2J&lt;b&gt;" in page and "\u202e" not in page
 
 
 def test_a_name_with_dollar_signs_is_drawn_as_it_is():

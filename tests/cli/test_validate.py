@@ -1,21 +1,14 @@
-"""`jaxbound detect --method validation`: columns, verdict, page and pictures; what it refuses."""
+"""`jaxbound detect --method validation`: columns and verdict; what it refuses."""
 
 import json
 
 import numpy as np
 import pytest
+from validated_case import MODEL, Status, found_in, recording_of
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.cli.validate import Validated, write_columns_of
-from jaxbound.plots.validation import plot_output
-from jaxbound.recordings.recording import Recording
-from jaxbound.reports.validation import write_page
-from jaxbound.sets.intervals.interval import Interval
-
-Status = jb.Status
-MODEL = jb.LinearSystem([["0.5"]], [[1]], [[1], [2]], noise="0.1", uncertainties=[jb.Uncertainty("a", A=[["0.05"]])], units={"y1": "bar"},
-                        name="two & two")  # fmt: skip
+from jaxbound.cli.validate import write_columns_of
 
 
 @pytest.fixture(autouse=True)
@@ -47,22 +40,6 @@ def place(tmp_path):
         return [str(tmp_path / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]
 
     return write
-
-
-def found_in(T=60, faulty=(20, 21, 22, 40), missing=0):
-    """Return a Validated made up of given bands: the truth is 1 +- 0.5, y1 shows 4 where it is faulty."""
-    band = lambda k, width: Interval(*(np.concatenate([np.full((1, k), side * np.inf), np.full((T - 1, k), 1 + side * width)])
-                                       for side in (-1, 1)))  # fmt: skip
-    bad = np.zeros((T, 2), bool)
-    bad[list(faulty), 0] = True
-    status = np.where(bad.any(1), Status.FAULT, Status.UNDECIDED).astype(np.int8)
-    status[: 1 + missing] = Status.MISSING
-    y = np.where(bad, 4.0, 1.0)
-    return Validated(MODEL, 1, y, jb.Validation(band(1, 0.5), band(2, 0.5), band(2, 3), bad, band(2, 0.25), status))
-
-
-def recording_of(res):
-    return Recording(np.ones((len(res.y), 1)), res.y, time=np.arange(len(res.y)) * 1.0, source="run.csv")
 
 
 LABEL = "{} s".format
@@ -106,37 +83,6 @@ class TestFiles:
             np.testing.assert_array_equal(np.array(columns[name][1:], float), x[1:])
         assert set(columns["corrected.y1"][1:]) == {"1"} or {float(c) for c in columns["corrected.y1"][1:]} == {1.0}
         assert [k for k, v in enumerate(columns["faulty.y1"]) if v == "true"] == [20, 21, 22, 40]
-
-    def test_the_page_shows_each_output_and_each_stretch(self, tmp_path):
-        res = found_in()
-        names = write_page(tmp_path, res, recording_of(res), res.alarms(), hints=["a `hint`"])
-        page = (tmp_path / "report.html").read_text()
-        assert names == ["report.html", "output1.png", "output2.png"] and page.count("<img") == 2 and "two &amp; two" in page
-        assert "<td>y1</td><td>20 s</td><td>22 s</td><td>3 s</td><td>3</td><td>4 bar</td><td>0.75 to 1.25 bar</td>" in page
-        assert "<code>hint</code>" in page and "nobody can promise more" in page
-
-
-class TestPicture:
-    def test_faulty_stretches_are_marked_and_replaced(self):
-        res = found_in()
-        (ax,) = plot_output(res, 0, np.arange(60.0)).axes
-        lines = {x.get_label(): np.asarray(x.get_ydata(), float) for x in ax.lines}
-        assert (
-            list(np.flatnonzero(np.isfinite(lines["measured, faulty"])))
-            == [20, 21, 22, 40]
-            == list(np.flatnonzero(np.isfinite(lines["corrected"])))
-        )
-        assert np.isfinite(lines["measured"]).sum() == 56 and "4 faulty samples in 2 stretches" in ax.get_title(loc="left")
-
-    def test_one_faulty_sample_in_a_million_is_drawn(self):
-        whole, near = plot_output(found_in(10**6, faulty=(654_321,)), 0, np.arange(1e6)).axes
-        corrected = [next(x for x in ax.lines if x.get_label() == "corrected") for ax in (whole, near)]
-        assert list(np.flatnonzero(np.isfinite(corrected[0].get_ydata()))) == [654_321 * 1200 // 10**6]
-        at = corrected[1].get_xdata()[np.isfinite(corrected[1].get_ydata())]
-        assert len(corrected[1].get_xdata()) == 600 and np.allclose(at, [654_321 / 86400])
-
-    def test_a_recording_without_any_band_is_drawn(self):
-        assert plot_output(found_in(missing=59), 1, np.arange(60.0)).axes
 
 
 @pytest.mark.parametrize(

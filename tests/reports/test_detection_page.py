@@ -6,96 +6,17 @@ from html.parser import HTMLParser
 import jax
 import numpy as np
 import pytest
-from systems import paper
+from result_case import CONSISTENT, FAULT, MISSING, UNDECIDED, biased, recording_of, synthetic
 
 import jaxbound as jb
-from jaxbound.diagnosis.result import Result
-from jaxbound.recordings.plaintext import duration, percent, times
 from jaxbound.recordings.recording import Recording
 from jaxbound.reports.detection import write_report
-from jaxbound.runs.summary import bound_hints, coverage, summary, worst_window
-
-FAULT, MISSING, CONSISTENT, UNDECIDED = jb.Status.FAULT, jb.Status.MISSING, jb.Status.CONSISTENT, jb.Status.UNDECIDED
 
 
 @pytest.fixture(scope="module")
 def run():
     """Return (result, recording) of the paper's system with a bias."""
-    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 15), 20)[:, None]
-    t = jb.simulate(paper(), u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 1.0, 100, 150)])
-    u, y = np.asarray(t.u), np.asarray(t.y)
-    return jb.detect(jb.parity_relations(paper()), u, y), Recording(u, y, time=0.01 * np.arange(len(u)), source="run.csv")
-
-
-def synthetic(status, margin=None, model=None, method="joint"):
-    """Return a Result with given verdicts."""
-    r = jb.parity_relations(model or paper())
-    status = np.asarray(status, np.int8)
-    margin = np.where(status == FAULT, -1.0, np.where(status == MISSING, np.nan, 0.5)) if margin is None else np.asarray(margin, float)
-    n = len(status)
-    return Result(status, margin, method, r, np.zeros((n, r.model.m)), np.zeros((n, r.model.p)))
-
-
-def recording_of(res):
-    return Recording(res.u, res.y, time=res.relations.model.dt * np.arange(len(res.status)))
-
-
-class TestSummary:
-    label = staticmethod(lambda k: f"sample {k}")
-
-    def test_no_fault(self):
-        res = synthetic([MISSING] + [CONSISTENT] * 9, [np.nan] + [0.4] * 8 + [0.2])
-        assert summary(res, [], self.label) == (
-            "no fault",
-            "No fault found: the model explains all 9 windows within its bounds; the tightest, at sample 9, uses 80 % of them.",
-        )
-
-    def test_fault(self):
-        res = synthetic([MISSING] + [CONSISTENT] * 8 + [FAULT] * 2, [np.nan] + [0.4] * 8 + [-0.5, -1.9])
-        verdict, sentence = summary(res, res.alarms(), self.label)
-        assert verdict == "fault" and "2 of 10 windows (20 %)" in sentence and "in 1 alarm;" in sentence
-        assert sentence.endswith("the worst, at sample 10, would need bounds 2.9 times as wide.")
-
-    def test_all_fault_says_that_model_or_bounds_do_not_fit(self):
-        res = synthetic([MISSING] + [FAULT] * 9, [np.nan] + [-1.0] * 8 + [-11.0])
-        assert summary(res, [], self.label)[1] == (
-            "Every one of the 9 windows with data is FAULT: the model or its bounds do not fit this recording: "
-            "all bounds times about 12 would make every window consistent."
-        )
-
-    def test_the_common_factor_would_make_every_window_consistent(self, rng):
-        """With noise alone, the bounds times this factor are the intervals times it."""
-        y = np.cumprod(np.full(30, 0.5))[:, None] + 10.0 + rng.uniform(0, 3, (30, 1))
-        r = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
-        res = jb.detect(r, None, y)
-        assert res.counts["FAULT"] == 29
-        said = re.search("all bounds times about ([0-9.]+) would make every window consistent", summary(res, [], self.label)[1])
-        for share, left in ((0.99, True), (1.01, False)):
-            wider = jb.detect(r.with_bounds({"noise": 0.1 * share * float(said[1])}), None, y)
-            assert (wider.counts["FAULT"] > 0) == left
-
-    def test_too_little_evidence(self):
-        res = synthetic([MISSING] * 8 + [CONSISTENT] * 3)
-        verdict, sentence = summary(res, [], self.label, 0.5)
-        assert verdict == "too little evidence" and "only 3 of 10 windows (30 %)" in sentence and coverage(res) == 0.3
-        assert summary(res, [], self.label, 0.3)[0] == "no fault"
-
-    def test_a_fault_is_news_whatever_the_coverage(self):
-        assert summary(synthetic([MISSING] * 9 + [FAULT]), [], self.label)[0] == "fault"
-
-    def test_nothing_at_all(self):
-        res = synthetic([MISSING] * 5)
-        assert summary(res, [], self.label)[0] == "too little evidence" and worst_window(res) is None
-
-    def test_numbers_read_well(self):
-        assert [percent(x) for x in (0, 1e-9, 0.1234, 0.99999, 1)] == ["0 %", "<0.1 %", "12.3 %", ">99.9 %", "100 %"]
-        assert [times(x) for x in (1.0004, 2.149, 12345.6, 3e12)] == ["1.0004 times", "2.15 times", "12,346 times", "3e+12 times"]
-        assert [duration(x) for x in (0.01, 90, 600, 9000, 10**6)] == ["0.01 s", "90 s", "10 min", "2.5 h", "11.6 d"]
-
-    def test_bounds_that_nobody_can_mean(self):
-        assert bound_hints(paper()) == []
-        (hint,) = bound_hints(paper(noise=[0.1, 0], tolerance=0))
-        assert "no tolerance, noise or resolution for y2:" in hint
+    return biased()
 
 
 class Reader(HTMLParser):

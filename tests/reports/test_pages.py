@@ -148,3 +148,10 @@ def test_what_is_no_python_is_installed_too():
     data = tomllib.loads((HOME.parents[1] / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["jaxbound.reports"]
     kept = {f for pattern in data for f in HOME.glob(pattern)}
     assert kept == {f for f in HOME.rglob("*") if f.is_file() and f.suffix not in (".py", ".pyc")}
+
+
+def test_pages_show_control_characters_as_escapes(tmp_path):
+    unit = Unit("\x1b[2J<b>", tmp_path / "m.toml", tmp_path / "r\udcff.csv")
+    page = fleet_page([UnitResult(unit, "not tested", "\u202e")], ("not tested", 2, "x"), "t")
+    page.encode()
+    assert "\\x1b[2J&lt;b&gt;" in page and "\u202e" not in page
