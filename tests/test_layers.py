@@ -106,7 +106,10 @@ def test_no_private_jax_and_no_file_over_400_lines(path):
     assert text.count("\n") <= 400
 
 
-@pytest.mark.parametrize("module", [jb, jb.sets], ids=lambda m: m.__name__)
+ROOMS_OF_TYPES = [jb.certificates, jb.consistency, jb.diagnosis, jb.estimation, jb.models, jb.relations, jb.runs, jb.sets, jb.studies]
+
+
+@pytest.mark.parametrize("module", [jb, *ROOMS_OF_TYPES], ids=lambda m: m.__name__)
 def test_every_public_name_has_a_docstring(module):
     for name in module.__all__:
         thing = getattr(module, name)
@@ -139,6 +142,14 @@ def test_public_functions_are_annotated(name):
 def test_a_missing_annotation_is_found():
     source = "__all__ = ['f', 'C']\ndef f(x: int, *y): ...\ndef g(x): ...\nclass C:\n    @property\n    def size(self): ..."
     assert list(unannotated(source)) == ["f(y)", "f -> ?", "size -> ?"]
+
+
+def test_the_top_has_verbs_and_what_is_constructed_and_types_of_results_live_in_their_rooms():
+    assert len(jb.__all__) <= 45 and jb.Result is jb.diagnosis.Result and jb.Certificate is jb.certificates.Certificate
+    assert not {name for types in jb._ROOMS.values() for name in types} & set(jb.__all__)
+    assert all(getattr(jb, name) is getattr(getattr(jb, room), name) for room, types in jb._ROOMS.items() for name in types)
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = jb.nothing
 
 
 def test_import_loads_nothing_heavy_beyond_jax():

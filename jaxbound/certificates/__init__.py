@@ -1,3 +1,8 @@
-"""Exact proofs of one window, for people and as JSON: one file a kind of relation."""
+"""Exact proofs of one window, for people and as JSON: one file a kind of relation, each registers what it proves."""
 
-from jaxbound.certificates import certificate, residual_certificate, uncertain_certificate  # noqa: F401 (each registers what it proves)
+from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.interface import WindowCertificate, certify
+from jaxbound.certificates.residual_certificate import ResidualCertificate
+from jaxbound.certificates.uncertain_certificate import UncertainCertificate
+
+__all__ = ["Certificate", "ResidualCertificate", "UncertainCertificate", "WindowCertificate", "certify"]

@@ -1,1 +1,6 @@
-"""Can anything within the bounds explain a window? One file a test."""
+"""Can anything within the bounds explain a window? One file a test, one driver for all."""
+
+from jaxbound.consistency.interface import Judged, Observer, WindowTest
+from jaxbound.consistency.monitor import Monitor, MonitorState, Verdict
+
+__all__ = ["Judged", "Monitor", "MonitorState", "Observer", "Verdict", "WindowTest"]

@@ -1,1 +1,8 @@
-"""Verdicts, alarms, certificates."""
+"""Verdicts, alarms, isolation, what can be detected."""
+
+from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.detectability import GuaranteedSize
+from jaxbound.diagnosis.isolation import BankResult
+from jaxbound.diagnosis.result import Result
+
+__all__ = ["Alarm", "BankResult", "GuaranteedSize", "Result"]
