@@ -36,6 +36,7 @@ def drive(test: WindowTest | Observer, given: Recording, progress: Callable | No
         return test.fold(test.init(), given)[1]
     s, shape = test.horizon, given.y.shape[:-1]
     u, y = (np.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (given.u, given.y))
+    gone: np.ndarray | slice
     if len(given.starts):
         gone = np.flatnonzero(given.across(s) | (np.arange(shape[-1]) < s))
     else:

@@ -116,7 +116,9 @@ class BankResult(Result):
 
 @result_of.register
 def _(bank: Redundancy, judged, *about, **more):
-    return BankResult(judged.status, judged.margin, *about, signatures(bank), judged.words, **more)
+    method, relations, u, y, index, starts = about
+    table = signatures(bank)
+    return BankResult(judged.status, judged.margin, method, relations, u, y, index, starts, table, judged.words, **more)
 
 
 def words_of(statuses):

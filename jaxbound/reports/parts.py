@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from jaxbound.exact.linalg import Vector
 from jaxbound.models.modelfile import number_text
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.plaintext import percent
@@ -15,7 +16,7 @@ __all__ = ["computed", "model_values"]
 DIGITS = 12  # of an exact number, beyond which it is rounded
 
 
-def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray]) -> dict[str, object]:
+def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector]) -> dict[str, object]:
     """Return what the macro `model_tables` shows of a model with bounds {"tolerance", "noise"} (p,)."""
     return {
         "bounded": ("output", "column", "unit", "offset", *_headed(model)),

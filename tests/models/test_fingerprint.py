@@ -8,7 +8,8 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.relations.identity import differences, identity
+from jaxbound.recordings.checkpoint import differences
+from jaxbound.relations.identity import identity
 
 FEW = jb.Uncertainty("k", B=[[1], [0]])
 BASE = dict(

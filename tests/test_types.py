@@ -1,0 +1,32 @@
+"""Types: what is public says what it takes and returns, and the checker of a user who installs the package sees it."""
+
+import ast
+import importlib.resources
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "jaxbound"
+TYPED = ("models", "relations")  # rooms whose every public function is annotated
+FILES = sorted(path for room in TYPED for path in (PACKAGE / room).rglob("*.py"))
+
+
+def unannotated(body, method=False):
+    """Yield the names of public functions that leave a parameter or their value without a type."""
+    for node in body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from (f"{node.name}.{name}" for name in unannotated(node.body, method=True))
+        if isinstance(node, ast.FunctionDef) and (not node.name.startswith("_") or (method and node.name.startswith("__"))):
+            a = node.args
+            given = [*a.posonlyargs, *a.args, *a.kwonlyargs, *(x for x in (a.vararg, a.kwarg) if x)][method:]
+            if node.returns is None or any(x.annotation is None for x in given):
+                yield node.name
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_what_is_public_says_its_types(path):
+    assert list(unannotated(ast.parse(path.read_text()).body)) == []
+
+
+def test_the_checker_of_a_user_is_told_that_there_are_types():
+    assert importlib.resources.files("jaxbound").joinpath("py.typed").is_file()
