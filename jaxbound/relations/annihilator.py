@@ -125,8 +125,8 @@ def _one_order(E: PolynomialMatrix, betas: list[Exponents], order: int, kept: li
             multiples.append({len(kernel) - 1 - leads[k]: x for k, x in shifted.items() if k in leads})
     spanned = {len(kernel) - 1 - c for c in pivot_columns(multiples)}  # the last coordinate of a multiple: the others come first
     fresh = [kernel[i] for i in range(len(kernel)) if i not in spanned]
-    fresh = [{(betas[k // E.rows], k % E.rows): x for k, x in row.items()} for row in fresh]
-    return fresh, Step(order, len(betas) * E.rows, size, len(kernel), len(spanned), len(fresh))
+    found = [{(betas[k // E.rows], k % E.rows): x for k, x in row.items()} for row in fresh]
+    return found, Step(order, len(betas) * E.rows, size, len(kernel), len(spanned), len(fresh))
 
 
 def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
