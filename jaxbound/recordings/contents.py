@@ -6,15 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 from jaxbound.recordings.parquetfiles import files_of
 
-__all__ = ["content"]
+__all__ = ["Contents", "content"]
 
 BLOCK = 1 << 24  # bytes that a thread takes at once
 
 
 def content(path):
     """Return a digest of all bytes of a recording; of a folder, of its Parquet files and their names in it; None of a pipe.
-
-    Blocks are digested side by side (`hashlib` lets go of the interpreter), so a large recording costs little more than to read it.
 
     Args:
         path: of a file, or of a folder of Parquet files.
@@ -24,15 +22,44 @@ def content(path):
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         return None  # what is read from it is gone
-    files, whole = files_of(path), hashlib.blake2b(digest_size=32)
-    blocks = [(i, at) for i, file in enumerate(files) for at in range(0, file.stat().st_size or 1, BLOCK)]
-    with ThreadPoolExecutor(min(len(blocks), os.cpu_count() or 1)) as threads:
-        for (i, at), digest in zip(blocks, threads.map(lambda block: _digest(files[block[0]], block[1]), blocks), strict=True):
+    return Contents(path).all()
+
+
+class Contents:
+    """Digests of the files of a recording, of which each block is read once, when it is first asked for.
+
+    Blocks are digested side by side (`hashlib` lets go of the interpreter), so a large recording costs little more than to read it.
+
+    Args:
+        path: of a file, or of a folder of Parquet files.
+    """
+
+    def __init__(self, path):
+        self.path, self.files, self.known = path, files_of(path), {}
+
+    def all(self):
+        """Return the digest of all bytes, and of the names and sizes of the files."""
+        sizes = {file: file.stat().st_size for file in self.files}
+        blocks = self._blocks([(file, 0, size or 1) for file, size in sizes.items()])
+        whole = hashlib.blake2b(digest_size=32)
+        for (file, at), digest in blocks.items():
             if at == 0:
-                name = files[i].relative_to(path).as_posix() if path.is_dir() else ""  # a file may be moved
-                whole.update(f"{len(name)} {name} {files[i].stat().st_size} ".encode())
+                name = file.relative_to(self.path).as_posix() if self.path.is_dir() else ""  # a file may be moved
+                whole.update(f"{len(name)} {name} {sizes[file]} ".encode())
             whole.update(digest)
-    return whole.hexdigest()
+        return whole.hexdigest()
+
+    def of(self, spans):
+        """Return a digest of all blocks with bytes in spans, (file, first byte, byte behind the last) each."""
+        return hashlib.blake2b(b"".join(self._blocks(spans).values()), digest_size=32).hexdigest()
+
+    def _blocks(self, spans):
+        """Return {(file, first byte): digest} of the blocks in order."""
+        wanted = dict.fromkeys((file, at) for file, first, stop in spans for at in range(first // BLOCK * BLOCK, stop, BLOCK))
+        new = [block for block in wanted if block not in self.known]
+        with ThreadPoolExecutor(max(min(len(new), os.cpu_count() or 1), 1)) as threads:
+            self.known |= zip(new, threads.map(_digest, *zip(*new, strict=True)), strict=True) if new else ()
+        return {block: self.known[block] for block in wanted}
 
 
 def _digest(file, at):

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
+from jaxbound.recordings.contents import Contents
 from jaxbound.recordings.derived import Wanted
 from jaxbound.recordings.expressions import Expression
-from jaxbound.recordings.parquetfiles import PARTIAL, SUFFIXES, VERDICTS, Damage, checked, files_of, opened, plan_of
+from jaxbound.recordings.parquetfiles import PARTIAL, SUFFIXES, VERDICTS, Damage, checked, files_of, groups_of, opened, plan_of, spans_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
 from jaxbound.recordings.source import Source, overlapping, register, told
@@ -77,7 +78,22 @@ class ParquetSource(Source):
     @cached_property
     def content(self):
         """The digest of all files, as they are when it is first asked for. See `contents`."""
-        return self.digest(self.path)
+        return self._contents.all()
+
+    @cached_property
+    def _contents(self):
+        return Contents(self.path)
+
+    def content_of(self, first: int, stop: int) -> str:
+        """Return the digest of what the samples first..stop are read from, without the rest of large files."""
+        spans = [(file, *span) for file, low, high in self._in(first, stop) for span in spans_of(file, self.name(file), low, high)]
+        return self._contents.of(spans)
+
+    @property
+    def layout(self) -> str:
+        """What is known of the recording before it is read, as text: files, their sizes and rows, how columns and time are understood."""
+        files = [(self.name(file) if self.path.is_dir() else "", state[0]) for file, state in zip(self.files, self.states, strict=True)]
+        return repr((files, self.rows.tolist(), self.plan.columns, self.time_name, str(self.dtype), str(self.origin), self.scale))
 
     @property
     def label(self):
@@ -183,17 +199,20 @@ class ParquetSource(Source):
         return float(self.times(k, batch.column(0))[0][0])
 
     def _batches(self, first, stop, size, columns):
+        for file, low, high in self._in(first, stop):
+            yield from self._of_file(file, low, high, size, columns)
+
+    def _in(self, first, stop):
+        """Yield (file, its first row, the row behind its last) for the samples first..stop."""
         for file, low, high in zip(self.files, self.rows[:-1], self.rows[1:], strict=True):
             if low < stop and high > first:
-                yield from self._of_file(file, max(first - low, 0), min(stop, high) - low, size, columns)
+                yield file, int(max(first - low, 0)), int(min(stop, high) - low)
 
     def _of_file(self, file, first, stop, size, columns):
         """Yield record batches of the rows first..stop of one file; row groups outside are not touched."""
         self.unchanged(file)
         with opened(file, self.name(file)) as f:
-            ends = np.cumsum([0, *(f.metadata.row_group(g).num_rows for g in range(f.num_row_groups))])
-            groups = [g for g in range(f.num_row_groups) if ends[g] < stop and ends[g + 1] > first]
-            at = int(ends[groups[0]]) if groups else 0
+            groups, at = groups_of(f, first, stop)
             batches = f.iter_batches(max(size, BATCH), groups, columns)
             while True:
                 with Damage(self.name(file)):

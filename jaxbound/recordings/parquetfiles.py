@@ -8,10 +8,11 @@ Names are sorted as people do, part-9 before part-10. Names that begin with a do
 
 import re
 from dataclasses import replace
+from itertools import accumulate
 
 from jaxbound.recordings.derived import wanted
 
-__all__ = ["INDEX", "PARTIAL", "SUFFIXES", "VERDICTS", "Damage", "checked", "files_of", "opened", "plan_of"]
+__all__ = ["INDEX", "PARTIAL", "SUFFIXES", "VERDICTS", "Damage", "checked", "files_of", "groups_of", "opened", "plan_of", "spans_of"]
 
 SUFFIXES = (".parquet", ".pq")
 VERDICTS, PARTIAL = "verdicts.parquet", "verdicts.partial"  # folders that we write, complete and not
@@ -62,6 +63,27 @@ def opened(file, name):
         raise ValueError(f"{name} is a truncated Parquet file: its end is missing" if begins else f"{name} is no Parquet file")
     with Damage(name):  # not pre_buffer: pyarrow would hold whole row groups
         return pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True)
+
+
+def groups_of(f, first, stop):
+    """Return (the row groups of a ParquetFile that hold the rows first..stop, number of the first row in them)."""
+    ends = list(accumulate((f.metadata.row_group(g).num_rows for g in range(f.num_row_groups)), initial=0))
+    groups = [g for g in range(f.num_row_groups) if ends[g] < stop and ends[g + 1] > first]
+    return groups, ends[groups[0]] if groups else 0
+
+
+def spans_of(file, name, first, stop):
+    """Return spans of bytes, (first, behind the last): the row groups that hold the rows first..stop, and what says where they are."""
+    with opened(file, name) as f:
+        groups, _ = groups_of(f, first, stop)
+        end = file.stat().st_size
+        spans = [(max(end - f.metadata.serialized_size - 8, 0), end)]
+        for g in groups:
+            group = f.metadata.row_group(g)
+            chunks = [group.column(c) for c in range(group.num_columns)]
+            starts = [min(c.data_page_offset, c.dictionary_page_offset or c.data_page_offset) for c in chunks]
+            spans.append((min(starts), max(at + c.total_compressed_size for at, c in zip(starts, chunks, strict=True))))
+        return spans
 
 
 def checked(schema, model, name):

@@ -85,6 +85,15 @@ class Source:
         return self.digest(self.data)
 
     @property
+    def layout(self) -> str:
+        """What is known of the data before they are read, as text; where that is nothing, their digest."""
+        return str(self.content)
+
+    def content_of(self, first: int, stop: int) -> str:
+        """Return a digest of what the samples first .. stop - 1 are read from; where that is not known, of all data."""
+        return str(self.content)
+
+    @property
     def label(self) -> str:
         """The name of the recording for a reader."""
         return Path(str(self.data)).name

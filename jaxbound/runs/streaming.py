@@ -20,6 +20,7 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import suspected
+from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.checkpoint import refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
@@ -49,7 +50,7 @@ def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=No
         (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the copying of columns into the
         arrays that the kernel reads.
     """
-    folder, note = _begun(relations, source, Path(out), method)
+    folder, note = _begun(relations, source, Path(out), method, part)
     s, report = relations.horizon, progress or (lambda share: None)
     seconds = dict.fromkeys(("read", "transfer", "compute", "write"), 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
@@ -57,9 +58,8 @@ def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=No
     share = lambda done: report((done - first) / (end - first))
     try:
         for parts in _stretches(_missing(folder, mine)):
-            _test(
-                relations, source, _Pending(folder, note, parts.start * PART), method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts
-            )
+            pending = _Pending(folder, {i: note(i) for i in parts}, parts.start * PART)
+            _test(relations, source, pending, method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts)
         source.unchanged()
         report(1.0)
     except ValueError:  # data that must be changed first: what was found in them is of no use then
@@ -194,8 +194,8 @@ class _Lap:
 class _Pending:
     """Verdicts on their way into parts of PART samples."""
 
-    def __init__(self, folder, note, done):
-        self.folder, self.note, self.done, self.held = folder, note, done, []
+    def __init__(self, folder, notes, done):
+        self.folder, self.notes, self.done, self.held = folder, notes, done, []
 
     def add(self, written, status, margin, signals, last):
         """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last."""
@@ -219,48 +219,55 @@ class _Pending:
             "suspect": to_arrow(suspected(status, margin)),
         }
         runs = [follow(Runs(self.done), np.ascontiguousarray(x)) for x in signals.T]
+        number = self.done // PART
         about = {RUNS: json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist),
-                 IDENTITY: json.dumps(_of_part(self.note, self.done // PART))}  # fmt: skip
-        path = self.folder / _name(self.done // PART)
+                 IDENTITY: json.dumps(self.notes[number])}  # fmt: skip
+        path = self.folder / _name(number)
         self.folder.mkdir(parents=True, exist_ok=True)
         if path.exists():  # another share has made it meanwhile
-            _refuse_others([path], self.note)
+            _refuse_other(path, self.notes[number])
         with whole(path) as f:
             pq.write_table(pa.table(columns).replace_schema_metadata(about), f, use_dictionary=["status"], write_page_checksum=True)
         self.done += len(status)
 
 
-def _begun(relations, source, out, method):
-    """Return (folder for the parts, what they depend on); refuse parts of another run, and a folder with anything else in it."""
+def _begun(relations, source, out, method, part=None):
+    """Return (folder for the parts, function of a part's number: its identity); refuse what is of another run, or not ours at all.
+
+    A share looks at the content of its own parts only: where many are made at once, each reads what it judges and not all of the recording.
+    """
     relations.test(method, source.dtype)  # refuses what these relations cannot be tested by
     if source.samples <= relations.horizon:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
-    folder, note = out / PARTIAL, identity(relations, method=method, recording=source.content)
+    folder, common = out / PARTIAL, identity(relations, method=method, recording=fingerprint(source.layout))
+
+    def note(number):
+        """Return what the verdicts in a part depend on, before any of it is read."""
+        first, stop = max(number * PART - relations.horizon, 0), min((number + 1) * PART, source.samples)
+        place = f"part {number} of {PART} samples each"
+        return common | {"place in the recording": place, "content of the recording": source.content_of(first, stop)}
+
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
     strangers = set(os.listdir(folder)) - {p.name for p in _ours(folder)} if folder.is_dir() else ()
-    _refuse_others(part_files(folder), note)
+    mine = numbers_of(part or (1, 1), part_count(source))
+    for file in part_files(folder):
+        _refuse_other(file, note(_number(file)) if _number(file) in mine else common)
     if strangers:
         raise ValueError(f"{folder} holds {min(strangers)}, which was not written by jaxbound: move it, or choose another folder")
     return folder, note
 
 
-def _of_part(note, number):
-    """Return what the verdicts in one part depend on."""
-    return note | {"place in the recording": f"part {number} of {PART} samples each"}
-
-
-def _refuse_others(parts, note):
+def _refuse_other(part, note):
     """Raise ValueError if a part is damaged, none of ours, or not what belongs under its name."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    for part in parts:
-        try:
-            about = pq.read_schema(part).metadata or {}
-        except pa.ArrowException:
-            about = {}
-        if RUNS not in about:
-            why = "which was not written by jaxbound, or is damaged"
-            raise ValueError(f"{part.parent} holds {part.name}, {why}: move it, or choose another folder")
-        refuse_other(part, json.loads(about.get(IDENTITY, "{}")), _of_part(note, _number(part)))
+    try:
+        about = pq.read_schema(part).metadata or {}
+    except pa.ArrowException:
+        about = {}
+    if RUNS not in about:
+        why = "which was not written by jaxbound, or is damaged"
+        raise ValueError(f"{part.parent} holds {part.name}, {why}: move it, or choose another folder")
+    refuse_other(part, json.loads(about.get(IDENTITY, "{}")), note)

@@ -2,9 +2,11 @@
 
 import json
 import re
+import shutil
 import threading
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from streaming_case import N, Stop, cases, recording, shrink, stopped_after, verdicts, write
 from systems import paper
@@ -12,6 +14,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import detect as detecting
 from jaxbound.cli import main
+from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.runs import streaming
 from jaxbound.runs.digest import detect_dataset
@@ -186,7 +189,24 @@ class TestAnother:
         t, u, y = recording()
         y[10, 0] += 1e-12
         with pytest.raises(ValueError, match="part-00000.parquet is of another recording"):
-            detect_dataset(r, write(tmp_path / "run", t, u, y), tmp_path, part=(2, 2))
+            detect_dataset(r, write(tmp_path / "cut", t, u, y, cuts=(1000, 4500)), tmp_path, part=(2, 2))
+        other = write(tmp_path / "run", t, u, y)
+        detect_dataset(r, other, tmp_path, part=(2, 2))  # it reads nothing of part 0
+        with pytest.raises(ValueError, match="part-00000.parquet is of another content of the recording"):
+            detect_dataset(r, other, tmp_path, merge=True)
+
+    def test_content_is_refused_where_it_was_read_and_nowhere_else(self, case, tmp_path, monkeypatch):
+        """One bit in the last file, at the same size: only the part that was made of it is another's."""
+        monkeypatch.setattr(contents, "BLOCK", 1024)
+        r, folder, _, _ = case("section 5")
+        folder = shutil.copytree(folder, tmp_path / "copy")
+        shares(lambda name: (r, folder, None, None), tmp_path / "out", 6)
+        data = bytearray((folder / "3.parquet").read_bytes())
+        chunk = pq.read_metadata(folder / "3.parquet").row_group(2).column(2)
+        data[chunk.data_page_offset + chunk.total_compressed_size - 9] ^= 1
+        (folder / "3.parquet").write_bytes(data)
+        with pytest.raises(ValueError, match="part-00005.parquet is of another content of the recording: choose"):
+            detect_dataset(r, folder, tmp_path / "out", merge=True)
 
     def test_a_part_under_another_number_is_refused(self, case, tmp_path):
         r, folder, _, _ = case("section 5")
@@ -197,6 +217,17 @@ class TestAnother:
         (partial / "spare").rename(partial / "part-00002.parquet")
         with pytest.raises(ValueError, match="part-00001.parquet is of another place in the recording"):
             detect_dataset(r, folder, tmp_path, merge=True)
+
+
+def test_a_share_reads_no_more_of_the_recording_than_it_judges(case, tmp_path, monkeypatch):
+    """Not even to know it again: of the bytes, few are digested by more than one of many shares."""
+    monkeypatch.setattr(contents, "BLOCK", 4096)
+    digested = []
+    monkeypatch.setattr(contents, "_digest", lambda file, at, f=contents._digest: digested.append((file, at)) or f(file, at))
+    each = [len(digested) for _ in shares(case, tmp_path, 6)]
+    blocks = sum(-(-p.stat().st_size // 4096) for p in case("section 5")[1].iterdir())
+    assert len(set(digested)) == blocks and each == sorted(each)
+    assert len(digested) < 2 * blocks  # borders of row groups and the ends of files
 
 
 class TestDoor:

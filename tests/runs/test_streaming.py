@@ -190,7 +190,7 @@ class TestResume:
     @pytest.mark.parametrize("change, what", [
         ("matrix", "another model"), ("offset", "another model"),
         ("horizon", "another horizon"), ("bounds", "another model"), ("method", "another method"),
-        ("content", "another recording"), ("another file", "another recording"),
+        ("content", "another content of the recording"), ("another file", "another recording"),
         ("version", "another version of jaxbound"), ("precision", "another precision"),
     ])  # fmt: skip
     def test_another_run_is_not_continued(self, case, small, tmp_path, monkeypatch, change, what):
