@@ -5,49 +5,12 @@ import json
 import check_certificate
 import numpy as np
 import pytest
-from zonotope_cases import build, degenerate, program
+from zonotope_cases import FAR, KINDS, agree, build, degenerate, drawn, near, program
 
 from jaxbound import sets
 from jaxbound.sets import Answer, constrained_zonotope, contains, intersects, is_empty, separate, zonotope
 
 SHAPES = [(2, 5), (5, 9)]
-FAR = 1e-7  # what a linear program in floats can tell
-
-
-def drawn(rng, n, q, kind):
-    """Return generators: as they come, small integers, with repeated and zero columns, or of very different lengths."""
-    if kind == "integer":
-        return np.hstack([degenerate(rng, n, q - n), np.diag(rng.integers(1, 4, n))]) * 1.0
-    G = rng.normal(size=(n, q))
-    if kind == "repeated":
-        G[:, -1] = 0
-        G[:, 0] = G[:, 1] * rng.choice([1, -2, 0.5])
-    return G * 10.0 ** rng.uniform(-3, 3, q) if kind == "uneven" else G
-
-
-KINDS = ["general", "integer", "repeated", "uneven"]
-
-
-def near(rng, count):
-    """Return factors around 1, half of them within 1e-6."""
-    away = np.where(rng.random(count) < 0.5, 10.0 ** rng.uniform(-8.5, -6, count), rng.uniform(0.01, 0.9, count))
-    return 1 + rng.choice([-1, 1], count) * away
-
-
-def agree(decision, t, meets):
-    """Return (wrong, left open) of answers, t the gauges by a linear program; where the two differ, exact numbers decide."""
-    held, missed = decision.answer == meets, decision.answer == -meets
-    differ = (held & (t > 1)) | (missed & (t < 1))
-    wrong = [at for at in np.argwhere(differ) if abs(t[*at] - 1) > 1e-6 or not confirmed(decision, tuple(at))]
-    return len(wrong), ((decision.answer == 0) & (abs(t - 1) > 1e-9)).sum()
-
-
-def confirmed(decision, at):
-    try:
-        check_certificate.confirm(decision.certificate(at))
-    except ValueError:
-        return False
-    return True
 
 
 def points_near(rng, G, count):
