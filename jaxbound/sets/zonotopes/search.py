@@ -75,15 +75,16 @@ def _row_balls(X):
 
 
 @jax.jit
-def interior_point(M, R, d, enough):
+def interior_point(M, R, d, enough, steps=STEPS):
     """Return (x, l, s) for each point: near-optimal for the two programs, and how free each x_j is.
 
     Args:
         M, R, d: as for `project`. enough: a point for which t < 1 - enough or l' d > 1 + enough is settled; inf to go on to the optimum.
+        steps: traced, at most so many.
     """
     start = jax.vmap(jax.vmap(_start, (None, None, 0)))(M, R, d)
     advance = jax.vmap(jax.vmap(_advance, (None, 0, 0, None)), (0, 0, 0, None))
-    going = lambda carry: (carry[1] < STEPS) & jnp.any(~carry[0][-1])
+    going = lambda carry: (carry[1] < steps) & jnp.any(~carry[0][-1])
     (x, t, l, u, w, size, _), _ = jax.lax.while_loop(going, lambda c: (advance(M, d, c[0], enough), c[1] + 1), (start, jnp.int32(0)))
     a, b = t[..., None] - x, t[..., None] + x
     return x * size[..., None], l, a * b / (u * b + w * a)

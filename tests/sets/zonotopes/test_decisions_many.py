@@ -25,7 +25,8 @@ def inclusions(rng, n, q, kind, count):
     inner = G @ (rng.normal(size=(count, q, 3)) * (rng.random((count, q, 3)) < 0.7))
     center = 0.5 * inner[..., 0] * rng.normal(size=(count, 1))
     t = near(rng, count)
-    size = t / np.array([encoding(g, np.c_[c, h]) for g, c, h in zip(G, center, inner, strict=True)])
+    found = np.array([encoding(g, np.c_[c, h]) for g, c, h in zip(G, center, inner, strict=True)])
+    size, t = t / np.where(found > 0, found, 1), np.where(found > 0, t, 0)  # 0: the inner set is the center
     return zonotope(np.zeros((count, n)), G), zonotope(center * size[:, None], inner * size[:, None, None]), t
 
 
