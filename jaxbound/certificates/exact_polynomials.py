@@ -64,7 +64,8 @@ class PolynomialWindow:
         mid = [ZERO if x is None else (x[0] + x[1]) / 2 for x in limits]
         rad = [ZERO if x is None else (x[1] - x[0]) / 2 for x in limits]
         U = [ZERO if v is None else v - offset[j % r.model.m] for j, v in enumerate(self.window.u)]
-        P, Q = [{} for _ in range(r.count)], [[{} for _ in range(r.count)] for _ in limits]
+        P: list[dict] = [{} for _ in range(r.count)]
+        Q: list[list[dict]] = [[{} for _ in range(r.count)] for _ in limits]
         for matrix, values, sign in ((r.N, mid, 1), (r.K, U, -1)):
             for alpha, entries in matrix.terms.items():
                 for (k, j), x in entries.items():

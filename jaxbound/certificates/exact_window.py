@@ -79,7 +79,8 @@ class ExactWindow:
 
     def readings(self):
         """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest |delta|."""
-        p, out = self.model.p, [None] * len(self.y)
+        p = self.model.p
+        out: list[tuple[Fraction | None, Fraction]] = [(None, ZERO)] * len(self.y)
         for i in range(p):
             samples = self.y[i::p]
             largest = max((abs(v) for v in samples if v is not None), default=ZERO)
@@ -108,11 +109,12 @@ class ExactWindow:
             [(hi - lo) / 2 for lo, hi in ends],
             start,
         )
-        h = [ZERO] * len(self.limits)
+        full = [ZERO] * len(self.limits)
         for i, x in zip(rows, best.h, strict=True):
-            h[i] = x
-        h = linalg.presentable(linalg.primitive(h)) if any(h) else tuple(h)
-        return Explanation(best.t, h, *self.relation(h), best.z, best.reference)
+            full[i] = x
+        h = linalg.presentable(linalg.primitive(full)) if any(full) else tuple(full)
+        k, residual, width = self.relation(h)
+        return Explanation(best.t, h, k, residual, width, best.z, best.reference)
 
     @property
     def forms(self):

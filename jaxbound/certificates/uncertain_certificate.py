@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from jaxbound.certificates.blame import DIGITS, rounded_witness
 from jaxbound.certificates.exact_polynomials import polynomial_window
-from jaxbound.certificates.exact_window import ExactWindow
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.consistency import parametric_windows
@@ -72,9 +71,9 @@ class UncertainCertificate(Witnessed, WindowCertificate):
 
     status: Status
     at: tuple
-    relations: object
+    relations: UncertainRelations
     proof: Leaf | Cut | None
-    window: ExactWindow
+    window: Any
     z: tuple | None
     bounds: tuple
     errors: ClassVar[MappingProxyType] = MappingProxyType({})
@@ -274,7 +273,8 @@ class _Boxes:
                     return None, point
                 i, middle = int(axis[k]), 0.5 * (lo[axis[k], k] + hi[axis[k], k])
                 place += [i, exact(np.full(len(lo), middle))[i], [], []]
-                left.append((k, i, middle)), new.extend(place[2:])
+                left.append((k, i, middle))
+                new.extend(place[2:])
             if not left:
                 return _assembled(root), None
             kept = [k for k, _, _ in left]

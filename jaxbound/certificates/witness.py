@@ -1,17 +1,24 @@
 """What all certificates share: a behaviour that explains a window, and exact numbers as text."""
 
-from dataclasses import replace
+from copy import copy
 from decimal import Decimal, localcontext
 from fractions import Fraction
+from typing import Any
 
 from jaxbound.certificates.exact_window import dot
 from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["Witnessed", "rows_of"]
 
 
 class Witnessed:
     """A certificate of .window, an ExactWindow, with .z, the unknowns of a behaviour that explains it, or None."""
+
+    window: Any
+    z: tuple | None
+    status: Status
+    at: tuple
 
     @property
     def state(self):
@@ -75,9 +82,15 @@ class Witnessed:
             "numbers": texts(numbers),
         }  # fmt: skip
 
+    def _with(self, z):
+        """Return a certificate of another witness."""
+        other = copy(self)
+        object.__setattr__(other, "z", z)
+        return other
+
     def _witness_dict(self, z):
         flat = lambda rows: [x for row in rows for x in row]
-        w, other = self.window, replace(self, z=z)
+        w, other = self.window, self._with(z)
         return {"state": other.state, "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
                 "unknown_inputs": self._every_sample(flat(other.unknown_inputs), [Fraction(0)] * w.model.d),
                 "inputs": self._every_sample(flat(other.inputs), w.model.offset["u"]), "outputs": other.outputs}  # fmt: skip

@@ -71,7 +71,8 @@ class BankTest(WindowTest):
 @jax.jit
 def bank_windows(test, u, y):
     """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
-    return bank_verdicts(test.shape, *test.stretch(u, y), test.lift)
+    mid, rad, scale, known, known_scale = test.stretch(u, y)
+    return bank_verdicts(test.shape, mid, rad, scale, known, known_scale, test.lift)
 
 
 def status_of_words(words, count):

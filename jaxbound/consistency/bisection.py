@@ -5,6 +5,7 @@ recording rounds away, like everywhere in this library: a window that only its l
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -30,7 +31,7 @@ BUDGET = 1000
 class _Thick:
     """The residual over boxes and intervals of samples, as a function of Intervals: it can exclude, and needs no slopes of the samples."""
 
-    f: object
+    f: Callable
 
     def __call__(self, z, u_lo, u_hi, y_lo, y_hi):
         return inclusion(flat(self.f), "best")(z, Interval(u_lo, u_hi), Interval(y_lo, y_hi))
@@ -110,14 +111,14 @@ def _pave(relations, f, windows, budget, size, **options):
     target = Interval(np.where(filler, np.inf, 0).astype(dtype), np.where(filler, -np.inf, 0).astype(dtype))
     depth = box.shape[0] * (np.finfo(dtype).nmant + 1) // 2
     found = pave(f, box, target, max_boxes=budget, max_depth=depth, args=args, **options)
-    return dataclasses.replace(found, status=found.status[:count], evaluated=found.evaluated[:count])
+    return dataclasses.replace(found, status=np.asarray(found.status)[:count], evaluated=found.evaluated[:count])
 
 
 @dataclass(frozen=True)
 class flat:
     """f with everything it returns in one array; two of one f are equal, so that they share a compilation."""
 
-    f: object
+    f: Callable
 
     def __call__(self, z, u, y):
         """Return what f returns, end to end."""

@@ -13,6 +13,7 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 
 import dataclasses
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -145,12 +146,15 @@ def _fold(test, rows, step, carry, times=1):
     return jax.lax.scan(body, carry, circuits)[0]
 
 
-def _strip(test, rows, support, h, k):
+def _strip(test, rows, support, h, k) -> tuple:
     """Return (a, e, b, magnitude) of one circuit: a and e one entry a gain; magnitude is NaN where a sample is absent."""
     mid, rad, scale, known, known_scale = rows
     p, outputs = len(test.noise), len(test.noise) * (test.horizon + 1)
     gains = p + min(1, len(test.disturbance))
-    a, e, b, magnitude = [0.0] * gains, [0.0] * gains, 0.0, 0.0
+    a: list[Any] = [0.0] * gains
+    e: list[Any] = [0.0] * gains
+    b: Any = 0.0
+    magnitude: Any = 0.0
     for x, i in zip(h, support, strict=True):
         mine = jnp.where(i < outputs, i % p, p)
         for g in range(gains):

@@ -5,20 +5,26 @@ a block of its own: no number depends on D, nothing passes between devices, and 
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-__all__ = ["everywhere", "on_devices"]
+__all__ = ["default_device", "everywhere", "on_devices"]
 
 AXIS = "windows"
+
+
+def default_device() -> Any:
+    """Return the device that `jax.default_device` chose, perhaps by its name, or None."""
+    return getattr(jax.config, "jax_default_device")  # noqa: B009 (set by jax as it starts: no checker knows it)
 
 
 def everywhere(constants, devices):
     """Return a PyTree of arrays placed on each of the devices, as `on_devices` takes it."""
     if len(devices) == 1:
-        return jax.device_put(constants, None if jax.config.jax_default_device is None else devices[0])
+        return jax.device_put(constants, None if default_device() is None else devices[0])
     return jax.device_put(constants, NamedSharding(_mesh(devices), PartitionSpec()))
 
 

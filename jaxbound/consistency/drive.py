@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.consistency.devices import everywhere, on_devices
+from jaxbound.consistency.devices import default_device, everywhere, on_devices
 from jaxbound.consistency.interface import Observer, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import Recording
@@ -129,7 +129,7 @@ def _over_windows(test, u, y, starts, outs, size, report):
     s, devices = test.horizon, usable_devices()[: None if len(starts) > size else 1]
     together = size * len(devices) if test.sharded else size
     groups = [starts[i : i + together] for i in range(0, len(starts), together)]
-    wide, default = bool(jax.config.jax_enable_x64), jax.config.jax_default_device  # contexts of this thread, perhaps
+    wide, default = jax.dtypes.canonicalize_dtype(float) == np.float64, default_device()  # contexts of this thread, perhaps
     run = _Run(_placed(test, devices), devices, -1) if test.sharded else None
     finished = 0
 
@@ -140,7 +140,7 @@ def _over_windows(test, u, y, starts, outs, size, report):
 
     def beside(number, group):
         own = default if test.sharded else devices[number % len(devices)]
-        with jax.enable_x64(wide), jax.default_device(own):
+        with jax.enable_x64(bool(wide)), jax.default_device(own):
             return work(number, group)
 
     def collect(judged):

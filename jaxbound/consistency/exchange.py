@@ -118,7 +118,8 @@ class ExchangeTest(WindowTest):
         missing, absent = (np.isnan(x).reshape(-1, len(starts)).T for x in self._gather(u, y, starts))
         patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
         rows = absent.shape[1]
-        frames, numbers, by_inputs = [self.relations.frame], [], {(): [0]}
+        frames, numbers = [self.relations.frame], []
+        by_inputs: dict[tuple[int, ...], list[int]] = {(): [0]}
         for pattern in patterns:
             gone, inputs = set(np.flatnonzero(pattern[:rows]).tolist()), tuple(np.flatnonzero(pattern[rows:]).tolist())
             number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)

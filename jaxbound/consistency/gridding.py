@@ -51,6 +51,8 @@ class PavingTest(WindowTest):
 
     def __init__(self, relations, dtype, budget=None):
         super().__init__(relations, "paving", dtype)
+        self.q: float
+        self.boxes: int
         self.q, self.boxes = BUDGET if budget is None else budget
         if self.boxes < 1:
             raise ValueError(f"the budget of the paving needs at least one box, not {self.boxes}")
@@ -68,7 +70,8 @@ class PavingTest(WindowTest):
 
     def judge(self, run, blocks):
         """Return (status, margin) of windows."""
-        found = [_pave(self.relations, *(np.moveaxis(x, -1, 0) for x in block), self.q, self.boxes) for block in blocks]
+        windows = ([np.moveaxis(x, -1, 0) for x in block] for block in blocks)
+        found = [_pave(self.relations, U, Y, self.q, self.boxes) for U, Y in windows]
         return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
 
 
@@ -112,4 +115,5 @@ def _pave(relations, U, Y, q, boxes):
     edge = np.ones(len(tolerance) + measured + len(w_lo), dtype)
     filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
     target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
-    return pave(internal_form, interval(-edge, edge), target, q=q, max_boxes=boxes, args=args).status[:windows]
+    found = pave(internal_form, interval(-edge, edge), target, q=q, max_boxes=boxes, args=args)
+    return np.asarray(found.status)[:windows]

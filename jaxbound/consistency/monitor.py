@@ -37,9 +37,9 @@ class MonitorState(NamedTuple):
 
     u: np.ndarray
     y: np.ndarray
-    follows: np.ndarray
-    samples: np.ndarray
-    time: np.ndarray
+    follows: np.int64
+    samples: np.int64
+    time: np.float64
 
 
 class Verdict(NamedTuple):

@@ -62,7 +62,7 @@ class ParametricTest(WindowTest):
         """Return a test for each pattern of missing samples; the rarest stay open."""
         refuse_infinite("u", u, self.relations.model.inputs)
         refuse_infinite("y", y, self.relations.model.outputs)
-        found = []
+        found: list[tuple[WindowTest, np.ndarray]] = []
         for case, chosen in cases(self.relations, u, y, starts):
             if case is None:
                 found.append((Open(self, 0.0), starts[chosen]))

@@ -54,11 +54,11 @@ def needed_compensation(relations, given, share):
     u, y = (x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y))
     across[: relations.horizon] = True
     starts = np.flatnonzero(~np.tile(across, len(y) // T)) - relations.horizon
-    needs = [
+    parts = [
         np.zeros(len(own)) if case is None else np.asarray(_over_blocks(_needs, case, u, y, starts[own]))
         for case, own in cases(relations, u, y, starts)
     ]
-    needs = np.sort(np.concatenate([*needs, np.zeros(0)]))
+    needs = np.sort(np.concatenate([*parts, np.zeros(0)]))
     if not len(needs):
         raise ValueError(f"no window of {relations.horizon + 1} samples has data: nothing says what compensation is needed")
     return float(needs[len(needs) - 1 - math.floor(share * len(needs))])

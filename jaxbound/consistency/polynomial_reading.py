@@ -8,6 +8,7 @@ Source: Ploix, Adrot 2006, (6), (14).
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +72,9 @@ class PolynomialReading:
         N, K = self._scaled(self.N), self._scaled(self.K)
         mid, rad, scale, gone, broken = _finite(mid, rad, scale)
         known, _, known_scale, unknown, worse = _finite(known, known, known_scale)
-        value, size, absent = 0, 0, jnp.zeros((self.count, mid.shape[1]), bool)
+        value: Any = 0
+        size: Any = 0
+        absent = jnp.zeros((self.count, mid.shape[1]), bool)
         for coefficients, x, magnitude, lost, sign in ((N, mid, scale, gone, 1), (K, known, known_scale, unknown, -1)):
             uses = jnp.any(coefficients != 0, 1)
             for j in range(x.shape[0]):

@@ -1,6 +1,7 @@
 """What a kernel needs of a relation, and how it reads a window."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -39,11 +40,12 @@ class Reading:
         """At least every factor that multiplies a row after its own rounding."""
         return sensor.lift(self.tolerance)
 
-    def silenced(self, known):
+    def silenced(self, known: list) -> jax.Array:
         """Say which windows lack a known value that some circuit needs: the circuits that are left do not describe their set exactly."""
+        strips: Any = self.shape  # or a bank: what has circuits on known values
         silenced = jnp.zeros_like(known[0], bool) if len(known) else jnp.zeros((), bool)
         for b, value in enumerate(known):
-            silenced |= jnp.isnan(value) & jnp.any(self.shape.k[:, b] != 0)
+            silenced |= jnp.isnan(value) & jnp.any(strips.k[:, b] != 0)
         return silenced
 
     def stretch(self, u, y):

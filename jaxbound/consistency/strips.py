@@ -29,7 +29,8 @@ class StripsTest(WindowTest):
 
     def settle(self, u, y, outs, left, again, progress):
         """Decide in whole numbers what rounding leaves open far from the boundary."""
-        whole_numbers.settle(self.relations, self.reading, self.method, u, y, *outs, progress)
+        status, margin = outs
+        whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
 
     def judged(self, outs):
         """Return the verdicts; what keeps all relations, each alone, need not keep them together."""

@@ -132,7 +132,8 @@ def _rows_of(model, test, u, y):
     noise, resolution, w = map(integers, bounds)
     absent, missing = np.isnan(y), np.isnan(u)
     Y, U = integers(np.where(absent, 0, y)), integers(np.where(missing, 0, u))
-    twice, spread, factor = [None] * (samples * p), [None] * (samples * p), [None] * (samples * p)
+    nothing, rows = np.zeros(0, object), samples * p
+    twice, spread, factor = [nothing] * rows, [nothing] * rows, [Fraction(0)] * rows
     for i in range(p):
         sigma = Fraction(float(test.tolerance[i]))
         over, under = (int((1 + sign * sigma) * sigma.denominator) for sign in (1, -1))
@@ -145,7 +146,9 @@ def _rows_of(model, test, u, y):
             twice[j * p + i], spread[j * p + i] = hi + lo, hi - lo
             factor[j * p + i] = Fraction(sigma.denominator, over * under)
     for lo, hi in zip(*(np.tile(w[side::2], test.horizon) for side in (0, 1)), strict=True):
-        twice.append(np.full(N, hi + lo, object)), spread.append(np.full(N, hi - lo, object)), factor.append(Fraction(1))
+        twice.append(np.full(N, hi + lo, object))
+        spread.append(np.full(N, hi - lo, object))
+        factor.append(Fraction(1))
     known = U - np.array(offset["u"], object).reshape(1, -1, 1)
     none = np.zeros((len(twice) - samples * p, N), bool)
     largest = max(1 / (1 - Fraction(float(x))) for x in test.tolerance)

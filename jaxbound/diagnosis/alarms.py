@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class Alarm:
     depth: float
     worst: int
     recording: tuple = ()
-    result: object = field(default=None, repr=False, compare=False)
+    result: Any = field(default=None, repr=False, compare=False)
     ended: str = field(default="", repr=False)
 
     @cached_property
@@ -105,8 +106,10 @@ def group_alarms(result, k, n, hold, clear, horizon):
         recording = tuple(int(i) for i in np.unravel_index(row, shape[:-1])) if len(shape) > 1 else ()
         *columns, first, last = stretches(fault[row], margin[row], k, n, hold, clear)
         codes = endings(first, last, follows(missing[row], columns[1]), horizon)
-        columns = (x.tolist() for x in (*columns, codes))
-        alarms += [Alarm(*a, recording, result, ENDINGS[code]) for *a, code in zip(*columns, strict=True)]
+        rows = zip(*(x.tolist() for x in columns), codes.tolist(), strict=True)
+        alarms += [
+            Alarm(start, end, windows, depth, worst, recording, result, ENDINGS[code]) for start, end, windows, depth, worst, code in rows
+        ]
     return alarms
 
 

@@ -4,7 +4,7 @@ A violated relation is a proof that something other than the faults it ignores h
 violated relation reacts to it. A relation that holds exonerates nobody: a fault may be too small to show in it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -30,8 +30,8 @@ class BankResult(Result):
     Fields beside those of Result: signatures: which relation reacts to which fault; words (words, ..., T) uint32: the verdicts, packed.
     """
 
-    signatures: Signatures | None = None
-    words: np.ndarray | None = None
+    signatures: Signatures = field(kw_only=True)
+    words: np.ndarray = field(kw_only=True)
 
     @property
     def faults(self):
@@ -118,7 +118,7 @@ class BankResult(Result):
 def _(bank: Redundancy, judged, *about, **more):
     method, relations, u, y, index, starts = about
     table = signatures(bank)
-    return BankResult(judged.status, judged.margin, method, relations, u, y, index, starts, table, judged.words, **more)
+    return BankResult(judged.status, judged.margin, method, relations, u, y, index, starts, signatures=table, words=judged.words, **more)
 
 
 def words_of(statuses):
@@ -177,7 +177,7 @@ def evaluate(residuals, hull, signatures):
     whole = np.where(absent.all(-1), Status.MISSING, np.where(outside.any(-1), Status.FAULT, Status.CONSISTENT)).astype(np.int8)
     margin = np.where(absent.all(-1), np.nan, 1 - worst)
     nothing = np.zeros((*residuals.shape[:-1], 0), residuals.dtype)
-    return BankResult(whole, margin, "box", None, nothing, residuals, index, (), table, words_of(np.moveaxis(status, -1, 0)))
+    return BankResult(whole, margin, "box", None, nothing, residuals, index, signatures=table, words=words_of(np.moveaxis(status, -1, 0)))
 
 
 def _rows_of(given, names, what):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import partial, singledispatch
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +11,6 @@ from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.timestamps import row_label
-from jaxbound.relations.parity import ParityRelation
-from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Result", "result_of", "suspected"]
@@ -41,7 +40,7 @@ class Result:
     status: np.ndarray
     margin: np.ndarray
     method: str
-    relations: ParityRelation | Residual
+    relations: Any
     u: np.ndarray
     y: np.ndarray
     index: object = None

@@ -81,8 +81,8 @@ def unit_hints(result):
         if conversion is not None and (conversion[1] > 1 or conversion[2] or zero[group] < NEARLY_ALL):
             names = [(model.inputs + model.outputs)[j] for j in group]
             converted = " and ".join(conversion[0].format(name) for name in names[:3]) + (" and so on" if len(names) > 3 else "")
-            found = f"{' and '.join(names)} look{'s' * (len(names) == 1)} like {conversion[3]}"
-            return [f"{found}: with {converted}, {100 * share[i]:.0f} % of the windows are consistent, instead of "
+            looks = f"{' and '.join(names)} look{'s' * (len(names) == 1)} like {conversion[3]}"
+            return [f"{looks}: with {converted}, {100 * share[i]:.0f} % of the windows are consistent, instead of "
                     f"{100 * (1 - now):.0f} %; the verdicts are those of the recording as it is"]  # fmt: skip
     return []
 

@@ -135,11 +135,11 @@ def _test(model, s, position, j, dtype):
     rank = linalg.rank(E)
     if comb(len(extended), rank + 1) > 10 * SUBSETS:
         raise ValueError(f"windows of horizon {s} are too long to work out the unknown inputs of this model: choose a shorter horizon")
-    ways = [tuple(-x / h[-1] for x in h[:-1]) for h in linalg.circuits(extended) if h[-1]]
+    found = [tuple(-x / h[-1] for x in h[:-1]) for h in linalg.circuits(extended) if h[-1]]
     half = [*[float(a + b) or 1.0 for a, b in zip(model.noise, model.resolution, strict=True)] * (s + 1)]
     half += [float(hi - lo) / 2 for lo, hi in model.disturbance] * s
-    ways.sort(key=lambda h: sum(abs(float(x)) * r for x, r in zip(h, half, strict=True)))
-    ways = tuple(ways[:KEPT])
+    found.sort(key=lambda h: sum(abs(float(x)) * r for x, r in zip(h, half, strict=True)))
+    ways = tuple(found[:KEPT])
     known = linalg.matmul(ways, K) if K[0] else tuple(() for _ in ways)
     count = (s + 1) * model.p
     return _RangeTest(stated_relations(model, s, tuple(h[:count] for h in ways), known), ways, known, dtype)
@@ -172,4 +172,5 @@ class _RangeTest(WindowTest):
 @jax.jit
 def _ranges(test, u, y):
     """Return (lo, hi) (N,) of what the strips say together."""
-    return bank_range(test.shape, *test.stretch(u, y), test.lift)
+    mid, rad, scale, known, known_scale = test.stretch(u, y)
+    return bank_range(test.shape, mid, rad, scale, known, known_scale, test.lift)

@@ -58,9 +58,9 @@ class Validation:
     state: Interval
     output: Interval
     residual: Interval
-    faulty: jax.Array
+    faulty: jax.Array | np.ndarray
     corrected: Interval
-    status: jax.Array
+    status: jax.Array | np.ndarray
 
 
 def validate(model, u, y=None, horizon=None, method="joint", x0=None, correction="interval", starts=()):
@@ -210,7 +210,7 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
     """
     batch, (T, p) = y.shape[:-2], y.shape[-2:]
     whole = (~np.isnan(y)).all(-1).reshape(-1, T).all(0)
-    groups = {}
+    groups: dict[tuple, list] = {}
     for a, b in zip([0, *starts.tolist()], [*starts.tolist(), T], strict=True):
         if a == b or left_out[a]:
             continue

@@ -50,10 +50,10 @@ class StudyResult:
     def to_pandas(self):
         """Return a DataFrame with a row for each fault and size.
 
-        Columns: fault, size; scenarios, detected; share with share_lo, share_hi: of scenarios detected (Clopper-Pearson); windows, rate with
-        rate_lo, rate_hi: FAULT windows among those wholly inside the fault (over scenarios, normal); delay_median, delay_90: samples from
-        the onset to the end of the first FAULT window, among all scenarios (inf: not detected by then); never: not detected; false_alarms,
-        clean_windows; guaranteed.
+        Columns: fault, size; scenarios, detected; share with share_lo, share_hi: of scenarios detected (Clopper-Pearson); windows,
+        rate with rate_lo, rate_hi: FAULT windows among those wholly inside the fault (over scenarios, normal); delay_median, delay_90:
+        samples from the onset to the end of the first FAULT window, among all scenarios (inf: not detected by then); never: not detected;
+        false_alarms, clean_windows; guaranteed.
         """
         import pandas as pd
 
