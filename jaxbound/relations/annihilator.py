@@ -158,7 +158,7 @@ def _fewest(kept: list[Kept], E: PolynomialMatrix, points: Points, target: int) 
 
 def _spans(P: PolynomialMatrix, points: Points, target: int) -> tuple[bool, float]:
     """Return whether the rank of P is at least the target at all points, and the smallest singular value that makes it so."""
-    powers = np.array(list(P.terms), float).reshape(-1, P.variables)
+    powers = np.array(list(P.terms), float).reshape(len(P.terms), P.variables)
     values = np.array([P.coefficient(a) for a in P.terms], float)
     at = np.einsum("pa,aij->pij", np.prod(np.array(points, float)[:, None, :] ** powers, -1), values)
     singular = np.linalg.svd(at, compute_uv=False)

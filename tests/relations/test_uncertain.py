@@ -217,3 +217,10 @@ def test_what_gives_no_relation_is_refused(change, message):
 def test_a_constant_sensor_gain_is_told_to_become_an_uncertainty():
     with pytest.raises(NotImplementedError, match="varying=False"):
         jb.parity_relations(model("n2p1_paper_h3", tolerance=0.1, constant_tolerance=True))
+
+
+def test_relations_of_one_sample_that_no_parameter_touches_are_found_and_test_windows():
+    twice = jb.LinearSystem([["0.5"]], [[1]], [[1], [1]], noise="0.1", uncertainties=[jb.Uncertainty("a", A=[["0.05"]])])
+    r = jb.parity_relations(twice)
+    assert (r.horizon, r.text()) == (0, "r1: y1[k] - y2[k] = 0")
+    assert jb.detect(r, np.zeros((2, 1)), [[1, 1.1], [0, 0.5]]).status.tolist() == [jb.Status.CONSISTENT, jb.Status.FAULT]
