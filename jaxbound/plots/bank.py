@@ -25,10 +25,12 @@ def plot_bank(res: BankResult, time: np.ndarray | None = None) -> "Figure":
     bins = np.unique(np.linspace(0, len(x), min(len(x), BINS), endpoint=False).astype(int))
     gather = lambda on: np.maximum.reduceat(on, bins, axis=0).T
     edges = np.append(at[bins], at[-1:])
+    table = res.signatures
+    assert table is not None, "only a field that follows others with a default has one"
     with style():
-        count = len(res.signatures.relations)
+        count = len(table.relations)
         fig, (top, bottom) = stacked(2, (11, 1.6 + 0.2 * (count + len(res.faults))), [count, len(res.faults)])
-        panels = ((top, gather(res.violated), res.signatures.relations, FAULTY, "Relations violated, each a proof"),
+        panels = ((top, gather(res.violated), table.relations, FAULTY, "Relations violated, each a proof"),
                   (bottom, gather(res.candidates), res.faults, COLOURS[Status.UNDECIDED], "Single faults that explain them"))  # fmt: skip
         for ax, on, names, colour, title in panels:
             ax.pcolormesh(edges, np.arange(len(names) + 1), on, cmap=ListedColormap([PALE, colour]), vmin=0, vmax=1, shading="flat")

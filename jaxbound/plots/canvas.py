@@ -85,8 +85,9 @@ def time_of(res: Result, time: np.ndarray | None) -> np.ndarray:
     if res.status.ndim != 1:
         raise ValueError(f"a plot shows one recording, this result has the shape {res.status.shape}: detect and plot one of them")
     if time is None and np.issubdtype(getattr(res.index, "dtype", int), np.datetime64):
-        time = res.index
-    x = np.arange(len(res.status)) * res.relations.model.dt if time is None else np.asarray(time)
+        x = np.asarray(res.index)
+    else:
+        x = np.arange(len(res.status)) * res.relations.model.dt if time is None else np.asarray(time)
     if x.shape != res.status.shape:
         raise ValueError(f"time needs one entry for each of the {len(res.status)} samples: its shape is {x.shape}")
     return x

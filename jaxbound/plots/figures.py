@@ -9,6 +9,7 @@ import numpy as np
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.faults import Fault
 from jaxbound.models.simulate import Trajectory
+from jaxbound.models.system import LinearSystem
 from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
@@ -75,6 +76,7 @@ def figure_2(trajectory: Trajectory, res: Result, faults: Sequence[Fault] = ()) 
         A matplotlib Figure.
     """
     model, (x, label, _) = res.relations.model, time_axis(time_of(res, None))
+    assert isinstance(model, LinearSystem), "the paper's system has states"
     y, state = np.asarray(trajectory.y), np.asarray(trajectory.x)
     C = np.array([[float(c) for c in row] for row in model.C])
     with style():

@@ -23,6 +23,7 @@ from jaxbound.plots.canvas import (
     time_of,
 )
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 
@@ -46,14 +47,16 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
         A matplotlib Figure with one panel a residual, at most 12.
 
     Raises:
-        ValueError: as `plot`.
+        ValueError: as `plot`. TypeError: the Result of a user's own residual.
     """
-    x, label, dates = time_axis(time_of(res, time))
     relations = res.relations
+    if isinstance(relations, Residual):
+        raise TypeError("only parity relations have an interval for each residual: plot draws the verdicts of a residual of your own")
+    x, label, dates = time_axis(time_of(res, time))
     picked = _worst(res) if len(x) > SAMPLES else np.arange(len(x))
     thinned = len(picked) < len(x)
     missing = (res.status[picked] == Status.MISSING)[:, None]  # a window across a gap has a residual, but it says nothing
-    external, lo, hi = (np.where(missing, np.nan, x) for x in _forms(res, picked))
+    external, lo, hi = (np.where(missing, np.nan, x) for x in _forms(relations, res.u, res.y, picked))
     fault = np.maximum.reduceat(res.status, bins(len(x))) == Status.FAULT
     distinct = distinct_relations(relations)
     shown, at, lines = distinct[:PANELS], x[picked], relations.text().splitlines()
@@ -105,16 +108,16 @@ def _worst(res: Result) -> np.ndarray:
     return np.array([a + int(np.argmin(key[a:b])) for a, b in zip(edges[:-1], edges[1:], strict=True)])
 
 
-def _forms(res: Result, picked: np.ndarray) -> list[np.ndarray]:
+def _forms(relations: ParityRelation | UncertainRelations, u: np.ndarray, y: np.ndarray, picked: np.ndarray) -> list[np.ndarray]:
     """Return residuals and envelopes (M, count) of the windows that end at the picked samples, in one padded stretch of fixed length."""
-    s, dtype = res.relations.horizon, res.y.dtype
-    whole = len(picked) == len(res.y)
+    s, dtype = relations.horizon, y.dtype
+    whole = len(picked) == len(y)
     rows = picked if whole else (np.maximum(picked, s)[:, None] + np.arange(-s, 1)).ravel()
     pad = lambda x: np.concatenate([x[rows], np.full((max(SAMPLES - len(rows), 0), x.shape[1]), np.nan, dtype)])
-    u, y = pad(res.u), pad(res.y)
+    u, y = pad(u), pad(y)
     keep = slice(0, len(rows)) if whole else slice(s, len(rows), s + 1)
-    envelope = res.relations.internal(u, y)
-    return [np.asarray(x)[keep] for x in (res.relations.external(u, y), envelope.lo, envelope.hi)]
+    envelope = relations.internal(u, y)
+    return [np.asarray(x)[keep] for x in (relations.external(u, y), envelope.lo, envelope.hi)]
 
 
 def _robust_limits(ax: "Axes", external: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> int:

@@ -65,6 +65,7 @@ class Timeline:
 
 def plot_timeline(line: Timeline, name: str, method: str, alarms: int) -> "Figure":
     """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are."""
+    assert line.x is not None, "a Timeline is drawn when all its samples were added"
     at, label, dates = time_axis(line.x)
     with style():
         fig, (ax, ribbon) = stacked(2, (11, 4.3), [12, 1])

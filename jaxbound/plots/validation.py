@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Validated", "plot_output", "plot_validation"]
+__all__ = ["ValidatedRecording", "plot_output", "plot_validation"]
 
 NEAR = 600
 """Samples around the first fault of a long recording, drawn one by one below the whole."""
 
 
-class Validated(Protocol):
+class ValidatedRecording(Protocol):
     """A Validation of one recording, with the model and the samples that it came from: y (T, p)."""
 
     model: LinearSystem
@@ -77,11 +77,11 @@ def plot_validation(found: Validation, time: np.ndarray | None = None, y: np.nda
     return fig
 
 
-def plot_output(res: Validated, i: int, time: np.ndarray) -> "Figure":
+def plot_output(res: ValidatedRecording, i: int, time: np.ndarray) -> "Figure":
     """Draw one output of a validated recording; the samples that are proved to be faulty are marked.
 
     Args:
-        res: Validated. i: number of the output. time: (T,) seconds or datetime64.
+        res: ValidatedRecording. i: number of the output. time: (T,) seconds or datetime64.
 
     Returns:
         A matplotlib Figure. Of more than 5000 samples, the extremes of 1200 bins are drawn; a bin with one faulty sample is marked. Below

@@ -7,7 +7,11 @@ leaking valve included. Here the poles are given, and so fast that what the firs
 linear least squares, with the first states of each stretch of the recordings eliminated. It needs inputs that explain the outputs.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+
+from jaxbound.studies.identification.regression import Scales
 
 __all__ = ["filtered", "poles_of"]
 
@@ -17,7 +21,7 @@ RIDGE = 1e-2
 """Weight, relative to the samples, that keeps coefficients small which the data do not tell apart."""
 
 
-def poles_of(order, horizon):
+def poles_of(order: int, horizon: int) -> list[float]:
     """Return the `order` poles of windows of horizon + 1 samples, slowest first, as short decimals.
 
     Example:
@@ -27,7 +31,9 @@ def poles_of(order, horizon):
     return [round(FADED ** (RATIO**j / horizon), 3 + j) for j in range(order)]
 
 
-def filtered(records, scales, poles, direct):
+def filtered(
+    records: list[tuple[np.ndarray, np.ndarray, np.ndarray]], scales: Scales, poles: Sequence[float], direct: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return (B (order, p, m), D (p, m), c (p,), spread (p,)) in standardised signals; spread: root mean square of what is left.
 
     Args:

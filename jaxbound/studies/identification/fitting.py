@@ -7,20 +7,18 @@ constant of the regression says becomes the operating point.
 
 import dataclasses
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.arrays import holds_both, is_made
-from jaxbound.recordings.recording import Recording, Signals
-from jaxbound.recordings.seams import TOLERATED_DT
-from jaxbound.recordings.table import as_table, is_table
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import filters, regression
+from jaxbound.studies.identification.records import read_records
 
 __all__ = ["FitCheck", "Fitted", "fit"]
 
@@ -69,12 +67,14 @@ class Fitted(LinearSystem):
 
     check: FitCheck
 
-    def __init__(self, model, check):
+    def __init__(self, model: LinearSystem, check: FitCheck) -> None:
         vars(self).update(vars(model), check=check)
 
 
-def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=None, direct=False, safety=1.25, held_out=0.3, method="auto",
-        name="fitted", units=None, columns=None, progress=None):  # fmt: skip
+def fit(recordings: object, order: int = 2, horizon: int = 15, *, inputs: str | Sequence[str] | None = None,
+        outputs: str | Sequence[str] | None = None, dt: float | None = None, direct: bool = False, safety: float = 1.25,
+        held_out: float = 0.3, method: str = "auto", name: str = "fitted", units: Mapping[str, str] | None = None,
+        columns: Mapping[str, str] | None = None, progress: Callable[[float], object] | None = None) -> Fitted:  # fmt: skip
     """Find a nominal model and noise bounds from healthy recordings.
 
     The smallest bounds are those under which every window of the recordings is consistent, in the ratio of the outputs' residuals: `tune`
@@ -110,7 +110,7 @@ def fit(recordings, order=2, horizon=15, *, inputs=None, outputs=None, dt=None, 
     """
     _check_options(order, horizon, safety, held_out, method)
     report = progress or (lambda share: None)
-    inputs, outputs, dt, records = _read(recordings, inputs, outputs, columns, dt)
+    inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name, horizon=horizon)
     refuse_unverified()  # at the end the bounds are verified
     scales = regression.scales_of(records)
@@ -157,53 +157,6 @@ def _check_options(order, horizon, safety, held_out, method):
         raise ValueError(f"held_out must be a share from 0 to below 1, not {held_out!r}")
     if method not in ("auto", *KINDS):
         raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")
-
-
-def _read(recordings, inputs, outputs, columns, dt):
-    """Return (inputs, outputs, dt, [(u, y, starts)]) with names and float64 arrays."""
-    pair = lambda r: isinstance(r, tuple) and len(r) in (2, 3) and not isinstance(r[0], tuple) and not is_made(r[0])
-    recordings = [recordings] if pair(recordings) or not isinstance(recordings, (list, tuple)) else list(recordings)
-    if not recordings:
-        raise ValueError("there is no recording: give at least one")
-    names = lambda given: (given,) if isinstance(given, str) else None if given is None else tuple(given)
-    inputs, outputs, records, periods = names(inputs), names(outputs), [], []
-    for number, r in enumerate(recordings):
-        where = f"recording {number + 1}"
-        if pair(r):
-            parts = r
-        elif holds_both(r):
-            parts = (r,)
-        else:
-            raise ValueError(f"{where} must be a pair (u, y), a DataFrame or a Recording, not {type(r).__name__}")
-        inputs, outputs = _named(where, parts, inputs, outputs)
-        try:
-            given = Recording.of(Signals(inputs, outputs, dict(columns or {}), dt), *parts).finite()
-        except ValueError as e:
-            raise ValueError(f"{where}: {e}") from None
-        if given.y.ndim != 2:
-            raise ValueError(f"{where}: y has shape {given.y.shape}, but time must be its first axis: give several recordings as a list")
-        records.append((np.asarray(given.u, np.float64), np.asarray(given.y, np.float64), given.starts))
-        periods += [] if given.dt is None else [(given.dt, where)]
-    (low, first), (high, last) = (min(periods), max(periods)) if periods else ((dt or 1.0, ""),) * 2
-    if high - low > TOLERATED_DT * low:
-        raise ValueError(f"{last} has a sample every {high:g} s, {first} every {low:g} s, and a model has one sampling period")
-    return inputs, outputs, periods[0][0] if dt is None and periods else dt or 1.0, records
-
-
-def _named(where, parts, inputs, outputs):
-    """Return the names of inputs and outputs: those not given are a Recording's own, or numbered."""
-    tables = [is_table(as_table(x, where)) for x in parts[:2]]
-    if (outputs is None and tables[-1]) or (inputs is None and len(parts) > 1 and tables[0]):
-        raise ValueError(f"{where} is a DataFrame: say with inputs=[...] and outputs=[...] which of its columns are what")
-    if len(parts) == 1 and tables[0]:
-        return inputs or (), outputs
-    if len(parts) == 1:
-        inputs, outputs = (x or getattr(parts[0], side, None) or None for x, side in ((inputs, "inputs"), (outputs, "outputs")))
-        parts = parts[0].u, parts[0].y
-    width = lambda x: 0 if x is None else np.shape(x)[-1] if np.ndim(x) > 1 else 1
-    number = lambda letter, x: tuple(f"{letter}{i + 1}" for i in range(width(x)))
-    inputs = number("u", parts[0]) if inputs is None else inputs
-    return inputs, number("y", parts[1]) if outputs is None else outputs
 
 
 def _standing_still(records, inputs, outputs):
@@ -388,7 +341,7 @@ def _judged(model, check, held_out, spans):
         )
     shares = {i: r["used"] for i, r in enumerate(check.recordings) if r["windows"]}
     if len(shares) > 1:
-        low, high = min(shares, key=shares.get), max(shares, key=shares.get)
+        low, high = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
         if shares[high] > CONTRADICTION * shares[low]:
             out.append(f"recording {high + 1} needs bounds {shares[high] / shares[low]:.1f} times as wide as recording {low + 1}: they "
                        "contradict each other; look at what was different, or fit a model to each")  # fmt: skip

@@ -16,9 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.recordings.seams import crossing
+from jaxbound.studies.identification.records import Records
 
 __all__ = ["Scales", "Windows", "coefficients", "growth", "least_squares", "refined", "scales_of", "windows_of"]
 
+Array = jax.Array | np.ndarray
 STEPS, SETTLED = 60, 1e-6
 """Steps of the refinement at most, and the relative gain of one after which it ends."""
 LEAST, MOST = 128, 1_024
@@ -44,7 +46,7 @@ class Windows:
     recording: np.ndarray
 
 
-def scales_of(recordings):
+def scales_of(recordings: Records) -> Scales:
     """Return the Scales of recordings [(u (T, m), y (T, p), starts)], missing samples left out."""
     u, y = (np.concatenate([r[j] for r in recordings]) for j in (0, 1))
     middle = lambda x: np.nan_to_num(np.array([np.nanmean(c) if (~np.isnan(c)).any() else 0.0 for c in x.T]))
@@ -54,20 +56,20 @@ def scales_of(recordings):
     return Scales(mu, positive(su, mu), my, positive(sy, my))
 
 
-def windows_of(recordings, scales, horizon, most=None):
+def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | None = None) -> Windows:
     """Return the Windows of horizon + 1 samples, standardised, that are complete and cross no seam; at most `most` of them, spread evenly.
 
     Args:
         recordings: [(u (T, m), y (T, p), starts)], starts the numbers of samples that do not follow the one before.
     """
-    chosen = []
+    found = []
     for number, (u, y, starts) in enumerate(recordings):
         if len(y) > horizon:
             gone = np.isnan(u).any(1) | np.isnan(y).any(1)
             before = np.append(0, np.cumsum(gone))
             first = np.flatnonzero((before[horizon + 1 :] == before[: -horizon - 1]) & ~crossing(starts, horizon, horizon, len(y)))
-            chosen.append(np.stack([np.full(len(first), number), first], 1))
-    chosen = np.concatenate(chosen) if chosen else np.zeros((0, 2), int)
+            found.append(np.stack([np.full(len(first), number), first], 1))
+    chosen = np.concatenate(found) if found else np.zeros((0, 2), int)
     if most is not None and len(chosen) > most:
         chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(int)]
     gather = lambda j, middle, spread: np.concatenate(
@@ -79,7 +81,7 @@ def windows_of(recordings, scales, horizon, most=None):
     return Windows(gather(0, scales.u, scales.u_spread), gather(1, scales.y, scales.y_spread), chosen[:, 0])
 
 
-def least_squares(windows, order, direct):
+def least_squares(windows: Windows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, singular): coefficients ((order (p + m) + direct m + 1), p), one step ahead, and how well the regressors span, (., ).
 
     Args:
@@ -92,7 +94,7 @@ def least_squares(windows, order, direct):
     return theta, singular
 
 
-def coefficients(theta, order, direct, m, p):
+def coefficients(theta: Array, order: int, direct: bool, m: int, p: int) -> tuple[list[Array], list[Array], Array, Array]:
     """Return (A_1.., B_1.., D, c): lists of (p, p) and (p, m), (p, m), (p,)."""
     A = [theta[i * p : (i + 1) * p].T for i in range(order)]
     rest = theta[order * p :]
@@ -129,7 +131,7 @@ def _residuals(theta, u, y, there, weight, order, direct):
 _slopes = jax.jit(jax.jacfwd(_residuals), static_argnames=("order", "direct"))
 
 
-def refined(theta, windows, order, direct):
+def refined(theta: np.ndarray, windows: Windows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own spread (p,).
 
     Args:
@@ -138,7 +140,7 @@ def refined(theta, windows, order, direct):
     given = _filled(windows)
     spread = window_spread(theta, windows, order, direct)
     for _ in range(2):  # the spreads are those of the result before
-        theta = _marquardt(theta, *given, 1 / spread, order, direct)
+        theta = _marquardt(theta, given, 1 / spread, order, direct)
         spread = window_spread(theta, windows, order, direct)
     return theta, spread
 
@@ -157,7 +159,7 @@ def _filled(windows):
     return fill(windows.u), fill(windows.y), fill(np.ones(len(windows.y)))
 
 
-def growth(theta, order):
+def growth(theta: np.ndarray, order: int) -> float:
     """Return the largest modulus of an eigenvalue of the model."""
     p = theta.shape[1]
     companion = np.eye(order * p, k=p)
@@ -165,8 +167,8 @@ def growth(theta, order):
     return float(np.abs(np.linalg.eigvals(companion)).max()) if np.isfinite(companion).all() else np.inf
 
 
-def _marquardt(theta, u, y, there, weight, order, direct):
-    given = u, y, there, weight, order, direct
+def _marquardt(theta, windows, weight, order, direct):
+    given = *windows, weight, order, direct
     e = np.asarray(_residuals(theta, *given)).ravel()
     cost, damping, limit = e @ e, 1e-3, max(1.0, growth(theta, order))  # no faster growth than the data asked for one step ahead
     for _ in range(STEPS):

@@ -12,10 +12,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from jaxbound.consistency.reading import Reading
 from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
 from jaxbound.studies.montecarlo import fused
+from jaxbound.studies.montecarlo.draws import Array
+from jaxbound.studies.montecarlo.recursion import Plant
+from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = ["attack_block", "worst_factor"]
 
@@ -64,7 +68,7 @@ def _factors(test, u, y):
     return stored(1 - strip_margin(test.shape, stored(mid), stored(rad), known).reshape(count, N))
 
 
-def worst_factor(test, act, onset, u, y):
+def worst_factor(test: Reading, act: Act, onset: Array, u: Array, y: Array) -> tuple[Array, Array]:
     """Return (t of every window (T - s, N), -inf where the fault does not touch it; the largest of each scenario (N,))."""
     t = _factors(test, u, y)
     end = jnp.arange(t.shape[0])[:, None] + test.horizon
@@ -74,15 +78,25 @@ def worst_factor(test, act, onset, u, y):
 
 
 @partial(jax.jit, static_argnums=(0, 8))
-def attack_block(course, test, plant, act, limits, u, key, numbers, steps=STEPS):
+def attack_block(
+    course: fused.Course,
+    test: Reading,
+    plant: Plant,
+    act: Act,
+    limits: Array,
+    u: Array | None,
+    key: Array,
+    numbers: Array,
+    steps: int = STEPS,
+) -> tuple[Array, Array, Array]:
     """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) of N scenarios whose unknowns hide the fault as well as was found.
 
     Args:
         as for `fused.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of the descent.
     """
-    key = key[0], key[1]
-    inputs, size, onset = fused.prepared(course, act, limits, key, numbers)
-    xi, extra = _drawn(course, act, plant, key, numbers)
+    pair = key[0], key[1]
+    inputs, size, onset = fused.prepared(course, act, limits, pair, numbers)
+    xi, extra = _drawn(course, act, plant, pair, numbers)
     recorded = lambda xi: _recorded(course, act, plant, inputs, size, onset, u, xi, extra)
 
     def loss(xi, tau):

@@ -11,12 +11,15 @@ import numpy as np
 
 __all__ = ["INPUTS", "ONSETS", "STEPS", "share", "threefry", "words"]
 
+Array = jax.Array | np.ndarray
+"""What a kernel is called with, or sees."""
+
 ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 STEPS, INPUTS, ONSETS = np.uint32(0), np.uint32(2**31), np.uint32(3 * 2**30)
 """Where the counters of the unknowns of each step, of the levels of the inputs and of the onsets begin."""
 
 
-def threefry(key, counter, rounds=13):
+def threefry(key: tuple[Array, Array], counter: tuple[Array, Array], rounds: int = 13) -> tuple[Array, Array]:
     """Return two arrays of 32 random bits.
 
     Args:
@@ -35,15 +38,15 @@ def threefry(key, counter, rounds=13):
     return a, b
 
 
-def words(key, numbers, first, count):
+def words(key: tuple[Array, Array], numbers: Array, first: Array | np.uint32, count: int) -> list[Array]:
     """Return `count` arrays of 32 random bits, of the shape of `numbers` (uint32, of the scenarios), from the counter `first` on."""
-    out = []
+    out: list[Array] = []
     for i in range(-(-count // 2)):
         out += threefry(key, (numbers, jnp.zeros_like(numbers) + (jnp.asarray(first, jnp.uint32) + np.uint32(i))))
     return out[:count]
 
 
-def share(bits, dtype, vertices=False):
+def share(bits: Array, dtype: np.dtype, vertices: bool = False) -> Array:
     """Return numbers in [-1, 1] made of random bits: the middles of 2^32 equal parts, or -1 and 1 for `vertices`; symmetric about 0."""
     signed = jax.lax.bitcast_convert_type(bits, jnp.int32)
     if vertices:

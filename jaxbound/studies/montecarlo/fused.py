@@ -16,10 +16,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.consistency.reading import Reading
 from jaxbound.sets.strips.strips import strip_verdict
 from jaxbound.studies.montecarlo import draws, recursion, scenarios
+from jaxbound.studies.montecarlo.draws import Array
+from jaxbound.studies.montecarlo.recursion import Plant
+from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = ["BLOCK", "Course", "count_block", "move", "prepared", "recorded_input", "replay_block", "unknown_draws"]
+
+Unknowns = tuple[list[Array], list[Array], list[Array], Array | None]
+"""theta, delta and the disturbances' shares, a list over signals of (N,), and what a noise fault draws."""
 
 BLOCK = 4096
 """Scenarios in a block: what a step works on stays in a core's cache, and a step takes much longer than to start it."""
@@ -34,7 +41,7 @@ class Course:
     vertices: bool
 
 
-def unknown_draws(course, act, plant, key, numbers, k):
+def unknown_draws(course: Course, act: Act, plant: Plant, key: tuple[Array, Array], numbers: Array, k: Array) -> Unknowns:
     """Return (theta, delta, share, extra) of step k: relative errors (None where there is no tolerance), noises, disturbances, fault."""
     p, g = plant.shape[2:]
     count = 2 * p + g + (act.kind == "noise")
@@ -54,14 +61,24 @@ def levels(course, limits, key, numbers):
     return jnp.stack(out, 1) if out else jnp.zeros((len(hold), 0, len(numbers)), limits.dtype)
 
 
-def prepared(course, act, limits, key, numbers):
+def prepared(course: Course, act: Act, limits: Array, key: tuple[Array, Array], numbers: Array) -> tuple[Array, Array, Array]:
     """Return (inputs of each hold, sizes, onsets) of scenarios."""
     (bits,) = draws.words(key, numbers, draws.ONSETS, 1)
     size = act.sizes[numbers % np.uint32(act.sizes.shape[0])]
     return levels(course, limits, key, numbers), size, (act.first + bits % act.span).astype(jnp.int32)
 
 
-def move(act, plant, unknowns, size, onset, u, k, x, held):
+def move(
+    act: Act,
+    plant: Plant,
+    unknowns: Unknowns,
+    size: Array,
+    onset: Array,
+    u: list[Array],
+    k: Array,
+    x: list[Array],
+    held: Array,
+) -> tuple[list[Array], list[Array], Array]:
     """Return (x+, y, held) of step k for N scenarios, with the fault: lists over states and outputs. unknowns: from `unknown_draws`."""
     theta, delta, share, extra = unknowns
     since = k - onset
@@ -87,7 +104,7 @@ def move(act, plant, unknowns, size, onset, u, k, x, held):
     return x, faulty(y, act.output, jnp.nan) if touched else y, held
 
 
-def recorded_input(u, inputs, k, course):
+def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> list[Array]:
     """Return the m recorded inputs of step k, each (N,): given ones (T, m), or those of the hold."""
     if u is not None:
         now = u[jnp.minimum(k, course.samples - 1)]
@@ -96,7 +113,9 @@ def recorded_input(u, inputs, k, course):
 
 
 @partial(jax.jit, static_argnums=0)
-def count_block(course, test, plant, act, limits, u, key, numbers):
+def count_block(
+    course: Course, test: Reading, plant: Plant, act: Act, limits: Array, u: Array | None, key: Array, numbers: Array
+) -> tuple[Array, Array, Array, Array]:
     """Simulate and test N scenarios.
 
     Args:
@@ -108,8 +127,8 @@ def count_block(course, test, plant, act, limits, u, key, numbers):
         end of the first FAULT window that the fault touches, -1 if there is none; onset. All (N,) int32.
     """
     s, (n, m, p, _) = test.horizon, plant.shape
-    key = key[0], key[1]
-    inputs, size, onset = prepared(course, act, limits, key, numbers)
+    pair = key[0], key[1]
+    inputs, size, onset = prepared(course, act, limits, pair, numbers)
     zero = jnp.zeros_like(size)
     none = jnp.zeros_like(onset)
 
@@ -124,7 +143,7 @@ def count_block(course, test, plant, act, limits, u, key, numbers):
         mid, rad, scale, known, known_scale = test.rows(us[: test.lags], ys)
         margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)
         u_now = recorded_input(u, inputs, k, course)
-        unknowns = unknown_draws(course, act, plant, key, numbers, k)
+        unknowns = unknown_draws(course, act, plant, pair, numbers, k)
         x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, [*ys[1:], y], [*us[1:], u_now], held, margin, hits, false, delay), None
 
@@ -134,16 +153,18 @@ def count_block(course, test, plant, act, limits, u, key, numbers):
 
 
 @partial(jax.jit, static_argnums=0)
-def replay_block(course, plant, act, limits, u, key, numbers):
+def replay_block(
+    course: Course, plant: Plant, act: Act, limits: Array, u: Array | None, key: Array, numbers: Array
+) -> tuple[Array, Array, Array]:
     """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,)."""
-    key = key[0], key[1]
-    inputs, size, onset = prepared(course, act, limits, key, numbers)
+    pair = key[0], key[1]
+    inputs, size, onset = prepared(course, act, limits, pair, numbers)
     zero = jnp.zeros_like(size)
 
     def now(carry, k):
         x, held = carry
         u_now = recorded_input(u, inputs, k, course)
-        unknowns = unknown_draws(course, act, plant, key, numbers, k)
+        unknowns = unknown_draws(course, act, plant, pair, numbers, k)
         x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
 

@@ -1,11 +1,12 @@
 """What so many scenarios say of a share: intervals that hold with a stated confidence."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 __all__ = ["proportion_interval", "rate_interval"]
 
 
-def proportion_interval(found, of, confidence=0.95):
+def proportion_interval(found: ArrayLike, of: ArrayLike, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """Return (lo, hi) of the true share behind `found` among `of` independent scenarios (Clopper, Pearson).
 
     It holds with at least the confidence for any share, however few there are: 0 of n gives hi = 1 - ((1 - confidence) / 2)^(1/n).
@@ -27,7 +28,15 @@ def proportion_interval(found, of, confidence=0.95):
     return lo, hi
 
 
-def rate_interval(hits, windows, squares, crossed, squared, scenarios, confidence=0.95):
+def rate_interval(
+    hits: ArrayLike,
+    windows: ArrayLike,
+    squares: ArrayLike,
+    crossed: ArrayLike,
+    squared: ArrayLike,
+    scenarios: ArrayLike,
+    confidence: float = 0.95,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (rate, lo, hi) of hits / windows where the windows of one scenario depend on each other, but the scenarios do not.
 
     The standard error is that of a ratio of two means over scenarios, times the normal quantile: for many scenarios. Where no window or

@@ -26,13 +26,17 @@ The room is some 1e-14 of a unit in float64: vertices lie that far inside, and a
 instead.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
+from jaxbound.studies.montecarlo.draws import Array
 
 __all__ = ["Plant", "fits", "plant_of", "reach", "rounding_room", "step"]
 
@@ -49,38 +53,38 @@ class Plant:
     zeros: for each matrix, which entries are zero: static, so that they cost nothing.
     """
 
-    A: jax.Array
-    B: jax.Array
-    C: jax.Array
-    D: jax.Array
-    G: jax.Array
-    tolerance: jax.Array
-    noise: jax.Array
-    offset_y: jax.Array
-    offset_u: jax.Array
-    lo: jax.Array
-    hi: jax.Array
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    G: Array
+    tolerance: Array
+    noise: Array
+    offset_y: Array
+    offset_u: Array
+    lo: Array
+    hi: Array
     zeros: tuple = field(metadata={"static": True})
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, int, int, int]:
         """(n, m, p, g)."""
         return self.A.shape[0], self.B.shape[1], self.C.shape[0], self.lo.shape[0]
 
 
-def floats(rows, shape):
+def floats(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> np.ndarray:
     """Return exact numbers as the nearest floats."""
     return np.array([[float(x) for x in row] for row in rows], np.float64).reshape(shape)
 
 
-def matrices(model):
+def matrices(model: LinearSystem) -> tuple[np.ndarray, ...]:
     """Return A, B, C, D, G as arrays."""
     n, m, p, g = model.n, model.m, model.p, model.g
     shapes = (("A", (n, n)), ("B", (n, m)), ("C", (p, n)), ("D", (p, m)), ("G", (n, g)))
     return tuple(floats(getattr(model, letter), shape) for letter, shape in shapes)
 
 
-def reach(model, inputs, samples):
+def reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest |x| (n,) and |y - offset| (p,) that `samples` steps from x = 0 can come to.
 
     Args:
@@ -99,7 +103,7 @@ def reach(model, inputs, samples):
         return 1.001 * states, 1.001 * ((1 + tolerance) * outputs + noise)
 
 
-def rounding_room(model, horizon, inputs, samples, dtype):
+def rounding_room(model: LinearSystem, horizon: int, inputs: np.ndarray, samples: int, dtype: np.dtype) -> np.ndarray:
     """Return beta (p,) of the claim above, for inputs whose |v - offset| is at most `inputs` (m,); inf where it is out of proportion."""
     A, B, C, D, G = matrices(model)
     u, (n, m, g) = float(rounding.unit(dtype)), (model.n, model.m, model.g)
@@ -121,37 +125,48 @@ def rounding_room(model, horizon, inputs, samples, dtype):
     return np.where(np.isfinite(out) & within, out, np.inf)
 
 
-def fits(model, room):
+def fits(model: LinearSystem, room: np.ndarray) -> bool:
     """Say whether the fast recursion may stand for this model: certain, all unknowns bounded, and noise enough for the room."""
     if model.uncertainties or model.d or model.constant_tolerance:
         return False
     return all(taken <= SHARE * float(noise) for taken, noise in zip(_taken(model, room), model.noise, strict=True))
 
 
-def _taken(model, room):
+def _taken(model: LinearSystem, room: np.ndarray) -> list[float]:
     """Return what the noise has to give of the room: a logger's resolution gives the rest."""
     return [max(float(x - r), 0.0) for x, r in zip(room, map(float, model.resolution), strict=True)]
 
 
-def plant_of(model, room, dtype):
+def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> Plant:
     """Return the Plant of a model that `fits`, with `room` for rounding."""
     noise = [float(rho) * (1 - 1e-15) - taken for rho, taken in zip(model.noise, _taken(model, room), strict=True)]
-    A, B, C, D, G = matrices(model)
+    A, B, C, D, G = exact = matrices(model)
     lo, hi = rounding.round_up([b[0] for b in model.disturbance], dtype), rounding.round_down([b[1] for b in model.disturbance], dtype)
     vector = lambda values: np.array([float(x) for x in values], dtype)
     return Plant(
-        *(x.astype(dtype) for x in (A, B, C, D, G)),
+        A.astype(dtype),
+        B.astype(dtype),
+        C.astype(dtype),
+        D.astype(dtype),
+        G.astype(dtype),
         rounding.round_down(list(model.tolerance), dtype),
         rounding.round_down(np.maximum(noise, 0), dtype),
         vector(model.offset["y"]),
         vector(model.offset["u"]),
         lo,
         np.maximum(lo, hi),
-        tuple(tuple(map(tuple, (x == 0).tolist())) for x in (A, B, C, D, G)),
+        tuple(tuple(map(tuple, (x == 0).tolist())) for x in exact),
     )
 
 
-def step(plant, x, applied, theta, delta, share):
+def step(
+    plant: Plant,
+    x: list[Array],
+    applied: list[Array],
+    theta: Sequence[Array | None],
+    delta: list[Array],
+    share: list[Array],
+) -> tuple[list[Array], list[Array]]:
     """Return (x+, y) of one step, lists of arrays over scenarios.
 
     Args:

@@ -1,6 +1,7 @@
 """What a Monte-Carlo study found."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,6 +9,9 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.studies.montecarlo.proportions import proportion_interval
 from jaxbound.studies.montecarlo.scenarios import Trial
 from jaxbound.studies.montecarlo.tally import Tally
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["StudyResult"]
 
@@ -33,21 +37,22 @@ class StudyResult:
     settings: dict
 
     @property
-    def scenarios(self):
+    def scenarios(self) -> int:
         """Number of scenarios counted."""
         return int(sum(t.scenarios.sum() for t in self.tallies))
 
     @property
-    def false_alarms(self):
+    def false_alarms(self) -> tuple[int, int]:
         """(FAULT windows, all windows) without a faulty sample: the first is 0 if the plant is what the relations take it for."""
         return int(sum(t.false.sum() for t in self.tallies)), int(sum(t.clean.sum() for t in self.tallies))
 
-    def false_alarm_interval(self):
+    def false_alarm_interval(self) -> tuple[float, float]:
         """Return (lo, hi) of the true share of scenarios with a false alarm, Clopper-Pearson."""
         alarmed = sum(t.alarmed.sum() for t in self.tallies)
-        return tuple(float(x) for x in proportion_interval(alarmed, self.scenarios, self.confidence))
+        lo, hi = proportion_interval(alarmed, self.scenarios, self.confidence)
+        return float(lo), float(hi)
 
-    def to_pandas(self):
+    def to_pandas(self) -> "pd.DataFrame":
         """Return a DataFrame with a row for each fault and size.
 
         Columns: fault, size; scenarios, detected; share with share_lo, share_hi: of scenarios detected (Clopper-Pearson); windows,
@@ -68,11 +73,11 @@ class StudyResult:
                 "guaranteed": trial.guaranteed}))  # fmt: skip
         return pd.concat(frames, ignore_index=True)
 
-    def delays(self):
+    def delays(self) -> "pd.DataFrame":
         """Return a DataFrame with a row for each (fault, size, delay) that occurred: scenarios, delay null where never detected."""
         import pandas as pd
 
-        rows = []
+        rows: list[tuple[str, float, int | None, int]] = []
         for trial, tally in zip(self.trials, self.tallies, strict=True):
             for i, size in enumerate(trial.sizes):
                 found = np.flatnonzero(tally.delays[i])
@@ -87,7 +92,7 @@ class StudyResult:
         return f"StudyResult({self.scenarios} scenarios of {labels}, unknowns {self.at}; {false} false alarms in {clean} windows)"
 
 
-def delay_quantile(tally, share):
+def delay_quantile(tally: Tally, share: float) -> np.ndarray:
     """Return (S,) the least delay by which that share of all scenarios is detected, inf where it never is, nan without scenarios."""
     reached = np.cumsum(tally.delays, 1) >= share * tally.scenarios[:, None]
     out = np.where(reached.any(1), reached.argmax(1).astype(float), np.inf)

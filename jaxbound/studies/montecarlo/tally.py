@@ -1,5 +1,7 @@
 """What is counted of scenarios, in whole numbers: the sums do not depend on the order or on how the work was cut up."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from jaxbound.studies.montecarlo.proportions import proportion_interval, rate_interval
@@ -17,13 +19,26 @@ class Tally:
     without a faulty sample; alarmed: scenarios with one such. delays (S, T + 1): of the detected, by samples from the onset.
     """
 
-    def __init__(self, sizes, samples):
+    scenarios: np.ndarray
+    detected: np.ndarray
+    hits: np.ndarray
+    windows: np.ndarray
+    squares: np.ndarray
+    crossed: np.ndarray
+    squared: np.ndarray
+    false: np.ndarray
+    clean: np.ndarray
+    alarmed: np.ndarray
+
+    def __init__(self, sizes: int, samples: int) -> None:
         """Begin at zero."""
         for name in SUMS:
             setattr(self, name, np.zeros(sizes, np.int64))
         self.delays = np.zeros((sizes, samples + 1), np.int64)
 
-    def add(self, which, hits, false, delay, windows, clean):
+    def add(
+        self, which: np.ndarray, hits: np.ndarray, false: np.ndarray, delay: np.ndarray, windows: np.ndarray, clean: np.ndarray
+    ) -> None:
         """Take scenarios: the number of the size of each, and what was found. All (N,)."""
         sizes = len(self.scenarios)
         h, w = hits.astype(np.int64), windows.astype(np.int64)
@@ -35,20 +50,20 @@ class Tally:
             setattr(self, name, getattr(self, name) + total.astype(np.int64))
         np.add.at(self.delays, (which[seen], delay[seen]), 1)
 
-    def share(self, confidence):
+    def share(self, confidence: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (share, lo, hi) of scenarios detected, (S,) each."""
         with np.errstate(invalid="ignore"):
             return self.detected / self.scenarios, *proportion_interval(self.detected, self.scenarios, confidence)
 
-    def rate(self, confidence):
+    def rate(self, confidence: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (rate, lo, hi) of FAULT windows among those wholly inside the fault, (S,) each."""
         return rate_interval(self.hits, self.windows, self.squares, self.crossed, self.squared, self.scenarios, confidence)
 
-    def arrays(self):
+    def arrays(self) -> dict[str, np.ndarray]:
         """Return {name: array}, which `load` takes."""
         return {name: getattr(self, name) for name in (*SUMS, "delays")}
 
-    def load(self, arrays):
+    def load(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Take what `arrays` returned."""
         for name in (*SUMS, "delays"):
             setattr(self, name, np.asarray(arrays[name]))

@@ -46,7 +46,7 @@ class Risk:
     text: str
 
 
-def rank_risk(n):
+def rank_risk(n: int) -> float:
     """Return 1 / (n + 1), the largest probability that a new block needs more than all of n.
 
     Example:
@@ -56,7 +56,7 @@ def rank_risk(n):
     return 1 / (n + 1)
 
 
-def rate_bound(n, confidence):
+def rate_bound(n: int, confidence: float) -> float:
     """Return the share of all blocks that need more than all of n independent ones, at most and with this confidence.
 
     Example:
@@ -66,7 +66,7 @@ def rate_bound(n, confidence):
     return 1 - (1 - confidence) ** (1 / n)
 
 
-def distribution_band(n, confidence):
+def distribution_band(n: int, confidence: float) -> float:
     """Return by how much the distribution of n independent numbers differs from the true one anywhere, at most and with this confidence.
 
     Example:
@@ -76,7 +76,7 @@ def distribution_band(n, confidence):
     return math.sqrt(math.log(2 / (1 - confidence)) / (2 * n))
 
 
-def scenario_bound(n, bounds, confidence):
+def scenario_bound(n: int, bounds: int, confidence: float) -> float:
     """Return the share of all blocks that the optimum of a convex program over n blocks violates, at most and with this confidence.
 
     It is the eps with sum over i < bounds of C(n, i) eps^i (1 - eps)^(n - i) = 1 - confidence.
@@ -99,7 +99,7 @@ def scenario_bound(n, bounds, confidence):
     return high
 
 
-def blocks_of(across, horizon, length=None):
+def blocks_of(across: np.ndarray, horizon: int, length: int | None = None) -> tuple[np.ndarray, int]:
     """Cut windows into blocks that share no sample.
 
     Args:
@@ -121,7 +121,7 @@ def blocks_of(across, horizon, length=None):
     return label, length
 
 
-def held_out(blocks, share):
+def held_out(blocks: int, share: float) -> np.ndarray:
     """Return (blocks,) bool: the share of blocks that is kept for scaling, spread evenly.
 
     Example:
@@ -132,7 +132,7 @@ def held_out(blocks, share):
     return np.diff(count) > 0
 
 
-def touched(chosen, horizon):
+def touched(chosen: np.ndarray, horizon: int) -> np.ndarray:
     """Return (T,) bool: windows that share a sample with a chosen one.
 
     Example:
@@ -144,7 +144,19 @@ def touched(chosen, horizon):
     return count[np.minimum(at + horizon + 1, len(chosen))] > count[np.maximum(at - horizon, 0)]
 
 
-def risk_of(factors, label, length, kept, *, tuned, convex, fixed, confidence, safety, horizon):
+def risk_of(
+    factors: np.ndarray,
+    label: np.ndarray,
+    length: int,
+    kept: np.ndarray,
+    *,
+    tuned: int,
+    convex: bool,
+    fixed: bool,
+    confidence: float,
+    safety: float,
+    horizon: int,
+) -> Risk:
     """Return the Risk of bounds that were scaled until all windows were inside.
 
     Args:

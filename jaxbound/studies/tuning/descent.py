@@ -14,6 +14,7 @@ windows j it is the share outside, with a smooth step, that is made large:
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +22,20 @@ import numpy as np
 
 from jaxbound.consistency.reading import Reading
 from jaxbound.diagnosis.detection import margins
+from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
-from jaxbound.studies.tuning.moving import unflatten
+from jaxbound.studies.tuning.moving import Moving, unflatten
+
+if TYPE_CHECKING:
+    import optax
 
 __all__ = ["RATE", "Problem", "default_optimizer", "descend", "gradient", "log_factors", "problem_of"]
+
+LogFactors = tuple[jax.Array, tuple[jax.Array, ...]]
+"""log t (N,) of windows, and its slopes, arrays (., N) of a row a bound."""
 
 BLOCK = 2**13  # faulty windows a step looks at
 T = 0.03, 1e-4  # temperature of the maximum, at the first and the last step
@@ -55,23 +63,35 @@ class Problem:
     relations: UncertainRelations | None = field(metadata={"static": True})
 
 
-def problem_of(relations, moved, safety, dtype):
+def problem_of(relations: ParityRelation | UncertainRelations, moved: Moving, safety: float, dtype: np.dtype) -> Problem:
     """Return the Problem of tuning the bounds `moved` of relations for recordings of a float dtype."""
-    uncertain = isinstance(relations, UncertainRelations)
-    arrays = (jnp.asarray(x, dtype) for x in (moved.fixed, moved.select, moved.weights, moved.most))
-    test = None if uncertain else jax.device_put(relations.reading(dtype))
-    return Problem(test, *arrays, jnp.log(jnp.asarray(safety, dtype)), moved.sizes, relations if uncertain else None)
+    fixed, select, weights, most = (jnp.asarray(x, dtype) for x in (moved.fixed, moved.select, moved.weights, moved.most))
+    own = relations if isinstance(relations, UncertainRelations) else None
+    test = None if own else jax.device_put(relations.reading(dtype))
+    log_safety = jnp.log(jnp.asarray(safety, dtype))
+    return Problem(test, fixed, select, weights, most, log_safety, moved.sizes, own)
 
 
 @lru_cache(maxsize=1)
-def default_optimizer():
+def default_optimizer() -> "optax.GradientTransformation":
     """Return Adam with steps of 1: `descend` makes them fall from RATE to nothing, whatever the number of steps, without compiling anew."""
     import optax
 
     return optax.adam(1.0)
 
 
-def descend(problem, optimizer, every, state, first, steps, rate, healthy, present, faulty):
+def descend(
+    problem: Problem,
+    optimizer: "optax.GradientTransformation",
+    every: int,
+    state: "tuple[jax.Array, optax.OptState]",
+    first: int,
+    steps: int,
+    rate: tuple[float, float],
+    healthy: tuple[jax.Array, jax.Array],
+    present: np.ndarray,
+    faulty: tuple[jax.Array, jax.Array, jax.Array, jax.Array] | None,
+) -> "tuple[tuple[jax.Array, optax.OptState], jax.Array]":
     """Make `every` steps, as far as there are that many.
 
     Args:
@@ -96,7 +116,7 @@ def descend(problem, optimizer, every, state, first, steps, rate, healthy, prese
     return state, best[0]
 
 
-def log_factors(z, problem, u, y):
+def log_factors(z: jax.Array, problem: Problem, u: jax.Array, y: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """Return log t (N,) of windows u (s + 1, m, N), y (s + 1, p, N) under the values exp(z), and its slopes, arrays (., N) of b rows.
 
     Forward mode: a sum over windows, as reverse mode has it, would be fused with the kernel, which is slow. Strips take a fraction of the
@@ -136,7 +156,15 @@ def _advance(optimizer, problem, state, best, number, share, rate, inside, prese
     return (jnp.minimum(z + updates * fall + hard, jnp.log(problem.most)).astype(z.dtype), after), best
 
 
-def gradient(z, problem, share, number, inside, present, outside):
+def gradient(
+    z: jax.Array,
+    problem: Problem,
+    share: float,
+    number: int,
+    inside: LogFactors,
+    present: jax.Array | np.ndarray,
+    outside: tuple[jax.Array, tuple[jax.Array, ...], jax.Array] | None,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (gradient (b,), logarithm of the factor that these healthy windows need, what the best values are chosen by).
 
     Args:

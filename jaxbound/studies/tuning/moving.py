@@ -1,14 +1,25 @@
 """Bounds as a vector of positive numbers: which of them move, what they weigh, and how they go back into relations and model files."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
+from typing import TypeVar
 
+import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
+from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import KINDS, model_bounds
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.uncertain import UncertainRelations
 
 __all__ = ["Moving", "model_with", "moving", "unflatten"]
+
+Flat = TypeVar("Flat", jax.Array, np.ndarray)
+Sizes = tuple[tuple[str, int], ...]
+"""How many entries bounds of each name have."""
 
 DIGITS = 4  # of a bound in a model file: rounding up costs at most a thousandth
 CEILING = 0.999  # of a tolerance while it moves
@@ -29,24 +40,24 @@ class Moving:
     most: np.ndarray
     fixed: np.ndarray
     select: np.ndarray
-    sizes: tuple
+    sizes: Sizes
     notes: tuple
 
-    def bounds(self, values):
+    def bounds(self, values: np.ndarray) -> dict[str, np.ndarray]:
         """Return {name: array} with the moved bounds at `values`."""
         return unflatten(self.fixed + self.select @ np.asarray(values, np.float64), self.sizes)
 
-    def total(self, values):
+    def total(self, values: np.ndarray) -> float:
         """Return the weighted sum of the bounds."""
         return float(self.weights @ values)
 
-    def rounded_up(self, values):
+    def rounded_up(self, values: np.ndarray) -> list[Decimal]:
         """Return values >= these as short decimals."""
         up = Context(prec=DIGITS, rounding=ROUND_CEILING)
         return [up.create_decimal(Decimal(float(v))).normalize() for v in values]
 
 
-def unflatten(flat, sizes):
+def unflatten(flat: Flat, sizes: Sizes) -> dict[str, Flat]:
     """Return {name: array} from flat bounds; sizes: ((name, entries), ...)."""
     out, at = {}, 0
     for name, count in sizes:
@@ -55,7 +66,9 @@ def unflatten(flat, sizes):
     return out
 
 
-def moving(relations, which=None, weights=None):
+def moving(
+    relations: ParityRelation | UncertainRelations, which: str | Iterable[str] | None = None, weights: Mapping[str, ArrayLike] | None = None
+) -> Moving:
     """Say which bounds of relations move.
 
     Args:
@@ -72,7 +85,8 @@ def moving(relations, which=None, weights=None):
             raise ValueError(f"there is no bound {name!r} to move: this model has {', '.join(bounds)}")
     who = {"output": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
     who["parameter"] = tuple(u.name for u in model.uncertainties)
-    names, start, scale, most, still, columns, fixed = [], [], [], [], [], [], []
+    names, start, scale, most, still, columns = [], [], [], [], [], []
+    fixed: list[float] = []
     sizes = tuple((name, np.size(b)) for name, b in bounds.items())
     for name, _ in sizes:
         own = np.asarray(bounds[name], np.float64)
@@ -88,7 +102,9 @@ def moving(relations, which=None, weights=None):
                 continue
             if not entry.any():
                 still.append(f"{name} of {signal}")
-            ends = [(0, entry[0], "")] if len(entry) == 1 else [(0, -entry[0], "lower end of "), (1, entry[1], "upper end of ")]
+            ends: list[tuple[int | None, float, str]] = (
+                [(0, entry[0], "")] if len(entry) == 1 else [(0, -entry[0], "lower end of "), (1, entry[1], "upper end of ")]
+            )
             if len(entry) == 2 and -entry[0] == entry[1]:  # the ends of a symmetric bound move together
                 ends = [(None, entry[1], "")]
             for end, value, side in ends:
@@ -108,11 +124,11 @@ def moving(relations, which=None, weights=None):
         for row, sign in entries:
             select[row, b] = sign
     notes = (f"{', '.join(still)} {'is' if len(still) == 1 else 'are'} 0 and stay{'s' * (len(still) == 1)} 0",) if still else ()
-    arrays = (np.array(x, np.float64) for x in (start, scale, most, fixed))
-    return Moving(tuple(names), *arrays, select, sizes, notes)
+    first, weight_of, top, rest = (np.array(x, np.float64) for x in (start, scale, most, fixed))
+    return Moving(tuple(names), first, weight_of, top, rest, select, sizes, notes)
 
 
-def _weights(name, given, shape):
+def _weights(name: str, given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     try:
         given = np.broadcast_to(np.asarray(given, np.float64), shape if np.ndim(given) == len(shape) else shape[:1])
     except ValueError:
@@ -122,7 +138,7 @@ def _weights(name, given, shape):
     return given
 
 
-def model_with(relations, moved, values, source):
+def model_with(relations: ParityRelation | UncertainRelations, moved: Moving, values: Sequence[Decimal], source: str) -> LinearSystem:
     """Return the model with the bounds of the relations, those that moved at `values` (Decimals), and their horizon.
 
     Args:
@@ -132,7 +148,8 @@ def model_with(relations, moved, values, source):
         ValueError: a tolerance that would reach 1.
     """
     model, old = relations.model, model_bounds(relations.model)
-    changes, values, at = {"horizon": relations.horizon, "provenance": dict(model.provenance)}, [Fraction(v) for v in values], 0
+    provenance, fractions, at = dict(model.provenance), [Fraction(v) for v in values], 0
+    changes: dict[str, object] = {"horizon": relations.horizon, "provenance": provenance}
     decimals = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": [x for pair in model.disturbance for x in pair]}
     for kind, count in moved.sizes:
         now, before = np.ravel(relations.bounds[kind]), np.ravel(old[kind])
@@ -140,7 +157,7 @@ def model_with(relations, moved, values, source):
         exact = [x if a == b else Fraction(repr(float(a))) for x, a, b in zip(exact, now, before, strict=True)]
         rows, at = moved.select[at : at + count], at + count
         for i, b in np.argwhere(rows):
-            exact[i] = int(rows[i, b]) * values[b]
+            exact[i] = int(rows[i, b]) * fractions[b]
         if kind == "disturbance":
             changes[kind] = model.G, tuple(zip(exact[::2], exact[1::2], strict=True))
         elif kind == "parameters":
@@ -149,5 +166,5 @@ def model_with(relations, moved, values, source):
         else:
             changes[kind] = exact
         if rows.any() and kind != "parameters":
-            changes["provenance"][kind] = source
+            provenance[kind] = source
     return model.replace(**changes)

@@ -8,13 +8,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect, margins
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import holds_both
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import crossing
+from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
+from jaxbound.studies.tuning.moving import Moving
 
 __all__ = ["Windows", "factors", "smallest_scale", "worst", "windows_of"]
 
@@ -35,29 +39,29 @@ class Windows:
     starts: np.ndarray
     first: np.ndarray
 
-    def across(self, horizon):
+    def across(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: no window of horizon + 1 samples ends here."""
         return crossing([0, *self.starts], horizon, 0, len(self.y))
 
-    def without(self, horizon):
+    def without(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: no window ends here, or one in which nothing at all was measured."""
         seen = np.cumsum(np.append(0, ~np.isnan(self.y).all(1)))
         empty = np.ones(len(self.y), bool)
         empty[horizon:] = seen[horizon + 1 :] == seen[: len(self.y) - horizon] if len(self.y) > horizon else True
         return empty | self.across(horizon)
 
-    def gather(self, ends, horizon):
+    def gather(self, ends: ArrayLike, horizon: int) -> tuple[np.ndarray, np.ndarray]:
         """Return u (N, s + 1, m), y (N, s + 1, p) of the windows that end at these samples."""
         at = np.asarray(ends)[:, None] + np.arange(-horizon, 1)
         return self.u[at], self.y[at]
 
-    def place(self, end):
+    def place(self, end: int) -> str:
         """Return words for the sample at which a window ends."""
         number = int(np.searchsorted(self.first, end, "right")) - 1
         return f"sample {end - self.first[number]}" + (f" of recording {number + 1}" if len(self.first) > 1 else "")
 
 
-def windows_of(model, horizon, given, what="healthy"):
+def windows_of(model: LinearSystem, horizon: int, given: object, what: str = "healthy") -> Windows:
     """Lay recordings end to end.
 
     Args:
@@ -88,7 +92,7 @@ def windows_of(model, horizon, given, what="healthy"):
     return found
 
 
-def factors(relations, windows):
+def factors(relations: ParityRelation | UncertainRelations, windows: Windows) -> np.ndarray:
     """Return (T,) the factors t = 1 - margin of all windows, NaN where there is none or it has no data."""
     if isinstance(relations, UncertainRelations):  # the test gives the windows that it leaves open no size
         t = 1 - np.asarray(margins(relations, windows.u, windows.y))
@@ -96,7 +100,7 @@ def factors(relations, windows):
     return 1 - detect(relations, windows.u, windows.y, starts=windows.starts).margin
 
 
-def worst(t, count):
+def worst(t: np.ndarray, count: int) -> np.ndarray:
     """Return the numbers of the `count` largest entries that are not NaN, the largest first."""
     t = np.where(np.isnan(t), -np.inf, t)
     top = np.argpartition(t, -count)[-count:] if count < len(t) else np.arange(len(t))
@@ -104,7 +108,9 @@ def worst(t, count):
     return top[np.argsort(-t[top], kind="stable")]
 
 
-def smallest_scale(relations, moved, values, windows):
+def smallest_scale(
+    relations: ParityRelation | UncertainRelations, moved: Moving, values: np.ndarray, windows: Windows
+) -> tuple[float, float]:
     """Enclose the smallest factor on `values` at which the proved test accepts every window.
 
     Args:
