@@ -21,7 +21,7 @@ HEAD = (
     "90 % by",
     "guaranteed",
 )
-NOT_SHOWN = ("key", "faults", "engine", "dtype")  # settings that are told elsewhere, or to nobody
+NOT_SHOWN = ("method", "key", "faults", "engine", "dtype")  # settings that are told elsewhere, or to nobody
 
 
 def study_page(res: StudyResult, found, png: bytes, seed: int, seconds: float) -> str:
@@ -43,7 +43,7 @@ def study_page(res: StudyResult, found, png: bytes, seed: int, seconds: float) -
         rows=study_rows(found),
         settings=list(_settings(res, seed)),
         model=model_values(res.model, bounds),
-        computed=computed("joint", res.horizon, np.dtype(res.settings["dtype"]), {"study": seconds}),
+        computed=computed(res.settings["method"], res.horizon, np.dtype(res.settings["dtype"]), {"study": seconds}),
     )
 
 

@@ -4,26 +4,34 @@ Alarms are counted by the proved test alone. Scenarios are worked off in blocks 
 depend on the key, the fault and the scenarios' numbers only: counts are the same however the work is cut up, interrupted or spread.
 """
 
+import dataclasses
 import os
 import time
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.models.conversion import as_model
+from jaxbound.consistency.exchange import ExchangeTest
+from jaxbound.consistency.strips import StripsTest
+from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.relations.identity import identity
-from jaxbound.relations.parity import ParityRelation, parity_relations
-from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.relations.parity import parity_relations
+from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, fused, recorded, recursion, scenarios
 from jaxbound.studies.montecarlo.keeper import Keeper
+from jaxbound.studies.montecarlo.scenarios import Relations
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import Tally
 
@@ -35,8 +43,11 @@ ATTACKED = 256  # scenarios that an adversary works on at once: the descent's me
 EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, tasks in a part
 
 
-def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, onset=None, at="uniform", inputs=None, input_range=None,
-          hold=20, confidence=0.95, progress=None, out=None, rows=False):  # fmt: skip
+def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int, key: jax.Array | int,
+          relations: Relations | None = None, *, samples: int = 200, sizes: Sequence[float] | dict[str, Sequence[float]] | None = None,
+          onset: int | tuple[int, int] | None = None, at: str = "uniform", inputs: object = None, input_range: ArrayLike | None = None,
+          hold: int = 20, method: str = "joint", confidence: float = 0.95, progress: Callable[[float], object] | None = None,
+          out: str | os.PathLike | None = None, rows: bool = False) -> StudyResult:  # fmt: skip
     """Simulate n scenarios with faults, count what the proved test finds, and say how sure the shares are.
 
     A scenario is a recording of `samples` samples from x = 0: inputs, unknowns within the model's bounds, and a fault of one size from its
@@ -47,14 +58,15 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
         faults: texts "signal:kind" (kinds as in `Fault`), Fault objects, or one of these; () for healthy scenarios only.
         n: scenarios, spread evenly over the faults.
         key: a jax.random key, or a whole number.
-        relations: of the monitor; None: `parity_relations(model)`. Those of another model with the same signals show what happens
-            when its bounds are not the plant's.
+        relations: of the monitor, whatever `detect` takes, a bank or a residual too; None: `parity_relations(model)`. Those of
+            another model with the same signals show what happens when its bounds are not the plant's.
         samples: of a scenario. sizes: of the faults, in the unit of the signal (relative for gain and tolerance): a sequence for all,
             or {"signal:kind": sequence}; None: a Fault's own, else twelve around the guaranteed size.
         onset: a sample, or (lo, hi): drawn uniformly from lo <= k < hi; None: a Fault's own start and stop, else the second quarter.
         at: "uniform" draws unknowns uniformly, "vertices" each at one of its bounds, "adversarial" chooses them to hide the fault.
         inputs: (samples, m) for all, or a table; None: piecewise constant levels, each for `hold` samples, uniform in input_range.
         input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: from 1 below the offset to 1 above.
+        method: of the monitor, as for `detect`; all but "linearised", which proves nothing.
         confidence: of the intervals.
         progress: called with the share of the work done.
         out: a folder where the state is kept every few seconds: the same call goes on where a killed one stopped, and ends with the
@@ -80,13 +92,15 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
         (0, np.int64(1000))
     """
     model = as_model(model)
-    relations = parity_relations(model) if relations is None else relations
-    _check(model, relations, n, samples, hold, at, confidence)
+    relations = parity_relations(model) if relations is None else _named(relations, model)
+    _check(model, relations, n, samples, hold, at, method, confidence)
     refuse_unverified()
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     u, limits, highest = _inputs(model, inputs, input_range, samples, dtype)
     samples = samples if u is None else len(u)
     trials = scenarios.trials(model, faults, sizes, onset, samples, relations, highest)
+    if method != "joint":  # what is guaranteed is guaranteed of the joint test
+        trials = [dataclasses.replace(t, guaranteed=np.nan) for t in trials]
     counts = [n // len(trials) + (i < n % len(trials)) for i in range(len(trials))]
     if n < len(trials):
         raise ValueError(f"n must be at least the number of faults, {len(trials)}, not {n}")
@@ -95,9 +109,9 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
     room = np.max([recursion.rounding_room(model, relations.horizon, scenarios.largest_input(model, t, highest, samples), samples, dtype)
                    for t in trials], 0)  # fmt: skip
     course = fused.Course(samples, hold, at == "vertices")
-    run, block = _engine(model, relations, course, at, room, u, limits, dtype)
-    settings = {"at": at, "samples": samples, "hold": hold, "n": n, "horizon": relations.horizon, "dtype": np.dtype(dtype).name,
-                "input range": limits.tolist(), "inputs": None if u is None else fingerprint(u),
+    run, block = _engine(model, relations, course, at, method, room, u, limits, dtype)
+    settings = {"method": method, "at": at, "samples": samples, "hold": hold, "n": n, "horizon": relations.horizon,
+                "dtype": np.dtype(dtype).name, "input range": limits.tolist(), "inputs": None if u is None else fingerprint(u),
                 "key": [w.tolist() for w in words], "engine": run.__name__,
                 "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials]}  # fmt: skip
     tallies = [Tally(len(t.sizes), samples) for t in trials]
@@ -123,9 +137,20 @@ def study(model, faults, n, key, relations=None, *, samples=200, sizes=None, ons
     return StudyResult(model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings)
 
 
-def _check(model, relations, n, samples, hold, at, confidence):
-    if not isinstance(relations, ParityRelation | UncertainRelations):
-        raise TypeError(f"a study needs relations from parity_relations, not {type(relations).__name__}")
+def _named(relations: Relations, model: LinearSystem) -> Relations:
+    """Give a residual whose signals have no names those of the plant, in its order; see `Channels`."""
+    if not isinstance(relations, Residual):
+        return relations
+    inputs, outputs = relations.model.inputs, relations.model.outputs
+    inputs, outputs = (own if own is not None else plant for own, plant in ((inputs, model.inputs), (outputs, model.outputs)))
+    return dataclasses.replace(relations, model=dataclasses.replace(relations.model, inputs=inputs, outputs=outputs))
+
+
+def _check(model, relations, n, samples, hold, at, method, confidence):
+    if not hasattr(relations, "test"):
+        raise TypeError(f"a study needs relations that `detect` takes, from parity_relations for example, not {type(relations).__name__}")
+    if method == "linearised":
+        raise ValueError("method 'linearised' neglects terms and proves no FAULT, which is what a study counts: use 'joint' or 'paving'")
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):
@@ -161,23 +186,27 @@ def _inputs(model, inputs, input_range, samples, dtype):
     return None, limits, np.abs(limits - offset[:, None]).max(1)
 
 
-def _engine(model, relations, course, at, room, u, limits, dtype):
+def _engine(model, relations, course, at, method, room, u, limits, dtype):
     """Return (function of (act, key, numbers) that counts a block of scenarios, their number)."""
-    certain = isinstance(relations, ParityRelation)
+    by = relations.test(method, dtype)  # refuses here what it would refuse in every block
+    certain = isinstance(by, StripsTest | ExchangeTest)
     plain = recursion.fits(model, room) and np.isfinite(room).all()
     if plain:
         plant = recursion.plant_of(model, room, dtype)
     if at == "adversarial":
-        if not (plain and certain) or relations.model.constant_tolerance:
-            raise NotImplementedError("an adversary needs a certain model with noise on every output: use at='vertices' instead")
+        if not (plain and certain):
+            raise NotImplementedError(
+                "an adversary needs a test by strips, down whose margin it goes: a certain model with noise on every output, parity "
+                "relations, method 'joint' or 'box'; use at='vertices' instead"
+            )
         test = relations.reading(dtype)
 
         def attacked(act, key, numbers):
-            got = adversary.attack_block(course, test, plant, act, limits, u, key, numbers)
-            return *recorded.count_recordings(relations, act, *map(np.asarray, got)), got[2]
+            us, ys, onset = map(np.asarray, adversary.attack_block(course, test, plant, act, limits, u, key, numbers))
+            return *recorded.count_recordings(relations, act, us, ys, onset, method), onset
 
         return attacked, min(ATTACKED, recorded.recording_block(course))
-    few = certain and 0 < len(relations.circuits) <= UNROLLED and not relations.model.constant_tolerance
+    few = method == "joint" and certain and 0 < len(relations.circuits) <= UNROLLED
     if plain and few:  # where circuits are many, what the fused kernel saves is nothing beside their test
         devices, test = tuple(jax.local_devices(backend="cpu")), relations.reading(dtype)
 
@@ -190,10 +219,10 @@ def _engine(model, relations, course, at, room, u, limits, dtype):
 
     def written(act, key, numbers):
         if plain:
-            got = fused.replay_block(course, plant, act, limits, u, key, numbers)
+            us, ys, onset = map(np.asarray, fused.replay_block(course, plant, act, limits, u, key, numbers))
         else:
-            got = recorded.simulate_block(course, model, act, limits, u, key, numbers)
-        return *recorded.count_recordings(relations, act, *map(np.asarray, got)), got[2]
+            us, ys, onset = recorded.simulate_block(course, model, act, limits, u, key, numbers)
+        return *recorded.count_recordings(relations, act, us, ys, onset, method), onset
 
     return written, recorded.recording_block(course)
 
@@ -209,9 +238,10 @@ def _work_off(tasks, work, collect, keeper, progress):
     done = sent = 0 if keeper is None else keeper.done
     cpu, *others = jax.local_devices(backend="cpu")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    waiting, saved, threads = deque(), time.monotonic(), max(1, cores // (1 + len(others)))
+    waiting: deque[Future] = deque()
+    saved, threads = time.monotonic(), max(1, cores // (1 + len(others)))
 
-    wide = bool(jax.config.jax_enable_x64)  # a context of the caller's thread, perhaps
+    wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64  # in a context of the caller's thread, perhaps
 
     def placed(task):
         with jax.default_device(cpu), jax.enable_x64(wide):

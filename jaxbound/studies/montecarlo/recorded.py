@@ -10,21 +10,25 @@ import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
+from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import fused, scenarios
+from jaxbound.studies.montecarlo.scenarios import Relations
 
 __all__ = ["count_recordings", "recording_block", "simulate_block"]
 
 
-def recording_block(course, samples_at_once=2**17):
+def recording_block(course: fused.Course, samples_at_once: int = 2**17) -> int:
     """Return how many scenarios are written out at once: a function of their length alone."""
     return max(1, min(fused.BLOCK, samples_at_once // course.samples))
 
 
-def count_recordings(relations, act, u, y, onset):
+def count_recordings(
+    relations: Relations, act: scenarios.Act, u: np.ndarray, y: np.ndarray, onset: np.ndarray, method: str = "joint"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (hits, false, delay) as `fused.count_block` does, of recordings u (N, T, m), y (N, T, p) with onsets (N,)."""
     s, end = relations.horizon, np.arange(y.shape[1])[None]
-    fault = detect(relations, u, y).status == Status.FAULT
+    fault = detect(relations, u, y, method).status == Status.FAULT
     start, length = np.asarray(onset)[:, None], int(act.length)
     touched = (end >= start) & (end - s < start + length)
     hits = (fault & (end - s >= start) & (end < start + length)).sum(1)
@@ -33,7 +37,15 @@ def count_recordings(relations, act, u, y, onset):
     return hits.astype(np.int32), (fault & ~touched).sum(1).astype(np.int32), delay.astype(np.int32)
 
 
-def simulate_block(course, model, act, limits, u, key, numbers):
+def simulate_block(
+    course: fused.Course,
+    model: LinearSystem,
+    act: scenarios.Act,
+    limits: np.ndarray,
+    u: np.ndarray | None,
+    key: np.ndarray,
+    numbers: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) simulated by `simulate`; the unknowns depend on the block as a whole.
 
     Args:

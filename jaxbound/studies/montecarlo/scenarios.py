@@ -1,6 +1,7 @@
 """Which fault, of which size, from when on: what a study varies, and what a fault does to a sample."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import jax
@@ -9,11 +10,20 @@ import numpy as np
 
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.models.faults import KINDS, Fault
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.relations.bounds import model_bounds
+from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.redundancy import Redundancy
+from jaxbound.relations.residual import Residual
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.studies.montecarlo import recursion
+from jaxbound.studies.montecarlo.draws import Array
 
-__all__ = ["Act", "Trial", "act_of", "changed", "largest_input", "trials"]
+__all__ = ["Act", "Relations", "Trial", "act_of", "changed", "largest_input", "trials"]
+
+Relations = ParityRelation | UncertainRelations | Redundancy | Residual
+"""Of a monitor: whatever `detect` takes."""
 
 SIZELESS = ("stuck", "dropout")
 GRID = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
@@ -36,11 +46,11 @@ class Trial:
     guaranteed: float = np.nan
 
     @property
-    def label(self):
+    def label(self) -> str:
         """Its name, like y1:bias."""
         return "no fault" if self.fault is None else f"{self.fault.signal}:{self.fault.kind}"
 
-    def spans(self, onset, samples, horizon):
+    def spans(self, onset: np.ndarray, samples: int, horizon: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (windows wholly inside the fault, windows without a faulty sample) of scenarios with such onsets."""
         stop = np.minimum(onset + self.length, samples)
         inside = np.maximum(stop - onset - horizon, 0)
@@ -55,41 +65,53 @@ class Act:
     Fields: output, input: its number, or -1. bias, drift, gain: 1 where the fault is that. sizes (S,). first, span, length: of the onset.
     """
 
-    output: jax.Array
-    input: jax.Array
-    bias: jax.Array
-    drift: jax.Array
-    gain: jax.Array
-    sizes: jax.Array
-    first: jax.Array
-    span: jax.Array
-    length: jax.Array
+    output: Array
+    input: Array
+    bias: Array
+    drift: Array
+    gain: Array
+    sizes: Array
+    first: Array
+    span: Array
+    length: Array
     kind: str = field(metadata={"static": True})
 
 
-def act_of(trial, model, dtype):
+def act_of(trial: Trial, model: LinearSystem, dtype: np.dtype) -> Act:
     """Return the Act of a Trial."""
-    fault, number = trial.fault, lambda names, signal: np.int32(names.index(signal) if signal in names else -1)
+    fault, number = trial.fault, lambda names, signal: np.asarray(names.index(signal) if signal in names else -1, np.int32)
     signal, kind = (fault.signal, fault.kind) if fault else (None, "none")
-    flags = [np.asarray(kind == k, dtype)[()] for k in ("bias", "drift", "gain")]
+    bias, drift, gain = flags = [np.asarray(kind == k, dtype) for k in ("bias", "drift", "gain")]
     first, stop = trial.onset
     return Act(
-        number(model.outputs, signal), number(model.inputs, signal), *flags, np.asarray(trial.sizes, dtype),
-        np.uint32(first), np.uint32(stop - first), np.int32(trial.length), "shift" if any(flags) else kind)  # fmt: skip
+        number(model.outputs, signal), number(model.inputs, signal), bias, drift, gain, np.asarray(trial.sizes, dtype),
+        np.asarray(first, np.uint32), np.asarray(stop - first, np.uint32), np.asarray(trial.length, np.int32),
+        "shift" if any(flags) else kind)  # fmt: skip
 
 
-def changed(act, value, size, since, extra, held, dropped):
+def changed(act: Act, value: Array, size: Array, since: Array, extra: Array | None, held: Array, dropped: float) -> Array:
     """Return a value as the fault leaves it, `since` samples after its onset.
 
     Args:
         extra: a number in [-1, 1] for kind "noise". held: the value at the onset. dropped: what is left of a missing sample.
     """
+    if act.kind == "noise":
+        assert extra is not None, "a noise fault draws"
+        return value + size * extra
     if act.kind == "shift":
         return value + size * (act.bias + act.drift * since.astype(value.dtype) + act.gain * value)
-    return {"noise": lambda: value + size * extra, "stuck": lambda: held, "dropout": lambda: jnp.full_like(value, dropped)}[act.kind]()
+    return {"stuck": lambda: held, "dropout": lambda: jnp.full_like(value, dropped)}[act.kind]()
 
 
-def trials(model, faults, sizes, onset, samples, relations, highest):
+def trials(
+    model: LinearSystem,
+    faults: str | Fault | Sequence[str | Fault],
+    sizes: Sequence[float] | dict[str, Sequence[float]] | None,
+    onset: int | tuple[int, int] | None,
+    samples: int,
+    relations: Relations,
+    highest: np.ndarray,
+) -> list[Trial]:
     """Return a list of Trial, everything checked.
 
     Args:
@@ -121,11 +143,11 @@ def trials(model, faults, sizes, onset, samples, relations, highest):
             own = (0.0,)
         elif own is None:
             own = (fault.size,) if isinstance(original, Fault) and fault.size else _usual_sizes(model, fault, relations, highest, samples)
-        own = np.atleast_1d(np.asarray(own, float))
-        if own.ndim != 1 or not own.size or not np.isfinite(own).all():
-            raise ValueError(f"sizes of {label} must be finite numbers, not {own.tolist()}")
-        sure = guaranteed_size(model, fault, relations, highest, samples, float(np.abs(own).max()))
-        out.append(Trial(dataclasses.replace(fault, size=0.0, start=0, stop=None), own, (int(first), int(stop)), int(length), sure))
+        each = np.atleast_1d(np.asarray(own, float))
+        if each.ndim != 1 or not each.size or not np.isfinite(each).all():
+            raise ValueError(f"sizes of {label} must be finite numbers, not {each.tolist()}")
+        sure = guaranteed_size(model, fault, relations, highest, samples, float(np.abs(each).max()))
+        out.append(Trial(dataclasses.replace(fault, size=0.0, start=0, stop=None), each, (int(first), int(stop)), int(length), sure))
     return out
 
 
@@ -149,7 +171,7 @@ def _onset(onset, samples):
     return (int(onset), int(onset) + 1) if np.ndim(onset) == 0 else tuple(map(int, onset))
 
 
-def largest_input(model, trial, highest, samples):
+def largest_input(model: LinearSystem, trial: Trial | None, highest: np.ndarray, samples: int) -> np.ndarray:
     """Return the largest |v - offset| (m,) that acts on the plant, the fault included."""
     out = np.array(highest, float)
     if trial is None or trial.fault is None or trial.fault.signal not in model.inputs:
@@ -165,10 +187,9 @@ def guaranteed_size(model, fault, relations, highest, samples, largest):
 
     The operating range is what the readings of this study can come to, with a fault of that size.
     """
-    monitor = relations.model
-    if fault.kind != "bias" or monitor.uncertainties or monitor.constant_tolerance or model.d:
+    if fault.kind != "bias" or not isinstance(relations, ParityRelation) or relations.model.constant_tolerance or model.d:
         return np.nan
-    own = model_bounds(monitor)
+    monitor, own = relations.model, model_bounds(relations.model)
     if any(not np.array_equal(relations.bounds[name], own[name]) for name in own):
         return np.nan
     size, before = largest, None

@@ -1,10 +1,14 @@
 """Tune bounds to healthy data: a direction by gradient, its smallest scale by the proved test, and what that says about other data."""
 
+import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem
@@ -12,12 +16,17 @@ from jaxbound.recordings.checkpoint import Checkpoint
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
+from jaxbound.relations.redundancy import Redundancy
+from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
 from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, problem_of
 from jaxbound.studies.tuning.moving import model_with, moving
 from jaxbound.studies.tuning.scaling import factors, smallest_scale, windows_of, worst
+
+if TYPE_CHECKING:
+    import optax
 
 __all__ = ["TuneResult", "tune"]
 
@@ -64,26 +73,30 @@ class TuneResult:
     notes: tuple
 
     @property
-    def statement(self):
+    def statement(self) -> str:
         """What is known about healthy data that were not seen, in sentences."""
         return self.risk.text
 
     @property
-    def caught(self):
+    def caught(self) -> float | None:
         """The share of faulty windows that are FAULT at .bounds, or None."""
         found = self.faulty_counts
         return None if found is None else found["FAULT"] / max(sum(found.values()) - found["MISSING"], 1)
 
 
-def tune(relations, healthy, faulty=None, optimizer=None, steps=300, *, bounds=None, weights=None, safety=1.0, calibrate=1 / 3, block=None,
-         confidence=0.95, every=10, progress=None, state=None):  # fmt: skip
+def tune(relations: ParityRelation | UncertainRelations, healthy: object, faulty: object = None,
+         optimizer: "optax.GradientTransformation | None" = None, steps: int = 300, *, bounds: str | Iterable[str] | None = None,
+         weights: Mapping[str, ArrayLike] | None = None, safety: float = 1.0, calibrate: float = 1 / 3, block: int | None = None,
+         confidence: float = 0.95, every: int = 10, progress: Callable[[float], object] | None = None,
+         state: str | os.PathLike | None = None) -> TuneResult:  # fmt: skip
     """Find the smallest bounds under which healthy data are consistent; with faulty data, those that leave most of these outside.
 
     The direction of the bounds is found by gradient, free of their size; their size is then the smallest at which the proved test finds no
     healthy window outside, so this holds whatever the gradient did.
 
     Args:
-        relations: from `parity_relations`; their bounds are the start. Those at 0 stay 0.
+        relations: from `parity_relations`; their bounds are the start. Those at 0 stay 0. What the joint test explains, "box",
+            "paving" and a bank do not refute either: bounds tuned by it hold for them too.
         healthy: (u, y), arrays (..., T, m) and (..., T, p) or DataFrames, or a list of such tuples, one a recording; (u, y, starts) where
             samples do not follow the one before, as for `detect`. NaN marks a missing sample.
         faulty: the same for recordings with faults, every window of which should be outside; or None.
@@ -128,7 +141,10 @@ def tune(relations, healthy, faulty=None, optimizer=None, steps=300, *, bounds=N
     label, length = blocks_of(gone, s, block)
     alone = len(moved.names) == 1
     if model.constant_tolerance and steps and not alone:
-        raise NotImplementedError("there is no gradient for constant_tolerance: tune with steps=0 scales all bounds by one factor")
+        raise NotImplementedError(
+            "the margin of constant_tolerance comes from a search for the best gains, which has no derivative: tune with steps=0 scales "
+            "all bounds by one factor, or those that bounds= names"
+        )
     kept = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
     unseen = gone | touched(np.isin(label, np.flatnonzero(kept)), s)
     search = _Search(relations, moved, good, unseen, bad, safety, optimizer, steps, every, state)
@@ -157,7 +173,7 @@ def tune(relations, healthy, faulty=None, optimizer=None, steps=300, *, bounds=N
                    confidence=confidence, safety=safety, horizon=s)  # fmt: skip
     report(1.0)
     counts = {name: n - int(across.sum()) * (name == "MISSING") for name, n in res.counts.items()}
-    if found is not None:
+    if found is not None and bad is not None:
         found["MISSING"] -= int(bad.across(s).sum())
     scale = low * moved.total(search.best) / moved.total(moved.start)
     return TuneResult(final.bounds, moved.bounds(smallest), scale, safety, relations.bounds, res.margin, counts, found, risk,
@@ -259,7 +275,7 @@ class _Search:
 
     def _taken_up(self, carry):
         """Return the carry of the checkpoint, if there is one, and take over the rest of what it holds."""
-        held = self.kept.load()
+        held = None if self.kept is None else self.kept.load()
         if held is None:
             return carry
         self.step, self.best, self.score, self.ends = int(held["step"]), held["best"], tuple(held["score"].tolist()), held["ends"]
@@ -302,6 +318,12 @@ def _refuse_same(good, bad):
 
 
 def _check(relations, steps, safety, calibrate, block, confidence, every):
+    if isinstance(relations, Redundancy):
+        raise TypeError("a bank has the bounds of its model, and whatever the joint test of parity_relations explains each relation alone "
+                        "explains too: tune those, and build the bank of the tuned .model")  # fmt: skip
+    if isinstance(relations, Residual):
+        raise TypeError("a residual is decided by bisection, whose verdict has no margin to scale or to derive: try boxes with "
+                        "with_bounds and detect, or write it as a LinearSystem")  # fmt: skip
     if not isinstance(relations, ParityRelation | UncertainRelations):
         raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}")
     whole = lambda x, least: not isinstance(x, bool) and isinstance(x, int | np.integer) and x >= least
