@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 __all__ = ["TuneResult", "tune"]
 
 CAPACITY, SEARCHED, NEW = 1024, 256, 32  # worst windows that steps look at (by strips, by a search), and what a look at all of them adds
+UNTUNED = {
+    Redundancy: ", whose relations explain alone whatever the joint test explains: tune that, and build the bank of the tuned .model",
+    Residual: ", whose verdict comes from bisection, with no margin to scale or to derive: try boxes by with_bounds and detect",
+}
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
 
@@ -318,14 +322,9 @@ def _refuse_same(good, bad):
 
 
 def _check(relations, steps, safety, calibrate, block, confidence, every):
-    if isinstance(relations, Redundancy):
-        raise TypeError("a bank has the bounds of its model, and whatever the joint test of parity_relations explains each relation alone "
-                        "explains too: tune those, and build the bank of the tuned .model")  # fmt: skip
-    if isinstance(relations, Residual):
-        raise TypeError("a residual is decided by bisection, whose verdict has no margin to scale or to derive: try boxes with "
-                        "with_bounds and detect, or write it as a LinearSystem")  # fmt: skip
     if not isinstance(relations, ParityRelation | UncertainRelations):
-        raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}")
+        why = UNTUNED.get(type(relations), "")
+        raise TypeError(f"tune needs relations from parity_relations, not {type(relations).__name__}{why}")
     whole = lambda x, least: not isinstance(x, bool) and isinstance(x, int | np.integer) and x >= least
     for name, x, least in (("steps", steps, 0), ("every", every, 1), ("block", 1 if block is None else block, 1)):
         if not whole(x, least):
