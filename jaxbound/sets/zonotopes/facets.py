@@ -11,8 +11,9 @@ from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.strips.strips import UNROLLED, Strips, strip_verdict
-from jaxbound.sets.zonotopes import proof
+from jaxbound.sets.zonotopes import kernels, proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
+from jaxbound.sets.zonotopes.questions import numbers, traced
 
 __all__ = ["FEW", "exact_strips", "membership", "strips"]
 
@@ -74,9 +75,10 @@ def membership(Z, points):
     stops at the answer).
 
     The gauge is the factor on all generators at which the point just belongs to Z. A flat Z: -inf proved outside its plane, never > 0.
+    Inside jit and vmap by the search, in the dtype of what is given; a flat Z then has some number < 0 for what is proved outside.
 
     Args:
-        Z: a Zonotope of concrete numbers.
+        Z: a Zonotope.
         points: (N, n).
 
     Returns:
@@ -91,10 +93,13 @@ def membership(Z, points):
         array([ 0.5, -0.5]...)
     """
     refuse_unverified(Z, points)
-    points = np.asarray(points)
+    points = points if isinstance(points, jax.Array) else np.asarray(points)
     n = Z.center.shape[0]
     if points.ndim != 2 or points.shape[1] != n:
         raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
+    if traced((Z, points)):
+        return _traced(Z, points)
+    points = np.asarray(points)
     if not np.isfinite(points.astype(float)).all():
         raise ValueError(f"points must be finite: first not at {tuple(np.argwhere(~np.isfinite(points.astype(float)))[0].tolist())}")
     if math.comb(Z.generators.shape[1], n - 1) > FEW:
@@ -102,6 +107,13 @@ def membership(Z, points):
     found = exact_strips(Z)
     margin = _margins([row for row in found if row[1]], Z, points)
     return _beside_the_plane([row for row in found if not row[1]], Z, points, margin)
+
+
+def _traced(Z, points):
+    ((c, G, _, _),) = numbers(Z, points=points)
+    (points,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
+    lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], tight=True)
+    return jnp.where(lower > 1, 1 - lower, jnp.maximum(1 - upper, 0))[0]
 
 
 def _searched(Z, points):

@@ -113,7 +113,7 @@ def volume(Z):
     """Return the volume 2^n sum |det(n generators)| of a small Zonotope, worked out exactly and rounded to nearest.
 
     Raises:
-        ValueError: more than 20 000 determinants.
+        ValueError: more than 20 000 determinants. TypeError: inside jit.
 
     Source: Gover, Krikorian 2010.
 
@@ -122,6 +122,8 @@ def volume(Z):
         >>> volume(sets.zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]))
         8.0
     """
+    if traced(Z):
+        raise TypeError("a volume is worked out from concrete numbers: ask outside jit, grad and vmap")
     n, q = Z.generators.shape
     if comb(q, n) > DETERMINANTS:
         raise ValueError(f"{q} generators in {n} coordinates have {comb(q, n)} determinants, more than {DETERMINANTS}: reduce_order first")

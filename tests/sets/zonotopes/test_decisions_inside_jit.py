@@ -141,6 +141,19 @@ def test_decisions_are_trees_of_arrays():
         assert all(isinstance(leaf, np.ndarray | np.generic) for leaf in jax.tree.leaves(thing))
 
 
+def test_margins_of_membership_inside_jit_are_those_outside(rng):
+    center, G, points, t = drawn(rng, np.float64)
+    inside = jax.jit(jax.vmap(sets.membership))(zonotope(center, G), points[:, None])[:, 0]
+    assert np.abs(inside - (1 - t)).max() <= 1e-7 * np.abs(t).max()
+
+
+def test_what_needs_concrete_numbers_says_so_inside_jit():
+    Z = zonotope(np.zeros(2), np.eye(2))
+    for call in (sets.vertices, sets.volume, sets.strips):
+        with pytest.raises(TypeError, match="outside jit, grad and vmap"):
+            jax.jit(call)(Z)
+
+
 def test_an_observer_may_ask_in_a_scan():
     Z = zonotope([0.0], [[1.0]])
 
