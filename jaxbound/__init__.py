@@ -1,42 +1,47 @@
-"""Guaranteed fault detection with JAX: is there any behaviour inside the bounds that explains the data?"""
+"""Guaranteed fault detection with JAX: is there any behaviour inside the bounds that explains the data?
+
+Names are imported when they are first asked for: a program pays for what it uses.
+"""
 
 import importlib
+from typing import TYPE_CHECKING
 
-from jaxbound import certificates, consistency, diagnosis, estimation, models, relations, sets, studies  # noqa: F401 (rooms of types)
-from jaxbound.consistency.monitor import Monitor
-from jaxbound.diagnosis.compensation import compensation
-from jaxbound.diagnosis.detectability import detectable
-from jaxbound.diagnosis.detection import detect, margins
-from jaxbound.diagnosis.isolation import evaluate
-from jaxbound.estimation.unknown_inputs import unknown_inputs
-from jaxbound.estimation.validation import validate
-from jaxbound.models.conversion import from_control, from_scipy
-from jaxbound.models.faults import Fault
-from jaxbound.models.intervals import interval_system
-from jaxbound.models.linearize import linearize
-from jaxbound.models.modelfile import load_model, save_model
-from jaxbound.models.multimodel import MultiModel
-from jaxbound.models.simulate import simulate
-from jaxbound.models.system import LinearSystem
-from jaxbound.models.uncertainty import Uncertainty
-from jaxbound.plots.plot import plot
-from jaxbound.recordings.read import read
-from jaxbound.recordings.recording import Recording
-from jaxbound.relations.decoupling import isolability, signatures, structured_relations
-from jaxbound.relations.parity import parity_relations
-from jaxbound.relations.redundancy import redundancy
-from jaxbound.relations.residual import residual
-from jaxbound.runs.digest import detect_dataset
-from jaxbound.sets.floats.status import Status
-from jaxbound.sets.inclusion.inclusion import inclusion
-from jaxbound.sets.intervals.interval import interval
-from jaxbound.sets.linear_systems.solve import solve_interval
-from jaxbound.sets.paving.paving import pave
-from jaxbound.sets.zonotopes.facets import membership, strips
-from jaxbound.sets.zonotopes.zonotope import zonotope
-from jaxbound.studies.identification.fitting import fit
-from jaxbound.studies.montecarlo.montecarlo import study
-from jaxbound.studies.tuning.tuning import tune
+if TYPE_CHECKING:
+    from jaxbound import certificates, consistency, diagnosis, estimation, models, relations, runs, sets, studies  # noqa: F401
+    from jaxbound.consistency.monitor import Monitor
+    from jaxbound.diagnosis.compensation import compensation
+    from jaxbound.diagnosis.detectability import detectable
+    from jaxbound.diagnosis.detection import detect, margins
+    from jaxbound.diagnosis.isolation import evaluate
+    from jaxbound.estimation.unknown_inputs import unknown_inputs
+    from jaxbound.estimation.validation import validate
+    from jaxbound.models.conversion import from_control, from_scipy
+    from jaxbound.models.faults import Fault
+    from jaxbound.models.intervals import interval_system
+    from jaxbound.models.linearize import linearize
+    from jaxbound.models.modelfile import load_model, save_model
+    from jaxbound.models.multimodel import MultiModel
+    from jaxbound.models.simulate import simulate
+    from jaxbound.models.system import LinearSystem
+    from jaxbound.models.uncertainty import Uncertainty
+    from jaxbound.plots.plot import plot
+    from jaxbound.recordings.read import read
+    from jaxbound.recordings.recording import Recording
+    from jaxbound.relations.decoupling import isolability, signatures, structured_relations
+    from jaxbound.relations.parity import parity_relations
+    from jaxbound.relations.redundancy import redundancy
+    from jaxbound.relations.residual import residual
+    from jaxbound.runs.digest import detect_dataset
+    from jaxbound.sets.floats.status import Status
+    from jaxbound.sets.inclusion.inclusion import inclusion
+    from jaxbound.sets.intervals.interval import interval
+    from jaxbound.sets.linear_systems.solve import solve_interval
+    from jaxbound.sets.paving.paving import pave
+    from jaxbound.sets.zonotopes.facets import membership, strips
+    from jaxbound.sets.zonotopes.zonotope import zonotope
+    from jaxbound.studies.identification.fitting import fit
+    from jaxbound.studies.montecarlo.montecarlo import study
+    from jaxbound.studies.tuning.tuning import tune
 
 __all__ = [
     "Fault", "LinearSystem", "Monitor", "MultiModel", "Recording", "Status", "Uncertainty", "compensation", "detect", "detect_dataset",
@@ -47,21 +52,64 @@ __all__ = [
 ]  # fmt: skip
 __version__ = "0.1.0"
 
-_ROOMS = {
-    "certificates": ("Certificate", "UncertainCertificate"),
-    "diagnosis": ("Alarm", "BankResult", "GuaranteedSize", "Result"),
-    "estimation": ("UnknownInputs", "Validation"),
-    "models": ("IntervalSystem", "Trajectory"),
-    "relations": ("Isolability", "ParityRelation", "Redundancy", "Residual", "Signatures", "UncertainRelations"),
-    "runs": ("Digest",),
-    "sets": ("Inclusion", "Interval", "Paving", "Solution", "Solvability", "Zonotope"),
-    "studies": ("FitCheck", "Fitted", "StudyResult", "TuneResult"),
+_HOMES = {  # where a name is imported from when it is first asked for; types of results live in rooms, and answer at the top too
+    "consistency.monitor": "Monitor",
+    "diagnosis.compensation": "compensation",
+    "diagnosis.detectability": "detectable",
+    "diagnosis.detection": "detect margins",
+    "diagnosis.isolation": "evaluate",
+    "estimation.unknown_inputs": "unknown_inputs",
+    "estimation.validation": "validate",
+    "models.conversion": "from_control from_scipy",
+    "models.faults": "Fault",
+    "models.intervals": "interval_system",
+    "models.linearize": "linearize",
+    "models.modelfile": "load_model save_model",
+    "models.multimodel": "MultiModel",
+    "models.simulate": "simulate",
+    "models.system": "LinearSystem",
+    "models.uncertainty": "Uncertainty",
+    "plots.plot": "plot",
+    "recordings.read": "read",
+    "recordings.recording": "Recording",
+    "relations.decoupling": "isolability signatures structured_relations",
+    "relations.parity": "parity_relations",
+    "relations.redundancy": "redundancy",
+    "relations.residual": "residual",
+    "runs.digest": "detect_dataset",
+    "sets.floats.status": "Status",
+    "sets.inclusion.inclusion": "inclusion",
+    "sets.intervals.interval": "interval",
+    "sets.linear_systems.solve": "solve_interval",
+    "sets.paving.paving": "pave",
+    "sets.zonotopes.facets": "membership strips",
+    "sets.zonotopes.zonotope": "zonotope",
+    "studies.identification.fitting": "fit",
+    "studies.montecarlo.montecarlo": "study",
+    "studies.tuning.tuning": "tune",
+    "certificates": "Certificate UncertainCertificate",
+    "diagnosis": "Alarm BankResult GuaranteedSize Result",
+    "estimation": "UnknownInputs Validation",
+    "models": "IntervalSystem Trajectory",
+    "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",
+    "runs": "Digest",
+    "sets": "Inclusion Interval Paving Solution Solvability Zonotope",
+    "studies": "FitCheck Fitted StudyResult TuneResult",
+    "consistency": "",
 }
 
 
 def __getattr__(name: str) -> object:
-    """Return a type of results, which lives in its room: `jaxbound.diagnosis.Result` is `jaxbound.Result` too."""
-    for room, types in _ROOMS.items():
-        if name in types:
-            return getattr(importlib.import_module(f"jaxbound.{room}"), name)
-    raise AttributeError(f"module 'jaxbound' has no attribute {name!r}")
+    home = next((module for module, names in _HOMES.items() if name in names.split()), None)
+    if home is not None:
+        found = getattr(importlib.import_module(f"jaxbound.{home}"), name)
+    elif name in _HOMES:
+        found = importlib.import_module(f"jaxbound.{name}")
+    else:
+        raise AttributeError(f"module 'jaxbound' has no attribute {name!r}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, *(home for home in _HOMES if "." not in home), "__version__"]

@@ -145,16 +145,18 @@ def test_a_missing_annotation_is_found():
 
 
 def test_the_top_has_verbs_and_what_is_constructed_and_types_of_results_live_in_their_rooms():
-    assert len(jb.__all__) <= 45 and jb.Result is jb.diagnosis.Result and jb.Certificate is jb.certificates.Certificate
-    assert not {name for types in jb._ROOMS.values() for name in types} & set(jb.__all__)
-    assert all(getattr(jb, name) is getattr(getattr(jb, room), name) for room, types in jb._ROOMS.items() for name in types)
+    types = {room: names.split() for room, names in jb._HOMES.items() if "." not in room}
+    verbs = {name for home, names in jb._HOMES.items() if "." in home for name in names.split()}
+    assert len(jb.__all__) <= 45 and verbs | {"sets"} == set(jb.__all__) <= set(dir(jb))
+    assert jb.Result is jb.diagnosis.Result and jb.Certificate is jb.certificates.Certificate
+    assert all(getattr(jb, name) is getattr(getattr(jb, room), name) for room, names in types.items() for name in names)
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = jb.nothing
 
 
 def test_import_loads_nothing_heavy_beyond_jax():
     code = (
-        "import sys, jax; before = set(sys.modules); import jaxbound;"
+        "import sys, jax; before = set(sys.modules); import jaxbound; [getattr(jaxbound, name) for name in jaxbound.__all__];"
         "print([m for m in set(sys.modules) - before if m.split('.')[0] in ('pandas', 'matplotlib', 'pyarrow', 'rich', 'scipy', 'jinja2')])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
@@ -162,6 +164,12 @@ def test_import_loads_nothing_heavy_beyond_jax():
 
 
 def test_import_makes_no_arrays_and_changes_no_configuration():
-    code = "import jax; x64 = jax.config.jax_enable_x64; import jaxbound; print(len(jax.live_arrays()), jax.config.jax_enable_x64 == x64)"
+    code = "import jax; x64 = jax.config.jax_enable_x64; import jaxbound as jb; [getattr(jb, name) for name in jb.__all__]; print(len(jax.live_arrays()), jax.config.jax_enable_x64 == x64)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.split() == ["0", "True"]
+
+
+def test_import_itself_loads_nothing_not_even_jax():
+    code = "import sys; import jaxbound; print([name for name in ('jax', 'numpy') if name in sys.modules], jaxbound.__version__)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.split() == ["[]", jb.__version__]
