@@ -9,8 +9,6 @@ import shlex
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from functools import partial
 
 import jax
 import numpy as np
@@ -30,12 +28,12 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.digest import digest
-from jaxbound.runs.endings import ending_counts, ending_hints, sizes_seen
+from jaxbound.runs.endings import ending_hints, sizes_seen
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION, save_run
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
-from jaxbound.runs.summary import CODES, alarm_total, bound_hints, coverage, samples, summary, windows, worst
+from jaxbound.runs.summary import bound_hints, summarised
 from jaxbound.runs.verdictfiles import write_alarms, write_verdicts
 
 __all__ = ["conclude", "run_demo", "run_detect"]
@@ -101,9 +99,10 @@ def _stream(args, folder, step):
             progress = lambda share: step("report", 0.4 * share)
             found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
             sizes = sizes_seen(found, found.alarms)
-            found = replace(found, hints=(*found.hints, *ending_hints(found, found.alarms, sizes)))
+            hints = (*found.hints, *ending_hints(found, found.alarms, sizes), *bound_hints(source.model))
+            res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes)
             save_run(work, source.model, args.data, source.content, args.method, relations.horizon)
-            write_report(work, found, found, found.alarms, hints=found.hints, sizes=sizes, seconds=seconds, min_coverage=args.min_coverage,
+            write_report(work, found, found, found.alarms, res, seconds=seconds,
                          progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
     except KeyboardInterrupt:
         if done := kept(args.out / PARTIAL, source.samples):
@@ -113,7 +112,7 @@ def _stream(args, folder, step):
     publish(folder)
     folder.remove("verdicts.csv")
     seconds["report"] = time.perf_counter() - start
-    return found, found, found.alarms, [*found.hints, *bound_hints(source.model)], seconds, sizes
+    return res, source.model, seconds
 
 
 def _evaluate(args, work, step, extra=lambda res: ()):
@@ -130,23 +129,22 @@ def _evaluate(args, work, step, extra=lambda res: ()):
         usable_device()
         res = detect(relations, recording, method=args.method, progress=lambda share: step("test", share))
     step("test", 1.0)
-    recording = replace(recording, hints=(*recording.hints, *unit_hints(res)))
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     sizes = sizes_seen(res, alarms)
-    recording = replace(recording, hints=(*recording.hints, *ending_hints(res, alarms, sizes)))
-    hints = [*recording.hints, *bound_hints(model)]
+    hints = (*recording.hints, *unit_hints(res), *ending_hints(res, alarms, sizes), *bound_hints(model))
+    found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes)
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
         table = beside.submit(write_verdicts, work / "verdicts.csv", res, recording)
         write_alarms(work / "alarms.csv", alarms, recording, model.dt)
         save_run(work, model, args.data, held, args.method, relations.horizon)
         step("report", 0.1)
-        write_report(work, res, recording, alarms, hints=recording.hints, seconds=seconds, min_coverage=args.min_coverage, extra=extra(res),
-                     sizes=sizes, progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
+        write_report(work, res, recording, alarms, found, seconds=seconds, extra=extra(res),
+                     progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
         table.result()
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
-    return res, recording, alarms, hints, seconds, sizes
+    return found, model, seconds
 
 
 def _validate(args, work, step):
@@ -167,14 +165,13 @@ def _validate(args, work, step):
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     first = f"the first {horizon + 1} {'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
     assumed = f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
-    hints = [*recording.hints, *bound_hints(model), assumed]
+    found = summarised(res, alarms, recording.label, args.min_coverage, (*recording.hints, *bound_hints(model), assumed))
     write_columns_of(work / "verdicts.csv", res, recording)
     write_alarms(work / "alarms.csv", alarms, recording, model.dt)
     save_run(work, model, args.data, held, args.method, horizon)
-    write_page(work, res, recording, alarms, hints=hints, seconds=seconds, min_coverage=args.min_coverage,
-               progress=lambda share: step("report", share))  # fmt: skip
+    write_page(work, res, recording, found, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
-    return res, recording, alarms, hints, seconds
+    return found, model, seconds
 
 
 def _complete(data, recording, horizon):
@@ -190,42 +187,31 @@ def _complete(data, recording, horizon):
             raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
 
 
-def conclude(args, res, recording, alarms, hints, seconds, sizes=None):
-    """Print what was found and return the exit code. sizes: from `sizes_seen`."""
-    validated = isinstance(res, Validated)
-    summed = res.summary if validated else partial(summary, res)
-    verdict, sentence = summed(alarms, recording.label, args.min_coverage)
-    (at, margin), code, counts, alarm_count = worst(res), CODES[verdict], res.counts, alarm_total(res, alarms)
-    margin = margin if np.isfinite(margin) else None
+def conclude(args, summary, model, seconds):
+    """Print what was found and return the exit code."""
     if args.json:
-        deepest = None if at is None else {"sample": at, "time": recording.label(at), "margin": margin,
-                                           "factor": None if margin is None else 1 - margin}  # fmt: skip
-        found = {
-            "verdict": verdict, "exit_code": code, "summary": sentence, "model": res.relations.model.name, "data": str(args.data),
-            "method": res.method, "horizon": res.relations.horizon, "samples": samples(res), "counts": counts,
-            "decided": coverage(res), "worst": deepest, "alarms": alarm_count, "hints": hints,
-            **({"tested": res.tested, "faulty": res.blamed} if validated else {}),
-            "seconds": {k: round(v, 3) for k, v in seconds.items()}, "out": str(args.out),
-            "ended": ending_counts(res, alarms),
-            "always_seen": sizes and {name: size if np.isfinite(size) else None for name, size in sizes.items()}}  # fmt: skip
-        write(json.dumps(found, indent=2, allow_nan=False) + "\n")
-        return code
-    decided = f"{percent(coverage(res))} of {windows(res)} windows, by the {res.method} test over {res.relations.horizon + 1} samples each"
-    whom = ", ".join(f"{name} in {n} samples" for name, n in res.blamed.items()) if validated else ""
-    rows = [
-        ("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s])),
-        ("faulty", whom or "no sensor") if validated else ("decided", decided),
-        ("alarms", f"{alarm_count}" + (f", the first at {recording.label(alarms[0].start)}" if alarms else "")),
-    ]
-    if margin is not None:
+        rounded = {k: round(v, 3) for k, v in seconds.items()}
+        plain = summary.plain(data=str(args.data), seconds=rounded, out=str(args.out))
+        write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
+        return summary.exit_code
+    found, counts = summary.found, summary.counts
+    rows = [("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]))]
+    if found.faulty is None:
+        by = f"by the {found.method} test over {found.horizon + 1} samples each"
+        rows.append(("decided", f"{percent(found.decided)} of {found.windows} windows, {by}"))
+    else:
+        rows.append(("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor"))
+    rows.append(("alarms", f"{found.alarms}" + (f", the first at {summary.first_alarm}" if found.alarms else "")))
+    if np.isfinite(summary.margin):
+        at, margin = summary.worst.time, summary.margin
         what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
-        rows.append(("worst window" if margin < 0 else "tightest", f"{recording.label(at)}: margin {margin:.3g}, {what}"))
-    if verdict == "fault" and at is not None and not validated and not res.relations.model.uncertainties:
-        rows.append(("proof", f"jaxbound explain {shlex.quote(str(args.out))} --at {at}"))
-    rows += [("hint", h) for h in hints]
+        rows.append(("worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
+    if summary.verdict == "fault" and found.faulty is None and not model.uncertainties:
+        rows.append(("proof", f"jaxbound explain {shlex.quote(str(args.out))} --at {found.at}"))
+    rows += [("hint", h) for h in summary.hints]
     rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]
-    show(sentence, COLOUR[verdict], rows)
-    return code
+    show(summary.sentence, COLOUR[summary.verdict], rows)
+    return summary.exit_code
 
 
 def _load_plotting():
@@ -252,10 +238,9 @@ def run_demo(args):
         detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, method="joint", alarm=(1, 1),
                                        min_coverage=0.5)  # fmt: skip
         extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
-        res, recording, alarms, *_ = _evaluate(detecting, work, step, extra)
-    verdict, sentence = summary(res, alarms, recording.label)
+        found, *_ = _evaluate(detecting, work, step, extra)
     again = ["jaxbound", "detect", *(str(args.out / f) for f in ("model.toml", "run.csv")), "--out", str(args.out)]
     rows = [("false alarms", f"{false_alarms} in {clean} windows without a fault ({args.runs} runs)"),
             ("report", str(args.out / "report.html")), ("try it", shlex.join(again))]  # fmt: skip
-    show(f"Section 5 of Adrot, Maquin, Ragot 2000. {sentence}", "bold", rows, demo.rate_table(rates))
+    show(f"Section 5 of Adrot, Maquin, Ragot 2000. {found.sentence}", "bold", rows, demo.rate_table(rates))
     return 0

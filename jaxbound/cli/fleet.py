@@ -12,6 +12,7 @@ from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
+from jaxbound.runs.summary import LAYOUT
 
 __all__ = ["run", "write_fleet"]
 
@@ -33,11 +34,13 @@ def write_fleet(directory, results, title="fleet"):
         table = csv.writer(f, lineterminator="\n")
         table.writerow(FIELDS)
         for r in ordered:
-            missing, consistent, undecided, fault = r.counts
-            texts = (r.first_alarm, r.worst, r.sentence, " | ".join(r.hints), str(r.unit.model), str(r.unit.recording))
+            found = r.summary
+            texts = (found.first_alarm, found.worst.time if found.worst else "", found.sentence, " | ".join(found.hints))
+            files = str(r.unit.model), str(r.unit.recording)
+            counts = (found.counts[name] for name in FIELDS[4:8])
             table.writerow((
-                cell(r.unit.name), r.verdict, number(r.margin), number(1 - r.margin), fault, consistent, undecided, missing,
-                number(r.decided), r.alarms, *map(cell, texts), r.ended))  # fmt: skip
+                cell(r.unit.name), r.verdict, number(r.margin), number(1 - r.margin), *counts, number(found.decided), found.alarms,
+                *map(cell, (*texts, *files)), found.last_ended))  # fmt: skip
     (Path(directory) / "fleet.html").write_text(fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8")
 
 
@@ -58,7 +61,7 @@ def run(args):
                     results.append(result)
         except KeyboardInterrupt:
             done = len(results)
-            results += [UnitResult(unit, "not tested", "interrupted before its turn") for unit in units[done:]]
+            results += [UnitResult.untested(unit, "interrupted before its turn") for unit in units[done:]]
             write_fleet(work, results, args.manifest.stem)
             stopped = Interrupted(f"interrupted: {done} of {len(units)} units were tested; {args.out / 'fleet.csv'} has them")
         else:
@@ -73,14 +76,17 @@ def _conclude(args, results):
     verdict, code, sentence = fleet_verdict(results)
     ordered = worst_first(results)
     if args.json:
-        found = {"verdict": verdict, "exit_code": code, "summary": sentence, "units": list(map(_plain, ordered)), "out": str(args.out)}
+        found = {"layout": LAYOUT, "verdict": verdict, "exit_code": code, "summary": sentence}
+        found |= {"units": list(map(_plain, ordered)), "out": str(args.out)}
         write(json.dumps(found, indent=2, allow_nan=False) + "\n")
         return code
     table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm", "the last alarm")]
     for r in ordered[:SHOWN]:
         margin = "" if math.isnan(r.margin) else f"{r.margin:.3g}"
-        table.append((r.unit.name, r.verdict, margin, str(r.counts[3]), percent(r.decided), r.first_alarm, r.ended))
-    rows = [("not tested", f"{r.unit.name}: {r.sentence}") for r in ordered if r.verdict == "not tested"][:SHOWN]
+        found = r.summary
+        faults = str(found.counts["FAULT"])
+        table.append((r.unit.name, r.verdict, margin, faults, percent(found.decided), found.first_alarm, found.last_ended))
+    rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in ordered if r.verdict == "not tested"][:SHOWN]
     rows += [("", f"and {len(ordered) - SHOWN} more units")] if len(ordered) > SHOWN else []
     rows += [("table", str(args.out / "fleet.csv")), ("page", str(args.out / "fleet.html"))]
     show(sentence, COLOUR[verdict], rows, table)
@@ -89,9 +95,5 @@ def _conclude(args, results):
 
 def _plain(r):
     """Return a UnitResult as JSON has it."""
-    names = ("MISSING", "CONSISTENT", "UNDECIDED", "FAULT")
-    return {
-        "unit": r.unit.name, "verdict": r.verdict, "summary": r.sentence, "margin": r.margin if math.isfinite(r.margin) else None,
-        "counts": dict(zip(names, r.counts, strict=True)), "decided": r.decided, "alarms": r.alarms, "first_alarm": r.first_alarm or None,
-        "worst": r.worst or None, "hints": list(r.hints), "model": str(r.unit.model), "recording": str(r.unit.recording),
-        "ended": r.ended or None}  # fmt: skip
+    about = {"model": str(r.unit.model), "recording": str(r.unit.recording)}
+    return {"unit": r.unit.name} | r.summary.plain() | about

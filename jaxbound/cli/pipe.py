@@ -27,7 +27,6 @@ from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows
 from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.pipetext import PipeText
-from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.seams import irregular, seam_hints
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
@@ -36,7 +35,7 @@ from jaxbound.runs.journal import STATE, VERDICTS, Journal
 from jaxbound.runs.outputs import output_folder, refuse_targets
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.runfile import VALIDATION
-from jaxbound.runs.summary import CODES, bound_hints
+from jaxbound.runs.summary import CODES, Evidence, bound_hints, said
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["follow", "run"]
@@ -227,24 +226,18 @@ class _Run:
         found, clock, relations = self.found, self.text.clock, self.monitor.relations
         if self.text.reader is not None:
             self.journal.finish(self.memory())
-        counts, total = found["counts"], clock.samples - relations.horizon - found["aside"]
-        decided = counts["CONSISTENT"] + counts["FAULT"]
-        share = decided / total if total > 0 else 0.0
         where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
         hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *bound_hints(relations.model)]
         lost = found["left out"]
         hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
-        for hint in filter(None, (*hints, *endings_said(found["endings"], sum(found["endings"].values()) + bool(found["on"])))):
+        alarms = sum(found["endings"].values()) + bool(found["on"])
+        for hint in filter(None, (*hints, *endings_said(found["endings"], alarms))):
             say(hint)
-        few = share < self.args.min_coverage
-        verdict = "fault" if counts["FAULT"] else "too little evidence" if few else "no fault"
+        counts = found["counts"]
         at, margin = found["worst"] or (None, np.nan)
-        sentence = {
-            "fault": f"Fault proved, first at {self._label(found['first'])}, worst at {self._label(at)}, margin {margin:.3g}",
-            "no fault": "No fault found",
-            "too little evidence": f"Too little evidence: {percent(share)} of the windows are decided",
-        }[verdict]
-        say(f"{sentence}. {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
+        numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, alarms=alarms)
+        verdict, sentence = said(numbers, self._label, self.args.min_coverage)
+        say(f"{sentence} {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
         return CODES[verdict]
 
 

@@ -1,5 +1,6 @@
 """What `jaxbound detect --method validation` found: its verdict in a sentence, its columns in a file."""
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words, write_columns
-from jaxbound.recordings.plaintext import percent
+from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Validated", "write_columns_of"]
@@ -39,16 +40,6 @@ class Validated:
         return {s.name: int(np.sum(self.status == s)) for s in Status}
 
     @property
-    def windows(self):
-        """How many windows there are: the warm-up is none, nor is what the model's `where` leaves out."""
-        return len(self.y) - self.horizon - self.aside
-
-    @property
-    def tested(self):
-        """The share of windows that have data."""
-        return 1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows if self.windows > 0 else 0.0
-
-    @property
     def blamed(self):
         """{output: number of its faulty samples}, those without any left out."""
         return {name: int(n) for name, n in zip(self.model.outputs, np.asarray(self.found.faulty).sum(0), strict=True) if n}
@@ -61,23 +52,6 @@ class Validated:
         """Refuse: there is no certificate of a verdict that rests on all samples before it."""
         raise NotImplementedError("validation has no certificate of a single window: its verdict rests on all samples before it")
 
-    def summary(self, alarms, label, min_coverage):
-        """Return (verdict, sentence). See `report.summary`."""
-        windows, faults, tested = self.windows, self.counts["FAULT"], self.tested
-        if faults:
-            whom = ", ".join(f"{name} in {count} sample{'s' * (count > 1)}" for name, count in self.blamed.items())
-            whom = f"; faulty: {whom}" if whom else "; no single sensor explains it"
-            grouped = f", in {len(alarms)} alarm{'s' * (len(alarms) != 1)}" if alarms else ", too scattered for an alarm"
-            if faults > 1 and faults == round(tested * windows):
-                return "fault", f"Every one of the {faults} windows with data is FAULT: the model or its bounds do not fit this recording."
-            return "fault", (f"Fault proved: {faults} of {windows} windows ({percent(faults / windows)}) contradict the model and the "
-                             f"samples accepted before{grouped}; the first is at {label(int(np.argmax(self.status == Status.FAULT)))}"
-                             f"{whom}.")  # fmt: skip
-        if tested < min_coverage:
-            return "too little evidence", (f"Too little evidence: only {percent(tested)} of {windows} windows have data, at least "
-                                           f"{percent(min_coverage)} are asked for.")  # fmt: skip
-        return "no fault", f"No fault found: every sample of {round(tested * windows)} windows fits what the samples before it allow."
-
     def stretches(self):
         """Return [(index of the output, first, last sample)] of the faulty stretches, in order of time."""
         faulty, out = np.asarray(self.found.faulty), []
@@ -85,6 +59,15 @@ class Validated:
             edges = np.flatnonzero(np.diff(np.concatenate([[0], faulty[:, i].astype(int), [0]])))
             out += [(i, int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
         return sorted(out, key=lambda s: s[1:])
+
+
+@evidence.register(Validated)
+def _(res, alarms):
+    fault = res.status == Status.FAULT
+    first = int(np.argmax(fault)) if fault.any() else None
+    ended = dict(Counter(a.ended for a in alarms))
+    about = dict(aside=res.aside, at=first, first=first, alarms=len(alarms), ended=ended, faulty=res.blamed)
+    return Evidence(res.method, res.horizon, len(res.y), res.counts, **about)
 
 
 def write_columns_of(path, res, recording):

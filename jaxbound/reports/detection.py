@@ -15,7 +15,7 @@ from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
-from jaxbound.runs.summary import alarm_total, bound_hints, coverage, samples, summary, worst_window
+from jaxbound.runs.summary import Summary
 
 __all__ = ["write_report"]
 
@@ -29,12 +29,10 @@ def write_report(
     res,
     recording,
     alarms: Sequence[Alarm],
+    summary: Summary,
     *,
-    hints: Sequence[str] = (),
     seconds: dict[str, float] | None = None,
-    min_coverage: float = 0.5,
     extra: Sequence[tuple] = (),
-    sizes: dict[str, float] | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> list[str]:
     """Write report.html, margin.png and residuals.png.
@@ -42,41 +40,40 @@ def write_report(
     Args:
         directory: an existing folder. res: a Result of one recording, or a Digest. alarms: its alarms.
         recording: with .label(k), .axis and .time, as `read` returns it; for a Digest itself.
-        hints: sentences for the reader. seconds: {stage: seconds}. min_coverage: as for `summary`.
+        summary: from `summarised`. seconds: {stage: seconds}.
         extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections
             of one's own.
-        sizes: from `sizes_seen`. progress: called with the share of the work done.
+        progress: called with the share of the work done.
 
     Returns:
         The names of the files written.
     """
     pictures = {}
-    for share, (name, data) in zip((0.35, 0.7), _pictures(res, recording, alarms), strict=True):
+    for share, (name, data) in zip((0.35, 0.7), _pictures(res, recording, alarms, summary), strict=True):
         pictures[name] = data
         (Path(directory) / name).write_bytes(data)
         if progress:
             progress(share)
     relations, model, part = res.relations, res.relations.model, isinstance(res, Digest)
     dtype = res.data.dtype if part else res.y.dtype
-    verdict, sentence = summary(res, alarms, recording.label, min_coverage)
     page = render(
         "detection.html",
         name=model.name,
-        verdict=verdict,
-        title=TITLE[verdict],
-        sentence=sentence,
+        verdict=summary.verdict,
+        title=TITLE[summary.verdict],
+        sentence=summary.sentence,
         recording=recording,
-        samples=samples(res),
-        counts=res.counts,
+        samples=summary.found.samples,
+        counts=summary.counts,
         warm_up=relations.horizon,
-        decided=coverage(res),
-        hints=[*hints, *bound_hints(model)],
+        decided=summary.decided,
+        hints=summary.hints,
         extra=extra,
         pictures=pictures,
         alarms=_alarm_rows(res, recording, alarms),
-        alarm_total=alarm_total(res, alarms),
+        alarm_total=summary.alarms,
         most=ROWS,
-        sizes=sizes_text(res, sizes),
+        sizes=sizes_text(res, summary.sizes),
         part=part,
         method=res.method,
         model=model_values(model, relations.bounds),
@@ -89,11 +86,11 @@ def write_report(
     return ["report.html", *pictures]
 
 
-def _pictures(res, recording, alarms):
+def _pictures(res, recording, alarms, summary):
     """Yield (file name, PNG) of the margin and of the residuals, of a Digest around the worst window."""
     if isinstance(res, Digest):
         yield "margin.png", to_png(plot(res))
-        res, recording = res.around(worst_window(res) or 0)
+        res, recording = res.around(summary.worst.sample if summary.worst else 0)
     else:
         yield "margin.png", to_png(plot(res, recording.axis, alarms))
     yield "residuals.png", to_png(plot_residuals(res, recording.axis))

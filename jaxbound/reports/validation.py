@@ -1,16 +1,16 @@
 """The page of a validated recording: which sensors were faulty when, and what the true values were."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.plots.canvas import PANELS, to_png
 from jaxbound.plots.validation import plot_output
 from jaxbound.recordings.plaintext import duration
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
+from jaxbound.runs.summary import Summary
 
 __all__ = ["write_page"]
 
@@ -21,11 +21,9 @@ def write_page(
     directory: str | Path,
     res,
     recording,
-    alarms: Sequence[Alarm],
+    summary: Summary,
     *,
-    hints: Sequence[str] = (),
     seconds: dict[str, float] | None = None,
-    min_coverage: float = 0.5,
     progress: Callable[[float], object] | None = None,
 ) -> list[str]:
     """Write report.html and a picture for each output. Args: as for `detection.write_report`.
@@ -41,20 +39,19 @@ def write_page(
         (Path(directory) / name).write_bytes(pictures[name])
         if progress:
             progress((i + 1) / (len(shown) + 1))
-    verdict, sentence = res.summary(alarms, recording.label, min_coverage)
     stretches = res.stretches()
     page = render(
         "validation.html",
         name=model.name,
-        verdict=verdict,
-        title=TITLE[verdict],
-        sentence=sentence,
+        verdict=summary.verdict,
+        title=TITLE[summary.verdict],
+        sentence=summary.sentence,
         recording=recording,
         samples=len(res.y),
-        counts=res.counts,
+        counts=summary.counts,
         warm_up=res.horizon,
-        share=res.tested,
-        hints=hints,
+        share=summary.found.tested,
+        hints=summary.hints,
         stretches=[_row(res, recording, *stretch) for stretch in stretches[:ROWS]],
         stretch_total=len(stretches),
         outputs=zip(shown, pictures.values(), strict=True),

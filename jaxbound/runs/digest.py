@@ -36,6 +36,7 @@ from jaxbound.runs.streaming import (
     read_runs,
     write_parts,
 )
+from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.runs.verdictfiles import alarm_columns
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
@@ -104,6 +105,12 @@ class Digest:
 def plot_digest(found: Digest) -> "Figure":
     """Draw the whole recording as a Result of its verdicts would be drawn."""
     return plot_timeline(found.line, found.relations.model.name, found.method, found.alarm_count)
+
+
+@evidence.register(Digest)
+def _(res, alarms):
+    at, margin = res.worst or (None, np.nan)
+    return Evidence(res.method, res.relations.horizon, res.samples, res.counts, res.aside, at, margin, None, res.alarm_count, res.ended)
 
 
 def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 1), progress=None, part=None,

@@ -1,19 +1,13 @@
 """What may be said of alarms that are over: whether a fault was repaired or lasts, a CONSISTENT window often cannot tell."""
 
-from collections import Counter
-
 import numpy as np
 
 from jaxbound.diagnosis.alarms import NO_LONGER, ONSET_LEFT
 from jaxbound.diagnosis.detectability import always_seen
 from jaxbound.runs.digest import Digest
+from jaxbound.runs.summary import evidence
 
-__all__ = ["ending_counts", "ending_hints", "endings_said", "sizes_seen", "sizes_text"]
-
-
-def ending_counts(res, alarms):
-    """Return {why it is over: number of alarms}; see `Alarm`. A Digest counts those too that it does not keep."""
-    return res.ended if isinstance(res, Digest) else dict(Counter(a.ended for a in alarms))
+__all__ = ["ending_hints", "endings_said", "sizes_seen", "sizes_text"]
 
 
 def sizes_seen(res, alarms):
@@ -34,7 +28,7 @@ def ending_hints(res, alarms, sizes=None):
     Args:
         res, alarms: as for `sizes_seen`, which returns sizes; None: not asked for.
     """
-    counts = ending_counts(res, alarms)
+    counts = evidence(res, alarms).ended
     return [f"{said}; {sizes_text(res, sizes)}" for said in endings_said(counts, sum(counts.values()))]
 
 

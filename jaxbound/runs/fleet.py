@@ -8,7 +8,6 @@ import csv
 import math
 from collections import Counter, deque
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,14 +19,13 @@ from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import read
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.endings import ending_hints
-from jaxbound.runs.summary import CODES, bound_hints, coverage, summary, worst
+from jaxbound.runs.summary import CODES, Summary, bound_hints, summarised
 
 __all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "worst_first"]
 
 COLUMNS = ("unit", "model", "recording")
 AHEAD = 4  # units that are read while another is tested
 ORDER = ("fault", "not tested", "too little evidence", "no fault")
-NOT_TESTED = 2
 
 
 class Unit(NamedTuple):
@@ -38,27 +36,22 @@ class Unit(NamedTuple):
     recording: Path
 
 
-@dataclass(frozen=True)
-class UnitResult:
+class UnitResult(NamedTuple):
     """What was found about a unit.
 
-    Fields: unit; verdict: "fault", "no fault", "too little evidence" or "not tested"; sentence: what an engineer should know, or why it was
-    not tested; margin: of the worst window, NaN if there is none; counts: windows by status; decided: share of windows proved one way or
-    the other; alarms: how many; first_alarm, worst: text of the times of the first alarm and the worst window; hints: sentences; ended: why
-    the last alarm is over, see `Alarm`.
+    Fields: unit; summary: its Summary, of one that could not be tested with the verdict "not tested" and why in its sentence.
     """
 
     unit: Unit
-    verdict: str
-    sentence: str
-    margin: float = math.nan
-    counts: tuple = (0, 0, 0, 0)
-    decided: float = 0.0
-    alarms: int = 0
-    first_alarm: str = ""
-    worst: str = ""
-    hints: tuple = ()
-    ended: str = ""
+    summary: Summary
+
+    verdict = property(lambda self: self.summary.verdict, doc="Of the unit: a verdict of a Summary.")
+    margin = property(lambda self: self.summary.margin, doc="Of the worst window, NaN if there is none.")
+
+    @classmethod
+    def untested(cls, unit, why):
+        """Return what is said of a unit that was not tested."""
+        return cls(unit, Summary("not tested", why))
 
 
 def read_manifest(path):
@@ -209,18 +202,13 @@ def _tested(unit, job, method, alarm, min_coverage):
         refuse_short(unit.recording, recording.samples, s)
         res = detect(relations, recording, method=method)
         alarms = res.alarms(*alarm)
-        verdict, sentence = summary(res, alarms, recording.label, min_coverage)
-        at, margin = worst(res)
-        return UnitResult(
-            unit, verdict, sentence, float(margin), tuple(res.counts.values()), coverage(res), len(alarms),
-            recording.label(alarms[0].start) if alarms else "", "" if at is None else recording.label(at),
-            (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms)),
-            alarms[-1].ended if alarms else "")  # fmt: skip
+        hints = (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms))
+        return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints))
     except (OSError, ValueError, NotImplementedError, TypeError) as e:
         system = isinstance(e, OSError) and e.filename and e.strerror
-        return UnitResult(unit, "not tested", f"{e.filename}: {e.strerror.lower()}" if system else str(e))
+        return UnitResult.untested(unit, f"{e.filename}: {e.strerror.lower()}" if system else str(e))
     except Exception as e:  # one unit's trouble must not cost the others their answer
-        return UnitResult(unit, "not tested", f"internal error, please report it: {type(e).__name__}: {e}")
+        return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}")
 
 
 def worst_first(results):
@@ -235,7 +223,7 @@ def fleet_verdict(results):
     """
     count = Counter(r.verdict for r in results)
     verdict = next(v for v in ORDER if count[v])
-    code = NOT_TESTED if verdict == "not tested" else CODES[verdict]
+    code = CODES[verdict]
     several = lambda n: f"{n} unit{'s' * (n != 1)}"
     parts = [f"{several(len(results))} listed"]
     told = {"fault": "with a proved fault", "no fault": "with no fault found", "too little evidence": "with too little evidence",

@@ -1,86 +1,228 @@
-"""What the test of a recording comes to: how much is decided, the worst window, and the verdict in a sentence."""
+"""What the test of a recording comes to, whatever tested it: numbers, a verdict in a sentence, and one JSON layout for all commands."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import singledispatch
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.plaintext import percent, times
-from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["CODES", "alarm_total", "bound_hints", "coverage", "samples", "summary", "windows", "worst", "worst_window"]
+__all__ = ["CODES", "LAYOUT", "Evidence", "Summary", "Window", "bound_hints", "evidence", "said", "summarised"]
 
-CODES = {"no fault": 0, "fault": 1, "too little evidence": 3}  # at which a command ends
-
-
-def coverage(res):
-    """Return the share of windows that are proved one way or the other."""
-    counts, count = res.counts, windows(res)
-    return (counts["CONSISTENT"] + counts["FAULT"]) / count if count > 0 else 0.0
+LAYOUT = 1  # of the JSON; it grows where a key goes or changes its meaning, not where one is added
+CODES = {"no fault": 0, "fault": 1, "not tested": 2, "too little evidence": 3}  # at which a command ends
 
 
-def windows(res):
-    """Return how many windows there are: the warm-up is none, nor is what the model's `where` leaves out."""
-    return samples(res) - res.relations.horizon - res.aside
+class Window(NamedTuple):
+    """A window by its last sample: its number, the time as text, the margin (NaN: none is measured)."""
+
+    sample: int
+    time: str
+    margin: float
 
 
-def samples(res):
-    """Return how many samples were tested."""
-    return sum(res.counts.values())
+@dataclass(frozen=True)
+class Evidence:
+    """The numbers that a verdict on a recording rests on.
+
+    Fields:
+        method: of the test. horizon: windows have horizon + 1 samples. samples: how many were tested.
+        counts: {status name: number of windows}. aside: how many are MISSING because the model's `where` leaves out a sample of theirs.
+        at, margin: sample (or whatever has a label) and margin of the FAULT window with the smallest margin (without FAULT: of any window);
+            None, NaN: there is none.
+        first: sample of the first FAULT window, None where it is not known. alarms: how many. ended: {why an alarm is over: how many}.
+        faulty: {output: number of its faulty samples}, of a validation; else None.
+    """
+
+    method: str
+    horizon: int
+    samples: int
+    counts: dict
+    aside: int = 0
+    at: int | None = None
+    margin: float = np.nan
+    first: int | None = None
+    alarms: int = 0
+    ended: dict | None = None
+    faulty: dict | None = None
+
+    @property
+    def windows(self) -> int:
+        """How many windows there are: the warm-up is none, nor is what the model's `where` leaves out."""
+        return max(self.samples - self.horizon - self.aside, 0)
+
+    @property
+    def decided(self) -> float:
+        """The share of windows that are proved one way or the other."""
+        return (self.counts["CONSISTENT"] + self.counts["FAULT"]) / self.windows if self.windows else 0.0
+
+    @property
+    def tested(self) -> float:
+        """The share of windows that have data."""
+        return 1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows if self.windows else 0.0
 
 
-def worst(res):
-    """Return (index, margin) of the FAULT window with the smallest margin (without FAULT: of any window), (None, NaN) if there is none."""
-    if isinstance(res, Digest):
-        return res.worst or (None, np.nan)
-    fault = res.status == Status.FAULT
-    margin = np.where(fault if fault.any() else True, res.margin, np.nan)
-    if not np.isnan(margin).all():
-        k = int(np.nanargmin(margin))
-        return k, float(res.margin[k])
-    return (int(np.argmax(fault)) if fault.any() else None), np.nan
+@dataclass(frozen=True)
+class Summary:
+    """What the test of one recording comes to. Made by `summarised`.
+
+    Fields:
+        verdict: "fault", "no fault", "too little evidence" or "not tested"; sentence: what a plant engineer should know.
+        found: the Evidence; None where nothing was tested. worst: the worst Window, or None; first_alarm: text of the time at which the
+            first alarm begins, last_ended: why the last one is over; "" where there is none.
+        hints: sentences to check. sizes: {output: smallest lasting error that is always seen}, or None. model: its name.
+    """
+
+    verdict: str
+    sentence: str
+    found: Evidence | None = None
+    worst: Window | None = None
+    first_alarm: str = ""
+    last_ended: str = ""
+    hints: tuple = ()
+    sizes: dict | None = None
+    model: str = ""
+
+    @property
+    def exit_code(self) -> int:
+        """The code at which a command ends."""
+        return CODES[self.verdict]
+
+    @property
+    def counts(self) -> dict:
+        """{status name: number of windows}."""
+        return self.found.counts if self.found else dict.fromkeys((s.name for s in Status), 0)
+
+    @property
+    def decided(self) -> float:
+        """The share of windows that are proved one way or the other."""
+        return self.found.decided if self.found else 0.0
+
+    @property
+    def alarms(self) -> int:
+        """How many alarms there are."""
+        return self.found.alarms if self.found else 0
+
+    @property
+    def margin(self) -> float:
+        """The margin of the worst window, NaN if there is none."""
+        return self.worst.margin if self.worst else np.nan
+
+    def plain(self, **also) -> dict:
+        """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a command adds."""
+        found = self.found or Evidence(None, None, 0, self.counts)
+        worst = None
+        if self.worst is not None:
+            sample, time, margin = self.worst
+            worst = {"sample": sample, "time": time, "margin": finite(margin), "factor": finite(1 - margin)}
+        validated = {} if found.faulty is None else {"tested": found.tested, "faulty": found.faulty}
+        return {
+            "layout": LAYOUT, "verdict": self.verdict, "exit_code": self.exit_code, "summary": self.sentence, "model": self.model or None,
+            "method": found.method, "horizon": found.horizon, "samples": found.samples, "counts": self.counts, "decided": self.decided,
+            "margin": finite(self.margin), "worst": worst, "alarms": self.alarms, "first_alarm": self.first_alarm or None,
+            "last_ended": self.last_ended or None, "hints": list(self.hints), **validated, **also, "ended": found.ended or {},
+            "always_seen": self.sizes and {name: finite(size) for name, size in self.sizes.items()}}  # fmt: skip
 
 
-def worst_window(res):
-    """Return the index of the worst window, or None. See `worst`."""
-    return worst(res)[0]
+def finite(x: float) -> float | None:
+    """Return a number that JSON has, None for any other."""
+    return float(x) if np.isfinite(x) else None
 
 
-def alarm_total(res, alarms):
-    """Return how many alarms there are; a Digest keeps the deepest only."""
-    return res.alarm_count if isinstance(res, Digest) else len(alarms)
-
-
-def summary(res, alarms, label, min_coverage=0.5):
-    """Return (verdict, sentence): "fault", "too little evidence" or "no fault", and what a plant engineer should know in a sentence.
+@singledispatch
+def evidence(res: object, alarms: Sequence) -> Evidence:
+    """Return the Evidence in what a test returns, of one recording; a type of result registers how, this is a Result's.
 
     Args:
-        res: a Result of one recording, or a Digest. alarms: its alarms. label: index -> text of its time.
-        min_coverage: below it, no fault is no news.
+        res: a Result. alarms: its alarms.
     """
-    counts, share, (at, margin) = res.counts, coverage(res), worst(res)
-    count, faults, alarm_count = windows(res), counts["FAULT"], alarm_total(res, alarms)
-    decided = counts["CONSISTENT"] + faults
-    factor = None if np.isnan(margin) else 1 - margin
-    if faults > 1 and faults == decided + counts["UNDECIDED"]:
-        by = f": all bounds times about {times(factor).removesuffix(' times')} would make every window consistent" if factor else ""
-        return "fault", f"Every one of the {faults} windows with data is FAULT: the model or its bounds do not fit this recording{by}."
-    if faults:
-        many = f"{faults} of {count} windows ({percent(faults / count)}) cannot be explained by any behaviour inside the bounds"
-        need = f"; the first is at {label(at)}"
-        if factor:
-            need = f"; the worst, at {label(at)}, would need bounds {times(factor)} as wide"
-        grouped = f", in {alarm_count} alarm{'s' * (alarm_count != 1)}" if alarm_count else ", too scattered for an alarm"
-        return "fault", f"Fault proved: {many}{grouped}{need}."
+    fault = res.status == Status.FAULT
+    margin = np.where(fault if fault.any() else True, res.margin, np.nan)
+    first = int(np.argmax(fault)) if fault.any() else None
+    at = first if np.isnan(margin).all() else int(np.nanargmin(margin))
+    ended = dict(Counter(a.ended for a in alarms))
+    smallest = np.nan if at is None else float(margin[at])
+    return Evidence(res.method, res.relations.horizon, len(res.status), res.counts, res.aside, at, smallest, first, len(alarms), ended)
+
+
+def summarised(
+    res: object, alarms: Sequence, label: Callable, min_coverage: float = 0.5, hints: Sequence = (), sizes: dict | None = None
+) -> Summary:
+    """Return the Summary of a test.
+
+    Args:
+        res: a Result of one recording, a Digest or a Validated. alarms: its alarms. label: number of a sample -> text of its time.
+        min_coverage: below this share of windows, no fault is no news. hints, sizes: see `Summary`.
+    """
+    found = evidence(res, alarms)
+    worst = None if found.at is None else Window(found.at, label(found.at), found.margin)
+    first, last = (label(alarms[0].start), alarms[-1].ended) if alarms else ("", "")
+    return Summary(*said(found, label, min_coverage), found, worst, first, last, tuple(hints), sizes, res.relations.model.name)
+
+
+def said(found: Evidence, label: Callable, min_coverage: float = 0.5) -> tuple[str, str]:
+    """Return (verdict, sentence). Args: as for `summarised`."""
+    if found.counts["FAULT"]:
+        return "fault", _unfit(found) or (_fault(found, label) if found.faulty is None else _faulty(found, label))
+    share, known = (found.decided, "could be decided") if found.faulty is None else (found.tested, "have data")
     if share < min_coverage:
-        return "too little evidence", (
-            f"Too little evidence: only {decided} of {count} windows ({percent(share)}) could be decided, "
-            f"at least {percent(min_coverage)} are asked for."
-        )
-    used = f"; the tightest, at {label(at)}, uses {percent(factor)} of them" if factor is not None else ""
-    every = f"all {count} windows" if decided == count else f"{decided} of {count} windows ({percent(share)})"
-    return "no fault", f"No fault found: the model explains {every} within its bounds{used}."
+        number = round(share * found.windows)
+        some = f"{number} of {found.windows} windows ({percent(share)})"
+        return "too little evidence", f"Too little evidence: only {some} {known}, at least {percent(min_coverage)} are asked for."
+    return "no fault", _healthy(found, label)
 
 
-def bound_hints(model):
+def _unfit(found):
+    """Return a sentence where every window with data is FAULT."""
+    faults = found.counts["FAULT"]
+    if faults < 2 or found.counts["CONSISTENT"] or found.counts["UNDECIDED"]:
+        return ""
+    by = ""
+    if np.isfinite(found.margin):
+        by = f": all bounds times about {times(1 - found.margin).removesuffix(' times')} would make every window consistent"
+    return f"Every one of the {faults} windows with data is FAULT: the model or its bounds do not fit this recording{by}."
+
+
+def _grouped(found):
+    return f", in {found.alarms} alarm{'s' * (found.alarms != 1)}" if found.alarms else ", too scattered for an alarm"
+
+
+def _fault(found, label):
+    """Return the sentence on windows that are proved faulty."""
+    faults, count = found.counts["FAULT"], found.windows
+    many = f"{faults} of {count} windows ({percent(faults / count)}) cannot be explained by any behaviour inside the bounds"
+    need = f"; the first is at {label(found.at)}"
+    if np.isfinite(found.margin):
+        need = f"; the worst, at {label(found.at)}, would need bounds {times(1 - found.margin)} as wide"
+    return f"Fault proved: {many}{_grouped(found)}{need}."
+
+
+def _faulty(found, label):
+    """Return the sentence on a validation that found a fault."""
+    faults, count = found.counts["FAULT"], found.windows
+    whom = ", ".join(f"{name} in {n} sample{'s' * (n > 1)}" for name, n in found.faulty.items())
+    whom = f"; faulty: {whom}" if whom else "; no single sensor explains it"
+    many = f"{faults} of {count} windows ({percent(faults / count)}) contradict the model and the samples accepted before"
+    return f"Fault proved: {many}{_grouped(found)}; the first is at {label(found.first)}{whom}."
+
+
+def _healthy(found, label):
+    """Return the sentence on a recording without a fault."""
+    if found.faulty is not None:
+        return f"No fault found: every sample of {round(found.tested * found.windows)} windows fits what the samples before it allow."
+    decided, count = found.counts["CONSISTENT"], found.windows
+    every = f"all {count} windows" if decided == count else f"{decided} of {count} windows ({percent(found.decided)})"
+    used = ""
+    if found.at is not None and np.isfinite(found.margin):
+        used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"
+    return f"No fault found: the model explains {every} within its bounds{used}."
+
+
+def bound_hints(model: object) -> list[str]:
     """Return sentences on bounds that nobody can mean."""
     bare = [s for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True) if not any(b)]
     none = f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error there is a FAULT"

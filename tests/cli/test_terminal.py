@@ -17,6 +17,7 @@ from jaxbound.recordings.naming import listed
 from jaxbound.recordings.plaintext import cell, clipped, printable
 from jaxbound.recordings.read import read
 from jaxbound.runs.fleet import Unit, UnitResult
+from jaxbound.runs.summary import Summary, Window
 
 
 def shell(command, folder):
@@ -109,7 +110,7 @@ def test_an_expression_beyond_all_measure_is_refused_in_a_sentence(text):
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@x", "\t=x", "\r=x"])
 def test_no_cell_of_fleet_csv_is_a_formula(tmp_path, name):
     unit = Unit(name, tmp_path / "m.toml", tmp_path / "r.csv")
-    write_fleet(tmp_path, [UnitResult(unit, "not tested", f"{name} is not there", margin=-3.0)])
+    write_fleet(tmp_path, [UnitResult(unit, Summary("not tested", f"{name} is not there", worst=Window(0, "", -3.0)))])
     import csv
 
     with open(tmp_path / "fleet.csv", newline="") as f:

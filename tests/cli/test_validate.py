@@ -9,6 +9,7 @@ from validated_case import MODEL, Status, found_in, recording_of
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.validate import write_columns_of
+from jaxbound.runs.summary import summarised
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +49,8 @@ LABEL = "{} s".format
 class TestVerdict:
     def test_a_fault_names_the_sensor_and_the_first_window(self):
         res = found_in()
-        verdict, sentence = res.summary(res.alarms(), LABEL, 0.5)
+        found = summarised(res, res.alarms(), LABEL, 0.5)
+        verdict, sentence = found.verdict, found.sentence
         assert verdict == "fault" and "4 of 59 windows (6.78 %)" in sentence and "in 2 alarms; the first is at 20 s" in sentence
         assert sentence.endswith("faulty: y1 in 4 samples.")
         assert res.stretches() == [(0, 20, 22), (0, 40, 40)] and res.blamed == {"y1": 4}
@@ -58,10 +60,12 @@ class TestVerdict:
     )
     def test_evidence_is_the_share_of_windows_with_data(self, missing, verdict):
         res = found_in(faulty=(), missing=missing)
-        assert res.summary([], LABEL, 0.5)[0] == verdict and abs(res.tested - (59 - missing) / 59) < 1e-12
+        summary = summarised(res, [], LABEL, 0.5)
+        assert summary.verdict == verdict and abs(summary.found.tested - (59 - missing) / 59) < 1e-12
 
     def test_a_model_that_never_fits_is_said_to(self):
-        assert "do not fit this recording" in (res := found_in(faulty=range(1, 60))).summary(res.alarms(), LABEL, 0.5)[1]
+        res = found_in(faulty=range(1, 60))
+        assert "do not fit this recording" in summarised(res, res.alarms(), LABEL, 0.5).sentence
 
     def test_one_window_cannot_be_explained(self):
         with pytest.raises(NotImplementedError, match="rests on all samples"):

@@ -11,6 +11,11 @@ from result_case import CONSISTENT, FAULT, MISSING, UNDECIDED, biased, recording
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
 from jaxbound.reports.detection import write_report
+from jaxbound.runs.summary import summarised
+
+
+def write(folder, res, recording, alarms, hints=(), **options):
+    return write_report(folder, res, recording, alarms, summarised(res, alarms, recording.label, hints=hints), **options)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +50,7 @@ class Reader(HTMLParser):
 def page(run, tmp_path_factory):
     """Return the parsed report of the run and its folder."""
     folder = tmp_path_factory.mktemp("report")
-    files = write_report(folder, run[0], run[1], run[0].alarms(), hints=["mind `this`"], seconds={"read": 0.1})
+    files = write(folder, run[0], run[1], run[0].alarms(), hints=["mind `this`"], seconds={"read": 0.1})
     assert sorted(files) == ["margin.png", "report.html", "residuals.png"] and all((folder / f).exists() for f in files)
     return Reader((folder / "report.html").read_text()), folder
 
@@ -61,7 +66,7 @@ class TestAlarmsTable:
         y = np.zeros((9, 4))
         y[3], y[6, 1] = [0, 0, 5, 5], 2
         res = jb.detect(jb.parity_relations(m, 0), None, y)
-        write_report(tmp_path, res, recording_of(res), res.alarms())
+        write(tmp_path, res, recording_of(res), res.alarms())
         text = Reader((tmp_path / "report.html").read_text()).text
         assert "none alone" in text and "y2 1.8 bar" in text
 
@@ -91,14 +96,14 @@ class TestReport:
         y[20] = 9
         res = jb.detect(jb.parity_relations(m), np.zeros((50, 1)), y)
         recording = Recording(res.u, res.y, time=np.arange(50.0), source=evil)
-        write_report(tmp_path, res, recording, res.alarms(), hints=[evil], extra=[(evil, None, evil, [(evil,), (evil,)])])
+        write(tmp_path, res, recording, res.alarms(), hints=[evil], extra=[(evil, None, evil, [(evil,), (evil,)])])
         text = (tmp_path / "report.html").read_text()
         assert "<script" not in text and Reader(text).text.count(evil) > 12
 
     def test_letters_that_the_font_lacks_do_not_disturb(self, tmp_path):
         m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name="温度 Ω 🔥")
         res = jb.detect(jb.parity_relations(m), np.zeros((50, 1)), np.zeros((50, 1)))
-        write_report(tmp_path, res, recording_of(res), [])
+        write(tmp_path, res, recording_of(res), [])
         assert "温度 Ω 🔥" in (tmp_path / "report.html").read_text()
 
     def test_many_alarms_are_cut_with_a_note(self, tmp_path):
@@ -106,7 +111,7 @@ class TestReport:
         status[0] = MISSING
         res = synthetic(status, np.where(status == FAULT, -np.arange(600.0), 0.5))
         object.__setattr__(res, "y", np.random.default_rng(0).normal(size=(600, 2)) * 100)
-        write_report(tmp_path, res, recording_of(res), res.alarms())
+        write(tmp_path, res, recording_of(res), res.alarms())
         reader = Reader((tmp_path / "report.html").read_text())
         assert "The 200 deepest of 300 alarms; alarms.csv has all of them" in reader.text and "× 600" in reader.text
         assert 200 < reader.seen.count("tr") < 230
@@ -114,13 +119,13 @@ class TestReport:
     @pytest.mark.parametrize("status", [[MISSING] * 6, [MISSING] + [FAULT] * 5, [MISSING] + [UNDECIDED] * 5])
     def test_any_mixture_of_verdicts_makes_a_report(self, tmp_path, status):
         res = synthetic(status)
-        write_report(tmp_path, res, recording_of(res), res.alarms())
+        write(tmp_path, res, recording_of(res), res.alarms())
         assert Reader((tmp_path / "report.html").read_text()).text
 
     def test_a_model_without_states_has_its_equation_and_no_empty_matrices(self, tmp_path):
         res = jb.detect(
             jb.parity_relations(jb.LinearSystem(None, None, None, D=[[1], [2]], noise=0.1), 0), np.zeros((5, 1)), np.zeros((5, 2))
         )
-        write_report(tmp_path, res, recording_of(res), [])
+        write(tmp_path, res, recording_of(res), [])
         text = " ".join(Reader((tmp_path / "report.html").read_text()).text.split())
         assert "yk = D uk, one sample every 1 s; numbers" in text and "D = 1 2" in text and "A =" not in text

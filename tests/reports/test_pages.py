@@ -20,6 +20,7 @@ from jaxbound.reports.fleet import fleet_page
 from jaxbound.reports.study import study_page
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.fleet import Unit, UnitResult
+from jaxbound.runs.summary import Evidence, Summary, Window, summarised
 from jaxbound.sets.intervals.interval import Interval
 
 HOME = Path(reports.__file__).parent
@@ -48,8 +49,9 @@ def detection(folder):
     res = jb.detect(jb.parity_relations(jb.LinearSystem(**MODEL)), np.zeros((30, 1)), y)
     table = [(evil("head"),), (evil("cell"),)]
     extra = [(evil("title"), PNG, evil("caption"), table), (evil("other"), None, evil("text"), None)]
-    write_report(folder, res, recorded(30), res.alarms(), hints=[evil("hint")], seconds={evil("stage"): 1.0}, extra=extra,
-                 sizes={evil("y"): 1.0})  # fmt: skip
+    run, alarms = recorded(30), res.alarms()
+    found = summarised(res, alarms, run.label, hints=[evil("hint")], sizes={evil("y"): 1.0})
+    write_report(folder, res, run, alarms, found, seconds={evil("stage"): 1.0}, extra=extra)
     return (folder / "report.html").read_text()
 
 
@@ -57,7 +59,7 @@ def uncertain(folder):
     parameter = jb.Uncertainty(evil("parameter"), A=[[0.05]])
     m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name=evil("model"), uncertainties=[parameter])
     res = jb.detect(jb.parity_relations(m, 1), np.zeros((9, 1)), np.zeros((9, 1)))
-    write_report(folder, res, recorded(9), [])
+    write_report(folder, res, recorded(9), [], summarised(res, [], recorded(9).label))
     return (folder / "report.html").read_text()
 
 
@@ -67,7 +69,8 @@ def validation(folder):
     status = np.where(faulty[:, 0], jb.Status.FAULT, jb.Status.UNDECIDED).astype(np.int8)
     found = jb.Validation(band, band, band, faulty, band, status)
     res = Validated(jb.LinearSystem(**MODEL), 1, np.zeros((9, 1)), found)
-    write_page(folder, res, recorded(9), res.alarms(), hints=[evil("hint")], seconds={evil("stage"): 1.0})
+    said = summarised(res, res.alarms(), recorded(9).label, hints=[evil("hint")])
+    write_page(folder, res, recorded(9), said, seconds={evil("stage"): 1.0})
     return (folder / "report.html").read_text()
 
 
@@ -79,8 +82,11 @@ def study(folder):
 
 def fleet(folder):
     unit = Unit(evil("unit"), Path(evil("file")), Path(evil("recording")))
-    found = UnitResult(unit, "fault", evil("sentence"), -1.0, (1, 2, 3, 4), 0.6, 1, evil("first"), "", (evil("hint"),), evil("ended"))
-    wrong = UnitResult(Unit(evil("other"), Path("m"), Path("r")), "not tested", evil("why"))
+    numbers = Evidence("joint", 1, 10, {"MISSING": 1, "CONSISTENT": 2, "UNDECIDED": 3, "FAULT": 4}, alarms=1)
+    worst = Window(3, evil("worst"), -1.0)
+    summary = Summary("fault", evil("sentence"), numbers, worst, evil("first"), evil("ended"), (evil("hint"),))
+    found = UnitResult(unit, summary)
+    wrong = UnitResult.untested(Unit(evil("other"), Path("m"), Path("r")), evil("why"))
     return fleet_page([found, wrong], ("fault", 1, evil("all")), evil("title"))
 
 
@@ -152,6 +158,6 @@ def test_what_is_no_python_is_installed_too():
 
 def test_pages_show_control_characters_as_escapes(tmp_path):
     unit = Unit("\x1b[2J<b>", tmp_path / "m.toml", tmp_path / "r\udcff.csv")
-    page = fleet_page([UnitResult(unit, "not tested", "\u202e")], ("not tested", 2, "x"), "t")
+    page = fleet_page([UnitResult.untested(unit, "\u202e")], ("not tested", 2, "x"), "t")
     page.encode()
     assert "\\x1b[2J&lt;b&gt;" in page and "\u202e" not in page

@@ -86,7 +86,8 @@ def test_a_fleet_says_why_the_last_alarm_is_over(place, capsys):
     (place / "units.csv").write_text("unit,model,recording\nA,model.toml,bias.csv\nB,model.toml,gain.csv\n")
     assert main.main(["fleet", "units.csv", "--out", "fleet", "--json"]) == 1
     units = {unit["unit"]: unit for unit in json.loads(capsys.readouterr().out)["units"]}
-    assert units["A"]["ended"] == ONSET_LEFT and units["B"]["ended"] == ENDINGS[0]
+    assert units["A"]["last_ended"] == ONSET_LEFT and units["B"]["last_ended"] == ENDINGS[0]
+    assert sum(units["A"]["ended"].values()) == units["A"]["alarms"] and ONSET_LEFT in units["A"]["ended"]
     assert "windows of 2 samples alone cannot tell" in units["A"]["hints"][-1]
     rows = {row["unit"]: row for row in csv.DictReader((place / "fleet/fleet.csv").read_text().splitlines())}
     assert rows["A"]["ended"] == ONSET_LEFT and fleet.FIELDS[-1] == "ended"

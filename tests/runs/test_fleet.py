@@ -15,6 +15,7 @@ from jaxbound.models.modelfile import save_model
 from jaxbound.recordings.read import read
 from jaxbound.runs import fleet
 from jaxbound.runs.fleet import Unit, UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
+from jaxbound.runs.summary import Summary, Window
 
 
 def unit_model(rng):
@@ -106,8 +107,8 @@ class TestCommand:
             model = jb.load_model(result.unit.model)
             r = read(result.unit.recording, model)
             alone = jb.detect(jb.parity_relations(model), r.u, r.y)
-            assert dict(zip(jb.Status.__members__, result.counts, strict=True)) == alone.counts
-            assert result.margin == np.nanmin(alone.margin) and result.alarms == len(alone.alarms())
+            assert result.summary.counts == alone.counts
+            assert result.margin == np.nanmin(alone.margin) and result.summary.alarms == len(alone.alarms())
 
     def test_json(self, plant, capsys):
         assert command(plant, "--json") == 1
@@ -224,7 +225,9 @@ class TestManifest:
 
 
 def test_the_order_is_by_verdict_then_margin():
-    unit = lambda verdict, margin=math.nan: UnitResult(Unit(f"{verdict} {margin}", None, None), verdict, "", margin)
+    unit = lambda verdict, margin=math.nan: UnitResult(
+        Unit(f"{verdict} {margin}", None, None), Summary(verdict, "", worst=Window(0, "", margin))
+    )
     ordered = [unit("fault", -5.0), unit("fault", -0.1), unit("fault"), unit("not tested"), unit("too little evidence", 0.5),
                unit("no fault", 0.1), unit("no fault", 0.9)]  # fmt: skip
     assert worst_first(ordered[::-1]) == ordered

@@ -20,7 +20,7 @@ from jaxbound.runs import streaming
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.streaming import part_files, publish, read_runs, write_parts
-from jaxbound.runs.summary import worst
+from jaxbound.runs.summary import evidence
 from jaxbound.runs.verdictfiles import write_alarms
 
 
@@ -111,7 +111,7 @@ class TestDigest:
     def test_everything_else_too(self, case, small, tmp_path):
         r, folder, whole, rec = case("section 5")
         found = detect_dataset(r, folder, tmp_path / "out", chunk=777)
-        assert found.worst == worst(whole) and found.counts == whole.counts and found.samples == N
+        assert found.worst == (evidence(whole, ()).at, evidence(whole, ()).margin) and found.counts == whole.counts and found.samples == N
         assert found.hints == rec.hints and any("stays at exactly" in h for h in found.hints) and any("gap" in h for h in found.hints)
         assert [found.label(k) for k in (0, 2999, 3000, 4321, N - 1)] == [rec.label(k) for k in (0, 2999, 3000, 4321, N - 1)]
         line = Timeline(N)

@@ -8,7 +8,12 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.recordings.plaintext import duration, percent, times
-from jaxbound.runs.summary import bound_hints, coverage, summary, worst_window
+from jaxbound.runs.summary import bound_hints, summarised
+
+
+def summary(*given):
+    found = summarised(*given)
+    return found.verdict, found.sentence
 
 
 class TestSummary:
@@ -48,7 +53,8 @@ class TestSummary:
     def test_too_little_evidence(self):
         res = synthetic([MISSING] * 8 + [CONSISTENT] * 3)
         verdict, sentence = summary(res, [], self.label, 0.5)
-        assert verdict == "too little evidence" and "only 3 of 10 windows (30 %)" in sentence and coverage(res) == 0.3
+        assert verdict == "too little evidence" and "only 3 of 10 windows (30 %)" in sentence
+        assert summarised(res, [], self.label).decided == 0.3
         assert summary(res, [], self.label, 0.3)[0] == "no fault"
 
     def test_a_fault_is_news_whatever_the_coverage(self):
@@ -56,7 +62,7 @@ class TestSummary:
 
     def test_nothing_at_all(self):
         res = synthetic([MISSING] * 5)
-        assert summary(res, [], self.label)[0] == "too little evidence" and worst_window(res) is None
+        assert summary(res, [], self.label)[0] == "too little evidence" and summarised(res, [], self.label).worst is None
 
     def test_numbers_read_well(self):
         assert [percent(x) for x in (0, 1e-9, 0.1234, 0.99999, 1)] == ["0 %", "<0.1 %", "12.3 %", ">99.9 %", "100 %"]
