@@ -18,7 +18,7 @@ ROOMS = {
     "studies": {"identification", "tuning", "montecarlo"},
     "reports": {"templates"},
 }
-TYPED = ("exact", "sets.floats", "sets.inclusion", "sets.intervals", "sets.linear_systems", "sets.paving", "sets.strips")
+TYPED = ("exact", "sets")
 """Rooms whose public names say of what type everything is that they take and return."""
 FILES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): p for p in sorted(PACKAGE.rglob("*.py"))}
 OUTSIDE = "__init__"  # the public names: whoever asks for one of them from inside wants the version

@@ -1,11 +1,13 @@
 """Certificates of decisions: exact numbers that anybody can check, one direction or one point a decision."""
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.sets.zonotopes.feasibility import feasible
+from jaxbound.sets.zonotopes.feasibility import Found, feasible
+from jaxbound.sets.zonotopes.questions import Question
 
 __all__ = ["document", "exactly"]
 
@@ -23,13 +25,13 @@ STATEMENTS = {
 }
 
 
-def exactly(question, at, guess):
+def exactly(question: Question, at: tuple[int, int], guess: np.ndarray) -> Found:
     """Answer one question in exact numbers, from a guess (q,) of x: (x, None) or (None, l), as `feasibility.feasible`."""
     M, D = question.exact(at)
     return feasible(M, [row[0] for row in D], guess.tolist(), np.argsort(abs(guess), kind="stable").tolist())
 
 
-def document(question, at, answer, direction, point):
+def document(question: Question, at: tuple[int, int], answer: str, direction: np.ndarray, point: np.ndarray) -> dict[str, Any]:
     """Return the certificate of one answer, a dict ready for JSON; see `Decision.certificate`."""
     meets = answer == MEETS[question.name]
     if question.name == "contains_set":
@@ -52,7 +54,7 @@ def document(question, at, answer, direction, point):
     }
 
 
-def _either(question, at, meets, direction, point):
+def _either(question: Question, at: tuple[int, int], meets: bool, direction: np.ndarray, point: np.ndarray) -> dict[str, Any]:
     """Return {"x": ..} or {"l": ..}: the direction as it is where it proves the answer, else in exact numbers."""
     if not meets:
         try:
@@ -64,7 +66,7 @@ def _either(question, at, meets, direction, point):
     return {"x": x} if meets else {"l": l}
 
 
-def _direction(question, at, direction):
+def _direction(question: Question, at: tuple[int, int], direction: np.ndarray) -> list[Fraction]:
     M, D = question.exact(at)
     l = [Fraction(v) for v in direction.tolist()]
     along = lambda W: linalg.matmul([l], W)[0] if W and W[0] else ()
@@ -74,7 +76,7 @@ def _direction(question, at, direction):
     return l
 
 
-def _matrix(question, at, X):
+def _matrix(question: Question, at: tuple[int, int], X: np.ndarray) -> list[list[Fraction]]:
     """Return X with M X = D exactly, near a given one: its rows with most room are solved for."""
     M, D = question.exact(at)
     order = np.argsort(abs(X).sum(1), kind="stable").tolist()
@@ -85,7 +87,7 @@ def _matrix(question, at, X):
     out = _exact(X.tolist())
     rest = [j for j in range(len(X)) if j not in basis]
     known = linalg.matmul([[row[j] for j in rest] for row in M], [out[j] for j in rest]) if rest else None
-    short = [[v - (known[i][k] if rest else 0) for k, v in enumerate(row)] for i, row in enumerate(D)]
+    short = [[v - (0 if known is None else known[i][k]) for k, v in enumerate(row)] for i, row in enumerate(D)]
     for j, row in zip(basis, linalg.matmul(linalg.inverse([[row[j] for j in basis] for row in M]), short), strict=True):
         out[j] = list(row)
     if any(sum(map(abs, row)) > 1 for row in out):
@@ -93,20 +95,20 @@ def _matrix(question, at, X):
     return out
 
 
-def _exact(tree):
+def _exact(tree: Any) -> Any:
     if isinstance(tree, dict):
         return {k: _exact(v) for k, v in tree.items()}
     return tree if tree is None or isinstance(tree, Fraction) else [_exact(v) for v in tree] if isinstance(tree, list) else Fraction(tree)
 
 
-def _leaves(tree):
+def _leaves(tree: Any) -> list[Fraction]:
     branches = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else None
     if branches is None:
         return [] if tree is None else [tree]
     return [leaf for branch in branches for leaf in _leaves(branch)]
 
 
-def _text(tree):
+def _text(tree: Any) -> Any:
     if isinstance(tree, dict):
         return {k: _text(v) for k, v in tree.items()}
     return [_text(v) for v in tree] if isinstance(tree, list) else None if tree is None else str(tree)

@@ -1,9 +1,11 @@
 """Constrained zonotopes: zonotopes whose coefficients obey linear equations; any bounded polyhedron is one."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.zonotopes.zonotope import Zonotope, finite_arrays
 
@@ -26,7 +28,10 @@ class ConstrainedZonotope:
     offsets: jax.Array
 
 
-def constrained_zonotope(center, generators, A, b):
+AnySet: TypeAlias = Zonotope | ConstrainedZonotope
+
+
+def constrained_zonotope(center: ArrayLike, generators: ArrayLike, A: ArrayLike, b: ArrayLike) -> ConstrainedZonotope:
     """Build a ConstrainedZonotope {c + G x : |x_i| <= 1, A x = b}, rounded to nearest where the dtype cannot hold the numbers (x64 off).
 
     Args:
@@ -53,7 +58,7 @@ def constrained_zonotope(center, generators, A, b):
     return ConstrainedZonotope(*finite_arrays(center=center, generators=generators, A=A, b=b))
 
 
-def parts(S):
+def parts(S: object) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (c, G, A, b) of a Zonotope, with no rows in A and b, or of a ConstrainedZonotope, or of a batch of them."""
     if isinstance(S, ConstrainedZonotope):
         return S.center, S.generators, S.constraints, S.offsets

@@ -12,17 +12,21 @@ Where both fail and the outer zonotope has few facets, these decide, in exact nu
 """
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import singledispatch
+from typing import Any, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.comparisons import contains as contains_number
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes import kernels, proof, search
-from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
+from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope
 from jaxbound.sets.zonotopes.decisions import Answer, Decision, contains_points, unscaled
 from jaxbound.sets.zonotopes.facets import FEW, exact_strips
 from jaxbound.sets.zonotopes.gauges import gauge_bounds, power
@@ -37,7 +41,7 @@ CLIMBS = 6
 
 
 @singledispatch
-def contains(Z, inner):
+def contains(Z: AnySet | Interval, inner: AnySet | ArrayLike) -> Any:  # a Decision, or of an Interval an array of bool
     """Decide whether a set holds points, or a whole zonotope.
 
     Args:
@@ -69,11 +73,11 @@ contains.register(Interval, contains_number)
 
 @contains.register(Zonotope)
 @contains.register(ConstrainedZonotope)
-def _(Z, inner):
+def _(Z: AnySet, inner: AnySet | ArrayLike) -> Decision:
     return contains_set(Z, inner) if isinstance(inner, (Zonotope, ConstrainedZonotope)) else contains_points(Z, inner)
 
 
-def contains_set(Z, inner):
+def contains_set(Z: AnySet, inner: AnySet) -> Decision:
     """Decide whether a set holds a whole zonotope: see `contains`."""
     outer, inside = numbers(Z, inner)
     if inside[3].shape[-1]:
@@ -90,7 +94,7 @@ def contains_set(Z, inner):
     return Decision(lay(answer), lay(margin), None if traced(question) else question, lay(direction), lay(point))
 
 
-def _equations(question):
+def _equations(question: Question) -> tuple[Any, Any]:
     """Return M (S, m, q) and D (S, m, 1 + p)."""
     (c, G, A, b), (c2, G2, _, _) = question.sets
     xp = proof.library(c)
@@ -99,7 +103,7 @@ def _equations(question):
     return xp.concatenate([G, A], 1), xp.concatenate([top, xp.pad(b[..., None], ((0, 0), (0, 0), (0, G2.shape[2])))], 1)
 
 
-def _decided(question):
+def _decided(question: Question) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return (answer (S,), margin (S,), direction (S, m), X (S, q, 1 + p)) on the host."""
     M, D = _equations(question)
     (S, _, q), image = M.shape, proof.image(M)
@@ -119,7 +123,7 @@ def _decided(question):
     return answer, margin, direction, X
 
 
-def _encode(image, D):
+def _encode(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (X, t): M X = D nearly, and t (S,) at least the largest row sum of |X| of a true solution near it."""
     with np.errstate(all="ignore"):
         best = image.R @ D
@@ -138,7 +142,7 @@ def _encode(image, D):
     return best, least
 
 
-def _climb(image, D):
+def _climb(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (l (S, m), t): the directions found along which the inner sets reach farthest in terms of the outer, t at most that factor."""
     S, m, _ = D.shape
     l = kernels.starts(image.R)
@@ -158,7 +162,7 @@ def _climb(image, D):
     return best, least
 
 
-def _traced(question):
+def _traced(question: Question) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return what `_decided` does, inside jit."""
     M, D = _equations(question)
     direction, X, least, most = kernels.contained(M, D)
@@ -167,7 +171,7 @@ def _traced(question):
     return answer, jnp.where(not_held, 1 - least, jnp.where(held, 1 - most, 0)), direction, X
 
 
-def _by_facets(outer, inner):
+def _by_facets(outer: Sequence[np.ndarray], inner: Sequence[np.ndarray]) -> tuple[Answer, float, np.ndarray]:
     """Return (answer, margin, direction) by all facets of the outer zonotope, in exact numbers."""
     (c, G, _, _), (c2, G2, _, _) = outer, inner
     exact = lambda v: [Fraction(x) for x in v.tolist()]
@@ -175,7 +179,7 @@ def _by_facets(outer, inner):
     columns = [exact(g) for g in G2.T]
     dot = lambda v, w: sum((a * b for a, b in zip(v, w, strict=True)), Fraction(0))
     worst, direction = Fraction(0), np.zeros(len(c))
-    for normal, width in exact_strips(Zonotope(c, G)):
+    for normal, width in exact_strips(Zonotope(cast(jax.Array, c), cast(jax.Array, G))):
         reach = abs(dot(normal, shift)) + sum((abs(dot(normal, g)) for g in columns), Fraction(0))
         sign = -1 if dot(normal, shift) < 0 else 1
         if reach > width and not width:

@@ -14,15 +14,18 @@ and vmap the work is `kernels.bounds`, in the dtype of the sets, and what is lef
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import interval, mid, rad
 from jaxbound.sets.zonotopes import certificate, kernels, proof
+from jaxbound.sets.zonotopes.constrained import AnySet
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import Question, flat, numbers, traced
 
@@ -58,28 +61,28 @@ class Decision:
     `bool` of a single decision is its answer, and an error where there is none.
     """
 
-    answer: np.ndarray
-    margin: np.ndarray
+    answer: np.ndarray | jax.Array
+    margin: np.ndarray | jax.Array
     question: Question | None
-    direction: np.ndarray
-    point: np.ndarray
+    direction: np.ndarray | jax.Array
+    point: np.ndarray | jax.Array
 
     @property
-    def yes(self):
+    def yes(self) -> np.ndarray | jax.Array:
         """True where yes is proved."""
         return self.answer == Answer.YES
 
     @property
-    def no(self):
+    def no(self) -> np.ndarray | jax.Array:
         """True where no is proved."""
         return self.answer == Answer.NO
 
-    def __bool__(self):
+    def __bool__(self) -> bool:
         if self.answer.shape or not self.answer:
             raise ValueError("neither yes nor no: ask .yes or .no, which are False where a decision is UNDECIDED")
         return bool(self.yes)
 
-    def certificate(self, at=()):
+    def certificate(self, at: Any = ()) -> dict[str, Any]:
         """Return what proves one answer, ready for JSON: all its numbers as exact text, to be checked by fractions alone.
 
         Args:
@@ -101,7 +104,7 @@ class Decision:
         where = divmod(at[0], self.answer.size // len(self.question.sets[0][0]))
         return certificate.document(self.question, where, answer.name, one(self.direction), one(self.point))
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         if traced(self.answer):
             return f"Decision({self.answer})"
         if not self.answer.shape:
@@ -109,7 +112,7 @@ class Decision:
         return f"Decision({self.yes.sum()} yes, {self.no.sum()} no, {(self.answer == 0).sum()} undecided)"
 
 
-def contains_points(Z, points):
+def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
     """Decide for each point whether the set holds it; see `contains`."""
     points = points if isinstance(points, jax.Array) else np.asarray(points)
     (sets,) = numbers(Z, points=points)
@@ -119,7 +122,7 @@ def contains_points(Z, points):
         raise ValueError(f"points must have shape ({', '.join(map(str, (*batch, '...', n)))}): their shape is {points.shape}")
     if not isinstance(points, jax.core.Tracer) and not (fine := np.isfinite(np.asarray(points, float))).all():
         raise ValueError(f"points must be finite: {(~fine).sum()} of {points.size} entries are not, first at {_place(~fine)}")
-    off = 0.0
+    off: jax.Array | float = 0.0
     if not traced(sets):
         points = np.asarray(points, float)
     else:
@@ -133,7 +136,7 @@ def contains_points(Z, points):
     return _decide(question, lead, Answer.YES, off)
 
 
-def is_empty(Z):
+def is_empty(Z: AnySet) -> Decision:
     """Decide whether a constrained zonotope is empty.
 
     Args:
@@ -153,7 +156,7 @@ def is_empty(Z):
     return _decide(Question("is_empty", (flat(sets, batch),), None), batch, meets=Answer.NO)
 
 
-def intersects(X, Y):
+def intersects(X: AnySet, Y: AnySet) -> Decision:
     """Decide whether two zonotopes or constrained zonotopes have a point in common.
 
     Args:
@@ -192,12 +195,12 @@ class Separation:
     """
 
     apart: Decision
-    normal: np.ndarray
-    offset: np.ndarray
-    point: np.ndarray
+    normal: np.ndarray | jax.Array
+    offset: np.ndarray | jax.Array
+    point: np.ndarray | jax.Array
 
 
-def separate(X, Y):
+def separate(X: AnySet, Y: AnySet) -> Separation:
     """Find a hyperplane between two sets, or a point that they share.
 
     Args:
@@ -216,7 +219,8 @@ def separate(X, Y):
     apart = Decision(-meet.answer, -meet.margin, meet.question, meet.direction, meet.point)
     (c, G, A, b), (c2, G2, A2, b2) = first, second
     xp, n, k, q = proof.library(c), c.shape[-1], b.shape[-1], G.shape[-1]
-    l = proof.unit(meet.direction)
+    direction: Any = meet.direction  # of NumPy or of jax
+    l = proof.unit(direction)
     (l,) = (l,) if xp is np else kernels.settled(l)
     normal, of_first, of_second = l[..., :n], l[..., n : n + k], l[..., n + k :]
     row = lambda v, W: (v[..., None, :] @ W)[..., 0, :]
@@ -240,7 +244,7 @@ def separate(X, Y):
     )
 
 
-def _decide(question, shape, meets, off=0.0):
+def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: ArrayLike = 0.0) -> Decision:
     """Answer a question; `meets` is the answer where there is an x; its points are off by at most `off` beyond one rounding."""
     refuse_unverified()
     M, d = question.equations()
@@ -248,9 +252,9 @@ def _decide(question, shape, meets, off=0.0):
     if traced(question):
         lower, upper, direction, x = kernels.bounds(M, d, off)
         inside, outside = upper <= 1, lower > 1
-        margin = jnp.where(inside, 1 - upper, jnp.where(outside, 1 - lower, 0))
-        answer = jnp.where(inside, int(meets), jnp.where(outside, -int(meets), 0)).astype(jnp.int8)
-        return Decision(lay(answer), lay(margin * int(meets)), None, lay(direction), lay(x))
+        room = jnp.where(inside, 1 - upper, jnp.where(outside, 1 - lower, 0))
+        said = jnp.where(inside, int(meets), jnp.where(outside, -int(meets), 0)).astype(jnp.int8)
+        return Decision(lay(said), lay(room * int(meets)), None, lay(direction), lay(x))
     image = proof.image(M)
     found = gauge_bounds(image, image.scaled(d))
     inside, outside = found.upper <= 1, found.lower > 1
@@ -262,14 +266,14 @@ def _decide(question, shape, meets, off=0.0):
         inside, outside = np.full((1, 1), x is not None), np.full((1, 1), l is not None)
         if x is not None:
             found.x[0, 0] = [float(v) for v in x]
-        else:
+        if l is not None:
             top = max(map(abs, l))
             direction[0, 0] = [float(v / top) for v in l]
     answer = np.where(inside, meets, np.where(outside, -meets, Answer.UNDECIDED)).astype(np.int8)
     return Decision(lay(answer), lay(margin * meets), question, lay(direction), lay(found.x))
 
 
-def unscaled(l, powers):
+def unscaled(l: np.ndarray, powers: np.ndarray) -> np.ndarray:
     """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
     mantissa, exponent = np.frexp(l)
     exponent = exponent + powers[:, None]
@@ -278,5 +282,5 @@ def unscaled(l, powers):
         return np.where(l != 0, np.ldexp(mantissa, np.where(l != 0, exponent - top, 0)), 0.0)
 
 
-def _place(bad):
+def _place(bad: np.ndarray) -> tuple[int, ...]:
     return tuple(np.argwhere(bad)[0].tolist())

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
-from jaxbound.sets.zonotopes.constrained import parts
+from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
+from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.intersections import cancelled
 from jaxbound.sets.zonotopes.maps import dimension, mapped, product, reach, up
 from jaxbound.sets.zonotopes.zonotope import Zonotope
@@ -20,7 +20,7 @@ __all__ = ["interval_hull", "support"]
 STEPS = 25  # of the search: it halves its distance to the best bound, or better, in each
 
 
-def support(S, direction):
+def support(S: AnySet, direction: Operand) -> jax.Array:
     """Return an upper bound of max direction . p over S: tight to rounding for a Zonotope, nearly so with constraints.
 
     Args:
@@ -45,7 +45,7 @@ def support(S, direction):
     return _supports(S, d)[0]
 
 
-def interval_hull(S):
+def interval_hull(S: AnySet) -> Interval:
     """Return a box around S, an Interval (n,): the smallest one but for rounding of a Zonotope, nearly so with constraints.
 
     Example:
@@ -58,7 +58,7 @@ def interval_hull(S):
 
 
 @jax.jit
-def _interval_hull(S):
+def _interval_hull(S: AnySet) -> Interval:
     if isinstance(S, Zonotope):
         return S.hull()
     axes = jnp.eye(len(S.center), dtype=S.center.dtype)
@@ -67,7 +67,7 @@ def _interval_hull(S):
 
 
 @jax.jit
-def _supports(S, directions):
+def _supports(S: AnySet, directions: Interval) -> jax.Array:
     """Return (r,) upper bounds of the support along the rows of `directions`, an Interval (r, n)."""
     c, G, A, b = parts(S)
     h, H, error = mapped(mid(directions), rad(directions), c, G)
@@ -77,7 +77,7 @@ def _supports(S, directions):
     return up(up(h + reach(jnp.zeros_like(h), H)) + error)
 
 
-def _multipliers(g, A, b):
+def _multipliers(g: jax.Array, A: jax.Array, b: jax.Array) -> jax.Array:
     """Return l (k,) with l'b + |g - A'l|_1 nearly least; no claim is made.
 
     Predictor and corrector steps (Mehrotra 1992) for max g'x over A x = b, |x| <= 1 with multipliers v, w >= 0 of 1 + x and 1 - x:

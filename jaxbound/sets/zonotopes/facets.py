@@ -1,11 +1,13 @@
 """The facets of a zonotope: its strips, exactly, and membership with a guaranteed sign."""
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
@@ -14,6 +16,7 @@ from jaxbound.sets.strips.strips import UNROLLED, Strips, strip_verdict
 from jaxbound.sets.zonotopes import kernels, proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import numbers, traced
+from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["FEW", "exact_strips", "membership", "strips"]
 
@@ -21,7 +24,7 @@ FEW = 500
 """How many subsets of n - 1 generators are looked through for facets: a second or so in exact numbers."""
 
 
-def strips(Z):
+def strips(Z: Zonotope) -> tuple[np.ndarray, np.ndarray]:
     """Return the strip representation: p is in Z iff |normal . (p - center)| <= half-width for every strip.
 
     Computed exactly from the generators' floats, so zero, parallel and dependent generators need no care; directions in which Z is flat
@@ -45,30 +48,30 @@ def strips(Z):
     return normals, np.array([float(w) for _, w in found])
 
 
-def exact_strips(Z):
+def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
     """Return [(normal, half-width)] as exact numbers."""
     if isinstance(Z.generators, jax.core.Tracer):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
     G = [[Fraction(x) for x in row] for row in _floats(Z.generators).tolist()]
     n, q = np.shape(Z.generators)
     flat = linalg.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
-    out = []
+    out: list[tuple[list[Fraction], Fraction]] = []
     if q and any(any(row) for row in G):
         kernel = linalg.transpose(linalg.left_null_space(linalg.transpose(G)))  # G kernel = 0
         shadows = linalg.circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
         basis, pivots = linalg.row_reduce([(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)])
         for g in shadows:  # normal' G = g: combine the reduced rows with the entries of g at their pivots
             normal = [sum((g[p] * row[q + j] for row, p in zip(basis, pivots, strict=True) if p < q), Fraction(0)) for j in range(n)]
-            out.append((normal, sum(map(abs, g))))
+            out.append((normal, sum(map(abs, g), Fraction(0))))
     out = [([x / s for x in normal], w / s) for normal, w in out if (s := max(map(abs, normal)))]
     return out + [([x / max(map(abs, normal)) for x in normal], Fraction(0)) for normal in flat]
 
 
-def _floats(x):
+def _floats(x: ArrayLike) -> np.ndarray:
     return np.asarray(x, float)
 
 
-def membership(Z, points):
+def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
     """Return the margin 1 - gauge of each point: > 0 proved inside, < 0 proved outside, 0 where rounding cannot tell.
 
     By all facets where they are few, in any dimension by a search for the two points or directions that prove it (see `contains`, which
@@ -109,14 +112,14 @@ def membership(Z, points):
     return _beside_the_plane([row for row in found if not row[1]], Z, points, margin)
 
 
-def _traced(Z, points):
+def _traced(Z: Zonotope, points: ArrayLike) -> jax.Array:
     ((c, G, _, _),) = numbers(Z, points=points)
     (points,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
     lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], tight=True)
     return jnp.where(lower > 1, 1 - lower, jnp.maximum(1 - upper, 0))[0]
 
 
-def _searched(Z, points):
+def _searched(Z: Zonotope, points: np.ndarray) -> np.ndarray:
     """Return the margins by the search for the gauge; where a set is flat, its plane is found in exact numbers."""
     c, G = (_floats(x)[None] for x in (Z.center, Z.generators))
     image = proof.image(G)
@@ -129,20 +132,22 @@ def _searched(Z, points):
     return _beside_the_plane([(normal, Fraction(0)) for normal in flat], Z, points, margin)
 
 
-def _beside_the_plane(flat, Z, points, margin):
+def _beside_the_plane(
+    flat: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray, margin: np.ndarray
+) -> np.ndarray:
     """Return the margins, -inf for points proved to be beside one of the strips without width, and no margin above 0 if there are any."""
     return np.where(_margins(flat, Z, points) < 0, -np.inf, np.minimum(margin, 0)) if flat else margin
 
 
-def _margins(rows, Z, points):
-    points = jnp.asarray(points, Z.center.dtype)
+def _margins(rows: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray) -> np.ndarray:
+    given = jnp.asarray(points, Z.center.dtype)
     if not rows:
-        return np.ones(len(points), points.dtype)
-    table = _table([(*normal, width) for normal, width in rows]).astype(points.dtype)
-    return np.asarray(_membership(table, Z.center, points))
+        return np.ones(len(given), given.dtype)
+    table = _table([(*normal, width) for normal, width in rows]).astype(given.dtype)
+    return np.asarray(_membership(table, Z.center, given))
 
 
-def _table(exact_rows):
+def _table(exact_rows: Sequence[Sequence[Fraction]]) -> Strips:
     """Return strips over all of (p, 1), zero coefficients included: zonotopes of one shape then share one compilation."""
     scaled = [[x / max(map(abs, row)) for x in row] for row in exact_rows]
     h = np.array([[rounding.fraction_to_float(x) for x in row] for row in scaled])
@@ -151,7 +156,7 @@ def _table(exact_rows):
 
 
 @jax.jit
-def _membership(table, center, points):
+def _membership(table: Strips, center: jax.Array, points: jax.Array) -> jax.Array:
     zero, one = jnp.zeros_like(points[:, 0]), jnp.ones_like(points[:, 0])
     mid = [points[:, i] - center[i] for i in range(points.shape[1])] + [zero]
     scale = [abs(points[:, i]) + abs(center[i]) for i in range(points.shape[1])] + [one]

@@ -6,13 +6,24 @@ de Moura, A fast linear-arithmetic solver for DPLL(T), 2006. All numbers are who
 A good guess leaves little to do but the elimination.
 """
 
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from math import lcm
+from typing import TypeAlias
 
 __all__ = ["feasible"]
 
 
-def feasible(M, d, guess=None, order=None):
+Found: TypeAlias = tuple[list[Fraction], None] | tuple[None, list[Fraction]]
+"""A point, or the direction that proves that there is none."""
+
+
+def feasible(
+    M: Sequence[Sequence[Fraction | float]],
+    d: Sequence[Fraction | float],
+    guess: Sequence[float] | None = None,
+    order: Iterable[int] | None = None,
+) -> Found:
     """Return (x, None), a point x in [-1, 1]^q with M x = d, or (None, l), a direction with l'd > sum_j |l' M_j|: Fractions.
 
     Args:
@@ -33,11 +44,12 @@ def feasible(M, d, guess=None, order=None):
     combination = lambda row: [Fraction(e * s) for e, s in zip(row[q:], scales, strict=True)]
     value = lambda row: sum((Fraction(e * s) * v for e, s, v in zip(row[q:], scales, known, strict=True) if e), Fraction(0))
 
-    basis, last = [], 1
+    basis: list[int] = []
+    last = 1
     for j in range(q) if order is None else order:
-        i = next((i for i in range(len(basis), m) if rows[i][j]), None)
-        if i is not None:
-            rows[len(basis)], rows[i] = rows[i], rows[len(basis)]
+        pivot = next((i for i in range(len(basis), m) if rows[i][j]), None)
+        if pivot is not None:
+            rows[len(basis)], rows[pivot] = rows[pivot], rows[len(basis)]
             last = _pivot(rows, len(basis), j, last)
             basis.append(j)
     for row in rows[len(basis) :]:  # combinations of rows that are zero in M
@@ -50,8 +62,8 @@ def feasible(M, d, guess=None, order=None):
     while True:
         for row, j in zip(rows, basis, strict=True):
             x[j] = (value(row) - sum((c * x[k] for k, c in enumerate(row[:q]) if c and k not in basis), Fraction(0))) / last
-        j = min((j for j in basis if abs(x[j]) > 1), default=None)
-        if j is None:
+        j = min((j for j in basis if abs(x[j]) > 1), default=-1)
+        if j < 0:
             return x, None
         i, up = basis.index(j), x[j] < -1
         helps = (k for k, c in enumerate(rows[i][:q]) if c and k not in basis and (x[k] > -1 if (c * last > 0) == up else x[k] < 1))
@@ -64,7 +76,7 @@ def feasible(M, d, guess=None, order=None):
         basis[i] = k
 
 
-def _pivot(rows, i, j, last):
+def _pivot(rows: list[list[int]], i: int, j: int, last: int) -> int:
     """Solve row i for variable j and put it into the others; all basic columns then hold the number returned, alone."""
     pivot = rows[i][j]
     for k, row in enumerate(rows):

@@ -32,7 +32,7 @@ class Bounds:
     l: np.ndarray
     x: np.ndarray
 
-    def take(self, at, image, d, l, x):
+    def take(self, at: tuple[np.ndarray, np.ndarray], image: proof.Image[np.ndarray], d: np.ndarray, l: np.ndarray, x: np.ndarray) -> None:
         """Check candidates for the points at (sets, numbers), two arrays of their leading shape, and keep what is better."""
         l = proof.unit(l)
         lower, upper = proof.gauge_above(image, d, l), proof.gauge_below(image, d, x)
@@ -44,7 +44,7 @@ class Bounds:
             bound[where], proves[where] = new[better], what[better]
 
 
-def gauge_bounds(image, d, tight=False):
+def gauge_bounds(image: proof.Image[np.ndarray], d: np.ndarray, tight: bool = False) -> Bounds:
     """Return Bounds for points d (S, N, m), scaled as by `Image.scaled`.
 
     Args:
@@ -61,11 +61,11 @@ def gauge_bounds(image, d, tight=False):
     return found
 
 
-def _settled(found, tight):
+def _settled(found: Bounds, tight: bool) -> np.ndarray:
     return (found.lower > 1) | (found.upper <= 1) if not tight else found.upper == 0
 
 
-def _start(image, d, found):
+def _start(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds) -> np.ndarray:
     """Try the point of least norm and the direction that its clipped entries point to; return it (S, N, q)."""
     back, turned = image.R.swapaxes(1, 2), image.M.swapaxes(1, 2)
     z = proof.product(d, back)
@@ -75,11 +75,12 @@ def _start(image, d, found):
     x = np.where((abs(near).max(2, initial=0) < abs(2 * near - z).max(2, initial=0))[..., None], near, 2 * near - z)
     flat = abs(beside).max(2, initial=0) > 2.0**-30 * abs(d).max(2, initial=0)
     l = np.where(flat[..., None], beside, proof.product(z - y, image.R))
-    found.take(tuple(np.ogrid[: d.shape[0], : d.shape[1]]), image, d, l, np.where(flat[..., None], z, x))
+    sets, points = np.ogrid[: d.shape[0], : d.shape[1]]
+    found.take((sets, points), image, d, l, np.where(flat[..., None], z, x))
     return z
 
 
-def _projected(image, d, z, found):
+def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, found: Bounds) -> None:
     """Run the projections, on what they leave open of each set: as many points of it as of that with most."""
     (S, N), before = found.lower.shape, 0
     for steps in STEPS:
@@ -101,7 +102,7 @@ def _projected(image, d, z, found):
         found.take(at, some, points, l, _onto(some, points, x))
 
 
-def _interior(image, d, found, tight):
+def _interior(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, tight: bool) -> None:
     """Run interior points; the vertex is known long before the optimum for most, some seven steps in 20 dimensions."""
     for steps in (search.STEPS,) if tight else (6 + d.shape[2] // 16, search.STEPS):
         left = np.nonzero(~_settled(found, tight))
@@ -109,7 +110,9 @@ def _interior(image, d, found, tight):
             _vertices(image, d, found, left, np.inf if tight else CLEAR, steps)
 
 
-def _vertices(image, d, found, left, enough, steps):
+def _vertices(
+    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, left: tuple[np.ndarray, ...], enough: float, steps: int
+) -> None:
     S, (m, q) = len(image.M), image.M.shape[1:]
     largest = min(max(1, power(BLOCK // max(m * q, 1) + 1) // 2), 1024)
     for start in range(0, len(left[0]), largest):
@@ -132,12 +135,12 @@ def _vertices(image, d, found, left, enough, steps):
         found.take(at, some, points, l.reshape(points.shape), _onto(some, points, x.reshape(*points.shape[:2], q)))
 
 
-def _onto(image, d, x):
+def _onto(image: proof.Image[np.ndarray], d: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Move candidates onto M x = d once more, in float64."""
     return x + proof.product(d - proof.product(x, image.M.swapaxes(1, 2)), image.R.swapaxes(1, 2))
 
 
-def power(count, base=2):
+def power(count: int, base: int = 2) -> int:
     """Return the smallest power of `base` that is not below count."""
     power = 1
     while power < count:
@@ -145,6 +148,6 @@ def power(count, base=2):
     return power
 
 
-def _padded(x, size):
+def _padded(x: np.ndarray, size: int) -> np.ndarray:
     """Return arrays repeated up to a size that has been compiled before."""
     return x if len(x) == size else np.resize(x, (size, *x.shape[1:]))

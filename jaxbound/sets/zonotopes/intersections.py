@@ -12,14 +12,17 @@ zonotopes around the intersection of a zonotope with strips (Alamo, Bravo, Camac
 """
 
 from functools import partial, singledispatch
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
+from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
 from jaxbound.sets.intervals.interval import intersection as interval_intersection
-from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, parts
+from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, parts
 from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, product, reach, up, weighed, whole
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
@@ -27,7 +30,7 @@ __all__ = ["cancelled", "eliminate_constraints", "intersection", "strip_intersec
 
 
 @singledispatch
-def intersection(S, Y, matrix=None):
+def intersection(S: AnySet | Interval, Y: AnySet | Interval, matrix: Operand | None = None) -> Any:  # a ConstrainedZonotope, or an Interval
     """Return {p in S : M p in Y}, exactly but for rounding, as a ConstrainedZonotope; of two Intervals their common Interval.
 
     Args:
@@ -54,12 +57,12 @@ def intersection(S, Y, matrix=None):
     """
     if matrix is not None:
         raise TypeError(f"a matrix maps a Zonotope or a ConstrainedZonotope, not {type(S).__name__}: use from_interval")
-    return interval_intersection(S, Y)
+    return interval_intersection(cast(Interval, S), cast(Interval, Y))
 
 
 @intersection.register(Zonotope)
 @intersection.register(ConstrainedZonotope)
-def _(S, Y, matrix=None):
+def _(S: AnySet, Y: AnySet | Interval, matrix: Operand | None = None) -> ConstrainedZonotope:
     n, M = dimension(S), None if matrix is None else interval(matrix)
     if M is not None and (len(M.shape) != 2 or M.shape[1] != n):
         raise ValueError(f"the matrix must have shape (r, {n}) for a set of {n} coordinates: its shape is {M.shape}")
@@ -70,7 +73,7 @@ def _(S, Y, matrix=None):
 
 
 @jax.jit
-def _intersect(S, Y, M):
+def _intersect(S: AnySet, Y: AnySet | Interval, M: Interval | None) -> ConstrainedZonotope:
     dtype = jnp.result_type(S.center.dtype, *(x.dtype for x in jax.tree.leaves((Y, M))))
     S, Y, M = jax.tree.map(lambda x: x.astype(dtype), (S, Y, M))
     c, G, A, b = parts(S)
@@ -88,7 +91,7 @@ def _intersect(S, Y, M):
     return ConstrainedZonotope(c, G, rows, jnp.concatenate([b, e, offset]))
 
 
-def _bounded(Y, middle, radius):
+def _bounded(Y: Interval, middle: jax.Array, radius: jax.Array) -> Interval:
     """Return an Interval whose infinite bounds are where values within `radius` of `middle` cannot be anyway."""
     spread = up(radius + 4 * rounding.unit(middle.dtype) * jnp.abs(middle))
     lo = jnp.where(jnp.isfinite(Y.lo), Y.lo, jnp.minimum(middle - spread, Y.hi))
@@ -96,7 +99,7 @@ def _bounded(Y, middle, radius):
     return Interval(jnp.minimum(lo, hi), hi)
 
 
-def strip_intersection(Z, Y, matrix, gain=None):
+def strip_intersection(Z: Zonotope, Y: Interval, matrix: Operand, gain: ArrayLike | None = None) -> Zonotope:
     """Return a Zonotope around {p in Z : M p in Y}: c + L (y - M c), [(I - L M) G, L diag(s)] for a gain L, and the rounding.
 
     Args:
@@ -115,10 +118,10 @@ def strip_intersection(Z, Y, matrix, gain=None):
     """
     if not isinstance(Z, Zonotope):
         raise TypeError(f"strip_intersection takes a Zonotope, not {type(Z).__name__}: use intersection, which is exact")
-    return eliminate_constraints(intersection(Z, Y, matrix), gain=gain)
+    return cast(Zonotope, eliminate_constraints(intersection(Z, Y, matrix), gain=gain))  # as none is kept
 
 
-def eliminate_constraints(S, keep=0, gain=None):
+def eliminate_constraints(S: AnySet, keep: int = 0, gain: ArrayLike | None = None) -> AnySet:
     """Return a set around a ConstrainedZonotope with `keep` constraints left: a Zonotope if none.
 
     Args:
@@ -137,15 +140,15 @@ def eliminate_constraints(S, keep=0, gain=None):
     n, k = dimension(S), len(parts(S)[3])
     if not 0 <= keep:
         raise ValueError(f"keep must be 0 or more: it is {keep}")
-    if gain is not None and (keep or jnp.shape(gain) != (n, k)):
-        raise ValueError(f"the gain must have shape ({n}, {k}), with keep=0: its shape is {jnp.shape(gain)}, keep is {keep}")
+    if gain is not None and (keep or np.shape(gain) != (n, k)):
+        raise ValueError(f"the gain must have shape ({n}, {k}), with keep=0: its shape is {np.shape(gain)}, keep is {keep}")
     if k <= keep:
         return S
     return _eliminate(S, None if gain is None else jnp.asarray(gain, S.center.dtype), keep)
 
 
 @partial(jax.jit, static_argnums=2)
-def _eliminate(S, gain, keep):
+def _eliminate(S: AnySet, gain: jax.Array | None, keep: int) -> AnySet:
     c, G, A, b = parts(S)
     if keep:
         strength = jnp.sum(product(G, A.T) ** 2, 0) / jnp.maximum(jnp.sum(A**2, 1), rounding.tiny(c.dtype))
@@ -160,23 +163,23 @@ def _eliminate(S, gain, keep):
     return _with_slack(h, rows, error, len(c))
 
 
-def _with_slack(h, rows, error, n):
+def _with_slack(h: jax.Array, rows: jax.Array, error: jax.Array, n: int) -> AnySet:
     """Return the set of points (rows x + h)[:n] whose other coordinates are 0, each off by `error`."""
     G = jnp.concatenate([rows, jnp.diag(error)], 1)
     return whole(h[:n], G[:n], G[n:], -h[n:])
 
 
-def _least_squares(H, A):
+def _least_squares(H: jax.Array, A: jax.Array) -> jax.Array:
     """Return K with the least sum of squares of H - K A; no claim is made."""
     gram = product(A, A.T)
     room = 4 * len(gram) * rounding.unit(A.dtype) * jnp.trace(gram) + rounding.tiny(A.dtype)
     return jnp.linalg.solve(gram + room * jnp.eye(len(gram), dtype=A.dtype), product(A, H.T)).T
 
 
-def cancelled(h, H, A, b, K):
+def cancelled(h: jax.Array, H: jax.Array, A: jax.Array, b: jax.Array, K: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h + K b, H - K A, error): the rounding of a row in sum, for every |x| <= 1."""
-    gamma, floor = rounding.product_error(A.shape[0] + 1, h.dtype)
+    gamma, least = rounding.product_error(A.shape[0] + 1, h.dtype)
     far, load, most = reach(h, H), reach(b, A), jnp.max(jnp.abs(K), initial=0)
-    floor = floor * (H.shape[1] + 1) * (1 + most) * (1 + jnp.maximum(jnp.max(far, initial=0), jnp.max(load, initial=0)))
+    floor = least * (H.shape[1] + 1) * (1 + most) * (1 + jnp.maximum(jnp.max(far, initial=0), jnp.max(load, initial=0)))
     error = up(up(weighed(gamma * jnp.abs(K), load) + gamma * far) + floor)
     return h + product(K, b[:, None])[:, 0], H - product(K, A), error

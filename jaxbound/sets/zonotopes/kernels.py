@@ -9,9 +9,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import proof, search
+from jaxbound.sets.zonotopes.proof import Array
 
 __all__ = ["bounds", "contained", "farthest", "image", "settled", "starts"]
 
@@ -23,14 +25,14 @@ CHUNK, CHUNKS = 16, 21
 """Projections of a matrix between two looks at it, and how many of them."""
 
 
-def settled(*arrays):
+def settled(*arrays: jax.Array) -> tuple[jax.Array, ...]:
     """Return arrays that have one value for all their uses, NaN made infinite: the carry of a loop, whose length no compiler knows."""
     again = lambda carry: (carry[0] - 1, *(jnp.where(jnp.isnan(x), jnp.inf, x) for x in carry[1:]))
     rounds = jnp.any(jnp.stack([jnp.any(jnp.isnan(x)) for x in arrays])).astype(jnp.int32)
     return jax.lax.while_loop(lambda carry: carry[0] > 0, again, (rounds, *arrays))[1:]
 
 
-def image(M):
+def image(M: jax.Array) -> proof.Image[jax.Array]:
     """Build the Image of matrices M (S, m, q), finite floats."""
     top = jnp.max(jnp.abs(M), 2, initial=0)
     usual = (top > 0) & jnp.isfinite(top)
@@ -39,7 +41,7 @@ def image(M):
     return proof.measured(M, powers, settled(_right_inverse(M))[0])
 
 
-def _right_inverse(M):
+def _right_inverse(M: jax.Array) -> jax.Array:
     """Return R (S, q, m) with M R nearly 1 of least norm; 0 where there is none."""
     S, m, q = M.shape
     if not 0 < m <= q:
@@ -51,7 +53,7 @@ def _right_inverse(M):
 
 
 @partial(jax.jit, static_argnames="tight")
-def bounds(M, d, off=0.0, tight=False):
+def bounds(M: jax.Array, d: jax.Array, off: ArrayLike = 0.0, tight: bool = False) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (lower, upper, l, x): proved bounds (S, N) of the gauges of d (S, N, m) in M [-1, 1]^q, and what proves them.
 
     Args:
@@ -71,13 +73,15 @@ def bounds(M, d, off=0.0, tight=False):
     return lower, upper, _given(l, body.powers), x
 
 
-def gauge_bounds(body, d, off=0.0, tight=False):
+def gauge_bounds(
+    body: proof.Image[jax.Array], d: jax.Array, off: jax.Array | float = 0.0, tight: bool = False
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (lower, upper, l, x) as `bounds` does, for an Image and points in its own scale."""
     l, x = settled(*map(_clean, _candidates(body, d, tight)))
     return proof.gauge_above(body, d, l, off), proof.gauge_below(body, d, x, off), l, x
 
 
-def _candidates(body, d, tight):
+def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: bool) -> tuple[jax.Array, jax.Array]:
     """Return (l, x): the best directions and points found, in plain floats; no claim is made."""
     (S, m, q), N = body.M.shape, d.shape[1]
     turned, back = body.M.swapaxes(1, 2), body.R.swapaxes(1, 2)
@@ -116,7 +120,7 @@ def _candidates(body, d, tight):
 
 
 @jax.jit
-def contained(M, D):
+def contained(M: jax.Array, D: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (l, X, least, most) for zonotopes D [1, z], D (S, m, 1 + p), in sets M (S, m, q): not held if least > 1, held if most <= 1."""
     body = image(M)
     D = _scaled(body, D.swapaxes(1, 2)).swapaxes(1, 2)
@@ -126,15 +130,15 @@ def contained(M, D):
     return _given(l, body.powers)[:, 0], X, proof.reach_above(body, D, l)[:, 0], proof.rows_below(body, D, X)
 
 
-def starts(R):
+def starts(R: Array) -> Array:
     """Return directions (S, N, m) to start from: any will do, the same ones each time."""
     S, _, m = R.shape
     xp = proof.library(R)
-    fixed = np.concatenate([np.eye(m)[:STARTS], np.random.default_rng(0).normal(size=(STARTS, m))]).astype(R.dtype)
+    fixed: np.ndarray = np.concatenate([np.eye(m)[:STARTS], np.random.default_rng(0).normal(size=(STARTS, m))]).astype(R.dtype)
     return xp.concatenate([xp.broadcast_to(fixed[None], (S, *fixed.shape)), R.sum(1)[:, None]], 1)
 
 
-def farthest(D, l):
+def farthest(D: Array, l: Array) -> tuple[Array, Array]:
     """Return (l (S, N, m), points (S, N, m)): directions, turned round where D [1, z] is farther that way, and its corners there."""
     xp = proof.library(D)
     l = xp.where((l @ D)[..., :1] < 0, -l, l)
@@ -142,7 +146,7 @@ def farthest(D, l):
     return l, D[:, None, :, 0] + xp.where(along[..., 1:] < 0, -1, 1) @ D[..., 1:].swapaxes(1, 2)
 
 
-def _climbed(body, D):
+def _climbed(body: proof.Image[jax.Array], D: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (l (S, 1, m), how far D [1, z] reaches along it in terms of M x, about)."""
     S, m, _ = D.shape
 
@@ -164,7 +168,7 @@ def _climbed(body, D):
     return jax.lax.while_loop(going, climb, (jnp.int32(0), starts(body.R), *none))[2:4]
 
 
-def _encoded(body, D, wanted):
+def _encoded(body: proof.Image[jax.Array], D: jax.Array, wanted: jax.Array) -> jax.Array:
     """Return X (S, q, 1 + p) with M X = D nearly, and rows with sums of |X| of at most 1 where they were found; only where wanted."""
 
     def more(carry):
@@ -182,7 +186,7 @@ def _encoded(body, D, wanted):
     return jax.lax.while_loop(going, more, (jnp.int32(0), X, X, least))[2]
 
 
-def _scaled(body, d):
+def _scaled(body: proof.Image[jax.Array], d: jax.Array) -> jax.Array:
     return rounding.scale(d, jnp.broadcast_to(body.powers[:, None], d.shape))
 
 
@@ -192,12 +196,12 @@ def _once(wanted, stage, found):
     return jax.lax.while_loop(going, lambda carry: (jnp.zeros_like(carry[0]), stage(carry[1])), (jnp.ones((), bool), found))[1]
 
 
-def _clean(x):
+def _clean(x: jax.Array) -> jax.Array:
     """Return candidates without subnormal numbers, which some operations read as 0 and others do not."""
     return jnp.where(jnp.abs(x) < 4 * rounding.tiny(x.dtype), 0, x)
 
 
-def _given(l, powers):
+def _given(l: jax.Array, powers: jax.Array) -> jax.Array:
     """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
     exponent = rounding.mantissa_exponent(jnp.where(jnp.abs(l) > 0, jnp.abs(l), 1))[1] + powers[:, None]
     top = jnp.max(jnp.where(l != 0, exponent, -jnp.inf), 2, keepdims=True)

@@ -10,14 +10,18 @@ last; `reduce_order` merges them again. Nothing is added where entries are only 
 nothing is ever decided.
 """
 
+from collections.abc import Iterator
+from typing import cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.intervals.interval import interval, mid, rad
-from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope, parts
+from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
+from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, parts
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["added", "blocks", "cartesian_product", "convex_hull", "dimension", "from_interval", "linear_map", "mapped", "minkowski_sum",
@@ -27,7 +31,7 @@ __all__ = ["added", "blocks", "cartesian_product", "convex_hull", "dimension", "
 SHORT = 16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
 
 
-def dimension(S):
+def dimension(S: AnySet) -> int:
     """Return how many coordinates a set has, at the door of an operation: refused where arithmetic was not verified."""
     refuse_unverified(S)
     shape = np.shape(S.center if isinstance(S, Zonotope) else parts(S)[0])
@@ -36,7 +40,7 @@ def dimension(S):
     return shape[0]
 
 
-def whole(c, G, A, b, error=None):
+def whole(c: jax.Array, G: jax.Array, A: jax.Array, b: jax.Array, error: jax.Array | None = None) -> AnySet:
     """Return the set {c + G x + diag(error) x' : A x = b}: a Zonotope where A has no rows, whatever it had before."""
     if error is not None:
         G = jnp.concatenate([G, jnp.diag(error)], 1)
@@ -44,41 +48,41 @@ def whole(c, G, A, b, error=None):
     return ConstrainedZonotope(c, G, A, b) if A.shape[0] else Zonotope(c, G)
 
 
-def reach(c, G):
+def reach(c: jax.Array, G: jax.Array) -> jax.Array:
     """Return (n,) upper bounds of |c_i| + sum_j |G_ij|."""
     size = jnp.abs(G)
     return up(rounding.outward_sum(size, size, 1)[1] + jnp.abs(c))
 
 
-def product(M, G):
+def product(M: jax.Array, G: jax.Array) -> jax.Array:
     """Return M G in floats, off by at most what `rounding.product_error` says, in whatever order it is added."""
     if M.shape[1] > SHORT:
         return jnp.matmul(M, G, precision="highest")
     return jnp.sum(M[:, :, None] * G[None], 1)
 
 
-def weighed(W, x):
+def weighed(W: jax.Array, x: jax.Array) -> jax.Array:
     """Return (r,) upper bounds of W x, for W (r, n) and x (n,) not negative."""
     gamma, floor = rounding.product_error(W.shape[1], x.dtype)
     total = jnp.sum(W * x[None], 1)
     return up(total + (gamma * total + floor * (1 + jnp.max(W, initial=0)) * (1 + jnp.max(x, initial=0))))
 
 
-def mapped(M, spread, c, G):
+def mapped(M: jax.Array, spread: jax.Array, c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (M c, M G, error) for a matrix of floats and a matrix `spread` of radii around its entries."""
     far, size = reach(c, G), M.shape[1]
-    gamma, floor = rounding.product_error(size, c.dtype)
+    gamma, least = rounding.product_error(size, c.dtype)
     weight = up(gamma * jnp.abs(M) + spread)
-    floor = floor * (G.shape[1] + 1) * (1 + jnp.max(jnp.abs(M), initial=0)) * (1 + jnp.max(far, initial=0))
+    floor = least * (G.shape[1] + 1) * (1 + jnp.max(jnp.abs(M), initial=0)) * (1 + jnp.max(far, initial=0))
     return product(M, c[:, None])[:, 0], product(M, G), up(weighed(weight, far) + floor)
 
 
-def up(x):
+def up(x: jax.Array) -> jax.Array:
     """Round a computed bound up, past the error of the operation that gave it."""
     return rounding.outward(x, x)[1]
 
 
-def linear_map(matrix, S, offset=None):
+def linear_map(matrix: Operand, S: AnySet, offset: Operand | None = None) -> AnySet:
     """Return the image {M p + offset : p in S}, M a matrix of numbers or of intervals.
 
     Args:
@@ -110,34 +114,34 @@ def linear_map(matrix, S, offset=None):
     return _linear_map(M, S, move, offset is not None)
 
 
-def _linear_map(M, S, move, moved):
+def _linear_map(M: Interval, S: AnySet, move: Interval, moved: bool) -> AnySet:
     dtype = jnp.result_type(M.dtype, S.center.dtype, *([move.dtype] if moved else []))
     M, S, move = jax.tree.map(lambda x: x.astype(dtype), (M, S, move))
     return _moved_map(M, S, move) if moved else _plain_map(M, S)
 
 
 @jax.jit
-def _plain_map(M, S):
+def _plain_map(M: Interval, S: AnySet) -> AnySet:
     c, G, A, b = parts(S)
     c, G, error = mapped(mid(M), rad(M), c, G)
     return whole(c, G, A, b, error)
 
 
 @jax.jit
-def _moved_map(M, S, move):
+def _moved_map(M: Interval, S: AnySet, move: Interval) -> AnySet:
     c, G, A, b = parts(S)
     c, G, error = mapped(mid(M), rad(M), c, G)
     c, more = added(c, mid(move))
     return whole(c, G, A, b, up(up(error + more) + rad(move)))
 
 
-def added(x, y):
+def added(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return x + y and a bound of what its rounding, and subnormal numbers read as 0, can be off by."""
     total = x + y
     return total, 4 * rounding.unit(x.dtype) * jnp.abs(total) + 8 * rounding.tiny(x.dtype)
 
 
-def minkowski_sum(S, T):
+def minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
     """Return {p + r : p in S, r in T}; sets of one number n of coordinates, each a Zonotope or a ConstrainedZonotope.
 
     Generators of S, then of T, then n for the rounding of the center. Source: Kuehn 1998; Scott, Raimondo, Marseglia, Braatz 2016, (12).
@@ -157,31 +161,31 @@ def minkowski_sum(S, T):
 
 
 @jax.jit
-def _minkowski_sum(S, T):
+def _minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
     (c, G, A, b), (d, H, B, e) = (parts(x) for x in one_dtype(S, T))
     center, error = added(c, d)
     return whole(center, jnp.concatenate([G, H], 1), blocks(A, B), jnp.concatenate([b, e]), error)
 
 
-def one_dtype(*sets):
+def one_dtype(*sets: AnySet) -> Iterator[AnySet]:
     """Return the sets in the wider of their dtypes."""
     dtype = jnp.result_type(*(S.center.dtype for S in sets))
     return (jax.tree.map(lambda x: x.astype(dtype), S) for S in sets)
 
 
-def blocks(A, B):
+def blocks(A: jax.Array, B: jax.Array) -> jax.Array:
     """Return the matrix with the blocks A and B on its diagonal."""
     upper = jnp.concatenate([A, jnp.zeros((A.shape[0], B.shape[1]), A.dtype)], 1)
     return jnp.concatenate([upper, jnp.concatenate([jnp.zeros((B.shape[0], A.shape[1]), B.dtype), B], 1)])
 
 
-def translate(S, vector):
+def translate(S: AnySet, vector: ArrayLike) -> AnySet:
     """Return {p + vector : p in S} for (n,) numbers: a sum with a point. Raises ValueError for a vector of another dimension."""
     vector = jnp.asarray(vector, S.center.dtype) if isinstance(vector, (list, tuple)) else jnp.asarray(vector)
     return minkowski_sum(S, Zonotope(vector, jnp.zeros((*vector.shape, 0), vector.dtype)))
 
 
-def scale(S, factor):
+def scale(S: AnySet, factor: Operand) -> AnySet:
     """Return {factor * p : p in S}; factor a number, (n,) numbers one a coordinate, or an Interval of either shape.
 
     Raises:
@@ -194,29 +198,29 @@ def scale(S, factor):
 
 
 @jax.jit
-def _scaled(S, factor):
+def _scaled(S: AnySet, factor: Interval) -> AnySet:
     dtype = jnp.result_type(S.center.dtype, factor.dtype)
     (c, G, A, b), factor = parts(jax.tree.map(lambda x: x.astype(dtype), S)), jax.tree.map(lambda x: x.astype(dtype), factor)
     middle, spread = (jnp.broadcast_to(x, c.shape) for x in (mid(factor), rad(factor)))
-    gamma, floor = rounding.product_error(1, dtype)
-    floor = floor * (G.shape[1] + 1) * (1 + jnp.abs(middle) + spread) * (1 + jnp.max(jnp.abs(c)) + jnp.max(jnp.abs(G), initial=0))
+    gamma, least = rounding.product_error(1, dtype)
+    floor = least * (G.shape[1] + 1) * (1 + jnp.abs(middle) + spread) * (1 + jnp.max(jnp.abs(c)) + jnp.max(jnp.abs(G), initial=0))
     error = up(up(up(gamma * jnp.abs(middle) + spread) * reach(c, G)) + floor)
     return whole(middle * c, middle[:, None] * G, A, b, error)
 
 
-def cartesian_product(S, T):
+def cartesian_product(S: AnySet, T: AnySet) -> AnySet:
     """Return {(p, r) : p in S, r in T}, exactly: coordinates and generators of S, then those of T."""
     dimension(S), dimension(T)
     return _cartesian_product(S, T)
 
 
 @jax.jit
-def _cartesian_product(S, T):
+def _cartesian_product(S: AnySet, T: AnySet) -> AnySet:
     (c, G, A, b), (d, H, B, e) = (parts(x) for x in one_dtype(S, T))
     return whole(jnp.concatenate([c, d]), blocks(G, H), blocks(A, B), jnp.concatenate([b, e]))
 
 
-def from_interval(box):
+def from_interval(box: Interval) -> Zonotope:
     """Return the Zonotope of a box, an Interval (n,): n generators, rounded outward.
 
     Raises:
@@ -229,11 +233,11 @@ def from_interval(box):
 
 
 @jax.jit
-def _from_interval(box):
+def _from_interval(box: Interval) -> Zonotope:
     return Zonotope(mid(box), jnp.diag(rad(box)))
 
 
-def convex_hull(Z, Y):
+def convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     """Return a Zonotope that encloses the convex hull of two Zonotopes of one dimension.
 
     {(p + r) / 2 + (p - r) s / 2} with generators taken in pairs: half their sums, half their differences, half the difference of the
@@ -253,11 +257,11 @@ def convex_hull(Z, Y):
 
 
 @jax.jit
-def _convex_hull(Z, Y):
+def _convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     (c, G, *_), (d, H, *_) = (parts(x) for x in one_dtype(Z, Y))
     G, H = (jnp.pad(x, ((0, 0), (0, max(G.shape[1], H.shape[1]) - x.shape[1]))) for x in (G, H))
     c, d, G, H = 0.5 * c, 0.5 * d, 0.5 * G, 0.5 * H
     columns = jnp.concatenate([(c - d)[:, None], G + H, G - H], 1)
     center, error = added(c, d)
     error = error + 4 * rounding.unit(c.dtype) * reach(center, columns) + 8 * columns.shape[1] * rounding.tiny(c.dtype)
-    return whole(center, columns, jnp.zeros((0, columns.shape[1]), c.dtype), c[:0], up(error))
+    return cast(Zonotope, whole(center, columns, jnp.zeros((0, columns.shape[1]), c.dtype), c[:0], up(error)))

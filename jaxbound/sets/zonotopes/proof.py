@@ -18,10 +18,15 @@ So min max|x| <= max_j (|x_j| + reach_j max|r| / (1 - rho)). A set that is flat,
 M X = D and row sums of |X| of at most 1, a column at a time as above (`rows_below`).
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar, cast
+
+import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
@@ -29,22 +34,24 @@ __all__ = ["Image", "gauge_above", "gauge_below", "image", "largest", "library",
            "unit", "vertices"]  # fmt: skip
 
 
+Array = TypeVar("Array", np.ndarray, jax.Array)
+
 SINGLE = 2**18
 """Products of numbers for which OpenBLAS stays on one thread; with two, 1000 points of 20 coordinates took five times as long."""
 
 
-def library(x):
+def library(x: object) -> Any:
     """Return NumPy for its arrays, jax.numpy for what is inside jit."""
     return np if isinstance(x, np.ndarray) else jnp
 
 
-def largest(x, axis):
+def largest(x: Array, axis: int | tuple[int, ...]) -> Array:
     """Return the largest |x|, infinite where one is NaN, which a compiled maximum of many numbers may overlook; 0 of none."""
     xp = library(x)
     return xp.where(xp.isfinite(x).all(axis), abs(x).max(axis, initial=0), np.inf)
 
 
-def product(A, B):
+def product(A: Array, B: Array) -> Array:
     """Return A @ B, (S, N, k) by (S, k, j); on the host by blocks of rows that its library does not wake other threads for."""
     (S, N, k), j = A.shape, B.shape[2]
     rows = SINGLE // max(k * j, 1)
@@ -52,56 +59,56 @@ def product(A, B):
         return A @ B
     whole = N - N % rows
     blocks = A[:, :whole].reshape(S, -1, rows, k) @ B[:, None]
-    return np.concatenate([blocks.reshape(S, whole, j), A[:, whole:] @ B], 1)
+    return cast(Array, np.concatenate([blocks.reshape(S, whole, j), A[:, whole:] @ B], 1))
 
 
-def unit(l):
+def unit(l: Array) -> Array:
     """Return directions (..., m), each in terms of its largest entry."""
     size = abs(l).max(-1, initial=0)[..., None]
     return l / library(l).where(size > 0, size, 1)
 
 
-def more(x):
+def more(x: Array) -> np.floating:
     """Return 1 and more than the few roundings of what it multiplies, each of a few u."""
     return 1 + 64 * rounding.unit(x.dtype)
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class Image(Generic[Array]):
     """M [-1, 1]^q for each of S sets, rows scaled by powers of two so that no entry exceeds 1, with what the proofs need of it.
 
     Fields: M (S, m, q) and powers (S, m), M = 2^powers times the rows given; R (S, q, m), a right inverse, nearly; reach (S, q) = row sums
     of |R|; loss (S,), at least every row sum of |1 - M R|, inf where that is of no use; sums (S, m), row sums of |M|.
     """
 
-    M: np.ndarray
-    powers: np.ndarray
-    R: np.ndarray
-    reach: np.ndarray
-    loss: np.ndarray
-    sums: np.ndarray
+    M: Array
+    powers: Array
+    R: Array
+    reach: Array
+    loss: Array
+    sums: Array
 
-    def scaled(self, d):
+    def scaled(self, d: np.ndarray) -> np.ndarray:
         """Return points d (S, N, m) in the rows' own scale; NaN for a number that it would turn into 0 or infinity."""
         with np.errstate(over="ignore", under="ignore"):
             out = np.ldexp(d, self.powers[:, None])
         return np.where(((out == 0) & (d != 0)) | ~np.isfinite(out), np.nan, out)
 
-    def of(self, sets):
+    def of(self, sets: np.ndarray) -> Image[Array]:
         """Return the Image of some of the sets, by number."""
         return Image(*(x[sets] for x in (self.M, self.powers, self.R, self.reach, self.loss, self.sums)))
 
 
-def image(M):
+def image(M: ArrayLike) -> Image[np.ndarray]:
     """Build the Image of matrices M (S, m, q), any finite floats, on the host."""
-    M = np.asarray(M, float)
-    top = abs(M).max(2, initial=0)
+    given = np.asarray(M, float)
+    top = abs(given).max(2, initial=0)
     powers = np.where(top > 0, -np.frexp(top)[1], 0)
-    M = np.ldexp(M, powers[..., None])
-    return measured(M, powers, _right_inverse(M))
+    scaled = np.ldexp(given, powers[..., None])
+    return measured(scaled, powers, _right_inverse(scaled))
 
 
-def measured(M, powers, R):
+def measured(M: Array, powers: Array, R: Array) -> Image[Array]:
     """Return the Image of scaled matrices M (S, m, q), with any R (S, q, m) for right inverses."""
     xp, (_, m, q) = library(M), M.shape
     with np.errstate(all="ignore"):
@@ -113,7 +120,7 @@ def measured(M, powers, R):
         return Image(M, powers, R, abs(R).sum(2) * up, xp.where(loss < 0.5, loss, np.inf), abs(M).sum(2))
 
 
-def _right_inverse(M):
+def _right_inverse(M: np.ndarray) -> np.ndarray:
     """Return R (S, q, m) with M R nearly 1, of least norm; the pseudo-inverse where there is none."""
     S, m, q = M.shape
     if not m or not q:
@@ -130,7 +137,7 @@ def _right_inverse(M):
     return R
 
 
-def _inverse(W):
+def _inverse(W: Array) -> tuple[Any, Any]:
     """Return (inverses of W (N, m, m), which of them there are)."""
     if library(W) is jnp:
         inverse = jnp.linalg.inv(W)
@@ -142,7 +149,7 @@ def _inverse(W):
         return np.linalg.inv(np.where(regular[:, None, None], W, np.eye(W.shape[1]))), regular
 
 
-def gauge_above(image, d, l, off=0.0):
+def gauge_above(image: Image[Array], d: Array, l: Array, off: Array | float = 0.0) -> Array:
     """Return lower bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; above 1 only if proved outside.
 
     Args:
@@ -159,7 +166,7 @@ def gauge_above(image, d, l, off=0.0):
         return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
 
 
-def gauge_below(image, d, x, off=0.0):
+def gauge_below(image: Image[Array], d: Array, x: Array, off: Array | float = 0.0) -> Array:
     """Return upper bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; at most 1 only if proved inside.
 
     Args:
@@ -173,10 +180,12 @@ def gauge_below(image, d, x, off=0.0):
         left = largest(abs(d - product(x, image.M.swapaxes(1, 2))) + error, 2) / (1 - image.loss[:, None]) * more(d)
         bound = largest(abs(x) + image.reach[:, None] * left[..., None], 2) * more(d)
         bound = xp.where(xp.isfinite(bound) & xp.isfinite(image.loss)[:, None], bound, np.inf)
-        return np.where(abs(d).max(2, initial=0) == 0, 0, bound) if xp is np else bound  # inside jit, what is read as 0 may not be
+        return (
+            cast(Array, np.where(abs(d).max(2, initial=0) == 0, 0, bound)) if xp is np else bound
+        )  # inside jit, what is read as 0 may not be
 
 
-def reach_above(image, D, l):
+def reach_above(image: Image[Array], D: Array, l: Array) -> Array:
     """Return lower bounds (S, N) of how far D [1, z] reaches in terms of M x, along directions l (S, N, m) of entries of at most 1."""
     xp, (_, m, p), q = library(D), D.shape, image.M.shape[2]
     gamma, floor = rounding.product_error(m + p + q + 4, D.dtype)
@@ -190,7 +199,7 @@ def reach_above(image, D, l):
         return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
 
 
-def rows_below(image, D, X):
+def rows_below(image: Image[Array], D: Array, X: Array) -> Array:
     """Return upper bounds (S,) of the largest row sum of |X| with M X = D, of one near X (S, q, 1 + p)."""
     xp = library(D)
     gamma, floor = rounding.product_error(X.shape[1] + 4, D.dtype)
@@ -203,7 +212,7 @@ def rows_below(image, D, X):
         return xp.where(xp.isfinite(bound) & xp.isfinite(image.loss), bound, np.inf)
 
 
-def vertices(M, d, x, s):
+def vertices(M: Array, d: Array, x: Array, s: Array) -> tuple[Array, Array]:
     """Return (x, l): the vertices of both programs that the near-optimal x (N, q) and freedom s (N, q) point to; no claim.
 
     The m - 1 freest entries are unknown, the others are at +-t: m equations for them and t. The last row of the inverse is l.

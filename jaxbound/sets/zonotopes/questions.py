@@ -3,17 +3,23 @@
 import math
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.zonotopes.constrained import parts
+from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.kernels import settled
 from jaxbound.sets.zonotopes.proof import library
 
 __all__ = ["Question", "flat", "numbers", "traced"]
+
+
+Parts: TypeAlias = tuple[Any, Any, Any, Any]
+"""(c, G, A, b), of NumPy on the host, of jax inside jit."""
 
 
 @jax.tree_util.register_dataclass
@@ -25,16 +31,16 @@ class Question:
     """
 
     name: str = field(metadata={"static": True})
-    sets: tuple
-    points: np.ndarray | None
+    sets: tuple[Parts, ...]
+    points: np.ndarray | jax.Array | None
 
-    def equations(self):
+    def equations(self) -> tuple[Any, Any]:
         """Return M (S, m, q) and d (S, N, m), the latter rounded once."""
         c, G, A, b = self.sets[0]
         xp = library(c)
         if self.name == "is_empty":
             return A, b[:, None]
-        if self.name == "contains":
+        if self.points is not None:
             beside = xp.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
             with np.errstate(over="ignore"):
                 return xp.concatenate([G, A], 1), xp.concatenate([self.points - c[:, None], beside], 2)
@@ -44,7 +50,7 @@ class Question:
         with np.errstate(over="ignore"):
             return M, xp.concatenate([c2 - c, b, b2], 1)[:, None]
 
-    def exact(self, at):
+    def exact(self, at: tuple[int, int]) -> tuple[list[list[Fraction]], list[list[Fraction]]]:
         """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first column of D.
 
         Of "contains_set" each generator of the inner set is one more column.
@@ -55,8 +61,8 @@ class Question:
         less = lambda v, w: [x - y for x, y in zip(v, w, strict=True)]
         if self.name == "is_empty":
             return A, [[v] for v in b]
-        if self.name == "contains":
-            return G + A, [[v] for v in less(_exact(self.points[i, j]), c) + b]
+        if self.points is not None:
+            return G + A, [[v] for v in less(_exact(np.asarray(self.points[i, j])), c) + b]
         ((c2, G2, A2, b2),) = others
         if self.name == "contains_set":
             columns = len(G2[0])
@@ -68,25 +74,26 @@ class Question:
         return M, [[v] for v in less(c2, c) + b + b2]
 
 
-def _exact(x):
+def _exact(x: np.ndarray) -> list[Any]:
     return [_exact(row) for row in x] if x.ndim > 1 else [Fraction(v) for v in x.tolist()]
 
 
-def numbers(*sets, points=None):
+def numbers(*sets: AnySet, points: ArrayLike | None = None) -> list[Parts]:
     """Return (c, G, A, b) of each set: in float64 on the host, exactly; of one dtype if some of them, or the points, are inside jit."""
     found = [parts(S) for S in sets]
     if not traced((found, points)):
-        return [tuple(np.asarray(x, float) for x in each) for each in found]
+        return [(np.asarray(c, float), np.asarray(G, float), np.asarray(A, float), np.asarray(b, float)) for c, G, A, b in found]
     leaves, tree = jax.tree.flatten(found)
     dtype = jnp.result_type(*leaves, *([] if points is None else [points]), np.float32)
-    return tree.unflatten(settled(*(rounding.widened(jnp.asarray(x), dtype) for x in leaves)))
+    return jax.tree.unflatten(tree, settled(*(rounding.widened(jnp.asarray(x), dtype) for x in leaves)))
 
 
-def traced(tree):
+def traced(tree: object) -> bool:
     """Return whether some of the arrays are inside jit, vmap or scan."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
-def flat(sets, batch):
+def flat(sets: Parts, batch: tuple[int, ...]) -> Parts:
     """Give the parts of a set one batch axis in place of those of `batch`."""
-    return tuple(x.reshape((math.prod(batch), *x.shape[len(batch) :])) for x in sets)
+    c, G, A, b = (x.reshape((math.prod(batch), *x.shape[len(batch) :])) for x in sets)
+    return c, G, A, b

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.zonotopes.constrained import parts
+from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.maps import dimension, product, reach, up, weighed, whole
 
 __all__ = ["reduce_order"]
@@ -19,7 +19,7 @@ __all__ = ["reduce_order"]
 METHODS = ("girard", "combastel", "pca", "last")
 
 
-def reduce_order(S, order, method="girard"):
+def reduce_order(S: AnySet, order: float, method: str = "girard") -> AnySet:
     """Return a set around S with at most `order` generators a coordinate (and a constraint, if it has some).
 
     Args:
@@ -52,7 +52,7 @@ def reduce_order(S, order, method="girard"):
 
 
 @partial(jax.jit, static_argnums=(1, 2))
-def _reduced(S, wanted, method):
+def _reduced(S: AnySet, wanted: int, method: str) -> AnySet:
     c, G, A, b = parts(S)
     lifted = jnp.concatenate([G, A])
     keep = wanted - (2 if method == "pca" else 1) * len(lifted)
@@ -65,18 +65,18 @@ def _reduced(S, wanted, method):
     return whole(c, H[: len(c)], H[len(c) :], b)
 
 
-def _sums(G):
+def _sums(G: jax.Array) -> jax.Array:
     """Return (n,) upper bounds of sum_j |G_ij|."""
     return reach(jnp.zeros_like(G[:, 0]), G)
 
 
-def _turned_box(R):
+def _turned_box(R: jax.Array) -> list[jax.Array]:
     """Return [U diag(r), diag(e)] around the generators R: R x = U (V R x) + (I - U V) R x for any U and V, here V = U' nearly U^-1."""
     U = jnp.linalg.eigh(product(R, R.T))[1]
     U = jnp.where(jnp.isfinite(U), U, 0)
     n, far = len(R), _sums(R)
-    gamma, floor = rounding.product_error(n, R.dtype)
-    floor = floor * (R.shape[1] + n) * n * (1 + jnp.max(jnp.abs(R))) * (1 + jnp.max(jnp.abs(U)))
+    gamma, least = rounding.product_error(n, R.dtype)
+    floor = least * (R.shape[1] + n) * n * (1 + jnp.max(jnp.abs(R))) * (1 + jnp.max(jnp.abs(U)))
     bound = lambda weight, x: up(weighed(weight, x) + floor)
     r = up(_sums(product(U.T, R)) + bound(gamma * jnp.abs(U.T), far))
     rest = jnp.abs(jnp.eye(n, dtype=R.dtype) - product(U, U.T)) + gamma * (jnp.eye(n, dtype=R.dtype) + product(jnp.abs(U), jnp.abs(U.T)))

@@ -14,6 +14,7 @@ Ten to twenty steps, whatever the size. At the end s is large where |x_j| < t: t
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 __all__ = ["interior_point", "project", "project_rows"]
 
@@ -22,7 +23,7 @@ STEPS = 40
 
 
 @jax.jit
-def project(M, R, d, z, steps):
+def project(M: jax.Array, R: jax.Array, d: jax.Array, z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (x, l, z) for each point after so many steps: a candidate point, a candidate direction, and where to go on from.
 
     Args:
@@ -31,7 +32,7 @@ def project(M, R, d, z, steps):
     return jax.vmap(jax.vmap(_project, (None, None, 0, 0, None)), (0, 0, 0, 0, None))(M, R, d, z, steps)
 
 
-def _project(M, R, d, z, steps):
+def _project(M: jax.Array, R: jax.Array, d: jax.Array, z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
     onto = lambda x: x + R @ (d - M @ x)
 
     def step(_, z):
@@ -46,12 +47,12 @@ def _project(M, R, d, z, steps):
 
 
 @jax.jit
-def project_rows(M, R, D, Z, steps):
+def project_rows(M: jax.Array, R: jax.Array, D: jax.Array, Z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array]:
     """Return (X, Z) for each set after so many steps between M X = D (S, m, p) and rows of |X| with sums of at most 1: as `project`."""
     return jax.vmap(_project_rows, (0, 0, 0, 0, None))(M, R, D, Z, steps)
 
 
-def _project_rows(M, R, D, Z, steps):
+def _project_rows(M: jax.Array, R: jax.Array, D: jax.Array, Z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array]:
     onto = lambda X: X + R @ (D - M @ X)
 
     def step(_, Z):
@@ -65,7 +66,7 @@ def _project_rows(M, R, D, Z, steps):
     return jnp.where(sums(near) < sums(reflected), near, reflected), Z
 
 
-def _row_balls(X):
+def _row_balls(X: jax.Array) -> jax.Array:
     """Return the nearest rows with sums of |x| of at most 1 (Held, Wolfe, Crowder 1974)."""
     size = jnp.abs(X)
     falling = -jnp.sort(-size, 1)
@@ -75,7 +76,9 @@ def _row_balls(X):
 
 
 @jax.jit
-def interior_point(M, R, d, enough, steps=STEPS):
+def interior_point(
+    M: jax.Array, R: jax.Array, d: jax.Array, enough: ArrayLike, steps: ArrayLike = STEPS
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (x, l, s) for each point: near-optimal for the two programs, and how free each x_j is.
 
     Args:
@@ -90,7 +93,7 @@ def interior_point(M, R, d, enough, steps=STEPS):
     return x * size[..., None], l, a * b / (u * b + w * a)
 
 
-def _start(M, R, d):
+def _start(M: jax.Array, R: jax.Array, d: jax.Array) -> tuple[jax.Array, ...]:
     q = M.shape[1]
     x = R @ d
     size = jnp.max(jnp.abs(x))
@@ -99,7 +102,7 @@ def _start(M, R, d):
     return x / size, jnp.asarray(1.5, x.dtype), jnp.zeros_like(d), even, even, size, ~jnp.isfinite(jnp.sum(x))
 
 
-def _advance(M, d, state, enough):
+def _advance(M: jax.Array, d: jax.Array, state: tuple[jax.Array, ...], enough: ArrayLike) -> tuple[jax.Array, ...]:
     x, t, l, u, w, size, done = state
     m, q = M.shape
     eps = jnp.finfo(x.dtype).eps
@@ -140,6 +143,6 @@ def _advance(M, d, state, enough):
     return x, t, l, u, w, size, keep | settled | (most - least <= 2.0**-16 * eps**0.5 * most)
 
 
-def _room(x, dx):
+def _room(x: jax.Array, dx: jax.Array) -> jax.Array:
     """Return how far x + p dx stays positive, at most 1."""
     return jnp.min(jnp.where(dx < 0, jnp.minimum(-x / jnp.where(dx < 0, dx, 1), 1), 1))

@@ -4,6 +4,7 @@
 are for pictures and experiments, and prove nothing.
 """
 
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
 from itertools import combinations
@@ -12,11 +13,12 @@ from math import comb
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import search
-from jaxbound.sets.zonotopes.constrained import parts
+from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.facets import exact_strips
 from jaxbound.sets.zonotopes.questions import traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope
@@ -26,7 +28,7 @@ __all__ = ["minkowski_difference", "sample", "vertices", "volume"]
 DETERMINANTS = 20_000  # of exact numbers, above which `volume` would take more than a few seconds
 
 
-def vertices(Z):
+def vertices(Z: AnySet) -> np.ndarray:
     """Return the corners of a set in the plane counter-clockwise, or of a parallelotope of any dimension.
 
     Args:
@@ -60,11 +62,11 @@ def vertices(Z):
     return c + signs @ G.T
 
 
-def _corners(c, G):
+def _corners(c: np.ndarray, G: np.ndarray) -> np.ndarray:
     """Return the corners of a zonotope in the plane: its edges are its generators in the order of their angles."""
     G = np.where((G[1] < 0) | ((G[1] == 0) & (G[0] < 0)), -G, G)
     G = G[:, np.argsort(np.arctan2(G[1], G[0]), kind="stable")]
-    edges = []
+    edges: list[np.ndarray] = []
     for g in G.T:
         if edges and abs(edges[-1][0] * g[1] - edges[-1][1] * g[0]) <= 1e-13 * np.hypot(*edges[-1]) * np.hypot(*g):
             edges[-1] = edges[-1] + g
@@ -76,7 +78,7 @@ def _corners(c, G):
     return c + np.concatenate([half, -half])
 
 
-def _touched(c, G, A, b):
+def _touched(c: np.ndarray, G: np.ndarray, A: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the corners of a constrained set in the plane: beyond a side there is another corner, or none."""
     from scipy.optimize import linprog
 
@@ -109,7 +111,7 @@ def _touched(c, G, A, b):
     )
 
 
-def volume(Z):
+def volume(Z: Zonotope) -> float:
     """Return the volume 2^n sum |det(n generators)| of a small Zonotope, worked out exactly and rounded to nearest.
 
     Raises:
@@ -134,7 +136,7 @@ def volume(Z):
     return float(2**n * total)
 
 
-def sample(Z, key, count):
+def sample(Z: AnySet, key: jax.Array, count: int) -> jax.Array:
     """Draw points of a set, so more near the middle. Plain floats, not proved.
 
     The coefficients are uniform in [-1, 1]; with constraints nearly uniform among those that keep them: each point ends a walk of its own
@@ -156,7 +158,7 @@ def sample(Z, key, count):
 
 
 @partial(jax.jit, static_argnames="count")
-def _walked(A, b, key, count):
+def _walked(A: jax.Array, b: jax.Array, key: jax.Array, count: int) -> jax.Array:
     R = jnp.linalg.pinv(A)
     x, *_ = search.interior_point(A[None], R[None], b[None, None], np.inf)
     x = x[0, 0] + R @ (b - A @ x[0, 0])
@@ -179,7 +181,7 @@ def _walked(A, b, key, count):
     return jnp.where(kept, found, jnp.nan)
 
 
-def minkowski_difference(Z, Y):
+def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
     """Return a Zonotope inside {p : p + r in Z for every r in Y}, equal to it but for rounding; None if Y does not fit into Z.
 
     Args:
@@ -214,13 +216,13 @@ def minkowski_difference(Z, Y):
     return _rounded_inward(middle, edges, left, along, Z.center.dtype)
 
 
-def _columns(strips):
+def _columns(strips: Sequence[tuple[Sequence[Fraction], Fraction]]) -> list[list[Fraction]]:
     """Return the generators of a parallelotope from its n strips."""
     inverse = linalg.inverse([normal for normal, _ in strips])
     return [[row[j] * width for row in inverse] for j, (_, width) in enumerate(strips)]
 
 
-def _edges(strips):
+def _edges(strips: Sequence[tuple[Sequence[Fraction], Fraction]]) -> list[list[Fraction]]:
     """Return the generators of the polygon |normal . p| <= width: half its edges, between neighbouring corners on each line."""
     corners = set()
     for (a, w), (b, v) in combinations(strips, 2):
@@ -237,7 +239,13 @@ def _edges(strips):
     return edges or [[Fraction(0), Fraction(0)]]
 
 
-def _rounded_inward(middle, edges, strips, along, dtype):
+def _rounded_inward(
+    middle: Sequence[Fraction],
+    edges: list[list[Fraction]],
+    strips: Sequence[tuple[Sequence[Fraction], Fraction]],
+    along: Callable[[Sequence[Fraction], Sequence[Fraction]], Fraction],
+    dtype: DTypeLike,
+) -> Zonotope | None:
     """Return the Zonotope of floats near (middle, edges), shrunk until it lies within the strips; None if no float lies within."""
     center = np.array([rounding.fraction_to_float(x, dtype) for x in middle])
     off = [Fraction(float(x)) - y for x, y in zip(center, middle, strict=True)]

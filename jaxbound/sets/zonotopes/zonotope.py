@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
@@ -23,14 +24,14 @@ class Zonotope:
     center: jax.Array
     generators: jax.Array
 
-    def hull(self):
+    def hull(self) -> Interval:
         """Return the smallest box around it, rounded outward: an Interval (..., n)."""
         size = jnp.abs(self.generators)
         spread = rounding.outward_sum(size, size, -1)[1]
         return Interval(*rounding.unbounded(*rounding.outward(self.center - spread, self.center + spread)))
 
 
-def zonotope(center, generators):
+def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
     """Build a Zonotope from center (..., n) and generators (..., n, q), rounded to nearest where the dtype cannot hold them (x64 off).
 
     Raises:
@@ -48,7 +49,7 @@ def zonotope(center, generators):
     return Zonotope(*finite_arrays(center=center, generators=generators))
 
 
-def finite_arrays(**arrays):
+def finite_arrays(**arrays: np.ndarray) -> tuple[jax.Array, ...]:
     """Return NumPy arrays as JAX arrays of their common float dtype; refuse NaN and infinity by name."""
     for name, x in arrays.items():
         finite = np.isfinite(x.astype(float))
