@@ -9,7 +9,7 @@ import io
 import warnings
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.typing import RcKeyType
 
 __all__ = ["bins", "canvas", "finish", "shade", "stacked", "style", "thinning", "time_axis", "time_of", "to_png"]
 
@@ -27,7 +28,7 @@ INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FA
 PALE = "#eef1f4"
 SAMPLES, BINS, PANELS = 5000, 1200, 12
 BOTTOM = 0.55  # inches below the lowest axes
-STYLE: dict[Any, Any] = {  # matplotlib names its keys by a literal of 300 words
+STYLE: "dict[RcKeyType, object]" = {
     "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#8a9099", "axes.labelcolor": "#30363d",
     "xtick.color": "#30363d", "ytick.color": "#30363d", "axes.titlesize": 10.5, "axes.titlelocation": "left", "axes.titlecolor": "#16324f",
     "legend.frameon": False, "axes.axisbelow": True, "font.family": "DejaVu Sans", "mathtext.fontset": "dejavusans"}  # fmt: skip

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["figure_1", "figure_2", "paper_example"]
 
 
-def paper_example(z):
+def paper_example(z: Interval) -> list[Interval]:
     """Enclose p(z) = (2 z1^2 + z2, z1 - z2). Source: Adrot, Maquin, Ragot 2000, section 4.3."""
     return [2 * z[0] ** 2 + z[1], z[0] - z[1]]
 

@@ -52,14 +52,14 @@ class FitCheck:
 
     method: str
     safety: float
-    smallest: dict
-    held_out: dict | None
-    recordings: tuple
-    jump: dict
-    steady: dict
-    used: tuple = field(repr=False)
-    held_out_used: tuple = field(repr=False)
-    sentences: tuple = ()
+    smallest: dict[str, float]
+    held_out: dict[str, float] | None
+    recordings: tuple[dict[str, float], ...]
+    jump: dict[str, float]
+    steady: dict[str, float]
+    used: tuple[np.ndarray, ...] = field(repr=False)
+    held_out_used: tuple[np.ndarray, ...] = field(repr=False)
+    sentences: tuple[str, ...] = ()
 
 
 class Fitted(LinearSystem):

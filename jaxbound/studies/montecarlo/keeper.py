@@ -1,12 +1,14 @@
 """What a study keeps in a folder while it runs: counts by which it goes on after a kill, and the rows of single scenarios."""
 
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from jaxbound.recordings.checkpoint import Checkpoint
 from jaxbound.recordings.whole import whole
+from jaxbound.studies.montecarlo.tally import Tally
 
 __all__ = ["Keeper"]
 
@@ -16,7 +18,7 @@ STATE, ROWS = "study.npz", "scenarios"
 class Keeper:
     """The state of a study in a folder: counts, how many tasks they hold, and the rows of single scenarios if they are wanted."""
 
-    def __init__(self, folder, identity, tallies, rows):
+    def __init__(self, folder: str | os.PathLike, identity: Mapping[str, str], tallies: Sequence[Tally], rows: bool) -> None:
         """Open a folder; take up the counts that a study with the same identity left there.
 
         Raises:
@@ -24,7 +26,8 @@ class Keeper:
         """
         self.folder, self.tallies, self.rows = Path(folder), tallies, rows
         self.checkpoint = Checkpoint(self.folder / STATE, identity)
-        self.done, self.parts, self.pending = 0, 0, []
+        self.done, self.parts = 0, 0
+        self.pending: list[tuple] = []
         self.folder.mkdir(parents=True, exist_ok=True)
         self.begun = self._take_up()
         if rows:
@@ -44,7 +47,7 @@ class Keeper:
             tally.load({name.split(".")[1]: x for name, x in arrays.items() if name.startswith(f"{i}.")})
         return True
 
-    def save(self, done):
+    def save(self, done: int) -> None:
         """Write the counts of the first `done` tasks, and the rows since the last time: completely or not at all."""
         if self.rows and self.pending:
             if not self.begun:  # rows without a state would be nobody's
@@ -56,7 +59,16 @@ class Keeper:
     def _arrays(self):
         return {f"{i}.{name}": np.array(x) for i, tally in enumerate(self.tallies) for name, x in tally.arrays().items()}
 
-    def add_rows(self, label, sizes, number, onset, hits, false, delay):
+    def add_rows(
+        self,
+        label: str,
+        sizes: np.ndarray,
+        number: np.ndarray,
+        onset: np.ndarray,
+        hits: np.ndarray,
+        false: np.ndarray,
+        delay: np.ndarray,
+    ) -> None:
         """Keep the rows of single scenarios until the next `save`."""
         if self.rows:
             self.pending.append((label, sizes, number, onset, hits, false, delay))

@@ -41,7 +41,7 @@ class Trial:
 
     fault: Fault | None
     sizes: np.ndarray
-    onset: tuple
+    onset: tuple[int, int]
     length: int
     guaranteed: float = np.nan
 

@@ -34,7 +34,7 @@ class StudyResult:
     at: str
     samples: int
     confidence: float
-    settings: dict
+    settings: dict[str, object]
 
     @property
     def scenarios(self) -> int:

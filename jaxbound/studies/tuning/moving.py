@@ -34,14 +34,14 @@ class Moving:
     notes: sentences on what does not move. p: outputs.
     """
 
-    names: tuple
+    names: tuple[str, ...]
     start: np.ndarray
     weights: np.ndarray
     most: np.ndarray
     fixed: np.ndarray
     select: np.ndarray
     sizes: Sizes
-    notes: tuple
+    notes: tuple[str, ...]
 
     def bounds(self, values: np.ndarray) -> dict[str, np.ndarray]:
         """Return {name: array} with the moved bounds at `values`."""

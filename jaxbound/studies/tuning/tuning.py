@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.checkpoint import Checkpoint
-from jaxbound.relations.bounds import model_bounds
+from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -59,22 +59,22 @@ class TuneResult:
         notes: sentences on what did not move.
     """
 
-    bounds: dict
-    smallest: dict
+    bounds: Bounds
+    smallest: dict[str, np.ndarray]
     scale: float
     safety: float
-    start: dict
+    start: Bounds
     margin: np.ndarray
-    counts: dict
-    faulty_counts: dict | None
+    counts: dict[str, int]
+    faulty_counts: dict[str, int] | None
     risk: Risk
-    history: dict
-    names: tuple
+    history: dict[str, np.ndarray]
+    names: tuple[str, ...]
     steps: int
     stopped: bool
     model: LinearSystem
     relations: ParityRelation | UncertainRelations
-    notes: tuple
+    notes: tuple[str, ...]
 
     @property
     def statement(self) -> str:
