@@ -21,6 +21,8 @@ __all__ = ["CsvFile"]
 class CsvFile(Source):
     """A CSV file, or any file that no other kind of source takes."""
 
+    fallback = True
+
     @classmethod
     def takes(cls, data):
         """Return True for every path: what is no CSV file is refused in a sentence."""

@@ -25,6 +25,8 @@ KINDS: list[type["Source"]] = []  # the last that takes the data opens them
 def register(kind: type["Source"]) -> type["Source"]:
     r"""Make every verb and command read this kind of source; of several that take the same data the one registered last does.
 
+    A kind with .fallback is asked after all others, so that it does not matter what is imported first.
+
     Example:
         >>> import json, tempfile, jaxbound as jb
         >>> from pathlib import Path
@@ -43,7 +45,7 @@ def register(kind: type["Source"]) -> type["Source"]:
         >>> run.y.tolist(), KINDS.pop() is JsonLines
         ([[1.0], [0.8]], True)
     """
-    KINDS.append(kind)
+    KINDS.insert(0 if kind.fallback else len(KINDS), kind)
     return kind
 
 
@@ -54,6 +56,8 @@ class Source:
         data: as given, of most kinds a path. model: whose signals are wanted.
     """
 
+    fallback = False
+    """Whether it takes what no other kind takes."""
     parts = False
     """Whether it is read in pieces, so that its size does not matter, and verdicts are written in parts."""
 

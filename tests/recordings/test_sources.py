@@ -1,6 +1,8 @@
 """Sources: every kind gives the same recording, in one piece or in many, and a new kind is one small class."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +113,14 @@ def test_a_new_source_is_one_small_class_for_python_and_the_shell(lines, tmp_pat
     assert [row.split(",")[1] for row in rows] == [jb.Status(s).name for s in res.status]
     assert main.main(["explain", str(out), "--at", "2024-01-01 00:01:30"]) == 0
     assert "FAULT proved" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("first", ["parquet", "csvfiles", "read", "arraysource"])
+def test_what_takes_any_path_is_asked_last_whatever_is_imported_first(first, tmp_path):
+    table().to_parquet(tmp_path / "run.parquet")
+    asked = f"kind_of({str(tmp_path / 'run.parquet')!r})"
+    code = f"import jaxbound.recordings.{first}; from jaxbound.recordings.read import kind_of; print({asked})"
+    assert "ParquetSource" in subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
 def test_the_kind_registered_last_takes_the_data(lines, tmp_path):
