@@ -195,7 +195,7 @@ class TestUnits:
         assert said(found, "look like kelvin") == 1
         unit = fleet.Unit("unit", tmp_path / "model.toml", tmp_path / "run.parquet")
         (result,) = fleet.detect_fleet([unit])
-        assert any("look like kelvin" in hint for hint in result.hints)
+        assert any("look like kelvin" in hint for hint in result.summary.hints)
 
     def test_units_that_the_model_states_rule_conversions_out(self, healthy):
         _, u, y = healthy
