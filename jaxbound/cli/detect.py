@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxbound.cli.share import merged, opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
-from jaxbound.cli.validate import Validated, write_columns_of
+from jaxbound.cli.validate import Validated
 from jaxbound.consistency.interface import METHODS
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
@@ -31,14 +31,13 @@ from jaxbound.runs.digest import digest
 from jaxbound.runs.endings import ending_hints, sizes_seen
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
-from jaxbound.runs.runfile import VALIDATION, save_run
+from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.sink import Outcome, file_names, write_all
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
 from jaxbound.runs.summary import bound_hints, summarised
-from jaxbound.runs.verdictfiles import write_alarms, write_verdicts
 
 __all__ = ["conclude", "run_demo", "run_detect"]
 
-REPORT = ("alarms.csv", "report.html", "run.json")  # and tested_model.toml, which may be the model that is tested again
 COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
 
 
@@ -65,7 +64,10 @@ def run_detect(args):
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
         found = _report(args, _validate, ("output1.png",), ("read", "test", "report"))
     elif kind.parts:
-        names, inputs = (VERDICTS, *REPORT, "margin.png", "residuals.png"), (args.model, args.data)
+        names, inputs = (
+            (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html", "margin.png", "residuals.png"),
+            (args.model, args.data),
+        )
         with door(), output_folder(args.out, names, inputs) as folder, progress_bars(("relations", "test", "report")) as step:
             found = _stream(args, folder, step)
     elif args.chunk is not None:
@@ -77,7 +79,7 @@ def run_detect(args):
 
 def _report(args, how, pictures, stages):
     """Let `how` read a recording as a whole, test it and write its report; return what the conclusion needs."""
-    names, inputs = ("verdicts.csv", *REPORT, *pictures), (args.model, args.data)
+    names, inputs = (*file_names(), "report.html", *pictures), (args.model, args.data)
     with door(OSError), output_folder(args.out, names, inputs) as folder:
         with folder.work() as work, progress_bars(stages) as step:
             found = how(args, work, step)
@@ -101,7 +103,8 @@ def _stream(args, folder, step):
             sizes = sizes_seen(found, found.alarms)
             hints = (*found.hints, *ending_hints(found, found.alarms, sizes), *bound_hints(source.model))
             res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes)
-            save_run(work, source.model, args.data, source.content, args.method, relations.horizon)
+            about = source.model, args.data, source.content, args.method, relations.horizon
+            write_all(work, Outcome(found, None, found.alarms, res, *about))
             write_report(work, found, found, found.alarms, res, seconds=seconds,
                          progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
     except KeyboardInterrupt:
@@ -135,13 +138,12 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     hints = (*recording.hints, *unit_hints(res), *ending_hints(res, alarms, sizes), *bound_hints(model))
     found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes)
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
-        table = beside.submit(write_verdicts, work / "verdicts.csv", res, recording)
-        write_alarms(work / "alarms.csv", alarms, recording, model.dt)
-        save_run(work, model, args.data, held, args.method, relations.horizon)
+        outcome = Outcome(res, recording, alarms, found, model, args.data, held, args.method, relations.horizon)
+        tables = beside.submit(write_all, work, outcome)
         step("report", 0.1)
         write_report(work, res, recording, alarms, found, seconds=seconds, extra=extra(res),
                      progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
-        table.result()
+        tables.result()
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
     return found, model, seconds
@@ -166,9 +168,7 @@ def _validate(args, work, step):
     first = f"the first {horizon + 1} {'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
     assumed = f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
     found = summarised(res, alarms, recording.label, args.min_coverage, (*recording.hints, *bound_hints(model), assumed))
-    write_columns_of(work / "verdicts.csv", res, recording)
-    write_alarms(work / "alarms.csv", alarms, recording, model.dt)
-    save_run(work, model, args.data, held, args.method, horizon)
+    write_all(work, Outcome(res, recording, alarms, found, model, args.data, held, args.method, horizon))
     write_page(work, res, recording, found, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
     return found, model, seconds
@@ -225,7 +225,7 @@ def run_demo(args):
     from jaxbound.cli import demo
 
     threading.Thread(target=_load_plotting, daemon=True).start()
-    names = ("model.toml", "run.csv", "verdicts.csv", *REPORT, "margin.png", "residuals.png", "figure_1.png", "figure_2.png")
+    names = ("model.toml", "run.csv", *file_names(), "report.html", "margin.png", "residuals.png", "figure_1.png", "figure_2.png")
     stages = ("simulate", "read", "relations", "test", "report")
     with door(OSError), output_folder(args.out, names) as folder, folder.work() as work, progress_bars(stages) as step:
         with door():

@@ -8,11 +8,12 @@ import numpy as np
 from jaxbound.diagnosis.alarms import group_alarms
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.columns import to_arrow, words, write_columns
+from jaxbound.recordings.columns import to_arrow, words
 from jaxbound.runs.summary import Evidence, evidence
+from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Validated", "write_columns_of"]
+__all__ = ["Validated"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +71,15 @@ def _(res, alarms):
     return Evidence(res.method, res.horizon, len(res.y), res.counts, **about)
 
 
-def write_columns_of(path, res, recording):
-    """Write one row a sample: time, status, and for each output whether it is faulty, its band and its corrected value; the states' bands.
+@columns_of.register
+def _(res: Validated):
+    """Return status, and for each output whether it is faulty, its band and its corrected value; the states' bands.
 
     A bound that is not known, as in the first samples, is blank.
     """
     blank = lambda x: to_arrow(np.where(np.isfinite(x), x, np.nan))
     band = lambda name, x, i: {f"{name}.lo": blank(np.asarray(x.lo)[:, i]), f"{name}.hi": blank(np.asarray(x.hi)[:, i])}
-    columns = {
-        "time": recording.column,
-        "status": words([s.name for s in Status], res.status),
-    }
+    columns = {"status": words([s.name for s in Status], res.status)}
     found = res.found
     for i, name in enumerate(res.model.outputs):
         lo, hi = (np.asarray(end)[:, i] for end in (found.corrected.lo, found.corrected.hi))
@@ -91,4 +90,4 @@ def write_columns_of(path, res, recording):
         columns |= band(f"corrected.{name}", found.corrected, i)
     for i, name in enumerate(res.model.states):
         columns |= band(f"state.{name}", found.state, i)
-    write_columns(path, columns)
+    return columns

@@ -6,12 +6,24 @@ from pathlib import Path
 
 from jaxbound.models.modelfile import load_model, model_text
 from jaxbound.recordings.read import kind_of
+from jaxbound.runs.sink import Sink, register
 
-__all__ = ["VALIDATION", "load_run", "save_run"]
+__all__ = ["VALIDATION", "RunRecord", "load_run", "save_run"]
 
 VALIDATION = "validation"  # not a method of `detect`: the shell name of `validate`
 
 RUN, MODEL = "run.json", "tested_model.toml"
+
+
+@register
+class RunRecord(Sink):
+    """run.json and tested_model.toml, with which `jaxbound explain` finds again what was tested."""
+
+    names = (RUN,)  # the model may be the one that is tested again
+
+    def write(self, folder, outcome):
+        """Write both."""
+        save_run(folder, outcome.model, outcome.data, outcome.content, outcome.method, outcome.horizon)
 
 
 def save_run(directory, model, data, digest, method, horizon):

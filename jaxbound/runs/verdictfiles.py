@@ -1,27 +1,57 @@
 """Verdicts and alarms as files: CSV with the times of the recording as its owner wrote them."""
 
+from functools import singledispatch
+
 import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS
 from jaxbound.recordings.columns import to_arrow, words, write_columns
+from jaxbound.runs.sink import Sink, register
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["alarm_columns", "write_alarms", "write_verdicts"]
+__all__ = ["AlarmTable", "VerdictTable", "alarm_columns", "columns_of", "write_alarms", "write_verdicts"]
+
+
+@register
+class VerdictTable(Sink):
+    """verdicts.csv: one row a sample, of a recording that fits into memory; others have verdicts.parquet."""
+
+    names, whole = ("verdicts.csv",), True
+
+    def write(self, folder, outcome):
+        """Write the table."""
+        write_verdicts(folder / self.names[0], outcome.result, outcome.recording)
+
+
+@register
+class AlarmTable(Sink):
+    """alarms.csv: one row an alarm; those of a recording in parts are written as its verdicts are read."""
+
+    names, whole = ("alarms.csv",), True
+
+    def write(self, folder, outcome):
+        """Write the table."""
+        write_alarms(folder / self.names[0], outcome.alarms, outcome.recording, outcome.model.dt)
 
 
 def write_verdicts(path, result, recording=None):
-    """Write one row a sample: time (as the recording has it), status, margin (blank where there is none), suspect.
+    """Write one row a sample: time (as the recording has it), and the columns of the result.
 
     Args:
         path: of the CSV file to write. result: of one recording. recording: from `read`; None: sample numbers.
     """
-    columns = {
-        "time": to_arrow(np.arange(len(result.status))) if recording is None else recording.column,
+    time = to_arrow(np.arange(len(result.status))) if recording is None else recording.column
+    write_columns(path, {"time": time, **columns_of(result)})
+
+
+@singledispatch
+def columns_of(result):
+    """Return the columns of a result beside the time: status, margin (blank where there is none), suspect."""
+    return {
         "status": words([x.name for x in Status], result.status),
         "margin": to_arrow(result.margin),
         "suspect": to_arrow(result.suspect),
     }
-    write_columns(path, columns)
 
 
 def write_alarms(path, alarms, recording, dt):

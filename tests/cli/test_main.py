@@ -267,7 +267,7 @@ class TestBadInput:
         def full(*args, **kwargs):
             raise OSError(28, "No space left on device", "verdicts.csv")
 
-        monkeypatch.setattr(detect, "write_verdicts", full)
+        monkeypatch.setattr(detect, "write_all", full)
         self.refused(place, DETECT, "out: no space left on device", capsys, monkeypatch)
 
 

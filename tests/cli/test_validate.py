@@ -8,8 +8,8 @@ from validated_case import MODEL, Status, found_in, recording_of
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.cli.validate import write_columns_of
 from jaxbound.runs.summary import summarised
+from jaxbound.runs.verdictfiles import write_verdicts
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +75,7 @@ class TestVerdict:
 class TestFiles:
     def test_columns_hold_every_bound_to_the_last_digit(self, tmp_path):
         res = found_in()
-        write_columns_of(tmp_path / "v.csv", res, recording_of(res))
+        write_verdicts(tmp_path / "v.csv", res, recording_of(res))
         head, *lines = (tmp_path / "v.csv").read_text().splitlines()
         columns = dict(zip(head.split(","), zip(*(line.split(",") for line in lines), strict=True), strict=True))
         assert list(columns)[:8] == ["time", "status", "faulty.y1", "output.y1.lo", "output.y1.hi", "corrected.y1", "corrected.y1.lo",

@@ -1,0 +1,46 @@
+"""Outputs: a new one is one small class, which every command that tests a recording writes."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.runs.sink import SINKS, Sink, register
+
+MODEL = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
+COMMANDS = {"csv": ["run.csv"], "parquet": ["run.parquet"], "validation": ["run.csv", "--method", "validation"]}
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    jb.save_model(MODEL, tmp_path / "model.toml")
+    run = pd.DataFrame({"time": np.arange(8.0), "y1": [1.0, 0.5, 0.26, 0.9, 0.4, 0.2, 0.1, 0.05]})
+    run.to_csv("run.csv", index=False)
+    run.to_parquet("run.parquet")
+    yield tmp_path
+    while SINKS and type(SINKS[-1]).__module__ == __name__:
+        SINKS.pop()
+
+
+@pytest.mark.parametrize("options", COMMANDS.values(), ids=COMMANDS)
+def test_a_new_output_is_one_small_class(place, options):
+    @register
+    class Counted(Sink):
+        names = ("counts.json",)
+
+        def write(self, folder, outcome):
+            (folder / self.names[0]).write_text(json.dumps(outcome.summary.counts))
+
+    codes = [main.main(["detect", "model.toml", *options, "--out", "out"]) for _ in range(2)]  # the second replaces what the first wrote
+    assert codes[0] == codes[1] in (0, 1)
+    assert sum(json.loads((place / "out/counts.json").read_text()).values()) == 8
+    assert "counts.json" in (place / "out/.jaxbound.json").read_text()
+
+
+def test_the_outputs_of_a_run_are_known_by_name():
+    assert {name for sink in SINKS for name in sink.names} >= {"verdicts.csv", "alarms.csv", "run.json"}
