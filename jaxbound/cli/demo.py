@@ -33,7 +33,7 @@ def demo_model():
         r2: 4 y2[k-1] - 10 y1[k] + 5 y2[k] - 5 u1[k-1] = 0
     """
     return LinearSystem(
-        [["0.8", 1], [0, "0.2"]], [[0], [1]], [[1, 0], [1, 1]], dt="0.01", tolerance=["0.02", "0.1"], noise=["0.1", "0.01"],
+        [["0.8", "1"], ["0", "0.2"]], [[0], [1]], [[1, 0], [1, 1]], dt="0.01", tolerance=["0.02", "0.1"], noise=["0.1", "0.01"],
         columns={"time": "time"}, name="Adrot 2000, section 5",
         provenance={"model": "paper", "tolerance": "paper", "noise": "paper", "resolution": "simulated data: none"})  # fmt: skip
 

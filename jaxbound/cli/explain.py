@@ -165,7 +165,7 @@ def _samples(c, labels):
     """Return the table of the samples: what was read, what it says of the true value, and its part in the proof."""
     w, model = c.window, c.window.model
     if c.z is None and isinstance(c, UncertainCertificate):
-        rows = [("time", "signal", "reading", "true value from", "to")]
+        rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to")]
         for (j, i), y, x in zip(np.ndindex(len(labels), model.p), w.y, w.limits, strict=False):
             ends = ("", "") if x is None else [number(end + model.offset["y"][i]) for end in x]
             rows.append((labels[j], model.outputs[i], "missing" if y is None else number(y), *ends))

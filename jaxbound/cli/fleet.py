@@ -52,6 +52,7 @@ def run(args):
         units = read_manifest(args.manifest)
         usable_device()
     results = []
+    stopped: Interrupted | None = None
     inputs = [args.manifest, *(path for unit in units for path in (unit.model, unit.recording))]
     with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html"), inputs) as folder, folder.work() as work:
         try:
@@ -66,7 +67,6 @@ def run(args):
             stopped = Interrupted(f"interrupted: {done} of {len(units)} units were tested; {args.out / 'fleet.csv'} has them")
         else:
             write_fleet(work, results, args.manifest.stem)
-            stopped = None
     if stopped is not None:
         raise stopped
     return _conclude(args, results)

@@ -37,6 +37,7 @@ from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.recordings.plaintext import clipped
 from jaxbound.relations.parity import parity_relations
+from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.summary import bound_hints
 from jaxbound.sets.floats.probe import Unverified
@@ -287,7 +288,7 @@ def _configure():
     jax.config.update("jax_enable_x64", True)
     if not os.environ.get("JAX_PLATFORMS"):
         jax.config.update("jax_platforms", "cpu")
-    if jax.config.jax_compilation_cache_dir is not None:
+    if jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]  # jax makes an attribute of each option at run time
         return
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbound"
     try:
@@ -321,7 +322,7 @@ def _info(args):
         ("parameter", f"{p.name} in [{float(p.between[0]):.6g}, {float(p.between[1]):.6g}], {'varies' if p.varying else 'constant'}")
         for p in m.uncertainties
     ]
-    if m.uncertainties:
+    if isinstance(r, UncertainRelations):
         tested = f"polynomials of order {r.order} in {len(r.variables)} uncertain numbers"
     else:
         tested = f"{len(r.circuits)} combinations tested" if r.frame is None else "combinations too many to list, the worst is searched for"

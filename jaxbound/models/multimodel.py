@@ -101,8 +101,8 @@ class MultiModel:
         if not ((lo >= 0) & (hi >= lo)).all() or not holds:
             raise ValueError("weights must be >= 0 and sum to 1 at every sample")
         coarse = rounding.unit(lo.dtype) / rounding.unit(u.dtype) if np.issubdtype(lo.dtype, np.floating) else 1
-        lo, hi = rounding.outward(lo.astype(u.dtype), hi.astype(u.dtype), UNITS * max(float(coarse), 1))
-        return Interval(cast("jax.Array", np.maximum(lo, 0)), cast("jax.Array", np.asarray(hi)))
+        low, high = rounding.outward(lo.astype(u.dtype), hi.astype(u.dtype), UNITS * max(float(coarse), 1))
+        return Interval(cast("jax.Array", np.maximum(low, 0)), cast("jax.Array", np.asarray(high)))
 
     def columns(self, u: np.ndarray) -> Interval:
         """Return the weight of each state's column of C, (..., n), for inputs u (..., m). See `mu`."""

@@ -25,7 +25,7 @@ KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance",
 
 def model_bounds(model: LinearSystem) -> Bounds:
     """Return the bounds of a model as floats: "tolerance", "noise", and "disturbance" (g, 2), "parameters" (q,) where it has them."""
-    bounds = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
+    bounds: dict[str, np.ndarray] = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
     if model.g:
         lo, hi = zip(*model.disturbance, strict=True)
         bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
@@ -33,7 +33,7 @@ def model_bounds(model: LinearSystem) -> Bounds:
         bounds["parameters"] = np.ones(len(model.uncertainties))
     for bound in bounds.values():
         bound.setflags(write=False)
-    return bounds
+    return {**bounds}
 
 
 def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> np.ndarray | jax.Array:
@@ -94,7 +94,7 @@ def reading(shape: Strips | Frame | None, model: LinearSystem, horizon: int, bou
         cast("Strips | Frame", shape),  # None for a PolynomialReading: only windows are read by it
         taken(float_bound(bounds["tolerance"], dtype)),
         taken(float_bound(bounds["noise"], dtype)),
-        rounding.round_up(list(model.resolution), dtype),
+        taken(rounding.round_up(list(model.resolution), dtype)),
         taken(lo_hi.astype(dtype)),
         nearest(model.offset["u"]).astype(dtype),
         nearest(model.offset["y"]).astype(dtype),

@@ -72,8 +72,8 @@ def _relations(z: Sequence[Row], C: Matrix) -> tuple[list[Row], list[Row], Matri
     """Return the relations among z = C x, and the independent rows that are left."""
     if not C or not C[0]:
         return list(z), [], ()
-    null = linalg.left_null_space(C[::-1])  # reversed: each relation is led by the row that depends on those before it
-    null = [row[::-1] for row in null]
+    backward = linalg.left_null_space(C[::-1])  # reversed: each relation is led by the row that depends on those before it
+    null = [row[::-1] for row in backward]
     led: set[int] = set()
     relations: list[Row] = []
     for row in _echelon(null):

@@ -39,7 +39,7 @@ from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, read
 from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
-from jaxbound.sets.strips.separation import frame_of
+from jaxbound.sets.strips.separation import Frame, frame_of
 from jaxbound.sets.strips.strips import Strips, strips_of
 
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
@@ -91,6 +91,7 @@ class ParityRelation:
 
     def reading(self, dtype: DTypeLike, method: str = "joint") -> Reading:
         """Return the Reading of all circuits ("joint") or of each relation alone ("box") in a float dtype."""
+        shape: Strips | Frame
         if method == "box":
             shape = self._alone.astype(dtype)
         else:

@@ -192,12 +192,12 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
         for i in waiting:
             through = tuple(x for k in range(j + 1) for x in responses[j - k][i])
             row, scale = linalg.primitive_scale(reached[i] + through)
-            row, used = _reduced(list(row), {j * p + i: scale}, kept)
-            pivot = next((c for c, x in enumerate(row) if x), None)
+            held, used = _reduced(list(row), {j * p + i: scale}, kept)
+            pivot = next((c for c, x in enumerate(held) if x), None)
             if pivot is None:
                 rows.append(_row(model, used, j))
                 continue
-            kept.append((pivot, row, used))
+            kept.append((pivot, held, used))
             again.append(i)
         waiting = again
         if len(rows) >= most:
