@@ -4,12 +4,17 @@ A second-order plant with two imperfect sensors and three faults: A, sensor 2 be
 of +- 0.35 on sensor 1, C, a bias of 0.2 on sensor 1.
 """
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
 import jax
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
 from jaxbound.models.faults import Fault
-from jaxbound.models.simulate import simulate
+from jaxbound.models.simulate import Trajectory, simulate
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.figures import figure_1, figure_2
@@ -24,7 +29,7 @@ REFERENCE = {"A": (0.150, 0.063), "B": (0.230, 0.187), "C": (0.257, 0.238)}
 """Share of windows wholly inside each fault that are detected (joint test, box test): 5000 runs of an independent NumPy program."""
 
 
-def demo_model():
+def demo_model() -> LinearSystem:
     """Return the plant of section 5.
 
     Example:
@@ -38,7 +43,7 @@ def demo_model():
         provenance={"model": "paper", "tolerance": "paper", "noise": "paper", "resolution": "simulated data: none"})  # fmt: skip
 
 
-def demo_run(key, runs=None):
+def demo_run(key: jax.Array, runs: int | None = None) -> Trajectory:
     """Simulate runs with the three faults: u piecewise constant in [-1, 1], 201 samples, unknowns uniform in their bounds.
 
     Args:
@@ -53,7 +58,9 @@ def demo_run(key, runs=None):
     return simulate(demo_model(), np.repeat(levels, HOLD, -2)[..., :SAMPLES, :], k_run, faults=FAULTS)
 
 
-def detection_rates(runs, key, progress=None):
+def detection_rates(
+    runs: int, key: jax.Array, progress: Callable[[float], object] | None = None
+) -> tuple[dict[str, tuple[float, ...]], tuple[int, int]]:
     """Count how often each fault is detected, by the joint test and by testing each residual alone.
 
     Args:
@@ -78,27 +85,29 @@ def detection_rates(runs, key, progress=None):
     clean = np.ones(SAMPLES, bool)
     clean[:s] = False
     for f in FAULTS:
-        clean[f.start : f.stop + s] = False
+        clean[f.start : cast(int, f.stop) + s] = False  # each of them ends
     return rates, (int(found["joint"][:, clean].sum()), runs * int(clean.sum()))
 
 
-def rate_table(rates):
+def rate_table(rates: dict[str, tuple[float, ...]]) -> list[tuple[str, ...]]:
     """Return the rates beside the reference as rows of text, the header first."""
     about = {"A": "A: tolerance of y2 16 %", "B": "B: noise of y1 0.35", "C": "C: bias of y1 0.2"}
-    rows = [("fault", "joint test", "reference", "each residual alone", "reference")]
+    rows: list[tuple[str, ...]] = [("fault", "joint test", "reference", "each residual alone", "reference")]
     for name, (joint, box) in rates.items():
         rows.append((about[name], f"{joint:.3f}", f"{REFERENCE[name][0]:.3f}", f"{box:.3f}", f"{REFERENCE[name][1]:.3f}"))
     return rows
 
 
-def write_run(path, run):
+def write_run(path: Path, run: Trajectory) -> None:
     """Write a simulated recording as CSV with the columns time, u1, y1, y2: every float in full."""
     u, y = np.asarray(run.u), np.asarray(run.y)
     lines = [f"{k / 100:g},{','.join(map(repr, [*u[k].tolist(), *y[k].tolist()]))}" for k in range(len(u))]
     path.write_text("\n".join(["time,u1,y1,y2", *lines]) + "\n", encoding="utf-8")
 
 
-def sections(directory, run, res, rates, false_alarms, clean, runs):
+def sections(
+    directory: Path, run: Trajectory, res: Result, rates: dict[str, tuple[float, ...]], false_alarms: int, clean: int, runs: int
+) -> list[tuple]:
     """Write the two figures of the paper into a folder; return them and the detection rates as sections of the report.
 
     Args:

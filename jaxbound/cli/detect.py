@@ -9,6 +9,7 @@ import shlex
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from typing import cast
 
 import jax
 import numpy as np
@@ -21,6 +22,7 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.validation import least_horizon, validate
 from jaxbound.models.modelfile import load_model, save_model
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.plaintext import percent, times
 from jaxbound.recordings.read import kind_of, open_source
@@ -34,14 +36,14 @@ from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome, file_names, write_all
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
-from jaxbound.runs.summary import bound_hints, summarised
+from jaxbound.runs.summary import Evidence, Summary, Window, bound_hints, summarised
 
 __all__ = ["conclude", "run_demo", "run_detect"]
 
 COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
 
 
-def run_detect(args):
+def run_detect(args: argparse.Namespace) -> int:
     """Run `jaxbound detect`; return the exit code."""
     if args.data == "-":
         from jaxbound.cli import pipe
@@ -167,11 +169,11 @@ def _validate(args, work, step):
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     first = f"the first {horizon + 1} {'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
     assumed = f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
-    found = summarised(res, alarms, recording.label, args.min_coverage, (*recording.hints, *bound_hints(model), assumed))
-    write_all(work, Outcome(res, recording, alarms, found, model, args.data, held, args.method, horizon))
-    write_page(work, res, recording, found, seconds=seconds, progress=lambda share: step("report", share))
+    summary = summarised(res, alarms, recording.label, args.min_coverage, (*recording.hints, *bound_hints(model), assumed))
+    write_all(work, Outcome(res, recording, alarms, summary, model, args.data, held, args.method, horizon))
+    write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
-    return found, model, seconds
+    return summary, model, seconds
 
 
 def _complete(data, recording, horizon):
@@ -187,14 +189,14 @@ def _complete(data, recording, horizon):
             raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
 
 
-def conclude(args, summary, model, seconds):
+def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, seconds: dict[str, float]) -> int:
     """Print what was found and return the exit code."""
     if args.json:
         rounded = {k: round(v, 3) for k, v in seconds.items()}
         plain = summary.plain(data=str(args.data), seconds=rounded, out=str(args.out))
         write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
         return summary.exit_code
-    found, counts = summary.found, summary.counts
+    found, counts = cast(Evidence, summary.found), summary.counts  # a recording was tested
     rows = [("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]))]
     if found.faulty is None:
         by = f"by the {found.method} test over {found.horizon + 1} samples each"
@@ -203,7 +205,7 @@ def conclude(args, summary, model, seconds):
         rows.append(("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor"))
     rows.append(("alarms", f"{found.alarms}" + (f", the first at {summary.first_alarm}" if found.alarms else "")))
     if np.isfinite(summary.margin):
-        at, margin = summary.worst.time, summary.margin
+        at, margin = cast(Window, summary.worst).time, summary.margin
         what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
         rows.append(("worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
     if summary.verdict == "fault" and found.faulty is None and not model.uncertainties:
@@ -220,7 +222,7 @@ def _load_plotting():
     import matplotlib.figure  # noqa: F401
 
 
-def run_demo(args):
+def run_demo(args: argparse.Namespace) -> int:
     """Run `jaxbound demo`; return the exit code."""
     from jaxbound.cli import demo
 

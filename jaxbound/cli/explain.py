@@ -3,7 +3,11 @@
 Only the samples of that window are read again (a CSV file: all), tested as they were, and proved anew in exact rationals.
 """
 
+import argparse
 import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +26,7 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["certificate_of", "readable", "run"]
 
 
-def certificate_of(directory, at):
+def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]:
     """Return (Certificate, sample number, labels of the times of the window) of one window of a report.
 
     Args:
@@ -98,7 +102,7 @@ class _Axis:
         return self.source.read(k, k + 1)
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     """Run `jaxbound explain DIR --at TIME [--json]`; return the exit code.
 
     Prints the certificate readably and writes it to DIR/certificate-SAMPLE.json; with --json, prints that JSON and writes nothing.
@@ -120,7 +124,7 @@ def run(args):
     return 0
 
 
-def readable(certificate, k, labels):
+def readable(certificate: Any, k: int, labels: Sequence[str]) -> tuple[str, list[tuple[str, str]], list[tuple[str, ...]]]:
     """Return (headline, rows of (name, text), table with its header first) of a certificate, for people."""
     c, model = certificate, certificate.window.model
     unit = lambda name: f" {model.unit(name)}" if model.unit(name) else ""
@@ -194,6 +198,6 @@ def _samples(c, labels):
     return rows
 
 
-def number(x):
+def number(x: Any) -> str:
     """Return an exact number as a reader wants it: the smallest normal number, which widens every radius, is nothing."""
     return f"{float(x) if abs(x) > 1e-300 else 0.0:.6g}"

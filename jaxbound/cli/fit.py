@@ -1,5 +1,6 @@
 """The command `jaxbound fit`: from recordings to a model file, and the picture of a fit."""
 
+import argparse
 import json
 import re
 
@@ -20,7 +21,7 @@ __all__ = ["plot_fit", "run", "signals"]
 NAMED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     """Run `jaxbound fit`; return the exit code."""
     refuse_targets({"--out": args.out, "--plot": args.plot}, args.data, args.force)
     with door(), progress_bars(("read", "fit")) as step:
@@ -45,7 +46,7 @@ def run(args):
     return 0
 
 
-def signals(option, text):
+def signals(option: str, text: str) -> list[str | tuple[str, str]]:
     """Return the signals of an option: names, or (name, column) where it says name=column or name=expression.
 
     Raises:

@@ -1,8 +1,10 @@
 """The command `jaxbound fleet`: many units in one command, a table and a page with the worst first."""
 
+import argparse
 import csv
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
@@ -22,7 +24,7 @@ FIELDS = ("unit", "verdict", "margin", "factor", "FAULT", "CONSISTENT", "UNDECID
           "sentence", "hints", "model", "recording", "ended")  # fmt: skip
 
 
-def write_fleet(directory, results, title="fleet"):
+def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str = "fleet") -> None:
     """Write fleet.csv, a row a unit, and fleet.html, both with the worst unit first.
 
     Args:
@@ -44,7 +46,7 @@ def write_fleet(directory, results, title="fleet"):
     (Path(directory) / "fleet.html").write_text(fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8")
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     """Run `jaxbound fleet`; return the exit code."""
     if args.method not in METHODS:
         raise Refused(f"--method must be one of {', '.join(METHODS)}, not {args.method!r}")

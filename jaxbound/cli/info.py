@@ -3,6 +3,7 @@
 import math
 
 from jaxbound.diagnosis.detectability import detectable
+from jaxbound.models.system import LinearSystem
 from jaxbound.relations.cost import duration_text, elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
 from jaxbound.relations.redundancy import redundancy
@@ -15,7 +16,7 @@ PATIENCE = 60.0
 """Seconds, roughly, beyond which tables are left to whoever asks for them."""
 
 
-def isolation_text(model, horizon):
+def isolation_text(model: LinearSystem, horizon: int) -> str:
     """Return paragraphs on a certain model: its relations of fewest signals, which single faults they tell apart, guaranteed sizes."""
     signals = model.outputs + model.inputs
     if len(signals) > SIGNALS:

@@ -11,7 +11,9 @@ import os
 import sys
 import tempfile
 import traceback
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import jax
 
@@ -74,7 +76,7 @@ FLEET_EPILOG = (
 class Parser(argparse.ArgumentParser):
     """Reports wrong usage in one sentence."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         """Raise Refused instead of printing the usage."""
         raise Refused(f"{message.removeprefix('argument ').replace(': ', ' ', message.startswith('argument '))}; see {self.prog} --help")
 
@@ -84,7 +86,7 @@ class Parser(argparse.ArgumentParser):
             write(message)
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Args:

@@ -3,6 +3,7 @@
 What is there is read, judged as one burst and printed: one sample where the sender is slow, thousands where it is ahead.
 """
 
+import argparse
 import csv
 import io
 import json
@@ -13,6 +14,7 @@ import stat
 import sys
 import threading
 import time
+from collections.abc import Iterable
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import cast
@@ -47,7 +49,7 @@ NAMES, FAULT = [x.name for x in Status], int(Status.FAULT)
 TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     """Run `jaxbound detect MODEL.toml -`; return the exit code."""
     if args.method == VALIDATION:
         raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
@@ -61,7 +63,7 @@ def run(args):
         return follow(args, _chunks(0, stopped, woken), whole)
 
 
-def follow(args, chunks, whole=True):
+def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool = True) -> int:
     """Judge bytes as they come; return the exit code.
 
     Args:

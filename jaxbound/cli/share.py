@@ -1,8 +1,12 @@
 """`jaxbound detect --part i/n` and `--merge`: a recording larger than memory in shares that know nothing of each other."""
 
+import argparse
 import json
 import shlex
 import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
 from jaxbound.models.modelfile import load_model
@@ -18,7 +22,7 @@ from jaxbound.runs.streaming import CHUNK, PARTIAL, all_parts, part_count, part_
 __all__ = ["merged", "opened", "refuse_shares", "run_share"]
 
 
-def refuse_shares(args, kind):
+def refuse_shares(args: argparse.Namespace, kind: Any) -> None:
     """Raise Refused if --part or --merge is given where there are no parts. kind: of source."""
     given = [option for option, on in (("--part", args.part is not None), ("--merge", args.merge)) if on]
     if len(given) > 1:
@@ -29,7 +33,7 @@ def refuse_shares(args, kind):
         raise Refused(f"{given[0]} is for Parquet: {args.data} is read as a whole")
 
 
-def run_share(args):
+def run_share(args: argparse.Namespace) -> int:
     """Test one share of a Parquet recording and say what was written; return the exit code."""
     name, where, start = "{}/{}".format(*args.part), args.out / PARTIAL, time.perf_counter()
     with door(), shared_folder(args.out, (PARTIAL,), (args.model, args.data)), progress_bars(("relations", "test")) as step:
@@ -62,7 +66,7 @@ def run_share(args):
     return OK
 
 
-def opened(args, step):
+def opened(args: argparse.Namespace, step: Callable[[str, float], object]) -> tuple[Any, Any]:
     """Return (Source, relations) of what is to be tested chunk by chunk."""
     model = load_model(args.model)
     usable_device()
@@ -71,7 +75,7 @@ def opened(args, step):
     return source, parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
 
 
-def merged(args, source, relations):
+def merged(args: argparse.Namespace, source: Any, relations: Any) -> Path:
     """Return the folder of all parts; refuse if one is missing, with the command that makes it."""
     try:
         return all_parts(relations, source, args.out, args.method)

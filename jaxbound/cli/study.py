@@ -1,5 +1,6 @@
 """The command `jaxbound study`: a Monte-Carlo study of a monitor, from a model file to tables and a page."""
 
+import argparse
 import json
 import time
 
@@ -24,7 +25,7 @@ NAMES = ("summary.csv", "summary.parquet", "delays.parquet", "study.png", "repor
 MOST = 10_000  # sizes of a fault
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     """Run `jaxbound study`; return the exit code."""
     start = time.perf_counter()
     sizes, span = _sizes(args.sizes), _pairs("--input-range", args.input_range)

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 import jax
@@ -21,7 +22,7 @@ OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # exit codes of every comm
 
 
 @contextmanager
-def door(*kinds):
+def door(*kinds: type[Exception]) -> Iterator[None]:
     """Turn what the library or the file system refuses into a sentence for the user."""
     kinds = kinds or (OSError, ValueError, NotImplementedError, TypeError)
     try:
@@ -30,14 +31,15 @@ def door(*kinds):
         raise Refused(system_trouble(e)) from e
 
 
-def system_trouble(e):
+def system_trouble(e: BaseException) -> str:
     """Return what an exception says; of the file system's, which file and what is wrong with it."""
-    system = isinstance(e, OSError) and e.strerror
-    return f"{e.filename}: {e.strerror.lower()}" if system and e.filename else e.strerror.lower() if system else str(e)
+    if not isinstance(e, OSError) or not e.strerror:
+        return str(e)
+    return f"{e.filename}: {e.strerror.lower()}" if e.filename else e.strerror.lower()
 
 
 @contextmanager
-def stoppable():
+def stoppable() -> Iterator[list[int]]:
     """Let SIGTERM and SIGHUP end a command as Ctrl-C does; yields a list that gets the number of the signal.
 
     What is ignored stays ignored (`nohup`). A second signal does not disturb the cleaning up of the first; Ctrl-C does.
@@ -61,7 +63,7 @@ def stoppable():
 
 
 @contextmanager
-def progress_bars(stages):
+def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], object]]:
     """Show a bar for each stage on a terminal's stderr; yields a function of (stage, share)."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda stage, share: None
@@ -75,7 +77,7 @@ def progress_bars(stages):
         yield lambda stage, share: bars.update(tasks[stage], completed=share)
 
 
-def write(text):
+def write(text: str) -> None:
     """Write to stdout; a reader that has gone away, or a closed stdout, is no trouble: the exit code stays what it is.
 
     Raises:
@@ -94,13 +96,13 @@ def write(text):
         raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
 
 
-def nobody_reads():
+def nobody_reads() -> None:
     """Let what is held back for stdout go nowhere: else the interpreter complains of it at its end."""
     with suppress(OSError):  # a stand-in for stdout has no number
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def show(headline, style, rows, table=None, text=""):
+def show(headline: str, style: str, rows: Iterable[tuple[str, str]], table: Sequence[Sequence[str]] | None = None, text: str = "") -> None:
     """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names are not markup."""
     from rich.console import Console
     from rich.table import Table
@@ -126,7 +128,7 @@ def show(headline, style, rows, table=None, text=""):
     write(page.getvalue() if terminal else "\n".join(line.rstrip() for line in page.getvalue().split("\n")))
 
 
-def say(sentence):
+def say(sentence: str) -> None:
     """Print a sentence to stderr, a very long one in part."""
     if sys.stderr is None:
         return
@@ -136,7 +138,7 @@ def say(sentence):
         Console(stderr=True).print(f"jaxbound: {printable(clipped(sentence))}", soft_wrap=True, markup=False, highlight=False)
 
 
-def usable_device():
+def usable_device() -> None:
     """Raise ValueError if JAX finds no device, Unverified if it runs where nothing is proved."""
     try:
         jax.default_backend()

@@ -1,5 +1,6 @@
 """The command `jaxbound tune`, and the picture of a TuneResult."""
 
+import argparse
 import hashlib
 import json
 from fractions import Fraction
@@ -24,7 +25,7 @@ MARK = b"# The search was interrupted: the same command goes on and replaces thi
 RATE = 0.1  # of the first step, on the logarithms of the bounds
 
 
-def run(args):
+def run(args: argparse.Namespace) -> int:
     """Run `jaxbound tune`; return the exit code."""
     state = args.out.with_name(args.out.name + ".state.npz")
     inputs = [args.model, *args.healthy, *args.faulty]

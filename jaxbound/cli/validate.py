@@ -2,10 +2,11 @@
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import group_alarms
+from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words
@@ -36,24 +37,24 @@ class Validated:
     margin = property(lambda self: np.full(len(self.y), np.nan), doc="(T,): validation measures none.")
 
     @property
-    def counts(self):
+    def counts(self) -> dict[str, int]:
         """{status name: number of windows}."""
         return {s.name: int(np.sum(self.status == s)) for s in Status}
 
     @property
-    def blamed(self):
+    def blamed(self) -> dict[str, int]:
         """{output: number of its faulty samples}, those without any left out."""
         return {name: int(n) for name, n in zip(self.model.outputs, np.asarray(self.found.faulty).sum(0), strict=True) if n}
 
-    def alarms(self, k=1, n=1):
+    def alarms(self, k: int = 1, n: int = 1) -> list[Alarm]:
         """Group FAULT windows. See `Result.alarms`."""
         return group_alarms(self, k, n, 0, 1, 0)
 
-    def explain(self, at):
+    def explain(self, at: int) -> NoReturn:
         """Refuse: there is no certificate of a verdict that rests on all samples before it."""
         raise NotImplementedError("validation has no certificate of a single window: its verdict rests on all samples before it")
 
-    def stretches(self):
+    def stretches(self) -> list[tuple[int, int, int]]:
         """Return [(index of the output, first, last sample)] of the faulty stretches, in order of time."""
         faulty, out = np.asarray(self.found.faulty), []
         for i in range(faulty.shape[1]):

@@ -1,11 +1,13 @@
 """Alarms: FAULT windows grouped for people. Separate from the proof, which they never change."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats.status import Status
 
@@ -58,19 +60,19 @@ class Alarm:
     ended: str = field(default="", repr=False)
 
     @cached_property
-    def certificate(self):
+    def certificate(self) -> Any:
         """The Certificate of the worst window, worked out at the first call."""
         if self.result is None:
             raise ValueError("this alarm came without the result it was found in: ask that to explain its worst window")
         return self.result.explain((*self.recording, self.worst) if self.recording else self.worst)
 
     @property
-    def errors(self):
+    def errors(self) -> dict[str, Any]:
         """{output: the smallest error of that sensor alone that would explain the worst window}, exact; see `Certificate.errors`."""
         return self.certificate.errors
 
     @property
-    def candidates(self):
+    def candidates(self) -> tuple[str, ...]:
         """The outputs whose sensor alone could be wrong in the worst window, the most plausible first, then inputs whose actuator could.
 
         Of any other signal it is proved that no error of it alone explains the alarm.
@@ -80,7 +82,7 @@ class Alarm:
         return self.certificate.candidates
 
 
-def check_rule(k, n, hold=0, clear=1):
+def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
     """Raise ValueError if an alarm rule is none; see `Result.alarms`."""
     for name, value, low in (("k", k, 1), ("n", n, 1), ("hold", hold, 0), ("clear", clear, 1)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
@@ -89,7 +91,7 @@ def check_rule(k, n, hold=0, clear=1):
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
 
 
-def group_alarms(result, k, n, hold, clear, horizon):
+def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: int) -> list[Alarm]:
     """See `Result.alarms`. Array operations over time; the loop is over alarms.
 
     Args:
@@ -113,12 +115,12 @@ def group_alarms(result, k, n, hold, clear, horizon):
     return alarms
 
 
-def follows(missing, end):
+def follows(missing: np.ndarray, end: ArrayLike) -> np.ndarray:
     """Return what comes after the alarms that end at samples `end`; missing: (T,) bool, windows without data."""
     return np.append(np.where(missing, NO_DATA, OTHER), NO_SAMPLE)[np.asarray(end, int) + 1]
 
 
-def endings(first, last, after, horizon):
+def endings(first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, horizon: int) -> np.ndarray:
     """Return for each alarm the number of its entry in ENDINGS.
 
     Args:
@@ -128,7 +130,9 @@ def endings(first, last, after, horizon):
     return np.where(after == OTHER, np.where(last - first < horizon, 2, 3), after)
 
 
-def stretches(fault, margin, k, n, hold, clear, before=()):
+def stretches(
+    fault: np.ndarray, margin: np.ndarray, k: int, n: int, hold: int, clear: int, before: Sequence[bool] | np.ndarray = ()
+) -> tuple[np.ndarray, ...]:
     """Return (start, end, windows, depth, worst, first, last) of the alarms of one recording, an array each: as in `Alarm`, and the first
     and the last FAULT window that made it.
 
@@ -150,8 +154,7 @@ def stretches(fault, margin, k, n, hold, clear, before=()):
     first = np.cumsum(lengths) - lengths
     deepest = np.flatnonzero(depth == np.minimum.reduceat(depth, first)[alarm])
     worst = rows[deepest[np.searchsorted(alarm[deepest], np.arange(len(starts)))]]
-    at = np.flatnonzero(np.concatenate([before, fault])) - len(
-        before
-    )  # of all FAULT windows: the rule counts some that an alarm begins after
+    # of all FAULT windows: the rule counts some that an alarm begins after
+    at = np.flatnonzero(np.concatenate([before, fault])) - len(before)
     made = at[np.searchsorted(at, starts - n + 1)], at[np.searchsorted(at, ends, "right") - 1]
     return starts, ends, np.add.reduceat(fault[rows].astype(int), first), margin[worst], worst, *made

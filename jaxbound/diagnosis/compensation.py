@@ -1,5 +1,9 @@
 """What the linearised test lacks on healthy data, for models with uncertain parameters."""
 
+from typing import Any
+
+from numpy.typing import ArrayLike
+
 from jaxbound.consistency.parametric_margins import needed_compensation
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.uncertain import UncertainRelations
@@ -8,7 +12,7 @@ from jaxbound.sets.floats.probe import refuse_unverified
 __all__ = ["compensation"]
 
 
-def compensation(relations, u, y=None, share=0.0, starts=()):
+def compensation(relations: UncertainRelations, u: Any, y: Any = None, share: float = 0.0, starts: ArrayLike = ()) -> float:
     """Return the smallest compensation under which the linearised test lets a healthy recording pass.
 
     `detect(relations, u, y, method="linearised", compensation=c)` neglects products of parameters, and marks healthy windows as suspect.

@@ -14,14 +14,16 @@ is then enough, but not the smallest.
 import math
 from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.certificates.exact_window import dot
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
 from jaxbound.models import window
-from jaxbound.models.conversion import as_model
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.recordings.expressions import find_column
@@ -53,7 +55,7 @@ class GuaranteedSize(float):
     sizes: dict
 
 
-def detectable(model, fault, horizon=None, operating_range=None):
+def detectable(model: ModelLike, fault: str | Fault, horizon: int | None = None, operating_range: Any = None) -> GuaranteedSize:
     """Return the smallest size of a constant fault that is guaranteed to be detected.
 
     Args:
@@ -115,7 +117,7 @@ def detectable(model, fault, horizon=None, operating_range=None):
     return out
 
 
-def always_seen(relations, method="joint", readings=None):
+def always_seen(relations: Any, method: str = "joint", readings: ArrayLike | None = None) -> dict[str, float] | None:
     """Return {signal: size of a lasting error from which on every complete window that it fills is FAULT}; inf: no size is sure to be seen.
 
     Args:
@@ -171,7 +173,7 @@ def _reach(model, given):
     return reach
 
 
-def visible_sizes(relations, operating_range=None):
+def visible_sizes(relations: Any, operating_range: Any = None) -> np.ndarray:
     """Return the smallest constant fault of each signal that each relation alone is guaranteed to see, (R, N): outputs, then inputs.
 
     Args:

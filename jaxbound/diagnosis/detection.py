@@ -1,20 +1,33 @@
 """From a recording to a proved verdict for every window."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
 from jaxbound.diagnosis import isolation  # noqa: F401 (the Result of a bank)
-from jaxbound.diagnosis.result import result_of
+from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["detect", "margins"]
 
 
-def detect(relations, u, y=None, method="joint", budget=None, progress=None, starts=(), compensation=0.0):
+def detect(
+    relations: Any,
+    u: Any,
+    y: Any = None,
+    method: str = "joint",
+    budget: Any = None,
+    progress: Callable[[float], object] | None = None,
+    starts: ArrayLike = (),
+    compensation: ArrayLike = 0.0,
+) -> Result:
     """Decide for every window whether any behaviour inside the bounds explains it.
 
     Args:
@@ -67,7 +80,7 @@ def detect(relations, u, y=None, method="joint", budget=None, progress=None, sta
     return result_of(kind, judged, *about, aside=given.aside(test.horizon))
 
 
-def margins(relations, u, y=None, starts=()):
+def margins(relations: Any, u: Any, y: Any = None, starts: ArrayLike = ()) -> jax.Array:
     """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window just becomes consistent.
 
     The fast path: not rounded, no proof claimed. Differentiable in `relations.bounds`, y and u, under jit, vmap and grad.

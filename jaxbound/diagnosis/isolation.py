@@ -4,8 +4,10 @@ A violated relation is a proof that something other than the faults it ignores h
 violated relation reacts to it. A relation that holds exonerates nobody: a fault may be too small to show in it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -34,11 +36,11 @@ class BankResult(Result):
     words: np.ndarray = field(kw_only=True)
 
     @property
-    def faults(self):
+    def faults(self) -> tuple[str, ...]:
         """Names of the single faults, the last axis of `candidates`."""
         return self.signatures.faults
 
-    def of(self, i):
+    def of(self, i: int) -> np.ndarray:
         """Return the status (..., T) int8 of relation i alone; FAULT and CONSISTENT are proofs."""
         count = len(self.signatures.relations)
         if not -count <= i < count:
@@ -47,12 +49,12 @@ class BankResult(Result):
         return (self.words[i // PACKED] >> np.uint32(2 * (i % PACKED)) & np.uint32(3)).astype(np.int8)
 
     @cached_property
-    def violated(self):
+    def violated(self) -> np.ndarray:
         """(..., T, R) bool: which relations are violated, each a proof."""
         return np.stack([self.of(i) == Status.FAULT for i in range(len(self.signatures.relations))], -1)
 
     @cached_property
-    def candidates(self):
+    def candidates(self) -> np.ndarray:
         """(..., T, N) bool: which single faults can explain the violated relations; none where nothing is violated.
 
         Whichever single fault there is, it is among them: the others are excluded by proof.
@@ -64,11 +66,11 @@ class BankResult(Result):
         able = ~(violated.astype(int) @ (~self.signatures.weak).astype(int)).astype(bool) & violated.any(1, keepdims=True)
         return able[which.ravel()].reshape(*self.status.shape, -1)
 
-    def names(self, at):
+    def names(self, at: Any) -> tuple[str, ...]:
         """Return the names of the candidates of the window that ends at index `at`."""
         return tuple(name for name, on in zip(self.faults, self.candidates[at], strict=True) if on)
 
-    def candidates_from(self, sizes, operating_range=None):
+    def candidates_from(self, sizes: Mapping[str, float], operating_range: Any = None) -> np.ndarray:
         """Return the candidates (..., T, N) if a fault, where there is one, is constant and at least so large throughout the window.
 
         A relation that is proved to hold then exonerates every fault that it is guaranteed to see.
@@ -92,18 +94,18 @@ class BankResult(Result):
                     out[..., j] &= ~holds
         return out
 
-    def remaining(self, start, end, recording=()):
+    def remaining(self, start: int, end: int, recording: tuple = ()) -> tuple[str, ...]:
         """Return the names of the single faults that can explain every FAULT window that ends at a sample start <= k <= end."""
         fault = self.status[recording][start : end + 1] == Status.FAULT
         able = self.candidates[recording][start : end + 1][fault].all(0) & fault.any()
         return tuple(name for name, on in zip(self.faults, able, strict=True) if on)
 
     @property
-    def hints(self):
+    def hints(self) -> tuple[str, ...]:
         """Sentences for whoever acts on the verdicts, as of a Result; none for residuals from elsewhere."""
         return () if self.relations is None else super().hints
 
-    def explain(self, at):
+    def explain(self, at: int | tuple[int, ...]) -> Any:
         """Return the Certificate of the relation that is violated most in the window that ends at index `at`, as `Result.explain`.
 
         Raises:
@@ -121,7 +123,7 @@ def _(bank: Redundancy, judged, *about, **more):
     return BankResult(judged.status, judged.margin, method, relations, u, y, index, starts, signatures=table, words=judged.words, **more)
 
 
-def words_of(statuses):
+def words_of(statuses: np.ndarray) -> np.ndarray:
     """Pack statuses (R, ...) as `bank_verdicts` does."""
     words = np.zeros((-(-len(statuses) // PACKED), *statuses.shape[1:]), np.uint32)
     for i, status in enumerate(statuses):
@@ -129,7 +131,7 @@ def words_of(statuses):
     return words
 
 
-def evaluate(residuals, hull, signatures):
+def evaluate(residuals: Any, hull: Any, signatures: Any) -> BankResult:
     """Isolate from residuals that were computed elsewhere: which are outside what healthy data showed, and what faults explain that?
 
     Args:

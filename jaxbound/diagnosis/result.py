@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.interface import explain
-from jaxbound.diagnosis.alarms import group_alarms
+from jaxbound.consistency.interface import Judged
+from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.timestamps import row_label
@@ -16,7 +17,7 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["Result", "result_of", "suspected"]
 
 
-def suspected(status, margin):
+def suspected(status: np.ndarray, margin: np.ndarray) -> np.ndarray:
     """Return bool: outside the set as computed, proved or not; False where MISSING."""
     with np.errstate(invalid="ignore"):
         return (status == Status.FAULT) | (margin < 0)
@@ -48,18 +49,18 @@ class Result:
     aside: int = field(default=0, kw_only=True)
 
     @property
-    def suspect(self):
+    def suspect(self) -> np.ndarray:
         """(..., T) bool: outside the set as computed, proved or not. Every FAULT is suspect."""
         return suspected(self.status, self.margin)
 
     @property
-    def counts(self):
+    def counts(self) -> dict[str, int]:
         """{status name: number of windows}."""
         found = np.bincount(self.status.ravel(), minlength=4)
         return {s.name: int(found[s]) for s in Status}
 
     @property
-    def hints(self):
+    def hints(self) -> tuple[str, ...]:
         """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands still, when and how
         long, and which seems to be in another unit than the model's.
 
@@ -75,7 +76,7 @@ class Result:
             out += [which + hint for hint in still_hints(self.relations.model, self.u[at], self.y[at], label)]
         return (*out, *unit_hints(self))
 
-    def alarms(self, k=1, n=1, hold=0, clear=1):
+    def alarms(self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1) -> list[Alarm]:
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.
 
         An alarm starts where k of the last n windows are FAULT, stays on for `hold` samples after that ceases, and ends once `clear`
@@ -93,7 +94,7 @@ class Result:
         horizon = 0 if self.relations is None else self.relations.horizon  # of residuals that a user worked out nothing is known
         return group_alarms(self, k, n, hold, clear, horizon)
 
-    def explain(self, at):
+    def explain(self, at: int | tuple[int, ...]) -> Any:
         """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in exact rationals.
 
         For FAULT the violated relation with its coefficients, bounds and excess, and .errors, the smallest error of each sensor alone that
@@ -113,7 +114,7 @@ class Result:
         """
         return explain(self, at)
 
-    def to_pandas(self):
+    def to_pandas(self) -> Any:
         """Return a DataFrame with the columns status (names), margin and suspect, one row a sample.
 
         Raises:
@@ -128,6 +129,6 @@ class Result:
 
 
 @singledispatch
-def result_of(relations, judged, *about, **more):
+def result_of(relations: Any, judged: Judged, *about: Any, **more: Any) -> Result:
     """Return the Result of what `detect` was given: method, relations, u, y, index, starts and aside beside the verdicts `judged`."""
     return Result(judged.status, judged.margin, *about, **more)

@@ -4,6 +4,8 @@ Where most windows are FAULT, some hundred windows are tested again with signals
 consistent is worth a sentence. A dead signal explained by a factor of 1/1000 is not: it must do better than zero.
 """
 
+from typing import Any
+
 import numpy as np
 
 from jaxbound.consistency.drive import drive
@@ -38,7 +40,7 @@ DIFFERENCES = (  # only where the unit says that it is a temperature: 5/9 is lik
 )
 
 
-def unit_hints(result):
+def unit_hints(result: Any) -> list[str]:
     """Return a sentence, or none, on signals that seem to be recorded in another unit than the model has.
 
     Args:

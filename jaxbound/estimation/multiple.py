@@ -1,11 +1,15 @@
 """Multiple models whose partial outputs are all measured: every sub-model is validated alone, and one verdict is made of all."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
+from jaxbound.models.multimodel import MultiModel
 from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
@@ -19,7 +23,7 @@ __all__ = ["validate_parts"]
 _held = jax.lax.optimization_barrier
 
 
-def validate_parts(model, u, y, x0, validate, starts=()):
+def validate_parts(model: MultiModel, u: Any, y: Any, x0: Interval | None, validate: Callable, starts: ArrayLike = ()) -> Any:
     """Validate every sub-model by its own partial outputs, and weigh what is found.
 
     Args:

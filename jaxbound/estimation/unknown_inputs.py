@@ -8,19 +8,22 @@ Source: Ragot 1993, (4b), whose left inverse N of F is one such h; the intersect
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from math import comb
+from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.exact import linalg
 from jaxbound.models import window
-from jaxbound.models.conversion import as_model
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
@@ -48,7 +51,14 @@ class UnknownInputs:
     lags: tuple
 
 
-def unknown_inputs(model, u, y=None, horizon=None, progress=None, starts=()):
+def unknown_inputs(
+    model: ModelLike,
+    u: Any,
+    y: Any = None,
+    horizon: int | None = None,
+    progress: Callable[[float], object] | None = None,
+    starts: ArrayLike = (),
+) -> UnknownInputs:
     """Return intervals that contain the unknown inputs of a healthy plant.
 
     Args:

@@ -17,10 +17,12 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.estimation.multiple import validate_parts
 from jaxbound.estimation.validation_windows import slide, weighted
@@ -63,7 +65,16 @@ class Validation:
     status: jax.Array | np.ndarray
 
 
-def validate(model, u, y=None, horizon=None, method="joint", x0=None, correction="interval", starts=()):
+def validate(
+    model: Any,
+    u: Any,
+    y: Any = None,
+    horizon: int | None = None,
+    method: str = "joint",
+    x0: Interval | None = None,
+    correction: str = "interval",
+    starts: ArrayLike = (),
+) -> Validation:
     """Enclose the state over time, find the sensor that does not fit, and say what it should have shown.
 
     Args:
@@ -101,7 +112,7 @@ def validate(model, u, y=None, horizon=None, method="joint", x0=None, correction
     """
     refuse_unverified()
     if isinstance(model, MultiModel) and model.partial:
-        options = dict(horizon=horizon, method=method, correction=correction)
+        options: dict[str, Any] = dict(horizon=horizon, method=method, correction=correction)
         return validate_parts(model, u, y, x0, partial(validate, **options), starts)
     signals, run = prepared(model, horizon, method, correction)
     given = Recording.of(signals, u, y, starts, narrow=False)
@@ -126,7 +137,7 @@ def validate(model, u, y=None, horizon=None, method="joint", x0=None, correction
     return _piecewise(run, u, y, x0, seams, left_out, s, n)
 
 
-def prepared(model, horizon, method, correction):
+def prepared(model: Any, horizon: int | None, method: str, correction: str) -> tuple[Any, "_Slide"]:
     """Return (the signals that are read, what validates them) of a model; the rest as for `validate`, which says what is refused."""
     several = isinstance(model, MultiModel)
     m = model.joined() if several else as_intervals(model)
@@ -238,7 +249,7 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
     return jax.tree.map(jnp.asarray, out)
 
 
-def least_horizon(n, p):
+def least_horizon(n: int, p: int) -> int:
     """Return the smallest s with s >= n / p and p (s + 1) > n, for n states and p outputs. Source: (9) of the paper, section 2."""
     s = max(-(-n // p), 1)
     return s + (p * (s + 1) <= n)

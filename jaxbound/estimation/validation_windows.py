@@ -5,6 +5,7 @@ what does not fit is left out, here and in the windows to come, and what the box
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,20 @@ STEPS = 20
 
 
 @partial(jax.jit, static_argnames=("s", "method", "centre"))
-def slide(plant, M, systems, u, y, error, weight, start, before, s, method, centre=False):
+def slide(
+    plant: dict[str, Any],
+    M: Interval,
+    systems: Any,
+    u: jax.Array,
+    y: jax.Array,
+    error: Interval,
+    weight: Interval | None,
+    start: Interval | None,
+    before: Any,
+    s: int,
+    method: str,
+    centre: bool = False,
+) -> tuple:
     """Validate N recordings.
 
     Args:
@@ -116,7 +130,7 @@ def slide(plant, M, systems, u, y, error, weight, start, before, s, method, cent
     return found, bounded, jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), (X, gone, moved))
 
 
-def weighted(M, weight, p):
+def weighted(M: Interval, weight: Interval, p: int) -> Interval:
     """Multiply the columns of the C rows of M (r, (s+1) n, 1), the last p (s+1), by weight (s+1, n, N)."""
     s, _, N = weight.shape
     w = jax.tree.map(lambda a: a.reshape(1, -1, N), weight)

@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.plots.canvas import to_png
@@ -15,7 +16,7 @@ from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
-from jaxbound.runs.summary import Summary
+from jaxbound.runs.summary import Evidence, Summary
 
 __all__ = ["write_report"]
 
@@ -26,8 +27,8 @@ PATIENCE = 1.0  # seconds for the exact certificates of the table
 
 def write_report(
     directory: str | Path,
-    res,
-    recording,
+    res: Any,
+    recording: Any,
     alarms: Sequence[Alarm],
     summary: Summary,
     *,
@@ -63,7 +64,7 @@ def write_report(
         title=TITLE[summary.verdict],
         sentence=summary.sentence,
         recording=recording,
-        samples=summary.found.samples,
+        samples=cast(Evidence, summary.found).samples,
         counts=summary.counts,
         warm_up=relations.horizon,
         decided=summary.decided,

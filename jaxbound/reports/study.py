@@ -1,5 +1,7 @@
 """The page of a study: what a monitor sees, how soon, and how often it is wrong."""
 
+from typing import Any, cast
+
 import numpy as np
 
 from jaxbound.recordings.plaintext import percent
@@ -24,7 +26,7 @@ HEAD = (
 NOT_SHOWN = ("method", "key", "faults", "engine", "dtype")  # settings that are told elsewhere, or to nobody
 
 
-def study_page(res: StudyResult, found, png: bytes, seed: int, seconds: float) -> str:
+def study_page(res: StudyResult, found: Any, png: bytes, seed: int, seconds: float) -> str:
     """Return the HTML text.
 
     Args:
@@ -43,7 +45,7 @@ def study_page(res: StudyResult, found, png: bytes, seed: int, seconds: float) -
         rows=study_rows(found),
         settings=list(_settings(res, seed)),
         model=model_values(res.model, bounds),
-        computed=computed(res.settings["method"], res.horizon, np.dtype(res.settings["dtype"]), {"study": seconds}),
+        computed=computed(cast(str, res.settings["method"]), res.horizon, np.dtype(cast(str, res.settings["dtype"])), {"study": seconds}),
     )
 
 
@@ -58,7 +60,7 @@ def _settings(res, seed):
             yield f"onset of {trial.label}", f"samples {trial.onset[0]} to {trial.onset[1] - 1}"
 
 
-def study_rows(found) -> list[tuple[str, ...]]:
+def study_rows(found: Any) -> list[tuple[str, ...]]:
     """Return the table of a study as texts, a tuple a row, as HEAD names them."""
     return list(map(_row, found.itertuples()))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from jaxbound.plots.validation import plot_output
 from jaxbound.recordings.plaintext import duration
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
-from jaxbound.runs.summary import Summary
+from jaxbound.runs.summary import Evidence, Summary
 
 __all__ = ["write_page"]
 
@@ -19,8 +20,8 @@ ROWS = 200  # stretches in the table
 
 def write_page(
     directory: str | Path,
-    res,
-    recording,
+    res: Any,
+    recording: Any,
     summary: Summary,
     *,
     seconds: dict[str, float] | None = None,
@@ -50,7 +51,7 @@ def write_page(
         samples=len(res.y),
         counts=summary.counts,
         warm_up=res.horizon,
-        share=summary.found.tested,
+        share=cast(Evidence, summary.found).tested,
         hints=summary.hints,
         stretches=[_row(res, recording, *stretch) for stretch in stretches[:ROWS]],
         stretch_total=len(stretches),
