@@ -7,7 +7,15 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "jaxbound"
-TYPED = ("models", "relations", "estimation", "diagnosis", "reports", "cli")  # rooms whose every public function is annotated
+TYPED = (
+    "models",
+    "relations",
+    "certificates",
+    "estimation",
+    "diagnosis",
+    "reports",
+    "cli",
+)  # rooms whose every public function is annotated
 FILES = sorted(path for room in TYPED for path in (PACKAGE / room).rglob("*.py"))
 
 

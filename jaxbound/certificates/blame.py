@@ -9,7 +9,7 @@ explains the window.
 from dataclasses import dataclass
 from fractions import Fraction
 
-from jaxbound.certificates.exact_window import stretched
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, stretched
 
 __all__ = ["SensorError", "rounded_witness", "smallest_error"]
 
@@ -29,7 +29,7 @@ class SensorError:
     z: tuple | None = None
 
 
-def smallest_error(window, i, explanation):
+def smallest_error(window: ExactWindow, i: int, explanation: Explanation) -> SensorError:
     """Return the SensorError of output i for an ExactWindow and its Explanation."""
     best, size, h = explanation, Fraction(0), explanation.h
     while best.factor > 1:
@@ -44,7 +44,7 @@ def smallest_error(window, i, explanation):
     return SensorError(i, size, h, enough, rounded_witness(wider, wider.solve(best.reference).z))
 
 
-def rounded_witness(window, z):
+def rounded_witness(window: ExactWindow, z: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
     """Return z with as few digits as still explain the window."""
     states = window.model.n
     for digits in DIGITS:

@@ -6,11 +6,13 @@ but neither jaxbound nor the recording.
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import Any
 
-from jaxbound.certificates.blame import rounded_witness, smallest_error
+from jaxbound.certificates.blame import SensorError, rounded_witness, smallest_error
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
@@ -52,18 +54,18 @@ class Certificate(Witnessed, WindowCertificate):
     z: tuple | None
 
     @property
-    def proves(self):
+    def proves(self) -> Status:
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it UNDECIDED."""
         return Status.FAULT if self.explanation.factor > 1 else Status.CONSISTENT
 
     @cached_property
-    def sensor_errors(self):
+    def sensor_errors(self) -> tuple[SensorError, ...]:
         """A SensorError for each output: the smallest error of that sensor alone that would explain the window."""
         outputs = range(0 if self.window.constant else self.window.model.p)
         return tuple(smallest_error(self.window, i, self.explanation) for i in outputs)
 
     @property
-    def errors(self):
+    def errors(self) -> Mapping[str, Any]:
         """{output: the smallest error of that sensor alone that would explain the window}, in its unit.
 
         inf where no error of it would, 0 for a window that needs none; empty for a model with constant_tolerance. Worked out at the first
@@ -72,7 +74,7 @@ class Certificate(Witnessed, WindowCertificate):
         return {self.window.model.outputs[e.output]: math.inf if e.size is None else e.size for e in self.sensor_errors}
 
     @cached_property
-    def candidates(self):
+    def candidates(self) -> tuple[str, ...]:
         """The signals that alone could explain a FAULT window: outputs, the smallest error relative to what its bounds allow first, then
         inputs, if the actuator did something else than was recorded. Of any other it is proved that it cannot.
         """
@@ -84,14 +86,14 @@ class Certificate(Witnessed, WindowCertificate):
         inputs = [i for i in range(self.window.model.m) if self.window.without_input(i).solve().factor <= 1]
         return (*(name for _, name in sorted(found)), *(self.window.model.inputs[i] for i in inputs))
 
-    def __str__(self):
+    def __str__(self) -> str:
         """Return one sentence."""
         if self.proves == Status.FAULT:
             need = f"{'at least ' if self.window.constant else ''}{float(self.factor):.4g} times as wide"
             return f"{self.relation} cannot hold: it would need bounds {need}"
-        return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state)})"
+        return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
 
-    def to_dict(self, times=None, sample=None, errors=True):
+    def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
         """Return everything that a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names apart from them.
 
         Args:

@@ -10,10 +10,12 @@ exponent above 1, exactly at the vertices, where h P -+ sum_j |h Q_j| has its ex
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +39,7 @@ class FixedWindow(ExactWindow):
     forms: tuple = ()
     variables: tuple = ()
 
-    def space(self, rows):
+    def space(self, rows: Sequence[int]) -> Any:
         """Return the Subspace of some rows over all unknowns."""
         E, K = self.forms
         return subspace([E[i] + tuple(K[i][j] for j in self.missing_inputs) for i in rows])
@@ -52,13 +54,13 @@ class PolynomialWindow:
     bounds: tuple
 
     @cached_property
-    def size(self):
+    def size(self) -> tuple[Fraction, ...]:
         """The bounds of the variables."""
         names = [u.name for u in self.relations.model.uncertainties]
         return tuple(self.bounds[names.index(name)] for name, _ in self.relations.variables)
 
     @cached_property
-    def parts(self):
+    def parts(self) -> tuple[list[dict], list[list[dict]]]:
         """(P, Q): P[k] and Q[j][k], polynomials {alpha: Fraction}; a row j that is missing has no part."""
         r, limits, offset = self.relations, self.window.limits, self.window.model.offset["u"]
         mid = [ZERO if x is None else (x[0] + x[1]) / 2 for x in limits]
@@ -74,7 +76,7 @@ class PolynomialWindow:
                         Q[j][k][alpha] = x * rad[j]
         return P, Q
 
-    def spread(self, h, lo, hi, vertices):
+    def spread(self, h: Sequence[Fraction], lo: Sequence[Fraction], hi: Sequence[Fraction], vertices: bool) -> tuple[Fraction, Fraction]:
         """Return (low, high), which holds h p over the box lo <= v <= hi and all e: exact if `vertices`."""
         P, Q = self.parts
         whole, noise = _mixed(h, P), [_mixed(h, q) for q in Q if any(q)]
@@ -89,7 +91,7 @@ class PolynomialWindow:
         reach = sum(max(map(abs, _span(_on_box(q, middle, radius)))) for q in noise)
         return low - reach, high + reach
 
-    def at(self, v):
+    def at(self, v: Sequence[Fraction]) -> FixedWindow:
         """Return the FixedWindow at parameters v: what is left is linear."""
         w, s = self.window, self.window.horizon
         model, (_, E, H, V) = w.model, _matrices(w.model, s)
@@ -104,7 +106,7 @@ class PolynomialWindow:
         names["drive"] = tuple(dot(row, known) for row in K)
         return FixedWindow(**names, forms=(tuple(rows), K), variables=tuple(v))
 
-    def zero_between(self, lo_end, hi_end):
+    def zero_between(self, lo_end: tuple, hi_end: tuple) -> tuple[Fraction, ...]:
         """Return v where the single relation vanishes on the way from (v, e) with p <= 0 to (v, e) with p >= 0, nearly."""
         P, Q = self.parts[0][0], [q[0] for q in self.parts[1]]
         below, above = ZERO, ONE
@@ -117,7 +119,7 @@ class PolynomialWindow:
             below, above = (below, t) if value > 0 else (t, above)
         return mix(v0, v1, below)
 
-    def ends(self):
+    def ends(self) -> list[tuple]:
         """Return ((v, e) where the single relation is least over the box, (v, e) where it is largest): multi-affine relations only."""
         P, Q = self.parts[0][0], [q[0] for q in self.parts[1]]
         found = []
@@ -128,7 +130,7 @@ class PolynomialWindow:
             found += [(middle - total, v, tuple(-x for x in toward)), (middle + total, v, toward)]
         return [(v, e) for _, v, e in (min(found, key=lambda x: x[0]), max(found, key=lambda x: x[0]))]
 
-    def near(self, v, e):
+    def near(self, v: np.ndarray, e: np.ndarray) -> tuple[Fraction, ...] | None:
         """Return v near the given one, within its box, where p(v, e) = 0 almost exactly for some e, or None: Newton's method, exact values.
 
         Args: v (floats, in units of size), e (floats, one for each row).
@@ -163,7 +165,7 @@ class PolynomialWindow:
         return np.array([[*row, *(value(q[k]) for q in Q)] for k, row in enumerate(by_v)])
 
 
-def polynomial_window(relations, u, y):
+def polynomial_window(relations: UncertainRelations, u: np.ndarray, y: np.ndarray) -> PolynomialWindow:
     """Return the PolynomialWindow of samples u (s+1, m), y (s+1, p); the relations must need none that is missing."""
     bounds = rounding.round_up(np.asarray(relations.bounds["parameters"], np.float64), y.dtype)
     return PolynomialWindow(relations, exact_window(relations, u, y), tuple(map(Fraction, bounds.tolist())))

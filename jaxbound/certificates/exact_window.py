@@ -7,10 +7,12 @@ The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y
 |delta| <= rho says t in [-f(rho - y), f(rho + y)], f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma).
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from math import lcm
+from typing import Any, Self
 
 import numpy as np
 
@@ -66,18 +68,18 @@ class ExactWindow:
     drive: tuple
     error: tuple = ()
 
-    def with_error(self, i, e):
+    def with_error(self, i: int, e: Fraction) -> Self:
         """Return the window with an error of up to e allowed to output i."""
         return replace(self, error=tuple(e if j == i else ZERO for j in range(self.model.p)))
 
-    def without_input(self, i):
+    def without_input(self, i: int) -> Self:
         """Return the window with every sample of input i missing: whatever the actuator did."""
         m, offset = self.model.m, self.model.offset["u"]
         u = tuple(None if j % m == i else v for j, v in enumerate(self.u))
         known = [ZERO if v is None else v - offset[j % m] for j, v in enumerate(u)]
         return replace(self, u=u, drive=tuple(dot(row, known) for row in self.forms[1]))
 
-    def readings(self):
+    def readings(self) -> list[tuple[Fraction | None, Fraction]]:
         """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest |delta|."""
         p = self.model.p
         out: list[tuple[Fraction | None, Fraction]] = [(None, ZERO)] * len(self.y)
@@ -91,7 +93,7 @@ class ExactWindow:
         return out
 
     @cached_property
-    def limits(self):
+    def limits(self) -> list:
         """(lo, hi) of each row of (Y, w), in deviations from the offset; None where a sample is missing."""
         out = []
         for row, (d, rho) in enumerate(self.readings()):
@@ -99,7 +101,7 @@ class ExactWindow:
             out.append(None if d is None else (-stretched(rho - d, sigma), stretched(rho + d, sigma)))
         return out + [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance] * self.horizon
 
-    def solve(self, start=None):
+    def solve(self, start: Any = None) -> Explanation:
         """Return the Explanation of this window. `start`: the reference of a similar one (same samples missing)."""
         rows = tuple(i for i, x in enumerate(self.limits) if x is not None)
         ends = [self.limits[i] for i in rows]
@@ -117,58 +119,58 @@ class ExactWindow:
         return Explanation(best.t, h, k, residual, width, best.z, best.reference)
 
     @property
-    def forms(self):
+    def forms(self) -> tuple:
         """(E, K): (Y, w) = E z + K U, with z = (first state, disturbances, unknown inputs)."""
         return _forms(self.model, self.horizon)
 
-    def space(self, rows):
+    def space(self, rows: Sequence[int]) -> Any:
         """Return the Subspace of some rows over all unknowns."""
         return _subspace(self.model, self.horizon, rows, self.missing_inputs)
 
     @property
-    def constant(self):
+    def constant(self) -> bool:
         """Whether a tolerance keeps one value over the window: then these limits are wider than what the samples say together."""
         return self.model.constant_tolerance and any(self.tolerance)
 
     @property
-    def missing_inputs(self):
+    def missing_inputs(self) -> tuple[int, ...]:
         """The numbers of the inputs that are missing and matter."""
         return tuple(j for j, v in enumerate(self.u) if v is None and any(row[j] for row in self.forms[1]))
 
-    def action(self, h):
+    def action(self, h: Sequence[Fraction]) -> tuple[Fraction, ...]:
         """Return k, what a relation h does with the inputs: h (Y, w) = k U."""
         return tuple(dot(h, [row[j] for row in self.forms[1]]) for j in range(len(self.u)))
 
-    def relation(self, h):
+    def relation(self, h: Sequence[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, Fraction]:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample."""
         used = [(x, *self.limits[i]) for i, x in enumerate(h) if x]
         middle = dot([x / 2 for x, _, _ in used] * 2, [lo for _, lo, _ in used] + [hi for _, _, hi in used])
         width = dot([abs(x) / 2 for x, _, _ in used] * 2, [-lo for _, lo, _ in used] + [hi for _, _, hi in used])
         return self.action(h), middle - dot(h, self.drive), width
 
-    def rows_at(self, z):
+    def rows_at(self, z: Sequence[Fraction]) -> tuple[Fraction, ...]:
         """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
         (E, K), missing = self.forms, self.missing_inputs
         return tuple(dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d)) for e, k, d in zip(E, K, self.drive, strict=True))
 
-    def explained_by(self, z):
+    def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z keep every row within its limits."""
         return all(x is None or x[0] <= v <= x[1] for x, v in zip(self.limits, self.rows_at(z), strict=True))
 
 
-def dot(a, b):
+def dot(a: Iterable[Fraction], b: Iterable[Fraction]) -> Fraction:
     """Return the sum of products exactly: one common denominator, so that nothing is reduced in between."""
     pairs = [(x, y) for x, y in zip(a, b, strict=True) if x and y]
     common = lcm(*(x.denominator * y.denominator for x, y in pairs))
     return Fraction(sum(x.numerator * y.numerator * (common // (x.denominator * y.denominator)) for x, y in pairs), common)
 
 
-def stretched(v, sigma):
+def stretched(v: Fraction, sigma: Fraction) -> Fraction:
     """Return f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma): the largest t of a reading, increasing in v."""
     return v / (1 - sigma) if v > 0 else v / (1 + sigma)
 
 
-def exact_window(relations, u, y):
+def exact_window(relations: Any, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     """Return the ExactWindow of samples u (s+1, m), y (s+1, p). The bounds are those that the kernel takes, to the last bit."""
     model, s = relations.model, relations.horizon
     dtype = y.dtype
@@ -177,10 +179,10 @@ def exact_window(relations, u, y):
     bounds = {name: np.asarray(value, np.float64) for name, value in relations.bounds.items()}
     pairs = np.reshape(bounds.get("disturbance", np.zeros((0, 2))), (-1, 2))
     down = rounding.round_down(pairs[:, 0], dtype)
-    u = exactly(u[: window.input_lags(model, s)])
-    known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(u)]
+    inputs = exactly(u[: window.input_lags(model, s)])
+    known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(inputs)]
     return ExactWindow(
-        model, s, u, exactly(y), upward(bounds["tolerance"]), upward(bounds["noise"]), upward(list(model.resolution)),
+        model, s, inputs, exactly(y), upward(bounds["tolerance"]), upward(bounds["noise"]), upward(list(model.resolution)),
         tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)), Fraction(float(np.finfo(dtype).eps)) / 2,
         Fraction(float(np.finfo(dtype).tiny)), tuple(dot(row, known) for row in _forms(model, s)[1]))  # fmt: skip
 

@@ -3,8 +3,10 @@
 It is no proof that fractions alone can check: that needs the function, which is a program. It says what to check.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +54,7 @@ class ResidualCertificate(WindowCertificate):
         end = "no value of the unknowns explains it" if self.status == Status.FAULT else "no answer"
         return f"{end} after {self.evaluated} boxes"
 
-    def to_dict(self, times=None, sample=None, errors=True) -> dict:
+    def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
         """Return the samples, the box of the unknowns and, if there is one, the box within it that holds an explanation."""
         exact = lambda x: [Fraction(float(v)) for v in np.asarray(x)]
         box = lambda b: {"lo": exact(b.lo), "hi": exact(b.hi)}

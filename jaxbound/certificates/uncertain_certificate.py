@@ -5,6 +5,7 @@ FAULT: a tree of boxes of the parameters, a leaf for each with a direction h ove
 a first state and noise. Floats only propose boxes, directions and points.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -80,17 +81,17 @@ class UncertainCertificate(Witnessed, WindowCertificate):
     candidates: ClassVar = ()
 
     @property
-    def proves(self):
+    def proves(self) -> Status:
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it UNDECIDED."""
         return Status.CONSISTENT if self.proof is None else Status.FAULT
 
     @cached_property
-    def leaves(self):
+    def leaves(self) -> tuple[Leaf, ...]:
         """The Leaf of each part of the parameters' box, () for CONSISTENT."""
         return tuple(_leaves(self.proof)) if self.proof is not None else ()
 
     @property
-    def parameters(self):
+    def parameters(self) -> Any:
         """{(name, sample of the window, or None for a constant one): value in the unit of `between`} of the witness, or None."""
         if self.z is None:
             return None
@@ -99,7 +100,7 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         return {key: by_name[key[0]].centre + by_name[key[0]].radius * v for key, v in values}
 
     @property
-    def relation(self):
+    def relation(self) -> str:
         """The combination of relations that is violated, as text; "" where it differs from part to part of the box."""
         if len(self.leaves) != 1:
             return ""
@@ -110,19 +111,19 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         text = "".join(f" {'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{float(abs(x)):.6g} '}{name}" for x, name in terms)
         return text[3:] + " = 0" if text[1] == "+" else "-" + text[3:] + " = 0"
 
-    def __str__(self):
+    def __str__(self) -> str:
         """Return one sentence."""
         if self.z is not None:
             s = self.relations.horizon
             at = lambda lag: "" if lag is None else f"[k-{s - lag}]" if lag < s else "[k]"
             values = ", ".join(f"{name}{at(lag)} = {float(x):.6g}" for (name, lag), x in self.parameters.items())
-            return f"explained by {values} and the first state ({', '.join(f'{float(x):.6g}' for x in self.state)})"
+            return f"explained by {values} and the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
         if len(self.leaves) == 1:
             (leaf,) = self.leaves
             return f"{self.relation} cannot hold: its left side is in [{float(leaf.low):.6g}, {float(leaf.high):.6g}]"
         return f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their box contradicts the relations"
 
-    def to_dict(self, times=None, sample=None, errors=True):
+    def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
         """Return everything that a check needs, ready for JSON: as `Certificate.to_dict`, whose `errors` are not known here.
 
         numbers.uncertainties: what each parameter multiplies, its bound, whether it varies. numbers.variables: the parameter and the sample

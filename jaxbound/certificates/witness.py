@@ -1,5 +1,6 @@
 """What all certificates share: a behaviour that explains a window, and exact numbers as text."""
 
+from collections.abc import Iterator, Sequence
 from copy import copy
 from decimal import Decimal, localcontext
 from fractions import Fraction
@@ -21,12 +22,12 @@ class Witnessed:
     at: tuple
 
     @property
-    def state(self):
+    def state(self) -> tuple | None:
         """The first state of the witness, or None."""
         return None if self.z is None else self.z[: self.window.model.n]
 
     @property
-    def outputs(self):
+    def outputs(self) -> Any:
         """The true outputs of the witness, a tuple of s + 1 rows, or None."""
         if self.z is None:
             return None
@@ -34,13 +35,13 @@ class Witnessed:
         return rows_of([v + offset[i % p] for i, v in enumerate(self.window.rows_at(self.z)[: len(self.window.y)])], p)
 
     @property
-    def disturbances(self):
+    def disturbances(self) -> Any:
         """The disturbances of the witness, a tuple of s rows, or None."""
         w = self.window
         return None if self.z is None else rows_of(self.z[w.model.n : w.model.n + w.model.g * w.horizon], w.model.g) or ((),) * w.horizon
 
     @property
-    def unknown_inputs(self):
+    def unknown_inputs(self) -> Any:
         """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once), or None."""
         if self.z is None:
             return None
@@ -48,7 +49,7 @@ class Witnessed:
         return rows_of(self.z[w.model.n + w.model.g * w.horizon : len(self.z) - len(w.missing_inputs)], w.model.d)
 
     @property
-    def inputs(self):
+    def inputs(self) -> Any:
         """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
         if self.z is None:
             return None
@@ -101,12 +102,12 @@ class Witnessed:
         return (*rows, tuple(last)) if len(rows) == self.window.horizon else rows
 
 
-def rows_of(values, width):
+def rows_of(values: Sequence, width: int) -> tuple[tuple, ...]:
     """Return flat values as rows of that width."""
     return tuple(tuple(values[j : j + width]) for j in range(0, len(values), width)) if width else ()
 
 
-def all_numbers(tree):
+def all_numbers(tree: Any) -> Iterator[Fraction]:
     if isinstance(tree, Fraction):
         yield tree
     elif isinstance(tree, (dict, list, tuple)):
@@ -114,7 +115,7 @@ def all_numbers(tree):
             yield from all_numbers(branch)
 
 
-def texts(tree):
+def texts(tree: Any) -> Any:
     if isinstance(tree, dict):
         return {k: texts(v) for k, v in tree.items()}
     if isinstance(tree, (list, tuple)):
