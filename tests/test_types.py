@@ -7,15 +7,8 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "jaxbound"
-TYPED = (
-    "models",
-    "relations",
-    "certificates",
-    "estimation",
-    "diagnosis",
-    "reports",
-    "cli",
-)  # rooms whose every public function is annotated
+# rooms whose every public function is annotated
+TYPED = ("models", "relations", "certificates", "estimation", "diagnosis", "reports", "cli")
 FILES = sorted(path for room in TYPED for path in (PACKAGE / room).rglob("*.py"))
 
 

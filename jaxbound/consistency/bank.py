@@ -1,7 +1,9 @@
 """Banks: every relation has a verdict of its own, packed beside those of the others."""
 
 import dataclasses
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
@@ -9,6 +11,7 @@ import numpy as np
 from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.consistency.unproved import stretch_block
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.bank import bank_of, bank_verdicts, unpacked, verdict_dtypes
 
@@ -27,7 +30,7 @@ class BankTest(WindowTest):
 
     gathered = False
 
-    def __init__(self, relations, dtype):
+    def __init__(self, relations: Any, dtype: Any) -> None:
         super().__init__(relations, "box", dtype)
         if relations.model.constant_tolerance:
             raise NotImplementedError(
@@ -37,33 +40,33 @@ class BankTest(WindowTest):
             raise ValueError(f"a bank of {relations.count} relations is more than is tested at once, {MOST}: choose fewer parts")
 
     @cached_property
-    def reading(self):
+    def reading(self) -> Any:
         """How the kernel reads a window, and the strips of the bank."""
         r = self.relations
         return dataclasses.replace(r.reading(self.dtype, "box"), shape=bank_of(r.W, r.K, self.dtype))
 
     @property
-    def block(self):
+    def block(self) -> int:
         """How many windows are judged at once."""
         return stretch_block(self.reading)
 
     @property
-    def outputs(self):
+    def outputs(self) -> tuple:
         """The packed arrays of `bank_verdicts`."""
         first, *others = verdict_dtypes(self.reading.shape, self.dtype)
         return (first, np.nan), *((dtype, 0) for dtype in others)
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return the packed verdicts of stretches of samples."""
         return run(bank_windows, blocks)
 
-    def judged(self, outs):
+    def judged(self, outs: list) -> Judged:
         """Return the verdicts of the whole bank, and those of its relations as words."""
         words, margin = unpacked(*outs)
         words = np.where(np.isnan(margin), np.uint32(0), words)
         return Judged(status_of_words(words, self.relations.count), margin, words)
 
-    def margins(self, given):
+    def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T) of the relation of each window that is tightest; see `WindowTest.margins`."""
         return StripsTest(self.relations, "box", self.dtype).margins(given)
 

@@ -7,6 +7,7 @@ recording rounds away, like everywhere in this library: a window that only its l
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ import numpy as np
 from jaxbound.consistency.gridding import whole_windows
 from jaxbound.consistency.interface import WindowTest
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.inclusion.inclusion import inclusion
@@ -51,26 +53,26 @@ class BisectionTest(WindowTest):
     block, short = 2**13, 2**8
     constants = None
 
-    def __init__(self, relations, method, dtype, budget=None):
+    def __init__(self, relations: Any, method: str, dtype: Any, budget: Any = None) -> None:
         super().__init__(relations, method, dtype)
         self.budget = BUDGET if budget is None else whole_budget(budget)
         _ = relations.count  # refuses a function that gives nothing to be zero, and signals without names
 
     @property
-    def lags(self):
+    def lags(self) -> int:
         """How many samples of u a window has: all."""
         return self.horizon + 1
 
-    def cases(self, u, y, starts):
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
         """Leave out windows with missing samples."""
         return whole_windows(self, u, y, starts)
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin) of windows."""
         found = [self._judged(*(np.moveaxis(x, -1, 0) for x in block)) for block in blocks]
         return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
 
-    def margins(self, given):
+    def margins(self, given: Recording) -> jax.Array:
         """Raise: a residual is any function of its unknowns, and what is no set of half-widths has no common factor on them."""
         raise NotImplementedError("a residual has no margin: its unknowns are a box, with no common factor on half-widths to be found")
 

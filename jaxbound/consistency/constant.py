@@ -12,6 +12,7 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -21,6 +22,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.reading import gather
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
@@ -47,7 +49,7 @@ class ConstantTest(WindowTest):
 
     block = BLOCK
 
-    def __init__(self, relations, method, dtype):
+    def __init__(self, relations: Any, method: str, dtype: Any) -> None:
         super().__init__(relations, method, dtype)
         if method == "joint" and relations.frame is not None:
             raise NotImplementedError(
@@ -55,12 +57,12 @@ class ConstantTest(WindowTest):
                 "one, or leave constant_tolerance out (wider bounds, that still give no false alarm)"
             )
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin, open) of windows, each by one box of gains."""
         said = ((np.asarray(status), margin) for status, margin in run(_first, blocks))
         return [(status, margin, status == OPEN) for status, margin in said]
 
-    def settle(self, u, y, outs, left, again, progress):
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole."""
         if len(left):
             status, margin = outs
@@ -68,14 +70,14 @@ class ConstantTest(WindowTest):
             status[at] = self._search(u, y, left)
             margin[at] = np.where(status[at] == Status.UNDECIDED, 0, _signed(margin[at], status[at] == Status.CONSISTENT))
 
-    def judged(self, outs):
+    def judged(self, outs: list) -> Judged:
         """Return the verdicts; tested alone, each relation may need other gains."""
         status, margin = outs
         if self.method == "box" and self.relations.count > 1:
             status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
         return Judged(status, margin)
 
-    def margins(self, given):
+    def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
         raise NotImplementedError("margins has no fast path for constant_tolerance, whose gains are searched for: use detect(...).margin")
 

@@ -5,7 +5,9 @@ that lack a sample on which the search is built get an exact frame without it, s
 """
 
 import dataclasses
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,7 @@ from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.unproved import unproved_margins
 from jaxbound.exact import linalg
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 
@@ -39,46 +42,46 @@ class ExchangeTest(WindowTest):
     threads = True
     short = 16  # the work grows with the block
 
-    def __init__(self, relations, dtype, shape=None, steps=None, finer=1.0):
+    def __init__(self, relations: Any, dtype: Any, shape: Any = None, steps: int | None = None, finer: float = 1.0) -> None:
         super().__init__(relations, "joint", dtype)
         self.shape, self.finer = shape, finer
         self.steps = 2 * len(relations.frame.inner) + 6 if steps is None else steps
 
     @cached_property
-    def reading(self):
+    def reading(self) -> Any:
         """How kernels read a window, with the frame of this search."""
         reading = self.relations.reading(self.dtype)
         return reading if self.shape is None else dataclasses.replace(reading, shape=self.shape)
 
     @property
-    def constants(self):
+    def constants(self) -> Any:
         """The reading, and how long and how finely to search."""
         return self.reading, self.steps, self.finer
 
     @property
-    def block(self):
+    def block(self) -> int:
         """How many windows are judged at once: their inverses should stay in the cache."""
         return _block_of(self.reading.shape)
 
     @property
-    def outputs(self):
+    def outputs(self) -> tuple:
         """The margins, whose sign is the verdict."""
         return ((self.dtype, np.nan),)
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real arrays, as proofs need."""
         given = [(np.ones(y.shape[-1], self.dtype), u, y) for u, y in blocks]
         searched = run(candidates, given)
         judged = run(verdicts, [(*a, *b) for a, b in zip(given, searched, strict=True)])
         return [(margin, ~np.asarray(settled)) for margin, settled in judged]
 
-    def write(self, outs, at, found):
+    def write(self, outs: list, at: np.ndarray, found: tuple) -> None:
         """Write margins; a proof stays one."""
         (margin,), (values,) = outs, found
         before = margin[at]
         margin[at] = np.where((values == 0) & (abs(before) > 0), before, values)
 
-    def settle(self, u, y, outs, left, again, progress):
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
         """Decide what rounding leaves open far from the boundary, then search on with frames that fit the samples that are there."""
         (margin,), s = outs, self.horizon
         self._whole_numbers(u, y, margin)
@@ -90,13 +93,13 @@ class ExchangeTest(WindowTest):
                 starts = again(ExchangeTest(self.relations, self.dtype, shape, PATIENCE * (k + 10), finer), starts)
                 starts = starts[margin[starts + s] == 0]  # what is proved needs no other search
 
-    def judged(self, outs):
+    def judged(self, outs: list) -> Judged:
         """Return the verdicts that the margins say."""
         (margin,) = outs
         decided = np.where(margin < 0, Status.FAULT, np.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
         return Judged(np.where(np.isnan(margin), Status.MISSING, decided).astype(np.int8), margin)
 
-    def margins(self, given):
+    def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return unproved_margins(self, exchange_margins, given)
 

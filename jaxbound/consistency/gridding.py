@@ -5,6 +5,8 @@ because it converges from outside to what the joint test computes.
 """
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +51,7 @@ class PavingTest(WindowTest):
     padded = sharded = False
     block = short = 2**14
 
-    def __init__(self, relations, dtype, budget=None):
+    def __init__(self, relations: Any, dtype: Any, budget: Any = None) -> None:
         super().__init__(relations, "paving", dtype)
         self.q: float
         self.boxes: int
@@ -60,15 +62,15 @@ class PavingTest(WindowTest):
     constants = None
 
     @property
-    def lags(self):
+    def lags(self) -> int:
         """How many samples of u a window has."""
         return input_lags(self.relations.model, self.horizon)
 
-    def cases(self, u, y, starts):
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
         """Leave out windows with missing samples."""
         return whole_windows(self, u, y, starts)
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin) of windows."""
         windows = ([np.moveaxis(x, -1, 0) for x in block] for block in blocks)
         found = [_pave(self.relations, U, Y, self.q, self.boxes) for U, Y in windows]

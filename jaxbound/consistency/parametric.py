@@ -1,6 +1,8 @@
 """Models with uncertain parameters: windows are refuted by strips or at vertices, explained by a point, else bisected."""
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,6 +14,7 @@ from jaxbound.consistency.parametric_windows import BLOCK, LEAST, bisected, case
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["BUDGET", "ParametricTest"]
@@ -38,7 +41,7 @@ class ParametricTest(WindowTest):
     block = short = BLOCK
     constants = None
 
-    def __init__(self, relations, method, dtype, budget=None, allowance=0.0):
+    def __init__(self, relations: Any, method: str, dtype: Any, budget: Any = None, allowance: Any = 0.0) -> None:
         super().__init__(relations, method, dtype)
         self.budget = BUDGET if budget is None else whole_budget(budget)
         self.allowance = np.asarray(allowance, float)
@@ -50,7 +53,7 @@ class ParametricTest(WindowTest):
         self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
 
     @property
-    def lags(self):
+    def lags(self) -> int:
         """How many samples of u a window has."""
         return self.reading.window.lags
 
@@ -58,7 +61,7 @@ class ParametricTest(WindowTest):
     def _on_device(self):
         return jax.device_put(self.reading)
 
-    def cases(self, u, y, starts):
+    def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
         """Return a test for each pattern of missing samples; the rarest stay open."""
         refuse_infinite("u", u, self.relations.model.inputs)
         refuse_infinite("y", y, self.relations.model.outputs)
@@ -71,13 +74,13 @@ class ParametricTest(WindowTest):
                 found.append((ParametricTest(case, self.method, self.dtype, self.budget, allowance), starts[chosen]))
         return found
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin, open) of blocks of windows; open is what paving may decide."""
         found = [judged_whole(self._on_device, finite(block), self.kind, self.proved, self.allowance) for block in blocks]
         left = lambda status: np.asarray(status) == Status.UNDECIDED if self.method == "paving" else np.zeros(len(status), bool)
         return [(status, margin, left(status)) for status, margin in found]
 
-    def settle(self, u, y, outs, left, again, progress):
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
         """Bisect the parameters of windows that were left open."""
         if self.method != "paving":
             return
@@ -90,6 +93,6 @@ class ParametricTest(WindowTest):
             margin[at] = np.where(found == Status.CONSISTENT, np.maximum(margin[at], LEAST), margin[at])
             progress((first + len(at)) / len(left))
 
-    def margins(self, given):
+    def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return within(parametric_margins(self.relations, given.u, given.y), given, self.horizon)

@@ -1,5 +1,7 @@
 """Short windows: every circuit, or every relation alone, is a strip, tested over contiguous samples in one pass."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import numpy as np
 from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of, strip_margin, strip_verdict
 
@@ -19,27 +22,27 @@ class StripsTest(WindowTest):
     gathered = False
 
     @property
-    def block(self):
+    def block(self) -> int:
         """How many windows are judged at once."""
         return stretch_block(self.reading)
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin) of stretches of samples."""
         return run(verdicts, blocks)
 
-    def settle(self, u, y, outs, left, again, progress):
+    def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary."""
         status, margin = outs
         whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
 
-    def judged(self, outs):
+    def judged(self, outs: list) -> Judged:
         """Return the verdicts; what keeps all relations, each alone, need not keep them together."""
         status, margin = outs
         if self.method == "box" and self.relations.count > 1:
             status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
         return Judged(status, margin)
 
-    def margins(self, given):
+    def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return unproved_margins(self, _margins, given)
 
