@@ -86,7 +86,7 @@ class BisectionTest(WindowTest):
         return status
 
 
-def whole_budget(budget):
+def whole_budget(budget: Any) -> int:
     """Return a budget of boxes a window; raise ValueError if it is none."""
     if isinstance(budget, bool) or not isinstance(budget, int | np.integer) or budget < 1:
         raise ValueError(f"budget must be a whole number of boxes a window >= 1, not {budget!r}")

@@ -7,7 +7,7 @@ rounds otherwise), so the short ones have 64 and 16. A verdict is a proof with a
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -85,7 +85,7 @@ class Monitor:
         FAULT -2.667
     """
 
-    def __init__(self, relations, method="joint", dtype=None, budget=None, compensation=0.0):
+    def __init__(self, relations: Any, method: str = "joint", dtype: Any = None, budget: Any = None, compensation: Any = 0.0) -> None:
         self._observer = relations if isinstance(relations, Observer) else None
         if self._observer is not None:
             self.relations, self.method = relations, "observer"
@@ -99,7 +99,7 @@ class Monitor:
         model = self.relations.model
         self._names, self._dt = (model.inputs, model.outputs), model.dt
 
-    def init(self):
+    def init(self) -> Any:
         """Return the MonitorState before the first sample; of an Observer what it carries."""
         if self._observer is not None:
             return self._observer.init()
@@ -107,7 +107,7 @@ class Monitor:
         nothing = lambda n: np.full((s, n), np.nan, self.dtype)
         return MonitorState(nothing(m.m), nothing(m.p), np.int64(0), np.int64(0), np.float64(np.nan))
 
-    def step(self, state, u, y, *, new=False, time=None):
+    def step(self, state: Any, u: Any, y: Any, *, new: bool = False, time: Any = None) -> tuple[Any, Any]:
         """Take the next sample.
 
         Args:
@@ -126,7 +126,7 @@ class Monitor:
         state, judged = self.run(state, u, y, starts=(0,) if new else (), time=None if time is None else [time])
         return state, jax.tree.map(lambda x: x[0], judged)
 
-    def run(self, state, u, y=None, *, starts=(), time=None):
+    def run(self, state: Any, u: Any, y: Any = None, *, starts: Any = (), time: Any = None) -> tuple[Any, Any]:
         """Take the next N samples at once.
 
         Args:

@@ -1,6 +1,7 @@
 """Margins without proof, of contiguous samples: the fast path of `margins`, differentiable where something is traced."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from jaxbound.sets.strips.strips import UNROLLED
 __all__ = ["is_traced", "stretch_block", "unproved_margins", "within"]
 
 
-def is_traced(*trees):
+def is_traced(*trees: Any) -> bool:
     """Return whether anything in these PyTrees is traced."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(trees))
 
