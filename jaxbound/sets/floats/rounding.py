@@ -14,6 +14,11 @@ FMA only removes roundings. A quotient needs a divisor whose reciprocal is not f
 
 **One sum of products** (`residual_error`). See its docstring: a forward error bound that covers a whole residual, once.
 
+**NaN.** A reduction of 4096 numbers or more, with the operations that only it reads, may go to a library whose maximum and minimum, along
+an axis or of two arrays, overlook NaN; infinity stays, and so do errors as above. So no proof waits for a maximum to show NaN: it
+compares something else that is NaN then (a sum, or the row itself), and a comparison with NaN proves nothing; but what cannot be below 0,
+like |x| and x x, is >= 0 for the compiler without a look, NaN or not.
+
 **Bounds and coefficients** come from decimals. `fraction_to_float` rounds them to nearest (counted in `residual_error`),
 `round_up` away from zero, so that a float bound is never smaller than the decimal the user wrote.
 """

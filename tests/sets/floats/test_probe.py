@@ -185,6 +185,52 @@ def test_a_sum_in_the_compilers_order_is_off_by_at_most_one_unit_a_term(rng, dty
         assert abs(exact([jax.jit(run)(x)])[0] - sum(terms)) <= (len(x) - 1) * u * sum(map(abs, terms)) * Fraction(101, 100)
 
 
+MANY = 2**13
+"""Numbers of a reduction that XLA hands to a library, with the operations that it alone reads."""
+
+
+def within_a_reduction(f, *given):
+    """Return f of arrays (N,) as the largest of two equal numbers, f computed by what reduces."""
+    return np.asarray(jax.jit(lambda *x: jnp.max(f(*x), 1))(*(np.stack([x, x], 1) for x in given)))
+
+
+@each_dtype
+def test_operations_that_a_large_reduction_takes_along_are_off_by_at_most_2_84_units(rng, dtype):
+    a, b = numbers(rng, dtype, count=MANY), numbers(rng, dtype, count=MANY)
+    for op, f in EXACTLY.items():
+        found = within_a_reduction(f, a, b)
+        assert max(errors(found, [f(x, y) for x, y in zip(exact(a), exact(b), strict=True)], dtype)) <= 2.84, op
+
+
+@each_dtype
+def test_what_proofs_read_of_many_numbers_keeps_nan(rng, dtype):
+    """A maximum need not, which is why no proof asks it."""
+    x = numbers(rng, dtype, count=MANY).reshape(-1, 8)
+    x[::5, 3] = np.nan
+    read = jax.jit(lambda x: [jnp.sum(x, 1), jnp.sum(jnp.abs(x) * 0, 1), jnp.max(jnp.where(jnp.isfinite(x), 0, jnp.inf), 1)])
+    none = jax.jit(lambda x: [jnp.all(x < jnp.inf, 1), jnp.all(jnp.abs(x) - 1 < jnp.inf, 1), jnp.all(jnp.isfinite(x), 1)])
+    assert all(np.array_equal(~np.isfinite(f), np.arange(len(x)) % 5 == 0) for f in read(x))
+    assert all(np.array_equal(f, np.arange(len(x)) % 5 != 0) for f in none(x))
+
+
+@each_dtype
+def test_a_maximum_of_many_numbers_keeps_infinity(rng, dtype):
+    x = numbers(rng, dtype, count=MANY).reshape(-1, 8)
+    x[::5, 3], x[::7, 2] = np.inf, -np.inf
+    most, least = jax.jit(lambda x: (jnp.max(x, 1), jnp.min(x, 1)))(x)
+    assert np.array_equal(most, x.max(1)) and np.array_equal(least, x.min(1))
+
+
+@each_dtype
+def test_a_comparison_with_a_number_other_than_0_is_false_for_nan(dtype):
+    """|x| >= 0, compiled, may be true of NaN: what cannot be below 0 is not looked at."""
+    x = np.full(MANY, np.nan, dtype)
+    said = jax.jit(
+        lambda x: [x >= x, x == x, x <= jnp.inf, jnp.abs(x) < jnp.inf, jnp.abs(x) > -1, jnp.isfinite(x), x >= 0, x <= 0, x - 1 >= 0]
+    )
+    assert not any(np.asarray(s).any() for s in said(x))
+
+
 # what every proof asks first
 
 FAST = "--xla_cpu_enable_fast_math=true"

@@ -158,6 +158,19 @@ def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
     assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx([0.5, 0.75])
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
+def test_many_windows_with_numbers_that_say_nothing_prove_nothing(rng, bad):
+    """Enough of them for a reduction that overlooks NaN."""
+    r, N = 2, 2048
+    c, G = rng.normal(size=(r, N)), rng.normal(size=(r, COLUMNS[r], N))
+    usual = varying.zonotope_margins(c, G)
+    at = np.arange(0, N, 3)
+    G[rng.integers(0, r, len(at)), rng.integers(0, COLUMNS[r], len(at)), at] = bad
+    margin = varying.zonotope_margins(c, G)
+    assert not (margin[at] < 0).any() and (np.isfinite(bad) or not (margin[at] > 0).any())
+    assert np.array_equal(np.delete(margin, at), np.delete(usual, at))
+
+
 @pytest.mark.long
 def test_float32_and_uncompiled_code_prove_the_same(rng):
     c, G = (x.astype(np.float32) for x in columns_first(*draw(rng, 2, COLUMNS[2], 64)))
