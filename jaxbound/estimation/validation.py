@@ -16,7 +16,7 @@ import copy
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -166,8 +166,16 @@ class _Slide:
         if m.moves and method == "joint":
             plant |= {"H": m.moves[2], "d": m.moves[3]}
         self.plant = plant | {"tolerance": rounding.round_up(m.tolerance, dtype)}
-        self.M = stacked(m, s, m.moves if method == "joint" else None)
-        self.systems = prepare(self.M[..., None], m.p * (s + 1) - m.n + 1) if method == "sequential" else None
+
+    @cached_property
+    def M(self):
+        """The rows of a window, see `intervals.stacked`."""
+        return stacked(self.m, self.s, self.m.moves if self.method == "joint" else None)
+
+    @cached_property
+    def systems(self):
+        """The square systems of the sequential method, or None."""
+        return prepare(self.M[..., None], self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
 
     def of(self, recorded):
         """Return the same for samples that were recorded in another float type."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ def register(kind: type["Source"]) -> type["Source"]:
     Example:
         >>> import json, tempfile, jaxbound as jb
         >>> from pathlib import Path
+    from typing import Any
         >>> from jaxbound.recordings.source import KINDS, Source, register
         >>> @register
         ... class JsonLines(Source):
@@ -61,7 +63,7 @@ class Source:
     parts = False
     """Whether it is read in pieces, so that its size does not matter, and verdicts are written in parts."""
 
-    def __init__(self, data: object, model: object) -> None:
+    def __init__(self, data: object, model: Any) -> None:
         self.data, self.model = data, model
 
     @classmethod
@@ -70,7 +72,7 @@ class Source:
         raise NotImplementedError
 
     @classmethod
-    def open(cls, data: object, model: object) -> "Source":
+    def open(cls, data: object, model: Any) -> "Source":
         """Return the source of these data."""
         return cls(data, model)
 
@@ -125,21 +127,21 @@ class Source:
 
     def pieces(self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None) -> Iterator[tuple[int, Recording]]:
         """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` samples before them that there are."""
-        stop = self.samples if stop is None else stop
-        for at in range(first, stop, size):
+        end = (self.samples or 0) if stop is None else stop
+        for at in range(first, end, size):
             begin = max(at - overlap, first)
-            yield begin, self.read(begin, min(at + size, stop))
+            yield begin, self.read(begin, min(at + size, end))
 
     def find(self, text: str) -> int | None:
         """Return the number of the sample whose time is written so; None: there is none, or it is not looked for in what is written."""
-        written = self.read().written
+        written: Any = self.read().written
         if written is None or str(written.type) != "string":
             return None
         at = written.index(text).as_py()
         return None if at < 0 else at
 
 
-def told(model: object, r: Recording, row: Callable, where: str, first: tuple = ()) -> Recording:
+def told(model: Any, r: Recording, row: Callable, where: str, first: tuple = ()) -> Recording:
     """Return a whole recording as it was read with its seams, and what its owner should know.
 
     Args:
@@ -148,7 +150,7 @@ def told(model: object, r: Recording, row: Callable, where: str, first: tuple = 
     Raises:
         ValueError: more seams than steps of one sampling period.
     """
-    clock, starts = tick(Clock(r.dt), r.time)
+    clock, starts = tick(Clock(r.dt or 1.0), r.time)
     if sentence := irregular(clock, r.label, row):
         raise ValueError(sentence)
     hints = [*first, *seam_hints(clock, r.label, row), *missing_hints(model, r.u, r.y, r.excluded)]

@@ -45,8 +45,15 @@ class UnitResult(NamedTuple):
     unit: Unit
     summary: Summary
 
-    verdict = property(lambda self: self.summary.verdict, doc="Of the unit: a verdict of a Summary.")
-    margin = property(lambda self: self.summary.margin, doc="Of the worst window, NaN if there is none.")
+    @property
+    def verdict(self) -> str:
+        """Of the unit: a verdict of a Summary."""
+        return self.summary.verdict
+
+    @property
+    def margin(self) -> float:
+        """Of the worst window, NaN if there is none."""
+        return self.summary.margin
 
     @classmethod
     def untested(cls, unit, why):

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import singledispatch
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -114,7 +114,7 @@ class Summary:
 
     def plain(self, **also) -> dict:
         """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a command adds."""
-        found = self.found or Evidence(None, None, 0, self.counts)
+        found = self.found or Evidence("", 0, 0, self.counts)  # nothing was tested
         worst = None
         if self.worst is not None:
             sample, time, margin = self.worst
@@ -122,7 +122,7 @@ class Summary:
         validated = {} if found.faulty is None else {"tested": found.tested, "faulty": found.faulty}
         return {
             "layout": LAYOUT, "verdict": self.verdict, "exit_code": self.exit_code, "summary": self.sentence, "model": self.model or None,
-            "method": found.method, "horizon": found.horizon, "samples": found.samples, "counts": self.counts, "decided": self.decided,
+            "method": found.method or None, "horizon": found.horizon if self.found else None, "samples": found.samples, "counts": self.counts, "decided": self.decided,
             "margin": finite(self.margin), "worst": worst, "alarms": self.alarms, "first_alarm": self.first_alarm or None,
             "last_ended": self.last_ended or None, "hints": list(self.hints), **validated, **also, "ended": found.ended or {},
             "always_seen": self.sizes and {name: finite(size) for name, size in self.sizes.items()}}  # fmt: skip
@@ -134,7 +134,7 @@ def finite(x: float) -> float | None:
 
 
 @singledispatch
-def evidence(res: object, alarms: Sequence) -> Evidence:
+def evidence(res: Any, alarms: Sequence) -> Evidence:
     """Return the Evidence in what a test returns, of one recording; a type of result registers how, this is a Result's.
 
     Args:
@@ -150,7 +150,7 @@ def evidence(res: object, alarms: Sequence) -> Evidence:
 
 
 def summarised(
-    res: object, alarms: Sequence, label: Callable, min_coverage: float = 0.5, hints: Sequence = (), sizes: dict | None = None
+    res: Any, alarms: Sequence, label: Callable, min_coverage: float = 0.5, hints: Sequence = (), sizes: dict | None = None
 ) -> Summary:
     """Return the Summary of a test.
 
@@ -222,7 +222,7 @@ def _healthy(found, label):
     return f"No fault found: the model explains {every} within its bounds{used}."
 
 
-def bound_hints(model: object) -> list[str]:
+def bound_hints(model: Any) -> list[str]:
     """Return sentences on bounds that nobody can mean."""
     bare = [s for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True) if not any(b)]
     none = f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error there is a FAULT"

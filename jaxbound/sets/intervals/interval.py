@@ -13,7 +13,7 @@ import operator
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial, reduce
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -43,8 +43,10 @@ class Interval:
 
     lo: jax.Array
     hi: jax.Array
-
     _settled = False  # see `computed`
+    if TYPE_CHECKING:
+
+        def __init__(self, lo: Operand, hi: Operand) -> None: ...
 
     @property
     def mid(self) -> jax.Array:
