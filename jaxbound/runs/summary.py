@@ -122,7 +122,8 @@ class Summary:
         validated = {} if found.faulty is None else {"tested": found.tested, "faulty": found.faulty}
         return {
             "layout": LAYOUT, "verdict": self.verdict, "exit_code": self.exit_code, "summary": self.sentence, "model": self.model or None,
-            "method": found.method or None, "horizon": found.horizon if self.found else None, "samples": found.samples, "counts": self.counts, "decided": self.decided,
+            "method": found.method or None, "horizon": found.horizon if self.found else None,
+            "samples": found.samples, "counts": self.counts, "decided": self.decided,
             "margin": finite(self.margin), "worst": worst, "alarms": self.alarms, "first_alarm": self.first_alarm or None,
             "last_ended": self.last_ended or None, "hints": list(self.hints), **validated, **also, "ended": found.ended or {},
             "always_seen": self.sizes and {name: finite(size) for name, size in self.sizes.items()}}  # fmt: skip
