@@ -31,7 +31,6 @@ def register(kind: type["Source"]) -> type["Source"]:
     Example:
         >>> import json, tempfile, jaxbound as jb
         >>> from pathlib import Path
-    from typing import Any
         >>> from jaxbound.recordings.source import KINDS, Source, register
         >>> @register
         ... class JsonLines(Source):
