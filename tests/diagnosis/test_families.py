@@ -14,8 +14,8 @@ GAIN = dict(A=[[0.5]], B=[[1]], C=[[1]], noise=0.1)
 METHODS = {"short": "joint", "box": "box", "long": "joint", "paving": "paving", "constant": "joint", "long constant": "joint",
            "uncertain": "joint", "uncertain paving": "paving", "linearised": "linearised", "bank": "joint",
            "residual": "joint"}  # fmt: skip
-SLOW = ("long", "long constant")  # to compile
-FAMILIES = [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in METHODS]
+RARELY = {"paving": "slow", "long": "long", "long constant": "long"}  # for the time that they take to compile
+FAMILIES = [pytest.param(name, marks=getattr(pytest.mark, RARELY[name])) if name in RARELY else name for name in METHODS]
 
 
 @cache

@@ -36,11 +36,12 @@ def growth(z, u, y):
     return y[1, 0] - 0.5 * y[0, 0] - (u[0, 0] - LEVEL) - z[0]
 
 
+@pytest.mark.slow
 def test_a_residual_does_not_take_narrowed_inputs_as_exact():
     no_fault(lambda u, y: jb.detect(jb.residual(growth, jb.interval([-1e-4], [1e-4]), 1), u, y).status)
 
 
-@pytest.mark.parametrize("method", ["box", "paving"])
+@pytest.mark.parametrize("method", ["box", pytest.param("paving", marks=pytest.mark.long)])
 def test_no_method_takes_narrowed_inputs_as_exact(method):
     no_fault(lambda u, y: jb.detect(jb.parity_relations(jb.LinearSystem(**DRIVEN), 1), u, y, method=method).status)
 
@@ -63,6 +64,7 @@ def test_a_monitor_does_not_take_narrowed_inputs_as_exact():
     no_fault(judge)
 
 
+@pytest.mark.slow
 def test_validate_does_not_take_narrowed_inputs_as_exact():
     no_fault(lambda u, y: jb.validate(jb.LinearSystem(**TWICE), u, y).status, outputs=2)
 

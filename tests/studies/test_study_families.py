@@ -35,7 +35,10 @@ STUDIED = {
 }
 
 
-@pytest.mark.parametrize("family", [pytest.param(f, marks=pytest.mark.slow) if f in ("constant", "long", "paving") else f for f in STUDIED])
+RARELY = {"uncertain": "slow", "constant": "long", "long": "long", "paving": "long", "residual": "long"}  # for the time that they take
+
+
+@pytest.mark.parametrize("family", [pytest.param(f, marks=getattr(pytest.mark, RARELY[f])) if f in RARELY else f for f in STUDIED])
 def test_a_study_finds_what_is_large_and_alarms_nobody_else(family):
     model, build, method = STUDIED[family]
     res = jb.study(model, "y1:bias", 4, 0, build(model), sizes=[0.0, 5.0], samples=40, onset=30, method=method)
