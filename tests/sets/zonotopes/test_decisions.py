@@ -37,7 +37,7 @@ def test_points_near_and_far_from_the_boundary_are_decided_as_by_linear_programs
     assert (wrong, left) == (0, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_thousand_points_are_decided_as_by_linear_programs(rng):
     wrong, left = wrong_and_open(rng, [(1, 3), (2, 5), (3, 8), (5, 9), (12, 24), (20, 40), (50, 100)], KINDS, 40, 9)
     assert wrong == 0 and left <= 3  # lengths from 1e-3 to 1e3 in 20 dimensions: one in 50 000 was left open, 6e-8 from the boundary
