@@ -466,6 +466,9 @@ class TestSignals:
         process = subprocess.Popen([sys.executable, "-c", SLOW], cwd=place, stdout=subprocess.PIPE)
         assert process.stdout.read(5) == b"ready"
         refused(DETECT, f"another jaxbound, process {process.pid}, is writing into out", capsys)
+        late = time.monotonic() + 30  # the tables are written beside the report
+        while not (place / "out/.jaxbound-work/verdicts.csv").exists() and time.monotonic() < late:
+            time.sleep(0.02)
         process.kill()
         process.wait()
         process.stdout.close()
