@@ -12,7 +12,6 @@ contradicts it: then the recording is marked FAULT, but sound sensors may be bla
 Source: Alhaj-Dibo, Maquin, Ragot 2004.
 """
 
-import copy
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -117,7 +116,7 @@ def validate(
     signals, run = prepared(model, horizon, method, correction)
     given = Recording.of(signals, u, y, starts, narrow=False)
     u, y, s, n = np.asarray(given.u), np.asarray(given.y, run.m.A.dtype), run.s, run.m.n
-    run = run.of(given.y.dtype)
+    run = partial(run, recorded=given.y.dtype)
     T = y.shape[-2]
     left_out = (np.isnan(u).any(-1) & np.isnan(y).all(-1)).reshape(-1, T).all(0)  # nothing is known there: like a gap
     left_out |= False if given.excluded is None else given.excluded
@@ -133,7 +132,7 @@ def validate(
     if x0 is None and gapless and np.isnan(y[..., : s + 1, :]).any():
         raise ValueError(f"the first {s + 1} samples must be complete, or x0 must say where the first state is")
     if not len(seams):
-        return run(u, y, x0)[0]
+        return run(u, y, x0=x0)[0]
     return _piecewise(run, u, y, x0, seams, left_out, s, n)
 
 
@@ -153,14 +152,14 @@ def prepared(model: Any, horizon: int | None, method: str, correction: str) -> t
     if method == "sequential" and s * m.p < m.n:
         raise ValueError(f"the square systems need a horizon of at least n / p ({-(-m.n // m.p)}), not {s}: see (9) of the paper")
     signals = model if hasattr(model, "columns") and not several else Signals(m.inputs, m.outputs, {})
-    return signals, _Slide(model if several else None, m, m.A.dtype, int(s), method, correction == "centre")
+    return signals, _Slide(model if several else None, m, int(s), method, correction == "centre")
 
 
 class _Slide:
-    """Validates recordings side by side, without a gap. multiple: a MultiModel, or None; m: the IntervalSystem; recorded: type of y."""
+    """Validates recordings side by side, without a gap. multiple: a MultiModel, or None; m: the IntervalSystem."""
 
-    def __init__(self, multiple, m, recorded, s, method, centre):
-        self.multiple, self.m, self.recorded, self.s, self.method, self.centre = multiple, m, recorded, s, method, centre
+    def __init__(self, multiple, m, s, method, centre):
+        self.multiple, self.m, self.s, self.method, self.centre = multiple, m, s, method, centre
         dtype = m.A.dtype
         plant = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"]}
         if m.moves and method == "joint":
@@ -177,18 +176,13 @@ class _Slide:
         """The square systems of the sequential method, or None."""
         return prepare(self.M[..., None], self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
 
-    def of(self, recorded):
-        """Return the same for samples that were recorded in another float type."""
-        other = copy.copy(self)
-        other.recorded = recorded
-        return other
-
-    def __call__(self, u, y, x0=None, before=None, earlier=None):
+    def __call__(self, u, y, recorded, x0=None, before=None, earlier=None):
         """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the model.
 
         Args:
-            before: what this returned, to go on: then the first s samples are those before the new ones. earlier: y of the s before these,
-                which say how large samples get in the windows of the first.
+            recorded: the float type in which y was rounded.
+            before: what this returned, to go on: then the first s samples are those before the new ones. earlier: y of the s before
+                these, which say how large samples get in the windows of the first.
         """
         m, s, dtype = self.m, self.s, y.dtype
         *lead, _, _ = y.shape
@@ -200,7 +194,7 @@ class _Slide:
                 raise ValueError(f"x0 needs one interval for each of {m.n} states: its shape is {x0.shape}")
             x0 = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a, dtype), (*lead, m.n)), x0)
         known = y if earlier is None else np.concatenate([earlier, y], -2)
-        error = largest_error(known, m.noise, self.recorded, s)[..., known.shape[-2] - y.shape[-2] :, :]
+        error = largest_error(known, m.noise, recorded, s)[..., known.shape[-2] - y.shape[-2] :, :]
         pushed = Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype))  # a point, unless it had to be narrowed
         weight = self.multiple.columns(u.astype(dtype)) if self.multiple else None
         given = flat(pushed), flat(y), flat(error), flat(weight), flat(x0), before
@@ -249,7 +243,7 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
         behind = np.arange(length) >= np.array([b - a for a, b in pieces])[:, None]
         take = lambda x, rows=rows: np.moveaxis(x[..., rows, :], -3, 0)
         some = np.where(behind.reshape(len(pieces), *[1] * len(batch), length, 1), np.nan, take(y)).astype(y.dtype)
-        found, _ = run(take(u), some, x0 if known else None)
+        found, _ = run(take(u), some, x0=x0 if known else None)
         for to, value in zip(jax.tree.leaves(out), jax.tree.leaves(found), strict=True):
             for i, (a, b) in enumerate(pieces):
                 at = (*[slice(None)] * len(batch), slice(a, b))

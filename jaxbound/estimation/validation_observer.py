@@ -1,5 +1,6 @@
 """Data validation as an Observer: pieces of a recording as they come, each validated from where the one before ended."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -68,8 +69,10 @@ class ValidationObserver(Observer):
 
     def fold(self, carry: ValidationState, piece: Recording) -> tuple[ValidationState, Validation]:
         """Take the next samples (T, .) of a recording; return (carry, Validation of these samples)."""
-        dtype = self._slide.m.A.dtype
-        u, y = np.asarray(piece.u, dtype), np.asarray(piece.y, dtype)
+        piece.finite()
+        u, y = np.asarray(piece.u), np.asarray(piece.y)  # as recorded: what was rounded away, or is narrowed, counts
+        if len(carry.y) and carry.y.dtype != y.dtype:
+            raise ValueError(f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type")
         if y.ndim != 2:
             raise ValueError(f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}")
         gone = np.isnan(u).any(-1) & np.isnan(y).all(-1)
@@ -91,11 +94,12 @@ class ValidationObserver(Observer):
     def _on(self, carry, u, y):
         """Take samples that follow those before."""
         s, new = self.horizon, len(y)
-        u, y = np.concatenate([carry.u, u]), np.concatenate([carry.y, y])
+        u, y = (np.concatenate([a, b]) if len(a) else b for a, b in ((carry.u, u), (carry.y, y)))
+        slide, exact = partial(self._slide, recorded=y.dtype), y.astype(self._slide.m.A.dtype)
         known = carry.first and self.x0 is not None
         if carry.after is not None:
             cut = len(y) - new - s
-            found, after = self._slide(u[cut:], y[cut:], before=carry.after, earlier=y[:cut])
+            found, after = slide(u[cut:], exact[cut:], before=carry.after, earlier=exact[:cut])
         else:
             whole = (~np.isnan(y)).all(-1)
             ready = np.convolve(whole, np.ones(s + 1, int), "valid") == s + 1 if len(y) > s else np.zeros(0, bool)
@@ -103,7 +107,7 @@ class ValidationObserver(Observer):
                 keep = 0 if known else max(len(y) - s, 0)
                 return ValidationState(u[keep:], y[keep:], None, carry.first and not keep), self._nothing(new)
             cut = 0 if known else int(ready.argmax())
-            found, after = self._slide(u[cut:], y[cut:], self.x0 if known else None)
+            found, after = slide(u[cut:], exact[cut:], x0=self.x0 if known else None)
         keep = max(len(y) - 2 * s, 0)
         said = jax.tree.map(lambda x: np.asarray(x)[max(len(x) - new, 0) :], found)
         lacking = new - len(said.status)

@@ -79,6 +79,28 @@ def test_a_monitor_takes_an_observer(rng):
         mon.step(state, u[0], y[0], time=3.0)
 
 
+def test_what_a_float32_recording_rounded_away_counts_as_it_does_for_validate():
+    """At a level of 10^6 float32 rounds by more than the noise: a healthy plant is not accused, as by `validate`."""
+    model = jb.LinearSystem([[1.0]], None, [[1], [1]], noise=1e-3)
+    y = np.float32(1e6 - 0.01 * np.arange(12))[:, None] * np.float32([1, 1 + 2e-7])
+    want = jb.validate(model, None, y)
+    assert not np.asarray(want.faulty).any() and y.dtype == np.float32
+    observer = ValidationObserver(model)
+    carry, found = observer.init(), []
+    for k in range(len(y)):
+        carry, judged = observer.fold(carry, Recording.of(observer.signals, None, y[k : k + 1], narrow=False))
+        found.append(judged)
+    agree(jax.tree.map(lambda *x: np.concatenate(x), *found), want)
+    with pytest.raises(ValueError, match="y is in float64, the samples before are in float32"):
+        observer.fold(carry, Recording.of(observer.signals, None, y[:1].astype(float), narrow=False))
+
+
+def test_an_infinite_sample_is_refused_in_a_sentence():
+    observer = ValidationObserver(MODEL)
+    with pytest.raises(ValueError, match="y must be finite"):
+        observer.fold(observer.init(), Recording.of(observer.signals, [[0.0]], [[np.inf, 1.0]]))
+
+
 def test_a_missing_input_beside_a_sample_is_refused_in_a_sentence():
     observer = ValidationObserver(MODEL)
     with pytest.raises(ValueError, match="validation needs every input: 1 samples of u are missing"):
