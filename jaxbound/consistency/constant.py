@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -69,13 +69,6 @@ class ConstantTest(WindowTest):
             at = left + self.horizon
             status[at] = self._search(u, y, left)
             margin[at] = np.where(status[at] == Status.UNDECIDED, 0, _signed(margin[at], status[at] == Status.CONSISTENT))
-
-    def judged(self, outs: list) -> Judged:
-        """Return the verdicts; tested alone, each relation may need other gains."""
-        status, margin = outs
-        if self.method == "box" and self.relations.count > 1:
-            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
-        return Judged(status, margin)
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""

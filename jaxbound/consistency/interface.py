@@ -104,8 +104,14 @@ class WindowTest:
         """
 
     def judged(self, outs: list) -> Judged:
-        """Return the verdicts from the arrays of `outputs`, each (..., T)."""
-        return Judged(*outs)
+        """Return the verdicts from the arrays of `outputs`, each (..., T).
+
+        Tested alone, relations that all hold need not hold together: no window is CONSISTENT by "box" but of a single relation.
+        """
+        status, margin = outs
+        if self.method == "box" and self.relations.count > 1:
+            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
+        return Judged(status, margin)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T) of a recording: differentiable, under jit, vmap and grad.

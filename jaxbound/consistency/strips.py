@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency import whole_numbers
-from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
@@ -34,13 +34,6 @@ class StripsTest(WindowTest):
         """Decide in whole numbers what rounding leaves open far from the boundary."""
         status, margin = outs
         whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
-
-    def judged(self, outs: list) -> Judged:
-        """Return the verdicts; what keeps all relations, each alone, need not keep them together."""
-        status, margin = outs
-        if self.method == "box" and self.relations.count > 1:
-            status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
-        return Judged(status, margin)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
