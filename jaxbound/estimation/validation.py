@@ -113,10 +113,10 @@ def validate(
     if isinstance(model, MultiModel) and model.partial:
         options: dict[str, Any] = dict(horizon=horizon, method=method, correction=correction)
         return validate_parts(model, u, y, x0, partial(validate, **options), starts)
-    signals, run = prepared(model, horizon, method, correction)
+    signals, slides = prepared(model, horizon, method, correction)
     given = Recording.of(signals, u, y, starts, narrow=False)
-    u, y, s, n = np.asarray(given.u), np.asarray(given.y, run.m.A.dtype), run.s, run.m.n
-    run = partial(run, recorded=given.y.dtype)
+    u, y, s, n = np.asarray(given.u), np.asarray(given.y, slides.m.A.dtype), slides.s, slides.m.n
+    run = partial(slides, recorded=given.y.dtype)
     T = y.shape[-2]
     left_out = (np.isnan(u).any(-1) & np.isnan(y).all(-1)).reshape(-1, T).all(0)  # nothing is known there: like a gap
     left_out |= False if given.excluded is None else given.excluded
