@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jaxbound.relations.parity import parity_relations
     from jaxbound.relations.redundancy import redundancy
     from jaxbound.relations.residual import residual
+    from jaxbound.runs.cache import use_cache
     from jaxbound.runs.digest import detect_dataset
     from jaxbound.sets.floats.status import Status
     from jaxbound.sets.inclusion.inclusion import inclusion
@@ -47,8 +48,8 @@ __all__ = [
     "Fault", "LinearSystem", "Monitor", "MultiModel", "Recording", "Status", "Uncertainty", "compensation", "detect", "detect_dataset",
     "detectable", "evaluate", "fit", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "linearize",
     "load_model", "margins", "membership", "parity_relations", "pave", "plot", "read", "redundancy", "residual", "save_model", "sets",
-    "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "tune", "unknown_inputs", "validate",
-    "zonotope",
+    "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "tune", "unknown_inputs", "use_cache",
+    "validate", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -76,6 +77,7 @@ _HOMES = {  # where a name is imported from when it is first asked for; types of
     "relations.parity": "parity_relations",
     "relations.redundancy": "redundancy",
     "relations.residual": "residual",
+    "runs.cache": "use_cache",
     "runs.digest": "detect_dataset",
     "sets.floats.status": "Status",
     "sets.inclusion.inclusion": "inclusion",

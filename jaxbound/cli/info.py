@@ -1,19 +1,68 @@
-"""What can be detected and isolated with a model, as text for `jaxbound info`."""
+"""The command `jaxbound info`: what a model file says, and what can be detected and isolated with it."""
 
+import argparse
 import math
 
+from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
 from jaxbound.diagnosis.detectability import detectable
+from jaxbound.models.modelfile import load_model, template
 from jaxbound.models.system import LinearSystem
+from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import duration_text, elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
+from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.redundancy import redundancy
+from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.runs.summary import bound_hints
 
-__all__ = ["isolation_text"]
+__all__ = ["isolation_text", "run"]
 
 SIGNALS = 12
 """Up to here relations of minimal support are looked for and every pair of faults is listed."""
 PATIENCE = 60.0
 """Seconds, roughly, beyond which tables are left to whoever asks for them."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `jaxbound info`; return the exit code."""
+    if args.template == (args.model is not None):
+        raise Refused("jaxbound info needs either a model file or --template")
+    if args.template:
+        write(template())
+        return OK
+    with door(), progress_bars(("relations",)) as step:
+        m = load_model(args.model)
+        r = parity_relations(m, args.horizon, progress=lambda share: step("relations", share))
+    exact = lambda names, values: ", ".join(f"{n} {float(v):.6g}" for n, v in zip(names, values, strict=True) if v) or "none"
+    signals = lambda names: ", ".join(f"{n} [{m.unit(n)}]" if m.unit(n) else n for n in names) or "none"
+    origin = lambda field: f"({m.provenance.get(field, 'origin not stated')})"
+    bounds = [(b, f"{exact(m.outputs, getattr(m, b))}   {origin(b)}") for b in ("tolerance", "noise", "resolution")]
+    ranges = ", ".join(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]" for j, (lo, hi) in enumerate(m.disturbance))
+    bounds += [("disturbance", f"{ranges}   {origin('disturbance')}")] if m.g else []
+    bounds += [("unknown inputs", f"{m.d}, of which nothing is known")] if m.d else []
+    bounds += [
+        ("parameter", f"{p.name} in [{float(p.between[0]):.6g}, {float(p.between[1]):.6g}], {'varies' if p.varying else 'constant'}")
+        for p in m.uncertainties
+    ]
+    if isinstance(r, UncertainRelations):
+        tested = f"polynomials of order {r.order} in {len(r.variables)} uncertain numbers"
+    else:
+        tested = f"{len(r.circuits)} combinations tested" if r.frame is None else "combinations too many to list, the worst is searched for"
+    rows = [
+        ("states", f"{m.n}: {', '.join(m.states)}"), ("inputs", f"{m.m}: {signals(m.inputs)}"), ("outputs", f"{m.p}: {signals(m.outputs)}"),
+        ("dt", f"{m.dt:g} s"), ("matrices", f"A {m.n}x{m.n}, B {m.n}x{m.m}, C {m.p}x{m.n}, D {'present' if m.has_feedthrough else 'zero'}"
+         f"   {origin('model')}"), *bounds,
+        ("offset", exact(m.inputs + m.outputs, m.offset["u"] + m.offset["y"])),
+        *[(f"column of {s}" if s in m.inputs + m.outputs else s, c) for s, c in m.columns.items()],
+        ("horizon", f"{r.horizon}: a window has {r.horizon + 1} samples"),
+        ("relations", f"{r.count} independent, {tested}"),
+        *[("note", n) for n in getattr(r, "notes", ())], *[("hint", h) for h in bound_hints(m)]]  # fmt: skip
+    distinct = distinct_relations(r)
+    if len(distinct) < r.count:
+        rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
+    text = "\n".join(r.text().splitlines()[j] for j in distinct)
+    show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon)}")
+    return OK
 
 
 def isolation_text(model: LinearSystem, horizon: int) -> str:

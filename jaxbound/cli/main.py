@@ -12,37 +12,13 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
-import jax
-
 from jaxbound import __version__
-from jaxbound.cli.detect import run_demo, run_detect
-from jaxbound.cli.info import isolation_text
-from jaxbound.cli.terminal import (
-    BAD_INPUT,
-    INTERNAL,
-    INTERRUPTED,
-    OK,
-    Refused,
-    door,
-    progress_bars,
-    say,
-    show,
-    stoppable,
-    system_trouble,
-    write,
-)
-from jaxbound.consistency.interface import METHODS
-from jaxbound.models.modelfile import load_model, template
-from jaxbound.plots.residuals import distinct_relations
+from jaxbound.cli.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, say, stoppable, system_trouble, write
 from jaxbound.recordings.plaintext import clipped
-from jaxbound.relations.parity import parity_relations
-from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.runs.runfile import VALIDATION
-from jaxbound.runs.summary import bound_hints
-from jaxbound.sets.floats.probe import Unverified
 
 __all__ = ["main"]
 
@@ -50,6 +26,7 @@ EPILOG = (
     "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted, and as shells "
     "count 129 by SIGHUP, 143 by SIGTERM"
 )
+METHODS = "joint, box, paving, linearised"  # as `consistency.interface.METHODS`: a text, for what is asked here is not worth its imports
 FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (nothing is written)"
 TUNE_EPILOG = (
     "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the best bounds until then are "
@@ -102,13 +79,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(argv):
     try:
-        args = _parse(sys.argv[1:] if argv is None else list(argv))
-        _configure()
-        gc.freeze()  # what is imported stays: the collector need not look through it again and again
-        return args.run(args)
+        return _run(_parse(sys.argv[1:] if argv is None else list(argv)))
     except SystemExit as e:  # --help, --version
         return e.code if isinstance(e.code, int) else OK
-    except (Refused, Unverified) as e:
+    except Refused as e:
         say(str(e))
         return BAD_INPUT
     except KeyboardInterrupt as e:
@@ -128,19 +102,39 @@ def _main(argv):
         return INTERNAL
 
 
+def _run(args):
+    """Run the command that was given. Whoever only asks for help or the version waits for none of the imports."""
+    collected = gc.isenabled()
+    gc.disable()  # what is imported stays: the collector need not look through it again and again
+    try:
+        from jaxbound.sets.floats.probe import Unverified
+
+        _configure()
+        command = getattr(importlib.import_module(f"jaxbound.cli.{args.module}"), args.function)
+        gc.freeze()
+    finally:
+        if collected:
+            gc.enable()
+    try:
+        return command(args)
+    except Unverified as e:
+        raise Refused(str(e)) from e
+
+
 def _parse(argv):
     for i in reversed(range(1, len(argv))):
         if argv[i - 1] in ("--input-range", "--sizes") and argv[i][:1] == "-":  # argparse takes -1:1 for an option
             argv[i - 1 : i + 1] = [f"{argv[i - 1]}={argv[i]}"]
     parser = Parser("jaxbound", description="Guaranteed fault detection: every FAULT is a proof.", epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"jaxbound {__version__}")
+    parser.set_defaults(function="run")
     commands = parser.add_subparsers(
         metavar="demo | detect | explain | fleet | fit | tune | study | info", required=True, parser_class=Parser
     )
     c = commands.add_parser("demo", help="run the example of a paper and write its report", epilog="exit code: 0")
     c.add_argument("--out", type=_path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
     c.add_argument("--runs", type=_whole(1, 10**7), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
-    c.set_defaults(run=run_demo)
+    c.set_defaults(module="detect", function="run_demo")
     epilog = EPILOG + SHARES_EPILOG + PIPE_EPILOG
     c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=epilog)
     c.add_argument("model", type=_path, metavar="MODEL.toml")
@@ -155,19 +149,19 @@ def _parse(argv):
                    "n, and write its verdicts into DIR, beside shares made at the same time or on other machines; exit code 0")  # fmt: skip
     c.add_argument("--merge", action="store_true", help="Parquet: judge nothing and report on the shares in DIR: the verdicts, the "
                    "report and the exit code of one command without --part")  # fmt: skip
-    more = f"; {VALIDATION} bounds states and outputs, names the faulty sensor and says what it should have shown"
+    more = "; validation bounds states and outputs, names the faulty sensor and says what it should have shown"
     _testing(c, more)
-    c.set_defaults(run=run_detect)
+    c.set_defaults(module="detect", function="run_detect")
     c = commands.add_parser("explain", help="print the certificate of one window", epilog="exit codes: 0, or 2 bad input")
     c.add_argument("report", type=_path, metavar="DIR", help="folder that jaxbound detect wrote")
     c.add_argument("--at", required=True, metavar="TIME", help="time or number of the sample at which the window ends")
     c.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
-    c.set_defaults(run=_elsewhere("explain"))
+    c.set_defaults(module="explain")
     c = commands.add_parser("fleet", help="test many units listed in a table", epilog=FLEET_EPILOG)
     c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
     c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
     _testing(c)
-    c.set_defaults(run=_elsewhere("fleet"))
+    c.set_defaults(module="fleet")
     c = commands.add_parser("fit", help="find a model and its bounds from healthy recordings", epilog=FIT_EPILOG)
     c.add_argument("data", type=_path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
     c.add_argument("--inputs", default="", metavar="A,B", help="columns; or name=column, or name=expression like lift=Tsup-Tmix")
@@ -187,7 +181,7 @@ def _parse(argv):
     c.add_argument("--plot", type=_path, metavar="PNG", help="picture: how much of the bounds each window needs")
     c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
-    c.set_defaults(run=_elsewhere("fit"))
+    c.set_defaults(module="fit")
     c = commands.add_parser("tune", help="find the smallest bounds under which healthy recordings are consistent", epilog=TUNE_EPILOG)
     c.add_argument("model", type=_path, metavar="MODEL.toml", help="its bounds are the start; those at 0 stay 0")
     c.add_argument("healthy", type=_path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet")
@@ -204,7 +198,7 @@ def _parse(argv):
     c.add_argument("--plot", type=_path, metavar="PNG", help="picture of the search and of the margins")
     c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
-    c.set_defaults(run=_elsewhere("tune"))
+    c.set_defaults(module="tune")
     c = commands.add_parser("study", help="simulate a million scenarios and count what is detected", epilog=STUDY_EPILOG)
     c.add_argument("model", type=_path, metavar="MODEL.toml", help="the plant and the bounds of its monitor")
     c.add_argument("--faults", required=True, metavar="F,F", help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation")
@@ -220,28 +214,23 @@ def _parse(argv):
     c.add_argument("--hold", type=_whole(1), default=20, metavar="H", help="samples that a level lasts (default: 20)")
     c.add_argument("--rows", action="store_true", help="keep a row for each scenario in DIR/scenarios/")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
-    c.set_defaults(run=_elsewhere("study"))
+    c.set_defaults(module="study")
     c = commands.add_parser("info", help="show what a model file says and what can be tested", epilog="exit codes: 0, or 2 bad input")
     c.add_argument("model", type=_path, nargs="?", metavar="MODEL.toml")
     c.add_argument("--template", action="store_true", help="print a commented model file")
     c.add_argument("--horizon", type=_whole(0), metavar="S")
-    c.set_defaults(run=_info)
+    c.set_defaults(module="info")
     return parser.parse_args(argv)
 
 
 def _testing(c, more=""):
     """Add the options of every command that tests recordings."""
-    c.add_argument("--method", default="joint", help=f"{', '.join(METHODS)} (default: joint, the exact test){more}")
+    c.add_argument("--method", default="joint", help=f"{METHODS} (default: joint, the exact test){more}")
     c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
     alarm = "an alarm needs k FAULT among n windows (default: 1/1)"
     c.add_argument("--alarm", type=_of_n("k", "3/5"), default=(1, 1), metavar="k/n", help=alarm)
     c.add_argument("--min-coverage", type=_share, default=0.5, metavar="F", help="least share of decided windows (default: 0.5)")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
-
-
-def _elsewhere(module):
-    """Return the `run` of a module that is imported only when its command is given."""
-    return lambda args: importlib.import_module(f"jaxbound.cli.{module}").run(args)
 
 
 def _named(text):
@@ -287,62 +276,15 @@ def _share(text):
 
 def _configure():
     """Switch on float64, the CPU unless the user chose otherwise, and a cache of compiled kernels that lasts."""
+    import jax
+
+    from jaxbound.runs.cache import use_cache
+
     jax.config.update("jax_enable_x64", True)
     if not os.environ.get("JAX_PLATFORMS"):
         jax.config.update("jax_platforms", "cpu")
-    if jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]  # jax makes an attribute of each option at run time
-        return
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbound"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except (OSError, RuntimeError):
-        return
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-
-def _info(args):
-    if args.template == (args.model is not None):
-        raise Refused("jaxbound info needs either a model file or --template")
-    if args.template:
-        write(template())
-        return OK
-    with door(), progress_bars(("relations",)) as step:
-        m = load_model(args.model)
-        r = parity_relations(m, args.horizon, progress=lambda share: step("relations", share))
-    exact = lambda names, values: ", ".join(f"{n} {float(v):.6g}" for n, v in zip(names, values, strict=True) if v) or "none"
-    signals = lambda names: ", ".join(f"{n} [{m.unit(n)}]" if m.unit(n) else n for n in names) or "none"
-    origin = lambda field: f"({m.provenance.get(field, 'origin not stated')})"
-    bounds = [(b, f"{exact(m.outputs, getattr(m, b))}   {origin(b)}") for b in ("tolerance", "noise", "resolution")]
-    ranges = ", ".join(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]" for j, (lo, hi) in enumerate(m.disturbance))
-    bounds += [("disturbance", f"{ranges}   {origin('disturbance')}")] if m.g else []
-    bounds += [("unknown inputs", f"{m.d}, of which nothing is known")] if m.d else []
-    bounds += [
-        ("parameter", f"{p.name} in [{float(p.between[0]):.6g}, {float(p.between[1]):.6g}], {'varies' if p.varying else 'constant'}")
-        for p in m.uncertainties
-    ]
-    if isinstance(r, UncertainRelations):
-        tested = f"polynomials of order {r.order} in {len(r.variables)} uncertain numbers"
-    else:
-        tested = f"{len(r.circuits)} combinations tested" if r.frame is None else "combinations too many to list, the worst is searched for"
-    rows = [
-        ("states", f"{m.n}: {', '.join(m.states)}"), ("inputs", f"{m.m}: {signals(m.inputs)}"), ("outputs", f"{m.p}: {signals(m.outputs)}"),
-        ("dt", f"{m.dt:g} s"), ("matrices", f"A {m.n}x{m.n}, B {m.n}x{m.m}, C {m.p}x{m.n}, D {'present' if m.has_feedthrough else 'zero'}"
-         f"   {origin('model')}"), *bounds,
-        ("offset", exact(m.inputs + m.outputs, m.offset["u"] + m.offset["y"])),
-        *[(f"column of {s}" if s in m.inputs + m.outputs else s, c) for s, c in m.columns.items()],
-        ("horizon", f"{r.horizon}: a window has {r.horizon + 1} samples"),
-        ("relations", f"{r.count} independent, {tested}"),
-        *[("note", n) for n in getattr(r, "notes", ())], *[("hint", h) for h in bound_hints(m)]]  # fmt: skip
-    distinct = distinct_relations(r)
-    if len(distinct) < r.count:
-        rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
-    text = "\n".join(r.text().splitlines()[j] for j in distinct)
-    show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon)}")
-    return OK
+    with suppress(ValueError):  # a folder that cannot be written: what is slow is not wrong
+        use_cache()
 
 
 if __name__ == "__main__":

@@ -8,11 +8,8 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-import jax
-
 from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.runs.refusals import Refused, Stopped
-from jaxbound.sets.floats.probe import refuse_unverified
 
 __all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "OK", "door", "nobody_reads",
            "progress_bars", "say", "show", "stoppable", "system_trouble", "usable_device", "write"]  # fmt: skip
@@ -140,6 +137,10 @@ def say(sentence: str) -> None:
 
 def usable_device() -> None:
     """Raise ValueError if JAX finds no device, Unverified if it runs where nothing is proved."""
+    import jax
+
+    from jaxbound.sets.floats.probe import refuse_unverified
+
     try:
         jax.default_backend()
     except RuntimeError:

@@ -15,7 +15,9 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import detect, main
+from jaxbound.consistency import interface
 from jaxbound.models.modelfile import load_model, save_model, template
+from jaxbound.runs.runfile import VALIDATION
 
 HEADER = "t,u1,y1,y2"
 FILES = {"verdicts.csv", "alarms.csv", "report.html", "margin.png", "residuals.png", "run.json", "tested_model.toml", ".jaxbound.json"}
@@ -317,6 +319,21 @@ def shell(place):
 
 
 class TestShell:
+    def test_help_and_version_wait_for_no_import(self):
+        code = """
+import sys
+from jaxbound.cli.main import main
+for command in ("", "demo", "detect", "explain", "fleet", "fit", "tune", "study", "info"):
+    main([*command.split(), "--help"])
+main(["--version"])
+print(*sys.modules, file=sys.stderr)
+"""
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+        heavy = {"jax", "numpy", "pandas", "matplotlib", "scipy", "pyarrow", "rich", "jinja2", "optax"}
+        assert heavy & {name.partition(".")[0] for name in done.stderr.split()} == set()
+        assert f"{', '.join(interface.METHODS)} (default: joint" in " ".join(done.stdout.split())
+        assert f"; {VALIDATION} bounds states" in " ".join(done.stdout.split())
+
     def test_a_run_from_the_shell(self, place, shell):
         args, environment = shell
         args = [*args, "detect", "model.toml", "faulty.csv", "--out", "out", "--json"]

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from jaxbound.cli import main
+from jaxbound.cli import info, main
 from jaxbound.cli.fleet import write_fleet
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import canvas, to_png
@@ -131,6 +131,6 @@ def test_too_little_memory_is_a_sentence(capsys, monkeypatch, model):
     def greedy(path):
         raise MemoryError("Unable to allocate 8 TiB")
 
-    monkeypatch.setattr(main, "load_model", greedy)
+    monkeypatch.setattr(info, "load_model", greedy)
     assert main.main(["info", str(model / "m.toml")]) == 2
     assert "more memory than there is" in capsys.readouterr().err
