@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 from systems import paper
@@ -313,9 +314,13 @@ class TestOtherEnds:
 
 @pytest.fixture
 def shell(place):
-    """Return (arguments of a process, its environment): the real program with a cache of its own."""
+    """Return (arguments of a process, its environment): the real program with a cache of its own, but for the fonts it has found."""
     environment = {k: v for k, v in os.environ.items() if k not in ("JAX_PLATFORMS", "JAX_ENABLE_X64", "JAX_COMPILATION_CACHE_DIR")}
-    return [sys.executable, "-m", "jaxbound.cli"], {**environment, "XDG_CACHE_HOME": str(place / "cache")}
+    return [sys.executable, "-m", "jaxbound.cli"], {
+        **environment,
+        "XDG_CACHE_HOME": str(place / "cache"),
+        "MPLCONFIGDIR": matplotlib.get_cachedir(),
+    }
 
 
 class TestShell:
