@@ -25,7 +25,7 @@ like |x| and x x, is >= 0 for the compiler without a look, NaN or not.
 
 from fractions import Fraction
 from functools import partial
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +39,7 @@ __all__ = [
     "fraction_to_float",
     "mantissa_exponent",
     "nearest_normal",
+    "one_dtype",
     "order",
     "outward",
     "outward_sum",
@@ -210,6 +211,12 @@ def widened(x: jax.Array, dtype: DTypeLike) -> jax.Array:
     digits = as_float(jnp.where(small, pattern | np.float32(2.0**23).view(np.int32), pattern))
     counted = (digits.astype(dtype) - jnp.copysign(2.0**23, digits).astype(dtype)) * 2.0**-149
     return jnp.where(small, counted, digits.astype(dtype))
+
+
+def one_dtype(*trees: Any) -> Any:
+    """Return the trees of arrays, a tuple of them, all in the widest dtype of any: exactly, see `widened`."""
+    dtype = jnp.result_type(*jax.tree.leaves(trees))
+    return jax.tree.map(lambda x: widened(x, dtype), trees)
 
 
 def positive(x: jax.Array) -> jax.Array:

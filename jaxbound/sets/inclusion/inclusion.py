@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.derivatives import plain
 from jaxbound.sets.inclusion.jaxprs import Value, evaluate, refuse_unsupported
@@ -123,7 +124,7 @@ def _widened(leaves, sets):
     """Return the leaves with all Intervals of floats in the wider of their types, so that one vector can hold them."""
     real = [s and jnp.issubdtype(x.dtype, jnp.floating) for s, x in zip(sets, leaves, strict=True)]
     dtype = jnp.result_type(*(x.dtype for x, r in zip(leaves, real, strict=True) if r)) if any(real) else None
-    wider = lambda x: x if x.dtype == dtype else jax.tree.map(lambda v: v.astype(dtype), x)
+    wider = lambda x: x if x.dtype == dtype else jax.tree.map(lambda v: rounding.widened(v, dtype), x)
     return [wider(x) if r else x for x, r in zip(leaves, real, strict=True)]
 
 

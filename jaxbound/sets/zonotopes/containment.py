@@ -98,27 +98,27 @@ def _equations(question: Question) -> tuple[Any, Any]:
     """Return M (S, m, q) and D (S, m, 1 + p)."""
     (c, G, A, b), (c2, G2, _, _) = question.sets
     xp = proof.library(c)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         top = xp.concatenate([(c2 - c)[..., None], G2], 2)
     return xp.concatenate([G, A], 1), xp.concatenate([top, xp.pad(b[..., None], ((0, 0), (0, 0), (0, G2.shape[2])))], 1)
 
 
 def _decided(question: Question) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return (answer (S,), margin (S,), direction (S, m), X (S, q, 1 + p)) on the host."""
-    M, D = _equations(question)
-    (S, _, q), image = M.shape, proof.image(M)
-    D = image.scaled(D.swapaxes(1, 2)).swapaxes(1, 2)
+    (M, D), known = _equations(question), question.known()[:, 0]
+    (S, _, q), image = M.shape, proof.image(np.where(np.isfinite(M), M, 0))
+    D = image.scaled(np.where(known[:, None, None], D, 0).swapaxes(1, 2)).swapaxes(1, 2)
     direction, least = _climb(image, D)
     X, most = np.full((S, q, D.shape[2]), np.nan), np.full(S, np.inf)
     rest = np.nonzero(~(least > 1))[0]
     X[rest], most[rest] = _encode(image.of(rest), D[rest])
-    held, not_held = most <= 1, least > 1
+    held, not_held = (most <= 1) & known, (least > 1) & known
     answer = np.where(not_held, Answer.NO, np.where(held, Answer.YES, Answer.UNDECIDED)).astype(np.int8)
     margin = np.where(not_held, 1 - least, np.where(held, 1 - most, 0.0))
     direction = np.where(not_held[:, None], unscaled(direction[:, None], image.powers)[:, 0], 0)
     (c, G, A, _), _ = question.sets
     if not A.shape[1] and math.comb(q, c.shape[1] - 1) <= FEW:
-        for i in np.nonzero(answer == 0)[0]:  # X stays: exact numbers may still make a certificate of it
+        for i in np.nonzero((answer == 0) & known)[0]:  # X stays: exact numbers may still make a certificate of it
             answer[i], margin[i], direction[i] = _by_facets(*(tuple(v[i] for v in x) for x in question.sets))
     return answer, margin, direction, X
 
@@ -164,9 +164,9 @@ def _climb(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, n
 
 def _traced(question: Question) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return what `_decided` does, inside jit."""
-    M, D = _equations(question)
+    (M, D), known = _equations(question), question.known()[:, 0]
     direction, X, least, most = kernels.contained(M, D)
-    held, not_held = most <= 1, least > 1
+    held, not_held = (most <= 1) & known, (least > 1) & known
     answer = jnp.where(not_held, int(Answer.NO), jnp.where(held, int(Answer.YES), 0)).astype(jnp.int8)
     return answer, jnp.where(not_held, 1 - least, jnp.where(held, 1 - most, 0)), direction, X
 

@@ -28,6 +28,7 @@ from jaxbound.sets.zonotopes import certificate, kernels, proof
 from jaxbound.sets.zonotopes.constrained import AnySet
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import Question, flat, numbers, traced
+from jaxbound.sets.zonotopes.zonotope import refuse_infinite
 
 __all__ = ["Answer", "Decision", "Separation", "contains_points", "intersects", "is_empty", "separate", "unscaled"]
 
@@ -120,8 +121,8 @@ def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
     lead = points.shape[:-1]
     if points.ndim < 1 or points.shape[-1] != n or lead[: len(batch)] != batch:
         raise ValueError(f"points must have shape ({', '.join(map(str, (*batch, '...', n)))}): their shape is {points.shape}")
-    if not isinstance(points, jax.core.Tracer) and not (fine := np.isfinite(np.asarray(points, float))).all():
-        raise ValueError(f"points must be finite: {(~fine).sum()} of {points.size} entries are not, first at {_place(~fine)}")
+    if not isinstance(points, jax.core.Tracer):
+        refuse_infinite(points=points)
     off: jax.Array | float = 0.0
     if not traced(sets):
         points = np.asarray(points, float)
@@ -247,21 +248,21 @@ def separate(X: AnySet, Y: AnySet) -> Separation:
 def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: ArrayLike = 0.0) -> Decision:
     """Answer a question; `meets` is the answer where there is an x; its points are off by at most `off` beyond one rounding."""
     refuse_unverified()
-    M, d = question.equations()
+    (M, d), known = question.equations(), question.known()
     lay = lambda v: v.reshape((*shape, *v.shape[2:]))
     if traced(question):
         lower, upper, direction, x = kernels.bounds(M, d, off)
-        inside, outside = upper <= 1, lower > 1
+        inside, outside = (upper <= 1) & known, (lower > 1) & known
         room = jnp.where(inside, 1 - upper, jnp.where(outside, 1 - lower, 0))
         said = jnp.where(inside, int(meets), jnp.where(outside, -int(meets), 0)).astype(jnp.int8)
         return Decision(lay(said), lay(room * int(meets)), None, lay(direction), lay(x))
-    image = proof.image(M)
-    found = gauge_bounds(image, image.scaled(d))
-    inside, outside = found.upper <= 1, found.lower > 1
+    image = proof.image(np.where(np.isfinite(M), M, 0))
+    found = gauge_bounds(image, image.scaled(np.where(known[..., None], d, 0)))
+    inside, outside = (found.upper <= 1) & known, (found.lower > 1) & known
     margin = np.where(inside, 1 - found.upper, np.where(outside, 1 - found.lower, 0.0))
     direction = unscaled(found.l, image.powers)
     m, q = M.shape[1:]
-    if inside.size == 1 and not (inside | outside).any() and m * m * (m + q) <= EXACT:
+    if inside.size == 1 and known.all() and not (inside | outside).any() and m * m * (m + q) <= EXACT:
         x, l = certificate.exactly(question, (0, 0), found.x[0, 0])
         inside, outside = np.full((1, 1), x is not None), np.full((1, 1), l is not None)
         if x is not None:
@@ -280,7 +281,3 @@ def unscaled(l: np.ndarray, powers: np.ndarray) -> np.ndarray:
     top = np.where(l != 0, exponent, np.iinfo(np.int32).min).max(2, initial=np.iinfo(np.int32).min, keepdims=True)
     with np.errstate(under="ignore"):
         return np.where(l != 0, np.ldexp(mantissa, np.where(l != 0, exponent - top, 0)), 0.0)
-
-
-def _place(bad: np.ndarray) -> tuple[int, ...]:
-    return tuple(np.argwhere(bad)[0].tolist())

@@ -40,9 +40,7 @@ def support(S: AnySet, direction: Operand) -> jax.Array:
     n, d = dimension(S), interval(direction)
     if d.shape != (n,):
         raise ValueError(f"direction must have shape ({n},): its shape is {d.shape}")
-    dtype = jnp.result_type(S.center.dtype, d.dtype)
-    S, d = jax.tree.map(lambda x: x.astype(dtype), (S, d[None]))
-    return _supports(S, d)[0]
+    return _support(S, d)
 
 
 def interval_hull(S: AnySet) -> Interval:
@@ -61,12 +59,18 @@ def interval_hull(S: AnySet) -> Interval:
 def _interval_hull(S: AnySet) -> Interval:
     if isinstance(S, Zonotope):
         return S.hull()
+    (S,) = rounding.one_dtype(S)
     axes = jnp.eye(len(S.center), dtype=S.center.dtype)
     far = _supports(S, Interval(axes := jnp.concatenate([-axes, axes]), axes))
     return Interval(-far[: len(S.center)], far[len(S.center) :])
 
 
 @jax.jit
+def _support(S: AnySet, direction: Interval) -> jax.Array:
+    S, direction = rounding.one_dtype(S, direction)
+    return _supports(S, direction[None])[0]
+
+
 def _supports(S: AnySet, directions: Interval) -> jax.Array:
     """Return (r,) upper bounds of the support along the rows of `directions`, an Interval (r, n)."""
     c, G, A, b = parts(S)

@@ -16,7 +16,7 @@ from jaxbound.sets.strips.strips import UNROLLED, Strips, strip_verdict
 from jaxbound.sets.zonotopes import kernels, proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import numbers, traced
-from jaxbound.sets.zonotopes.zonotope import Zonotope
+from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
 __all__ = ["FEW", "exact_strips", "membership", "strips"]
 
@@ -52,6 +52,7 @@ def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
     """Return [(normal, half-width)] as exact numbers."""
     if isinstance(Z.generators, jax.core.Tracer):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
+    refuse_infinite(center=Z.center, generators=Z.generators)
     G = [[Fraction(x) for x in row] for row in _floats(Z.generators).tolist()]
     n, q = np.shape(Z.generators)
     flat = linalg.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
@@ -103,8 +104,7 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
     if traced((Z, points)):
         return _traced(Z, points)
     points = np.asarray(points)
-    if not np.isfinite(points.astype(float)).all():
-        raise ValueError(f"points must be finite: first not at {tuple(np.argwhere(~np.isfinite(points.astype(float)))[0].tolist())}")
+    refuse_infinite(center=Z.center, generators=Z.generators, points=points)
     if math.comb(Z.generators.shape[1], n - 1) > FEW:
         return _searched(Z, points)
     found = exact_strips(Z)

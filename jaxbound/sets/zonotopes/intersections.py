@@ -74,13 +74,12 @@ def _(S: AnySet, Y: AnySet | Interval, matrix: Operand | None = None) -> Constra
 
 @jax.jit
 def _intersect(S: AnySet, Y: AnySet | Interval, M: Interval | None) -> ConstrainedZonotope:
-    dtype = jnp.result_type(S.center.dtype, *(x.dtype for x in jax.tree.leaves((Y, M))))
-    S, Y, M = jax.tree.map(lambda x: x.astype(dtype), (S, Y, M))
+    S, Y, M = rounding.one_dtype(S, Y, M)
     c, G, A, b = parts(S)
     d, H, error = (c, G, jnp.zeros_like(c)) if M is None else mapped(mid(M), rad(M), c, G)  # M p = d + H x, off by `error`
     if isinstance(Y, Interval):
         Y = _bounded(Y, d, up(reach(jnp.zeros_like(d), H) + error))
-        y, spread, F, B, e = mid(Y), rad(Y), jnp.zeros((len(d), 0), dtype), jnp.zeros((0, 0), dtype), b[:0]
+        y, spread, F, B, e = mid(Y), rad(Y), jnp.zeros((len(d), 0), d.dtype), jnp.zeros((0, 0), d.dtype), b[:0]
     else:
         (y, F, B, e), spread = parts(Y), jnp.zeros_like(d)
     offset, more = added(y, -d)
@@ -149,6 +148,7 @@ def eliminate_constraints(S: AnySet, keep: int = 0, gain: ArrayLike | None = Non
 
 @partial(jax.jit, static_argnums=2)
 def _eliminate(S: AnySet, gain: jax.Array | None, keep: int) -> AnySet:
+    (S,) = rounding.one_dtype(S)
     c, G, A, b = parts(S)
     if keep:
         strength = jnp.sum(product(G, A.T) ** 2, 0) / jnp.maximum(jnp.sum(A**2, 1), rounding.tiny(c.dtype))

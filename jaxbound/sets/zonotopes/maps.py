@@ -10,13 +10,11 @@ last; `reduce_order` merges them again. Nothing is added where entries are only 
 nothing is ever decided.
 """
 
-from collections.abc import Iterator
 from typing import cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -25,8 +23,8 @@ from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, par
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["added", "blocks", "cartesian_product", "convex_hull", "dimension", "from_interval", "linear_map", "mapped", "minkowski_sum",
-           "one_dtype", "product", "reach", "scale", "translate", "up",
-           "weighed", "whole"]  # fmt: skip
+           "product", "reach", "scale", "translate", "up", "weighed",
+           "whole"]  # fmt: skip
 
 SHORT = 16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
 
@@ -108,29 +106,21 @@ def linear_map(matrix: Operand, S: AnySet, offset: Operand | None = None) -> Any
     M, n = interval(matrix), dimension(S)
     if len(M.shape) != 2 or M.shape[1] != n:
         raise ValueError(f"the matrix must have shape (r, {n}) for a set of {n} coordinates: its shape is {M.shape}")
-    move = interval(np.zeros(M.shape[0], np.float32) if offset is None else offset)
-    if move.shape != (M.shape[0],):
+    move = None if offset is None else interval(offset)
+    if move is not None and move.shape != (M.shape[0],):
         raise ValueError(f"the offset must have shape ({M.shape[0]},): its shape is {move.shape}")
-    return _linear_map(M, S, move, offset is not None)
-
-
-def _linear_map(M: Interval, S: AnySet, move: Interval, moved: bool) -> AnySet:
-    dtype = jnp.result_type(M.dtype, S.center.dtype, *([move.dtype] if moved else []))
-    M, S, move = jax.tree.map(lambda x: x.astype(dtype), (M, S, move))
-    return _moved_map(M, S, move) if moved else _plain_map(M, S)
+    return _linear_map(M, S, move)
 
 
 @jax.jit
-def _plain_map(M: Interval, S: AnySet) -> AnySet:
+def _linear_map(M: Interval, S: AnySet, move: Interval | None) -> AnySet:
+    M, S, move = rounding.one_dtype(M, S, move)
     c, G, A, b = parts(S)
     c, G, error = mapped(mid(M), rad(M), c, G)
-    return whole(c, G, A, b, error)
+    return whole(c, G, A, b, error) if move is None else _moved(c, G, A, b, move, error)
 
 
-@jax.jit
-def _moved_map(M: Interval, S: AnySet, move: Interval) -> AnySet:
-    c, G, A, b = parts(S)
-    c, G, error = mapped(mid(M), rad(M), c, G)
+def _moved(c: jax.Array, G: jax.Array, A: jax.Array, b: jax.Array, move: Interval, error: jax.Array) -> AnySet:
     c, more = added(c, mid(move))
     return whole(c, G, A, b, up(up(error + more) + rad(move)))
 
@@ -162,15 +152,9 @@ def minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
 
 @jax.jit
 def _minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
-    (c, G, A, b), (d, H, B, e) = (parts(x) for x in one_dtype(S, T))
+    (c, G, A, b), (d, H, B, e) = (parts(x) for x in rounding.one_dtype(S, T))
     center, error = added(c, d)
     return whole(center, jnp.concatenate([G, H], 1), blocks(A, B), jnp.concatenate([b, e]), error)
-
-
-def one_dtype(*sets: AnySet) -> Iterator[AnySet]:
-    """Return the sets in the wider of their dtypes."""
-    dtype = jnp.result_type(*(S.center.dtype for S in sets))
-    return (jax.tree.map(lambda x: x.astype(dtype), S) for S in sets)
 
 
 def blocks(A: jax.Array, B: jax.Array) -> jax.Array:
@@ -179,10 +163,25 @@ def blocks(A: jax.Array, B: jax.Array) -> jax.Array:
     return jnp.concatenate([upper, jnp.concatenate([jnp.zeros((B.shape[0], A.shape[1]), B.dtype), B], 1)])
 
 
-def translate(S: AnySet, vector: ArrayLike) -> AnySet:
-    """Return {p + vector : p in S} for (n,) numbers: a sum with a point. Raises ValueError for a vector of another dimension."""
-    vector = jnp.asarray(vector, S.center.dtype) if isinstance(vector, (list, tuple)) else jnp.asarray(vector)
-    return minkowski_sum(S, Zonotope(vector, jnp.zeros((*vector.shape, 0), vector.dtype)))
+def translate(S: AnySet, vector: Operand) -> AnySet:
+    """Return {p + vector : p in S} for (n,) numbers or an Interval, with n generators more. Numbers in a list leave the dtype as it is.
+
+    Raises:
+        ValueError: a vector of another dimension, NaN or infinity.
+    """
+    n = dimension(S)
+    if isinstance(vector, (list, tuple)):
+        vector = interval(rounding.round_down(vector, S.center.dtype), rounding.round_up(vector, S.center.dtype))
+    move = interval(vector)
+    if move.shape != (n,):
+        raise ValueError(f"the vector must have shape ({n},): its shape is {move.shape}")
+    return _translated(S, move)
+
+
+@jax.jit
+def _translated(S: AnySet, move: Interval) -> AnySet:
+    S, move = rounding.one_dtype(S, move)
+    return _moved(*parts(S), move, jnp.zeros_like(parts(S)[0]))
 
 
 def scale(S: AnySet, factor: Operand) -> AnySet:
@@ -199,10 +198,10 @@ def scale(S: AnySet, factor: Operand) -> AnySet:
 
 @jax.jit
 def _scaled(S: AnySet, factor: Interval) -> AnySet:
-    dtype = jnp.result_type(S.center.dtype, factor.dtype)
-    (c, G, A, b), factor = parts(jax.tree.map(lambda x: x.astype(dtype), S)), jax.tree.map(lambda x: x.astype(dtype), factor)
+    S, factor = rounding.one_dtype(S, factor)
+    c, G, A, b = parts(S)
     middle, spread = (jnp.broadcast_to(x, c.shape) for x in (mid(factor), rad(factor)))
-    gamma, least = rounding.product_error(1, dtype)
+    gamma, least = rounding.product_error(1, c.dtype)
     floor = least * (G.shape[1] + 1) * (1 + jnp.abs(middle) + spread) * (1 + jnp.max(jnp.abs(c)) + jnp.max(jnp.abs(G), initial=0))
     error = up(up(up(gamma * jnp.abs(middle) + spread) * reach(c, G)) + floor)
     return whole(middle * c, middle[:, None] * G, A, b, error)
@@ -216,7 +215,7 @@ def cartesian_product(S: AnySet, T: AnySet) -> AnySet:
 
 @jax.jit
 def _cartesian_product(S: AnySet, T: AnySet) -> AnySet:
-    (c, G, A, b), (d, H, B, e) = (parts(x) for x in one_dtype(S, T))
+    (c, G, A, b), (d, H, B, e) = (parts(x) for x in rounding.one_dtype(S, T))
     return whole(jnp.concatenate([c, d]), blocks(G, H), blocks(A, B), jnp.concatenate([b, e]))
 
 
@@ -258,7 +257,7 @@ def convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
 
 @jax.jit
 def _convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
-    (c, G, *_), (d, H, *_) = (parts(x) for x in one_dtype(Z, Y))
+    (c, G, *_), (d, H, *_) = (parts(x) for x in rounding.one_dtype(Z, Y))
     G, H = (jnp.pad(x, ((0, 0), (0, max(G.shape[1], H.shape[1]) - x.shape[1]))) for x in (G, H))
     c, d, G, H = 0.5 * c, 0.5 * d, 0.5 * G, 0.5 * H
     columns = jnp.concatenate([(c - d)[:, None], G + H, G - H], 1)

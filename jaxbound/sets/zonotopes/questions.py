@@ -42,13 +42,21 @@ class Question:
             return A, b[:, None]
         if self.points is not None:
             beside = xp.broadcast_to(b[:, None], (*self.points.shape[:2], b.shape[-1]))
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):
                 return xp.concatenate([G, A], 1), xp.concatenate([self.points - c[:, None], beside], 2)
         c2, G2, A2, b2 = self.sets[1]
         zeros = lambda rows, columns: xp.zeros((len(c), rows.shape[1], columns.shape[2]), c.dtype)
         M = xp.concatenate([xp.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1)
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             return M, xp.concatenate([c2 - c, b, b2], 1)[:, None]
+
+    def known(self) -> Any:
+        """Return (S, N), true where all numbers are finite: an overflow or NaN in a set, or a point, decides nothing."""
+        known = True
+        for v in (v for x in self.sets for v in x):
+            known = known & library(v).isfinite(v).all(tuple(range(1, v.ndim)))
+        known = known[:, None]
+        return known if self.points is None else known & library(self.points).isfinite(self.points).all(2)
 
     def exact(self, at: tuple[int, int]) -> tuple[list[list[Fraction]], list[list[Fraction]]]:
         """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first column of D.

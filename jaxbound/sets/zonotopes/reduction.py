@@ -53,6 +53,7 @@ def reduce_order(S: AnySet, order: float, method: str = "girard") -> AnySet:
 
 @partial(jax.jit, static_argnums=(1, 2))
 def _reduced(S: AnySet, wanted: int, method: str) -> AnySet:
+    (S,) = rounding.one_dtype(S)
     c, G, A, b = parts(S)
     lifted = jnp.concatenate([G, A])
     keep = wanted - (2 if method == "pca" else 1) * len(lifted)

@@ -21,7 +21,7 @@ from jaxbound.sets.zonotopes import search
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.facets import exact_strips
 from jaxbound.sets.zonotopes.questions import traced
-from jaxbound.sets.zonotopes.zonotope import Zonotope
+from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
 __all__ = ["minkowski_difference", "sample", "vertices", "volume"]
 
@@ -49,6 +49,7 @@ def vertices(Z: AnySet) -> np.ndarray:
     if traced(Z):
         raise TypeError("corners need concrete numbers, since their number depends on them: ask outside jit, grad and vmap")
     c, G, A, b = (np.asarray(x, float) for x in parts(Z))
+    refuse_infinite(center=c, generators=G, A=A, b=b)
     if len(b):
         return _touched(c, G, A, b)
     G = G[:, np.abs(G).max(0, initial=0) > 1e-13 * np.abs(G).max(initial=0)]  # what only holds roundings is no edge
@@ -126,6 +127,7 @@ def volume(Z: Zonotope) -> float:
     """
     if traced(Z):
         raise TypeError("a volume is worked out from concrete numbers: ask outside jit, grad and vmap")
+    refuse_infinite(center=Z.center, generators=Z.generators)
     n, q = Z.generators.shape
     if comb(q, n) > DETERMINANTS:
         raise ValueError(f"{q} generators in {n} coordinates have {comb(q, n)} determinants, more than {DETERMINANTS}: reduce_order first")
@@ -201,6 +203,7 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
     (n,), (m,) = Z.center.shape, Y.center.shape
     if n != m:
         raise ValueError(f"the sets must have one dimension: they have {n} and {m} coordinates")
+    refuse_infinite(center=Y.center, generators=Y.generators)
     found = exact_strips(Z)
     if n != 2 and len(found) != n:
         raise ValueError(

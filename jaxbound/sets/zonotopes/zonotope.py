@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["Zonotope", "zonotope"]
+__all__ = ["Zonotope", "finite_arrays", "refuse_infinite", "zonotope"]
 
 
 @jax.tree_util.register_dataclass
@@ -26,9 +26,10 @@ class Zonotope:
 
     def hull(self) -> Interval:
         """Return the smallest box around it, rounded outward: an Interval (..., n)."""
-        size = jnp.abs(self.generators)
+        center, generators = rounding.one_dtype(self.center, self.generators)
+        size = jnp.abs(generators)
         spread = rounding.outward_sum(size, size, -1)[1]
-        return Interval(*rounding.unbounded(*rounding.outward(self.center - spread, self.center + spread)))
+        return Interval(*rounding.unbounded(*rounding.outward(center - spread, center + spread)))
 
 
 def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
@@ -51,10 +52,16 @@ def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
 
 def finite_arrays(**arrays: np.ndarray) -> tuple[jax.Array, ...]:
     """Return NumPy arrays as JAX arrays of their common float dtype; refuse NaN and infinity by name."""
-    for name, x in arrays.items():
-        finite = np.isfinite(x.astype(float))
-        if not finite.all():
-            raise ValueError(f"{name} must be finite: {(~finite).sum()} of {x.size} entries are not")
+    refuse_infinite(**arrays)
     single = all(x.dtype == np.float32 for x in arrays.values())
     dtype = jnp.result_type(*arrays.values(), np.float32 if single else float)
     return tuple(jnp.asarray(x, dtype) for x in arrays.values())
+
+
+def refuse_infinite(**arrays: ArrayLike) -> None:
+    """Raise ValueError, with its name, for an array of concrete numbers with NaN or infinity: what overflowed, or was never checked."""
+    for name, x in arrays.items():
+        finite = np.isfinite(np.asarray(x, float))
+        if not finite.all():
+            first = tuple(np.argwhere(~finite)[0].tolist())
+            raise ValueError(f"{name} must be finite: {(~finite).sum()} of {finite.size} entries are not, first at {first}")

@@ -8,7 +8,7 @@ import pytest
 from corners import DTYPES
 from inclusion_cases import CASES, misses, values_at
 
-from jaxbound.sets import inclusion, interval
+from jaxbound.sets import Interval, inclusion, interval
 from jaxbound.sets.inclusion.inclusion import METHODS
 
 FEW = [c for c in CASES if c.name in ("parabola", "figure 1", "van der pol step", "where")]
@@ -172,3 +172,9 @@ def test_a_square_root_of_a_square_has_a_slope_even_where_its_formula_has_none()
     f = lambda z: jnp.sqrt(z[0] ** 2) + z[1]
     found = inclusion(f, "best")(interval([0.0, 0.0], [0.0, 1.0]))
     assert found.lo <= 0 and found.hi >= 1
+
+
+def test_a_float32_box_inside_jit_keeps_its_subnormal_bounds_beside_float64():
+    tiny = jnp.full((), -1e-40, jnp.float32)
+    found = jax.jit(inclusion(lambda x, y: x.astype(y.dtype) * y))(Interval(tiny, tiny), interval(1e30, 1e30))
+    assert found.lo <= float(tiny) * 1e30

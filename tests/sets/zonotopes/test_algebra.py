@@ -347,3 +347,67 @@ def test_what_is_no_set_is_refused():
     for call in (lambda: sets.strip_intersection(box, sets.interval([0.0], [1.0]), [[1.0]]), lambda: sets.convex_hull(box, box)):
         with pytest.raises(TypeError, match="constraints|exact"):
             call()
+
+
+# numbers of two dtypes, and those that are none
+
+
+def _small(dtype):
+    """Return a set around 0 whose numbers are subnormal in float32, a subnormal number being what compiled code converts to 0."""
+    return Zonotope(jnp.zeros(1, dtype), jnp.full((1, 1), 1e-40, dtype))
+
+
+NARROW, WIDE = _small(np.float32), _small(np.float64)
+ONE = np.ones((1, 1))
+
+
+@pytest.mark.parametrize("reach", [
+    lambda: sets.linear_map(ONE, NARROW).generators[0],
+    lambda: sets.cartesian_product(WIDE, NARROW).generators[1],
+    lambda: sets.intersection(WIDE, NARROW).constraints[0, 1:],
+    lambda: sets.interval_hull(Zonotope(WIDE.center, NARROW.generators)).hi,
+    *(pytest.param(f, marks=pytest.mark.slow) for f in (
+        lambda: sets.linear_map(ONE.astype(np.float32), WIDE, np.zeros(1, np.float32)).generators[0],
+        lambda: sets.scale(NARROW, np.float64(1.0)).generators[0],
+        lambda: sets.translate(NARROW, np.zeros(1)).generators[0],
+        lambda: sets.minkowski_sum(NARROW, WIDE).generators[0] / 2,
+        lambda: sets.convex_hull(NARROW, WIDE).generators[0],
+        lambda: sets.support(NARROW, ONE[0])[None],
+        lambda: sets.reduce_order(Zonotope(WIDE.center, jnp.concatenate([NARROW.generators] * 2, 1)), 1).generators[0] / 2,
+        lambda: sets.eliminate_constraints(ConstrainedZonotope(WIDE.center, NARROW.generators, 0 * ONE, np.zeros(1))).generators[0],
+    )),
+])  # fmt: skip
+def test_what_only_the_narrower_dtype_calls_subnormal_is_kept(reach):
+    assert np.abs(np.asarray(reach(), float)).sum() >= float(np.float32(1e-40)) * (1 - 1e-9)
+
+
+def test_a_set_whose_own_arrays_differ_in_dtype_is_read_in_the_wider():
+    Z = Zonotope(jnp.zeros(1, np.float32), 0.1 * ONE)
+    assert sets.cartesian_product(Z, Z).generators[0, 0] == 0.1
+
+
+def test_a_vector_in_a_list_moves_a_narrow_set_by_at_least_all_it_says():
+    S = sets.translate(sets.zonotope(np.zeros(1, np.float32), np.ones((1, 0), np.float32)), [0.1])
+    gap = abs(Fraction(0.1) - Fraction(float(S.center[0])))
+    assert S.center.dtype == np.float32 and 0 < gap <= Fraction(float(S.generators[0, 0]))
+
+
+BAD = [Zonotope(jnp.array([bad, 0.0]), jnp.eye(2)) for bad in (np.nan, np.inf)]
+BAD += [Zonotope(jnp.zeros(2), jnp.array([[1.0, bad], [0.0, 1.0]])) for bad in (np.nan, np.inf)]
+
+
+@pytest.mark.parametrize("Z", BAD, ids=["nan center", "infinite center", "nan generator", "infinite generator"])
+def test_what_is_no_number_bounds_nothing(Z):
+    assert not sets.support(Z, [1.0, 1.0]) < np.inf and not sets.support(Z, [0.0, 0.0]) < 0
+    assert not (sets.interval_hull(Z).hi < np.inf).all()
+
+
+@pytest.mark.parametrize("f", [
+    sets.volume, sets.strips, sets.vertices, lambda Z: sets.membership(Z, np.zeros((1, 2))),
+    lambda Z: sets.minkowski_difference(Z, sets.zonotope([0.0, 0.0], np.eye(2))),
+    lambda Z: sets.minkowski_difference(sets.zonotope([0.0, 0.0], np.eye(2)), Z),
+])  # fmt: skip
+def test_what_is_no_number_is_refused_where_exact_numbers_are_needed(f):
+    for Z in BAD:
+        with pytest.raises(ValueError, match="must be finite: 1 of"):
+            f(Z)

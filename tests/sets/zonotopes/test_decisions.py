@@ -286,3 +286,20 @@ def test_an_undecided_answer_has_no_certificate():
     Z = zonotope([0.0, 0.0], [[1.0], [1.0]])
     with pytest.raises(ValueError, match="UNDECIDED"):
         contains(Z, np.array([[0.5, 0.5], [0.1, 0.1]])).certificate(0)
+
+
+# what is no number
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("field", range(4), ids=["center", "generators", "constraints", "offsets"])
+def test_a_set_with_a_number_that_is_none_decides_nothing_and_its_neighbours_everything(bad, field):
+    arrays = [np.zeros((2, 2)), np.ones((2, 1, 1)) * np.eye(2, 3), np.ones((2, 1, 3)), np.full((2, 1), 0.5)]
+    arrays[field][(0,) * arrays[field].ndim] = bad
+    C, other = sets.ConstrainedZonotope(*arrays), zonotope(np.zeros((2, 2)), np.full((2, 2, 1), 0.1))
+    one = sets.ConstrainedZonotope(*(v[0] for v in arrays))
+    assert is_empty(C).answer.tolist() == [0, -1] and intersects(C, other).answer.tolist() == [0, 1]
+    assert contains(C, np.zeros((2, 1, 2))).answer.tolist() == [[0], [1]] and contains(one, zonotope([0.0, 0.0], np.eye(2))).answer == 0
+    assert is_empty(one).answer == 0 and contains(one, [0.0, 0.0]).answer == 0 and np.isnan(separate(one, one).point).all()
+    with pytest.raises(ValueError, match="neither yes nor no"):
+        bool(contains(one, [0.0, 0.0]))

@@ -278,7 +278,7 @@ def test_the_factory_refuses_what_is_no_zonotope(center, generators, message):
     [
         ([0.0, 0.0], r"shape \(N, 2\): their shape is \(2,\)"),
         ([[0.0]], r"their shape is \(1, 1\)"),
-        ([[0.0, 0.0], [0.0, np.nan]], r"first not at \(1, 1\)"),
+        ([[0.0, 0.0], [0.0, np.nan]], r"first at \(1, 1\)"),
         ([[np.inf, 0.0]], "must be finite"),
     ],
 )
