@@ -8,6 +8,7 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ import numpy as np
 from jaxbound.consistency.devices import default_device, everywhere, on_devices
 from jaxbound.consistency.interface import Observer, WindowTest
 from jaxbound.consistency.reading import gather
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.probe import usable_devices
 
 __all__ = ["drive"]
@@ -35,7 +36,7 @@ def drive(test: WindowTest | Observer, given: Recording, progress: Callable | No
     if isinstance(test, Observer):
         return test.fold(test.init(), given)[1]
     s, shape = test.horizon, given.y.shape[:-1]
-    u, y = (np.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (given.u, given.y))
+    u, y = _end_to_end(given.u), _end_to_end(given.y)
     gone: np.ndarray | slice
     if len(given.starts):
         gone = np.flatnonzero(given.across(s) | (np.arange(shape[-1]) < s))
@@ -59,6 +60,12 @@ class _Run(NamedTuple):
         return on_devices(kernel, self.constants, blocks, self.devices, self.axis)
 
 
+def _end_to_end(x):
+    """Return samples (..., T, n) as (N, n), on the host."""
+    x = np.asarray(x)
+    return x if x.ndim == 2 else x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
+
+
 def _nothing(share):
     """Report nothing."""
 
@@ -78,30 +85,30 @@ def _rising(progress):
 
 def _stretches(test, u, y, length, gone, size, report):
     """Judge all windows of contiguous samples, those that do not count among them."""
-    s, samples = test.horizon, len(y)
-    outs = [_aligned(samples, dtype) for dtype, _ in test.outputs]
-    firsts = range(0, max(samples - s, 0), size)
+    s, samples, kinds = test.horizon, len(y), test.outputs
+    outs = [_aligned(samples, dtype) for dtype, _ in kinds]
+    firsts = range(0, samples - s, size)
     devices = usable_devices()[: None if len(firsts) > 1 else 1]
     run, pending = _Run(_placed(test, devices), devices, 0), []
 
     def collect(chosen, judged):
         for first, found in zip(chosen, judged, strict=True):
+            stop = min(first + s + size, samples)
             for out, value in zip(outs, found, strict=True):
-                rest = out[first + s : first + s + size]
-                rest[:] = np.asarray(value)[: len(rest)]
-            report(min(first + s + size, samples) / samples)
+                out[first + s : stop] = np.asarray(value)[: stop - first - s]
+            report(stop / samples)
 
     for i in range(0, len(firsts), len(devices)):
         chosen = firsts[i : i + len(devices)]
-        blocks = [tuple(_padded(x, k, min(k + size, samples - s) + s, size + s) for x in (u, y)) for k in chosen]
+        blocks = [(_padded(u, first, size + s), _padded(y, first, size + s)) for first in chosen]
         pending.append((chosen, test.judge(run, blocks)))
         if len(pending) >= AHEAD:
             collect(*pending.pop(0))
     for done in pending:
         collect(*done)
-    for out, (_, nothing) in zip(outs, test.outputs, strict=True):
+    for out, (_, nothing) in zip(outs, kinds, strict=True):
         out.reshape(samples // max(length, 1), length)[:, gone] = nothing
-    test.settle(u, y, outs, np.zeros(0, np.int64), None, report)
+    test.settle(u, y, outs, NOWHERE, None, report)
     return outs
 
 
@@ -109,7 +116,7 @@ def _gathered(test, u, y, length, gone, size, report):
     """Judge the windows that count, and settle what is left open."""
     s = test.horizon
     outs = [np.full(len(y), nothing, dtype) for dtype, nothing in test.outputs]
-    ends = np.delete(np.arange(length), gone)
+    ends = np.arange(s, length) if isinstance(gone, slice) else np.delete(np.arange(length), gone)
     if 0 < length < len(y):
         ends = (ends + np.arange(0, len(y), length)[:, None]).ravel()
     cases, total, done = test.cases(u, y, ends - s), max(len(ends), 1), 0
@@ -129,18 +136,17 @@ def _over_windows(test, u, y, starts, outs, size, report):
     s, devices = test.horizon, usable_devices()[: None if len(starts) > size else 1]
     together = size * len(devices) if test.sharded else size
     groups = [starts[i : i + together] for i in range(0, len(starts), together)]
-    wide, default = jax.dtypes.canonicalize_dtype(float) == np.float64, default_device()  # contexts of this thread, perhaps
     run = _Run(_placed(test, devices), devices, -1) if test.sharded else None
     finished = 0
 
     def work(_, group):
         parts = [group[i : i + size] for i in range(0, len(group), size)]
-        full = [np.concatenate([c, np.repeat(c[:1], size - len(c))]) if test.padded else c for c in parts]
+        full = [c.take(np.arange(size), mode="clip") if test.padded else c for c in parts]  # the last window again and again
         return list(zip(parts, test.judge(run, [gather(u, y, c, test.lags, s) for c in full]), strict=True))
 
-    def beside(number, group):
+    def beside(number, group, wide, default):
         own = default if test.sharded else devices[number % len(devices)]
-        with jax.enable_x64(bool(wide)), jax.default_device(own):
+        with jax.enable_x64(wide), jax.default_device(own):
             return work(number, group)
 
     def collect(judged):
@@ -152,16 +158,18 @@ def _over_windows(test, u, y, starts, outs, size, report):
             left.append(chosen[found[-1]] if len(found) > len(outs) else chosen[:0])
             finished += len(chosen)
             report(finished / len(starts))
-        return np.concatenate(left)
+        return np.concatenate(left) if len(left) > 1 else left[0]
 
     numbers = range(len(groups))
     workers = max(2, CORES // len(devices)) if test.threads else 1 if test.sharded else len(devices)
     if workers == 1 or len(groups) < 2:
         left = [collect(work(*job)) for job in zip(numbers, groups, strict=True)]
     else:
+        wide = jax.dtypes.canonicalize_dtype(float) == np.float64  # of this thread, perhaps, like the default device
+        job = partial(beside, wide=bool(wide), default=default_device())
         with ThreadPoolExecutor(workers) as pool:  # compiled code runs outside the interpreter's lock
-            left = [collect(found) for found in pool.map(beside, numbers, groups)]
-    return np.concatenate([*left, np.zeros(0, np.int64)])
+            left = [collect(found) for found in pool.map(job, numbers, groups)]
+    return np.concatenate(left) if left else NOWHERE
 
 
 def _placed(test, devices):
@@ -172,10 +180,14 @@ def _placed(test, devices):
     return known[devices]
 
 
-def _padded(x, start, stop, length):
-    """Return rows start..stop, filled up with NaN to a fixed length."""
-    part = x[start:stop]
-    return part if len(part) == length else np.concatenate([part, np.full((length - len(part), x.shape[1]), np.nan, x.dtype)])
+def _padded(x, first, length):
+    """Return a fixed number of rows from the first on, NaN where there are none."""
+    part = x[first : first + length]
+    if len(part) == length:
+        return part
+    full = np.empty((length, x.shape[1]), x.dtype)
+    full[: len(part)], full[len(part) :] = part, np.nan
+    return full
 
 
 def _aligned(count, dtype):

@@ -24,6 +24,7 @@ from jaxbound.sets.strips import separation
 
 __all__ = ["ExchangeTest", "candidates", "exchange_margins", "verdicts"]
 
+CONSISTENT, UNDECIDED, FAULT = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
 PATIENCE = 10
 """Exchanges per inner row after which a search is given up; it takes 2 to 4."""
 FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
@@ -78,8 +79,9 @@ class ExchangeTest(WindowTest):
     def write(self, outs: list, at: np.ndarray, found: tuple) -> None:
         """Write margins; a proof stays one."""
         (margin,), (values,) = outs, found
-        before = margin[at]
-        margin[at] = np.where((values == 0) & (abs(before) > 0), before, values)
+        if np.count_nonzero(nothing := values == 0):
+            values = np.where(nothing & (abs(margin[at]) > 0), margin[at], values)
+        margin[at] = values
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
         """Decide what rounding leaves open far from the boundary, then search on with frames that fit the samples that are there."""
@@ -96,17 +98,17 @@ class ExchangeTest(WindowTest):
     def judged(self, outs: list) -> Judged:
         """Return the verdicts that the margins say."""
         (margin,) = outs
-        decided = np.where(margin < 0, Status.FAULT, np.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
-        return Judged(np.where(np.isnan(margin), Status.MISSING, decided).astype(np.int8), margin)
+        return Judged(CONSISTENT * (margin > 0) + UNDECIDED * (margin == 0) + FAULT * (margin < 0), margin)  # NaN: MISSING, which is 0
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return unproved_margins(self, exchange_margins, given)
 
     def _whole_numbers(self, u, y, margin):
-        starts = np.flatnonzero(margin == 0) - self.horizon
-        if len(starts):
-            starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
+        if not np.count_nonzero(nothing := margin == 0):
+            return
+        starts = np.flatnonzero(nothing) - self.horizon
+        starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
         for frame, chosen in self._frames(u, y, starts):
             windows = self._gather(u, y, starts[chosen])
             margin[starts[chosen] + self.horizon] = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)

@@ -6,7 +6,6 @@ whatever the block. Measured, not promised by the compiler: from 4 windows on al
 rounds otherwise), so the short ones have 64 and 16. A verdict is a proof with any rounding.
 """
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +13,7 @@ import numpy as np
 
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Observer
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row, unlabelled
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -22,9 +21,6 @@ from jaxbound.sets.floats.probe import refuse_unverified
 __all__ = ["Monitor", "MonitorState", "Verdict"]
 
 BURST = 8  # short blocks; more windows than in these are judged in long blocks
-
-
-NOWHERE = np.zeros(0, np.int64)
 
 
 class MonitorState(NamedTuple):
@@ -122,9 +118,11 @@ class Monitor:
         Raises:
             ValueError: shapes that do not fit the model, an infinite sample, y narrower than dtype. The state given is still good.
         """
-        u, y = (one_row(x, name) for x, name in ((u, "u"), (y, "y")))
-        state, judged = self.run(state, u, y, starts=(0,) if new else (), time=None if time is None else [time])
-        return state, jax.tree.map(lambda x: x[0], judged)
+        starts, time = (0,) if new else (), None if time is None else [time]
+        state, judged = self.run(state, one_row(u, "u"), one_row(y, "y"), starts=starts, time=time)
+        if type(judged) is Verdict:
+            return state, Verdict(judged.status[0], judged.margin[0])
+        return state, jax.tree.map(lambda x: x[0], judged)  # of an Observer
 
     def run(self, state: Any, u: Any, y: Any = None, *, starts: Any = (), time: Any = None) -> tuple[Any, Any]:
         """Take the next N samples at once.
@@ -144,49 +142,52 @@ class Monitor:
                 raise ValueError("an Observer has no clock: say with starts, or new, where samples do not follow each other")
             return self._observer.fold(state, Recording.of(self._observer.signals, u, y, starts, narrow=False))
         s = self.relations.horizon
-        given = self._recording(u, y, starts)
-        u, y = given.u, given.y
-        count, (seams, last) = len(y), self._seams(given, time, state)
-        starts = np.concatenate([given.starts, seams]) if len(seams) else given.starts
+        u, y, starts, told = self._samples(u, y, starts)
+        count, (seams, last) = len(y), self._seams(told, len(y), time, state)
+        starts = np.concatenate([starts, seams]) if len(seams) else starts
         all_u, all_y = np.concatenate([state.u, u]), np.concatenate([state.y, y])
         seams_of_all = starts + s
         if state.follows < s:
             seams_of_all = np.concatenate([[s - int(state.follows)], seams_of_all])
         status, margin = self._judge(all_u, all_y, seams_of_all) if count else (np.zeros(0, np.int8), np.zeros(0, self.dtype))
         follows = count - starts.max() if len(starts) else count + state.follows
-        follows = 0 if given.excluded is not None and given.excluded[-1:].any() else follows
+        follows = 0 if told is not None and told.excluded is not None and told.excluded[-1:].any() else follows
         keep = len(all_y) - s
         after = MonitorState(all_u[keep:].copy(), all_y[keep:].copy(), np.int64(min(follows, s)), state.samples + count, np.float64(last))
         return after, Verdict(status, margin)
 
-    def _recording(self, u, y, starts):
-        """Return what is given as a Recording of our dtype, or refuse it."""
+    def _samples(self, u, y, starts):
+        """Return (u, y, starts), u and y in our dtype, and the Recording of what tables tell beside, or None; or refuse them."""
         inputs, outputs = self._names
         fits = lambda x, n: type(x) is np.ndarray and x.dtype == self.dtype and x.ndim == 2 and x.shape[1] == n
-        if fits(u, len(inputs)) and fits(y, len(outputs)) and len(u) == len(y):
-            given = Recording(u, y, all_starts(starts, len(y)) if np.size(starts) else NOWHERE, inputs, outputs)
-        else:
-            given = Recording.of(self.relations.model, u, y, starts, regular=False)
-            if given.y.dtype.itemsize < self.dtype.itemsize:
+        told = None
+        if not (fits(u, len(inputs)) and fits(y, len(outputs)) and len(u) == len(y)):
+            told = Recording.of(self.relations.model, u, y, starts, regular=False)
+            if told.y.dtype.itemsize < self.dtype.itemsize:
                 raise ValueError(
-                    f"y is in {given.y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, allows for: "
-                    f"build it as Monitor(relations, dtype=np.{given.y.dtype})"
+                    f"y is in {told.y.dtype}, which rounds more than {self.dtype}, the type of this Monitor, allows for: "
+                    f"build it as Monitor(relations, dtype=np.{told.y.dtype})"
                 )
-            given = replace(given, u=np.asarray(given.u, self.dtype), y=np.asarray(given.y, self.dtype))
-            if given.y.ndim != 2:
-                raise ValueError(f"a Monitor follows one recording: y must have shape (N, {len(outputs)}), not {given.y.shape}")
-        return given.finite() if np.isinf(given.u).any() or np.isinf(given.y).any() else given
+            u, y, starts = np.asarray(told.u, self.dtype), np.asarray(told.y, self.dtype), told.starts
+            if y.ndim != 2:
+                raise ValueError(f"a Monitor follows one recording: y must have shape (N, {len(outputs)}), not {y.shape}")
+        else:
+            starts = NOWHERE if type(starts) is tuple and not starts else all_starts(starts, len(y))
+        if np.count_nonzero(np.isinf(u)) or np.count_nonzero(np.isinf(y)):
+            Recording(u, y, starts, *self._names).finite()
+        return u, y, starts, told
 
-    def _seams(self, given, time, state):
+    def _seams(self, told, count, time, state):
         """Return the samples that do not follow the one before by their time, and the time of the last one, in s."""
-        dt, count = self._dt, len(given.y)
-        if not count or (time is None and given.time is None):
-            counted = given.index is not None and unlabelled(given.index) and not state.samples  # the numbers of later rows go on from here
+        dt = self._dt
+        if not count or (time is None and (told is None or told.time is None)):
+            index = None if told is None else told.index
+            counted = index is not None and unlabelled(index) and not state.samples  # the numbers of later rows go on from here
             return NOWHERE, (count - 1) * dt if counted and count else state.time
         if time is None:
-            begin = given.origin + given.time[0]
+            begin = told.origin + told.time[0]
             off = abs(begin - state.time - dt) - np.spacing(abs(begin))  # rows of one table were looked at already
-            return np.zeros(int(off > TOLERATED_STEP * dt), np.int64), given.origin + given.time[-1]
+            return np.zeros(int(off > TOLERATED_STEP * dt), np.int64), told.origin + told.time[-1]
         time = np.asarray(time, np.float64).reshape(-1)
         if len(time) != count:
             raise ValueError(f"time needs one number a sample: {len(time)} for {count} samples")

@@ -95,8 +95,9 @@ class Reading:
 
 def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon: int) -> tuple:
     """Return the samples u (lags, m, N), y (s + 1, p, N) of windows that start at samples of u (T, m), y (T, p)."""
-    take = lambda x, count: np.ascontiguousarray(np.moveaxis(x[starts + np.arange(count)[:, None]], 1, 2))
-    return take(u, lags), take(y, horizon + 1)
+    rows = starts + np.arange(horizon + 1)[:, None]
+    taken = lambda x, rows: x.take(rows, 0).transpose(0, 2, 1).copy()  # x[rows] is ten times slower
+    return taken(u, rows[:lags]), taken(y, rows)
 
 
 def forms(kernel, relations, test, u, y, starts):
