@@ -92,9 +92,10 @@ def _report(args, how, pictures, stages):
 def _stream(args, folder, step):
     """Test a Parquet recording chunk by chunk and write everything into the OutputFolder; return what the conclusion needs."""
     source, relations = opened(args, step)
+    seconds: dict[str, float] = {}
     try:
         if args.merge:
-            parts, seconds = merged(args, source, relations), {}
+            parts = merged(args, source, relations)
         else:
             chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
             parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress)

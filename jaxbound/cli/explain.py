@@ -35,7 +35,7 @@ def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]
     Raises:
         OSError, ValueError, NotImplementedError: with a sentence for the user.
     """
-    model, data, method, horizon = load_run(directory)
+    model, data, method, horizon = load_run(Path(directory))
     if method == VALIDATION:
         raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
                          "only by the other methods of jaxbound detect")  # fmt: skip

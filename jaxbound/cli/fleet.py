@@ -85,9 +85,8 @@ def _conclude(args, results):
     table = [("unit", "verdict", "margin", "FAULT", "decided", "first alarm", "the last alarm")]
     for r in ordered[:SHOWN]:
         margin = "" if math.isnan(r.margin) else f"{r.margin:.3g}"
-        found = r.summary
-        faults = str(found.counts["FAULT"])
-        table.append((r.unit.name, r.verdict, margin, faults, percent(found.decided), found.first_alarm, found.last_ended))
+        faults, s = str(r.summary.counts["FAULT"]), r.summary
+        table.append((r.unit.name, r.verdict, margin, faults, percent(s.decided), s.first_alarm, s.last_ended))
     rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in ordered if r.verdict == "not tested"][:SHOWN]
     rows += [("", f"and {len(ordered) - SHOWN} more units")] if len(ordered) > SHOWN else []
     rows += [("table", str(args.out / "fleet.csv")), ("page", str(args.out / "fleet.html"))]

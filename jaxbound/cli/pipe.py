@@ -17,7 +17,6 @@ import time
 from collections.abc import Iterable
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import cast
 
 import jax
 import numpy as np
@@ -28,7 +27,7 @@ from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows
-from jaxbound.recordings.linetext import FEW, LineReader
+from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.seams import irregular, seam_hints
 from jaxbound.relations.identity import identity
@@ -168,7 +167,7 @@ class _Run:
             warm = max(s - self.text.clock.samples + len(status), 0)  # of these windows are none
             found["aside"] += int(np.count_nonzero((before[ends + 1] > before[np.maximum(ends - s, 0)])[warm:]))
             found["recent"] = reach[len(reach) - min(s, len(reach)) :].tolist()
-        text = cast(LineReader, self.text.reader).is_text  # it read these samples
+        text = self.text.reader.is_text
         when = lambda k: piece.written[k].as_py().strip() if text else float(piece.time[k])
         found["last"] = when(len(status) - 1)
         found["on before"] = found["on"]
@@ -187,7 +186,7 @@ class _Run:
         if not self.args.json or not rows:
             return rows.replace(b",true\n", b"\n").replace(b",false\n", b"\n")
         number = lambda x: float(x) if x else None
-        when = str if cast(LineReader, self.text.reader).is_text else number
+        when = str if self.text.reader.is_text else number
         on, out = self.found["on before"], []
         for t, status, margin, _ in csv.reader(io.StringIO(rows.decode())):
             on, ended = _followed(on, Status[status], self.monitor.relations.horizon)

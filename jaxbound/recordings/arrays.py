@@ -1,29 +1,30 @@
 """Arrays of floats out of what holds them: tables by the names of their columns, masked and null samples as NaN, everything checked."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 
-from jaxbound.recordings.expressions import expression, find_column, is_expression
+from jaxbound.recordings.expressions import Expression, expression, find_column, is_expression
 from jaxbound.recordings.naming import listed
 from jaxbound.recordings.table import as_table, is_table
 
 __all__ = ["computed", "float_arrays", "floats", "holds_both", "inputs_of", "is_made", "recorded_type", "refuse_infinite"]
 
 
-def is_made(data):
+def is_made(data: Any) -> bool:
     """Return whether this is a Recording, or the like: it has .u and .y, which are no columns of a table."""
     return not is_table(data) and not isinstance(data, Mapping) and hasattr(data, "u") and hasattr(data, "y")
 
 
-def holds_both(data):
+def holds_both(data: Any) -> bool:
     """Return whether one thing has the inputs and the outputs of a recording: a table, or a Recording."""
     return is_made(data) or is_table(as_table(data, "u"))
 
 
-def inputs_of(model, u, name="u"):
+def inputs_of(model: Any, u: Any, name: str = "u") -> Any:
     """Return inputs alone as an array (..., T, m), as `Recording.of` does; None stays None."""
     u = as_table(u, name, model.inputs)
     if getattr(u, "dtype", None) == np.float16:  # no resolution to be stated: they are what they are
@@ -31,13 +32,13 @@ def inputs_of(model, u, name="u"):
     return None if u is None else _columns(model, u, name, model.inputs)
 
 
-def floats(data, name):
+def floats(data: Any, name: str) -> np.ndarray:
     """Return numbers that are no signals of a model as an array of floats: NaN where they are masked, null or missing."""
     data = as_table(data, name)
     return _plain(data if not hasattr(data, "iloc") else _of_frame(data, name), name)
 
 
-def float_arrays(model, u, y, narrow):
+def float_arrays(model: Any, u: Any, y: Any, narrow: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return u and y as float arrays of one batch that fit the model. See `Recording.of` for `narrow`.
 
     Raises:
@@ -63,7 +64,7 @@ def float_arrays(model, u, y, narrow):
     return _spread(u, batch), _spread(y, batch)
 
 
-def refuse_infinite(name, data, channels):
+def refuse_infinite(name: str, data: Any, channels: Sequence[str]) -> None:
     """Raise ValueError if a recorded number is infinite."""
     bad = np.isinf(np.asarray(data))
     if bad.any():
@@ -74,12 +75,12 @@ def refuse_infinite(name, data, channels):
         )
 
 
-def computed(e, frames, name):
+def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
     """Return the values of an Expression over the columns of DataFrames, and over their index by its name."""
     import pandas as pd
 
-    found = {}
-    for frame in reversed(frames.values()):
+    found: dict[str, Any] = {}
+    for frame in reversed(list(frames.values())):
         found |= {str(frame.index.name): frame.index.to_series()} | {c: frame[c] for c in frame.columns}
     e = e.among(list(found))
     number = lambda c: _numbers(lambda: found[c].to_numpy(np.float64, na_value=np.nan), name)
@@ -88,7 +89,7 @@ def computed(e, frames, name):
     return e.values({c: dates[c] if c in dates else text(c) if c in e.texts else number(c) for c in e.columns})
 
 
-def recorded_type(data, name):
+def recorded_type(data: Any, name: str) -> np.dtype:
     """Return the float type in which data were rounded: float32 if any of it (a column of a DataFrame) is that, else float64.
 
     Raises:

@@ -5,7 +5,10 @@ With whatever is kept stands its identity: {what it depends on: text}, from `rel
 
 import json
 import zipfile
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,10 +26,10 @@ class Checkpoint:
         path: of the file, which need not exist. identity: {what the run depends on: text}.
     """
 
-    def __init__(self, path, identity):
+    def __init__(self, path: str | PathLike, identity: Mapping[str, str]) -> None:
         self.path, self.identity = Path(path), identity
 
-    def load(self):
+    def load(self) -> dict[str, np.ndarray] | None:
         """Return {name: array} as it was saved last, None if nothing was.
 
         Raises:
@@ -44,19 +47,19 @@ class Checkpoint:
         refuse_other(self.path, before, self.identity)
         return arrays
 
-    def save(self, **arrays):
+    def save(self, **arrays: Any) -> None:
         """Write arrays, completely or not at all, in the place of those from before."""
         with whole(self.path) as f:
-            np.savez(f, **{IDENTITY: np.array(json.dumps(self.identity))}, **arrays)
+            np.savez(f, **(arrays | {IDENTITY: np.array(json.dumps(self.identity))}))
 
 
-def refuse_other(path, before, now):
+def refuse_other(path: str | PathLike, before: Any, now: Mapping[str, str]) -> None:
     """Raise ValueError if what is kept in a file is of another identity than what is to go on there."""
     if changed := differences(before, now):
         raise ValueError(f"{path} is of another {changed}: choose another place, or delete it to begin anew")
 
 
-def differences(before, now):
+def differences(before: Any, now: Mapping[str, str]) -> str:
     """Return what two identities differ in, as text; empty where they are the same. What is no identity differs in all."""
     before = before if isinstance(before, dict) else {}
     return " and ".join(what for what in now if before.get(what) != now[what])

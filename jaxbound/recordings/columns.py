@@ -2,6 +2,9 @@
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +13,7 @@ from jaxbound.recordings.plaintext import cell
 __all__ = ["categories", "from_arrow", "is_plain", "to_arrow", "valid", "words", "write_columns", "write_rows"]
 
 
-def from_arrow(column):
+def from_arrow(column: Any) -> np.ndarray:
     """Return a pyarrow column of floats or time stamps as NumPy floats or datetime64; null becomes NaN or NaT."""
     import pyarrow as pa
 
@@ -20,7 +23,7 @@ def from_arrow(column):
     return np.where(valid(column), x, np.array("NaT" if stamps else np.nan, dtype)) if column.null_count else x
 
 
-def valid(column):
+def valid(column: Any) -> np.ndarray:
     """Return (N,) bool: False where a pyarrow column is null."""
     if not column.null_count:
         return np.ones(len(column), bool)
@@ -28,7 +31,7 @@ def valid(column):
     return bits[column.offset : column.offset + len(column)].astype(bool)
 
 
-def to_arrow(x):
+def to_arrow(x: Any) -> Any:
     """Return floats (NaN becomes null), whole numbers, bools or datetime64[ns] as a pyarrow array."""
     import pyarrow as pa
 
@@ -45,7 +48,7 @@ def to_arrow(x):
     return pa.Array.from_buffers(pa.int64(), len(x), [None, pa.py_buffer(x.astype(np.int64))])
 
 
-def words(names, codes):
+def words(names: Sequence[str], codes: np.ndarray) -> Any:
     """Return the pyarrow array of the ASCII names[code].
 
     Example:
@@ -58,7 +61,7 @@ def words(names, codes):
     return pa.StringArray.from_buffers(len(names), pa.py_buffer(ends), pa.py_buffer("".join(names).encode())).take(to_arrow(codes))
 
 
-def categories(names, codes):
+def categories(names: Sequence[str], codes: np.ndarray) -> Any:
     """Return names[code] for int8 codes as a pyarrow array that holds every name once.
 
     Example:
@@ -71,7 +74,7 @@ def categories(names, codes):
     return pa.DictionaryArray.from_arrays(indices, words(names, np.arange(len(names))))
 
 
-def write_columns(path, columns, append=False):
+def write_columns(path: str | PathLike, columns: Mapping[str, Any], append: bool = False) -> None:
     """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has its header already."""
     with open(path, "ab" if append else "wb") as f:
         if not append:
@@ -81,7 +84,7 @@ def write_columns(path, columns, append=False):
         write_rows(f, columns)
 
 
-def write_rows(sink, columns):
+def write_rows(sink: Any, columns: Mapping[str, Any]) -> None:
     """Write {name: pyarrow array} as lines of CSV without a header into what pyarrow can write to."""
     import pyarrow as pa
     import pyarrow.csv
@@ -91,7 +94,7 @@ def write_rows(sink, columns):
     pyarrow.csv.write_csv(pa.Table.from_arrays(list(columns.values()), list(columns)), sink, options)
 
 
-def is_plain(column):
+def is_plain(column: Any) -> bool:
     """Return whether no cell of a pyarrow column needs quotes in a CSV file."""
     import pyarrow as pa
     import pyarrow.compute as pc

@@ -2,7 +2,9 @@
 
 import hashlib
 import os
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 from jaxbound.recordings.parquetfiles import files_of
 
@@ -11,7 +13,7 @@ __all__ = ["Contents", "content"]
 BLOCK = 1 << 24  # bytes that a thread takes at once
 
 
-def content(path):
+def content(path: Path) -> str | None:
     """Return a digest of all bytes of a recording; of a folder, of its Parquet files and their names in it; None of a pipe.
 
     Args:
@@ -34,10 +36,11 @@ class Contents:
         path: of a file, or of a folder of Parquet files.
     """
 
-    def __init__(self, path):
-        self.path, self.files, self.known = path, files_of(path), {}
+    def __init__(self, path: Path) -> None:
+        self.path, self.files = path, files_of(path)
+        self.known: dict[tuple[Path, int], bytes] = {}
 
-    def all(self):
+    def all(self) -> str:
         """Return the digest of all bytes, and of the names and sizes of the files."""
         sizes = {file: file.stat().st_size for file in self.files}
         blocks = self._blocks([(file, 0, size or 1) for file, size in sizes.items()])
@@ -49,7 +52,7 @@ class Contents:
             whole.update(digest)
         return whole.hexdigest()
 
-    def of(self, spans):
+    def of(self, spans: Iterable[tuple[Path, int, int]]) -> str:
         """Return a digest of all blocks with bytes in spans, (file, first byte, byte behind the last) each."""
         return hashlib.blake2b(b"".join(self._blocks(spans).values()), digest_size=32).hexdigest()
 

@@ -1,5 +1,6 @@
 """CSV files as recordings: a million rows are parsed column by column, only the columns that the model names."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -24,17 +25,17 @@ class CsvFile(Source):
     fallback = True
 
     @classmethod
-    def takes(cls, data):
+    def takes(cls, data: object) -> bool:
         """Return True for every path: what is no CSV file is refused in a sentence."""
         return isinstance(data, str | PathLike)
 
-    def whole(self, progress=None):
+    def whole(self, progress: Callable | None = None) -> Recording:
         """Return the Recording of the file.
 
         Raises:
             ValueError: anything that is not a regular recording of this model: what, and in which row.
         """
-        return _read(Path(self.data), self.model, progress or (lambda share: None))
+        return _read(Path(str(self.data)), self.model, progress or (lambda share: None))
 
 
 def _read(path, model, report):
@@ -74,7 +75,7 @@ def _read(path, model, report):
     dt = usual_period(time) if model.dt is None else model.dt
     check_period(time, dt, getattr(model, "stated", "the model has"))
     report(0.9)
-    return told(model, replace(recording, dt=dt), layout.row, plan.where and plan.where.text, tuple(hints))
+    return told(model, replace(recording, dt=dt), layout.row, plan.where.text if plan.where else "", tuple(hints))
 
 
 def _values(layout, name, column):

@@ -6,8 +6,10 @@ Rows are counted as a spreadsheet does: the header is row 1.
 
 import csv
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from jaxbound.recordings.naming import listed
 
@@ -39,12 +41,12 @@ class Layout:
     first: list  # cells of the first data row
     hints: list = field(default_factory=list)
 
-    def row(self, k):
+    def row(self, k: int) -> str:
         """Return how the user finds sample k."""
         return f"row {k + self.skip + 1}"
 
 
-def sniff(path, head=None):
+def sniff(path: Path, head: bytes | None = None) -> Layout:
     """Look at the first lines of the file, or at these bytes, and find out how it is written."""
     if head is None:
         with open(path, "rb") as f:
@@ -62,8 +64,8 @@ def sniff(path, head=None):
         raise ValueError("this is a binary file, or text in UTF-16: give a CSV file in UTF-8")
     hints, encoding = [], "utf-8"
     try:
-        text = head.removeprefix(b"\xef\xbb\xbf")
-        text = (text if len(head) < ENOUGH or b"\n" not in text else text[: text.rfind(b"\n") + 1]).decode()
+        body = head.removeprefix(b"\xef\xbb\xbf")
+        text = (body if len(head) < ENOUGH or b"\n" not in body else body[: body.rfind(b"\n") + 1]).decode()
     except UnicodeDecodeError:
         if sum(b < 9 for b in head) or sum(b > 127 for b in head) > len(head) // 4:
             raise ValueError("this is not a text file: give a CSV file in UTF-8") from None
@@ -90,7 +92,7 @@ def sniff(path, head=None):
     return Layout(path, names, delimiter, decimal, encoding, skip + 1, first, hints)
 
 
-def cells_of(line, delimiter):
+def cells_of(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line; of one that csv cannot read, what lies between the delimiters."""
     try:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
@@ -98,12 +100,12 @@ def cells_of(line, delimiter):
         return line.split(delimiter)
 
 
-def is_number(cell, decimal):
+def is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell is a number written with this decimal sign."""
     return NUMBER.fullmatch(cell.strip().replace(decimal, ".")) is not None
 
 
-def parse_columns(layout, index, texts):
+def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str]) -> dict[str, Any]:
     """Return {column: pyarrow array} of the wanted columns; `texts` are those that are not numbers."""
     import pyarrow as pa
     import pyarrow.csv as pc

@@ -1,6 +1,8 @@
 """Which columns of a recording a model needs, and how its signals come out of them: as they are, or by an expression."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,31 +22,33 @@ class Wanted:
     inputs: tuple
     outputs: tuple
     where: Expression | None
-    time: str | None
+    time: Any  # a name, or None
 
     @property
-    def signals(self):
+    def signals(self) -> list[str]:
         """Names of the columns that signals need, each once, in the order of the inputs and outputs."""
         return list(dict.fromkeys(c for s in self.inputs + self.outputs for c in (s.columns if isinstance(s, Expression) else (s,))))
 
     @property
-    def numbers(self):
+    def numbers(self) -> list[str]:
         """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the samples is not among them."""
         where = [c for c in self.where.columns if c not in self.where.texts] if self.where else []
         return list(dict.fromkeys(self.signals + where))
 
     @property
-    def texts(self):
+    def texts(self) -> list[str]:
         """Names of the columns that are compared with text, the time left out."""
         expressions = [s for s in (*self.inputs, *self.outputs, self.where) if isinstance(s, Expression)]
         return list(dict.fromkeys(c for e in expressions for c in e.columns if c in e.texts and c != self.time))
 
     @property
-    def columns(self):
+    def columns(self) -> list[str]:
         """Names of all columns that are read, each once, the time last."""
         return list(dict.fromkeys(self.numbers + self.texts + ([] if self.time is None else [self.time])))
 
-    def samples(self, columns, count, dtype=np.float64):
+    def samples(
+        self, columns: Mapping[str, np.ndarray], count: int, dtype: Any = np.float64
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool, left out by `where`, or None.
 
         Args:
@@ -62,7 +66,7 @@ class Wanted:
         return u, y, excluded
 
 
-def wanted(names, model):
+def wanted(names: Sequence[str], model: Any) -> Wanted:
     """Find the columns of a model among those of a recording.
 
     Args:
@@ -96,7 +100,7 @@ def _source(signal, names, model):
         raise
 
 
-def where_hints(where, left_out, samples):
+def where_hints(where: str, left_out: int, samples: int) -> list[str]:
     """Return a sentence on the samples that are no part of the recording. Args: where: the condition as text; left_out: how many."""
     if not left_out:
         return []

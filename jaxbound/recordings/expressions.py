@@ -7,8 +7,10 @@ parsed here and computed in NumPy, so that a model file cannot run anything else
 import ast
 import difflib
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +49,7 @@ class Expression:
     names: dict
     tree: ast.expr
 
-    def among(self, present):
+    def among(self, present: Iterable[str]) -> "Expression":
         """Return the same Expression with the columns as they are called in a recording, where blanks at the ends do not count.
 
         Raises:
@@ -57,7 +59,7 @@ class Expression:
         return Expression(self.text, tuple(dict.fromkeys(found.values())), frozenset(found[c] for c in self.texts),
                           {key: found[c] for key, c in self.names.items()}, self.tree)  # fmt: skip
 
-    def values(self, columns):
+    def values(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return (N,) floats, NaN where a column that is needed has no value or where the result is no finite number; yes is 1, no 0.
 
         Args:
@@ -85,7 +87,8 @@ class Expression:
 
     def _value(self, columns):
         """Return the value of the tree, without recursion: a sum of thousands of terms is as many levels deep."""
-        found, waiting = {}, [self.tree]
+        found: dict[int, Any] = {}
+        waiting = [self.tree]
         while waiting:
             node = waiting[-1]
             parts = _parts(node)
@@ -97,14 +100,15 @@ class Expression:
             waiting.pop()
         return found[id(self.tree)]
 
-    def _combined(self, node, parts, columns):
+    def _combined(self, node: Any, parts, columns):
         """Return the value of a node from those of its parts."""
         if isinstance(node, ast.Constant):
-            return node.value if isinstance(node.value, str) else np.float64(node.value)
+            value: Any = node.value
+            return value if isinstance(value, str) else np.float64(value)
         if isinstance(node, ast.Name):
             return columns[self.names[node.id]]
         if isinstance(node, ast.Call):
-            return FUNCTIONS[node.func.id](*parts)
+            return FUNCTIONS[ast.unparse(node.func)](*parts)
         if isinstance(node, ast.BoolOp):
             return reduce(LOGIC[type(node.op)], parts)
         if isinstance(node, ast.Compare):
@@ -141,17 +145,17 @@ def _parts(node):
     return []
 
 
-def fails(values):
+def fails(values: np.ndarray) -> np.ndarray:
     """Return (N,) bool: where a condition with these values does not hold, or has none."""
     return ~(np.nan_to_num(values) != 0)
 
 
-def is_expression(column):
+def is_expression(column: str) -> bool:
     """Return whether the column of a signal is an expression: whether it begins with "="."""
     return column.lstrip().startswith("=")
 
 
-def expression(text):
+def expression(text: str) -> Expression:
     """Read an expression over the columns of a recording.
 
     Args:
@@ -170,7 +174,7 @@ def expression(text):
         (('Supply Temp', 'mixed'), array([2.5, nan]))
     """
     text = text.strip().removeprefix("=").strip()
-    quoted = {}
+    quoted: dict[str, str] = {}
 
     def plain(piece):
         word = piece[0]
@@ -208,8 +212,9 @@ def _checked(text, tree):
         if isinstance(node, ast.Call):
             if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
                 _refuse(text, f"the function {ast.unparse(node.func)}")
-            if len(node.args) != (2 if node.func.id == "arctan2" else 1):
-                raise ValueError(f"the expression {text!r} gives {node.func.id} {len(node.args)} numbers")
+            name: Any = node.func
+            if len(node.args) != (2 if name.id == "arctan2" else 1):
+                raise ValueError(f"the expression {text!r} gives {name.id} {len(node.args)} numbers")
             called.add(id(node.func))
         if isinstance(node, ast.Compare):
             sides = (node.left, *node.comparators)
@@ -233,7 +238,7 @@ def _refuse(text, what):
                      f"the functions {', '.join(FUNCTIONS)}")  # fmt: skip
 
 
-def find_column(wanted, present, where):
+def find_column(wanted: str, present: Iterable[str], where: str) -> str:
     """Return a column as it is called among those present: by its name, or by it without blanks at the ends.
 
     Raises:
@@ -247,7 +252,7 @@ def find_column(wanted, present, where):
     return found[0]
 
 
-def missing_column(wanted, present, where):
+def missing_column(wanted: str, present: Iterable[str], where: str) -> str:
     """Return the sentence for a column that is not there, with the nearest name."""
     near = difflib.get_close_matches(wanted, [str(c) for c in present if len(str(c)) < 200][:10_000], n=1, cutoff=0.5)
     here = listed(list(map(str, present)))
@@ -256,6 +261,6 @@ def missing_column(wanted, present, where):
     return f"{where} has no column {shown(wanted)}: it has {here}"
 
 
-def likely(names, patterns):
+def likely(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
     """Return those of the names that follow one of the patterns, in the order of the patterns."""
     return [name for pattern in patterns for name in names if re.fullmatch(pattern, str(name).lower().strip())]

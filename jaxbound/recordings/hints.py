@@ -1,5 +1,8 @@
 """What the owner of a recording should know, as sentences: what is missing, what the recorder rounds, what is too short."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from jaxbound.recordings.naming import listed
@@ -7,26 +10,30 @@ from jaxbound.recordings.naming import listed
 __all__ = ["missing_hints", "missing_samples", "missing_sentences", "refuse_short", "rounding_hints"]
 
 
-def refuse_short(source, samples, horizon):
-    """Raise ValueError if a recording has no whole window; horizon None: not known yet. To be asked before relations are worked out."""
-    if horizon is not None and samples <= horizon:
+def refuse_short(source: object, samples: int | None, horizon: int | None) -> None:
+    """Raise ValueError if a recording has no whole window. To be asked before relations are worked out.
+
+    Args:
+        source: name of the recording. samples, horizon: None where they are not known yet.
+    """
+    if horizon is not None and samples is not None and samples <= horizon:
         needs = f"{horizon + 1}" if horizon < 10**15 else "more than 1e+15"
         raise ValueError(f"{source}: the recording has {samples} samples, one window needs {needs}")
 
 
-def missing_hints(model, u, y, excluded=None):
+def missing_hints(model: Any, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None = None) -> list[str]:
     """Return a sentence for each signal with missing samples. Args: u (T, m), y (T, p); excluded (T,) bool: samples that do not count."""
     if excluded is not None:
         u, y = u[~excluded], y[~excluded]
     return missing_sentences(missing_samples(model, u, y), len(y))
 
 
-def missing_samples(model, u, y):
+def missing_samples(model: Any, u: np.ndarray, y: np.ndarray) -> dict[str, int]:
     """Return {signal: number of its missing samples}."""
     return {name: int(np.isnan(x[:, i]).sum()) for names, x in ((model.inputs, u), (model.outputs, y)) for i, name in enumerate(names)}
 
 
-def missing_sentences(missing, samples):
+def missing_sentences(missing: Mapping[str, int], samples: int) -> list[str]:
     """Return a sentence for each signal of which samples are missing."""
     return [
         f"{count} of {samples} samples of {name} are missing: the windows around them are judged without them"
@@ -35,9 +42,9 @@ def missing_sentences(missing, samples):
     ]
 
 
-def rounding_hints(model, y):
+def rounding_hints(model: Any, y: np.ndarray) -> list[str]:
     """Return sentences on outputs that the recorder seems to round more than the model states."""
-    found = {}
+    found: dict[str, list[str]] = {}
     for i, name in enumerate(model.outputs):
         step = _step(y[:, i])
         if step and float(model.resolution[i]) < step / 2 * (1 - 1e-9):

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class LineReader:
         WrongCells: the first line of data has more or fewer cells than the header. ValueError: a column is not there, no header, no text.
     """
 
-    def __init__(self, head, model):
+    def __init__(self, head: list[bytes], model: Any) -> None:
         import pyarrow as pa
         import pyarrow.csv as pc
 
@@ -61,16 +62,16 @@ class LineReader:
             for d in ((layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",))
         ]  # fmt: skip
 
-    def cells(self, line):
+    def cells(self, line: bytes) -> list[str]:
         """Return the cells of a line as texts."""
         text = line.decode(self.layout.encoding, "replace")
         return cells_of(text, self.layout.delimiter)
 
-    def fits(self, line):
+    def fits(self, line: bytes) -> bool:
         """Return whether a line has as many cells as the header."""
         return len(self.cells(line)) == len(self.layout.names)
 
-    def columns(self, lines):
+    def columns(self, lines: list[bytes]) -> tuple[dict[str, np.ndarray], Any]:
         """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts, or None where it is a column of numbers or none).
 
         Raises:
@@ -82,7 +83,7 @@ class LineReader:
                 raise ValueError(f"of column {name!r} is infinite")
         return columns, stamps
 
-    def trouble(self, line):
+    def trouble(self, line: bytes) -> str:
         """Return what is wrong with a line, as far as its cells show; or ""."""
         cells = self.cells(line)
         if len(cells) != len(self.layout.names):

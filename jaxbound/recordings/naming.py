@@ -1,11 +1,13 @@
 """Names in sentences: the first few of many, and no name without end."""
 
+from collections.abc import Callable, Iterable
+
 __all__ = ["listed", "shown"]
 
 FEW, LONG = 12, 80
 
 
-def listed(names, each=None):
+def listed(names: Iterable[str], each: Callable[[str], str] | None = None) -> str:
     """Return names for a sentence: all, or the first few and how many there are.
 
     Args:
@@ -20,7 +22,7 @@ def listed(names, each=None):
     return ", ".join(map(each, names[:FEW] if more else names)) + more
 
 
-def shown(name):
+def shown(name: str) -> str:
     """Return a name in quotes, of a very long one its beginning and its length."""
     name = str(name)
     return repr(name) if len(name) <= LONG else f"{name[:LONG]!r} .. ({len(name)} characters)"

@@ -3,11 +3,12 @@
 Rows count from 1.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ PROBE = 100_000  # samples that show the sampling period, the unit of time and t
 BATCH = 1 << 16  # rows decoded at once at least
 
 
-def is_parquet(path):
+def is_parquet(path: Path) -> bool:
     """Return whether a path is to be read as Parquet: a folder, or a file that is called or that begins like one."""
     if path.is_dir() or path.suffix.lower() in SUFFIXES:
         return True
@@ -55,10 +56,10 @@ class ParquetSource(Source):
     path: Path
     files: tuple
     rows: np.ndarray
-    model: object
+    model: Any
     plan: Wanted
     dtype: np.dtype
-    origin: object = None
+    origin: Any = None
     scale: float | None = None
     hints: tuple = ()
     states: tuple = ()
@@ -66,17 +67,17 @@ class ParquetSource(Source):
     parts = True
 
     @classmethod
-    def takes(cls, data):
+    def takes(cls, data: object) -> bool:
         """Return whether data are the path of a folder, or of a file that is called or that begins like Parquet."""
         return isinstance(data, str | PathLike) and is_parquet(Path(data))
 
     @classmethod
-    def open(cls, data, model):
+    def open(cls, data: Any, model: Any) -> "ParquetSource":
         """Return the source of a file or folder. See `open_parquet`."""
         return open_parquet(data, model)
 
     @cached_property
-    def content(self):
+    def content(self) -> str | None:
         """The digest of all files, as they are when it is first asked for. See `contents`."""
         return self._contents.all()
 
@@ -96,32 +97,32 @@ class ParquetSource(Source):
         return repr((files, self.rows.tolist(), self.plan.columns, self.time_name, str(self.dtype), str(self.origin), self.scale))
 
     @property
-    def label(self):
+    def label(self) -> str:
         """The name of the file or folder."""
         return self.path.name
 
-    def unchanged(self, *files):
+    def unchanged(self, *files: Path) -> None:
         """Raise ValueError if one of the files, by default any, was written since it was opened."""
         for file, state in zip(self.files, self.states, strict=True):
             if (not files or file in files) and _state(file) != state:
                 raise ValueError(f"{self.name(file)} has changed since it was opened: test it again once it is complete")
 
     @property
-    def time_name(self):
+    def time_name(self) -> Any:
         """The column of the time, or None."""
         return self.plan.time
 
     @property
-    def samples(self):
+    def samples(self) -> int:
         """The number of samples."""
         return int(self.rows[-1])
 
-    def row(self, k):
+    def row(self, k: int) -> str:
         """Return how the user finds sample k."""
         i = int(np.searchsorted(self.rows, k, "right")) - 1
         return f"row {k - self.rows[i] + 1}" + (f" of {self.name(self.files[i])}" if self.path.is_dir() else "")
 
-    def tables(self, first, stop, size) -> Iterator:
+    def tables(self, first: int, stop: int, size: int) -> Iterator:
         """Yield (number of its first sample, pyarrow table) for the samples first..stop, `size` rows each, the last one what is left.
 
         Raises:
@@ -139,7 +140,7 @@ class ParquetSource(Source):
                     yield start, pa.Table.from_batches(held)
                     held, rows, start = [], 0, start + rows
 
-    def chunk(self, start, table):
+    def chunk(self, start: int, table: Any) -> Recording:
         """Return the samples of a table from `tables` as a Recording without hints and without starts; those left out are .excluded.
 
         Raises:
@@ -162,16 +163,16 @@ class ParquetSource(Source):
         kind = table.column(self.time_name).type
         return pa.types.is_integer(kind) or pa.types.is_floating(kind)
 
-    def pieces(self, size, overlap=0, first=0, stop=None):
+    def pieces(self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None) -> Iterator[tuple[int, Recording]]:
         """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` before them. See `tables`, `chunk`."""
         chunks = ((at, self.chunk(at, table)) for at, table in self.tables(first, self.samples if stop is None else stop, size))
         return overlapping(chunks, overlap, self.model.dt)
 
-    def find(self, text):
+    def find(self, text: str) -> None:
         """Return None: what is written in files is not searched, but where its time is."""
         return None
 
-    def read(self, first=0, stop=None, progress=None):
+    def read(self, first: int = 0, stop: int | None = None, progress: Callable | None = None) -> Recording:
         """Return the samples first..stop as one Recording, with its seams; hints only if that is all of them.
 
         Raises:
@@ -185,15 +186,15 @@ class ParquetSource(Source):
         if stop - first < self.samples:
             return replace(r, starts=np.union1d(tick(Clock(self.model.dt), r.time)[1], around(r.excluded)))
         try:
-            return told(self.model, r, self.row, self.plan.where and self.plan.where.text, self.hints)
+            return told(self.model, r, self.row, self.plan.where.text if self.plan.where else "", self.hints)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
 
-    def name(self, file):
+    def name(self, file: Path) -> str:
         """Return how the user knows one of the files."""
         return file.relative_to(self.path).as_posix() if self.path.is_dir() else str(file)
 
-    def time(self, k):
+    def time(self, k: int) -> float:
         """Return the time of sample k in seconds."""
         (batch,) = self._batches(k, k + 1, 1, [self.time_name])
         return float(self.times(k, batch.column(0))[0][0])
@@ -239,12 +240,12 @@ class ParquetSource(Source):
                              "(leave a missing sample blank)")  # fmt: skip
         return x
 
-    def times(self, start, written):
+    def times(self, start: int, written: Any) -> tuple[np.ndarray, np.ndarray | None]:
         """Return (seconds, datetime64[ns] or None) of a piece of the time column, which begins at sample `start`."""
         import pyarrow as pa
 
         numeric = pa.types.is_integer(written.type) or pa.types.is_floating(written.type)
-        values = from_arrow(written.cast(pa.float64(), safe=False)) if numeric else None
+        values: Any = from_arrow(written.cast(pa.float64(), safe=False)) if numeric else None
         known = np.isfinite(values) if numeric else valid(written)
         if not known.all():
             raise ValueError(f"{self.path}: {self.row(start + int(np.argmin(known)))} has no time: every row needs one")
@@ -255,20 +256,20 @@ class ParquetSource(Source):
             return values, None
         return (values - self.origin) / self.scale, np.round(values * (1e9 / self.scale)).astype("int64").astype("datetime64[ns]")
 
-    def stamp(self, seconds):
+    def stamp(self, seconds: float) -> np.datetime64 | None:
         """Return the time stamp that lies so many seconds behind the first, or None where the time is in seconds."""
         if self.origin is None:
             return None
         origin = np.datetime64(round(self.origin * (1e9 / self.scale)), "ns") if self.scale else self.origin
         return origin + np.timedelta64(round(seconds * 1e9), "ns")
 
-    def probe(self):
+    def probe(self) -> Recording:
         """Return the first 100 000 samples."""
         ((_, table),) = self.tables(0, min(self.samples, PROBE), PROBE)
         return self.chunk(0, table)
 
 
-def open_parquet(path, model):
+def open_parquet(path: str | PathLike, model: Any) -> ParquetSource:
     """Look at the Parquet files of a recording without reading them.
 
     Args:
@@ -287,7 +288,8 @@ def open_parquet(path, model):
     files = files_of(path)
     states = tuple(map(_state, files))
     source = ParquetSource(path, files, np.zeros(len(files) + 1, np.int64), model, Wanted((), (), None, None), np.dtype(float))
-    counts, first = [], None
+    counts: list[int] = []
+    first: dict[str, Any] = {}
     for file in files:
         name = source.name(file) if path.is_dir() else str(path)
         with opened(file, name) as f:

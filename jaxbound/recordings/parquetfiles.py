@@ -7,10 +7,14 @@ Names are sorted as people do, part-9 before part-10. Names that begin with a do
 """
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
+from pathlib import Path
+from types import TracebackType
+from typing import Any
 
-from jaxbound.recordings.derived import wanted
+from jaxbound.recordings.derived import Wanted, wanted
 
 __all__ = ["INDEX", "PARTIAL", "SUFFIXES", "VERDICTS", "Damage", "checked", "files_of", "groups_of", "opened", "plan_of", "spans_of"]
 
@@ -19,7 +23,7 @@ VERDICTS, PARTIAL = "verdicts.parquet", "verdicts.partial"  # folders that we wr
 INDEX = "__index_level_0__"  # where pandas puts an index without a name
 
 
-def files_of(path):
+def files_of(path: Path) -> tuple[Path, ...]:
     """Return the files of a recording in order, of a folder all in its subfolders too; refuse one without any."""
     if not path.exists():
         raise FileNotFoundError(f"there is no data file {path}")
@@ -38,20 +42,20 @@ def files_of(path):
 class Damage:
     """Turns what pyarrow says of a damaged file into a sentence."""
 
-    def __init__(self, name):
+    def __init__(self, name: str) -> None:
         self.name = name
 
-    def __enter__(self):
+    def __enter__(self) -> "Damage":
         return self
 
-    def __exit__(self, kind, e, trace):
+    def __exit__(self, kind: type[BaseException] | None, e: BaseException | None, trace: TracebackType | None) -> None:
         import pyarrow as pa
 
         if kind is not None and issubclass(kind, (pa.ArrowException, OSError)) and not getattr(e, "filename", None):
             raise ValueError(f"{self.name} is a damaged Parquet file: {str(e).splitlines()[0].rstrip('.')}") from None
 
 
-def opened(file, name):
+def opened(file: Path, name: str) -> Any:
     """Return a pyarrow.parquet.ParquetFile that reads row group by row group; refuse what is no whole Parquet file."""
     import pyarrow.parquet as pq
 
@@ -65,14 +69,14 @@ def opened(file, name):
         return pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True)
 
 
-def groups_of(f, first, stop):
+def groups_of(f: Any, first: int, stop: int) -> tuple[list[int], int]:
     """Return (the row groups of a ParquetFile that hold the rows first..stop, number of the first row in them)."""
     ends = list(accumulate((f.metadata.row_group(g).num_rows for g in range(f.num_row_groups)), initial=0))
     groups = [g for g in range(f.num_row_groups) if ends[g] < stop and ends[g + 1] > first]
     return groups, ends[groups[0]] if groups else 0
 
 
-def spans_of(file, name, first, stop):
+def spans_of(file: Path, name: str, first: int, stop: int) -> list[tuple[int, int]]:
     """Return spans of bytes, (first, behind the last): the row groups that hold the rows first..stop, and what says where they are."""
     with opened(file, name) as f:
         groups, _ = groups_of(f, first, stop)
@@ -86,7 +90,7 @@ def spans_of(file, name, first, stop):
         return spans
 
 
-def checked(schema, model, name):
+def checked(schema: Any, model: Any, name: str) -> dict[str, Any]:
     """Return {column: type} of the wanted columns of a file, the signals first; refuse types that are not numbers or time."""
     import pyarrow as pa
 
@@ -110,7 +114,7 @@ def checked(schema, model, name):
     return found
 
 
-def plan_of(names, types, model):
+def plan_of(names: Sequence[str], types: Mapping[str, Any], model: Any) -> Wanted:
     """Return the Wanted of a file with these columns; the time may be an index without a name."""
     import pyarrow as pa
 

@@ -4,8 +4,9 @@ Lines are counted from 1, the header's. One that cannot be read is left out, wit
 remembered in a few numbers and lines, so that another process can go on behind it, whether the sender begins again or not.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,12 +42,18 @@ class PipeText:
         memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream.
     """
 
-    def __init__(self, model, complain, memory=None):
-        self.model, self.complain, self.reader, self.held, self.tail, self.last = model, complain, None, [], b"", b""
+    def __init__(self, model: Any, complain: Callable[[str, str], None], memory: dict | None = None) -> None:
+        self.model, self.complain, self.tail, self.last = model, complain, b"", b""
+        self.reader: Any = None  # a LineReader, as soon as there is a row of data
+        self.held: list[tuple[int, bytes]] = []
         self.number = self.resumed = 0  # lines so far; those before this process, as long as it is not clear how the stream goes on
-        self.clock, self.origin, self.scale, self.texts = Clock(model.dt), None, None, []
+        self.clock, self.texts = Clock(model.dt), []
+        self.origin: Any = None  # of a time that is an epoch, with units a second in .scale
+        self.scale: Any = None
         self.broken = self.aside = self.repeated = False
-        self.skip, self.after, self.skipped, self.shown, self.rest = 0, None, 0, [], b""
+        self.skip, self.skipped, self.rest = 0, 0, b""
+        self.after: float | None = None
+        self.shown: list[float] | None = []
         if memory is not None:
             self.reader = LineReader([line.encode("latin-1") for line in memory["head"]], model)
             self.rest, self.last = (memory[x].encode("latin-1") for x in ("tail", "last"))
@@ -54,7 +61,7 @@ class PipeText:
             self.origin, self.scale, self.texts, self.aside = memory["origin"], memory["scale"], memory["texts"], memory["aside"]
             self.broken, self.number, self.resumed, self.shown = memory["broken"], 0, memory["number"], None
 
-    def memory(self):
+    def memory(self) -> dict | None:
         """Return what another PipeText needs to go on, as JSON holds it; None before the first sample."""
         if self.reader is None:
             return None
@@ -66,7 +73,7 @@ class PipeText:
             "origin": self.origin, "scale": self.scale, "texts": self.texts, "broken": self.broken, "aside": self.aside,
         }  # fmt: skip
 
-    def take(self, data, end=False):
+    def take(self, data: bytes, end: bool = False) -> Piece | None:
         """Return the Piece of the lines that these bytes complete, or None where there is none; `end`: the last line needs no line end.
 
         Raises:
@@ -103,14 +110,14 @@ class PipeText:
                 self.shown = None
         return piece
 
-    def end(self):
+    def end(self) -> None:
         """Say what can only be said at the end: see `take` for what it raises."""
         if self.shown:
             check_period(np.array(self.shown), self.model.dt)
         if self.reader is None:
             raise ValueError(f"{SOURCE} ended before the first row of data" if self.held else f"{SOURCE} is empty")
 
-    def label(self, time):
+    def label(self, time: float) -> str:
         """Return a time in s as a reader would write it; where it is written as text, that of the last sample."""
         if self.reader.is_text:
             return self.texts[-1].strip()

@@ -7,7 +7,7 @@ FORMULAS = ("=", "+", "-", "@")
 LONGEST = 2000  # characters of a sentence
 
 
-def printable(text, keep=""):
+def printable(text: str, keep: str = "") -> str:
     r"""Return a text with control characters, and what UTF-8 cannot hold, written as escapes; those in `keep` stay.
 
     A name from a file may hold what would move the cursor of a terminal, or hide what follows.
@@ -27,14 +27,14 @@ def _harmless(c):
     return not (control or 0xD800 <= code < 0xE000 or 0x200E <= code <= 0x200F or 0x202A <= code <= 0x202E or 0x2066 <= code <= 0x2069)
 
 
-def clipped(text):
+def clipped(text: str) -> str:
     """Return a text without its middle if it is very long."""
     if len(text) <= LONGEST:
         return text
     return f"{text[: LONGEST // 2]} [.. {len(text) - LONGEST} characters ..] {text[-LONGEST // 2 :]}"
 
 
-def cell(text):
+def cell(text: str) -> str:
     """Return a text as a cell of CSV that no spreadsheet takes for a formula: an apostrophe before = + - @, control characters escaped.
 
     Source: OWASP, CSV injection.
@@ -47,7 +47,7 @@ def cell(text):
     return f"'{text}" if text.startswith(FORMULAS) else text
 
 
-def factor(x):
+def factor(x: float) -> str:
     """Return "2.2" for a factor, with no more digits than matter."""
     if x >= 1000:
         return f"{x:,.0f}" if x < 1e9 else f"{x:.2g}"
@@ -55,19 +55,19 @@ def factor(x):
     return short if short != "1" else f"{x:.7g}"  # just above 1 is not 1
 
 
-def times(x):
+def times(x: float) -> str:
     """Return "2.2 times" for a factor."""
     return f"{factor(x)} times"
 
 
-def percent(share):
+def percent(share: float) -> str:
     """Return a share as text that is 0 % or 100 % only where it is exactly that."""
     if share in (0, 1):
         return f"{share:.0%}".replace("%", " %")
     return "<0.1 %" if share < 0.001 else ">99.9 %" if 0.999 < share < 1 else f"{100 * share:.3g} %"
 
 
-def duration(seconds):
+def duration(seconds: float) -> str:
     """Return a time span in units that read well."""
     for unit, size, limit in (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120)):
         if seconds >= limit:

@@ -2,19 +2,21 @@
 
 import shutil
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from jaxbound.recordings import arraysource, csvfiles, parquet  # noqa: F401, they register what they read
-from jaxbound.recordings.recording import Signals, signals_of
+from jaxbound.recordings.recording import Recording, Signals, signals_of
 from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.source import KINDS, Source, register
 
 __all__ = ["kind_of", "open_source", "read", "read_signals"]
 
 
-def read(path, model, progress=None):
+def read(path: Any, model: Any, progress: Callable | None = None) -> Recording:
     r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow each other by name.
 
     CSV: delimiter `,`, `;` or tab; decimal comma with the latter two. Blank, NaN, null and NA cells are missing samples. Columns that the
@@ -46,7 +48,7 @@ def read(path, model, progress=None):
     return open_source(path, model).read(progress=progress)
 
 
-def open_source(data, model):
+def open_source(data: Any, model: Any) -> Source:
     """Return the Source of what a user holds: a path, arrays, tables. See `read` for the paths, and for what is raised.
 
     Args:
@@ -56,7 +58,7 @@ def open_source(data, model):
     return kind_of(data).open(data, signals_of(model))
 
 
-def kind_of(data):
+def kind_of(data: object) -> type[Source]:
     """Return the kind of source that takes the data: the one that was registered last."""
     if isinstance(data, str | PathLike) and str(data) != "-" and not Path(data).exists():
         raise FileNotFoundError(f"there is no data file {data}")
@@ -68,21 +70,21 @@ class ReadOnce(Source):
     """A pipe like bash's <(zcat run.csv.gz): it can be read once, and reading needs more, so all that comes out of it is kept meanwhile."""
 
     @classmethod
-    def takes(cls, data):
+    def takes(cls, data: object) -> bool:
         """Return whether data are a path that is neither a file nor a folder."""
         return isinstance(data, str | PathLike) and not Path(data).is_file() and not Path(data).is_dir()
 
     @classmethod
-    def digest(cls, data):
+    def digest(cls, data: object) -> None:
         """Return None: what was read is gone."""
         return None
 
-    def whole(self, progress=None):
+    def whole(self, progress: Callable | None = None) -> Recording:
         """Return the Recording of what is in it, of whatever kind."""
         if str(self.data) == "-":
             raise ValueError("standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here")
         with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
-            with open(self.data, "rb") as pipe:
+            with open(str(self.data), "rb") as pipe:
                 shutil.copyfileobj(pipe, file)
             file.flush()
             try:
@@ -91,7 +93,14 @@ class ReadOnce(Source):
                 raise ValueError(str(e).replace(f"{file.name}: ", "", 1)) from None
 
 
-def read_signals(paths, inputs, outputs, columns=None, dt=None, progress=None):
+def read_signals(
+    paths: Any,
+    inputs: Sequence,
+    outputs: Sequence,
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+    progress: Callable | None = None,
+) -> list[Recording]:
     """Read recordings before there is a model, to fit one.
 
     Args:
@@ -114,7 +123,7 @@ def read_signals(paths, inputs, outputs, columns=None, dt=None, progress=None):
     if not named[1]:
         raise ValueError("there is no output: give at least one")
     columns = dict(columns or {}) | {s[0]: s[1] for s in (*inputs, *outputs) if not isinstance(s, str)}
-    model = Signals(*map(tuple, named), columns, dt)
+    model = Signals(tuple(named[0]), tuple(named[1]), columns, dt)
     found = []
     for i, path in enumerate(paths):
         report = None if progress is None else lambda share, i=i: progress((i + share) / len(paths))

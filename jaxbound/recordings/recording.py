@@ -5,6 +5,7 @@ columns, gaps in the time of its rows, samples that the model's `where` leaves o
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,12 +38,12 @@ class Signals:
     m = property(lambda self: len(self.inputs))
     resolution = property(lambda self: (np.inf,) * len(self.outputs))  # nothing is stated that could be too small
 
-    def column(self, signal):
+    def column(self, signal: str) -> str:
         """Return the column of a recording that holds a signal."""
         return self.columns.get(signal, signal)
 
 
-def signals_of(model):
+def signals_of(model: Any) -> Any:
     """Return what reading asks of a model: a LinearSystem as it is, Signals of one that has names only."""
     if hasattr(model, "column"):
         return model
@@ -75,17 +76,17 @@ class Recording:
     inputs: tuple = ()
     outputs: tuple = ()
     excluded: np.ndarray | None = None
-    index: object = None
-    time: np.ndarray | None = None
+    index: Any = None
+    time: Any = None
     origin: float = np.nan
-    dt: float | None = None
+    dt: Any = None
     stamps: np.ndarray | None = None
-    written: object = None
+    written: Any = None
     hints: tuple = ()
     source: str = ""
 
     @classmethod
-    def of(cls, model, u, y=None, starts=(), regular=True, narrow=True):
+    def of(cls, model: Any, u: Any, y: Any = None, starts: Any = (), regular: bool = True, narrow: bool = True) -> "Recording":
         """Return the Recording of a model's signals.
 
         Integers become floats.
@@ -124,7 +125,7 @@ class Recording:
         return replace(found, starts=_union(found.starts, out, all_starts(starts, found.y.shape[-2])))
 
     @classmethod
-    def filed(cls, model, samples, times, source):
+    def filed(cls, model: Any, samples: tuple, times: tuple, source: str) -> "Recording":
         """Return the Recording of samples as they stand in a file, without hints and starts.
 
         Args:
@@ -162,16 +163,16 @@ class Recording:
         return cls(u, y, **known, dt=dt, excluded=getattr(given, "excluded", None), index=getattr(given, "index", None))
 
     @property
-    def samples(self):
+    def samples(self) -> int:
         """The number of samples."""
         return self.y.shape[-2]
 
     @property
-    def axis(self):
+    def axis(self) -> np.ndarray | None:
         """The time for a plot: dates where there are, else seconds."""
         return self.time if self.stamps is None else self.stamps
 
-    def label(self, k):
+    def label(self, k: int) -> str:
         """Return the time of sample k as its owner would write it."""
         written = self.written[k].as_py() if self.written is not None else None
         if isinstance(written, str):
@@ -182,23 +183,23 @@ class Recording:
         step = float(np.median(steps)) if len(steps) and np.median(steps) else 1.0
         return time_label(self.time[k], None if self.stamps is None else self.stamps[k], step)
 
-    def cut(self, first, stop):
+    def cut(self, first: int, stop: int) -> "Recording":
         """Return the samples first .. stop - 1, without hints."""
         take = lambda x: None if x is None else x[first:stop]
         starts = np.asarray(self.starts)
         inside = starts[(starts >= first) & (starts < stop)] - first
-        parts = {name: take(getattr(self, name)) for name in ("excluded", "index", "time", "stamps", "written")}
+        parts: dict[str, Any] = {name: take(getattr(self, name)) for name in ("excluded", "index", "time", "stamps", "written")}
         return replace(self, u=self.u[..., first:stop, :], y=self.y[..., first:stop, :], starts=inside, hints=(), **parts)
 
     @property
-    def column(self):
+    def column(self) -> Any:
         """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of samples; a pyarrow array."""
         if self.written is not None:
             return self.written
         given = self.time if self.stamps is None else self.stamps
         return to_arrow(np.arange(self.samples) if given is None else given)
 
-    def followed(self, other):
+    def followed(self, other: "Recording") -> "Recording":
         """Return this recording and the one that comes behind it as one; .starts stay those of the first."""
         join = lambda a, b: None if a is None or b is None else np.concatenate([a, b])
         written = None
@@ -206,19 +207,19 @@ class Recording:
             import pyarrow as pa
 
             written = pa.concat_arrays([self.written, other.written])
-        parts = {name: join(getattr(self, name), getattr(other, name)) for name in ("excluded", "index", "time", "stamps")}
+        parts: dict[str, Any] = {name: join(getattr(self, name), getattr(other, name)) for name in ("excluded", "index", "time", "stamps")}
         u, y = np.concatenate([self.u, other.u], -2), np.concatenate([self.y, other.y], -2)
         return replace(self, u=u, y=y, written=written, **parts)
 
-    def across(self, horizon):
+    def across(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: True where the window of horizon + 1 samples that ends at a sample lies across a seam."""
         return crossing(self.starts, horizon, 0, self.y.shape[-2])
 
-    def aside(self, horizon):
+    def aside(self, horizon: int) -> int:
         """Return how many windows of horizon + 1 samples have one that does not count."""
         return aside(self.excluded, horizon)
 
-    def finite(self):
+    def finite(self) -> "Recording":
         """Return the same recording; raise ValueError if a number of it is infinite."""
         refuse_infinite("u", self.u, self.inputs)
         refuse_infinite("y", self.y, self.outputs)

@@ -5,7 +5,9 @@ in chunks, with a `Clock` that is carried from one to the next, so that a record
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +55,7 @@ class Clock:
     seams: tuple = ()
 
 
-def tick(clock, time):
+def tick(clock: Clock, time: Any) -> tuple[Clock, np.ndarray]:
     """Take the next chunk of time stamps.
 
     Args:
@@ -79,11 +81,11 @@ def tick(clock, time):
             fresh = Seam(kind, int(which.sum()), int(starts[extreme]), float(step[extreme]))
             old = found.get(kind)
             worse = old is None or (kind in ("gap", "backward") and abs(fresh.step) > abs(old.step))
-            found[kind] = replace(fresh if worse else old, count=fresh.count + (old.count if old else 0))
+            found[kind] = fresh if old is None else replace(fresh if worse else old, count=fresh.count + old.count)
     return Clock(clock.dt, clock.samples + len(time), float(time[-1]), tuple(found.values())), starts
 
 
-def crossing(starts, horizon, first, stop):
+def crossing(starts: Any, horizon: int, first: int, stop: int) -> np.ndarray:
     """Return (stop - first,) bool: True where the window that ends at sample first, first + 1, ... lies across a seam.
 
     Args:
@@ -102,7 +104,7 @@ def crossing(starts, horizon, first, stop):
     return across
 
 
-def around(excluded):
+def around(excluded: np.ndarray | None) -> np.ndarray:
     """Return the numbers of the samples at which a stretch of excluded samples begins, and of those behind its end.
 
     Windows that reach into the stretch lie across one of them; those inside it have no data.
@@ -117,7 +119,7 @@ def around(excluded):
     return np.flatnonzero(np.diff(np.asarray(() if excluded is None else excluded, np.int8), prepend=0))
 
 
-def aside(excluded, horizon):
+def aside(excluded: np.ndarray | None, horizon: int) -> int:
     """Return how many windows of horizon + 1 samples have one that is excluded, (T,) bool or None."""
     if excluded is None:
         return 0
@@ -125,7 +127,7 @@ def aside(excluded, horizon):
     return int(np.count_nonzero(before[horizon + 1 :] - before[: max(len(excluded) - horizon, 0)]))
 
 
-def all_starts(given, samples):
+def all_starts(given: Any, samples: int) -> np.ndarray:
     """Return the numbers of samples that do not follow the one before, ascending, each once.
 
     Args:
@@ -144,7 +146,7 @@ def all_starts(given, samples):
     return starts
 
 
-def usual_period(time):
+def usual_period(time: np.ndarray) -> float:
     """Return the median step of a time axis in s, to as few digits as are within 0.2 % of it: a logger's jitter is no information.
 
     Args:
@@ -164,7 +166,7 @@ def usual_period(time):
     return next(float(x) for digits in range(1, 18) if abs(float(x := f"{median:.{digits}g}") - median) <= 0.002 * median)
 
 
-def check_period(time, dt, whose="the model has"):
+def check_period(time: np.ndarray, dt: float, whose: str = "the model has") -> None:
     """Refuse a time axis with another sampling period than the model.
 
     Args:
@@ -191,7 +193,7 @@ def check_period(time, dt, whose="the model has"):
         raise ValueError(f"{whose} dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart{near}{same}")
 
 
-def irregular(clock, label, where):
+def irregular(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> str:
     """Return a sentence if more than half of all steps are seams, else "": such a recording is no sequence of samples dt apart.
 
     Args:
@@ -207,7 +209,7 @@ def irregular(clock, label, where):
     )
 
 
-def seam_hints(clock, label, where):
+def seam_hints(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> list[str]:
     """Return one sentence a kind of seam: how many, the worst or the first, and what became of it. Arguments as for `irregular`."""
     out = []
     for seam in sorted(clock.seams, key=lambda s: KINDS.index(s.kind)):

@@ -156,7 +156,7 @@ def told(model: Any, r: Recording, row: Callable, where: str, first: tuple = ())
     hints += [*rounding_hints(model, r.y), *still_hints(model, r.u, r.y, r.label)]
     if r.excluded is not None:
         starts = np.union1d(starts, around(r.excluded))
-        hints += where_hints(where, np.count_nonzero(r.excluded), r.samples)
+        hints += where_hints(where, int(np.count_nonzero(r.excluded)), r.samples)
     return replace(r, starts=starts, hints=tuple(hints))
 
 

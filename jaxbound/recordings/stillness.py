@@ -10,8 +10,9 @@ still where it is told to, so it counts as frozen only if it changes from sample
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,7 +65,7 @@ class Stretch(NamedTuple):
     extreme: str  # "largest", "smallest", or "" if the run is at neither
 
 
-def follow(runs, x):
+def follow(runs: Runs, x: np.ndarray) -> Runs:
     """Take the next chunk of one signal.
 
     Args:
@@ -97,7 +98,7 @@ def follow(runs, x):
     return joined(runs, Runs(runs.samples + len(x), counts, present, tuple(map(run, long)), low, high, last, first))
 
 
-def joined(a, b):
+def joined(a: Runs, b: Runs) -> Runs:
     """Return the Runs of two stretches of samples that follow each other, of which the second was followed from `Runs(a.samples)` on."""
     if a.counts is None or b.counts is None:
         return a if b.counts is None else b
@@ -119,7 +120,7 @@ def joined(a, b):
     return Runs(b.samples, counts, a.present + b.present, tuple(finished[:KEPT]), low, high, last, first)
 
 
-def stretches(runs, driven=False):
+def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
     """Return what stood still, as a tuple of Stretch; driven: the signal is an input.
 
     Example:
@@ -161,7 +162,7 @@ def _extreme(runs, value):
     return "largest" if value == runs.high else "smallest" if value == runs.low else ""
 
 
-def windows_inside(runs, horizon):
+def windows_inside(runs: Runs, horizon: int) -> int:
     """Return how many windows of horizon + 1 samples lie inside one run each, for a horizon up to 1000.
 
     Example:
@@ -176,7 +177,7 @@ def windows_inside(runs, horizon):
     return inside + max(long - int(runs.counts[CAP]) * horizon, 0) + max(last - horizon, 0)
 
 
-def still_hints(model, u, y, label):
+def still_hints(model: Any, u: np.ndarray, y: np.ndarray, label: Callable[[int], str]) -> list[str]:
     """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other arguments as for `signal_hints`."""
     out = []
     for names, x, driven in ((model.outputs, y, False), (model.inputs, u, True)):
@@ -185,7 +186,7 @@ def still_hints(model, u, y, label):
     return out
 
 
-def signal_hints(name, runs, label, driven=False):
+def signal_hints(name: str, runs: Runs, label: Callable[[int], str], driven: bool = False) -> list[str]:
     """Return sentences on where a signal stands still: which, when, how long; and on numbers that may stand for a missing sample.
 
     Args:

@@ -5,7 +5,8 @@ Arrow protocol. What has names that are not understood is refused: taking its co
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -18,12 +19,12 @@ __all__ = ["as_table", "is_date", "is_table", "one_row", "paired", "time_like", 
 EPOCHS = (1.0, 1e3, 1e6, 1e9)
 
 
-def is_table(data):
+def is_table(data: Any) -> bool:
     """Return whether this is a DataFrame of pandas, or behaves like one."""
     return hasattr(data, "iloc") and hasattr(data, "columns")  # in this order: some tables work out their columns when asked
 
 
-def as_table(data, name, channels=None):
+def as_table(data: Any, name: str, channels: Sequence[str] | None = None) -> Any:
     """Return what has named columns as a DataFrame, and anything else as it is.
 
     Args:
@@ -84,7 +85,7 @@ def _named(data, channels, dims=()):
     return data
 
 
-def one_row(data, name):
+def one_row(data: Any, name: str) -> Any:
     """Return one sample, (n,) numbers, a Series or a dict, as a recording of one: a row of an array, or a table where there are names.
 
     Raises:
@@ -105,12 +106,12 @@ def one_row(data, name):
     return data
 
 
-def unlabelled(index):
+def unlabelled(index: Any) -> bool:
     """Return whether an index is none: 0, 1, 2, ..., as a table has that was given no labels."""
     return getattr(index, "start", None) == 0 and getattr(index, "step", None) == 1
 
 
-def paired(u, y, model):
+def paired(u: Any, y: Any, model: Any) -> tuple[Any, Any, Any]:
     """Return (u, y, starts): two tables with the rows that belong together, by their labels, and where that left rows out.
 
     Where one index holds all labels of the other, its rows are selected by them; nothing is ever interpolated. A table without labels has
@@ -164,8 +165,8 @@ def _dated(frame, model):
         return frame
     named, kind = getattr(model, "columns", {}).get("time"), lambda c: getattr(frame.dtypes[c], "kind", None)
     if named is not None and any(str(c).strip() == named.strip() for c in frame.columns):
-        column = find_column(named, list(frame.columns), "the recording")
-        return frame.set_axis(_time_index(frame[column], column, checked=True))
+        name = find_column(named, list(frame.columns), "the recording")
+        return frame.set_axis(_time_index(frame[name], name, checked=True))
     of_signal = getattr(model, "column", lambda signal: signal)
     signals = {name for signal in (*model.inputs, *model.outputs) for name in (signal, of_signal(signal))}
     free = [c for c in frame.columns if c not in signals]
@@ -193,19 +194,19 @@ def _time_index(x, column, checked=False):
     return pd.TimedeltaIndex(np.round(seconds * (1e9 / scale)).astype("timedelta64[ns]"), name=column)
 
 
-def usual_step(labels):
+def usual_step(labels: np.ndarray) -> float | None:
     """Return the median step of labels that are numbers, None where they run backwards or more than half of their steps are others."""
     steps = np.diff(labels)
     usual = float(np.median(steps)) if len(steps) else 0.0
     return usual if usual > 0 and 2 * np.count_nonzero(np.abs(steps - usual) <= TOLERATED_STEP * usual) >= len(steps) else None
 
 
-def is_date(label):
+def is_date(label: Any) -> bool:
     """Return whether a label is a date of Python or pandas."""
     return hasattr(label, "isoformat")
 
 
-def time_like(label):
+def time_like(label: Any) -> bool:
     """Return whether a label is text that looks like a time."""
     return isinstance(label, str) and re.search(r"\d[-/.:]\d+[-/.: T]", label + " ") is not None
 

@@ -1,7 +1,9 @@
 """Time stamps of a recording: text of any usual format, or numbers, to seconds; and back to text for a reader."""
 
 import math
+from collections.abc import Callable
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +19,7 @@ FORMATS = [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS] 
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 
 
-def parse_stamps(cells, dt, where):
+def parse_stamps(cells: Any, dt: float | None, where: Callable[[int], str]) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return (time, stamps, hint) of text cells.
 
     Args:
@@ -58,16 +60,16 @@ def parse_stamps(cells, dt, where):
     return _since_first(stamps, hint, dated="%d" in form)
 
 
-def epoch_scale(values, dt):
+def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
     """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns), else None: it is in seconds."""
-    step = np.median(np.diff(values)) if len(values) > 1 else dt
+    step = dt or 0.0 if len(values) < 2 else float(np.median(np.diff(values)))
     for scale in EPOCHS:
         if 1e9 * scale <= values[0] < 5e9 * scale and (scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt):
             return scale
     return None
 
 
-def read_numbers(values, dt):
+def read_numbers(values: np.ndarray, dt: float | None) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return (time, stamps, hint) of a numeric time column: seconds, or an epoch in s, ms, us or ns."""
     scale = epoch_scale(values, dt)
     if scale is None:
@@ -76,7 +78,7 @@ def read_numbers(values, dt):
     return (values - values[0]) / scale, stamps, "" if scale == 1 else f"the time column is read as an epoch in {EPOCHS[scale]}"
 
 
-def time_label(seconds, stamp, step):
+def time_label(seconds: float, stamp: Any, step: float) -> str:
     """Return the time of a sample as text: of its time stamp if it has one, else of its seconds to a hundredth of a step.
 
     Example:
@@ -89,7 +91,7 @@ def time_label(seconds, stamp, step):
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text} s"
 
 
-def row_label(index, k):
+def row_label(index: Any, k: int) -> str:
     """Return the label of row k as text; index: labels of all rows, None where they have none."""
     if index is None:
         return f"sample {k}"

@@ -2,15 +2,18 @@
 
 import os
 import shutil
+from collections.abc import Iterator
 from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
+from typing import IO
 
 __all__ = ["UNFINISHED", "lock", "locked", "unshared", "whole"]
 
 UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
 
 
-def lock(file, shared=False):
+def lock(file: IO, shared: bool = False) -> None:
     """Keep other processes away from an open file until it is closed; where the system has no locks, nobody is.
 
     Args:
@@ -31,7 +34,7 @@ def lock(file, shared=False):
         pass
 
 
-def unshared(file):
+def unshared(file: IO) -> bool:
     """Return whether nobody else shares the lock of a file any more; no other can then have it before it is closed."""
     try:
         lock(file)
@@ -40,7 +43,7 @@ def unshared(file):
     return True
 
 
-def locked(path, shared=False):
+def locked(path: str | PathLike, shared: bool = False) -> IO:
     """Open a file that no other process has open so; a lock dies with its process, so a killed one leaves none.
 
     Args:
@@ -65,7 +68,7 @@ def locked(path, shared=False):
 
 
 @contextmanager
-def whole(path, sync=True):
+def whole(path: str | PathLike, sync: bool = True) -> Iterator[IO[bytes]]:
     """Give a binary file whose bytes are found at `path` once the block has ended well; else what was there stays.
 
     They are written beside it: what a killed process leaves there is taken over by the next one. Links are followed; a pipe or a device
@@ -78,8 +81,8 @@ def whole(path, sync=True):
         ValueError: another process is writing it.
     """
     if os.path.exists(path) and not os.path.isfile(path):
-        with open(path, "wb") as file:
-            yield file
+        with open(path, "wb") as device:
+            yield device
         return
     path = Path(os.path.realpath(path))
     part = path.with_name(f".{path.name}{UNFINISHED}")

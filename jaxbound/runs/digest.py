@@ -1,12 +1,16 @@
 """Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follows, stretches
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
@@ -16,6 +20,7 @@ from jaxbound.recordings.hints import missing_sentences, rounding_hints
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.read import open_source
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
@@ -77,23 +82,23 @@ class Digest:
     aside: int = 0
     ended: dict = field(default_factory=dict)
 
-    def label(self, k):
+    def label(self, k: int) -> str:
         """Return the time of sample k as text."""
         return time_label(self.time[k], self.data.stamp(self.time[k]), self.relations.model.dt)
 
     @property
-    def source(self):
+    def source(self) -> str:
         """The name of the file or folder that was tested."""
         return self.data.path.name
 
-    def around(self, k, samples=600):
+    def around(self, k: int, samples: int = 600) -> tuple[Result, Recording]:
         """Return (Result, Recording) of so many samples around sample k, read and tested anew."""
         s = self.relations.horizon
         first = max(min(k - samples // 2, self.samples - samples), 0)
         r = self.data.read(max(first - s, 0), min(first + samples, self.samples))
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts), r
 
-    def explain(self, k):
+    def explain(self, k: int) -> Any:
         """Return the Certificate of the window that ends at sample k. See `Result.explain`."""
         s = self.relations.horizon
         first = max(k - s, 0)
@@ -113,8 +118,17 @@ def _(res, alarms):
     return Evidence(res.method, res.relations.horizon, res.samples, res.counts, res.aside, at, margin, None, res.alarm_count, res.ended)
 
 
-def detect_dataset(relations, path, out, method="joint", chunk=CHUNK, alarm=(1, 1), progress=None, part=None,
-                   merge=False):  # fmt: skip
+def detect_dataset(
+    relations: Any,
+    path: Any,
+    out: str | PathLike,
+    method: str = "joint",
+    chunk: int = CHUNK,
+    alarm: tuple[int, int] = (1, 1),
+    progress: Callable | None = None,
+    part: tuple[int, int] | None = None,
+    merge: bool = False,
+) -> "Digest | list[Path]":
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
     Args:
@@ -179,7 +193,15 @@ def _source(path, model):
     return source
 
 
-def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=None, progress=None):
+def digest(
+    relations: Any,
+    source: ParquetSource,
+    folder: Path,
+    method: str = "joint",
+    alarm: tuple[int, int] = (1, 1),
+    alarms_csv: Path | None = None,
+    progress: Callable | None = None,
+) -> Digest:
     """Read the verdicts of a ParquetSource once.
 
     Args:
@@ -192,7 +214,7 @@ def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=N
     """
     report, first = progress or (lambda share: None), 0
     counts, times, worst = np.zeros(len(Status), np.int64), _Times(source), None
-    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), _AlarmBook(*alarm, relations, alarms_csv)
+    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), _AlarmBook(alarm, relations, alarms_csv)
     for part in part_files(folder):
         written, status, margin = _read(part)
         time, stamps = source.times(first, written)
@@ -216,7 +238,7 @@ def digest(relations, source, folder, method="joint", alarm=(1, 1), alarms_csv=N
         raise ValueError(f"{source.path}: {sentence}")
     hints, aside = _signal_hints(found, folder)
     found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)
-    if found.counts["FAULT"] and (units := unit_hints(found.around(found.worst[0])[0])):
+    if worst and found.counts["FAULT"] and (units := unit_hints(found.around(worst[2])[0])):
         found = replace(found, hints=(*found.hints, *units))
     found.alarms[:] = [replace(a, result=found) for a in found.alarms]
     return found
@@ -276,9 +298,9 @@ def _worst(status, margin, first):
 class _AlarmBook:
     """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next shows how it goes on."""
 
-    def __init__(self, k, n, relations, path):
-        self.rule, self.dt, self.horizon, self.path = (k, n), relations.model.dt, relations.horizon, path
-        self.ended = {}
+    def __init__(self, rule, relations, path):
+        self.rule, self.dt, self.horizon, self.path = rule, relations.model.dt, relations.horizon, path
+        self.ended: dict[str, int] = {}
         self.before, self.held, self.count, self.kept, self.first = np.zeros(0, bool), None, 0, [], []
 
     def add(self, first, written, time, status, margin):
@@ -315,7 +337,7 @@ class _AlarmBook:
         deepest = np.argsort(alarms["depth"])[:DEEPEST]
         picked = np.unique([*deepest, *range(min(1, len(alarms["windows"])))]).astype(int)
         rows = zip(*(alarms[f][picked].tolist() for f in FIELDS), strict=True)
-        fresh = [(Alarm(*row[:5], ended=ENDINGS[row[8]]), row[5:8]) for row in rows]
+        fresh = [(Alarm(start, end, n, depth, worst, ended=ENDINGS[why]), times) for start, end, n, depth, worst, *times, why in rows]
         self.first = self.first or fresh[:1]
         self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
         return alarms["worst_sample"]
@@ -323,7 +345,7 @@ class _AlarmBook:
     def alarms(self):
         """Return ([Alarm], {sample: seconds}) of the first and the deepest in order of time."""
         pairs = {alarm.start: (alarm, times) for alarm, times in (*self.first, *self.kept)}
-        named = {}
+        named: dict[int, float] = {}
         for a, times in pairs.values():
             named |= dict(zip((a.start, a.end, a.worst), times, strict=True))
         return [pairs[start][0] for start in sorted(pairs)], named

@@ -1,8 +1,11 @@
 """What may be said of alarms that are over: whether a fault was repaired or lasts, a CONSISTENT window often cannot tell."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 
-from jaxbound.diagnosis.alarms import NO_LONGER, ONSET_LEFT
+from jaxbound.diagnosis.alarms import NO_LONGER, ONSET_LEFT, Alarm
 from jaxbound.diagnosis.detectability import always_seen
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
@@ -10,7 +13,7 @@ from jaxbound.runs.summary import evidence
 __all__ = ["ending_hints", "endings_said", "sizes_seen", "sizes_text"]
 
 
-def sizes_seen(res, alarms):
+def sizes_seen(res: Any, alarms: Sequence[Alarm]) -> dict[str, float] | None:
     """Return the sizes of `always_seen`; None where there is no alarm, as nobody needs them then, or where they are not known.
 
     Args:
@@ -22,17 +25,17 @@ def sizes_seen(res, alarms):
     return always_seen(res.relations, res.method, res.around(alarms[0].worst)[1].y if isinstance(res, Digest) else res.y)
 
 
-def ending_hints(res, alarms, sizes=None):
+def ending_hints(res: Any, alarms: Sequence[Alarm], sizes: Mapping[str, float] | None = None) -> list[str]:
     """Return a sentence on alarms after which CONSISTENT windows do not mean that the fault is repaired.
 
     Args:
         res, alarms: as for `sizes_seen`, which returns sizes; None: not asked for.
     """
-    counts = evidence(res, alarms).ended
+    counts = evidence(res, alarms).ended or {}
     return [f"{said}; {sizes_text(res, sizes)}" for said in endings_said(counts, sum(counts.values()))]
 
 
-def endings_said(counts, total):
+def endings_said(counts: Mapping[str, int], total: int) -> list[str]:
     """Return a sentence, or none, on those of so many alarms that are over. counts: {why: how many}."""
     some = lambda n: "the alarm" if total == 1 else f"all {total} alarms" if n == total else f"{n} of {total} alarms"
     said = []
@@ -43,7 +46,7 @@ def endings_said(counts, total):
     return ["; ".join(said)] if said else []
 
 
-def sizes_text(res, sizes):
+def sizes_text(res: Any, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
     these = f"windows of {res.relations.horizon + 1} samples"
     if sizes is None:

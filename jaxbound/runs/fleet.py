@@ -7,9 +7,11 @@ sentence of its row, and the others are tested. While one unit is tested, the ne
 import csv
 import math
 from collections import Counter, deque
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
@@ -56,12 +58,12 @@ class UnitResult(NamedTuple):
         return self.summary.margin
 
     @classmethod
-    def untested(cls, unit, why):
+    def untested(cls, unit: Unit, why: str) -> "UnitResult":
         """Return what is said of a unit that was not tested."""
         return cls(unit, Summary("not tested", why))
 
 
-def read_manifest(path):
+def read_manifest(path: str | PathLike) -> list[Unit]:
     r"""Read the units of a fleet from a CSV or TOML file.
 
     CSV: a header with the columns unit, model and recording, then a row a unit. TOML: a block [[units]] with these fields for each.
@@ -151,7 +153,8 @@ def _known(where, names):
 
 
 def _units(rows, folder):
-    units, found = [], {}
+    units: list[Unit] = []
+    found: dict[str, str] = {}
     for where, row in rows:
         for column in COLUMNS:
             if not row[column]:
@@ -165,7 +168,14 @@ def _units(rows, folder):
     return units
 
 
-def detect_fleet(units, method="joint", horizon=None, alarm=(1, 1), min_coverage=0.5, progress=None):
+def detect_fleet(
+    units: Sequence[Unit],
+    method: str = "joint",
+    horizon: int | None = None,
+    alarm: tuple[int, int] = (1, 1),
+    min_coverage: float = 0.5,
+    progress: Callable | None = None,
+) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
     Args:
@@ -178,7 +188,7 @@ def detect_fleet(units, method="joint", horizon=None, alarm=(1, 1), min_coverage
         UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
     """
     report, shared = progress or (lambda share: None), Counter(unit.model for unit in units)
-    models = {}
+    models: dict[Path, tuple[Any, Any]] = {}
 
     def prepare(unit):
         model, relations = models.get(unit.model) or (load_model(unit.model), None)
@@ -190,7 +200,7 @@ def detect_fleet(units, method="joint", horizon=None, alarm=(1, 1), min_coverage
         return model, relations, recording
 
     with ThreadPoolExecutor(1) as beside:
-        waiting = deque()
+        waiting: deque[Future] = deque()
         try:
             for i, unit in enumerate(units):
                 while len(waiting) < AHEAD and i + len(waiting) < len(units):
@@ -212,18 +222,19 @@ def _tested(unit, job, method, alarm, min_coverage):
         hints = (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms))
         return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints))
     except (OSError, ValueError, NotImplementedError, TypeError) as e:
-        system = isinstance(e, OSError) and e.filename and e.strerror
-        return UnitResult.untested(unit, f"{e.filename}: {e.strerror.lower()}" if system else str(e))
+        if isinstance(e, OSError) and e.filename and e.strerror:
+            return UnitResult.untested(unit, f"{e.filename}: {e.strerror.lower()}")
+        return UnitResult.untested(unit, str(e))
     except Exception as e:  # one unit's trouble must not cost the others their answer
         return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}")
 
 
-def worst_first(results):
+def worst_first(results: Iterable[UnitResult]) -> list[UnitResult]:
     """Return the results sorted: faults (the deepest first), units not tested, too little evidence, no fault (the tightest first)."""
     return sorted(results, key=lambda r: (ORDER.index(r.verdict), math.inf if math.isnan(r.margin) else r.margin))
 
 
-def fleet_verdict(results):
+def fleet_verdict(results: Sequence[UnitResult]) -> tuple[str, int, str]:
     """Return (verdict, exit code, sentence) of a whole fleet.
 
     A fault counts before a unit that could not be tested, and that before too little evidence.

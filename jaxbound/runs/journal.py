@@ -9,7 +9,10 @@ power: then the lengths may not fit, and the state is refused.
 
 import json
 import os
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from jaxbound.recordings.checkpoint import refuse_other
 from jaxbound.recordings.whole import lock, whole
@@ -36,24 +39,26 @@ class Journal:
         ValueError: a state that is none, or another model's; verdicts that are not those that the state speaks of; another process on them.
     """
 
-    def __init__(self, out, state, identity):
+    def __init__(self, out: str | PathLike | None, state: str | PathLike | None, identity: Mapping[str, str]) -> None:
         self.verdicts = None if out is None else Path(out) / VERDICTS
-        self.path = Path(state) if state is not None else None if out is None else Path(out) / STATE
+        self.path: Any = Path(state) if state is not None else None if out is None else Path(out) / STATE
         self.identity, self.before, self.pending = identity, None, b""
-        self.file, self.length, self.end, self.notes, self.noted = None, 0, b"", None, 0
+        self.file: Any = None  # open while rows are written
+        self.notes: Any = None
+        self.length, self.end, self.noted = 0, b"", 0
 
-    def __enter__(self):
+    def __enter__(self) -> "Journal":
         if self.path is not None and self.path.exists():
             self._restore()
             self._open()
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: object) -> None:
         for file in (self.file, self.notes):
             if file is not None:
                 file.close()
 
-    def add(self, memory, rows=b""):
+    def add(self, memory: Any, rows: bytes = b"") -> None:
         """Remember what there is after a burst (fit for JSON), then append its rows."""
         if self.file is None:
             self._open()
@@ -62,7 +67,7 @@ class Journal:
         if self.file is not None and rows:
             self._append(rows)
 
-    def finish(self, memory):
+    def finish(self, memory: Any) -> None:
         """Remember the end: everything is written and printed."""
         if self.file is not None:
             os.fsync(self.file.fileno())

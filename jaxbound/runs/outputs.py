@@ -11,7 +11,9 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from os import PathLike
 from pathlib import Path
 
 from jaxbound.recordings.parquetfiles import SUFFIXES
@@ -26,7 +28,7 @@ DIGESTED = 1 << 26  # bytes of the largest file that is known again by its conte
 
 
 @contextmanager
-def made(path):
+def made(path: str | PathLike) -> Iterator[Path]:
     """Make a folder; remove it, and those above that are new too, if they are empty at the end."""
     path = Path(path)
     missing = [p for p in (path, *path.parents) if not p.exists()]
@@ -38,7 +40,7 @@ def made(path):
             if not os.access(path, os.W_OK | os.X_OK):
                 raise PermissionError(13, "Permission denied")
         except OSError as e:
-            raise Refused(f"cannot write into {path}: {e.strerror.lower()}") from e
+            raise Refused(f"cannot write into {path}: {str(e.strerror).lower()}") from e
         yield path
     finally:
         for folder in missing:
@@ -49,7 +51,7 @@ def made(path):
 
 
 @contextmanager
-def output_folder(path, names=(), inputs=()):
+def output_folder(path: str | PathLike, names: Iterable[str] = (), inputs: Iterable[str | PathLike] = ()) -> Iterator["OutputFolder"]:
     """Give an OutputFolder that no other command writes into meanwhile; it is made if it is not there.
 
     Args:
@@ -59,7 +61,7 @@ def output_folder(path, names=(), inputs=()):
         Refused: another command is at work there; one of the names belongs to an input or to a file that jaxbound did not write.
     """
     with _kept_from_others(path):
-        folder = OutputFolder(path, inputs)
+        folder = OutputFolder(Path(path), inputs)
         folder.check(names)
         shutil.rmtree(folder.path / WORK, ignore_errors=True)  # of a command that was killed
         try:
@@ -69,7 +71,7 @@ def output_folder(path, names=(), inputs=()):
 
 
 @contextmanager
-def shared_folder(path, names=(), inputs=()):
+def shared_folder(path: str | PathLike, names: Iterable[str] = (), inputs: Iterable[str | PathLike] = ()) -> Iterator[None]:
     """Make a folder into which several commands may write at once, each whole files of its own; no `output_folder` is given meanwhile.
 
     Args:
@@ -79,7 +81,7 @@ def shared_folder(path, names=(), inputs=()):
         Refused: a command that wants the folder for itself is at work there; one of the names belongs to an input.
     """
     with _kept_from_others(path, shared=True):
-        OutputFolder(path, inputs).check(names, foreign=False)
+        OutputFolder(Path(path), inputs).check(names, foreign=False)
         yield
 
 
@@ -119,12 +121,12 @@ class OutputFolder:
     Fields: path: of the folder. inputs: paths of what is read. listed: {name: entries, of which one fits the file}.
     """
 
-    def __init__(self, path, inputs=()):
+    def __init__(self, path: Path, inputs: Iterable[str | PathLike] = ()) -> None:
         self.path, self.inputs = Path(path), [Path(p) for p in inputs]
         self.listed = self._read()
 
     @contextmanager
-    def work(self):
+    def work(self) -> Iterator[Path]:
         """Give a folder to write into; once the block has ended well its files are in this one, else nothing is."""
         folder = self.path / WORK
         folder.mkdir()
@@ -134,7 +136,7 @@ class OutputFolder:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def check(self, names, foreign=True):
+    def check(self, names: Iterable[str], foreign: bool = True) -> None:
         """Raise Refused if what is called by one of these names is an input or, if `foreign`, not jaxbound's."""
         for name in (*names, WORK):
             self._refuse_input(name)
@@ -143,7 +145,7 @@ class OutputFolder:
                 why = "it was not written by jaxbound, or was changed since"
                 raise Refused(f"{self.path / stranger} is in the way: {why}; move it, or choose another folder")
 
-    def put(self, sources):
+    def put(self, sources: Mapping[str, Path]) -> None:
         """Move files or folders of this file system into this folder, all or none.
 
         Args:
@@ -168,7 +170,7 @@ class OutputFolder:
         with suppress(OSError):
             (self.path / WORK).rmdir()
 
-    def remove(self, name):
+    def remove(self, name: str) -> None:
         """Remove a file or folder if it is jaxbound's and no input; else leave it."""
         path = self.path / name
         if not os.path.lexists(path) or self._stranger(name) or any(map(_within(path), self.inputs)):
@@ -180,16 +182,16 @@ class OutputFolder:
         else:
             path.unlink()
 
-    def claim(self, *names):
+    def claim(self, *names: str) -> None:
         """Put files on the list that will be written in place, whatever they hold then."""
         self._list([(name, None) for name in names])
 
-    def settle(self, *names):
+    def settle(self, *names: str) -> None:
         """Put claimed files on the list as they are now."""
         self.listed = {name: told for name, told in self.listed.items() if name not in names}
         self._list([entry for name in names if (self.path / name).is_file() for entry in _entries(name, self.path / name)])
 
-    def tidy(self):
+    def tidy(self) -> None:
         """Remove the list if nothing that it names is there."""
         if self.listed and not any(os.path.lexists(self.path / name) for name in self.listed):
             (self.path / LIST).unlink(missing_ok=True)
@@ -264,23 +266,23 @@ def _digest(path, size):
     return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest() if size <= DIGESTED else None
 
 
-def refuse_targets(targets, inputs, force):
+def refuse_targets(targets: Mapping[str, Path | None], inputs: Iterable[str | PathLike], force: bool) -> None:
     """Raise Refused unless every file may be written: in a folder that exists, no input, and nothing that is lost.
 
     Args:
         targets: {option: path or None}. inputs: paths of what is read. force: files that are there may be replaced.
     """
-    targets = {option: path for option, path in targets.items() if path is not None}
-    for option, path in targets.items():
+    wanted = {option: path for option, path in targets.items() if path is not None}
+    for option, path in wanted.items():
         if path.is_dir() or not Path(os.path.realpath(path)).parent.is_dir() or (path.exists() and not path.is_file()):
             raise Refused(f"{option} {path} must be a file to write, in a folder that exists")
-        for other in inputs:
+        for other in map(Path, inputs):
             part = path.suffix.lower() in SUFFIXES and other.is_dir() and _within(other)(path)
             if part or _within(path)(other):
                 what = f"{'a part of ' * part}{other}, which is read"
                 raise Refused(f"{option} {path} is {what}: an input is never an output, choose another name")
-    if len({os.path.realpath(path) for path in targets.values()}) < len(targets):
-        raise Refused(f"{' and '.join(targets)} name the same file: give each a name of its own")
-    for option, path in targets.items():
+    if len({os.path.realpath(path) for path in wanted.values()}) < len(wanted):
+        raise Refused(f"{' and '.join(wanted)} name the same file: give each a name of its own")
+    for option, path in wanted.items():
         if path.exists() and not force:
             raise Refused(f"{option} {path} exists: --force replaces it, or choose another name")

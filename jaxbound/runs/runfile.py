@@ -5,8 +5,9 @@ import json
 from pathlib import Path
 
 from jaxbound.models.modelfile import load_model, model_text
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import kind_of
-from jaxbound.runs.sink import Sink, register
+from jaxbound.runs.sink import Outcome, Sink, register
 
 __all__ = ["VALIDATION", "RunRecord", "load_run", "save_run"]
 
@@ -21,12 +22,12 @@ class RunRecord(Sink):
 
     names = (RUN,)  # the model may be the one that is tested again
 
-    def write(self, folder, outcome):
+    def write(self, folder: Path, outcome: Outcome) -> None:
         """Write both."""
         save_run(folder, outcome.model, outcome.data, outcome.content, outcome.method, outcome.horizon)
 
 
-def save_run(directory, model, data, digest, method, horizon):
+def save_run(directory: Path, model: LinearSystem, data: Path, digest: str | None, method: str, horizon: int) -> None:
     """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
 
     Args:
@@ -41,7 +42,7 @@ def save_run(directory, model, data, digest, method, horizon):
     (directory / RUN).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
-def load_run(directory):
+def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int]:
     """Return (model, path of the recording, method, horizon) of a report; the recording may have moved into its folder.
 
     Raises:

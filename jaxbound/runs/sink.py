@@ -16,8 +16,8 @@ class Outcome:
     """What the test of one recording came to.
 
     Fields: result: a Result, or what else a test returns, a Digest where the recording did not fit into memory; recording: the Recording,
-    or None then; alarms: those that are kept; summary; model: that was tested; data: the path of the recording; content: its digest;
-    method, horizon: of the test.
+    or None then; alarms: those that are kept; summary; model: that was tested; data: the path of the recording; content: its digest, None
+    where it is gone; method, horizon: of the test.
     """
 
     result: Any
@@ -26,7 +26,7 @@ class Outcome:
     summary: Summary
     model: LinearSystem
     data: Path
-    content: str
+    content: str | None
     method: str
     horizon: int
 

@@ -10,10 +10,13 @@ import json
 import os
 import re
 import time
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import reduce
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -23,10 +26,11 @@ from jaxbound.diagnosis.result import suspected
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.checkpoint import refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
-from jaxbound.recordings.parquet import PARTIAL, VERDICTS
+from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.recordings.stillness import Run, Runs, follow, joined
 from jaxbound.recordings.whole import UNFINISHED, whole
 from jaxbound.relations.identity import identity
+from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.shares import Incomplete, listed, numbers_of, shares_that_make
 from jaxbound.sets.floats.status import Status
 
@@ -40,7 +44,15 @@ RUNS, IDENTITY = b"runs", b"identity"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 
 
-def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=None, part=None):
+def write_parts(
+    relations: Any,
+    source: ParquetSource,
+    out: str | PathLike,
+    method: str = "joint",
+    chunk: int = CHUNK,
+    progress: Callable | None = None,
+    part: tuple[int, int] | None = None,
+) -> tuple[Path, dict[str, float]]:
     """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those that are not there yet.
 
     Args:
@@ -73,7 +85,7 @@ def write_parts(relations, source, out, method="joint", chunk=CHUNK, progress=No
     return folder, seconds
 
 
-def all_parts(relations, source, out, method="joint"):
+def all_parts(relations: Any, source: ParquetSource, out: str | PathLike, method: str = "joint") -> Path:
     """Return the folder of the parts that `write_parts` made.
 
     Raises:
@@ -87,12 +99,12 @@ def all_parts(relations, source, out, method="joint"):
     return folder
 
 
-def part_count(source):
+def part_count(source: ParquetSource) -> int:
     """Return the number of parts of a ParquetSource."""
     return -(-source.samples // PART)
 
 
-def samples_of(numbers, source):
+def samples_of(numbers: range, source: ParquetSource) -> tuple[int | None, int | None]:
     """Return the first and the last sample of the parts with these numbers; (None, None) of none."""
     return (numbers.start * PART, min(numbers.stop * PART, source.samples) - 1) if numbers else (None, None)
 
@@ -135,18 +147,18 @@ def _test(relations, source, pending, method, size, report, lap, parts):
         report(done)
 
 
-def part_files(folder, numbers=None):
+def part_files(folder: str | PathLike, numbers: Any = None) -> list[Path]:
     """Return the complete parts of a folder of verdicts in order; numbers: only these."""
     parts = sorted(Path(folder).glob("part-*.parquet"))
     return parts if numbers is None else [p for p in parts if _number(p) in numbers]
 
 
-def kept(folder, samples):
+def kept(folder: str | PathLike, samples: int) -> int:
     """Return how many of the samples have their verdict in complete parts."""
     return min(PART * len(part_files(folder)), samples)
 
 
-def read_runs(parts):
+def read_runs(parts: Iterable[Path]) -> list[Runs]:
     """Return the Runs (`stillness`) of all parts: of the inputs, the outputs and, if the model has `where`, of 1 where it holds and
     NaN elsewhere.
     """
@@ -160,14 +172,14 @@ def read_runs(parts):
     return [reduce(joined, signal) for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)]
 
 
-def publish(folder):
+def publish(folder: OutputFolder) -> None:
     """Turn the complete parts in an `outputs.OutputFolder` into its verdicts, in the place of older ones."""
     for file in set(_ours(folder.path / PARTIAL)) - set(part_files(folder.path / PARTIAL)):
         file.unlink()  # what a killed run was writing
     folder.put({VERDICTS: folder.path / PARTIAL})
 
 
-def forget_parts(parts):
+def forget_parts(parts: Path) -> None:
     """Remove what `write_parts` wrote into a folder, and the folder if nothing else is in it."""
     for file in _ours(parts):
         file.unlink(missing_ok=True)

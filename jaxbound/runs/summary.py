@@ -112,7 +112,7 @@ class Summary:
         """The margin of the worst window, NaN if there is none."""
         return self.worst.margin if self.worst else np.nan
 
-    def plain(self, **also) -> dict:
+    def plain(self, **also: Any) -> dict:
         """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a command adds."""
         found = self.found or Evidence("", 0, 0, self.counts)  # nothing was tested
         worst = None

@@ -1,12 +1,17 @@
 """Verdicts and alarms as files: CSV with the times of the recording as its owner wrote them."""
 
+from collections.abc import Sequence
 from functools import singledispatch
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import ENDINGS
+from jaxbound.diagnosis.alarms import ENDINGS, Alarm
 from jaxbound.recordings.columns import to_arrow, words, write_columns
-from jaxbound.runs.sink import Sink, register
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.sink import Outcome, Sink, register
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["AlarmTable", "VerdictTable", "alarm_columns", "columns_of", "write_alarms", "write_verdicts"]
@@ -18,7 +23,7 @@ class VerdictTable(Sink):
 
     names, whole = ("verdicts.csv",), True
 
-    def write(self, folder, outcome):
+    def write(self, folder: Path, outcome: Outcome) -> None:
         """Write the table."""
         write_verdicts(folder / self.names[0], outcome.result, outcome.recording)
 
@@ -29,12 +34,13 @@ class AlarmTable(Sink):
 
     names, whole = ("alarms.csv",), True
 
-    def write(self, folder, outcome):
+    def write(self, folder: Path, outcome: Outcome) -> None:
         """Write the table."""
-        write_alarms(folder / self.names[0], outcome.alarms, outcome.recording, outcome.model.dt)
+        recording: Any = outcome.recording  # it is there: `whole`
+        write_alarms(folder / self.names[0], outcome.alarms, recording, outcome.model.dt)
 
 
-def write_verdicts(path, result, recording=None):
+def write_verdicts(path: str | PathLike, result: Any, recording: Recording | None = None) -> None:
     """Write one row a sample: time (as the recording has it), and the columns of the result.
 
     Args:
@@ -45,7 +51,7 @@ def write_verdicts(path, result, recording=None):
 
 
 @singledispatch
-def columns_of(result):
+def columns_of(result: Any) -> dict[str, Any]:
     """Return the columns of a result beside the time: status, margin (blank where there is none), suspect."""
     return {
         "status": words([x.name for x in Status], result.status),
@@ -54,7 +60,7 @@ def columns_of(result):
     }
 
 
-def write_alarms(path, alarms, recording, dt):
+def write_alarms(path: str | PathLike, alarms: Sequence[Alarm], recording: Recording, dt: float) -> None:
     """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and when it was reached.
 
     `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt; `ended`: see `Alarm`.
@@ -69,7 +75,7 @@ def write_alarms(path, alarms, recording, dt):
     write_columns(path, alarm_columns({**when, **seconds, **found}, dt))
 
 
-def alarm_columns(alarms, dt):
+def alarm_columns(alarms: Any, dt: float) -> dict[str, Any]:
     """Return the columns of alarms.csv.
 
     Args:

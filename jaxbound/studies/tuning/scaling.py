@@ -76,8 +76,8 @@ def windows_of(model: LinearSystem, horizon: int, given: object, what: str = "he
         raise ValueError(f"{what} needs a tuple (u, y) or a list of such tuples, one a recording; (u, y, starts) where samples are lost")
     us, ys, starts, first, at = [], [], [], [], 0
     for one in several:
-        found = Recording.of(model, *one).finite()
-        u, y, length, seams = found.u, found.y, found.y.shape[-2], found.starts
+        given_one = Recording.of(model, *one).finite()
+        u, y, length, seams = given_one.u, given_one.y, given_one.y.shape[-2], given_one.starts
         u, y = (np.asarray(x).reshape(int(np.prod(x.shape[:-1])), x.shape[-1]) for x in (u, y))
         for begin in range(at, at + len(y), max(length, 1)):
             first.append(begin)
