@@ -18,8 +18,6 @@ ROOMS = {
     "studies": {"identification", "tuning", "montecarlo"},
     "reports": {"templates"},
 }
-TYPED = ("exact", "sets")
-"""Rooms whose public names say of what type everything is that they take and return."""
 FILES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): p for p in sorted(PACKAGE.rglob("*.py"))}
 OUTSIDE = "__init__"  # the public names: whoever asks for one of them from inside wants the version
 
@@ -118,30 +116,6 @@ def test_every_public_name_has_a_docstring(module):
             for member, value in vars(thing).items():
                 if not member.startswith("_") and (inspect.isfunction(value) or isinstance(value, property)):
                     assert inspect.getdoc(value), f"{name}.{member} has no docstring"
-
-
-def unannotated(source):
-    """Yield what lacks a type in the public functions, methods and properties of a file."""
-    tree = ast.parse(source)
-    lists = [n.value for n in tree.body if isinstance(n, ast.Assign) and getattr(n.targets[0], "id", "") == "__all__"]
-    public = {c.value for value in lists for c in ast.walk(value) if isinstance(c, ast.Constant)}
-    for thing in tree.body:
-        if getattr(thing, "name", None) in public:
-            members = thing.body if isinstance(thing, ast.ClassDef) else [thing]
-            for f in (m for m in members if isinstance(m, ast.FunctionDef) and not m.name.startswith("_")):
-                given = [a for a in ast.walk(f.args) if isinstance(a, ast.arg) and a.arg not in ("self", "cls")]
-                yield from (f"{f.name}({a.arg})" for a in given if a.annotation is None)
-                yield from [f"{f.name} -> ?"] if f.returns is None else []
-
-
-@pytest.mark.parametrize("name", [n for n in FILES if any(n == room or n.startswith(f"{room}.") for room in TYPED)])
-def test_public_functions_are_annotated(name):
-    assert list(unannotated(FILES[name].read_text())) == []
-
-
-def test_a_missing_annotation_is_found():
-    source = "__all__ = ['f', 'C']\ndef f(x: int, *y): ...\ndef g(x): ...\nclass C:\n    @property\n    def size(self): ..."
-    assert list(unannotated(source)) == ["f(y)", "f -> ?", "size -> ?"]
 
 
 def test_the_top_has_verbs_and_what_is_constructed_and_types_of_results_live_in_their_rooms():

@@ -72,13 +72,13 @@ class BankTest(WindowTest):
 
 
 @jax.jit
-def bank_windows(test, u, y):
+def bank_windows(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)
     return bank_verdicts(test.shape, mid, rad, scale, known, known_scale, test.lift)
 
 
-def status_of_words(words, count):
+def status_of_words(words: np.ndarray, count: int) -> np.ndarray:
     """Return the status (...) of a bank from its words: it proves FAULT, and CONSISTENT where it is a single relation."""
     fault = (words & (words << np.uint32(1)) & HIGH != 0).any(0)
     inside = Status.CONSISTENT if count == 1 else Status.UNDECIDED

@@ -93,7 +93,7 @@ def whole_budget(budget: Any) -> int:
     return int(budget)
 
 
-def search(relations, U, Y, budget, size=BisectionTest.short):
+def search(relations: Any, U: np.ndarray, Y: np.ndarray, budget: int, size: int = BisectionTest.short) -> Any:
     """Search for unknowns that explain each window."""
     return _pave(relations, flat(relations.f), (U, Y), budget, size, solutions="one", cut="smear")
 
@@ -122,13 +122,13 @@ class flat:
 
     f: Callable
 
-    def __call__(self, z, u, y):
+    def __call__(self, z: Any, u: Any, y: Any) -> Any:
         """Return what f returns, end to end."""
         parts = [jnp.ravel(x) for x in jax.tree.leaves(self.f(z, u, y))]
         return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
 
 
-def recorded(y, ulps):
+def recorded(y: Any, ulps: float) -> tuple[Any, Any]:
     """Return (lo, hi) of what was recorded as y (N, s + 1, p): samples are known to so many unit roundoffs of the largest in the window."""
     spread = ulps * rounding.unit(y.dtype) * np.abs(y).max(1, keepdims=True) + 2 * rounding.tiny(y.dtype)
     return y - spread, y + spread

@@ -4,6 +4,7 @@ A block is what the kernel takes on one device. On D devices one program runs D 
 a block of its own: no number depends on D, nothing passes between devices, and one compilation serves all of them.
 """
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -21,14 +22,14 @@ def default_device() -> Any:
     return getattr(jax.config, "jax_default_device")  # noqa: B009 (set by jax as it starts: no checker knows it)
 
 
-def everywhere(constants, devices):
+def everywhere(constants: Any, devices: Sequence[jax.Device]) -> Any:
     """Return a PyTree of arrays placed on each of the devices, as `on_devices` takes it."""
     if len(devices) == 1:
         return jax.device_put(constants, None if default_device() is None else devices[0])
     return jax.device_put(constants, NamedSharding(_mesh(devices), PartitionSpec()))
 
 
-def on_devices(kernel, constants, blocks, devices, axis=0):
+def on_devices(kernel: Callable, constants: Any, blocks: list[tuple], devices: Sequence[jax.Device], axis: int = 0) -> list:
     """Start a kernel on blocks of windows, one a device.
 
     Args:

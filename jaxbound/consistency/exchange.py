@@ -138,7 +138,7 @@ class ExchangeTest(WindowTest):
 
 
 @jax.jit
-def exchange_margins(test, u, y):
+def exchange_margins(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): differentiable, NaN where data are missing."""
     count, size = y.shape[0] - test.horizon, _block_of(test.shape)
     blocks = -(-count // size)
@@ -154,7 +154,7 @@ def exchange_margins(test, u, y):
 
 
 @jax.jit
-def candidates(given, one, u, y):
+def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the combinations (h, d, done) that speak most against each window of a block; nothing is proved yet."""
     test, steps, finer = given
     mid, rad, _, known, _ = (x / one[None] for x in test.block(u, y))
@@ -162,7 +162,9 @@ def candidates(given, one, u, y):
 
 
 @jax.jit
-def verdicts(given, one, u, y, h, d, done):
+def verdicts(
+    given: Any, one: jax.Array, u: jax.Array, y: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled) of the windows of a block, proved from what `candidates` found."""
     test, *_ = given
     mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))

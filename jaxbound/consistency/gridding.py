@@ -23,7 +23,7 @@ BUDGET = 3, 100_000
 """(q, boxes a window) of a paving where nothing else is asked."""
 
 
-def internal_form(z, y_lo, y_hi, tolerance, rho, W_lo, W_hi, w_lo=(), w_hi=()):
+def internal_form(z: Any, y_lo: Any, y_hi: Any, tolerance: Any, rho: Any, W_lo: Any, W_hi: Any, w_lo: Any = (), w_hi: Any = ()) -> Any:
     """Enclose p_int = W (mu, -w), mu = (theta y + rho delta) / (1 + theta), w = (w_hi + w_lo + (w_hi - w_lo) omega) / 2.
 
     z = (theta / tolerance, delta, omega) in [-1, 1]; `tolerance` has an entry a row, or one an output if theta is the same in all its
@@ -77,7 +77,7 @@ class PavingTest(WindowTest):
         return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
 
 
-def whole_windows(test, u, y, starts):
+def whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:
     """Return the cases of a test that takes whole windows alone: what is missing makes a window MISSING, what is infinite UNDECIDED."""
     lacking, endless = (_span(bad(u), starts, test.lags) | _span(bad(y), starts, test.horizon + 1) for bad in (np.isnan, np.isinf))
     cases = [(test, starts[~lacking & ~endless]), (Open(test, np.nan), starts[endless])]

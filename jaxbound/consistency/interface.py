@@ -167,7 +167,7 @@ class Open(WindowTest):
     block = 2**16
     constants = None
 
-    def judge(self, run, blocks):
+    def judge(self, run: Callable, blocks: list) -> list:
         """Return UNDECIDED for all windows."""
         count = lambda block: block[1].shape[-1]
         return [(np.full(count(b), Status.UNDECIDED, np.int8), np.full(count(b), self.margin, self.dtype)) for b in blocks]

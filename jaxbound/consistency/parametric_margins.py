@@ -12,12 +12,14 @@ Source: Dinkelbach 1967.
 
 import math
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.parametric_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips import polynomials
 
 __all__ = ["needed_compensation", "parametric_margins"]
@@ -26,7 +28,7 @@ STEPS = 30
 """Newton steps of a compensation; 3 to 5 are usual."""
 
 
-def parametric_margins(relations, u, y):
+def parametric_margins(relations: Any, u: Any, y: Any) -> jax.Array:
     """Return the unproved margins (..., T), NaN where a window has no usable data. See `consistency.margins`.
 
     Where u or y are traced nobody knows what is missing: windows that lack a sample which a relation needs are NaN.
@@ -37,7 +39,7 @@ def parametric_margins(relations, u, y):
     samples = np.arange(len(y))
     starts = samples[samples % shape[-1] < shape[-1] - s] if len(y) else samples
     if any(isinstance(x, jax.core.Tracer) for x in (u, y)):
-        chosen = [(relations, np.arange(len(starts)))] if len(starts) else []
+        chosen: Any = [(relations, np.arange(len(starts)))] if len(starts) else []
     else:
         u, y = np.asarray(u), np.asarray(y)
         chosen = cases(relations, u, y, starts)
@@ -47,7 +49,7 @@ def parametric_margins(relations, u, y):
     return out.reshape(shape)
 
 
-def needed_compensation(relations, given, share):
+def needed_compensation(relations: Any, given: Recording, share: float) -> Any:
     """Return the least compensation that is enough for all windows of a Recording but a share of them; see `compensation`."""
     u, y, across = np.asarray(given.u), np.asarray(given.y), given.across(relations.horizon)
     T = y.shape[-2]

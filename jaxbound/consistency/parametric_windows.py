@@ -12,7 +12,9 @@ A window that lacks samples is tested by relations made for it: those without th
 Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
 
+from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +40,7 @@ NEWTON = 4
 LEAST = 1e-6
 
 
-def cases(relations, u, y, starts):
+def cases(relations: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
     """Yield (relations, numbers of the windows that they fit): windows that lack the same samples lack the same rows and inputs.
 
     Beyond `PATTERNS` patterns, the rarest windows come with None. Windows that have no relation left are not mentioned.
@@ -66,17 +68,17 @@ def cases(relations, u, y, starts):
             yield case, broken[which.ravel() == number]
 
 
-def samples_of(test, u, y, starts):
+def samples_of(test: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Any:
     """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become 0."""
     return finite(gather(u, y, starts, test.window.lags, test.horizon))
 
 
-def finite(windows):
+def finite(windows: Any) -> Any:
     """Return samples with 0 for those that are missing, and not needed."""
     return tuple(np.nan_to_num(x, nan=0.0, posinf=np.inf, neginf=-np.inf) for x in windows)
 
 
-def judged_by(relations, method):
+def judged_by(relations: Any, method: str) -> str:
     """Return how a block is judged: "vertices", "zonotope", "linearised" or "box"."""
     if method in ("linearised", "box"):
         return method
@@ -84,7 +86,7 @@ def judged_by(relations, method):
     return "vertices" if exact else "zonotope"
 
 
-def judged_whole(test, samples, kind, proved, allowance):
+def judged_whole(test: Any, samples: Any, kind: str, proved: bool, allowance: Any) -> Any:
     """Return (status, margin) of a block of windows."""
     terms = terms_of(test, *samples)
     if kind == "vertices":
@@ -114,14 +116,14 @@ def _status(margin, inside):
 
 
 @jax.jit
-def terms_of(test, u, y):
+def terms_of(test: Any, u: Any, y: Any) -> Any:
     """Return (value, spread, rad, error): a window's polynomials, and one bound on the error of each row."""
     value, error, spread, rad = test.polynomials(u, y)
     return value, spread, rad, polynomials.row_error(value, error, spread, rad, test.exponents)
 
 
 @partial(jax.jit, static_argnums=5)
-def image_of(test, value, spread, rad, error, linear, allowance):
+def image_of(test: Any, value: Any, spread: Any, rad: Any, error: Any, linear: bool, allowance: Any) -> Any:
     """Return (c, G, error) of the whole box of parameters; linear: with `allowance` as a generator of its own in each row."""
     c, G = polynomials.image(value, spread, rad, test.exponents, linear=linear)
     if linear:
@@ -131,7 +133,7 @@ def image_of(test, value, spread, rad, error, linear, allowance):
 
 
 @jax.jit
-def at_vertices(test, value, spread, rad, error):
+def at_vertices(test: Any, value: Any, spread: Any, rad: Any, error: Any) -> Any:
     """Return (margin, inside) of a single multi-affine relation: see `polynomials.vertex_margin`."""
     return polynomials.vertex_margin(value, spread, rad, test.exponents, error)
 
@@ -153,7 +155,7 @@ def _box(test, value, spread, rad, error, proved):
     return _status(worst, all_inside & (proved and value.shape[0] == 1)), worst
 
 
-def outside(c, G, error):
+def outside(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[jax.Array, ...]:
     """Return (margin, z, h): < 0 is a proof; z a candidate for a point, h for a direction."""
     h, z = farthest(c, G)
     if varying.strip_count(*G.shape[:2]):
@@ -161,16 +163,16 @@ def outside(c, G, error):
     return varying.refutes_jit(c, G, error, h), z, h
 
 
-def farthest(c, G):
+def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (h, z), candidates for a direction and a point: see `gauge_search`."""
     size = varying.row_sizes(c, G)
     h, z, _ = gauge_search(*varying.scaled(c, G, size), jnp.ones_like(c[0]))
     return h / size, z
 
 
-def explained(test, terms, z):
+def explained(test: Any, terms: Any, z: jax.Array) -> jax.Array:
     """Return where a zero near z, or near the middle, is proved to exist."""
-    found = False
+    found: Any = False
     for start in (z, 0 * z):
         z = start
         for _ in range(NEWTON):
@@ -195,7 +197,7 @@ def _slopes(test, value, spread, rad, error, z):
     return p, J, bend, error, jnp.broadcast_to((order * error)[:, None], J.shape)
 
 
-def bisected(test, samples, proved, budget):
+def bisected(test: Any, samples: Any, proved: bool, budget: int) -> np.ndarray:
     """Return the status of windows by bisection of their parameters."""
     count, n = samples[1].shape[-1], len(test.size)
     filled = 2 ** max(count - 1, 127).bit_length()  # few sizes, few compilations
@@ -221,7 +223,7 @@ def _boxes(test, terms, lo, hi, owner, proved):
     return Verdicts(keep & ~found, found, (mid, mid), None, axis)
 
 
-def on_boxes(test, terms, mid, radius):
+def on_boxes(test: Any, terms: Any, mid: Any, radius: Any) -> tuple:
     """Return (margin, start, h, axis) of boxes mid +- radius (n, N) and the terms of their windows.
 
     margin < 0 is a proof; start (v, e) and h are candidates for a point and a direction; axis is where to cut.
@@ -231,7 +233,7 @@ def on_boxes(test, terms, mid, radius):
     return margin, jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)]), h, axis
 
 
-def on_whole(test, terms):
+def on_whole(test: Any, terms: Any) -> tuple:
     """Return (margin, start, h) of the whole box of parameters: see `on_boxes`."""
     margin, z, h = outside(*image_of(test, *terms, False, 0.0))
     return margin, jnp.concatenate([z[: len(test.size)], _noise_part(test, z)]), h

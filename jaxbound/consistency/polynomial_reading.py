@@ -38,16 +38,16 @@ class PolynomialReading:
     noisy: tuple = field(metadata={"static": True})
 
     @property
-    def horizon(self):
+    def horizon(self) -> int:
         """A window has horizon + 1 samples."""
         return self.window.horizon
 
     @property
-    def count(self):
+    def count(self) -> int:
         """Number of relations."""
         return self.N.shape[0]
 
-    def polynomials(self, u, y):
+    def polynomials(self, u: jax.Array, y: jax.Array) -> Any:
         """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within [-1, 1].
 
         A window is consistent with the relations iff for some |v_i| <= 1 and |xi_j| <= 1, all relations k at once,

@@ -1,5 +1,6 @@
 """What a kernel needs of a relation, and how it reads a window."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,7 +37,7 @@ class Reading:
     lags: int = field(metadata={"static": True})
 
     @property
-    def lift(self):
+    def lift(self) -> jax.Array:
         """At least every factor that multiplies a row after its own rounding."""
         return sensor.lift(self.tolerance)
 
@@ -48,7 +49,7 @@ class Reading:
             silenced |= jnp.isnan(value) & jnp.any(strips.k[:, b] != 0)
         return silenced
 
-    def stretch(self, u, y):
+    def stretch(self, u: jax.Array, y: jax.Array) -> tuple:
         """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`."""
         count = y.shape[0] - self.horizon
         return self.rows(
@@ -56,7 +57,7 @@ class Reading:
             [[y[j : j + count, i] for i in range(y.shape[1])] for j in range(self.horizon + 1)],
         )
 
-    def block(self, u, y):
+    def block(self, u: jax.Array, y: jax.Array) -> tuple:
         """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few operations, whatever s."""
         per_output = []
         for i in range(y.shape[1]):
@@ -75,7 +76,7 @@ class Reading:
         tiny = rounding.tiny(like.dtype)
         return [x[:, None] * one[None] for x in (0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, abs(lo) + abs(hi) + tiny)]
 
-    def rows(self, u, y):
+    def rows(self, u: Any, y: Any) -> tuple:
         """Return (mid, rad, scale, known, known_scale), lists of (N,), of windows with the samples u[lag][input], y[lag][output].
 
         Rows are the true outputs, time-major, then the disturbances w_k .. w_{k+s-1}.
@@ -100,7 +101,7 @@ def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon:
     return taken(u, rows[:lags]), taken(y, rows)
 
 
-def forms(kernel, relations, test, u, y, starts):
+def forms(kernel: Callable, relations: Any, test: Callable, u: Any, y: Any, starts: Any) -> tuple:
     """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; NaN where there is no window."""
     given = Recording.of(relations.model, u, y, starts)
     u, y = jnp.asarray(given.u), jnp.asarray(given.y)

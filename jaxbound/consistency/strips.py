@@ -1,6 +1,7 @@
 """Short windows: every circuit, or every relation alone, is a strip, tested over contiguous samples in one pass."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +42,7 @@ class StripsTest(WindowTest):
 
 
 @jax.jit
-def verdicts(test, u, y):
+def verdicts(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)
     margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)

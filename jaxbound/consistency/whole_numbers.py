@@ -10,9 +10,11 @@ known up to lo_i <= t_i <= hi_i, as in `exact_window`; the bounds' floor, the sm
 Blocks of windows at once, as NumPy arrays of Python's integers: some microseconds a strip, so only windows with such a set come here.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, lcm
+from typing import Any
 
 import jax
 import numpy as np
@@ -34,7 +36,7 @@ SEARCHES = (1.0, 3e-4, 0.03)
 """Searches for h and d, see `separation.exchange_search`."""
 
 
-def thin(test, u, y):
+def thin(test: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Say which windows u (lags, m, N), y (s + 1, p, N) have a bound so small that rounding leaves some far from the boundary open.
 
     So do windows whose sums may overflow, or bounds near underflow.
@@ -58,7 +60,16 @@ def _wide(test, y):
     return top < float(np.sqrt(np.finfo(y.dtype).max)) and bound > 1.01 * enough
 
 
-def settle(relations, test, method, u, y, status, margin, progress=None):
+def settle(
+    relations: Any,
+    test: Any,
+    method: str,
+    u: np.ndarray,
+    y: np.ndarray,
+    status: np.ndarray,
+    margin: np.ndarray,
+    progress: Callable | None = None,
+) -> None:
     """Decide what strips of NumPy recordings u (T, m), y (T, p) left open though it may be far from the boundary.
 
     Args:
@@ -81,7 +92,7 @@ def settle(relations, test, method, u, y, status, margin, progress=None):
         status[left] = status_of(margin[left])
 
 
-def exact_strips(relations, test, strips, u, y):
+def exact_strips(relations: Any, test: Any, strips: tuple, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return (N,) margins: > 0 inside, < 0 outside, both proved; 0: a missing input silences a strip; NaN: no strip has its data.
 
     Args:
@@ -91,7 +102,7 @@ def exact_strips(relations, test, strips, u, y):
     return _strips(_rows_of(relations.model, test, u, y), strips, y.dtype)
 
 
-def exact_search(relations, test, frame, u, y):
+def exact_search(relations: Any, test: Any, frame: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return (N,) margins as `exact_strips`, 0 too where no search came near enough.
 
     Args:

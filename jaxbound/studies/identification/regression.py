@@ -10,6 +10,7 @@ Everything is in standardised signals, (value - middle) / spread, so that neithe
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -145,7 +146,7 @@ def refined(theta: np.ndarray, windows: Windows, order: int, direct: bool) -> tu
     return theta, spread
 
 
-def window_spread(theta, windows, order, direct):
+def window_spread(theta: Any, windows: Any, order: int, direct: Any) -> Any:
     """Return the root mean square (p,) of the window residuals of each output, standardised, each output weighed alike."""
     e = np.asarray(_residuals(theta, *_filled(windows), np.ones(windows.y.shape[2]), order, direct))[: len(windows.y)]
     spread = np.sqrt((e.reshape(windows.y.shape) ** 2).mean((0, 1)))

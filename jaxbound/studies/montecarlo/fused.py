@@ -51,7 +51,7 @@ def unknown_draws(course: Course, act: Act, plant: Plant, key: tuple[Array, Arra
     return each[: 2 * p : 2], each[1 : 2 * p : 2], each[2 * p :], extra  # the two of an output share their rounds
 
 
-def levels(course, limits, key, numbers):
+def levels(course: Course, limits: Array, key: tuple[Array, Array], numbers: Array) -> jax.Array:
     """Return the inputs of each hold, an array (holds, m, N), uniform within limits (m, 2)."""
     calls = -(-len(limits) // 2)
     hold = jnp.arange(-(-course.samples // course.hold) + 1, dtype=jnp.uint32)[:, None] + jnp.zeros_like(numbers)[None]

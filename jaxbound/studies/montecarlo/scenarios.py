@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -182,7 +183,7 @@ def largest_input(model: LinearSystem, trial: Trial | None, highest: np.ndarray,
     return out
 
 
-def guaranteed_size(model, fault, relations, highest, samples, largest):
+def guaranteed_size(model: Any, fault: Any, relations: Any, highest: Any, samples: int, largest: float) -> float:
     """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan where nothing is known.
 
     The operating range is what the readings of this study can come to, with a fault of that size.

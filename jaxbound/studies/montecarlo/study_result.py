@@ -86,7 +86,7 @@ class StudyResult:
         frame = pd.DataFrame(rows, columns=["fault", "size", "delay", "scenarios"])
         return frame.astype({"delay": "Int64", "scenarios": "int64", "size": "float64"})
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         false, clean = self.false_alarms
         labels = ", ".join(t.label for t in self.trials)
         return f"StudyResult({self.scenarios} scenarios of {labels}, unknowns {self.at}; {false} false alarms in {clean} windows)"
