@@ -12,14 +12,11 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-__all__ = ["default_device", "everywhere", "on_devices"]
+from jaxbound.sets.floats.probe import default_device
+
+__all__ = ["everywhere", "on_devices"]
 
 AXIS = "windows"
-
-
-def default_device() -> Any:
-    """Return the device that `jax.default_device` chose, perhaps by its name, or None."""
-    return getattr(jax.config, "jax_default_device")  # noqa: B009 (set by jax as it starts: no checker knows it)
 
 
 def everywhere(constants: Any, devices: Sequence[jax.Device]) -> Any:

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.consistency.devices import default_device, everywhere, on_devices
+from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.interface import Observer, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import NOWHERE, Recording
-from jaxbound.sets.floats.probe import usable_devices
+from jaxbound.sets.floats.probe import default_device, usable_devices
 
 __all__ = ["drive"]
 

@@ -36,7 +36,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.linear_systems.fixed_systems import prepare
 
-__all__ = ["Validation", "prepared", "validate"]
+__all__ = ["Validation", "nothing_said", "prepared", "validate"]
 
 BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
@@ -216,6 +216,12 @@ class _Slide:
         return Validation(state, output, residual, faulty, corrected, status), after
 
 
+def nothing_said(shape: tuple[int, ...], n: int, p: int, dtype: np.dtype) -> Validation:
+    """Return a Validation of samples (*shape) of which nothing is known: every interval is entire."""
+    entire = lambda size: Interval(np.full((*shape, size), -np.inf, dtype), np.full((*shape, size), np.inf, dtype))
+    return Validation(entire(n), entire(p), entire(p), np.zeros((*shape, p), bool), entire(p), np.full(shape, Status.MISSING, np.int8))
+
+
 def _piecewise(run, u, y, x0, starts, left_out, s, n):
     """Validate what lies between gaps, each piece as a recording of its own; where there is none, every interval is entire.
 
@@ -234,10 +240,7 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
             groups.setdefault((known, max(16, 1 << (b - begin - 1).bit_length())), []).append((begin, b))
     if not groups:
         raise ValueError(f"no stretch of {s + 1} complete samples in a row: the windows reach across gaps, or samples are missing in all")
-    entire = lambda size: Interval(np.full((*batch, T, size), -np.inf, y.dtype), np.full((*batch, T, size), np.inf, y.dtype))
-    out = Validation(
-        entire(n), entire(p), entire(p), np.zeros((*batch, T, p), bool), entire(p), np.full((*batch, T), Status.MISSING, np.int8)
-    )
+    out = nothing_said((*batch, T), n, p, y.dtype)
     for (known, length), pieces in groups.items():
         rows = np.minimum(np.array([a for a, _ in pieces])[:, None] + np.arange(length), np.array([b for _, b in pieces])[:, None] - 1)
         behind = np.arange(length) >= np.array([b - a for a, b in pieces])[:, None]

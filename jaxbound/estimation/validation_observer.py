@@ -7,11 +7,10 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Observer
-from jaxbound.estimation.validation import Validation, prepared
+from jaxbound.estimation.validation import Validation, nothing_said, prepared
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["ValidationObserver", "ValidationState"]
@@ -116,8 +115,5 @@ class ValidationObserver(Observer):
         return ValidationState(u[keep:], y[keep:], after, False), said
 
     def _nothing(self, count):
-        m, dtype = self._slide.m, self._slide.m.A.dtype
-        entire = lambda size: Interval(np.full((count, size), -np.inf, dtype), np.full((count, size), np.inf, dtype))
-        p = m.C.shape[0]
-        status = np.full(count, Status.MISSING, np.int8)
-        return Validation(entire(m.n), entire(p), entire(p), np.zeros((count, p), bool), entire(p), status)
+        m = self._slide.m
+        return nothing_said((count,), m.n, m.C.shape[0], m.A.dtype)

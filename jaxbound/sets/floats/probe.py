@@ -14,6 +14,7 @@ import os
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Unverified", "measure", "refuse_other_modes", "refuse_unverified", "usable_devices", "verified"]
+__all__ = ["Unverified", "default_device", "measure", "refuse_other_modes", "refuse_unverified", "usable_devices", "verified"]
 
 EXAMINED = ("cpu",)
 GIVES_UP = {
@@ -73,9 +74,14 @@ def refuse_other_modes() -> None:
         )
 
 
+def default_device() -> Any:
+    """Return the device that `jax.default_device` chose, perhaps by its name, or None."""
+    return jax.config.jax_default_device  # type: ignore[attr-defined]  # made at run time
+
+
 def usable_devices() -> tuple[jax.Device, ...]:
     """Return the devices that work goes to: all of this process, or the one of `jax.default_device` where that is set."""
-    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # made at run time
+    chosen = default_device()
     if chosen is None:
         return tuple(jax.local_devices())
     return tuple(jax.local_devices(backend=chosen)[:1]) if isinstance(chosen, str) else (chosen,)
