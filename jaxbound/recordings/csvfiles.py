@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.csvtext import is_number, parse_columns, sniff
-from jaxbound.recordings.derived import wanted
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
+from jaxbound.recordings.selection import wanted
 from jaxbound.recordings.source import Source, register, told
 from jaxbound.recordings.timestamps import parse_stamps, read_numbers
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.csvtext import MISSING_CELLS, cells_of, is_number, sniff
-from jaxbound.recordings.derived import wanted
+from jaxbound.recordings.selection import wanted
 
 __all__ = ["FEW", "SOURCE", "LineReader", "WrongCells"]
 

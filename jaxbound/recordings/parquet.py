@@ -14,11 +14,11 @@ import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.contents import Contents
-from jaxbound.recordings.derived import Wanted
 from jaxbound.recordings.expressions import Expression
 from jaxbound.recordings.parquetfiles import PARTIAL, SUFFIXES, VERDICTS, Damage, checked, files_of, groups_of, opened, plan_of, spans_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
+from jaxbound.recordings.selection import Wanted
 from jaxbound.recordings.source import Source, overlapping, register, told
 from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, time_label
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from jaxbound.recordings.derived import Wanted, wanted
+from jaxbound.recordings.selection import Wanted, wanted
 
 __all__ = ["INDEX", "PARTIAL", "SUFFIXES", "VERDICTS", "Damage", "checked", "files_of", "groups_of", "opened", "plan_of", "spans_of"]
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.contents import content
-from jaxbound.recordings.derived import where_hints
 from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick
+from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.stillness import still_hints
 
 __all__ = ["KINDS", "Source", "overlapping", "register", "told"]

@@ -15,13 +15,13 @@ from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
 from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
-from jaxbound.recordings.derived import where_hints
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
+from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.parity import ParityRelation

@@ -16,7 +16,7 @@ from jaxbound.consistency.reading import Reading
 from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
-from jaxbound.studies.montecarlo import fused
+from jaxbound.studies.montecarlo import kernel
 from jaxbound.studies.montecarlo.draws import Array
 from jaxbound.studies.montecarlo.recursion import Plant
 from jaxbound.studies.montecarlo.scenarios import Act
@@ -32,7 +32,7 @@ def _drawn(course, act, plant, key, numbers):
     """Return the unknowns (T, 2p + g, N) of scenarios as the uniform study draws them, and the extra draws of a noise fault (T, N)."""
 
     def now(_, k):
-        theta, delta, share, extra = fused.unknown_draws(course, act, plant, key, numbers, k)
+        theta, delta, share, extra = kernel.unknown_draws(course, act, plant, key, numbers, k)
         return None, (jnp.stack([*theta, *delta, *share]), jnp.zeros_like(delta[0]) if extra is None else extra)
 
     return jax.lax.scan(now, None, jnp.arange(course.samples, dtype=jnp.int32))[1]
@@ -46,8 +46,8 @@ def _recorded(course, act, plant, inputs, size, onset, u, xi, extra):
         x, held = carry
         k, each, extra = given
         unknowns = list(each[:p]), list(each[p : 2 * p]), list(each[2 * p :]), extra
-        u_now = fused.recorded_input(u, inputs, k, course)
-        x, y, held = fused.move(act, plant, unknowns, size, onset, u_now, k, x, held)
+        u_now = kernel.recorded_input(u, inputs, k, course)
+        x, y, held = kernel.move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
 
     start = [zero] * plant.shape[0], zero
@@ -79,7 +79,7 @@ def worst_factor(test: Reading, act: Act, onset: Array, u: Array, y: Array) -> t
 
 @partial(jax.jit, static_argnums=(0, 8))
 def attack_block(
-    course: fused.Course,
+    course: kernel.Course,
     test: Reading,
     plant: Plant,
     act: Act,
@@ -92,10 +92,10 @@ def attack_block(
     """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) of N scenarios whose unknowns hide the fault as well as was found.
 
     Args:
-        as for `fused.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of the descent.
+        as for `kernel.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of the descent.
     """
     pair = key[0], key[1]
-    inputs, size, onset = fused.prepared(course, act, limits, pair, numbers)
+    inputs, size, onset = kernel.prepared(course, act, limits, pair, numbers)
     xi, extra = _drawn(course, act, plant, pair, numbers)
     recorded = lambda xi: _recorded(course, act, plant, inputs, size, onset, u, xi, extra)
 

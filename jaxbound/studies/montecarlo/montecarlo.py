@@ -29,7 +29,7 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.strips.strips import UNROLLED
-from jaxbound.studies.montecarlo import adversary, fused, recorded, recursion, scenarios
+from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
 from jaxbound.studies.montecarlo.keeper import Keeper
 from jaxbound.studies.montecarlo.scenarios import Relations
 from jaxbound.studies.montecarlo.study_result import StudyResult
@@ -108,7 +108,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
     words = [np.asarray(jax.random.bits(jax.random.fold_in(key, i), (2,), np.uint32)) for i in range(len(trials))]
     room = np.max([recursion.rounding_room(model, relations.horizon, scenarios.largest_input(model, t, highest, samples), samples, dtype)
                    for t in trials], 0)  # fmt: skip
-    course = fused.Course(samples, hold, at == "vertices")
+    course = kernel.Course(samples, hold, at == "vertices")
     run, block = _engine(model, relations, course, at, method, room, u, limits, dtype)
     settings = {"method": method, "at": at, "samples": samples, "hold": hold, "n": n, "horizon": relations.horizon,
                 "dtype": np.dtype(dtype).name, "input range": limits.tolist(), "inputs": None if u is None else fingerprint(u),
@@ -203,9 +203,9 @@ def _engine(model, relations, course, at, method, room, u, limits, dtype):
 
         def attacked(act, key, numbers):
             us, ys, onset = map(np.asarray, adversary.attack_block(course, test, plant, act, limits, u, key, numbers))
-            return *recorded.count_recordings(relations, act, us, ys, onset, method), onset
+            return *records.count_recordings(relations, act, us, ys, onset, method), onset
 
-        return attacked, min(ATTACKED, recorded.recording_block(course))
+        return attacked, min(ATTACKED, records.recording_block(course))
     few = method == "joint" and certain and 0 < len(relations.circuits) <= UNROLLED
     if plain and few:  # where circuits are many, what the fused kernel saves is nothing beside their test
         devices, test = tuple(jax.local_devices(backend="cpu")), relations.reading(dtype)
@@ -215,22 +215,22 @@ def _engine(model, relations, course, at, method, room, u, limits, dtype):
             found = on_devices(_counter(course), everywhere((test, plant, act, limits, u, key), devices), blocks, devices)
             return tuple(map(np.concatenate, zip(*found, strict=True)))
 
-        return counted, fused.BLOCK * len(devices)
+        return counted, kernel.BLOCK * len(devices)
 
     def written(act, key, numbers):
         if plain:
-            us, ys, onset = map(np.asarray, fused.replay_block(course, plant, act, limits, u, key, numbers))
+            us, ys, onset = map(np.asarray, kernel.replay_block(course, plant, act, limits, u, key, numbers))
         else:
-            us, ys, onset = recorded.simulate_block(course, model, act, limits, u, key, numbers)
-        return *recorded.count_recordings(relations, act, us, ys, onset, method), onset
+            us, ys, onset = records.simulate_block(course, model, act, limits, u, key, numbers)
+        return *records.count_recordings(relations, act, us, ys, onset, method), onset
 
-    return written, recorded.recording_block(course)
+    return written, records.recording_block(course)
 
 
 @lru_cache(maxsize=32)
 def _counter(course):
     """Return `count_block` as a kernel of (everything that is the same for all scenarios, their numbers)."""
-    return lambda constants, numbers: fused.count_block(course, *constants, numbers)
+    return lambda constants, numbers: kernel.count_block(course, *constants, numbers)
 
 
 def _work_off(tasks, work, collect, keeper, progress):

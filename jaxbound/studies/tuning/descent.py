@@ -27,7 +27,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.separation import Frame, separation_margin
 from jaxbound.sets.strips.strips import strip_margin
-from jaxbound.studies.tuning.moving import Moving, unflatten
+from jaxbound.studies.tuning.parametrization import Moving, unflatten
 
 if TYPE_CHECKING:
     import optax

@@ -18,7 +18,7 @@ from jaxbound.recordings.seams import crossing
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
-from jaxbound.studies.tuning.moving import Moving
+from jaxbound.studies.tuning.parametrization import Moving
 
 __all__ = ["Windows", "factors", "smallest_scale", "worst", "windows_of"]
 

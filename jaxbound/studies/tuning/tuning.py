@@ -22,7 +22,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
 from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, problem_of
-from jaxbound.studies.tuning.moving import model_with, moving
+from jaxbound.studies.tuning.parametrization import model_with, moving
 from jaxbound.studies.tuning.scaling import factors, smallest_scale, windows_of, worst
 
 if TYPE_CHECKING:

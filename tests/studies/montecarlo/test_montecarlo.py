@@ -6,7 +6,7 @@ from study_case import simple
 
 import jaxbound as jb
 from jaxbound.sets.floats.status import Status
-from jaxbound.studies.montecarlo import fused, montecarlo, recursion, scenarios
+from jaxbound.studies.montecarlo import kernel, montecarlo, recursion, scenarios
 
 OPTIONS = dict(sizes=[0.1, 0.4, 5.0], samples=60)
 
@@ -26,12 +26,12 @@ def recordings(res, block=0):
     model, trial = res.model, res.trials[0]
     dtype = np.float64
     room = recursion.rounding_room(model, res.horizon, scenarios.largest_input(model, trial, np.ones(1), res.samples), res.samples, dtype)
-    course = fused.Course(res.samples, res.settings["hold"], res.at == "vertices")
-    numbers = np.arange(block * fused.BLOCK, (block + 1) * fused.BLOCK, dtype=np.uint32)
+    course = kernel.Course(res.samples, res.settings["hold"], res.at == "vertices")
+    numbers = np.arange(block * kernel.BLOCK, (block + 1) * kernel.BLOCK, dtype=np.uint32)
     key = np.array(res.settings["key"][0], np.uint32)
     limits = np.array(res.settings["input range"])
     plant, act = recursion.plant_of(model, room, dtype), scenarios.act_of(trial, model, dtype)
-    u, y, onset = map(np.asarray, fused.replay_block(course, plant, act, limits, None, key, numbers))
+    u, y, onset = map(np.asarray, kernel.replay_block(course, plant, act, limits, None, key, numbers))
     return u, y, onset, np.asarray(trial.sizes)[numbers % len(trial.sizes)]
 
 
@@ -40,7 +40,7 @@ def test_counts_are_those_of_detect_on_the_same_recordings(found):
     for block in range(3):
         u, y, onset, size = recordings(found, block)
         fault = jb.detect(jb.parity_relations(found.model), u, y).status == Status.FAULT
-        for i in range(min(fused.BLOCK, 10_000 - block * fused.BLOCK)):
+        for i in range(min(kernel.BLOCK, 10_000 - block * kernel.BLOCK)):
             cell, window = found.trials[0].sizes.tolist().index(size[i]), np.arange(s, T)
             inside = window - s >= onset[i]
             total["hits"][cell] += fault[i, s:][inside].sum()

@@ -12,7 +12,7 @@ import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning import descent, tuning
 from jaxbound.studies.tuning.descent import gradient, log_factors, problem_of
-from jaxbound.studies.tuning.moving import moving
+from jaxbound.studies.tuning.parametrization import moving
 from jaxbound.studies.tuning.scaling import smallest_scale, windows_of
 from tests import tuning_case
 from tests.oracles import Plant

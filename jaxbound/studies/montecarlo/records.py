@@ -12,21 +12,21 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats.status import Status
-from jaxbound.studies.montecarlo import fused, scenarios
+from jaxbound.studies.montecarlo import kernel, scenarios
 from jaxbound.studies.montecarlo.scenarios import Relations
 
 __all__ = ["count_recordings", "recording_block", "simulate_block"]
 
 
-def recording_block(course: fused.Course, samples_at_once: int = 2**17) -> int:
+def recording_block(course: kernel.Course, samples_at_once: int = 2**17) -> int:
     """Return how many scenarios are written out at once: a function of their length alone."""
-    return max(1, min(fused.BLOCK, samples_at_once // course.samples))
+    return max(1, min(kernel.BLOCK, samples_at_once // course.samples))
 
 
 def count_recordings(
     relations: Relations, act: scenarios.Act, u: np.ndarray, y: np.ndarray, onset: np.ndarray, method: str = "joint"
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (hits, false, delay) as `fused.count_block` does, of recordings u (N, T, m), y (N, T, p) with onsets (N,)."""
+    """Return (hits, false, delay) as `kernel.count_block` does, of recordings u (N, T, m), y (N, T, p) with onsets (N,)."""
     s, end = relations.horizon, np.arange(y.shape[1])[None]
     fault = detect(relations, u, y, method).status == Status.FAULT
     start, length = np.asarray(onset)[:, None], int(act.length)
@@ -38,7 +38,7 @@ def count_recordings(
 
 
 def simulate_block(
-    course: fused.Course,
+    course: kernel.Course,
     model: LinearSystem,
     act: scenarios.Act,
     limits: np.ndarray,
@@ -49,10 +49,10 @@ def simulate_block(
     """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) simulated by `simulate`; the unknowns depend on the block as a whole.
 
     Args:
-        as for `fused.replay_block`, with a LinearSystem in place of the plant.
+        as for `kernel.replay_block`, with a LinearSystem in place of the plant.
     """
     pair = key[0], key[1]
-    inputs, size, onset = fused.prepared(course, act, limits, pair, numbers)
+    inputs, size, onset = kernel.prepared(course, act, limits, pair, numbers)
     T, size, onset = course.samples, size[:, None], onset[:, None]
     if u is None:
         u = np.repeat(np.moveaxis(np.asarray(inputs), 2, 0), course.hold, 1)[:, :T]

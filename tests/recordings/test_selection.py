@@ -12,9 +12,9 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import detect, main
 from jaxbound.models.modelfile import load_model, model_text, save_model
-from jaxbound.recordings.derived import wanted
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read, read_signals
+from jaxbound.recordings.selection import wanted
 from jaxbound.runs.streaming import write_parts
 
 COLUMNS = {"u1": "= `in [V]` * 2", "y1": "= hot - cold", "y2": "level ", "where": "fan > 0 and mode == 'auto'"}
