@@ -24,6 +24,7 @@ from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 
@@ -77,7 +78,7 @@ class ConstantTest(WindowTest):
     def _search(self, u, y, starts):
         """Return the status of windows that one box of gains does not decide."""
         test, given = self.reading, gather(u, y, starts, self.lags, self.horizon)
-        count = 2 ** max(len(starts) - 1, 127).bit_length()  # powers of two, so that few sizes compile
+        count = power(max(len(starts), 128))
         fill = lambda x: np.concatenate([x, np.repeat(x[..., :1], count - len(starts), -1)], -1)
         windows, on_device = jax.device_put((tuple(map(fill, given)), test))
         lo, hi = (np.asarray(x) for x in _gains(test, np)[:2])

@@ -19,6 +19,7 @@ from jaxbound.consistency.reading import gather
 from jaxbound.consistency.unproved import unproved_margins
 from jaxbound.exact import linalg
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 
@@ -178,7 +179,7 @@ def _block_of(frame):
 def _rounded(relations, frame, dtype):
     """Return a frame in floats, of one of few widths, so that few are compiled."""
     k, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
-    return separation.frame_of(frame, dtype, k + (1 << (more - 1).bit_length() if more > 0 else 0))
+    return separation.frame_of(frame, dtype, k + (power(more) if more > 0 else 0))
 
 
 def _fits(frame, gone, inputs):

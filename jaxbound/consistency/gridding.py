@@ -14,6 +14,7 @@ from jaxbound.consistency.interface import Open, WindowTest
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval, add, interval, matmul
 from jaxbound.sets.paving.paving import pave
 
@@ -92,7 +93,7 @@ def _span(bad, starts, length):
 
 def _pave(relations, U, Y, q, boxes):
     model, windows, dtype = relations.model, len(Y), Y.dtype
-    count = 2 ** max(windows - 1, 127).bit_length()  # powers of two, so that few sizes compile
+    count = power(max(windows, 128))
     U, Y = (np.concatenate([x, np.zeros((count - windows, *x.shape[1:]), dtype)]) for x in (U, Y))
     encloses = lambda exact: interval(rounding.round_down(exact, dtype), rounding.round_up(exact, dtype))
     W = encloses(relations.W)

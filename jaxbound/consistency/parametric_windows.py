@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.reading import gather
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.sets.strips import polynomials, varying
@@ -200,7 +201,7 @@ def _slopes(test, value, spread, rad, error, z):
 def bisected(test: Any, samples: Any, proved: bool, budget: int) -> np.ndarray:
     """Return the status of windows by bisection of their parameters."""
     count, n = samples[1].shape[-1], len(test.size)
-    filled = 2 ** max(count - 1, 127).bit_length()  # few sizes, few compilations
+    filled = power(max(count, 128))
     samples = [np.concatenate([x, np.repeat(x[..., :1], filled - count, -1)], -1) for x in samples]
     terms, on_device = terms_of(test, *samples), jax.device_put(test)
     judge = lambda lo, hi, owner: _boxes(on_device, terms, lo, hi, owner, proved)

@@ -32,6 +32,7 @@ from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.linear_systems.fixed_systems import prepare
@@ -209,7 +210,7 @@ class _Slide:
                 systems = _first_window(weighted(self.M[..., None], early, m.p), m.p)
             return slide(self.plant, self.M, systems, u, y, error, weight, start, before, s, self.method, self.centre)
 
-        found, bounded, after = _blocks(kernel, given, count, min(BLOCK[self.method], 1 << (count - 1).bit_length()))
+        found, bounded, after = _blocks(kernel, given, count, min(BLOCK[self.method], power(count)))
         if not bounded.all():
             raise ValueError(f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
         state, output, residual, corrected, faulty, status = jax.tree.map(lambda a: jnp.asarray(a.reshape(*lead, *a.shape[1:])), found)
@@ -237,7 +238,7 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
         complete = np.convolve(whole[a:b], np.ones(s + 1, int), "valid") == s + 1 if b - a > s else np.zeros(0, bool)
         if known and b - a > s or complete.any():
             begin = a if known else a + int(complete.argmax())
-            groups.setdefault((known, max(16, 1 << (b - begin - 1).bit_length())), []).append((begin, b))
+            groups.setdefault((known, max(16, power(b - begin))), []).append((begin, b))
     if not groups:
         raise ValueError(f"no stretch of {s + 1} complete samples in a row: the windows reach across gaps, or samples are missing in all")
     out = nothing_said((*batch, T), n, p, y.dtype)

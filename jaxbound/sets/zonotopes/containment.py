@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.comparisons import contains as contains_number
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes import kernels, proof, search
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope
 from jaxbound.sets.zonotopes.decisions import Answer, Decision, contains_points, unscaled
 from jaxbound.sets.zonotopes.facets import FEW, exact_strips
-from jaxbound.sets.zonotopes.gauges import gauge_bounds, power
+from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import Question, flat, numbers, traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 

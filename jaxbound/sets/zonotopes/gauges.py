@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.zonotopes import proof, search
 
-__all__ = ["Bounds", "gauge_bounds", "power"]
+__all__ = ["Bounds", "gauge_bounds"]
 
 STEPS = (4, 8, 20)
 """Steps of projections between two looks at the proofs; at |gauge - 1| = 0.05 some 20 suffice in 5 to 100 dimensions."""
@@ -138,14 +139,6 @@ def _vertices(
 def _onto(image: proof.Image[np.ndarray], d: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Move candidates onto M x = d once more, in float64."""
     return x + proof.product(d - proof.product(x, image.M.swapaxes(1, 2)), image.R.swapaxes(1, 2))
-
-
-def power(count: int, base: int = 2) -> int:
-    """Return the smallest power of `base` that is not below count."""
-    power = 1
-    while power < count:
-        power *= base
-    return power
 
 
 def _padded(x: np.ndarray, size: int) -> np.ndarray:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.recordings.seams import crossing
+from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.identification.records import Records
 
 __all__ = ["Scales", "Windows", "coefficients", "growth", "least_squares", "refined", "scales_of", "windows_of"]
@@ -155,7 +156,7 @@ def window_spread(theta: Any, windows: Any, order: int, direct: Any) -> Any:
 
 def _filled(windows):
     """Return (u, y, there), filled up to a power of two of windows: few sizes, few compilations."""
-    more = (1 << max(len(windows.y) - 1, LEAST - 1).bit_length()) - len(windows.y)
+    more = power(max(len(windows.y), LEAST)) - len(windows.y)
     fill = lambda x: jnp.asarray(np.concatenate([x, np.zeros((more, *x.shape[1:]))]))
     return fill(windows.u), fill(windows.y), fill(np.ones(len(windows.y)))
 

@@ -20,6 +20,7 @@ from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.residual import Residual
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.tuning.confidence import Risk, blocks_of, held_out, risk_of, touched
 from jaxbound.studies.tuning.descent import BLOCK, RATE, default_optimizer, descend, problem_of
 from jaxbound.studies.tuning.parametrization import model_with, moving
@@ -249,7 +250,7 @@ class _Search:
         ends = np.random.default_rng(0).permutation(np.flatnonzero(~np.isnan(t)))
         if not len(ends):
             raise ValueError("no faulty window has any data: all are MISSING")
-        size = min(BLOCK, 1 << (len(ends) - 1).bit_length())
+        size = min(BLOCK, power(len(ends)))
         blocks = -(-len(ends) // size)
         real = np.arange(blocks * size).reshape(blocks, size) < len(ends)
         return jax.device_put((self.bad.u, self.bad.y, np.resize(ends, blocks * size).reshape(blocks, size), real))
