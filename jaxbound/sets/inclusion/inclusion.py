@@ -123,7 +123,7 @@ def _run(kernel: Callable[..., Any], F: Inclusion, args: tuple[Any, ...], option
 def _widened(leaves, sets):
     """Return the leaves with all Intervals of floats in the wider of their types, so that one vector can hold them."""
     real = [s and jnp.issubdtype(x.dtype, jnp.floating) for s, x in zip(sets, leaves, strict=True)]
-    dtype = jnp.result_type(*(x.dtype for x, r in zip(leaves, real, strict=True) if r)) if any(real) else None
+    dtype: Any = jnp.result_type(*(x.dtype for x, r in zip(leaves, real, strict=True) if r)) if any(real) else None
     wider = lambda x: x if x.dtype == dtype else jax.tree.map(lambda v: rounding.widened(v, dtype), x)
     return [wider(x) if r else x for x, r in zip(leaves, real, strict=True)]
 

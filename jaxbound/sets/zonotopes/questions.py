@@ -52,7 +52,7 @@ class Question:
 
     def known(self) -> Any:
         """Return (S, N), true where all numbers are finite: an overflow or NaN in a set, or a point, decides nothing."""
-        known = True
+        known: Any = True
         for v in (v for x in self.sets for v in x):
             known = known & library(v).isfinite(v).all(tuple(range(1, v.ndim)))
         known = known[:, None]
