@@ -27,7 +27,7 @@ __all__ = ["Leaf", "UncertainCertificate"]
 
 BOXES = 2000
 """Boxes that the proof of one FAULT may look at."""
-PART = 2**7
+PART = parametric_windows.SEARCHED
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,8 @@ class _Boxes:
 
     def whole(self):
         """Return (margin, start, h) of the whole box."""
-        return [np.asarray(x)[..., 0] for x in parametric_windows.on_whole(self.test, self.terms(parametric_windows.BLOCK))]
+        said = parametric_windows.on_whole(self.test, self.terms(parametric_windows.SEARCHED), False)
+        return [np.asarray(said[k])[..., 0] for k in (1, 4, 5)]
 
     def point(self, start):
         """Return (FixedWindow, z) near a start or near the middle, or None."""
@@ -288,9 +289,8 @@ class _Boxes:
         """Return (margin, start, h, axis, whether a point is proved to exist) of boxes (n, N)."""
         count = lo.shape[1]
         mid, radius = (np.pad(x, ((0, 0), (0, PART - count)), mode="edge") for x in (0.5 * (lo + hi), 0.5 * (hi - lo)))
-        said = parametric_windows.on_boxes(self.test, terms, mid, radius)
-        inside = parametric_windows.explained(self.test, terms, said[1]) if consistent else np.zeros(PART, bool)
-        return [np.asarray(x)[..., :count] for x in (*said, inside)]
+        said = parametric_windows.on_boxes(self.test, terms, mid, radius, np.arange(PART, dtype=np.int32), consistent)
+        return [np.asarray(said[k])[..., :count] for k in (1, 4, 5, 6, 2)]
 
 
 def _assembled(place):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxbound.consistency.bisection import whole_budget
 from jaxbound.consistency.interface import Open, WindowTest
 from jaxbound.consistency.parametric_margins import parametric_margins
-from jaxbound.consistency.parametric_windows import BLOCK, LEAST, bisected, cases, finite, judged_by, judged_whole
+from jaxbound.consistency.parametric_windows import BLOCK, LEAST, SEARCHED, bisected, cases, finite, judged_by, judged_whole
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
@@ -21,7 +21,6 @@ __all__ = ["BUDGET", "ParametricTest"]
 
 BUDGET = 10_000
 """Boxes that "paving" may evaluate for a window."""
-GROUP = 2**12  # windows that are bisected together
 
 
 class ParametricTest(WindowTest):
@@ -38,7 +37,6 @@ class ParametricTest(WindowTest):
     """
 
     sharded = False
-    block = short = BLOCK
     constants = None
 
     def __init__(self, relations: Any, method: str, dtype: Any, budget: Any = None, allowance: Any = 0.0) -> None:
@@ -51,6 +49,13 @@ class ParametricTest(WindowTest):
                 f"compensation must be one finite number >= 0, or one for each of {relations.count} relations, not {allowance}"
             )
         self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
+
+    @property
+    def block(self) -> int:
+        """How many windows are judged at once."""
+        return SEARCHED if self.kind == "zonotope" else BLOCK
+
+    short = block
 
     @property
     def lags(self) -> int:
@@ -85,8 +90,8 @@ class ParametricTest(WindowTest):
         if self.method != "paving":
             return
         status, margin = outs
-        for first in range(0, len(left), GROUP):
-            at = left[first : first + GROUP] + self.horizon
+        for first in range(0, len(left), SEARCHED):
+            at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))
             status[at] = found = bisected(self.reading, windows, self.proved, self.budget)
             margin[at] = np.where(found == Status.FAULT, np.minimum(margin[at], -LEAST), margin[at])

@@ -18,7 +18,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.parametric_windows import BLOCK, at_vertices, cases, farthest, image_of, judged_by, on_whole, samples_of, terms_of
+from jaxbound.consistency.parametric_windows import (
+    BLOCK,
+    SEARCHED,
+    at_vertices,
+    cases,
+    farthest,
+    judged_by,
+    linear_image,
+    on_whole,
+    samples_of,
+    terms_of,
+)
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips import polynomials
 
@@ -69,11 +80,12 @@ def needed_compensation(relations: Any, given: Recording, share: float) -> Any:
 def _over_blocks(kernel, relations, u, y, starts):
     """Return what a kernel says of the windows that start at `starts`: compiled blocks, one loop inside where something is traced."""
     kind = judged_by(relations, "joint")
+    block = SEARCHED if kind == "zonotope" else BLOCK
     test = relations.reading(y.dtype)
-    filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % BLOCK)]).reshape(-1, BLOCK)
+    filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % block)]).reshape(-1, block)
     if not any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values())):
         test = jax.device_put(test)
-        return jnp.concatenate([kernel(test, *samples_of(test, u, y, block), kind) for block in filled])[: len(starts)]
+        return jnp.concatenate([kernel(test, *samples_of(test, u, y, chosen), kind) for chosen in filled])[: len(starts)]
     u, y = jnp.asarray(u), jnp.asarray(y)
 
     def one_block(first):
@@ -88,18 +100,18 @@ def _margins(test, u, y, kind):
     if any(isinstance(x, jax.core.Tracer) for x in (u, y, *jax.tree.leaves(test))):
         return _smooth_margins(test, u, y, kind)
     terms = terms_of(test, u, y)
-    return at_vertices(test, *terms)[0] if kind == "vertices" else on_whole(test, terms)[0]
+    return at_vertices(test, terms, False)[1] if kind == "vertices" else on_whole(test, terms, False)[1]
 
 
 def _smooth_margins(test, u, y, kind):
     """Return the same, with derivatives; a missing sample that matters gives NaN."""
-    value, spread, rad, error = terms_of(test, u, y)
+    value, spread, rad, _ = terms_of(test, u, y)
     gone = jnp.isnan(value[:, 0])
     value = jnp.where(gone[:, None], 0, value)
     if kind == "vertices":
         t = polynomials.vertex_gauge(value, spread, rad, test.exponents)[0]
     else:
-        c, G, _ = image_of(test, value, spread, rad, error, False, 0.0)
+        c, G = polynomials.image(value, spread, rad, test.exponents)
         h, z = jax.lax.stop_gradient(farthest(*jax.lax.stop_gradient((c, G))))
         residual, width = jax.lax.stop_gradient(_across(h, c, G))
         change = jnp.sum(h * (c + jnp.sum(G * z[None], 1)), 0) * jnp.where(jnp.sum(h * c, 0) < 0, -1, 1)
@@ -110,14 +122,14 @@ def _smooth_margins(test, u, y, kind):
 @partial(jax.jit, static_argnums=3)
 def _needs(test, u, y, kind):
     """Return the compensation (N,) that each window needs."""
-    c, G, _ = image_of(test, *terms_of(test, u, y), True, 0.0)
+    c, G, _ = linear_image(test, terms_of(test, u, y), 0.0)
     G = G[:, : G.shape[1] - len(c)]  # without the compensation's own columns
     needed = jnp.max(jnp.maximum(jnp.abs(c) - jnp.sum(jnp.abs(G), 1), 0), 0)
 
     def step(carry):
         e, _, count = carry
-        own = [jnp.where(jnp.arange(len(c))[:, None] == k, e[None], 0)[:, None] for k in range(len(c))]
-        h, _ = farthest(c, jnp.concatenate([G, *own], 1))
+        own = jnp.where(np.eye(len(c), dtype=bool)[:, :, None], e[None, None], 0)
+        h, _ = farthest(c, jnp.concatenate([G, own], 1))
         residual, width = _across(h, c, G)
         more = jnp.maximum(e, _ratio(residual - width, jnp.sum(jnp.abs(h), 0)))
         return more, more > e * (1 + 4 * jnp.finfo(e.dtype).eps), count + 1

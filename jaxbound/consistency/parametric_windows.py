@@ -13,7 +13,6 @@ Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import jax
@@ -21,23 +20,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.reading import gather
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.sets.strips import polynomials, varying
 from jaxbound.sets.strips.gauge import gauge_search
 
 __all__ = [
-    "BLOCK", "LEAST", "VERTICES", "at_vertices", "bisected", "cases", "explained", "farthest", "finite", "image_of", "judged_by",
-    "judged_whole", "on_boxes", "on_whole", "samples_of", "terms_of",
+    "BLOCK", "LEAST", "SEARCHED", "VERTICES", "at_vertices", "bisected", "candidates", "cases", "concluded", "farthest", "finite",
+    "judged_by", "judged_whole", "linear_image", "on_boxes", "on_whole", "samples_of", "terms_of",
 ]  # fmt: skip
 
 BLOCK = 2**11
+"""Windows at once where each relation is a formula."""
+SEARCHED = 2**9
+"""Windows or boxes at once where directions and points are searched for: what a processor keeps close."""
 VERTICES = 8
 """Variables up to which the vertices of the box are enumerated."""
 PATTERNS = 64
 """Patterns of missing samples for which relations are made."""
-NEWTON = 4
+NEWTON = 7
+"""Steps of Newton's method; beyond them hardly anything more is proved."""
+SHARE = 0.99
+"""How far towards a side of the box one of them may go."""
 LEAST = 1e-6
 
 
@@ -91,17 +95,12 @@ def judged_whole(test: Any, samples: Any, kind: str, proved: bool, allowance: An
     """Return (status, margin) of a block of windows."""
     terms = terms_of(test, *samples)
     if kind == "vertices":
-        margin, inside = at_vertices(test, *terms)
-        return _status(margin, inside & proved), margin
+        return at_vertices(test, terms, proved)
     if kind == "box":
-        return _box(test, *terms, proved)
+        return _box(test, terms, proved)
     if kind == "linearised":
-        linear = image_of(test, *terms, True, allowance)
-        margin = varying.strip_margins(*linear) if varying.strip_count(*linear[1].shape[:2]) else outside(*linear)[0]
-        return jnp.where(jnp.isnan(margin), Status.MISSING, Status.UNDECIDED).astype(jnp.int8), margin
-    margin, start, _ = on_whole(test, terms)
-    inside = explained(test, terms, start) if proved else margin < -np.inf
-    return _status(margin, inside), jnp.where(inside, jnp.maximum(margin, LEAST), margin)
+        return _suspected(test, *_linear(test, terms, allowance))
+    return on_whole(test, terms, proved)[:2]
 
 
 def _noise_part(test, z):
@@ -110,7 +109,6 @@ def _noise_part(test, z):
     return z[len(z) - lumps - m : len(z) - lumps]
 
 
-@jax.jit
 def _status(margin, inside):
     decided = jnp.where(margin < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
     return jnp.where(jnp.isnan(margin), Status.MISSING, decided).astype(jnp.int8)
@@ -123,45 +121,57 @@ def terms_of(test: Any, u: Any, y: Any) -> Any:
     return value, spread, rad, polynomials.row_error(value, error, spread, rad, test.exponents)
 
 
-@partial(jax.jit, static_argnums=5)
-def image_of(test: Any, value: Any, spread: Any, rad: Any, error: Any, linear: bool, allowance: Any) -> Any:
-    """Return (c, G, error) of the whole box of parameters; linear: with `allowance` as a generator of its own in each row."""
-    c, G = polynomials.image(value, spread, rad, test.exponents, linear=linear)
-    if linear:
-        own = jnp.broadcast_to(jnp.asarray(allowance, c.dtype), (len(c),))[:, None] * jnp.ones_like(c)
-        G = jnp.concatenate([G, *[jnp.where(jnp.arange(len(c))[:, None] == k, own, 0)[:, None] for k in range(len(c))]], 1)
-    return c, G, error
+def linear_image(test: Any, terms: Any, allowance: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (c, G, error) of the whole box of parameters without all that is of order 2; `allowance` is a generator in each row."""
+    value, spread, rad, error = terms
+    c, G = polynomials.image(value, spread, rad, test.exponents, linear=True)
+    own = jnp.broadcast_to(jnp.asarray(allowance, c.dtype), (len(c),))[:, None] * jnp.ones_like(c)
+    return c, jnp.concatenate([G, jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)], 1), error
 
 
 @jax.jit
-def at_vertices(test: Any, value: Any, spread: Any, rad: Any, error: Any) -> Any:
-    """Return (margin, inside) of a single multi-affine relation: see `polynomials.vertex_margin`."""
-    return polynomials.vertex_margin(value, spread, rad, test.exponents, error)
+def _linear(test, terms, allowance):
+    """Return (c, G, error, h) of the linearised test: see `linear_image`."""
+    c, G, error = linear_image(test, terms, allowance)
+    return c, G, error, None if varying.strip_count(*G.shape[:2]) else farthest(c, G)[0]
 
 
-@partial(jax.jit, static_argnums=5)
-def _box(test, value, spread, rad, error, proved):
+@jax.jit
+def _suspected(test, c, G, error, h):
+    margin = _outside(c, G, error, h)
+    return jnp.where(jnp.isnan(margin), Status.MISSING, Status.UNDECIDED).astype(jnp.int8), margin
+
+
+@jax.jit
+def at_vertices(test: Any, terms: Any, proved: Any) -> tuple[jax.Array, jax.Array]:
+    """Return (status, margin) of a single multi-affine relation: see `polynomials.vertex_margin`."""
+    value, spread, rad, error = terms
+    margin, inside = polynomials.vertex_margin(value, spread, rad, test.exponents, error)
+    return _status(margin, inside & proved), margin
+
+
+@jax.jit
+def _box(test, terms, proved):
     """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the sum of all its parts."""
+    value, spread, rad, error = terms
     few = polynomials.multiaffine(test.exponents) and len(test.size) <= VERTICES
-    worst, all_inside = None, None
+    worst = jnp.full_like(value[0, 0], jnp.inf)
+    inside = jnp.asarray(proved) & (value.shape[0] == 1)
     for k in range(value.shape[0]):
         row = slice(k, k + 1)
         if few:
-            margin, inside = polynomials.vertex_margin(value[row], spread[row], rad, test.exponents, error[row])
+            margin, holds = polynomials.vertex_margin(value[row], spread[row], rad, test.exponents, error[row])
+            inside = inside & holds
         else:
             margin = varying.strip_margins(*polynomials.image(value[row], spread[row], rad, test.exponents), error[row])
-            inside = jnp.zeros_like(margin, bool)
-        worst = margin if worst is None else jnp.minimum(worst, margin)
-        all_inside = inside if all_inside is None else all_inside & inside
-    return _status(worst, all_inside & (proved and value.shape[0] == 1)), worst
+            inside = inside & False
+        worst = jnp.minimum(worst, margin)
+    return _status(worst, inside), worst
 
 
-def outside(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[jax.Array, ...]:
-    """Return (margin, z, h): < 0 is a proof; z a candidate for a point, h for a direction."""
-    h, z = farthest(c, G)
-    if varying.strip_count(*G.shape[:2]):
-        return varying.strip_margins(c, G, error), z, h
-    return varying.refutes_jit(c, G, error, h), z, h
+def _outside(c, G, error, h):
+    """Return the margin, < 0 is a proof: by all strips where they are few, else by the direction h, an array."""
+    return varying.strip_margins(c, G, error) if varying.strip_count(*G.shape[:2]) else varying.refutes(c, G, error, h)
 
 
 def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -171,83 +181,83 @@ def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
     return h / size, z
 
 
-def explained(test: Any, terms: Any, z: jax.Array) -> jax.Array:
-    """Return where a zero near z, or near the middle, is proved to exist."""
-    found: Any = False
-    for start in (z, 0 * z):
-        z = start
-        for _ in range(NEWTON):
-            z = _newton(test, *terms, z)
-        p, J, bend, p_error, J_error = _slopes(test, *terms, z)
-        found = found | varying.holds_jit(p, p_error, J, J_error, z, varying.right_inverse_jit(J, z), bend)
-    return found
+@jax.jit
+def candidates(test: Any, terms: Any, mid: Any, radius: Any, owner: Any) -> tuple:
+    """Return (terms, c, G, h, start, axis) of boxes mid +- radius (n, N) of windows `owner`: what `concluded` proves something by.
+
+    The image is c + G [-1, 1]^q, up to the error; start (v, e) and h are candidates for a point and a direction; axis is where to cut.
+    """
+    value, spread, rad, error = terms
+    value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
+    c, G = polynomials.image(value, spread, rad, test.exponents, mid, radius)
+    h, z = farthest(c, G)
+    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)])
+    return (value, spread, rad, error), c, G, h, start, jnp.argmax(polynomials.bends(value, test.exponents, radius), 0)
 
 
 @jax.jit
-def _newton(test, value, spread, rad, error, z):
-    """Move z towards a zero, within the box."""
-    p, J, _ = polynomials.slopes(value, spread, rad, test.exponents, z)
-    R = varying.right_inverse(J, z)
-    return jnp.clip(z - sum(R[:, k] * p[k][None] for k in range(len(p))), -1, 1)
+def concluded(test: Any, terms: Any, c: jax.Array, G: jax.Array, h: jax.Array, start: jax.Array, proved: Any) -> tuple[jax.Array, ...]:
+    """Return (status, margin, found, open) of boxes: refuted by a direction or strips, explained by a zero near a start.
+
+    Everything is an array here, so that the compiler cannot round a candidate anew for each of its uses. proved: whether the relations say
+    all, so that a zero is an explanation.
+    """
+    margin = _outside(c, G, terms[3], h)
+    found = _explained(test, terms, start, proved & (margin >= 0))
+    return _status(margin, found), jnp.where(found, jnp.maximum(margin, LEAST), margin), found, ~(margin < 0) & ~found
 
 
-@jax.jit
-def _slopes(test, value, spread, rad, error, z):
-    p, J, bend = polynomials.slopes(value, spread, rad, test.exponents, z)
+def _explained(test, terms, start, wanted):
+    """Return where a zero is proved to exist near start, among the windows where that is wanted.
+
+    Newton's method moves a point towards a zero and never onto the sides of the box, where it would have no room left. It is carried by a
+    loop, so that values, slopes and proof are of one point.
+    """
+    value, spread, rad, error = terms
     order = max(1, *map(sum, test.exponents))
-    return p, J, bend, error, jnp.broadcast_to((order * error)[:, None], J.shape)
+
+    def newton(_, carry):
+        z = carry[0]
+        p, J, bend = polynomials.slopes(value, spread, rad, test.exponents, z)
+        R = varying.right_inverse(J, z)
+        moved = jnp.clip(z - jnp.sum(R * p[None], 1), z - SHARE * (1 + z), z + SHARE * (1 - z))
+        return moved, (z, p, J, bend, R)
+
+    first = jnp.clip(start, -SHARE, SHARE)
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(newton, 0, (first,))[1])
+    z, p, J, bend, R = jax.lax.fori_loop(0, jnp.where(jnp.any(wanted), NEWTON + 1, 0), newton, (first, nothing))[1]
+    J_error = jnp.broadcast_to((order * error)[:, None], J.shape)
+    return wanted & varying.holds(p, error, J, J_error, z, R, bend)
+
+
+def on_boxes(test: Any, terms: Any, mid: Any, radius: Any, owner: Any, proved: Any) -> tuple:
+    """Return (status, margin, found, open, start, h, axis) of boxes: see `candidates` and `concluded`."""
+    terms, c, G, h, start, axis = candidates(test, terms, mid, radius, owner)
+    return *concluded(test, terms, c, G, h, start, proved), start, h, axis
+
+
+def on_whole(test: Any, terms: Any, proved: Any) -> tuple:
+    """Return the same of the whole box of parameters, for each window of a block."""
+    count, dtype = terms[0].shape[-1], terms[0].dtype
+    one = np.ones((len(test.size), count), dtype)
+    return on_boxes(test, terms, 0 * one, one, np.arange(count, dtype=np.int32), proved)
 
 
 def bisected(test: Any, samples: Any, proved: bool, budget: int) -> np.ndarray:
-    """Return the status of windows by bisection of their parameters."""
-    count, n = samples[1].shape[-1], len(test.size)
-    filled = power(max(count, 128))
-    samples = [np.concatenate([x, np.repeat(x[..., :1], filled - count, -1)], -1) for x in samples]
-    terms, on_device = terms_of(test, *samples), jax.device_put(test)
-    judge = lambda lo, hi, owner: _boxes(on_device, terms, lo, hi, owner, proved)
-    one = np.ones(n, samples[1].dtype)
-    sizes = (2**7, BLOCK) if count <= 2**7 else (BLOCK,)  # what is compiled already serves many windows best
-    found = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=sizes)
+    """Return the status of windows, at most a block, by bisection of their parameters, in blocks of boxes as large as those of windows."""
+    count, n, dtype = samples[1].shape[-1], len(test.size), samples[1].dtype
+    samples = [np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples]
+    on_device = jax.device_put(test)
+    terms = terms_of(on_device, *samples)
+    grow = 1 + 4 * np.finfo(dtype).eps
+
+    def judge(lo, hi, owner):
+        mid = 0.5 * (lo + hi)
+        found, keep, _, _, axis = on_boxes(on_device, terms, mid, np.maximum(hi - mid, mid - lo) * grow, owner, proved)[2:]
+        return Verdicts(keep, found, (mid, mid), None, axis) if proved else Verdicts(keep, axis=axis)
+
+    one = np.ones(n, dtype)
+    found = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=(SEARCHED,))
     status = np.where(np.bincount(found.owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
     status[found.proofs[2]] = Status.CONSISTENT
     return status
-
-
-def _boxes(test, terms, lo, hi, owner, proved):
-    """Return the Verdicts on boxes of parameters (n, N), of windows `owner`."""
-    terms, mid, radius = _gathered(*terms, lo, hi, owner)
-    margin, start, _, axis = on_boxes(test, terms, mid, radius)
-    keep = ~(margin < 0)
-    if not proved:
-        return Verdicts(np.asarray(keep), axis=np.asarray(axis))
-    found = explained(test, terms, start)
-    return Verdicts(keep & ~found, found, (mid, mid), None, axis)
-
-
-def on_boxes(test: Any, terms: Any, mid: Any, radius: Any) -> tuple:
-    """Return (margin, start, h, axis) of boxes mid +- radius (n, N) and the terms of their windows.
-
-    margin < 0 is a proof; start (v, e) and h are candidates for a point and a direction; axis is where to cut.
-    """
-    c, G, axis = _box_image(test, *terms, mid, radius)
-    margin, z, h = outside(c, G, terms[3])
-    return margin, jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)]), h, axis
-
-
-def on_whole(test: Any, terms: Any) -> tuple:
-    """Return (margin, start, h) of the whole box of parameters: see `on_boxes`."""
-    margin, z, h = outside(*image_of(test, *terms, False, 0.0))
-    return margin, jnp.concatenate([z[: len(test.size)], _noise_part(test, z)]), h
-
-
-@jax.jit
-def _gathered(value, spread, rad, error, lo, hi, owner):
-    mid = 0.5 * (lo + hi)
-    radius = jnp.maximum(hi - mid, mid - lo) * (1 + 4 * jnp.finfo(lo.dtype).eps)
-    return (value[..., owner], spread, rad[..., owner], error[..., owner]), mid, radius
-
-
-@jax.jit
-def _box_image(test, value, spread, rad, error, mid, radius):
-    c, G = polynomials.image(value, spread, rad, test.exponents, mid, radius)
-    return c, G, jnp.argmax(polynomials.bends(value, test.exponents, radius), 0)

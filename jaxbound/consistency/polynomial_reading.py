@@ -72,36 +72,29 @@ class PolynomialReading:
         N, K = self._scaled(self.N), self._scaled(self.K)
         mid, rad, scale, gone, broken = _finite(mid, rad, scale)
         known, _, known_scale, unknown, worse = _finite(known, known, known_scale)
-        value: Any = 0
-        size: Any = 0
-        absent = jnp.zeros((self.count, mid.shape[1]), bool)
-        for coefficients, x, magnitude, lost, sign in ((N, mid, scale, gone, 1), (K, known, known_scale, unknown, -1)):
-            uses = jnp.any(coefficients != 0, 1)
-            for j in range(x.shape[0]):
-                value = value + sign * coefficients[:, :, j, None] * x[j][None, None]
-                size = size + abs(coefficients[:, :, j, None]) * magnitude[j][None, None]
-                absent |= uses[:, j, None] & lost[j][None]
+        times = lambda coefficients, x: jnp.sum(coefficients[..., None] * x[None, None], 2)
+        value = times(N, mid) - times(K, known)
+        size = times(abs(N), scale) + times(abs(K), known_scale)
+        needs = lambda coefficients, lost: jnp.any(jnp.any(coefficients != 0, 1)[..., None] & lost[None], 1)
+        absent = needs(N, gone) | needs(K, unknown)
         order = max(map(sum, self.exponents))
         gamma, floor = rounding.residual_error(self.N.shape[2] + self.K.shape[2] + order + 2, mid.dtype)
         floor = (floor * (1 + jnp.sum(scale, 0) + jnp.sum(known_scale, 0)) * self._lift(order))[None, None]
         error = jnp.where((broken | worse)[None, None], jnp.inf, 2 * (gamma * size + floor))
         quiet = [j for j in range(mid.shape[0]) if j not in self.noisy]
         if quiet:
-            rest = sum(jnp.sum(abs(N[:, :, j]), 1)[:, None] * rad[j][None] for j in quiet)
+            rest = jnp.sum(jnp.sum(abs(N[:, :, np.array(quiet)]), 1)[..., None] * rad[np.array(quiet)][None], 1)
             error = error.at[:, 0].add((1 + gamma) * rest)
         noisy = np.array(self.noisy, int)
         return value.at[:, 0].set(jnp.where(absent, jnp.nan, value[:, 0])), error, N[:, :, noisy], rad[noisy]
 
     def _scaled(self, coefficients):
         """Return coefficients for v in [-1, 1]: times size^alpha."""
-        powers = []
-        for alpha in self.exponents:
-            power = jnp.ones((), self.size.dtype)
-            for i, e in enumerate(alpha):
-                for _ in range(e):
-                    power = power * self.size[i]
-            powers.append(power)
-        return coefficients * jnp.stack(powers)[None, :, None]
+        powers, exponents = jnp.ones(len(self.exponents), self.size.dtype), np.array(self.exponents, int)
+        for i in range(exponents.shape[1]):
+            for e in range(exponents[:, i].max(initial=0)):
+                powers = powers * jnp.where(exponents[:, i] > e, self.size[i], 1)
+        return coefficients * powers[None, :, None]
 
     def _lift(self, order):
         """At least every factor that multiplies something after its own rounding."""

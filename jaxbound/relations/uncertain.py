@@ -28,6 +28,7 @@ from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, stacked
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
+from jaxbound.sets.strips.polynomials import closure
 
 __all__ = ["UncertainRelations", "uncertain_relations"]
 
@@ -77,9 +78,8 @@ class UncertainRelations:
 
     @property
     def exponents(self) -> tuple[Exponents, ...]:
-        """The monomials of the relations, the constant first, orders ascending."""
-        zero = (0,) * len(self.variables)
-        return (zero, *sorted({*self.N.terms, *self.K.terms} - {zero}, key=lambda a: (sum(a), tuple(-e for e in a))))
+        """The monomials of the relations and all that divide one of them, the constant first, orders ascending."""
+        return closure(((0,) * len(self.variables), *self.N.terms, *self.K.terms))
 
     def reading(self, dtype: DTypeLike, method: str = "joint") -> PolynomialReading:
         """Return the PolynomialReading of these relations in a float dtype: what compiled kernels take."""

@@ -231,6 +231,27 @@ def test_a_second_call_does_not_trace(rng):
     assert sizes() == before
 
 
+def test_paving_and_margins_compile_nothing_beside_the_joint_test(rng):
+    """Boxes of parameters are judged by what judges the whole box, in blocks of the same size, however many windows are left open."""
+    r, (u, y) = relations(TWO), record(rng, TWO, 6, "uniform", dC=[[0, 0.3]])
+    kernels = (parametric_windows.terms_of, parametric_windows.candidates, parametric_windows.concluded)
+    sizes = lambda: [f._cache_size() for f in kernels]
+    joint = jb.detect(r, u, y)
+    before = sizes()
+    paved = jb.detect(r, u, y, method="paving", budget=30)
+    jb.detect(r, u[:1], y[:1], method="paving", budget=30)
+    jb.margins(r, u, y)
+    assert sizes() == before and joint.counts["UNDECIDED"] > paved.counts["UNDECIDED"]
+
+
+def test_a_point_that_explains_a_window_is_found_where_a_step_leaves_the_box(rng):
+    """Steps that ended on a side of the box left no room for a proof: 69 % of these windows were explained, 82 % are."""
+    r, (u, y) = relations(TWO), record(rng, TWO, 20, "uniform")
+    res = jb.detect(r, u, y + rng.normal(size=y.shape) * 0.1)
+    inside = (res.margin > 0.1) & (res.margin < 0.5)
+    assert inside.sum() > 300 and (res.status[inside] == Status.CONSISTENT).mean() > 0.77
+
+
 def test_what_cannot_be_done_is_said(rng):
     r, (u, y) = relations("n2p1_paper_h3"), record(rng, "n2p1_paper_h3", 1, "uniform")
     certain = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))

@@ -18,18 +18,23 @@ import numpy as np
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import total
 
-__all__ = ["bends", "image", "multiaffine", "row_error", "slopes", "vertex_gauge", "vertex_margin"]
+__all__ = ["bends", "closure", "image", "multiaffine", "row_error", "slopes", "vertex_gauge", "vertex_margin"]
 
 
 Exponents: TypeAlias = Sequence[tuple[int, ...]]
 
 
-NOTHING: list[Any] = [0.0]  # the terms of a sum without any: a number of any dtype
-
-
 def multiaffine(exponents: Exponents) -> bool:
     """Return whether no variable has an exponent above 1: extremes over a box are then at its vertices."""
     return all(e <= 1 for a in exponents for e in a)
+
+
+def closure(exponents: Exponents) -> tuple[tuple[int, ...], ...]:
+    """Return the monomials that divide one of these, the constant first, then all variables, orders ascending: those of a moved origin."""
+    n = len(exponents[0])
+    units = {tuple(int(i == j) for j in range(n)) for i in range(n)}
+    divisors = {d for a in exponents for d in product(*(range(e + 1) for e in a))}
+    return tuple(sorted(divisors | units, key=lambda a: (sum(a), tuple(-e for e in a))))
 
 
 def row_error(value: jax.Array, error: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents) -> jax.Array:
@@ -39,13 +44,16 @@ def row_error(value: jax.Array, error: jax.Array, spread: jax.Array, rad: jax.Ar
 
     Proof: on a box mid +- radius inside [-1, 1]^n, up to a rounding, (|mid| + radius)^a is at most 1 + n u; every part of an image or a
     derivative is a sum of at most K + m + order products of at most 2 order + 3 factors, and the sizes of all products add up to at most
-    sum_a |value| + sum_j sum_a |spread| rad.
+    sum_a |value| + sum_j sum_a |spread| rad. Where the origin is moved (`_moved`) a product is added to what is there at most `moves` times
+    on its way, E (E + 1) / 2 for each variable with exponents up to E; each of at most K E products for a variable may be flushed.
     """
-    order, (r, K), m = _order(exponents), value.shape[:2], rad.shape[0]
-    gamma, floor = rounding.product_error(2 * K + m + 5 * order + 12, value.dtype)
+    order, K, m = _order(exponents), value.shape[1], rad.shape[0]
+    highest = [max(column) for column in zip(*exponents, strict=True)]
+    moves, flushed = sum(e * (e + 1) // 2 for e in highest), len(closure(exponents)) * sum(highest)
+    gamma, _ = rounding.product_error(2 * K + m + 5 * order + 12 + moves, value.dtype)
+    _, floor = rounding.product_error(2 * K + m + 5 * order + 12 + flushed, value.dtype)
     size = _sizes(value, spread, rad)
-    bound = [total(error[k]) for k in range(r)]
-    return jnp.stack([(1 + gamma) * bound[k] + gamma * size[k] + floor * (1 + size[k]) for k in range(r)])
+    return (1 + gamma) * jnp.sum(error, 1) + gamma * size + floor * (1 + size)
 
 
 def image(
@@ -60,47 +68,51 @@ def image(
     """Return (c (r, N), G (r, q, N)): p(v, e) is in c + G [-1, 1]^q, up to `row_error`, for all v in mid +- radius and e.
 
     Every monomial of order 2 and more in the variables of the box is a variable of its own, the noise e_j keeps its direction in the middle
-    of the box, and what this changes with v is lumped, row by row. Columns: n variables; further monomials; m noises; r lumps.
+    of the box, and what this changes with v is lumped, row by row. Columns: n variables; further monomials, of a box those of `closure`; m
+    noises; r lumps.
 
     Args:
         mid, radius: (n, N); None: the whole of [-1, 1]^n. linear: only variables and noise, guaranteeing nothing.
 
     Source: Ploix, Adrot 2006, (14), with what it neglects.
     """
-    r, n, m = value.shape[0], len(exponents[0]), rad.shape[0]
-    parts = _expansion(exponents, mid, radius)  # {d: {a: factor}}
-    units = [tuple(int(i == j) for j in range(n)) for i in range(n)]
-    coefficient = lambda d: total([value[:, a] * _row(f) for a, f in parts.get(d, {}).items()] or [jnp.zeros_like(value[:, 0])])
-    c = coefficient((0,) * n)
-    columns = [coefficient(d) for d in units]
-    for d in parts:
-        if sum(d) > 1 and not linear:
-            even = all(e % 2 == 0 for e in d)
-            columns.append(coefficient(d) * (0.5 if even else 1.0))
-            c = c + columns[-1] if even else c
+    r, n, m, kept = value.shape[0], len(exponents[0]), rad.shape[0], closure(exponents)
+    if mid is None or radius is None:
+        kept = tuple(d for d in kept if d in exponents or sum(d) == 1)
+    value, spread = _among(value, exponents, kept), _among(spread, exponents, kept)
+    columns = [value[:, k] for k in range(len(kept))]
+    at: list[Any] = [1.0]
+    change: list[Any] = [1.0] * len(kept)
+    if mid is not None and radius is not None:
+        own, far, at = (_powers(v, kept) for v in (radius, jnp.abs(mid) + radius, mid))
+        columns = [x * _row(own[k]) for k, x in enumerate(_moved(columns, kept, mid))]
+        change = [x - jnp.abs(y) for x, y in zip(far, at, strict=True)]
+    c, G = columns[0], columns[1 : n + 1] if linear else columns[1:]
+    for k, d in enumerate(kept[1 : len(G) + 1]):
+        if all(e % 2 == 0 for e in d):
+            G[k] = 0.5 * G[k]
+            c = c + G[k]
     if m:
-        for j in range(m):
-            columns.append(total(spread[:, a, j, None] * _row(f) for a, f in parts[(0,) * n].items()) * rad[j][None])
-        varies = [a for a, alpha in enumerate(exponents) if any(alpha)]
-        if varies and not linear:
-            within = lambda a: total(jnp.abs(spread[:, a, j, None]) * rad[j][None] for j in range(m))
-            lump = total(within(a) * _row(_change(exponents[a], mid, radius)) for a in varies)
-            columns += [jnp.where(jnp.arange(r)[:, None] == k, lump, 0) for k in range(r)]
-    return c, jnp.stack(columns, 1)
+        noise = _noise(spread, rad, at)
+        G += [noise[:, j] for j in range(m)]
+        if len(kept) > 1 and not linear:
+            within = jnp.sum(jnp.abs(spread)[..., None] * rad[None, None], 2)
+            lump = total(within[:, k] * _row(change[k]) for k in range(1, len(kept)))
+            G += [jnp.where(np.arange(r)[:, None] == k, lump, 0) for k in range(r)]
+    return c, jnp.stack(G, 1)
 
 
 def bends(value: jax.Array, exponents: Exponents, radius: jax.Array) -> jax.Array:
     """Return (n, N): how much each variable of a box adds to what an image does not keep, relative to the rows: where to cut."""
     n = len(exponents[0])
-    size = total(value[:, a] * 0 + jnp.abs(value[:, a]) for a in range(len(exponents)))
-    share = jnp.abs(value) / jnp.where(size > 0, size, 1)[:, None]
+    size = jnp.sum(jnp.abs(value), 1)
+    weight = jnp.sum(jnp.abs(value) / jnp.where(size > 0, size, 1)[:, None], 0)
     out = [1e-9 * x for x in radius]
     for a, alpha in enumerate(exponents):
-        if sum(alpha) > 1:
-            weight = total(share[:, a])
-            for i in range(n):
-                others = [radius[l] * (e - (l == i)) for l, e in enumerate(alpha) if e > (l == i)]
-                out[i] += weight * radius[i] * total(others) if alpha[i] else 0
+        for i in range(n):
+            others = [radius[l] * (e - (l == i)) for l, e in enumerate(alpha) if e > (l == i)]
+            if alpha[i] and others:
+                out[i] += weight[a] * radius[i] * total(others)
     return jnp.stack(out)
 
 
@@ -109,21 +121,22 @@ def slopes(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (p (r, N), J (r, n + m, N), bend (r, N)) at z = (v, e) (n + m, N): the values, their derivative and a bound on its change.
 
+    p and the derivatives by v are the first coefficients of the polynomial with its origin moved to v.
+
     bend: at least max_i |J(x) - J(z)|_i / max_i |x_i - z_i| for x, z in the box. Both p and J are within `row_error` of the exact ones, J
     times the order, as long as |z| <= 1.
     """
-    n, m, order, count = len(exponents[0]), rad.shape[0], _order(exponents), len(exponents)
-    v, e = z[:n], z[n:]
-    power = [_power(v, a) for a in exponents]
-    w = [value[:, a] + total([spread[:, a, j, None] * (rad[j] * e[j])[None] for j in range(m)] or NOTHING) for a in range(count)]
-    p = total(w[a] * _row(power[a]) for a in range(count))
-    J = []
-    for i in range(n):
-        lower = {a: tuple(x - (l == i) for l, x in enumerate(alpha)) for a, alpha in enumerate(exponents) if alpha[i]}
-        J.append(total([w[a] * _row(exponents[a][i] * _power(v, b)) for a, b in lower.items()] or [jnp.zeros_like(p)]))
-    J += [total(spread[:, a, j, None] * _row(power[a]) for a in range(count)) * rad[j][None] for j in range(m)]
-    bend = [order * (order + 1) * x * (1 + 1e-6) for x in _sizes(value, spread, rad)]
-    return p, jnp.stack(J, 1), jnp.stack(bend)
+    n, m, order, kept = len(exponents[0]), rad.shape[0], _order(exponents), closure(exponents)
+    bend = order * (order + 1) * _sizes(value, spread, rad) * (1 + 1e-6)
+    value, spread = _among(value, exponents, kept), _among(spread, exponents, kept)
+    if m:
+        e = rad * z[n:]
+        value = value + total(spread[:, :, j, None] * e[j][None, None] for j in range(m))
+    moved = _moved([value[:, k] for k in range(len(kept))], kept, z[:n])
+    J = jnp.stack(moved[1 : n + 1], 1) if n else jnp.zeros((len(value), 0, z.shape[1]), z.dtype)
+    if m:
+        J = jnp.concatenate([J, _noise(spread, rad, _powers(z[:n], kept))], 1)
+    return moved[0], J, bend
 
 
 def vertex_margin(
@@ -197,56 +210,50 @@ def vertex_gauge(
     return jnp.clip(t, below * (1 - 1e-6), above * (1 + 1e-6)), low, high
 
 
-def _expansion(
-    exponents: Exponents, mid: jax.Array | None, radius: jax.Array | None
-) -> dict[tuple[int, ...], dict[int, float | jax.Array]]:
-    """Return {d: {a: factor}}: (mid + radius w)^a = sum_d factor w^d."""
-    out: dict[tuple[int, ...], dict[int, float | jax.Array]] = {}
-    for a, alpha in enumerate(exponents):
-        if mid is None or radius is None:
-            out.setdefault(alpha, {})[a] = 1.0
-            continue
-        for d in product(*(range(e + 1) for e in alpha)):
-            factor: float | jax.Array = float(math.prod(math.comb(e, x) for e, x in zip(alpha, d, strict=True)))
-            for i, (e, x) in enumerate(zip(alpha, d, strict=True)):
-                for _ in range(e - x):
-                    factor = factor * mid[i]
-                for _ in range(x):
-                    factor = factor * radius[i]
-            out.setdefault(d, {})[a] = factor
-    return dict(sorted(out.items(), key=lambda item: (sum(item[0]), tuple(-e for e in item[0]))))
+def _among(x: jax.Array, exponents: Exponents, kept: Exponents) -> jax.Array:
+    """Return the coefficients (r, K, ...) of other monomials, 0 where a monomial is new."""
+    if tuple(exponents) == tuple(kept):
+        return x
+    number = {a: k for k, a in enumerate(exponents)}
+    padded = jnp.concatenate([x, jnp.zeros_like(x[:, :1])], 1)
+    return padded[:, np.array([number.get(d, len(exponents)) for d in kept])]
 
 
-def _change(alpha: tuple[int, ...], mid: jax.Array | None, radius: jax.Array | None) -> float | jax.Array:
-    """Return at least |v^alpha - mid^alpha| over the box."""
-    if mid is None or radius is None:
-        return 1.0
-    far: float | jax.Array = 1.0
-    near: float | jax.Array = 1.0
-    for i, e in enumerate(alpha):
-        for _ in range(e):
-            far, near = far * (jnp.abs(mid[i]) + radius[i]), near * jnp.abs(mid[i])
-    return far - near
+def _moved(rows: Sequence[jax.Array], kept: Exponents, mid: jax.Array) -> list[jax.Array]:
+    """Return the coefficients of p(mid + w) as a polynomial in w, from the rows of p: Horner's scheme, one variable after the other."""
+    rows, number = list(rows), {a: k for k, a in enumerate(kept)}
+    for i, column in enumerate(zip(*kept, strict=True)):
+        above = {a: (*a[:i], a[i] + 1, *a[i + 1 :]) for a in kept}
+        for first in range(max(column)):
+            for e in range(max(column) - 1, first - 1, -1):
+                for a in kept:
+                    if a[i] == e and above[a] in number:
+                        rows[number[a]] = rows[number[a]] + rows[number[above[a]]] * mid[i][None]
+    return rows
 
 
-def _row(x: float | jax.Array) -> float | jax.Array:
-    """Return a number a window as a row beside others; a plain number as it is."""
+def _powers(v: jax.Array, kept: Exponents) -> list[Any]:
+    """Return v^a of v (n, N) for all monomials, each from one of a lower order."""
+    out: dict[tuple[int, ...], Any] = {kept[0]: 1.0}
+    for a in kept[1:]:
+        i = next(i for i, e in enumerate(a) if e)
+        out[a] = out[*a[:i], a[i] - 1, *a[i + 1 :]] * v[i]
+    return [out[a] for a in kept]
+
+
+def _noise(spread: jax.Array, rad: jax.Array, at: Sequence[Any]) -> jax.Array:
+    """Return the columns (r, m, N) of the noises where the monomials have the values `at`."""
+    return total(spread[:, k, :, None] * _row(_row(x)) for k, x in enumerate(at)) * rad[None]
+
+
+def _row(x: Any) -> Any:
+    """Return numbers of windows as a row beside others; a plain number as it is."""
     return x[None] if isinstance(x, jax.Array) else x
 
 
-def _power(v: jax.Array, alpha: tuple[int, ...]) -> float | jax.Array:
-    out: float | jax.Array = 1.0
-    for i, e in enumerate(alpha):
-        for _ in range(e):
-            out = out * v[i]
-    return out
-
-
-def _sizes(value: jax.Array, spread: jax.Array, rad: jax.Array) -> list[jax.Array]:
+def _sizes(value: jax.Array, spread: jax.Array, rad: jax.Array) -> jax.Array:
     """Return sum_a |value| + sum_j sum_a |spread| rad, row by row."""
-    noise = jnp.sum(jnp.abs(spread), 1)
-    m = rad.shape[0]
-    return [total(jnp.abs(value[k])) + total([noise[k, j] * rad[j] for j in range(m)] or NOTHING) for k in range(value.shape[0])]
+    return jnp.sum(jnp.abs(value), 1) + jnp.sum(jnp.sum(jnp.abs(spread), 1)[..., None] * rad[None], 1)
 
 
 def _order(exponents: Exponents) -> int:

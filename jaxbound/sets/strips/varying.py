@@ -171,20 +171,19 @@ def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.A
     """
     E, _ = _with_rounding(c, G, error)
     r, q = G.shape[:2]
-    size = most([jnp.abs(x) for x in h])
-    floor = _floor(c.dtype, r, q) * (1 + size) * (1 + most([jnp.abs(c[i]) + most(list(jnp.abs(G[i]))) for i in range(r)]))
-    residual = jnp.abs(total(h[i] * c[i] for i in range(r)))
-    width = total(jnp.abs(total(h[i][None] * G[i] for i in range(r))))
-    short = residual - (total(jnp.abs(h[i]) * E[i] for i in range(r)) + floor)
+    floor = _floor(c.dtype, r, q) * (1 + jnp.max(jnp.abs(h), 0)) * (1 + jnp.max(jnp.abs(c), 0) + jnp.max(jnp.abs(G), (0, 1)))
+    residual = jnp.abs(jnp.sum(h * c, 0))
+    width = jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
+    short = residual - (jnp.sum(jnp.abs(h) * E, 0) + floor)
     return _signed(short / (width + floor), short - width)
 
 
-def _with_rounding(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[list[jax.Array], list[jax.Array]]:
-    """Return (E, M), lists of rows: E with the rounding of a strip test, M the size of a row."""
+def _with_rounding(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (E, M), each (r, N): E with the rounding of a strip test, M the size of a row."""
     r, q = G.shape[:2]
     gamma, floor = rounding.product_error(q + 2 * r + 8, c.dtype)
-    M = [jnp.abs(c[i]) + total(jnp.abs(G[i])) for i in range(r)]
-    return [(1 + 2 * gamma) * error[i] + gamma * M[i] + floor for i in range(r)], M
+    M = jnp.abs(c) + jnp.sum(jnp.abs(G), 1)
+    return (1 + 2 * gamma) * error + gamma * M + floor, M
 
 
 def _floor(dtype: DTypeLike, r: int, q: int) -> np.floating:
@@ -204,16 +203,21 @@ def right_inverse(J: jax.Array, z: jax.Array) -> jax.Array:
     """
     r, q = J.shape[:2]
     room = jnp.maximum(1 - jnp.abs(z), 0)
-    scale = [1 / jnp.where(m > 0, m, 1) for m in (jnp.sum(jnp.abs(J[k]) * room, 0) for k in range(r))]
-    K = [J[k] * scale[k][None] for k in range(r)]
-    A = [[jnp.sum(K[k] * room * K[l], 0) for l in range(r)] + [jnp.where(k == l, 1.0, 0) + 0 * z[0] for l in range(r)] for k in range(r)]
-    for k in range(r):  # Gauss-Jordan: A is symmetric and positive
-        pivot = 1 / jnp.where(A[k][k] > 0, A[k][k], jnp.inf)
-        A[k] = [x * pivot for x in A[k]]
-        for l in range(r):
-            if l != k:
-                A[l] = [x - A[l][k] * y for x, y in zip(A[l], A[k], strict=True)]
-    R = jnp.stack([room * total(K[k] * A[k][r + l][None] for k in range(r)) * scale[l][None] for l in range(r)], 1)
+    size = jnp.sum(jnp.abs(J) * room[None], 1)
+    scale = 1 / jnp.where(size > 0, size, 1)
+    K = J * scale[:, None]
+    gram = total((K[:, i] * room[i][None])[:, None] * K[:, i][None] for i in range(q))
+    unit = jnp.broadcast_to(jnp.eye(r, dtype=z.dtype)[:, :, None], gram.shape)
+    rows = np.arange(r, dtype=np.int32)[:, None]
+
+    def eliminate(k, A):  # Gauss-Jordan: A is symmetric and positive
+        column, row = A[:, k], A[k]
+        pivot = 1 / jnp.where(column[k] > 0, column[k], jnp.inf)
+        row = row * pivot[None]
+        return jnp.where((rows == k)[:, None], row[None], A - column[:, None] * row[None])
+
+    inverse = jax.lax.fori_loop(0, r, eliminate, jnp.concatenate([gram, unit], 1))[:, r:]
+    R = room[:, None] * total(K[k][:, None] * inverse[k][None] for k in range(r)) * scale[None]
     return jnp.where(jnp.isfinite(R), R, 0)
 
 
@@ -234,23 +238,20 @@ def holds(
     r, q = J.shape[:2]
     gamma, floor = rounding.product_error(q + r + 8, F.dtype)
     up = 1 + 4 * gamma
-    size = [jnp.sum(jnp.abs(J[k]), 0) + jnp.abs(F[k]) + floor for k in range(r)]
+    size = jnp.sum(jnp.abs(J), 1) + jnp.abs(F) + floor
     bend = jnp.broadcast_to(jnp.asarray(curvature, F.dtype), F.shape)
-    gap = [(jnp.abs(F[k]) + F_error[k]) * up + floor for k in range(r)]
-    width = most([x / s for x, s in zip(gap, size, strict=True)]) * 2 * up
-    w = [width * s for s in size]
-    reach = total(jnp.abs(R[:, l]) * w[l][None] for l in range(r)) * up + floor
+    gap = (jnp.abs(F) + F_error) * up + floor
+    w = jnp.max(gap / size, 0)[None] * 2 * up * size
+    reach = jnp.sum(jnp.abs(R) * w[None], 1) * up + floor
     far = jnp.max(reach, 0)
     top = 1 + jnp.max(jnp.abs(R), (0, 1))
-    proved = jnp.all(jnp.abs(z) + reach * up <= 1 - 4 * rounding.unit(F.dtype), 0)
-    for k in range(r):
-        loss = gap[k]
-        for l in range(r):
-            off = jnp.abs(jnp.sum(J[k] * R[:, l], 0) - (1 if k == l else 0))
-            spread = jnp.sum((gamma * jnp.abs(J[k]) + J_error[k] + (bend[k] * far)[None]) * jnp.abs(R[:, l]), 0)
-            loss += (off + spread + floor * top * (1 + size[k])) * w[l]
-        proved &= loss * up <= w[k]
-    return proved
+    inside = jnp.all(jnp.abs(z) + reach * up <= 1 - 4 * rounding.unit(F.dtype), 0)
+
+    slack = gamma * jnp.abs(J) + J_error + (bend * far[None])[:, None]
+    off = jnp.abs(jnp.sum(J[:, :, None] * R[None], 1) - jnp.eye(r, dtype=F.dtype)[:, :, None])
+    spread = jnp.sum(slack[:, :, None] * jnp.abs(R)[None], 1)
+    loss = gap + jnp.sum((off + spread + (floor * top[None] * (1 + size))[:, None]) * w[None], 1)
+    return inside & jnp.all(loss * up <= w, 0)
 
 
 def zonotope_margins(c: ArrayLike, G: ArrayLike, c_error: ArrayLike | None = None, G_error: ArrayLike | None = None) -> np.ndarray:
