@@ -14,7 +14,7 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from jaxbound.sets.paving.frontier import Verdicts, explore
 __all__ = ["ConstantTest"]
 
 BLOCK = 2**11
+HELD = 2**26  # bytes of strips at most that a block keeps
 ROUNDS = 2  # of narrowing a box of gains by all strips
 HALVINGS = 8  # of the search for the margin
 DEPTH = 64  # cuts of a box of gains
@@ -48,8 +49,6 @@ class ConstantTest(WindowTest):
         NotImplementedError: relations that are too many to be tested one by one.
     """
 
-    block = BLOCK
-
     def __init__(self, relations: Any, method: str, dtype: Any) -> None:
         super().__init__(relations, method, dtype)
         if method == "joint" and relations.frame is not None:
@@ -57,6 +56,13 @@ class ConstantTest(WindowTest):
                 f"horizon {relations.horizon} is too long for constant_tolerance, whose relations are tested one by one: choose a shorter "
                 "one, or leave constant_tolerance out (wider bounds, that still give no false alarm)"
             )
+
+    @property
+    def block(self) -> int:
+        """How many windows are judged at once: fewer where there are many strips, all of which are kept for a block."""
+        shape = self.reading.shape
+        entries = len(shape.h) * 2 * (len(self.reading.noise) + 2)
+        return min(BLOCK, max(2**5, 2 ** int(np.log2(HELD / (entries * self.dtype.itemsize)))))
 
     def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin, open) of windows, each by one box of gains."""
@@ -83,7 +89,7 @@ class ConstantTest(WindowTest):
         windows, on_device = jax.device_put((tuple(map(fill, given)), test))
         lo, hi = (np.asarray(x) for x in _gains(test, np)[:2])
         judge = partial(_boxes, on_device, *windows)
-        found = explore(judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(2**10,))
+        found = explore(judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(min(2**10, self.block),))
         status = np.where(np.bincount(found.owner, minlength=len(starts)) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
         status[found.proofs[2]] = Status.CONSISTENT
         missing = np.isnan(given[0]).any((0, 1)) if given[0].size else np.zeros(len(starts), bool)
@@ -104,11 +110,11 @@ def _gains(test, xp):
 @jax.jit
 def _first(test, u, y):
     """Return (status or OPEN, margin) of windows u (lags, m, N), y (s + 1, p, N)."""
-    rows, silent = _rows(test, u, y)
-    lo, hi = ([jnp.broadcast_to(x, y.shape[2:]) for x in end] for end in _gains(test, jnp)[:2])
-    out, fits, present, _, _, point, _ = _judge(test, rows, lo, hi)
+    strips, silent = _strips(test, u, y)
+    lo, hi = (jnp.repeat(end[:, None], y.shape[2], 1) for end in _gains(test, jnp)[:2])
+    out, fits, present, _, _, point, _ = _judge(test, strips, lo, hi)
     status = jnp.where(out, Status.FAULT, jnp.where(fits, jnp.where(silent, Status.UNDECIDED, Status.CONSISTENT), OPEN))
-    margin = 1 - _factor(test, rows, point)
+    margin = 1 - _factor(test, strips, point)
     margin = jnp.where(status == OPEN, margin, _signed(margin, fits))
     return jnp.where(present, status, Status.MISSING).astype(jnp.int8), jnp.where(present, margin, jnp.nan)
 
@@ -123,46 +129,55 @@ def _signed(margin, inside):
 @jax.jit
 def _boxes(test, u, y, lo, hi, owner):
     """Return the Verdicts on boxes of gains (p, N), of windows `owner`."""
-    rows, _ = _rows(test, u[..., owner], y[..., owner])
-    out, fits, _, lo, hi, point, axis = _judge(test, rows, list(lo), list(hi))
-    return Verdicts(~out & ~fits, fits & ~out, (jnp.stack(point),) * 2, (jnp.stack(lo), jnp.stack(hi)), axis)
+    strips, _ = _strips(test, u[..., owner], y[..., owner])
+    out, fits, _, lo, hi, point, axis = _judge(test, strips, lo, hi)
+    return Verdicts(~out & ~fits, fits & ~out, (point, point), (lo, hi), axis)
 
 
-def _rows(test, u, y):
-    """Return (d, rho and their magnitudes, a row each; whether a missing input silences a circuit)."""
-    readings = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance))
-    rows = readings.rows(list(map(list, u)), list(map(list, y)))
-    return tuple(jnp.stack(x) if x else x for x in rows), test.silenced(rows[3])
+class _Strip(NamedTuple):
+    """One circuit over N windows, or all of them with one axis more in front.
+
+    Fields: a, e (g, N), an entry a gain; b (N,); slack (N,), what rounding may change in one side; usable (N,), where that is small
+    enough to compare; absent (N,), where a sample is missing.
+    """
+
+    a: jax.Array
+    e: jax.Array
+    b: jax.Array
+    slack: jax.Array
+    usable: jax.Array
+    absent: jax.Array
 
 
-def _fold(test, rows, step, carry, times=1):
-    """Run `step` over (a, e, b, magnitude) of all circuits, so many times."""
-    body = lambda carry, circuit: (step(carry, _strip(test, rows, *circuit)), None)
-    circuits = [jnp.concatenate([x] * times) for x in (test.shape.rows, test.shape.h, test.shape.k)]
-    return jax.lax.scan(body, carry, circuits)[0]
+def _strips(test, u, y):
+    """Return (strips of all circuits, whether a missing input silences one) of windows u (lags, m, N), y (s + 1, p, N)."""
+    rows = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance)).block(u, y)
+    strips = jax.lax.map(lambda circuit: _strip(test, rows, *circuit), (test.shape.rows, test.shape.h, test.shape.k))
+    return strips, test.silenced(rows[3])
 
 
-def _strip(test, rows, support, h, k) -> tuple:
-    """Return (a, e, b, magnitude) of one circuit: a and e one entry a gain; magnitude is NaN where a sample is absent."""
+def _strip(test, rows, support, h, k) -> _Strip:
+    """Return the strip of one circuit; sums are loops, so that what compiles is small whatever the horizon."""
     mid, rad, scale, known, known_scale = rows
-    p, outputs = len(test.noise), len(test.noise) * (test.horizon + 1)
+    p, outputs, windows = len(test.noise), len(test.noise) * (test.horizon + 1), mid.shape[1]
     gains = p + min(1, len(test.disturbance))
-    a: list[Any] = [0.0] * gains
-    e: list[Any] = [0.0] * gains
-    b: Any = 0.0
-    magnitude: Any = 0.0
-    for x, i in zip(h, support, strict=True):
-        mine = jnp.where(i < outputs, i % p, p)
-        for g in range(gains):
-            share = jnp.where(mine == g, x, 0)
-            a[g] += share * mid[i]
-            e[g] += jnp.abs(share) * rad[i]
-        magnitude += jnp.abs(x) * scale[i]
-    for j in range(len(known)):  # a missing value counts only where it is used
-        b += jnp.where(k[j] == 0, 0, k[j] * known[j])
-        magnitude += jnp.where(k[j] == 0, 0, jnp.abs(k[j]) * known_scale[j])
-    like = jnp.zeros_like(magnitude)
-    return [x + like for x in a], [x + like for x in e], b + like, magnitude
+    gain = jnp.where(support < outputs, support % p, p)
+
+    def term(j, total):
+        a, e, magnitude = total
+        i, share = support[j], jnp.where(jnp.arange(gains) == gain[j], h[j], 0)[:, None]
+        return a + share * mid[i][None], e + jnp.abs(share) * rad[i][None], magnitude + jnp.abs(h[j]) * scale[i]
+
+    def reach(j, total):  # a missing value counts only where it is used
+        b, magnitude = total
+        used = lambda x: jnp.where(k[j] == 0, 0, x)
+        return b + used(k[j] * known[j]), magnitude + used(jnp.abs(k[j]) * known_scale[j])
+
+    none = jnp.zeros((gains, windows), mid.dtype)
+    a, e, magnitude = jax.lax.fori_loop(0, len(h), term, (none, none, none[0]))
+    b, magnitude = jax.lax.fori_loop(0, len(k), reach, (none[0], magnitude)) if len(k) else (none[0], magnitude)
+    slack, usable = _slack(test, magnitude)
+    return _Strip(a, e, b, slack, usable, jnp.isnan(magnitude))
 
 
 def _slack(test, magnitude):
@@ -180,8 +195,13 @@ def _slack(test, magnitude):
     return jnp.where(usable, slack, 0), usable
 
 
-def _judge(test, rows, lo, hi):
-    """Judge one box of gains for each window: (out, fits, present, lo, hi, point, axis).
+def _fold(step, carry, strips):
+    """Run `step` over all circuits."""
+    return jax.lax.scan(lambda carry, strip: (step(carry, strip), None), carry, strips)[0]
+
+
+def _judge(test, strips, lo, hi):
+    """Judge one box of gains (g, N) for each window: (out, fits, present, lo, hi, point, axis).
 
     out: proved that no gains of the box keep all strips. fits: the gains `point`, within the tolerance, are proved to keep them. present:
     some circuit has all its data. lo, hi: the box without parts where a strip fails. axis: the gain that moves the strips most.
@@ -189,66 +209,53 @@ def _judge(test, rows, lo, hi):
 
     def narrow(carry, strip):
         lo, hi, out = carry
-        a, e, b, magnitude = strip
-        slack, usable = _slack(test, magnitude)
-        sides = ([x + y for x, y in zip(a, e, strict=True)], b - slack), ([y - x for x, y in zip(a, e, strict=True)], -b - slack)
-        for slope, least in sides:
-            slope = [jnp.where(usable, x, 0) for x in slope]
-            lo, hi, missed = _narrowed(lo, hi, slope, jnp.where(usable, least, -1))
+        usable = strip.usable
+        for slope, least in ((strip.a + strip.e, strip.b - strip.slack), (strip.e - strip.a, -strip.b - strip.slack)):
+            lo, hi, missed = _narrowed(lo, hi, jnp.where(usable[None], slope, 0), jnp.where(usable, least, -1))
             out = out | missed
         return lo, hi, out
 
     def keeps(carry, strip):
         fits, present, lean = carry
-        a, e, b, magnitude = strip
-        slack, usable = _slack(test, magnitude)
-        inside = jnp.abs(_dot(point, a) - b) + slack <= _dot(point, e)
-        lean = [jnp.maximum(x, jnp.where(usable, jnp.abs(y), 0)) for x, y in zip(lean, a, strict=True)]
-        absent = jnp.isnan(magnitude)
-        return fits & (inside & usable | absent), present | ~absent, lean
+        inside = jnp.abs(_dot(point, strip.a) - strip.b) + strip.slack <= _dot(point, strip.e)
+        lean = jnp.maximum(lean, jnp.where(strip.usable[None], jnp.abs(strip.a), 0))
+        return fits & (inside & strip.usable | strip.absent), present | ~strip.absent, lean
 
-    none = jnp.zeros_like(lo[0], bool)
-    lo, hi, out = _fold(test, rows, narrow, (lo, hi, none), ROUNDS)
-    for low, high in zip(lo, hi, strict=True):
-        out |= low > high
-    inner = _gains(test, jnp)[2:]
-    point = [jnp.clip(0.5 * low + 0.5 * high, *ends) for low, high, *ends in zip(lo, hi, *inner, strict=True)]
-    fits, present, lean = _fold(test, rows, keeps, (~out, none, [jnp.zeros_like(x) for x in lo]))
-    effect = jnp.stack([x * (high - low) for x, low, high in zip(lean, lo, hi, strict=True)])
-    return out, fits, present, lo, hi, point, jnp.argmax(effect, 0)
+    none = jnp.zeros(lo.shape[1:], bool)
+    lo, hi, out = jax.lax.fori_loop(0, ROUNDS, lambda _, carry: _fold(narrow, carry, strips), (lo, hi, none))
+    out |= jnp.any(lo > hi, 0)
+    point = jnp.clip(0.5 * lo + 0.5 * hi, *(x[:, None] for x in _gains(test, jnp)[2:]))
+    fits, present, lean = _fold(keeps, (~out, none, jnp.zeros_like(lo)), strips)
+    return out, fits, present, lo, hi, point, jnp.argmax(lean * (hi - lo), 0)
 
 
 def _dot(x, y):
-    return sum(a * b for a, b in zip(x, y, strict=True))
+    return jnp.sum(x * y, 0)
 
 
 def _narrowed(lo, hi, slope, least):
     """Return the box without parts where sum_i g_i slope_i < least, and whether nothing is left."""
-    most = [jnp.maximum(low * x, high * x) for low, high, x in zip(lo, hi, slope, strict=True)]
-    total = sum(most)
-    below, above = [], []
-    for low, high, x, part in zip(lo, hi, slope, most, strict=True):
-        edge = (least - (total - part)) / jnp.where(x == 0, 1, x)
-        down, up = rounding.outward(edge, edge)
-        below.append(jnp.where(x > 0, jnp.maximum(low, down), low))
-        above.append(jnp.where(x < 0, jnp.minimum(high, up), high))
+    most = jnp.maximum(lo * slope, hi * slope)
+    total = jnp.sum(most, 0)
+    edge = (least[None] - (total[None] - most)) / jnp.where(slope == 0, 1, slope)
+    down, up = rounding.outward(edge, edge)
+    below = jnp.where(slope > 0, jnp.maximum(lo, down), lo)
+    above = jnp.where(slope < 0, jnp.minimum(hi, up), hi)
     return below, above, total < least
 
 
-def _factor(test, rows, guess):
+def _factor(test, strips, guess):
     """Return t, the factor on all bounds at which the best gains found explain a window; not rounded.
 
     Bisection between a factor that some gains reach and one that is taken to be too small: where narrowing the gains by it leaves
     nothing, or the middle of what it leaves does not reach it.
     """
-    sigma = [*test.tolerance, *[jnp.zeros_like(test.noise[0])] * min(1, len(test.disturbance))]
-    needs = lambda g, strip: jnp.abs(_dot(g, strip[0]) - strip[2]) / _dot(g, strip[1])
+    sigma = jnp.concatenate([test.tolerance, jnp.zeros_like(test.noise, shape=min(1, len(test.disturbance)))])[:, None]
 
     def factor(g):
-        own = jnp.zeros_like(g[0])
-        for x, s in zip(g, sigma, strict=True):
-            own = jnp.maximum(own, jnp.where(s > 0, jnp.abs(1 / x - 1) / jnp.where(s > 0, s, 1), 0))
-        return _fold(test, rows, lambda t, strip: jnp.maximum(t, jnp.where(jnp.isnan(strip[3]), 0, needs(g, strip))), own)
+        own = jnp.max(jnp.where(sigma > 0, jnp.abs(1 / g - 1) / jnp.where(sigma > 0, sigma, 1), 0), 0)
+        needs = lambda strip: jnp.abs(_dot(g, strip.a) - strip.b) / _dot(g, strip.e)
+        return _fold(lambda t, strip: jnp.maximum(t, jnp.where(strip.absent, 0, needs(strip))), own, strips)
 
     def halve(i, bracket):
         low, high, t, middle, empty = bracket
@@ -257,21 +264,18 @@ def _factor(test, rows, guess):
         high = jnp.where(better, new, high)
         low = jnp.where(i == 0, high / 32, jnp.where(better & (new <= t), low, t))
         t = jnp.sqrt(low * high)
-        lo = [1 / (1 + t * s) for s in sigma]
-        hi = [1 / jnp.maximum(1 - t * s, 1e-3) for s in sigma]
 
         def narrow(carry, strip):
-            a, e, b, magnitude = strip
             lo, hi, empty = carry
-            present = ~jnp.isnan(magnitude)
             for sign in (1, -1):
-                slope = [jnp.where(present, t * y + sign * x, 0) for x, y in zip(a, e, strict=True)]
-                lo, hi, missed = _narrowed(lo, hi, slope, jnp.where(present, sign * b, -1))
+                slope = jnp.where(strip.absent[None], 0, t[None] * strip.e + sign * strip.a)
+                lo, hi, missed = _narrowed(lo, hi, slope, jnp.where(strip.absent, -1, sign * strip.b))
                 empty = empty | missed
             return lo, hi, empty
 
-        lo, hi, empty = _fold(test, rows, narrow, (lo, hi, jnp.zeros_like(empty)))
-        return low, high, t, [0.5 * x + 0.5 * y for x, y in zip(lo, hi, strict=True)], empty
+        start = 1 / (1 + t[None] * sigma), 1 / jnp.maximum(1 - t[None] * sigma, 1e-3)
+        lo, hi, empty = _fold(narrow, (*start, jnp.zeros_like(empty)), strips)
+        return low, high, t, 0.5 * lo + 0.5 * hi, empty
 
     nothing = jnp.zeros_like(guess[0])
     start = nothing, nothing + jnp.inf, nothing, guess, nothing > 0

@@ -4,10 +4,12 @@ Sound and slow; the exact joint test replaces it. Kept because it is the method 
 because it converges from outside to what the joint test computes.
 """
 
-import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.interface import Open, WindowTest
@@ -15,7 +17,7 @@ from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.sizes import power
-from jaxbound.sets.intervals.interval import Interval, add, interval, matmul
+from jaxbound.sets.intervals.interval import Interval, interval, matmul, sub
 from jaxbound.sets.paving.paving import pave
 
 __all__ = ["PavingTest", "internal_form", "whole_windows"]
@@ -31,15 +33,14 @@ def internal_form(z: Any, y_lo: Any, y_hi: Any, tolerance: Any, rho: Any, W_lo: 
     rows. Source: (9); a disturbance w enters the relations as it is.
     """
     rows, shared = y_lo.shape[0], tolerance.shape[0]
-    y, sigma, rho, W = Interval(y_lo, y_hi), interval(tolerance), interval(rho), Interval(W_lo, W_hi)
-    mu = []
-    for i in range(rows):
-        theta, delta = z[i % shared] * sigma[i % shared], z[shared + i]
-        mu.append((theta * y[i] + rho[i] * delta) / (1 + theta))
-    for j in range(len(w_lo)):
-        lo, hi = interval(w_lo[j]), interval(w_hi[j])
-        mu.append(-0.5 * (hi + lo + (hi - lo) * z[shared + rows + j]))
-    return [functools.reduce(add, (W[r, i] * mu[i] for i in range(len(mu)))) for r in range(W.shape[0])]
+    theta = z[:shared] * interval(tolerance)
+    theta = Interval(*(jnp.tile(end, rows // shared) for end in (theta.lo, theta.hi)))
+    mu = (theta * Interval(y_lo, y_hi) + interval(rho) * z[shared : shared + rows]) / (1 + theta)
+    if len(w_lo):
+        lo, hi = interval(w_lo), interval(w_hi)
+        w = -0.5 * (hi + lo + (hi - lo) * z[shared + rows :])
+        mu = Interval(*(jnp.concatenate(ends) for ends in ((mu.lo, w.lo), (mu.hi, w.hi))))
+    return matmul(Interval(W_lo, W_hi), mu)
 
 
 class PavingTest(WindowTest):
@@ -95,17 +96,10 @@ def _pave(relations, U, Y, q, boxes):
     model, windows, dtype = relations.model, len(Y), Y.dtype
     count = power(max(windows, 128))
     U, Y = (np.concatenate([x, np.zeros((count - windows, *x.shape[1:]), dtype)]) for x in (U, Y))
-    encloses = lambda exact: interval(rounding.round_down(exact, dtype), rounding.round_up(exact, dtype))
-    W = encloses(relations.W)
-    flat = interval(Y) - encloses(model.offset["y"])[None, None]
-    flat = Interval(flat.lo.reshape(count, -1), flat.hi.reshape(count, -1))
-    measured = flat.shape[1]
-    external = matmul(flat, Interval(W.lo[:, :measured].T, W.hi[:, :measured].T))
-    if model.m and U.shape[1]:
-        slip = 2 * input_slip(U)  # 2: for the two differences
-        known = interval(U - slip, U + slip) - encloses(model.offset["u"])[None, None]
-        K = encloses(relations.K)
-        external = external - matmul(Interval(known.lo.reshape(count, -1), known.hi.reshape(count, -1)), Interval(K.lo.T, K.hi.T))
+    encloses = lambda exact: Interval(rounding.round_down(exact, dtype), rounding.round_up(exact, dtype))
+    W, slip = encloses(relations.W), 2 * input_slip(U)  # 2: for the two differences
+    given = (Interval(Y, Y), encloses(model.offset["y"])), (Interval(U - slip, U + slip), encloses(model.offset["u"]))
+    flat, external = _external(given, W, encloses(relations.K))
     bounds = {k: rounding.round_up(relations.bounds[k], dtype) for k in ("tolerance", "noise")}
     largest = abs(Y).max(1) + bounds["noise"]
     rho = bounds["noise"] + rounding.round_up(list(model.resolution), dtype) + (RECORDER_ULPS + 4) * rounding.unit(dtype) * largest
@@ -115,8 +109,17 @@ def _pave(relations, U, Y, q, boxes):
     each = lambda x: np.broadcast_to(x, (count, *x.shape))
     tolerance = bounds["tolerance"] if model.constant_tolerance else np.tile(bounds["tolerance"], rows)
     args = (flat.lo, flat.hi, each(tolerance), np.tile(rho, rows), each(W.lo), each(W.hi), each(w_lo), each(w_hi))
-    edge = np.ones(len(tolerance) + measured + len(w_lo), dtype)
+    edge = np.ones(len(tolerance) + flat.shape[1] + len(w_lo), dtype)
     filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
     target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
-    found = pave(internal_form, interval(-edge, edge), target, q=q, max_boxes=boxes, args=args)
+    found = pave(internal_form, Interval(-edge, edge), target, q=q, max_boxes=boxes, args=args)
     return np.asarray(found.status)[:windows]
+
+
+@jax.jit
+def _external(given, W, K):
+    """Return (measured (N, rows), p_ext (N, r)) of windows: their samples, offsets taken off, and what W and K make of them."""
+    flat, known = (sub(samples, offset[None, None]) for samples, offset in given)
+    flat, known = (jax.tree.map(lambda x: x.reshape(len(x), math.prod(x.shape[1:])), ends) for ends in (flat, known))
+    external = matmul(flat, Interval(W.lo.T[: flat.shape[1]], W.hi.T[: flat.shape[1]]))
+    return flat, external - matmul(known, Interval(K.lo.T, K.hi.T)) if known.shape[1] else external

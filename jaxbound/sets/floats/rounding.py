@@ -55,6 +55,7 @@ __all__ = [
     "scale",
     "search_error",
     "settle_subnormals",
+    "settled_on_host",
     "tiny",
     "two_prod",
     "two_sum",
@@ -164,13 +165,18 @@ def search_error(outer: int, inner: int, known: int, dtype: DTypeLike) -> tuple[
 @jax.jit
 def settle_subnormals(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Move subnormal bounds outward to the smallest normal number where reading them as 0, as compiled code does, would go inward."""
-    return _settle(lo, up=False), _settle(hi, up=True)
+    return jnp.where(_inward(lo, False), -tiny(lo.dtype), lo), jnp.where(_inward(hi, True), tiny(hi.dtype), hi)
 
 
-def _settle(x: jax.Array, up: bool) -> jax.Array:
+def settled_on_host(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `settle_subnormals` does, without a compilation for each shape."""
+    return np.where(_inward(lo, False), -tiny(lo.dtype), lo), np.where(_inward(hi, True), tiny(hi.dtype), hi)
+
+
+def _inward(x, up):
+    """Say which bounds are subnormal, and nearer to the inside if read as 0."""
     pattern, least, first = _pattern(x)
-    subnormal = (pattern > 0) & (pattern < least) if up else (pattern > first) & (pattern < first + least)
-    return jnp.where(subnormal, tiny(x.dtype) if up else -tiny(x.dtype), x)
+    return (pattern > 0) & (pattern < least) if up else (pattern > first) & (pattern < first + least)
 
 
 def readable(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -187,7 +193,8 @@ def _pattern(x):
     """Return the bits of floats as integers, those of the smallest normal number and those of -0."""
     sizes: dict[int, type[np.signedinteger]] = {8: np.int64, 4: np.int32, 2: np.int16}
     bits = sizes[x.dtype.itemsize]
-    return jax.lax.bitcast_convert_type(x, bits), bits(1 << jnp.finfo(x.dtype).nmant), np.iinfo(bits).min
+    pattern = x.view(bits) if isinstance(x, np.ndarray) else jax.lax.bitcast_convert_type(x, bits)
+    return pattern, bits(1 << jnp.finfo(x.dtype).nmant), np.iinfo(bits).min
 
 
 def order(x: jax.Array) -> jax.Array:

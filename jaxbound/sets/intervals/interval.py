@@ -158,6 +158,9 @@ def interval(lo: Operand, hi: Number | None = None) -> Interval:
     if not isinstance(lo, jax.core.Tracer) and not isinstance(hi, jax.core.Tracer):
         check(np.asarray(lo), np.asarray(hi))
     shape, dtype = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi)), jnp.result_type(lo, hi)
+    if isinstance(lo, np.ndarray) and isinstance(hi, np.ndarray):
+        ends = rounding.settled_on_host(*(np.broadcast_to(end, shape).astype(dtype) for end in (lo, hi)))
+        return computed(*map(jnp.asarray, ends))
     return computed(*rounding.settle_subnormals(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi))))
 
 

@@ -35,7 +35,7 @@ def components(f: Callable[..., Any], z: Interval, args: tuple[jax.Array, ...]) 
     return [x for image in images for x in jax.tree.map(jnp.ravel, image)]
 
 
-def is_interval_function(f: Callable[..., Any], z: jax.Array, args: tuple[jax.Array, ...]) -> bool:
+def is_interval_function(f: Callable[..., Any], z: Any, args: tuple[Any, ...]) -> bool:
     """True if f takes an Interval (n,) and not an array (n,), or returns Intervals even for an array."""
     try:
         return any(map(_is_interval, jax.tree.leaves(jax.eval_shape(f, z, *args), is_leaf=_is_interval)))

@@ -13,7 +13,7 @@ import numpy as np
 
 __all__ = ["Cover", "Verdicts", "explore", "in_blocks"]
 
-BLOCKS = (2**10, 2**14)  # the only sizes that are compiled: for few and for many boxes
+BLOCKS = (2**10,)  # the only sizes that are compiled, the smaller for levels that fit into one
 MOST = 10**8  # boxes of all targets together: what memory holds
 
 

@@ -9,7 +9,7 @@ Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import jax
@@ -22,13 +22,12 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
-from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Kernel, Verdicts, explore, in_blocks
+from jaxbound.sets.paving.frontier import Boxes, Kernel, Verdicts, explore, in_blocks
 
 __all__ = ["Paving", "pave"]
 
 CUTS = ("alternate", "widest", "smear")
 SOLUTIONS = ("none", "one", "all")
-SEARCHED = (2**10,)  # blocks of the search for solutions, whose kernels take long to compile
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +138,10 @@ def pave(
         raise ValueError("box must be a bounded, non-empty Interval of shape (n,)")
     goal, single = _goals(target, lo.dtype)
     count = 1 if goal is None else goal.shape[0]
-    given = tuple(jnp.asarray(a) for a in args)
+    given: tuple[Any, ...] = tuple(x if isinstance(x, jax.Array) else np.asarray(x) for x in args)
     if any(a.shape[:1] != (count,) for a in given):
         raise ValueError(f"every array of args needs one entry for each of the {count} targets: shapes {[a.shape for a in given]}")
-    plain = is_interval_function(f, jnp.asarray(lo), tuple(a[0] for a in given))
+    plain = is_interval_function(f, lo, tuple(jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in given))
     region = isinstance(target, Interval)
     thick = region and goal is not None and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
     if solutions is None:
@@ -165,13 +164,12 @@ def pave(
             raise ValueError("adaptive subdivision needs a target; subdivision='uniform' covers the whole image")
         depth = len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5) if max_depth is None else max_depth
         if solutions == "none":
-            kernel = lambda *boxes: _meets(f, *boxes, goal, given)
+            kernel = _of_targets(partial(_meets, f), goal, given)
         elif solutions == "all" and thick:
-            kernel = lambda *boxes: _inner(f, *boxes, goal, given)
+            kernel = _of_targets(partial(_inner, f), goal, given)
         else:
-            kernel = partial(_search, f, solutions == "all", region, goal, given, box)
-        sizes = BLOCKS if solutions == "none" or (solutions == "all" and thick) else SEARCHED
-        found = explore(kernel, lo, hi, count, depth, most, "kernel" if cut == "smear" else cut, solutions == "one", progress, sizes)
+            kernel = _of_targets(partial(_search, f, box, solutions == "all", region), goal, given)
+        found = explore(kernel, lo, hi, count, depth, most, "kernel" if cut == "smear" else cut, solutions == "one", progress)
         left_lo, left_hi, owner, evaluated, levels = found.lo, found.hi, found.owner, found.evaluated, found.levels
         proofs = found.proofs if len(found.proofs[2]) else None
         if proofs is not None and not (solutions == "all" and thick):
@@ -213,7 +211,7 @@ def _goals(target: Operand | None, dtype: DTypeLike) -> tuple[Interval | None, b
     single = len(goal.shape) == 1
     if len(goal.shape) not in (1, 2):
         raise ValueError(f"target must have shape (m,) or (B, m): its shape is {goal.shape}")
-    return Interval(jnp.atleast_2d(goal.lo), jnp.atleast_2d(goal.hi)), single
+    return Interval(*(jnp.asarray(np.atleast_2d(end)) for end in (goal.lo, goal.hi))), single
 
 
 def _evaluate(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[jax.Array, ...]) -> list[Interval]:
@@ -221,57 +219,52 @@ def _evaluate(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[j
     return jax.vmap(lambda lo, hi, *a: components(f, Interval(lo, hi), a), in_axes=-1)(lo, hi, *args)
 
 
-def _of_owner(args: tuple[jax.Array, ...], owner: jax.Array | np.ndarray) -> tuple[jax.Array, ...]:
-    """Return args (B, ...) as (..., N), each column that of the box's target."""
-    return tuple(jnp.moveaxis(a, 0, -1)[..., owner] for a in args)
+def _of_targets(kernel: Callable[..., Any], goal: Interval, args: tuple[Any, ...]) -> Kernel:
+    """Return kernel(boxes, targets (m, N), args (..., N)) as one of (lo, hi, owner).
 
+    The host looks up what belongs to the target of each box: then nothing that compiles depends on the number of targets.
+    """
+    given = [np.moveaxis(np.asarray(x), 0, -1) for x in (goal.lo, goal.hi, *args)]
+    same = [x.strides[-1] == 0 for x in given]  # broadcast: one entry for all targets
+    columns = [x if one else np.ascontiguousarray(x) for x, one in zip(given, same, strict=True)]
+    alike = cache(lambda size: [jnp.asarray(x[..., :1].repeat(size, -1)) if one else None for x, one in zip(given, same, strict=True)])
 
-def _goals_of_owner(goal: Interval, owner: jax.Array) -> list[tuple[jax.Array, jax.Array]]:
-    return [(goal.lo[:, j][owner], goal.hi[:, j][owner]) for j in range(goal.shape[1])]
+    def of(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Any:
+        own = [x.take(owner, -1) if one is None else one for x, one in zip(columns, alike(len(owner)), strict=True)]
+        return kernel(Interval(lo, hi), Interval(*own[:2]), tuple(own[2:]))
+
+    return of
 
 
 @partial(jax.jit, static_argnums=0)
-def _meets(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, goal: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
-    """True for each box (n, N) whose image meets the target of its owner (closed sets)."""
-    return _touch(_evaluate(f, lo, hi, _of_owner(args, owner)), _goals_of_owner(goal, owner))
+def _meets(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
+    """True for each box (n, N) whose image meets its target (closed sets)."""
+    return _touch(_evaluate(f, X.lo, X.hi, args), T)
 
 
 @partial(jax.jit, static_argnums=0)
-def _inner(
-    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, goal: Interval, args: tuple[jax.Array, ...]
-) -> Verdicts[jax.Array]:
+def _inner(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N): settled are those that map into the target altogether."""
-    args = _of_owner(args, owner)
-    images, goals = _evaluate(f, lo, hi, args), _goals_of_owner(goal, owner)
-    meets = _touch(images, goals)
-    inside = continuous(f, lo, hi, args)
-    for image, (low, high) in zip(images, goals, strict=True):
+    images = _evaluate(f, X.lo, X.hi, args)
+    meets, inside = _touch(images, T), continuous(f, X.lo, X.hi, args)
+    for image, low, high in zip(images, T.lo, T.hi, strict=True):
         inside &= (low <= image.lo) & (image.lo <= image.hi) & (image.hi <= high)
-    return Verdicts(meets & ~inside, inside, (lo, hi))
+    return Verdicts(meets & ~inside, inside, (X.lo, X.hi))
 
 
 def _search(
-    f: Callable[..., Any],
-    unique: bool,
-    region: bool,
-    goal: Interval,
-    args: tuple[jax.Array, ...],
-    box: Interval,
-    lo: jax.Array,
-    hi: jax.Array,
-    owner: np.ndarray,
+    f: Callable[..., Any], box: Interval, unique: bool, region: bool, X: Interval, T: Interval, args: tuple[Any, ...]
 ) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N) by `existence.search`."""
-    T = Interval(*(jnp.asarray(np.asarray(end).T[:, owner]) for end in (goal.lo, goal.hi)))
-    return search(f, Interval(lo, hi), T, box, _of_owner(args, owner), unique, region)
+    return search(f, X, T, box, args, unique, region)
 
 
-def _touch(images: Sequence[Interval], goals: Sequence[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """True where every component shares a point with its goal (lo, hi); a bound that is NaN excludes nothing."""
-    if len(images) != len(goals):
-        raise ValueError(f"the target has {len(goals)} components, f has {len(images)}")
+def _touch(images: Sequence[Interval], T: Interval) -> jax.Array:
+    """True where every component shares a point with its target; a bound that is NaN excludes nothing."""
+    if len(images) != len(T.lo):
+        raise ValueError(f"the target has {len(T.lo)} components, f has {len(images)}")
     apart: jax.Array | bool = False
-    for image, (lo, hi) in zip(images, goals, strict=True):
+    for image, lo, hi in zip(images, T.lo, T.hi, strict=True):
         apart |= (image.lo > hi) | (lo > image.hi)
     return jnp.logical_not(apart)
 
@@ -284,7 +277,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
         first = np.flatnonzero(np.diff(owner, prepend=-1))
         lo, hi, owner = lo[:, first], hi[:, first], owner[first]
     for _ in range(3):
-        said = Verdicts(*in_blocks(kernel, lo, hi, owner, SEARCHED))
+        said = Verdicts(*in_blocks(kernel, lo, hi, owner))
         assert said.proved is not None and said.proof is not None
         smaller = said.proved & ((said.proof[1] - said.proof[0]).max(0) < (hi - lo).max(0))
         lo, hi = (np.where(smaller, new, old) for new, old in zip(said.proof, (lo, hi), strict=True))
@@ -297,7 +290,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
         )
         if len(i):
             whole = np.minimum(lo[:, i], lo[:, i + shift]), np.maximum(hi[:, i], hi[:, i + shift])
-            again[i + shift] |= Verdicts(*in_blocks(kernel, *whole, owner[i], SEARCHED)).proved
+            again[i + shift] |= Verdicts(*in_blocks(kernel, *whole, owner[i])).proved
     return lo[:, ~again], hi[:, ~again], owner[~again]
 
 
@@ -305,7 +298,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
 def _image_block(
     f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, args: tuple[jax.Array, ...]
 ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-    images = _evaluate(f, lo, hi, _of_owner(args, owner))
+    images = _evaluate(f, lo, hi, tuple(jnp.moveaxis(a, 0, -1)[..., owner] for a in args))
     return tuple(x.lo for x in images), tuple(x.hi for x in images)
 
 
@@ -352,7 +345,7 @@ def _uniform(
 @partial(jax.jit, static_argnums=0)
 def _meets_uniform(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, goal: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     def one(now):
-        (goal_lo, goal_hi), a = now
-        return _touch(_evaluate(lambda z: f(z, *a), lo, hi, ()), list(zip(goal_lo, goal_hi, strict=True)))
+        target, a = now
+        return _touch(_evaluate(lambda z: f(z, *a), lo, hi, ()), target)
 
-    return jax.lax.map(one, ((goal.lo, goal.hi), args))
+    return jax.lax.map(one, (goal, args))
