@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["bound", "check"]
+__all__ = ["bound", "check", "settled"]
 
 
 Number: TypeAlias = ArrayLike | Fraction
@@ -43,3 +43,12 @@ def bound(x: Number, directed: Callable[..., np.ndarray]) -> jax.Array | np.ndar
     narrow = jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize <= 4
     wanted = jax.dtypes.canonicalize_dtype(np.float32 if narrow else np.float64)
     return x if x.dtype == wanted else directed(x, wanted)
+
+
+def settled(lo: jax.Array | np.ndarray, hi: jax.Array | np.ndarray) -> tuple[jax.Array, jax.Array]:
+    """Return bounds of one shape and dtype, none subnormal towards the inside; NumPy's on the host, where no shape is compiled for."""
+    shape, dtype = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi)), jnp.result_type(lo, hi)
+    if isinstance(lo, np.ndarray) and isinstance(hi, np.ndarray):
+        low, high = rounding.settled_on_host(*(np.broadcast_to(end, shape).astype(dtype) for end in (lo, hi)))
+        return jnp.asarray(low), jnp.asarray(high)
+    return rounding.settle_subnormals(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi)))

@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals import approximations
-from jaxbound.sets.intervals.bounds import Number, bound, check
+from jaxbound.sets.intervals.bounds import Number, bound, check, settled
 
 __all__ = [
     "Interval", "abs", "add", "div", "hull", "interval", "mag", "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown",
@@ -157,11 +157,7 @@ def interval(lo: Operand, hi: Number | None = None) -> Interval:
     lo, hi = bound(lo, rounding.round_down), bound(hi, rounding.round_up)
     if not isinstance(lo, jax.core.Tracer) and not isinstance(hi, jax.core.Tracer):
         check(np.asarray(lo), np.asarray(hi))
-    shape, dtype = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi)), jnp.result_type(lo, hi)
-    if isinstance(lo, np.ndarray) and isinstance(hi, np.ndarray):
-        ends = rounding.settled_on_host(*(np.broadcast_to(end, shape).astype(dtype) for end in (lo, hi)))
-        return computed(*map(jnp.asarray, ends))
-    return computed(*rounding.settle_subnormals(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi))))
+    return computed(*settled(lo, hi))
 
 
 def pair(x: Operand, y: Operand) -> tuple[Interval, Interval]:
