@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -83,42 +84,60 @@ def simulate(
     model = as_model(model)
     if at not in ("uniform", "vertices"):
         raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
-    u = np.zeros(0) if u is None else inputs_of(model, u)
-    if u.ndim < 2 or u.shape[-1] != model.m:
-        raise ValueError(f"u must have shape (..., T, {model.m}), time first: its shape is {u.shape}")
-    u = jnp.asarray(u, jax.dtypes.canonicalize_dtype(u.dtype))
-    refuse_infinite("u", u, model.inputs) if not isinstance(u, jax.core.Tracer) else None
-    batch, (T, _) = u.shape[:-2], u.shape[-2:]
-    x0 = jnp.zeros((model.n,), u.dtype) if x0 is None else jnp.asarray(x0, u.dtype)
-    if x0.shape[-1:] != (model.n,) or (x0.ndim > 1 and x0.shape[:-1] != batch):
-        raise ValueError(f"x0 must have shape ({model.n},) or {(*batch, model.n)}: its shape is {x0.shape}")
-    x0 = jnp.broadcast_to(x0, (*batch, model.n))
-    if unknown_input is not None:
-        unknown_input = jnp.asarray(unknown_input, u.dtype)
-        if unknown_input.shape != (*batch, T, model.d):
-            raise ValueError(f"unknown_input must have shape {(*batch, T, model.d)}: its shape is {unknown_input.shape}")
-        unknown_input = unknown_input.reshape(math.prod(batch), T, model.d)
-    active = _switches(model, faults, T)
+    given: Any = np.zeros(0) if u is None else inputs_of(model, u)
+    if given.ndim < 2 or given.shape[-1] != model.m:
+        raise ValueError(f"u must have shape (..., T, {model.m}), time first: its shape is {given.shape}")
+    dtype = jax.dtypes.canonicalize_dtype(given.dtype)
+    given = _host(given).astype(dtype)
+    refuse_infinite("u", given, model.inputs) if not isinstance(given, jax.core.Tracer) else None
+    batch, (T, _) = given.shape[:-2], given.shape[-2:]
+    start: Any = np.zeros((model.n,), dtype) if x0 is None else _host(x0).astype(dtype)
+    if start.shape[-1:] != (model.n,) or (start.ndim > 1 and start.shape[:-1] != batch):
+        raise ValueError(f"x0 must have shape ({model.n},) or {(*batch, model.n)}: its shape is {start.shape}")
+    v: Any = None if unknown_input is None else _host(unknown_input).astype(dtype)
+    if v is not None and v.shape != (*batch, T, model.d):
+        raise ValueError(f"unknown_input must have shape {(*batch, T, model.d)}: its shape is {v.shape}")
     lo, hi = zip(*model.disturbance, strict=True) if model.g else ((), ())
     numbers = {
-        "G": _double(model.G, u.dtype), "lo": rounding.round_up(list(lo), u.dtype), "hi": rounding.round_down(list(hi), u.dtype),
-        "F": _double(model.F, u.dtype), "D_v": _double(model.D_v, u.dtype),
-        "A": _double(model.A, u.dtype), "B": _double(model.B, u.dtype), "C": _double(model.C, u.dtype), "D": _double(model.D, u.dtype),
-        "tolerance": rounding.round_down(list(model.tolerance), u.dtype), "noise": rounding.round_down(list(model.noise), u.dtype),
-        "offset_u": _double([model.offset["u"]], u.dtype), "offset_y": _double([model.offset["y"]], u.dtype)}  # fmt: skip
-    numbers["varying"] = np.array([p.varying for p in model.uncertainties], bool)
-    numbers["parameters"] = [
-        {letter: _double(rows, u.dtype) for letter in "ABCD" if (rows := p.on(letter)) is not None} for p in model.uncertainties
-    ]
-    sizes = np.array([f.size for f in faults], u.dtype)
+        "matrix": tuple(part.T[..., None] for part in _double(_blocks(model, model), dtype)),
+        "parts": _columns([_double(_blocks(model, p), dtype) for p in model.uncertainties]),
+        "varying": np.array([p.varying for p in model.uncertainties], bool),
+        "lo": rounding.round_up(list(lo), dtype), "hi": rounding.round_down(list(hi), dtype),
+        "tolerance": rounding.round_down(list(model.tolerance), dtype), "noise": rounding.round_down(list(model.noise), dtype),
+        "offset_u": _double([model.offset["u"]], dtype), "offset_y": _double([model.offset["y"]], dtype)}  # fmt: skip
+    sizes = np.array([f.size for f in faults], dtype)
     kinds = tuple((f.kind, model.outputs.index(f.signal) if f.signal in model.outputs else None,
                    model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
-    run = partial(_simulate, at == "vertices", model.constant_tolerance, kinds)
     count = math.prod(batch)
-    flat = [v.reshape(count, *v.shape[len(batch) :]) for v in (u, x0)]
-    keys = jax.random.split(key, count)
-    out = run(numbers, sizes, active, keys, *flat, unknown_input)
-    return Trajectory(*(v.reshape(*batch, *v.shape[1:]) for v in out))
+    longer = _length(T, count) - T
+    padded = lambda v: _library(v).pad(v.reshape(count, *v.shape[len(batch) :]), ((0, 0), (0, longer), (0, 0)))
+    active = np.pad(_switches(model, faults, T), ((0, 0), (0, longer)))
+    start = _library(start).broadcast_to(start, (*batch, model.n)).reshape(count, model.n)
+    v = v if v is None else padded(v)
+    out = _simulate(at == "vertices", model.constant_tolerance, kinds, numbers, sizes, active, key, padded(given), start, v)
+    return Trajectory(*_cut(out, batch, T))
+
+
+def _library(x: object) -> Any:
+    """Return NumPy for what is on the host, where nothing is compiled, jax.numpy for what is inside jit."""
+    return jnp if isinstance(x, jax.core.Tracer) else np
+
+
+def _host(x: ArrayLike) -> Any:
+    return _library(x).asarray(x)
+
+
+def _length(T: int, count: int) -> int:
+    """Return the number of samples that is compiled for: of few sizes, and no more than an eighth beyond T where there is much to do."""
+    step = 1 << max(T - 1, 63).bit_length()
+    if T * count > 2**16:
+        step = max(step // 16, 1)
+    return -(-T // step) * step
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _cut(out: tuple[jax.Array, ...], batch: tuple[int, ...], T: int) -> tuple[jax.Array, ...]:
+    return tuple(v[:, :T].reshape(*batch, T, v.shape[2]) for v in out)
 
 
 def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarray:
@@ -136,6 +155,18 @@ def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarra
     return np.array(rows, bool).reshape(len(faults), T)
 
 
+def _blocks(model: LinearSystem, of: Any) -> list[list[Fraction]]:
+    """Return the exact rows [A B G F; C D 0 D_v] of a model, or of what an uncertainty changes in it."""
+    widths = {"A": model.n, "B": model.m, "C": model.n, "D": model.m, "G": model.g, "F": model.d, "D_v": model.d, "": model.g}
+
+    def row(letter: str, i: int) -> Sequence[Fraction]:
+        matrix = () if not letter else getattr(of, letter) if of is model else of.on(letter) if letter in "ABCD" else ()
+        return matrix[i] if matrix else [Fraction(0)] * widths[letter]
+
+    upper = [[x for letter in ("A", "B", "G", "F") for x in row(letter, i)] for i in range(model.n)]
+    return upper + [[x for letter in ("C", "D", "", "D_v") for x in row(letter, i)] for i in range(model.p)]
+
+
 def _double(a, dtype):
     """Return exact numbers as a pair of float arrays whose sum is accurate to twice the digits."""
     shape = len(a), len(a[0]) if a else 0
@@ -146,32 +177,59 @@ def _double(a, dtype):
     return hi, lo.astype(dtype).reshape(shape)
 
 
-def _apply(matrix, vector):
-    """Multiply a double-word matrix (r, c) with a double-word vector (c,)."""
-    hi, lo = matrix
-    total = (jnp.zeros_like(hi, shape=hi.shape[:1]),) * 2
-    for j in range(hi.shape[1]):
-        total = rounding.dd_add(total, rounding.dd_mul((hi[:, j], lo[:, j]), (vector[0][j], vector[1][j])))
-    return total
+def _columns(pairs):
+    """Return double-word matrices (r, c) side by side, turned: (c, matrices, r, 1)."""
+    return tuple(np.stack(part).transpose(2, 0, 1)[..., None] for part in zip(*pairs, strict=True)) if pairs else None
 
 
-def _uncertain(numbers, parameters, letter, vector):
-    """Multiply a vector with a matrix of the model at the parameters of this sample."""
-    total = _apply(numbers[letter], vector)
-    for i, part in enumerate(numbers["parameters"]):
-        if letter in part:
-            value = (parameters[i], jnp.zeros_like(parameters[i]))
-            total = rounding.dd_add(total, rounding.dd_mul(value, _apply(part[letter], vector)))
-    return total
+def _total(terms):
+    """Add double-word numbers (c, ...) along the first axis, by halves: there is little to compile."""
+    count = len(terms[0])
+    if count < 2:
+        return tuple(jnp.sum(v, 0) for v in terms)
+    half = count // 2
+    total = _total(rounding.dd_add(*(tuple(v[start : start + half] for v in terms) for start in (0, half))))
+    return rounding.dd_add(total, tuple(v[-1] for v in terms)) if count % 2 else total
+
+
+def _apply(matrix, vectors):
+    """Multiply double-word matrices, turned, (c, ..., 1) with double-word vectors (c, N)."""
+    between = (1,) * (matrix[0].ndim - 2)
+    return _total(rounding.dd_mul(matrix, tuple(v.reshape(len(v), *between, v.shape[1]) for v in vectors)))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _simulate(vertices, constant, kinds, numbers, sizes, active, keys, u, x0, v):
-    return jax.vmap(partial(_one, vertices, constant, kinds, numbers, sizes, active))(keys, u, x0, v)
+def _simulate(vertices, constant, kinds, numbers, sizes, active, key, u, x0, v):
+    n, keys = x0.shape[1], jax.random.split(key, len(u))
+    draws = partial(_draws, vertices, constant, kinds, numbers, sizes, active, n)
+    theta, noise, w, v, parameters, extra = jax.vmap(draws)(keys, u, v)
+    faulty = lambda signals, side, dropped: jax.vmap(lambda s, e: _faulty(kinds, sizes, active, s, e, side, dropped))(signals, extra)
+    applied = faulty(u, 2, 0.0)
+
+    single = lambda v: (v, jnp.zeros_like(v))
+    offset_u, offset_y = (tuple(part[0, :, None] for part in numbers[name]) for name in ("offset_u", "offset_y"))
+
+    def step(x, now):
+        inputs, w, v, theta, noise, parameters = now
+        deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), single(-offset_u[1]))
+        signals = tuple(jnp.concatenate(part) for part in zip(x, deviation, single(w), single(v), strict=True))
+        both = _apply(numbers["matrix"], signals)
+        if len(parameters):
+            moved = rounding.dd_mul(single(parameters[:, None]), _apply(numbers["parts"], signals))
+            both = rounding.dd_add(both, _total(moved))
+        after, true = (tuple(part[rows] for part in both) for rows in (slice(n), slice(n, None)))
+        y = rounding.dd_add(true, rounding.dd_mul(single(theta), true))  # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
+        y = rounding.dd_add(rounding.dd_add(y, single(noise)), offset_y)
+        return after, (x[0], y[0])
+
+    along = [jnp.moveaxis(signal, 0, 2) for signal in (applied, w, v, theta, noise, parameters)]  # recordings last: they fill a vector
+    x, y = (jnp.moveaxis(signal, 2, 0) for signal in jax.lax.scan(step, single(x0.T), along)[1])
+    return x, u, faulty(y, 1, jnp.nan), theta, noise, w, v, parameters
 
 
-def _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0, v):
-    T, p = u.shape[0], numbers["C"][0].shape[0]
+def _draws(vertices, constant, kinds, numbers, sizes, active, n, key, u, v):
+    """Return what one recording draws: theta, noise, disturbances, unknown inputs, parameters, and the noise of faults."""
+    T, p = len(u), len(numbers["noise"])
     k_theta, k_noise, k_fault = jax.random.split(key, 3)
     k_w = jax.random.fold_in(key, 3)
     draw = (lambda k, s: jax.random.rademacher(k, s, u.dtype)) if vertices else (lambda k, s: jax.random.uniform(k, s, u.dtype, -1, 1))
@@ -185,35 +243,18 @@ def _one(vertices, constant, kinds, numbers, sizes, active, key, u, x0, v):
     lo, hi = numbers["lo"][None], jnp.maximum(numbers["lo"], numbers["hi"])[None]
     share = draw(k_w, (T, lo.shape[1]))
     w = jnp.where(share == 1, hi, jnp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
-    v = jax.random.normal(jax.random.fold_in(key, 4), (T, numbers["F"][0].shape[1]), u.dtype) if v is None else v
-    extra = jax.random.uniform(k_fault, (len(kinds), T), u.dtype, -1, 1)
-    each = draw(jax.random.fold_in(key, 5), (T, len(numbers["parameters"])))
+    d = len(numbers["matrix"][0]) - n - u.shape[1] - lo.shape[1]
+    v = jax.random.normal(jax.random.fold_in(key, 4), (T, d), u.dtype) if v is None else v
+    extra = jax.random.uniform(k_fault, (T, len(kinds)), u.dtype, -1, 1).T
+    each = draw(jax.random.fold_in(key, 5), (T, len(numbers["varying"])))
     parameters = jnp.where(numbers["varying"][None], each, each[:1])
-    applied = _faulty(u, kinds, sizes, active, extra, lambda f: f[2], dropped=0.0)
-
-    single = lambda v: (v, jnp.zeros_like(v))
-    offset_u, offset_y = (tuple(part[0] for part in numbers[name]) for name in ("offset_u", "offset_y"))
-
-    def step(x, now):
-        inputs, w, v, theta, noise, parameters = now
-        deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), single(-offset_u[1]))
-        mapped = lambda letter, vector: _uncertain(numbers, parameters, letter, vector)
-        true = rounding.dd_add(mapped("C", x), mapped("D", deviation))
-        true = rounding.dd_add(true, _apply(numbers["D_v"], single(v))) if len(v) else true
-        y = rounding.dd_add(true, rounding.dd_mul(single(theta), true))  # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
-        y = rounding.dd_add(rounding.dd_add(y, single(noise)), offset_y)
-        after = rounding.dd_add(mapped("A", x), mapped("B", deviation))
-        after = rounding.dd_add(after, _apply(numbers["F"], single(v))) if len(v) else after
-        return rounding.dd_add(after, _apply(numbers["G"], single(w))) if len(lo) else after, (x[0], y[0])
-
-    _, (x, y) = jax.lax.scan(step, single(x0), (applied, w, v, theta, noise, parameters))
-    return x, u, _faulty(y, kinds, sizes, active, extra, lambda f: f[1], dropped=jnp.nan), theta, noise, w, v, parameters
+    return theta, noise, w, v, parameters, extra
 
 
-def _faulty(signals, kinds, sizes, active, extra, channel, dropped):
-    """Apply the faults of one side, in order, to (T, c) signals."""
+def _faulty(kinds, sizes, active, signals, extra, side, dropped):
+    """Apply the faults of one side, in order, to (T, c) signals: 1 outputs, 2 inputs."""
     for i, fault in enumerate(kinds):
-        c = channel(fault)
+        c = fault[side]
         if c is None or fault[0] == "tolerance":
             continue
         x, size, on = signals[:, c], sizes[i], active[i]

@@ -196,3 +196,14 @@ def test_what_does_not_fit_is_refused(change, message):
 def test_something_that_is_no_model_is_refused():
     with pytest.raises(TypeError, match="a model is a LinearSystem, or .* not dict"):
         jb.simulate({}, np.zeros((5, 1)), jax.random.key(0))
+
+
+def test_recordings_of_many_lengths_are_compiled_once_and_begin_alike(rng):
+    u, k = inputs("paper", (64,), rng), key(rng)
+    whole, traced = jb.simulate(paper(), u, k), module._simulate._cache_size()
+    for T in (1, 7, 63):
+        part = jb.simulate(paper(), u[:T], k)
+        for name in ("x", "u", "y", "theta", "noise"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[:T])
+    assert module._simulate._cache_size() == traced
+    assert [module._length(T, 1) for T in (0, 64, 65, 70_000)] == [0, 64, 128, 73_728]
