@@ -37,7 +37,8 @@ from jaxbound.runs.journal import STATE, VERDICTS, Journal
 from jaxbound.runs.outputs import output_folder, refuse_targets
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.runfile import VALIDATION
-from jaxbound.runs.summary import CODES, Evidence, bound_hints, said
+from jaxbound.runs.sink import Outcome, file_names, write_all
+from jaxbound.runs.summary import Evidence, Summary, Window, bound_hints, said
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["follow", "run"]
@@ -82,14 +83,18 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
         with Journal(args.out, args.state, identity(relations, method=args.method)) as journal:
             if folder is not None:
                 folder.claim(VERDICTS, STATE)
-            return _Run(args, monitor, journal).to_the_end(chunks, whole)
+            found = _Run(args, monitor, journal).to_the_end(chunks, whole)
+        if folder is not None:
+            with folder.work() as work:
+                write_all(work, Outcome(None, None, [], found, model, Path(args.data), None, args.method, relations.horizon))
+    return found.exit_code
 
 
 @contextmanager
 def _place(args):
     """Make --out a folder whose verdicts this command may write, and see to it that nothing that is read is written."""
     inputs = [Path(args.model), *([Path("/dev/stdin")] if stat.S_ISREG(os.fstat(0).st_mode) else [])]
-    with nullcontext() if args.out is None else output_folder(args.out, (), inputs) as folder:
+    with nullcontext() if args.out is None else output_folder(args.out, file_names(whole=False), inputs) as folder:
         if args.state is not None:
             refuse_targets({"--state": Path(args.state)}, inputs, force=True)
         if folder is None:
@@ -179,7 +184,7 @@ class _Run:
             worst = int(fault[np.argmin(verdict.margin[fault])])
             found["first"] = when(int(fault[0])) if found["first"] is None else found["first"]
             if found["worst"] is None or verdict.margin[worst] < found["worst"][1]:
-                found["worst"] = [when(worst), float(verdict.margin[worst])]
+                found["worst"] = [when(worst), float(verdict.margin[worst]), self.text.clock.samples - len(status) + worst]
 
     def _printed(self, rows):
         """Return rows of verdicts.csv as they go to stdout."""
@@ -224,7 +229,7 @@ class _Run:
         self.spoken[kind] = count + 1, time.monotonic(), 0
 
     def conclude(self):
-        """Say what was found and return the exit code."""
+        """Say what was found and return its Summary."""
         found, clock, relations = self.found, self.text.clock, self.monitor.relations
         if self.text.reader is not None:
             self.journal.finish(self.memory())
@@ -233,14 +238,17 @@ class _Run:
         lost = found["left out"]
         hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
         alarms = sum(found["endings"].values()) + bool(found["on"])
-        for hint in filter(None, (*hints, *endings_said(found["endings"], alarms))):
+        said_of_it = tuple(filter(None, (*hints, *endings_said(found["endings"], alarms))))
+        for hint in said_of_it:
             say(hint)
         counts = found["counts"]
-        at, margin = found["worst"] or (None, np.nan)
-        numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, alarms=alarms)
+        at, margin, sample = found["worst"] or (None, np.nan, -1)
+        numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, None, alarms,
+                           found["endings"])  # fmt: skip
         verdict, sentence = said(numbers, self._label, self.args.min_coverage)
         say(f"{sentence} {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
-        return CODES[verdict]
+        worst = None if at is None else Window(sample, self._label(at), margin)
+        return Summary(verdict, sentence, numbers, worst, hints=said_of_it, model=relations.model.name)
 
 
 def _followed(on, status, horizon):

@@ -15,9 +15,9 @@ __all__ = ["SINKS", "Outcome", "Sink", "file_names", "register", "write_all"]
 class Outcome:
     """What the test of one recording came to.
 
-    Fields: result: a Result, or what else a test returns, a Digest where the recording did not fit into memory; recording: the Recording,
-    or None then; alarms: those that are kept; summary; model: that was tested; data: the path of the recording; content: its digest, None
-    where it is gone; method, horizon: of the test.
+    Fields: result: a Result, or what else a test returns, a Digest where the recording did not fit into memory, None where verdicts were
+    written as samples came; recording: the Recording, or None then; alarms: those that are kept; summary; model: that was tested; data: the
+    path of the recording; content: its digest, None where it is gone; method, horizon: of the test.
     """
 
     result: Any

@@ -1,13 +1,16 @@
 """Outputs: a new one is one small class, which every command that tests a recording writes."""
 
+import argparse
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import main
+from jaxbound.cli import main, pipe
+from jaxbound.runs.runfile import load_run
 from jaxbound.runs.sink import SINKS, Sink, register
 
 MODEL = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
@@ -27,8 +30,10 @@ def place(tmp_path, monkeypatch):
         SINKS.pop()
 
 
-@pytest.mark.parametrize("options", COMMANDS.values(), ids=COMMANDS)
-def test_a_new_output_is_one_small_class(place, options):
+@pytest.fixture
+def counted():
+    """Register an output."""
+
     @register
     class Counted(Sink):
         names = ("counts.json",)
@@ -36,10 +41,24 @@ def test_a_new_output_is_one_small_class(place, options):
         def write(self, folder, outcome):
             (folder / self.names[0]).write_text(json.dumps(outcome.summary.counts))
 
+
+@pytest.mark.parametrize("options", COMMANDS.values(), ids=COMMANDS)
+def test_a_new_output_is_one_small_class(place, counted, options):
     codes = [main.main(["detect", "model.toml", *options, "--out", "out"]) for _ in range(2)]  # the second replaces what the first wrote
     assert codes[0] == codes[1] in (0, 1)
     assert sum(json.loads((place / "out/counts.json").read_text()).values()) == 8
     assert "counts.json" in (place / "out/.jaxbound.json").read_text()
+
+
+def test_a_pipe_writes_a_new_output_where_it_ends(place, counted):
+    args = dict(model="model.toml", data="-", out=Path("out"), state=None, horizon=None, method="joint", min_coverage=0.5, json=False)
+    head, *rows = (place / "run.csv").read_bytes().splitlines(True)
+    for part, samples in ((rows[:5], 5), (rows[5:], 8)):  # the second process goes on behind the first
+        assert pipe.follow(argparse.Namespace(**args), [head, *part]) == 1
+        assert sum(json.loads((place / "out/counts.json").read_text()).values()) == samples
+    assert "counts.json" in (place / "out/.jaxbound.json").read_text()
+    with pytest.raises(ValueError, match="it came through a pipe"):
+        load_run(place / "out")
 
 
 def test_the_outputs_of_a_run_are_known_by_name():
