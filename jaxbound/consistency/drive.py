@@ -107,7 +107,7 @@ def _stretches(test, u, y, length, gone, size, report):
     for done in pending:
         collect(*done)
     for out, (_, nothing) in zip(outs, kinds, strict=True):
-        out.reshape(samples // max(length, 1), length)[:, gone] = nothing
+        (out if samples == length else out.reshape(-1, length))[..., gone] = nothing
     test.settle(u, y, outs, NOWHERE, None, report)
     return outs
 

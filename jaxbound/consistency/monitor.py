@@ -146,7 +146,7 @@ class Monitor:
         count, (seams, last) = len(y), self._seams(told, len(y), time, state)
         starts = np.concatenate([starts, seams]) if len(seams) else starts
         all_u, all_y = np.concatenate([state.u, u]), np.concatenate([state.y, y])
-        seams_of_all = starts + s
+        seams_of_all = starts + s if len(starts) else starts
         if state.follows < s:
             seams_of_all = np.concatenate([[s - int(state.follows)], seams_of_all])
         status, margin = self._judge(all_u, all_y, seams_of_all) if count else (np.zeros(0, np.int8), np.zeros(0, self.dtype))
