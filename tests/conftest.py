@@ -65,3 +65,19 @@ def _seed(node):
     seed = np.random.SeedSequence().entropy % 2**32 if chosen == "fresh" else int(chosen)
     print(f"{node.name}: JAXBOUND_SEED={seed}")
     return seed
+
+
+@pytest.fixture(scope="session")
+def case(tmp_path_factory):
+    """Return a function that gives a recording larger than a chunk, and what `detect` finds in it: see `streaming_case.cases`."""
+    from streaming_case import cases
+
+    return cases(tmp_path_factory)
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Make parts so small that this recording has several."""
+    from streaming_case import shrink
+
+    shrink(monkeypatch)

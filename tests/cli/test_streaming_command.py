@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from streaming_case import N, Stop, cases, recording, shrink, stopped_after, verdicts, write
+from streaming_case import N, Stop, recording, stopped_after, verdicts, write
 from systems import paper
 
 import jaxbound as jb
@@ -21,16 +21,6 @@ from jaxbound.cli import main
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.runs import streaming
 from jaxbound.runs.streaming import part_files, write_parts
-
-
-@pytest.fixture
-def small(monkeypatch):
-    shrink(monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def case(tmp_path_factory):
-    return cases(tmp_path_factory)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from streaming_case import N, Stop, cases, recording, shrink, stopped_after, verdicts, write
+from streaming_case import N, Stop, recording, shrink, stopped_after, verdicts, write
 from systems import paper
 
 import jaxbound as jb
@@ -23,14 +23,7 @@ from jaxbound.runs.streaming import part_files, write_parts
 COUNT = 6  # parts of the recording
 
 
-@pytest.fixture(autouse=True)
-def small(monkeypatch):
-    shrink(monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def case(tmp_path_factory):
-    return cases(tmp_path_factory)
+pytestmark = pytest.mark.usefixtures("small")
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from streaming_case import MODELS, N, Stop, cases, recording, shrink, stopped_after, verdicts, write
+from streaming_case import MODELS, N, Stop, recording, stopped_after, verdicts, write
 from systems import paper
 
 import jaxbound as jb
@@ -36,16 +36,6 @@ def edited_in_place(path):
     """Change one bit of the third column, at the same size and with the dates of before."""
     chunk = pq.read_metadata(path).row_group(0).column(2)
     flip(path, chunk.data_page_offset + chunk.total_compressed_size - 9)
-
-
-@pytest.fixture
-def small(monkeypatch):
-    shrink(monkeypatch)
-
-
-@pytest.fixture(scope="module")
-def case(tmp_path_factory):
-    return cases(tmp_path_factory)
 
 
 class TestSameVerdicts:
