@@ -68,6 +68,9 @@ def _image(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> t
     return jax.vmap(one, in_axes=-1, out_axes=-1)(X, *args)
 
 
+_middle = jax.jit(mid)
+
+
 @partial(jax.jit, static_argnums=0)
 def _slope(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> Interval:
     """Return the slopes (m, n, N) of f over boxes (n, N), entire where f is not proved to be continuous."""
@@ -89,7 +92,7 @@ def search(
     image, smooth = _image(f, X, args)
     if T.shape != image.shape:
         raise ValueError(f"the target has {T.shape[0]} components, f has {image.shape[0]}")
-    centre = mid(X)
+    centre = _middle(X)
     value, _ = _image(f, _point(centre), args)
     slope = _slope(f, X, args)
     out, rest, x, P = _narrow(X, T, domain, image, smooth, centre, value, slope)
@@ -110,7 +113,8 @@ def _narrow(
     P = _right_inverse(J, d)
     step, error = _times(P, mid(T - value))
     strays = _upper(_stray(P, J, jnp.abs(P), rad(slope)), d) + _upper(jnp.abs(P), rad(T - value)) + error
-    moved = _point(centre) + (_point(step) + Interval(-_upward(strays), _upward(strays)))
+    strays = _upward(strays)
+    moved = _point(centre) + (_point(step) + Interval(-strays, strays))
     rest = intersection(X, moved)
     usable = smooth & ~jnp.isnan(rest.lo) & ~jnp.isnan(rest.hi)
     out |= jnp.any(usable & rest.is_empty)
