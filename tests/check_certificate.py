@@ -4,6 +4,8 @@ Plant x+ = A x + B u + G w + F v, readings y = (1 + theta) (C x + D u + D_v v) +
 |theta| <= tolerance, w in its bounds, |delta| <= noise + resolution + recorder (largest |y| of the signal + noise) + floor (+ an error of
 one sensor).
 
+A document with "constant" has one theta for all samples of an output: one gain 1 / (1 + theta).
+
 With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i. FAULT
 is then a tree of boxes of v, each with a combination of relations, polynomials in v, that cannot be 0 in it; CONSISTENT is parameters with
 which the first state explains the samples.
@@ -47,6 +49,10 @@ def confirm(document):
 def factor(c, r, error=None):
     """Check that a relation holds for every trajectory; return the factor on all bounds at which the samples can keep it."""
     follow(c, r, [])
+    if "constant" in c:
+        residual, width = with_gains(c, r)
+        insist([residual, width, abs(residual) / width] == [r["residual"], r["width"], r["factor"]], "residual, width or factor is wrong")
+        return r["factor"]
     residual = width = F(0)
     for h, g, k, u, (readings, w) in zip(r["h"], r["g"], r["k"], c["u"], limits(c, error), strict=True):
         for x, (lo, hi) in [(x, ends) for x, ends in zip(h + g, readings + w, strict=True) if x]:
@@ -54,6 +60,22 @@ def factor(c, r, error=None):
         residual -= sum(x * (v - offset) for x, v, offset in zip(k, u, c["offset_u"], strict=True) if x)
     insist([residual, width, abs(residual) / width] == [r["residual"], r["width"], r["factor"]], "residual, width or factor is wrong")
     return r["factor"]
+
+
+def with_gains(c, r):
+    """Return (residual, width) of a relation whose tolerances keep one value: the sum over outputs, each with its gain at either end."""
+    low = high = F(0)
+    ends = [limits(c, None, [1 / (1 + sign * t) for t in c["tolerance"]]) for sign in (1, -1)]
+    terms = lambda at, i: [(h[i], *readings[i]) for h, (readings, _) in zip(r["h"], at, strict=True) if h[i]]
+    for i in range(len(c["tolerance"])):
+        sums = [[sum((x * v[(x > 0) == up] for x, *v in terms(at, i)), F(0)) for up in (False, True)] for at in ends]
+        low, high = low + min(a for a, _ in sums), high + max(b for _, b in sums)
+    for g, k, u, (_, w) in zip(r["g"], r["k"], c["u"], ends[0], strict=True):
+        low += sum(min(x * a, x * b) for x, (a, b) in zip(g, w, strict=True))
+        high += sum(max(x * a, x * b) for x, (a, b) in zip(g, w, strict=True))
+        known = sum(x * (v - offset) for x, v, offset in zip(k, u, c["offset_u"], strict=True) if x)
+        low, high = low - known, high - known
+    return (low + high) / 2, (high - low) / 2
 
 
 def follow(c, r, v):
@@ -205,7 +227,11 @@ def explain(c, witness, error=None, v=()):
     inside = zip(v, c.get("variables", []), strict=True)
     insist(all(abs(x) <= c["uncertainties"][int(who)]["bound"] for x, (who, _) in inside), "a parameter is out of its bounds")
     names, x = ("inputs", "disturbances", "unknown_inputs", "outputs"), witness["state"]
-    samples = zip(c["u"], limits(c, error), *(witness[name] for name in names), strict=True)
+    gains = witness["gains"] if "constant" in c else None
+    if gains is not None:
+        inside = all(1 / (1 + t) <= g <= 1 / (1 - t) for g, t in zip(gains, c["tolerance"], strict=True))
+        insist(inside, "a gain is out of its bounds")
+    samples = zip(c["u"], limits(c, error, gains), *(witness[name] for name in names), strict=True)
     for j, (recorded, (readings, bounds), u, w, free, y) in enumerate(samples):
         A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
         insist(all(a is None or a == b for a, b in zip(recorded, u, strict=True)), "the inputs are not those recorded")
@@ -217,7 +243,7 @@ def explain(c, witness, error=None, v=()):
         x = add(add(dots(A, x), dots(B, u)), add(dots(c["G"], w), dots(c["F"], free)))
 
 
-def limits(c, error):
+def limits(c, error, gains=None):
     """Return for each time ([lo, hi] of the true value behind each reading, None where it is missing; [lo, hi] of each disturbance)."""
     out = []
     for row in c["y"]:
@@ -227,7 +253,7 @@ def limits(c, error):
             delta = (
                 noise + c["resolution"][i] + c["recorder"] * (largest + noise) + c["floor"] + (error[1] if error and error[0] == i else 0)
             )
-            ends = lambda d, i=i: [d / (1 - c["tolerance"][i]), d / (1 + c["tolerance"][i])]
+            ends = lambda d, i=i: [d / (1 - c["tolerance"][i]), d / (1 + c["tolerance"][i])] if gains is None else [gains[i] * d]
             d = None if y is None else y - c["offset_y"][i]
             readings.append(None if y is None else (min(ends(d - delta)), max(ends(d + delta))))
         out.append((readings, [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]]))

@@ -5,6 +5,7 @@ scratch (`exact_window`), by whichever route it was found. As JSON a certificate
 but neither jaxbound nor the recording.
 """
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 from jaxbound.certificates.blame import SensorError, rounded_witness, smallest_error
+from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
@@ -89,8 +91,9 @@ class Certificate(Witnessed, WindowCertificate):
     def __str__(self) -> str:
         """Return one sentence."""
         if self.proves == Status.FAULT:
-            need = f"{'at least ' if self.window.constant else ''}{float(self.factor):.4g} times as wide"
-            return f"{self.relation} cannot hold: it would need bounds {need}"
+            if self.window.constant:
+                return f"{self.relation} cannot hold for any gains: it is off by {float(self.factor):.4g} times what bounds allow"
+            return f"{self.relation} cannot hold: it would need bounds {float(self.factor):.4g} times as wide"
         return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
 
     def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
@@ -109,7 +112,8 @@ class Certificate(Witnessed, WindowCertificate):
                 for e in self.sensor_errors
             ] if fault and errors else [],
         }  # fmt: skip
-        return self._document(self.proves, numbers, times, sample)
+        constant = {"constant": Fraction(1)} if self.window.constant else {}
+        return self._document(self.proves, constant | numbers, times, sample)
 
     def _relation_dict(self, h, output=0, error=None):
         w, model = self.window, self.window.model
@@ -124,6 +128,8 @@ class Certificate(Witnessed, WindowCertificate):
 def _(relations: ParityRelation, u, y, method="joint", status=None, at=None):
     at = (relations.horizon,) if at is None else at
     window = exact_window(relations, u, y)
+    if window.constant:
+        window = ConstantWindow(**{field.name: getattr(window, field.name) for field in dataclasses.fields(window)})
     nothing = ValueError(f"window {at[-1]} is MISSING: there is nothing to explain")
     if all(v is None for v in window.y):
         raise nothing
@@ -139,8 +145,8 @@ def _(relations: ParityRelation, u, y, method="joint", status=None, at=None):
         if status is None:
             status = Status.FAULT if violated else Status.CONSISTENT if relations.count == 1 else Status.UNDECIDED
     proved = Status.FAULT if found.factor > 1 else Status.CONSISTENT
-    if (window.constant and proved != Status.FAULT) or status not in (None, Status.UNDECIDED, proved):
-        why = "a tolerance that is constant over the window" if window.constant else "more than its samples and bounds"
+    if status not in (None, Status.UNDECIDED, proved):
+        why = "more than its samples and bounds"
         raise NotImplementedError(f"the verdict of window {at[-1]} rests on {why}: certificates of such verdicts are not implemented yet")
     z = rounded_witness(window, found.z) if found.factor <= 1 else None
     text = relation_text(window.model, window.horizon, h, k)

@@ -129,7 +129,7 @@ class ExactWindow:
 
     @property
     def constant(self) -> bool:
-        """Whether a tolerance keeps one value over the window: then these limits are wider than what the samples say together."""
+        """Whether a tolerance keeps one value over the window: then samples together say more than these limits (`ConstantWindow`)."""
         return self.model.constant_tolerance and any(self.tolerance)
 
     @property
@@ -152,6 +152,10 @@ class ExactWindow:
         """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
         (E, K), missing = self.forms, self.missing_inputs
         return tuple(dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d)) for e, k, d in zip(E, K, self.drive, strict=True))
+
+    def gains(self, z: Sequence[Fraction]) -> tuple[Fraction, ...] | None:
+        """Return the gains, the same in all samples of an output, with which unknowns z keep every reading: none here."""
+        return ()
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z keep every row within its limits."""

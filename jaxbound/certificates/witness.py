@@ -92,7 +92,8 @@ class Witnessed:
     def _witness_dict(self, z):
         flat = lambda rows: [x for row in rows for x in row]
         w, other = self.window, self._with(z)
-        return {"state": other.state, "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
+        gains = {"gains": w.gains(z)} if w.gains(z) else {}
+        return gains | {"state": other.state, "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
                 "unknown_inputs": self._every_sample(flat(other.unknown_inputs), [Fraction(0)] * w.model.d),
                 "inputs": self._every_sample(flat(other.inputs), w.model.offset["u"]), "outputs": other.outputs}  # fmt: skip
 

@@ -103,8 +103,8 @@ class Result:
         ResidualCertificate, with an Interval of unknowns that explains a CONSISTENT window.
 
         Raises:
-            ValueError: the window is MISSING. NotImplementedError: a verdict that rests on a tolerance constant over the window; with
-            uncertain parameters a window for which neither proof is found.
+            ValueError: the window is MISSING. NotImplementedError: with uncertain parameters a window for which neither proof is
+            found.
 
         Example:
             >>> import jaxbound as jb

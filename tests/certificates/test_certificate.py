@@ -270,16 +270,6 @@ def test_alarms_know_what_single_sensor_could_be_wrong(rng):
         _ = Alarm(1, 2, 1, -1.0, 1).errors
 
 
-def test_a_constant_tolerance_is_proved_faulty_but_not_consistent():
-    """Its set is smaller than the one that the certificate speaks of: outside of this is outside of that, inside says nothing."""
-    r = jb.parity_relations(paper(constant_tolerance=True), 1)
-    c = certify(r, np.zeros((2, 1)), np.array([[0, 0], [5.0, 0]]))
-    check_certificate.confirm(json.loads(c.to_json()))
-    assert c.proves == Status.FAULT and c.errors == {} and "at least" in str(c)
-    with pytest.raises(NotImplementedError, match="rests on a tolerance that is constant over the window"):
-        certify(r, np.zeros((2, 1)), np.zeros((2, 2)))
-
-
 def test_what_has_no_certificate_yet_is_refused():
     class Other:
         horizon = 1
