@@ -26,7 +26,7 @@ def pytest_configure(config):
     if not hasattr(config, "cache"):  # pytest was told to keep none
         return
     jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("kernels")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # small ones too: eager code is made of them
 
 
 @pytest.fixture(scope="session")
