@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxbound.consistency.reading import Reading
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.unrolled import total
 
 __all__ = ["PolynomialReading"]
 
@@ -69,18 +70,19 @@ class PolynomialReading:
         taken twice: for value, and for the noise terms, whose magnitudes are part of `scale`.
         """
         mid, rad, scale, known, known_scale = self.window.block(u[: self.window.lags], y)
-        N, K = self._scaled(self.N), self._scaled(self.K)
-        mid, rad, scale, gone, broken = _finite(mid, rad, scale)
-        known, _, known_scale, unknown, worse = _finite(known, known, known_scale)
-        times = lambda coefficients, x: jnp.sum(coefficients[..., None] * x[None, None], 2)
-        value = times(N, mid) - times(K, known)
-        size = times(abs(N), scale) + times(abs(K), known_scale)
-        needs = lambda coefficients, lost: jnp.any(jnp.any(coefficients != 0, 1)[..., None] & lost[None], 1)
-        absent = needs(N, gone) | needs(K, unknown)
+        N, coefficients = self._scaled(self.N), self._scaled(jnp.concatenate([self.N, -self.K], 2))
+        x, magnitude = jnp.concatenate([mid, known]), jnp.concatenate([scale, known_scale])
+        gone = jnp.isnan(magnitude)
+        fine = jnp.isfinite(x) & jnp.isfinite(magnitude)  # then the radius is finite: it is part of the magnitude
+        x, magnitude, rad = jnp.where(fine, x, 0), jnp.where(fine, magnitude, 0), jnp.where(fine[: len(rad)], rad, 0)
+        broken = jnp.any(~fine & ~gone, 0)
+        times = lambda a, b: total(a[:, :, j, None] * b[j][None, None] for j in range(len(b)))
+        value, size = times(coefficients, x), times(abs(coefficients), magnitude)
+        absent = jnp.any(jnp.any(coefficients != 0, 1)[..., None] & gone[None], 1)
         order = max(map(sum, self.exponents))
         gamma, floor = rounding.residual_error(self.N.shape[2] + self.K.shape[2] + order + 2, mid.dtype)
-        floor = (floor * (1 + jnp.sum(scale, 0) + jnp.sum(known_scale, 0)) * self._lift(order))[None, None]
-        error = jnp.where((broken | worse)[None, None], jnp.inf, 2 * (gamma * size + floor))
+        floor = (floor * (1 + jnp.sum(magnitude, 0)) * self._lift(order))[None, None]
+        error = jnp.where(broken[None, None], jnp.inf, 2 * (gamma * size + floor))
         quiet = [j for j in range(mid.shape[0]) if j not in self.noisy]
         if quiet:
             rest = jnp.sum(jnp.sum(abs(N[:, :, np.array(quiet)]), 1)[..., None] * rad[np.array(quiet)][None], 1)
@@ -102,10 +104,3 @@ class PolynomialReading:
         for _ in range(order):
             power = power * jnp.maximum(1, jnp.max(self.size, initial=0))
         return self.window.lift * (1 + jnp.max(abs(self.N), initial=0) + jnp.max(abs(self.K), initial=0)) * power
-
-
-def _finite(x, rad, scale):
-    """Return them with zeros for what is missing or infinite, where it is missing, and the windows with an infinite sample."""
-    gone = jnp.isnan(scale)
-    fine = jnp.isfinite(x) & jnp.isfinite(rad) & jnp.isfinite(scale)
-    return *(jnp.where(fine, part, 0) for part in (x, rad, scale)), gone, jnp.any(~fine & ~gone, 0)
