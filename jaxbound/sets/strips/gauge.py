@@ -23,7 +23,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import largest, total
 
 __all__ = ["gauge_search"]
 
@@ -46,74 +45,64 @@ def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) ->
     """
     r, q, N = G.shape
     dtype, many = c.dtype, one[None]
-    _, top = largest(jnp.abs(c), one)
-    P = _first_basis(c, top)
-    T = jnp.stack([total(P[a, i][None] * G[i] for i in range(r)) for a in range(r)])
-    places, columns, rows = (jnp.arange(n, dtype=jnp.int32)[:, None] for n in (r - 1, q, r))
+    top = jnp.argmax(jnp.abs(c), 0).astype(jnp.int32)
+    flat = _pick(c, top) == 0
+    T = _first_tableau(c, G, top)  # P G, and P: the inverse of the columns c and the generators or unit vectors of the basis
+    places, columns, rows = (jnp.arange(n, dtype=jnp.int32)[:, None] for n in (r - 1, q + r, r))
     close, noise = 16 * rounding.unit(dtype) ** 0.75, 32 * rounding.unit(dtype)
-    signs = jnp.where(T[0] < 0, -1, 1).astype(dtype)
+    signs = jnp.where(T[0, :q] < 0, -1, 1).astype(dtype)
     weight = jnp.zeros((r - 1, N), dtype)  # of a place in the basis: 0 as long as a unit vector holds it
 
     def step(carry):
-        T, P, signs, weight, ids, done, count = carry
-        slope = _slopes(T, signs) / many
-        first = jnp.where(jnp.abs(slope) > q * noise, jnp.abs(slope) * 2.0**20, 0)  # unit vectors leave first
-        worth = jnp.where(weight > 0, jnp.abs(slope) - (1 + close), first) / many
-        best, s = largest(worth, one)
-        edge, lean = _row(T, s + 1) / many, jnp.sign(_pick(slope, s)) / one
-        need = 0.5 * (1 - close) * (jnp.abs(_pick(slope, s)) - _pick(weight, s)) / one
-        size = jnp.abs(edge)
-        crosses = (signs * edge * lean[None] > 0) & (size > noise)
-        reach = jnp.where(crosses, jnp.abs(T[0]) / jnp.where(size > 0, size, 1), jnp.inf) / many
+        T, signs, weight, _, ids, done, count = carry
+        # how fast sum_j |h g_j| over the generators outside the basis changes along each edge
+        slope = jax.lax.fori_loop(0, q, lambda j, x: x + signs[j][None] * T[1:, j], jnp.zeros_like(weight))
+        steep = jnp.abs(slope)
+        first = jnp.where(steep > q * noise, steep * 2.0**20, 0)  # unit vectors leave first
+        worth = jnp.where(weight > 0, steep - (1 + close), first) / many
+        s, best = jnp.argmax(worth, 0).astype(jnp.int32), jnp.max(worth, 0)
+        row, turn = _row(T, s + 1) / many, _pick(slope, s) / one
+        need = 0.5 * (1 - close) * (jnp.abs(turn) - _pick(weight, s)) / one
+        edge, size = row[:q], jnp.abs(row[:q])
+        crosses = (signs * edge * turn[None] > 0) & (size > noise)
+        reach = jnp.where(crosses, jnp.abs(T[0, :q]) / jnp.where(size > 0, size, 1), jnp.inf) / many
         share = jnp.where(crosses, size, 0) / many
-        passed = total(jnp.where(reach[j][None] <= reach, share[j][None], 0) for j in range(q)) / many
-        gain, j = largest(jnp.where(passed >= need[None], -reach, -jnp.inf) / many, one)
-        moves = ~done & (best > 0) & (gain > -jnp.inf)
+        passed = jax.lax.fori_loop(0, q, lambda j, x: x + jnp.where(reach[j][None] <= reach, share[j][None], 0), jnp.zeros_like(reach))
+        worth = jnp.where(passed >= need[None], -reach, -jnp.inf) / many
+        j, gain = jnp.argmax(worth, 0).astype(jnp.int32), jnp.max(worth, 0)
+        moves = (~done & (best > 0) & (gain > -jnp.inf))[None]
         column = jnp.take_along_axis(T, j[None, None], 1, mode="clip")[:, 0] / many
-        pivot = _pick(column, s + 1)
-        at_s = rows == s[None] + 1
-        change = jnp.where(at_s, column - 1, column) * jnp.where(moves, 1 / jnp.where(pivot == 0, 1, pivot), 0)[None] / many
-        left = _pick(ids, s)[None]
-        signs = jnp.where(moves[None] & crosses & (reach < -gain[None]), -signs, signs)
-        signs = jnp.where(moves[None] & (columns == left), -lean[None], signs)
-        signs = jnp.where(moves[None] & (columns == j[None]), 0, signs)
-        T = T - change[:, None] * edge[None]
-        T = jnp.where(((columns == j[None]) & moves[None])[None], jnp.where(at_s, 1, 0).astype(dtype)[:, None], T)
-        P = P - change[:, None] * (_row(P, s + 1) / many)[None]
-        here = (places == s[None]) & moves[None]
-        return T, P, signs, jnp.where(here, 1, weight), jnp.where(here, j[None], ids), ~moves, count + 1
+        pivot, at_s = _pick(column, s + 1)[None], rows == s[None] + 1
+        change = jnp.where(at_s, column - 1, column) * jnp.where(moves, 1 / jnp.where(pivot == 0, 1, pivot), 0) / many
+        signs = jnp.where(moves & crosses & (reach < -gain[None]), -signs, signs)
+        signs = jnp.where(moves & (columns[:q] == _pick(ids, s)[None]), -jnp.sign(turn)[None], signs)
+        signs = jnp.where(moves & (columns[:q] == j[None]), 0, signs)
+        T = T - change[:, None] * row[None]
+        T = jnp.where(((columns == j[None]) & moves)[None], jnp.where(at_s, 1, 0).astype(dtype)[:, None], T)
+        here = (places == s[None]) & moves
+        return T, signs, jnp.where(here, 1, weight), slope, jnp.where(here, j[None], ids), ~moves[0], count + 1
 
-    start = T, P, signs, weight, jnp.full((r - 1, N), -1, jnp.int32), (r == 1) | (_pick(c, top) == 0), jnp.int32(0)
+    start = T, signs, weight, weight, jnp.full((r - 1, N), -1, jnp.int32), flat, jnp.int32(0)
     going = lambda carry: (carry[-1] < steps) & ~jnp.all(carry[-2])
-    T, P, signs, weight, ids, done, count = jax.lax.while_loop(going, step, start) if r > 1 else start
-    h = jnp.where(_pick(c, top)[None] == 0, 0, P[0])
-    width = total(jnp.abs(total(h[i][None] * G[i] for i in range(r))))
-    t = jnp.where(width > 0, 1 / jnp.where(width > 0, width, 1), 0)
-    z = -t[None] * signs
-    if r > 1:
-        slope = _slopes(T, signs)
-        for k in range(r - 1):
-            z = jnp.where((columns == ids[k][None]) & (weight[k] > 0)[None], (t * slope[k])[None], z)
-    return h, jnp.where(_pick(c, top)[None] == 0, 0, z), done
+    T, signs, weight, slope, ids, done, _ = jax.lax.while_loop(going, step, start) if r > 1 else start
+    h = jnp.where(flat[None], 0, T[0, q:])
+    width = jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
+    t = jnp.where(width > 0, 1 / jnp.where(width > 0, width, 1), 0)[None]
+    z = -t * signs
+    for k in range(r - 1):  # slopes are those of where the last step began: what is done did not move in it
+        z = jnp.where((columns[:q] == ids[k][None]) & (weight[k] > 0)[None], t * slope[k][None], z)
+    return h, jnp.where(flat[None], 0, z), done | (r == 1)
 
 
-def _first_basis(c: jax.Array, top: jax.Array) -> jax.Array:
-    """Return the inverse P (r, r, N) of the columns c and all unit vectors but the one along c's largest entry."""
-    r = len(c)
+def _first_tableau(c: jax.Array, G: jax.Array, top: jax.Array) -> jax.Array:
+    """Return P G, and P after it, for the basis of c and all unit vectors but the one along c's largest entry."""
+    r, N = c.shape
+    whole = jnp.concatenate([G, jnp.broadcast_to(jnp.eye(r, dtype=c.dtype)[:, :, None], (r, r, N))], 1)
     biggest = _pick(c, top)
-    inverse = 1 / jnp.where(biggest == 0, 1, biggest)
-    rows = jnp.arange(r, dtype=jnp.int32)[:, None]
-    along = rows == top[None]
-    basis = [jnp.where(along, inverse[None], 0)]
-    for place in range(r - 1):
-        i = jnp.where(place < top, place, place + 1)
-        basis.append(jnp.where(rows == i[None], 1, 0) - jnp.where(along, (_pick(c, i) * inverse)[None], 0))
-    return jnp.stack(basis).astype(c.dtype)
-
-
-def _slopes(T: jax.Array, signs: jax.Array) -> jax.Array:
-    """Return how fast sum_j |h g_j| over the generators outside the basis changes along each edge, (r - 1, N)."""
-    return jnp.stack([total(signs[j] * T[s, j] for j in range(T.shape[1])) for s in range(1, len(T))])
+    lead = _row(whole, top) * (1 / jnp.where(biggest == 0, 1, biggest))[None]
+    later = jnp.arange(r - 1, dtype=jnp.int32)[:, None] >= top[None]
+    rest = jnp.where(later[:, None], whole[1:], whole[:-1]) - jnp.where(later, c[1:], c[:-1])[:, None] * lead[None]
+    return jnp.concatenate([lead[None], rest])
 
 
 def _row(T: jax.Array, number: jax.Array) -> jax.Array:
