@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.inclusion.inclusion import Inclusion, inclusion
 from jaxbound.sets.intervals.comparisons import subset
-from jaxbound.sets.intervals.interval import Interval, hull, intersection, mag, mid, rad, wid
+from jaxbound.sets.intervals.interval import Interval, hull, mag, mid, rad, wid
 from jaxbound.sets.paving.frontier import Verdicts
 
 __all__ = ["components", "continuous", "is_interval_function", "search"]
@@ -101,12 +101,21 @@ def search(
     return _conclude(T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, _slope(f, wide, args), region)
 
 
+def _over_boxes(one: Callable[..., Any], *given: Any) -> Any:
+    """Return one(..) of each column, with the boxes first while it works: one layout for all, and half of what compiles is transposing."""
+    first = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), given)
+    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), jax.vmap(one)(*first))
+
+
 @jax.jit
-@partial(jax.vmap, in_axes=(-1, -1, None, -1, -1, -1, -1, -1), out_axes=-1)
 def _narrow(
     X: Interval, T: Interval, domain: Interval, image: Interval, smooth: jax.Array, centre: jax.Array, value: Interval, slope: Interval
 ) -> tuple[jax.Array, Interval, jax.Array, jax.Array]:
     """Return (excluded, what is left of X, a guess x at a solution, P)."""
+    return _over_boxes(partial(_narrowed, domain), X, T, image, smooth, centre, value, slope)
+
+
+def _narrowed(domain, X, T, image, smooth, centre, value, slope):
     d, J = rad(X), mid(slope)
     reach = _upper(mag(slope), d)
     out = _apart(image, T) | smooth & _apart(value + Interval(-reach, reach), T)  # the second by the mean value theorem
@@ -115,11 +124,12 @@ def _narrow(
     strays = _upper(_stray(P, J, jnp.abs(P), rad(slope)), d) + _upper(jnp.abs(P), rad(T - value)) + error
     strays = _upward(strays)
     moved = _point(centre) + (_point(step) + Interval(-strays, strays))
-    rest = intersection(X, moved)
-    usable = smooth & ~jnp.isnan(rest.lo) & ~jnp.isnan(rest.hi)
-    out |= jnp.any(usable & rest.is_empty)
+    lo, hi = rounding.settle_subnormals(X.lo, X.hi)
+    lo, hi = jnp.maximum(lo, moved.lo), jnp.minimum(hi, moved.hi)  # NaN where either is
+    usable = smooth & ~jnp.isnan(lo) & ~jnp.isnan(hi)
+    out |= jnp.any(usable & (lo > hi))
     usable &= ~out
-    rest = Interval(jnp.where(usable, rest.lo, X.lo), jnp.where(usable, rest.hi, X.hi))
+    rest = Interval(jnp.where(usable, lo, X.lo), jnp.where(usable, hi, X.hi))
     x = centre + P @ (mid(T) - mid(value))
     return out, rest, jnp.where(jnp.isnan(x), centre, jnp.clip(x, domain.lo, domain.hi)), P
 
@@ -144,7 +154,7 @@ def _around(
         Z = Interval(jnp.where(fixed, x, Z.lo), jnp.where(fixed, x, Z.hi))
         return miss, r, Z, hull(Z, rest) if unique else Z
 
-    return jax.vmap(one, in_axes=-1, out_axes=-1)(X, T, slope, x, P, reached, rest)
+    return _over_boxes(one, X, T, slope, x, P, reached, rest)
 
 
 @partial(jax.jit, static_argnums=13)
@@ -178,7 +188,7 @@ def _conclude(
         axis = jnp.argmax(jnp.where(jnp.all(jnp.isfinite(lean)), lean, wid(rest) / whole))
         return Verdicts(~out & ~proved, proved, proof, (rest.lo, rest.hi), axis)
 
-    return jax.vmap(one, in_axes=-1, out_axes=-1)(T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)
+    return _over_boxes(one, T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)
 
 
 def _point(x: jax.Array) -> Interval:
