@@ -163,7 +163,12 @@ def _over_windows(test, u, y, starts, outs, size, report):
     numbers = range(len(groups))
     workers = max(2, CORES // len(devices)) if test.threads else 1 if test.sharded else len(devices)
     if workers == 1 or len(groups) < 2:
-        left = [collect(work(*job)) for job in zip(numbers, groups, strict=True)]
+        left, pending = [], []
+        for number, group in zip(numbers, groups, strict=True):
+            pending.append(work(number, group))  # runs while the host gathers the next ones
+            if len(pending) >= AHEAD:
+                left.append(collect(pending.pop(0)))
+        left += [collect(judged) for judged in pending]
     else:
         wide = jax.dtypes.canonicalize_dtype(float) == np.float64  # of this thread, perhaps, like the default device
         job = partial(beside, wide=bool(wide), default=default_device())
