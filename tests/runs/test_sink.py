@@ -31,32 +31,33 @@ def place(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def counted():
+def plain():
     """Register an output."""
 
     @register
-    class Counted(Sink):
-        names = ("counts.json",)
+    class Plain(Sink):
+        names = ("summary.json",)
 
         def write(self, folder, outcome):
-            (folder / self.names[0]).write_text(json.dumps(outcome.summary.counts))
+            (folder / self.names[0]).write_text(json.dumps(outcome.summary.plain()))
 
 
 @pytest.mark.parametrize("options", COMMANDS.values(), ids=COMMANDS)
-def test_a_new_output_is_one_small_class(place, counted, options):
+def test_a_new_output_is_one_small_class(place, plain, options):
     codes = [main.main(["detect", "model.toml", *options, "--out", "out"]) for _ in range(2)]  # the second replaces what the first wrote
     assert codes[0] == codes[1] in (0, 1)
-    assert sum(json.loads((place / "out/counts.json").read_text()).values()) == 8
-    assert "counts.json" in (place / "out/.jaxbound.json").read_text()
+    assert sum(json.loads((place / "out/summary.json").read_text())["counts"].values()) == 8
+    assert "summary.json" in (place / "out/.jaxbound.json").read_text()
 
 
-def test_a_pipe_writes_a_new_output_where_it_ends(place, counted):
+def test_a_pipe_writes_a_new_output_where_it_ends(place, plain):
     args = dict(model="model.toml", data="-", out=Path("out"), state=None, horizon=None, method="joint", min_coverage=0.5, json=False)
     head, *rows = (place / "run.csv").read_bytes().splitlines(True)
     for part, samples in ((rows[:5], 5), (rows[5:], 8)):  # the second process goes on behind the first
         assert pipe.follow(argparse.Namespace(**args), [head, *part]) == 1
-        assert sum(json.loads((place / "out/counts.json").read_text()).values()) == samples
-    assert "counts.json" in (place / "out/.jaxbound.json").read_text()
+        found = json.loads((place / "out/summary.json").read_text())
+        assert sum(found["counts"].values()) == found["samples"] == samples and found["worst"]["sample"] == 3
+    assert "summary.json" in (place / "out/.jaxbound.json").read_text()
     with pytest.raises(ValueError, match="it came through a pipe"):
         load_run(place / "out")
 

@@ -53,7 +53,7 @@ class Windows:
     def gather(self, ends: ArrayLike, horizon: int) -> tuple[np.ndarray, np.ndarray]:
         """Return u (N, s + 1, m), y (N, s + 1, p) of the windows that end at these samples."""
         at = np.asarray(ends)[:, None] + np.arange(-horizon, 1)
-        return self.u[at], self.y[at]
+        return self.u.take(at, 0), self.y.take(at, 0)
 
     def place(self, end: int) -> str:
         """Return words for the sample at which a window ends."""
