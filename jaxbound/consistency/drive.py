@@ -18,9 +18,10 @@ from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.interface import Observer, WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import NOWHERE, Recording
+from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.probe import default_device, usable_devices
 
-__all__ = ["drive"]
+__all__ = ["drive", "windows"]
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
@@ -35,11 +36,16 @@ def drive(test: WindowTest | Observer, given: Recording, progress: Callable | No
     """
     if isinstance(test, Observer):
         return test.fold(test.init(), given)[1]
-    s, shape = test.horizon, given.y.shape[:-1]
-    u, y = _end_to_end(given.u), _end_to_end(given.y)
+    return windows(test, given.u, given.y, given.starts, progress, size)
+
+
+def windows(test: WindowTest, u: Any, y: Any, starts: np.ndarray, progress: Callable | None = None, size: int | None = None) -> Any:
+    """Return what `drive` does of a Recording of these samples, u (..., T, m), y (..., T, p), with these starts."""
+    s, shape = test.horizon, y.shape[:-1]
+    u, y = _end_to_end(u), _end_to_end(y)
     gone: np.ndarray | slice
-    if len(given.starts):
-        gone = np.flatnonzero(given.across(s) | (np.arange(shape[-1]) < s))
+    if len(starts):
+        gone = np.flatnonzero(crossing(starts, s, 0, shape[-1]) | (np.arange(shape[-1]) < s))
     else:
         gone = slice(0, s)  # the warm-up alone
     report = _nothing if progress is None else _rising(progress)

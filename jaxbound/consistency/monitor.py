@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.consistency.drive import drive
+from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import Observer
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
@@ -199,5 +199,5 @@ class Monitor:
         """Return (status, margin) of all windows in samples that begin with the s before the first of them."""
         s = self._test.horizon
         few = len(y) - s <= BURST * self._test.short
-        judged = drive(self._test, Recording(u, y, starts, *self._names), size=self._test.short if few else None)
+        judged = windows(self._test, u, y, starts, size=self._test.short if few else None)
         return judged.status[s:], judged.margin[s:]
