@@ -1,7 +1,7 @@
 """Constrained zonotopes: zonotopes whose coefficients obey linear equations; any bounded polyhedron is one."""
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import jax
 import numpy as np
@@ -64,4 +64,6 @@ def parts(S: object) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         return S.center, S.generators, S.constraints, S.offsets
     if not isinstance(S, Zonotope):
         raise TypeError(f"a zonotope or a constrained zonotope is needed: this is {type(S).__name__}")
-    return S.center, S.generators, S.generators[..., :0, :], S.center[..., :0]
+    *batch, _, q = S.generators.shape
+    none = lambda *shape: cast(jax.Array, np.zeros((*batch, *shape), S.center.dtype))  # of NumPy, for which nothing is run or compiled
+    return S.center, S.generators, none(0, q), none(0)

@@ -14,7 +14,7 @@ from jaxbound.sets.zonotopes import proof, search
 
 __all__ = ["Bounds", "gauge_bounds"]
 
-STEPS = (4, 8, 20)
+STEPS = (6, 20)
 """Steps of projections between two looks at the proofs; at |gauge - 1| = 0.05 some 20 suffice in 5 to 100 dimensions."""
 FRUITLESS = 0.8
 """The share of points still open after some steps from which on more of them are not worth it."""
@@ -52,7 +52,8 @@ def gauge_bounds(image: proof.Image[np.ndarray], d: np.ndarray, tight: bool = Fa
         image: an Image of S sets. tight: work out both bounds up to rounding; otherwise stop where one is on its side of 1.
     """
     (S, m, q), N = image.M.shape, d.shape[1]
-    found = Bounds(np.zeros((S, N)), np.full((S, N), np.inf), np.zeros((S, N, m)), np.zeros((S, N, q)))
+    found = Bounds(np.zeros((S, N)), np.full((S, N), np.inf), *(np.zeros((S, k, N)).swapaxes(1, 2) for k in (m, q)))
+    d = _beside(d)
     with np.errstate(all="ignore"):
         z = _start(image, d, found)
         if tight or (~_settled(found, False)).any():
@@ -70,20 +71,22 @@ def _start(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds) -> np.n
     """Try the point of least norm and the direction that its clipped entries point to; return it (S, N, q)."""
     back, turned = image.R.swapaxes(1, 2), image.M.swapaxes(1, 2)
     z = proof.product(d, back)
-    beside = d - proof.product(z, turned)
     y = np.clip(z, -1, 1)
     near = y + proof.product(d - proof.product(y, turned), back)
     x = np.where((abs(near).max(2, initial=0) < abs(2 * near - z).max(2, initial=0))[..., None], near, 2 * near - z)
-    flat = abs(beside).max(2, initial=0) > 2.0**-30 * abs(d).max(2, initial=0)
-    l = np.where(flat[..., None], beside, proof.product(z - y, image.R))
+    l = proof.product(z - y, image.R)
+    if not np.isfinite(image.loss).all():  # flat sets: points may be beside the plane
+        beside = d - proof.product(z, turned)
+        flat = abs(beside).max(2, initial=0) > 2.0**-30 * abs(d).max(2, initial=0)
+        l, x = np.where(flat[..., None], beside, l), np.where(flat[..., None], z, x)
     sets, points = np.ogrid[: d.shape[0], : d.shape[1]]
-    found.take((sets, points), image, d, l, np.where(flat[..., None], z, x))
+    found.take((sets, points), image, d, l, x)
     return z
 
 
 def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, found: Bounds) -> None:
     """Run the projections, on what they leave open of each set: as many points of it as of that with most."""
-    (S, N), before = found.lower.shape, 0
+    S, before = len(d), 0
     for steps in STEPS:
         left = ~_settled(found, False)
         i = np.nonzero(left.any(1))[0]
@@ -92,15 +95,12 @@ def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, fou
         if steps > STEPS[0] and left.sum() > FRUITLESS * before:
             break  # they are near the boundary, where projections take too long
         before = left.sum()
-        count = min(N, power(left.sum(1).max()))
+        count = left.sum(1).max()
         j = np.argsort(~left[i], axis=1, kind="stable")[:, :count]
         at, some = (i[:, None], j), image if S == 1 else image.of(i)
-        points = d[at]
-        size = power(len(i))
-        M, R, padded, start = (_padded(v, size) for v in (some.M, some.R, points, z[at]))
-        x, l, new = (np.asarray(v, float)[: len(i)] for v in search.project(M, R, padded, start, steps))
-        z[at] = new
-        found.take(at, some, points, l, _onto(some, points, x))
+        points = _beside(d[at])
+        x, l, z[at] = search.project(some.M, some.R, points, _beside(z[at]), steps)
+        found.take(at, some, points, l, x)
 
 
 def _interior(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, tight: bool) -> None:
@@ -141,6 +141,6 @@ def _onto(image: proof.Image[np.ndarray], d: np.ndarray, x: np.ndarray) -> np.nd
     return x + proof.product(d - proof.product(x, image.M.swapaxes(1, 2)), image.R.swapaxes(1, 2))
 
 
-def _padded(x: np.ndarray, size: int) -> np.ndarray:
-    """Return arrays repeated up to a size that has been compiled before."""
-    return x if len(x) == size else np.resize(x, (size, *x.shape[1:]))
+def _beside(x: np.ndarray) -> np.ndarray:
+    """Return x (S, N, k) with points side by side in memory: see `proof.product`."""
+    return np.ascontiguousarray(x.swapaxes(1, 2)).swapaxes(1, 2)

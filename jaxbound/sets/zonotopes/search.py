@@ -1,7 +1,7 @@
 """Search for the gauge of a point in a zonotope: no claim is made here, `zonotopes.proof` checks what is found.
 
-The gauge of d is t = min { max_j |x_j| : M x = d } = max { l' d : sum_j |l' M_j| <= 1 }, M (m, q). Both kernels are written for one point
-of one set and batched by vmap; over points of one set their products become matrix products. None is unrolled over generators.
+The gauge of d is t = min { max_j |x_j| : M x = d } = max { l' d : sum_j |l' M_j| <= 1 }, M (m, q). Kernels are written for one point
+of one set and batched by vmap, or for all; over points of one set their products become matrix products. None is unrolled over generators.
 
 **Projections** (`project`). Douglas-Rachford between {x : M x = d} and the box [-1, 1]^q: where they meet, the iterates tend to a common
 point, else their distance z - clip(z) tends to a vector M' l that separates them. Settles what is some per cent away from the boundary in
@@ -14,7 +14,10 @@ Ten to twenty steps, whatever the size. At the end s is large where |x_j| < t: t
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
+
+from jaxbound.sets.zonotopes.proof import Array, library, product
 
 __all__ = ["interior_point", "project", "project_rows"]
 
@@ -22,28 +25,28 @@ STEPS = 40
 """At most so many steps of interior points; ten to twenty are the rule."""
 
 
-@jax.jit
-def project(M: jax.Array, R: jax.Array, d: jax.Array, z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
+def project(M: Array, R: Array, d: Array, z: Array, steps: int) -> tuple[Array, Array, Array]:
     """Return (x, l, z) for each point after so many steps: a candidate point, a candidate direction, and where to go on from.
 
     Args:
-        M: (S, m, q). R: right inverses of M, nearly, (S, q, m). d: (S, N, m). z: (S, N, q), R d at first. steps: traced.
+        M: (S, m, q). R: right inverses of M, nearly, (S, q, m). d: (S, N, m). z: (S, N, q), R d at first. NumPy arrays stay on the host,
+            where some steps take less time than to hand them to a device.
     """
-    return jax.vmap(jax.vmap(_project, (None, None, 0, 0, None)), (0, 0, 0, 0, None))(M, R, d, z, steps)
-
-
-def _project(M: jax.Array, R: jax.Array, d: jax.Array, z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
-    onto = lambda x: x + R @ (d - M @ x)
+    xp, turned, back = library(z), M.swapaxes(1, 2), R.swapaxes(1, 2)
+    least = product(d, back)
+    onto = lambda x: x + least - product(product(x, turned), back)
 
     def step(_, z):
-        y = jnp.clip(z, -1, 1)
+        y = xp.clip(z, -1, 1)
         return z + onto(2 * y - z) - y
 
-    z = jax.lax.fori_loop(0, steps, step, z)
-    y = jnp.clip(z, -1, 1)
-    near, reflected = onto(y), onto(2 * y - z)
-    x = jnp.where(jnp.max(jnp.abs(near)) < jnp.max(jnp.abs(reflected)), near, reflected)
-    return x, (z - y) @ R, z
+    if xp is np:
+        for i in range(steps):
+            z = step(i, z)
+    else:
+        z = jax.lax.fori_loop(0, steps, step, z)
+    y = xp.clip(z, -1, 1)
+    return onto(y), product(z - y, R), z
 
 
 @jax.jit
