@@ -39,8 +39,8 @@ from jaxbound.sets.strips.gauge import gauge_search
 
 __all__ = ["affine_error", "holds", "refutes", "right_inverse", "row_sizes", "scaled", "strip_count", "strip_margins", "zonotope_margins"]
 
-UNROLLED = 300
-"""Determinants up to which strips are enumerated; beyond, compiling takes longer than a search loses."""
+UNROLLED = {1: 300, 2: 300, 3: 60}
+"""Determinants, by rows, up to which strips are enumerated; beyond, compiling takes longer than a search loses."""
 FLAT = 2.0**10
 """How many times its error the widest strip must measure for the generators to span three dimensions."""
 BLOCK = 2**11
@@ -52,7 +52,7 @@ Test: TypeAlias = tuple[jax.Array, jax.Array | int, jax.Array]
 
 def strip_count(r: int, q: int) -> int:
     """Return how many strips `strip_margins` tests for r rows and q generators, unit vectors included; 0 where it is not made for them."""
-    return math.comb(q + r, r - 1) if r <= 3 and math.comb(q, r) <= UNROLLED else 0
+    return math.comb(q + r, r - 1) if r in UNROLLED and math.comb(q, r) <= UNROLLED[r] else 0
 
 
 def affine_error(c: jax.Array, G: jax.Array, c_error: jax.Array | None = None, G_error: jax.Array | None = None) -> jax.Array:
