@@ -15,6 +15,7 @@ Source: Alhaj-Dibo, Maquin, Ragot 2004.
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property, partial
 from typing import Any
 
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.estimation.multiple import validate_parts
-from jaxbound.estimation.validation_windows import slide, weighted
+from jaxbound.estimation.validation_windows import Said, begun, said, slide, weighted
 from jaxbound.models.intervals import as_intervals, stacked
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.sensor import largest_error
@@ -35,6 +36,7 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.linear_systems.ends import ends, interval_of
 from jaxbound.sets.linear_systems.fixed_systems import prepare
 
 __all__ = ["Validation", "nothing_said", "prepared", "validate"]
@@ -161,21 +163,21 @@ class _Slide:
 
     def __init__(self, multiple, m, s, method, centre):
         self.multiple, self.m, self.s, self.method, self.centre = multiple, m, s, method, centre
-        dtype = m.A.dtype
-        plant = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"]}
+        signals = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"], "factor": _factor(m)}
         if m.moves and method == "joint":
-            plant |= {"H": m.moves[2], "d": m.moves[3]}
-        self.plant = plant | {"tolerance": rounding.round_up(m.tolerance, dtype)}
+            signals |= {"H": m.moves[2], "d": m.moves[3]}
+        self.plant = {name: ends(x) for name, x in signals.items()}
 
     @cached_property
     def M(self):
         """The rows of a window, see `intervals.stacked`."""
-        return stacked(self.m, self.s, self.m.moves if self.method == "joint" else None)
+        M = stacked(self.m, self.s, self.m.moves if self.method == "joint" else None)
+        return jax.tree.map(lambda a: np.asarray(a)[..., None], M)
 
     @cached_property
     def systems(self):
         """The square systems of the sequential method, or None."""
-        return prepare(self.M[..., None], self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
+        return prepare(self.M, self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
 
     def __call__(self, u, y, recorded, x0=None, before=None, earlier=None):
         """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the model.
@@ -186,35 +188,64 @@ class _Slide:
                 these, which say how large samples get in the windows of the first.
         """
         m, s, dtype = self.m, self.s, y.dtype
-        *lead, _, _ = y.shape
+        *lead, T, _ = y.shape
         count = int(np.prod(lead))
-        flat = lambda a: None if a is None else jax.tree.map(lambda v: np.asarray(v).reshape(count, *v.shape[len(lead) :]), a)
         if x0 is not None:
             x0 = interval(x0)
             if x0.shape[-1:] != (m.n,):
                 raise ValueError(f"x0 needs one interval for each of {m.n} states: its shape is {x0.shape}")
-            x0 = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a, dtype), (*lead, m.n)), x0)
+            x0 = Interval(rounding.round_down(x0.lo, dtype), rounding.round_up(x0.hi, dtype))
+            x0 = ends(jax.tree.map(lambda a: np.broadcast_to(a, (*lead, m.n)), x0), -2)
         known = y if earlier is None else np.concatenate([earlier, y], -2)
-        error = largest_error(known, m.noise, recorded, s)[..., known.shape[-2] - y.shape[-2] :, :]
-        pushed = Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype))  # a point, unless it had to be narrowed
-        weight = self.multiple.columns(u.astype(dtype)) if self.multiple else None
-        given = flat(pushed), flat(y), flat(error), flat(weight), flat(x0), before
+        error = largest_error(known, m.noise, recorded, s)[..., known.shape[-2] - T :, :]
+        pushed = ends(Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype)), -3)  # a point, unless it had to be narrowed
+        weight = ends(self.multiple.columns(u.astype(dtype)), -3) if self.multiple else None
+        flat = lambda a: None if a is None else a.reshape(count, *a.shape[len(lead) :])
+        given = (*(flat(_filled_up(a)) for a in (pushed, y, error, weight)), flat(x0), before)
         shared = self.systems
         if self.method == "joint" and x0 is None and before is None and not self.multiple:
-            shared = _first_window(self.M[..., None], m.p)
+            shared = _first_window(self.M, m.p)
+        M = jnp.asarray(ends(self.M))
 
-        def kernel(u, y, error, weight, start, before):
-            systems = shared
-            if self.multiple and start is None and before is None:
-                early = jax.tree.map(lambda a: np.moveaxis(a[:, : s + 1], 0, -1), weight)
-                systems = _first_window(weighted(self.M[..., None], early, m.p), m.p)
-            return slide(self.plant, self.M, systems, u, y, error, weight, start, before, s, self.method, self.centre)
+        def kernel(u, y, error, weight, start, carry):
+            known, systems = said(self.plant, u, y, error), shared
+            if carry is None:
+                if self.multiple and start is None:
+                    systems = _first_window(interval_of(np.asarray(weighted(M, weight[:, : s + 1], m.p))), m.p)
+                first = Said(*(jnp.asarray(np.asarray(a)[: s + 1] if a is known.absent else np.asarray(a)[:, : s + 1]) for a in known))
+                carry = begun(self.plant, systems, first, start, s, m.n, self.method, self.centre)
+            return slide(self.plant, M, self.systems, known, weight, carry, T, s, self.method, self.centre)
 
-        found, bounded, after = _blocks(kernel, given, count, min(BLOCK[self.method], power(count)))
+        after, found, blamed = _blocks(kernel, given, count, min(BLOCK[self.method], power(count)))
+        found, wrong = (a[:, :T].reshape(*lead, T, *a.shape[2:]) for a in (found, blamed))
+        parts = np.split(found, np.cumsum([m.n, m.p, m.p]), -1)
+        state, output, residual, corrected = (Interval(-a[..., 0, :], a[..., 1, :]) for a in parts)
+        bounded = np.isfinite(found[..., s, :, : m.n]).all((-1, -2))
         if not bounded.all():
             raise ValueError(f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
-        state, output, residual, corrected, faulty, status = jax.tree.map(lambda a: jnp.asarray(a.reshape(*lead, *a.shape[1:])), found)
-        return Validation(state, output, residual, faulty, corrected, status), after
+        absent = np.isnan(y)
+        for end in (residual.lo, residual.hi):
+            end[..., s:, :][absent[..., s:, :]] = np.nan
+        status = np.where(wrong[..., m.p] & (not self.centre), Status.FAULT, Status.UNDECIDED)
+        status = np.where(absent.all(-1) & (status != Status.FAULT), Status.MISSING, status).astype(np.int8)
+        status[..., :s] = Status.MISSING
+        result = Validation(state, output, residual, wrong[..., : m.p], corrected, status)
+        return jax.tree.map(jnp.asarray, result), after
+
+
+def _factor(m):
+    """Return 1 / (1 + theta) for the relative errors of the sensors."""
+    theta = [Fraction(v) for v in rounding.round_up(m.tolerance, m.A.dtype).tolist()]
+    return Interval(*(f(np.array([1 / (1 + sign * v) for v in theta], object), m.A.dtype)
+                      for f, sign in ((rounding.round_down, 1), (rounding.round_up, -1))))  # fmt: skip
+
+
+def _filled_up(a):
+    """Return samples (..., T, .) and as many zeros behind that few lengths are compiled."""
+    if a is None:
+        return None
+    more = max(16, power(a.shape[-2])) - a.shape[-2]
+    return np.concatenate([a, np.zeros((*a.shape[:-2], more, a.shape[-1]), a.dtype)], -2)
 
 
 def nothing_said(shape: tuple[int, ...], n: int, p: int, dtype: np.dtype) -> Validation:
@@ -264,21 +295,24 @@ def least_horizon(n: int, p: int) -> int:
 def _first_window(M, p):
     """Prepare the rows of the first window as one system, without the newest samples if that will do: so these can be tested against it."""
     if M.shape[0] - p >= M.shape[1]:
-        older = prepare(M[:-p])
+        older = prepare(jax.tree.map(lambda a: a[:-p], M))
         if np.isfinite(older.scale.lo).all():
             return older
     return prepare(M)
 
 
 def _blocks(kernel, given, count, size):
-    """Run blocks of one size, on all cores: what a block works on stays in the cache, and another number of recordings traces nothing."""
+    """Run blocks of one size, on all cores: what a block works on stays in the cache, and another number of recordings traces nothing.
+
+    What is given and returned has recordings on its first axis, the kernel has them on the last.
+    """
 
     def block(first):
         chosen = np.minimum(np.arange(first, first + size), count - 1)
-        found = jax.tree.map(np.asarray, kernel(*jax.tree.map(lambda a: a[chosen], given)))
-        return jax.tree.map(lambda a: a[: count - first], found)
+        found = kernel(*jax.tree.map(lambda a: np.moveaxis(a[chosen], 0, -1), given))
+        return jax.tree.map(lambda a: np.moveaxis(np.asarray(a), -1, 0)[: count - first], found)
 
     done = [block(0)]  # compiled here, once
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
         done += threads.map(block, range(size, count, size))
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *done) if len(done) > 1 else done[0]
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *done)

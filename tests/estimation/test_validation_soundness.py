@@ -33,6 +33,14 @@ def test_fault_free_recordings_give_no_alarm(rng, method, kind):
 
 
 @pytest.mark.parametrize("method", ["joint", "sequential"])
+def test_a_first_state_that_is_given_is_that_of_the_first_sample(rng, method):
+    m = paper()
+    u, x, y = record(rng, m, 16)
+    found = jb.validate(m, u, y, method=method, x0=jb.interval(x[:, 0] - 1e-3, x[:, 0] + 1e-3))
+    assert inside(found, x).all() and not found.faulty.any()
+
+
+@pytest.mark.parametrize("method", ["joint", "sequential"])
 def test_a_recording_is_judged_alike_in_any_company_and_nothing_is_traced_again(rng, method):
     m = paper()
     u, _, y = record(rng, m, 16)

@@ -47,6 +47,7 @@ __all__ = [
     "positive",
     "power_of_two",
     "quotient",
+    "raised",
     "readable",
     "residual_error",
     "root",
@@ -94,6 +95,11 @@ def outward(lo: ArrayLike, hi: ArrayLike, units: float | np.floating = 4) -> tup
     lo_out = jnp.where(lo == jnp.inf, top, lo - (u4 * jnp.abs(lo) + t2))
     hi_out = jnp.where(hi == -jnp.inf, -top, hi + (u4 * jnp.abs(hi) + t2))
     return lo_out, hi_out
+
+
+def raised(x: np.ndarray) -> np.ndarray:
+    """Return a float above the exact result of one operation of NumPy, on the host, that gave x: as wide as `outward`."""
+    return x + (4 * unit(x.dtype) * np.abs(x) + 2 * tiny(x.dtype))
 
 
 @partial(jax.jit, static_argnums=2)

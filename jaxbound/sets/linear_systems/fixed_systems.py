@@ -17,8 +17,8 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import most, stored, total
-from jaxbound.sets.intervals.interval import Interval, mag, mid, mig, rad
-from jaxbound.sets.linear_systems.kernels import comparison_inverse, minus, over, preconditioner, times
+from jaxbound.sets.intervals.interval import Interval, mag, mid, rad
+from jaxbound.sets.linear_systems.ends import upward
 
 __all__ = ["Prepared", "prepare", "solutions"]
 
@@ -38,47 +38,75 @@ class Prepared:
 
 
 def prepare(M: Interval, systems: int = 1) -> Prepared:
-    """Prepare `systems` systems of M (r, n, K): the first r - systems rows, and one of the last rows each."""
-    r = M.shape[0]
-    C, A, *inverse = _preconditioned(M[np.array([[*range(r - systems), last] for last in range(r - systems, r)])])
-    return _bounds(C, A, *inverse)
+    """Prepare `systems` systems of M (r, n, K): the first r - systems rows, and one of the last rows each. On the host."""
+    r, n, _ = M.shape
+    chosen = np.array([[*range(r - systems), last] for last in range(r - systems, r)])
+    ends = (np.moveaxis(np.asarray(end)[chosen], -1, 1) for end in (M.lo, M.hi))  # (q, K, c, n)
+    with np.errstate(all="ignore"):
+        C, lo, hi = _preconditioned(*ends)
+        weight, scale, proved = _bounds(lo, hi)
+    last = lambda a: np.moveaxis(a, 1, -1)
+    weight = np.where(np.eye(n, dtype=bool) | ~proved[..., None], 0, weight)
+    return Prepared(last(C), last(weight), Interval(*(last(np.where(proved, end, np.nan)) for end in scale)))
 
 
-@jax.jit
-@jax.vmap
-def _preconditioned(M: Interval) -> tuple[jax.Array, Interval, jax.Array, jax.Array, jax.Array]:
-    C = preconditioner(M)
-    assert C is not None  # as only "none" gives
-    A = times(C, M)
-    return C, A, *comparison_inverse(A)
+def _preconditioned(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return C near the (pseudo-)inverse of the middle of M (..., c, n), and the ends of C M."""
+    C = _inverse(0.5 * lo + 0.5 * hi)
+    return C, *_times(C, lo, hi)
 
 
-@jax.jit
-@jax.vmap
-def _bounds(C: jax.Array, A: Interval, near: jax.Array, v: jax.Array, omega: jax.Array) -> Prepared:
-    """Return what is Prepared; |N - near| <= v omega'."""
-    n = A.shape[0]
-    slack = rounding.outward(*(v[:, None] * omega[None],) * 2)[1]
-    above = stored(jnp.maximum(rounding.outward(near + slack, near + slack)[1], 0))
-    diagonal = lambda X: jnp.stack([X[i, i] for i in range(n)])
-    point = lambda x: Interval(x, x)
-    centre = Interval(diagonal(A.lo), diagonal(A.hi))
-    least, one = mig(centre), jnp.ones_like(centre.lo)
-    below = rounding.outward(*(diagonal(near - slack),) * 2)[0]
-    low = stored(jnp.maximum(below, over(point(one), point(least)).lo))
-    alpha = stored(jnp.maximum(minus(point(least), over(point(one), point(diagonal(above)))).hi, 0))
-    scale = stored(over(point(one), stored(minus(centre, Interval(-alpha, alpha)))))
-    weight = stored(over(point(above), point(low)[:, None]).hi)
-    proved = jnp.all(jnp.isfinite(weight), 1) & (scale.lo > 0) & (scale.hi < jnp.inf)
-    scale = Interval(*(jnp.where(proved, end, jnp.nan) for end in (scale.lo, scale.hi)))
-    return Prepared(C, jnp.where(jnp.eye(n, dtype=bool)[..., None] | ~proved[:, None], 0, weight), scale)
+def _inverse(A: np.ndarray) -> np.ndarray:
+    """Return numbers near the (pseudo-)inverse; 0 where A is not finite."""
+    return np.linalg.pinv(np.where(np.all(np.isfinite(A), axis=(-1, -2), keepdims=True), A, 0))
 
 
-def solutions(systems: Prepared, h: Interval) -> Interval:
+def _times(C: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Enclose C M for numbers C: the ball of `products.times`."""
+    gamma, floor = rounding.product_error(lo.shape[-2], lo.dtype)
+    middle = 0.5 * lo + 0.5 * hi
+    radius = np.maximum(middle - lo, hi - middle) + gamma * np.maximum(abs(lo), abs(hi)) + np.sqrt(floor)
+    centre, reach = C @ middle, (abs(C) + np.sqrt(floor)) @ radius
+    return centre - reach, centre + reach
+
+
+def _bounds(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Return (weight, ends of scale, where they are proved), see `Prepared`, of matrices A (..., n, n).
+
+    |N - near| <= v omega' entry by entry, as in `kernels.comparison_inverse`.
+    """
+    n, tiny, up = lo.shape[-1], rounding.tiny(lo.dtype), rounding.raised
+    down = lambda x: -up(-x)
+    eye = np.eye(n, dtype=lo.dtype)
+    least = np.maximum(np.maximum(lo, -hi), 0)
+    S = np.where(eye > 0, least, -np.maximum(abs(lo), abs(hi)))
+    near = _inverse(S)
+    v = np.maximum(near.sum(-1), tiny)
+    both = np.concatenate([near, v[..., None]], -1)
+    below, above = _times(S, both, both)
+    w = below[..., n, None]
+    off = np.maximum(abs(below[..., :n] - eye), abs(above[..., :n] - eye)) + 4 * tiny
+    omega = up(up(up(off) / w).max(-2))
+    regular = np.all(w > 0, axis=(-1, -2)) & np.all(omega < np.inf, axis=-1)
+    slack = up(v[..., None] * omega[..., None, :])
+    most = np.maximum(up(near + slack), 0)
+    diagonal = lambda X: np.diagonal(X, axis1=-2, axis2=-1)
+    low = np.maximum(down(diagonal(near - slack)), down(1 / diagonal(least)))
+    alpha = np.maximum(up(diagonal(least) - down(1 / diagonal(most))), 0)
+    divisor = down(diagonal(lo) - alpha), up(diagonal(hi) + alpha)
+    weight = up(most / low[..., None])
+    scale = down(1 / divisor[1]), up(1 / divisor[0])
+    proved = (
+        np.asarray(regular)[..., None] & np.isfinite(weight).all(-1) & (low > 0) & (divisor[0] > 0) & (scale[0] > 0) & (scale[1] < np.inf)
+    )
+    return weight, scale, proved
+
+
+def solutions(systems: Prepared, h: Interval) -> jax.Array:
     """Enclose the solutions of every system for h (r, N).
 
     Returns:
-        An Interval (q, n, N); everything for an unknown without proved bounds, or where h is not finite.
+        Their `ends` (2, q, n, N); infinite for an unknown without proved bounds, or where h is not finite.
 
     Encloses: every x with M' x = h' for M' in M and h' in h, rounding included.
     """
@@ -97,6 +125,6 @@ def solutions(systems: Prepared, h: Interval) -> Interval:
     beside = total([weight[:, :, k] * reach[k][:, None] for k in range(n)]) * (1 + gamma)
     least = stored(floor * ((1 + jnp.max(weight, (1, 2))) * (1 + most(reach))))
     wide = stored((spread + beside + least[:, None]) * (1 + gamma))
-    lo, hi = rounding.outward(value - wide, value + wide)
-    lo, hi = rounding.outward(jnp.minimum(lo * R.lo, lo * R.hi), jnp.maximum(hi * R.lo, hi * R.hi))
-    return Interval(jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi))
+    side = jnp.asarray([-1, 1], h.dtype)[:, None, None, None]
+    x = upward(side * value[None] + wide[None])
+    return upward(jnp.maximum(x * R.lo[None], x * R.hi[None]))

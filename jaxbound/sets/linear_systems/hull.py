@@ -17,8 +17,7 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import most, stored, total
-from jaxbound.sets.intervals.interval import Interval, intersection, mag, mid, rad
-from jaxbound.sets.intervals.interval import sum as interval_sum
+from jaxbound.sets.intervals.interval import Interval, intersection
 from jaxbound.sets.linear_systems.kernels import product
 
 __all__ = ["orthant_hull", "tighten"]
@@ -71,20 +70,26 @@ def _bound(M: Interval, h: Interval, X: Interval, w: jax.Array, targets: jax.Arr
     """Return an upper bound (2n, N) of e x for each target e, by its multipliers w (2n, r, N); infinity where there is none."""
     r, n = M.shape[:2]
     gamma, floor = rounding.product_error(r + n + 2, X.dtype)
-    middle, radius, big = mid(M), rad(M), mag(M)
-    e = targets[..., None]
-    middle, radius, big = _held((middle, radius, big))
-    D = e - sum(w[:, i, None] * middle[i][None] for i in range(r))
-    size = jnp.abs(e) + sum(jnp.abs(w[:, i, None]) * big[i][None] for i in range(r))
-    largest = floor * (1 + jnp.max(jnp.abs(w), 1)) * (1 + jnp.max(big, (0, 1)))[None]
-    spread = sum(jnp.abs(w[:, i, None]) * radius[i][None] for i in range(r)) + gamma * size + largest[:, None]
-    d = _held(Interval(D - spread, D + spread))
-    hm, hr, hs = mid(h), rad(h), mag(h)
-    value = sum(w[:, i] * hm[i][None] + jnp.abs(w[:, i]) * (hr[i] + gamma * hs[i])[None] for i in range(r))
-    value = value + floor * (1 + jnp.max(jnp.abs(w), 1)) * (1 + jnp.max(hs, 0))[None]
-    products = product(d, X[None])
-    total = interval_sum(Interval(*(jnp.concatenate([v, value[:, None]], 1) for v in _held((products.lo, products.hi)))), axis=1)
-    return jnp.where(jnp.isnan(total.hi), jnp.inf, total.hi)
+    (middle, radius, size), (hm, hr, hs) = _ball(M), _ball(h)
+    e, reach, rows = targets[..., None], jnp.abs(w), range(r)
+    most_w = 1 + jnp.max(reach, 1)
+    far = floor * most_w * (1 + jnp.max(size, (0, 1)))[None]
+    D = e - total([w[:, i, None] * middle[i][None] for i in rows])
+    wide = radius + gamma * size
+    spread = total([reach[:, i, None] * wide[i][None] for i in rows]) + gamma * jnp.abs(e) + far[:, None]
+    side = jnp.asarray([-1, 1], X.dtype)[:, None, None, None]
+    d = stored(side * D[None] + spread[None])  # the ends of e - w M, see `ends`
+    value = total([w[:, i] * hm[i][None] + reach[:, i] * (hr[i] + gamma * hs[i])[None] for i in rows])
+    value = stored(value + floor * most_w * (1 + jnp.max(hs, 0))[None])
+    products = product(Interval(-d[0], d[1]), X[None]).hi
+    found = rounding.outward_sum(*[jnp.concatenate([products, value[:, None]], 1)] * 2, 1)[1]
+    return jnp.where(jnp.isnan(found), jnp.inf, found)
+
+
+def _ball(x: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return middle, radius and size of x; `_bound` counts their rounding as that of a factor; NaN where x is not bounded."""
+    middle = 0.5 * x.lo + 0.5 * x.hi
+    return middle, jnp.maximum(middle - x.lo, x.hi - middle), jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi))
 
 
 def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
@@ -111,8 +116,7 @@ def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
     def exchange(carry):
         step, T, at, lam, which, ray, active = carry
         x = stored(total([T[:, k] * at[k][None] for k in range(n)]))  # (n, t, N)
-        inner = total([P[: 2 * r, i, None] * x[i][None] for i in range(n)]) - c[: 2 * r, None]
-        excess = stored(jnp.concatenate([inner, x - X.hi[:, None], X.lo[:, None] - x]))  # (count, t, N)
+        excess = stored(total([P[:, i, None] * x[i][None] for i in range(n)]) - c[:, None])  # (count, t, N)
         worst, enter = _largest(excess)
         row = stored(jnp.moveaxis(jnp.take_along_axis(P, enter[:, None], 0, mode="clip"), 1, 0))  # (n, t, N)
         value = stored(jnp.take_along_axis(c, enter, 0, mode="clip"))
@@ -129,7 +133,7 @@ def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
         # a contradiction: as much of it as carries the bound across the box
         far = stored(jnp.where(stuck, 4 * (reach + 1) / jnp.where(stuck, worst, 1), 0))
         column = stored(jnp.take_along_axis(T, place[None, None], 1, mode="clip")[:, 0] / stored(pivot)[None])  # (n, t, N)
-        held = stored(jnp.where(moving[None], alpha, 0))
+        held = jnp.where(moving[None], alpha, 0)
         T = jnp.where(leave[None], column[:, None], T - column[:, None] * held[None])
         lam = jnp.where(leave, move[None], jnp.maximum(lam - move[None] * held, 0)) - far[None] * jnp.where(stuck[None], alpha, 0)
         at, which = jnp.where(leave, value[None], at), jnp.where(leave, enter[None], which)
@@ -143,7 +147,7 @@ def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
     taken = total([jnp.where(which[k][None] == number, lam[k][None], 0) for k in range(n)])
     taken = (taken + jnp.where(ray[0][None] == number, ray[1][None], 0)) * scale[:, None]  # (2r, t, N)
     w = stored(jnp.moveaxis(taken[:r] - taken[r:], 0, 1))
-    return jnp.where(jnp.isfinite(w), w, 0)
+    return stored(jnp.where(jnp.isfinite(w), w, 0))
 
 
 def _largest(rows: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -161,7 +165,8 @@ def _largest(rows: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _half_spaces(M: Interval, h: Interval, X: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return P (2r + 2n, n, N), c (2r + 2n, N) with P x <= c for the solutions in the box X, and the factors (2r, N) put on its rows."""
     r, n = M.shape[:2]
-    middle, radius, wide = mid(M), rad(M), X.hi - X.lo
+    middle, radius, _ = _ball(M)
+    wide = X.hi - X.lo
     chord = (jnp.abs(X.hi) - jnp.abs(X.lo)) / jnp.where(wide > 0, wide, 1)
     slope = jnp.where(X.lo >= 0, 1, jnp.where(X.hi <= 0, -1, chord)).astype(X.dtype)
     shift = jnp.maximum(jnp.abs(X.hi) - slope * X.hi, 0)

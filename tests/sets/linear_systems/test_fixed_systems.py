@@ -8,9 +8,10 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.exact import linalg
+from jaxbound.sets.linear_systems.ends import interval_of
 from jaxbound.sets.linear_systems.fixed_systems import prepare, solutions
 
-solve = jax.jit(solutions)
+solve = jax.jit(lambda systems, h: interval_of(solutions(systems, h)))
 
 
 def interval_matrix(rng, r, n, dtype, width=0.02):
