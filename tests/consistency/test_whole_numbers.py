@@ -10,6 +10,7 @@ from oracles import Plant
 
 import jaxbound as jb
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.strips.strips import status_of
 
 TURN = dict(A=[[0.6, -0.8], [0.8, 0.6]], B=[[0], [1]], C=[[1, 0], [1, 1]])
 MODELS = {
@@ -95,3 +96,12 @@ def test_windows_on_the_boundary_of_wide_bounds_stay_undecided_and_cost_nothing(
     test = relations.reading(np.float64)
     y = rng.uniform(-1000, 1000, (2, 2, 50))
     assert not whole_numbers.thin(test, np.zeros((2, 1, 50)), y).any()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_margins_on_the_host_are_read_without_compiling_for_their_number(dtype):
+    tiny = np.finfo(dtype).smallest_subnormal
+    found = status_of(np.array([-1, -tiny, 0, tiny, np.inf, -np.inf, np.nan], dtype))
+    assert isinstance(found, np.ndarray) and found.dtype == np.int8
+    F, U, C, M = Status.FAULT, Status.UNDECIDED, Status.CONSISTENT, Status.MISSING
+    assert found.tolist() == [F, F, U, C, C, F, M]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -127,10 +128,11 @@ def strip_verdict(
     return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
 
 
-def status_of(margin: jax.Array | np.ndarray) -> jax.Array:
-    """Read the proved sign of a margin as a Status (int8)."""
-    status = jnp.where(margin < 0, Status.FAULT, jnp.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
-    return jnp.where(jnp.isnan(margin), Status.MISSING, status).astype(jnp.int8)
+def status_of(margin: jax.Array | np.ndarray) -> Any:
+    """Read the proved sign of a margin as a Status (int8); on the host in NumPy, which compiles nothing for each number of windows."""
+    xp: Any = np if isinstance(margin, np.ndarray) else jnp
+    status = xp.where(margin < 0, Status.FAULT, xp.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
+    return xp.where(xp.isnan(margin), Status.MISSING, status).astype(np.int8)
 
 
 def _one(strip, mid, rad, scale, known, known_scale):
