@@ -234,9 +234,14 @@ def _right_inverse(J: jax.Array, scale: jax.Array) -> jax.Array:
     scale = scale / jnp.max(scale)
     A = J * scale[None]
     if n == m:
-        P = jnp.linalg.inv(A)
+        P = _inverse(A)
     else:
         gram = A @ A.T if n > m else A.T @ A
-        P = A.T @ jnp.linalg.inv(gram) if n > m else jnp.linalg.inv(gram) @ A.T
+        P = A.T @ _inverse(gram) if n > m else _inverse(gram) @ A.T
     P = scale[:, None] * P
     return jnp.where(jnp.all(jnp.isfinite(P)), P, 0)
+
+
+def _inverse(M: jax.Array) -> jax.Array:
+    """Return the inverse of a square matrix; a single residual, which many have, costs no elimination to compile."""
+    return 1 / M if len(M) == 1 else jnp.linalg.inv(M)
