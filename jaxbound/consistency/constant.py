@@ -30,7 +30,7 @@ from jaxbound.sets.paving.frontier import Verdicts, explore
 
 __all__ = ["ConstantTest"]
 
-BLOCK = 2**11
+BLOCK = 2**9
 HELD = 2**26  # bytes of strips at most that a block keeps
 ROUNDS = 2  # of narrowing a box of gains by all strips
 HALVINGS = 8  # of the search for the margin
@@ -63,6 +63,8 @@ class ConstantTest(WindowTest):
         shape = self.reading.shape
         entries = len(shape.h) * 2 * (len(self.reading.noise) + 2)
         return min(BLOCK, max(2**5, 2 ** int(np.log2(HELD / (entries * self.dtype.itemsize)))))
+
+    short = property(lambda self: self.block, doc="How many windows are judged at once where there are few: another size, other bits.")
 
     def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin, open) of windows, each by one box of gains."""

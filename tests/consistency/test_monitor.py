@@ -160,9 +160,8 @@ def test_a_second_step_does_not_compile(rng):
     assert strips.verdicts._cache_size() == before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("model", [
-    dict(constant_tolerance=True), dict(uncertainties=[jb.Uncertainty("a", A=[[0.01, 0], [0, 0]])]),
+    dict(constant_tolerance=True), pytest.param(dict(uncertainties=[jb.Uncertainty("a", A=[[0.01, 0], [0, 0]])]), marks=pytest.mark.slow),
 ], ids=["constant tolerance", "uncertain"])  # fmt: skip
 def test_slower_tests_equal_detect(rng, model):
     r = jb.parity_relations(paper(**model))
