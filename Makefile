@@ -38,6 +38,7 @@ bench: .venv/tested
 	.venv/bin/python -m benchmarks.paving
 	.venv/bin/python -m benchmarks.false_alarms
 	.venv/bin/python -m benchmarks.command_line
+	.venv/bin/python -m benchmarks.first_call --against first_call_before
 	.venv/bin/python -m benchmarks.fleet
 	.venv/bin/python -m benchmarks.long_windows
 	.venv/bin/python -m benchmarks.parquet

@@ -1,0 +1,62 @@
+"""What the first call of every verb hands to the compiler, which is nearly all that a user waits for: it must not grow unseen.
+
+Instructions and programs are counted, not seconds: they depend on no machine. After a change that is worth it:
+
+    python -m benchmarks.first_call --lowered tests/first_call.json
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TABLE = json.loads((ROOT / "tests/first_call.json").read_text())
+OPTIMISED = json.loads((ROOT / "benchmarks/first_call.json").read_text())["cases"]
+
+
+def counted(tmp_path, *options):
+    kept = jax.config.jax_compilation_cache_dir or str(tmp_path / "kernels")
+    settings = {"JAX_COMPILATION_CACHE_DIR": kept, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
+    subprocess.run([sys.executable, "-m", "benchmarks.first_call", *options], cwd=ROOT, env={**os.environ, **settings}, check=True)
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lowered")
+    counted(folder, "--lowered", str(folder / "now.json"))
+    return json.loads((folder / "now.json").read_text())
+
+
+def grown(now, table):
+    """Return a sentence for each case whose instructions or programs are more than half as many again."""
+    return [f"{name}: {found} instead of {before} {what}"
+            for name in table for found, before, what in zip(now[name], table[name], ("instructions", "programs"), strict=True)
+            if found > 1.5 * before]  # fmt: skip
+
+
+def test_no_first_call_hands_half_as_much_again_to_the_compiler(found):
+    assert set(found) == set(TABLE) and grown(found, TABLE) == []
+
+
+@pytest.mark.parametrize("family", ["joint", "box", "disturbed"])
+def test_what_is_compiled_grows_at_most_with_the_horizon(found, family):
+    assert found[f"{family}40"][0] <= 4 * found[f"{family}10"][0]
+
+
+def test_growth_is_seen():
+    assert grown({"a": [151, 2]}, {"a": [100, 2]}) == ["a: 151 instead of 100 instructions"]
+    assert grown({"a": [150, 4]}, {"a": [100, 2]}) == ["a: 4 instead of 2 programs"]
+
+
+@pytest.mark.slow
+def test_no_optimised_program_grows_by_half(tmp_path):
+    counted(tmp_path, "--counts", "--out", str(tmp_path / "now"))
+    now = json.loads((tmp_path / "now.json").read_text())["cases"]
+    pair = lambda figures: [figures["instructions"], figures["compilations"]]
+    table = {name: pair(figures) for name, figures in OPTIMISED.items() if "instructions" in figures}
+    assert grown({name: pair(now[name]) for name in table}, table) == []
