@@ -104,7 +104,7 @@ def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon:
 def forms(kernel: Callable, relations: Any, test: Callable, u: Any, y: Any, starts: Any) -> tuple:
     """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; NaN where there is no window."""
     given = Recording.of(relations.model, u, y, starts)
-    u, y = jnp.asarray(given.u), jnp.asarray(given.y)
+    u, y = jax.device_put((given.u, given.y))  # jnp.asarray compiles a copy for each shape
     if y.shape[-2] <= relations.horizon:
         return (jnp.full((*y.shape[:-1], relations.count), jnp.nan, y.dtype),) * 3
     for _ in range(y.ndim - 2):

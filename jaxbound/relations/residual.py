@@ -143,7 +143,7 @@ class Residual:
             u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
         """
         given = self.recording(u, y, starts)[1]
-        u, y = jnp.asarray(given.u), jnp.asarray(given.y)
+        u, y = jax.device_put((given.u, given.y))
         s, T = self.horizon, y.shape[-2]
         count = self.shape(u.shape[-1], y.shape[-1])
         if T <= s:

@@ -50,5 +50,5 @@ def settled(lo: jax.Array | np.ndarray, hi: jax.Array | np.ndarray) -> tuple[jax
     shape, dtype = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi)), jnp.result_type(lo, hi)
     if isinstance(lo, np.ndarray) and isinstance(hi, np.ndarray):
         low, high = rounding.settled_on_host(*(np.broadcast_to(end, shape).astype(dtype) for end in (lo, hi)))
-        return jnp.asarray(low), jnp.asarray(high)
+        return jax.device_put((low, high))  # jnp.asarray compiles a copy for each shape
     return rounding.settle_subnormals(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi)))

@@ -157,7 +157,7 @@ def window_spread(theta: Any, windows: Any, order: int, direct: Any) -> Any:
 def _filled(windows):
     """Return (u, y, there), filled up to a power of two of windows: few sizes, few compilations."""
     more = power(max(len(windows.y), LEAST)) - len(windows.y)
-    fill = lambda x: jnp.asarray(np.concatenate([x, np.zeros((more, *x.shape[1:]))]))
+    fill = lambda x: jax.device_put(np.concatenate([x, np.zeros((more, *x.shape[1:]))]))
     return fill(windows.u), fill(windows.y), fill(np.ones(len(windows.y)))
 
 

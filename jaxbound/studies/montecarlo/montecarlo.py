@@ -105,7 +105,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
     if n < len(trials):
         raise ValueError(f"n must be at least the number of faults, {len(trials)}, not {n}")
     key = jax.random.key(key) if isinstance(key, int | np.integer) else key
-    words = [np.asarray(jax.random.bits(jax.random.fold_in(key, i), (2,), np.uint32)) for i in range(len(trials))]
+    words = [np.asarray(_words(key, i)) for i in range(len(trials))]
     room = np.max([recursion.rounding_room(model, relations.horizon, scenarios.largest_input(model, t, highest, samples), samples, dtype)
                    for t in trials], 0)  # fmt: skip
     course = kernel.Course(samples, hold, at == "vertices")
@@ -135,6 +135,12 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
 
     _work_off(tasks, work, collect, keeper, progress)
     return StudyResult(model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings)
+
+
+@jax.jit
+def _words(key, i):
+    """Return (2,) random words for the fault with number i."""
+    return jax.random.bits(jax.random.fold_in(key, i), (2,), np.uint32)
 
 
 def _named(relations: Relations, model: LinearSystem) -> Relations:

@@ -65,10 +65,10 @@ class Problem:
 
 def problem_of(relations: ParityRelation | UncertainRelations, moved: Moving, safety: float, dtype: np.dtype) -> Problem:
     """Return the Problem of tuning the bounds `moved` of relations for recordings of a float dtype."""
-    fixed, select, weights, most = (jnp.asarray(x, dtype) for x in (moved.fixed, moved.select, moved.weights, moved.most))
+    fixed, select, weights, most = (jax.device_put(np.asarray(x, dtype)) for x in (moved.fixed, moved.select, moved.weights, moved.most))
     own = relations if isinstance(relations, UncertainRelations) else None
     test = None if own else jax.device_put(relations.reading(dtype))
-    log_safety = jnp.log(jnp.asarray(safety, dtype))
+    log_safety = jax.device_put(np.log(np.asarray(safety, dtype)))
     return Problem(test, fixed, select, weights, most, log_safety, moved.sizes, own)
 
 

@@ -203,7 +203,7 @@ class _Search:
         optimizer, rate = (self.optimizer, (1.0, 1.0)) if self.optimizer else (default_optimizer(), RATE)
         dtype, s = self.good.y.dtype, self.relations.horizon
         problem = problem_of(self.relations, self.moved, self.safety, dtype)
-        z = jnp.asarray(np.log(self.moved.start), dtype)
+        z = jax.device_put(np.log(self.moved.start).astype(dtype))
         carry = z, optimizer.init(z)
         if self.file is not None:
             self.kept = Checkpoint(self.file, self._identity(carry))
@@ -211,10 +211,10 @@ class _Search:
         faulty = None if self.bad is None else self._blocks()
         try:
             if not self.step:
-                carry = jnp.asarray(np.log(self._look(self.moved.start)), dtype), carry[1]
+                carry = jax.device_put(np.log(self._look(self.moved.start)).astype(dtype)), carry[1]
             while self.step < self.steps:
                 u, y = self.good.gather(np.resize(self.ends, self.capacity), s)
-                healthy = jnp.asarray(np.moveaxis(u, 0, 2)), jnp.asarray(np.moveaxis(y, 0, 2))
+                healthy = jax.device_put((np.moveaxis(u, 0, 2), np.moveaxis(y, 0, 2)))
                 present = np.arange(self.capacity) < len(self.ends)
                 carry, best = descend(problem, optimizer, self.every, carry, self.step, self.steps, rate, healthy, present, faulty)
                 self.step = min(self.step + self.every, self.steps)

@@ -219,3 +219,19 @@ def test_a_second_call_does_not_trace():
     for x in (np.ones(2), np.zeros(2)):
         compiled(Interval(x, x), Interval(x, x))
     assert counted.count == 1
+
+
+def test_bounds_from_numpy_compile_nothing():
+    found = []
+
+    def listen(event, seconds, **about):
+        if event == "/jax/core/compile/backend_compile_duration":
+            found.append(about)
+
+    lo = np.arange(3 * 7 * 13.0).reshape(3, 7, 13)  # a shape that no other test has
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        x = interval(lo, lo + 1)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert found == [] and x.lo.shape == (3, 7, 13)
