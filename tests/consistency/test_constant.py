@@ -171,10 +171,10 @@ def test_without_tolerance_the_verdicts_are_those_of_the_plain_test(rng):
     assert (status == plain).all() and np.allclose(margin, ours, atol=1e-3)
 
 
-@pytest.mark.long
-def test_disturbances_keep_their_place(rng):
+@pytest.mark.parametrize("s", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_disturbances_keep_their_place(rng, s):
     change = dict(disturbance=([[0], [1]], [[0, Fraction(1, 10)]]))
-    u, y = draw(rng, 2, 300, 10.0, spoiled=0.6)
+    u, y = draw(rng, s, 300, 10.0, spoiled=0.6)
     without, _ = verdicts(u, y)
     status, _ = verdicts(u, y, model(**change))
     assert (without[status == Status.FAULT] == Status.FAULT).all() and (status == Status.FAULT).any()
