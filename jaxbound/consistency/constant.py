@@ -13,7 +13,6 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +23,6 @@ from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 
@@ -86,11 +84,9 @@ class ConstantTest(WindowTest):
     def _search(self, u, y, starts):
         """Return the status of windows that one box of gains does not decide."""
         test, given = self.reading, gather(u, y, starts, self.lags, self.horizon)
-        count = power(max(len(starts), 128))
-        fill = lambda x: np.concatenate([x, np.repeat(x[..., :1], count - len(starts), -1)], -1)
-        windows, on_device = jax.device_put((tuple(map(fill, given)), test))
+        on_device = jax.device_put(test)
         lo, hi = (np.asarray(x) for x in _gains(test, np)[:2])
-        judge = partial(_boxes, on_device, *windows)
+        judge = lambda lo, hi, owner: _boxes(on_device, *(x[..., owner] for x in given), lo, hi)  # any number of windows compiles once
         found = explore(judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(min(2**10, self.block),))
         status = np.where(np.bincount(found.owner, minlength=len(starts)) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
         status[found.proofs[2]] = Status.CONSISTENT
@@ -129,9 +125,9 @@ def _signed(margin, inside):
 
 
 @jax.jit
-def _boxes(test, u, y, lo, hi, owner):
-    """Return the Verdicts on boxes of gains (p, N), of windows `owner`."""
-    strips, _ = _strips(test, u[..., owner], y[..., owner])
+def _boxes(test, u, y, lo, hi):
+    """Return the Verdicts on boxes of gains (p, N), each of its window u (lags, m, N), y (s + 1, p, N)."""
+    strips, _ = _strips(test, u, y)
     out, fits, _, lo, hi, point, axis = _judge(test, strips, lo, hi)
     return Verdicts(~out & ~fits, fits & ~out, (point, point), (lo, hi), axis)
 
