@@ -103,7 +103,7 @@ class ExchangeTest(WindowTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return unproved_margins(self, exchange_margins, given)
+        return unproved_margins(self, exchange_margins, exchange_margins, given)
 
     def _whole_numbers(self, u, y, margin):
         if not np.count_nonzero(nothing := margin == 0):

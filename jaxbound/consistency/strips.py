@@ -38,7 +38,7 @@ class StripsTest(WindowTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return unproved_margins(self, _margins, given)
+        return unproved_margins(self, _margins, _smooth_margins, given)
 
 
 @jax.jit
@@ -56,3 +56,6 @@ def verdicts(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Arra
 def _margins(test, u, y):
     mid, rad, _, known, _ = test.stretch(u, y)
     return strip_margin(test.shape, mid, rad, known)
+
+
+_smooth_margins = jax.checkpoint(_margins)  # to keep what a derivative needs of every window takes longer, and much longer to compile

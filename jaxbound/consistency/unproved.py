@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -28,20 +29,34 @@ def stretch_block(reading: Any) -> int:
     return 2**16 if not isinstance(reading.shape, Frame) and len(reading.shape.h) <= UNROLLED else 2**14
 
 
-def unproved_margins(test: WindowTest, kernel: Callable, given: Recording) -> jax.Array:
-    """Return the margins (..., T) that a jitted kernel(reading, u (N + s, m), y (N + s, p)) gives; see `WindowTest.margins`."""
+def unproved_margins(test: WindowTest, kernel: Callable, smooth: Callable, given: Recording) -> jax.Array:
+    """Return the margins (..., T) that a jitted kernel(reading, u (N + s, m), y (N + s, p)) gives; see `WindowTest.margins`.
+
+    smooth: the same, to be differentiated.
+    """
     reading, devices = test.reading, usable_devices()
     if not is_traced(given.u, given.y, reading) and (devices[0].platform == "cpu" or len(devices) > 1):
         return jax.device_put(drive(_Unproved(test, kernel), given))
-    shape = given.y.shape[:-1]
-    u, y = (jnp.asarray(x).reshape(math.prod(shape), x.shape[-1]) for x in (given.u, given.y))
-    return within(jnp.pad(kernel(reading, u, y), (test.horizon, 0), constant_values=jnp.nan).reshape(shape), given, test.horizon)
+    return _whole(smooth, reading, given.u, given.y, _gone(given, test.horizon))
+
+
+@partial(jax.jit, static_argnums=0)
+def _whole(kernel: Callable, reading: Any, u: jax.Array, y: jax.Array, gone: np.ndarray) -> jax.Array:
+    """Return the margins (..., T) of recordings u (..., T, m), y (..., T, p), NaN where `gone` (T,): one program, none op by op."""
+    shape = y.shape[:-1]
+    flat = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
+    margin = jnp.pad(kernel(reading, *flat), (reading.horizon, 0)).reshape(shape)
+    return jnp.where(gone.reshape((1,) * (y.ndim - 2) + gone.shape), jnp.nan, margin)
 
 
 def within(margin: jax.Array, given: Recording, horizon: int) -> jax.Array:
     """Return margins (..., T) with NaN at samples at which no window of a recording ends."""
-    gone = given.across(horizon) | (np.arange(margin.shape[-1]) < horizon)
-    return margin.at[..., np.flatnonzero(gone)].set(jnp.nan)
+    return margin.at[..., np.flatnonzero(_gone(given, horizon))].set(jnp.nan)
+
+
+def _gone(given: Recording, horizon: int) -> np.ndarray:
+    """Say at which samples (T,) no window of a recording ends."""
+    return given.across(horizon) | (np.arange(given.y.shape[-2]) < horizon)
 
 
 class _Unproved(WindowTest):
