@@ -72,9 +72,9 @@ class ExchangeTest(WindowTest):
 
     def judge(self, run: Callable, blocks: list) -> list:
         """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real arrays, as proofs need."""
-        given = [(np.ones(y.shape[-1], self.dtype), u, y) for u, y in blocks]
-        searched = run(candidates, given)
-        judged = run(verdicts, [(*a, *b) for a, b in zip(given, searched, strict=True)])
+        ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
+        searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
+        judged = run(verdicts, [(one, *found) for one, found in zip(ones, searched, strict=True)])
         return [(margin, ~np.asarray(settled)) for margin, settled in judged]
 
     def write(self, outs: list, at: np.ndarray, found: tuple) -> None:
@@ -156,20 +156,18 @@ def exchange_margins(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
 
 @jax.jit
 def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
-    """Return the combinations (h, d, done) that speak most against each window of a block; nothing is proved yet."""
+    """Return the combinations (h, d, done) that speak most against each window of a block, and their `Image`; nothing is proved yet."""
     test, steps, finer = given
-    mid, rad, _, known, _ = (x / one[None] for x in test.block(u, y))
-    return separation.separation_search(test.shape, mid, rad, known, one, steps, finer)
+    mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
+    image = separation.separation_image(test.shape, mid, rad, scale, known, known_scale, test.lift, one)
+    return *separation.separation_search(test.shape, image, one, steps, finer), *image
 
 
 @jax.jit
-def verdicts(
-    given: Any, one: jax.Array, u: jax.Array, y: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def verdicts(given: Any, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled) of the windows of a block, proved from what `candidates` found."""
     test, *_ = given
-    mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
-    return separation.separation_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift, one, h, d, done)
+    return separation.separation_verdict(test.shape, separation.Image(*image), one, h, d, done)
 
 
 def _block_of(frame):

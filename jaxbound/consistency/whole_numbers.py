@@ -17,6 +17,7 @@ from math import ceil, lcm
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.reading import gather
@@ -253,7 +254,8 @@ def _searched(rows, frame, dtype):
 
 @jax.jit
 def _candidates(R, z, r_outer, r_inner, present, one, finer):
-    return separation.exchange_search(R, z, r_outer, r_inner, present, one, 20 * (len(r_inner) + 10), finer)
+    radius, counts = jnp.concatenate([r_outer, r_inner]), jnp.concatenate([present, jnp.ones_like(r_inner, bool)])
+    return separation.exchange_search(R, z, radius, counts, one, 20 * (len(r_inner) + 10), finer)
 
 
 def _signed(margin, out, inside, dtype):

@@ -1,12 +1,16 @@
 """Sums and extremes over a few rows, written out term by term: with the windows on the last axis the compiler fuses them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
-__all__ = ["largest", "most", "stored", "total"]
+__all__ = ["foremost", "highest", "largest", "most", "stored", "summed", "total"]
+
+FEW = 8
+"""Rows up to which a sum is written out; more are added in a loop, four at a time: it compiles to no more with their number."""
+TOGETHER = 4
 
 
 Tree = TypeVar("Tree")
@@ -43,3 +47,31 @@ def largest(rows: Sequence[jax.Array] | jax.Array, one: jax.Array) -> tuple[jax.
     for i in reversed(range(len(rows) - 1)):
         first = jnp.where(rows[i] == top, i, first)
     return top, (first / one).astype(jnp.int32)
+
+
+def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int] | None = None) -> jax.Array:
+    """Return the sum of term(*row) over the rows of arrays, added up in order. axes: along which each has its rows; the first."""
+    places = (0,) * len(rows) if axes is None else axes
+    count = rows[0].shape[places[0]]
+
+    def at(i):
+        take = lambda x, axis: jax.lax.dynamic_index_in_dim(x, i, axis, keepdims=False, allow_negative_indices=False)
+        return term(*map(take, rows, places))
+
+    whole = count // TOGETHER if count > FEW else 0
+    so_far = at(0)
+    if whole:
+        add = lambda some, so_far: total([so_far, *(at(some * TOGETHER + i) for i in range(TOGETHER))])
+        so_far = jax.lax.fori_loop(0, whole, add, jnp.zeros_like(so_far))
+    return total([so_far, *(at(i) for i in range(max(whole * TOGETHER, not whole), count))])
+
+
+def highest(rows: jax.Array) -> jax.Array:
+    """Return the largest of the rows (n, N); a NaN among them may be left out, so that no proof rests on it."""
+    return most(rows) if len(rows) <= FEW else jnp.max(rows, 0)
+
+
+def foremost(rows: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the largest of the rows (n, N), as `highest`, and the first row that has it."""
+    top, numbers = highest(rows), jnp.arange(len(rows), dtype=jnp.int32)[:, None]
+    return top, jnp.min(jnp.where(rows == top[None], numbers, len(rows) - 1), 0)

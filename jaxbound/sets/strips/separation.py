@@ -23,7 +23,7 @@ Everything is written for a block of N windows, the last axis, and elementwise o
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +32,18 @@ from jax.typing import DTypeLike
 
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import largest, most, total
+from jaxbound.sets.floats.unrolled import foremost, highest, summed
 
-__all__ = ["Frame", "exchange_search", "frame_of", "separation_margin", "separation_search", "separation_verdict"]
+__all__ = [
+    "Frame",
+    "Image",
+    "exchange_search",
+    "frame_of",
+    "separation_image",
+    "separation_margin",
+    "separation_search",
+    "separation_verdict",
+]
 
 
 Numbers: TypeAlias = jax.Array | np.ndarray
@@ -75,28 +84,32 @@ def separation_margin(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.A
     Args:
         frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N).
     """
-    absent, missing = jnp.isnan(mid), jnp.isnan(known)
-    z, r_outer, r_inner, present, complete = _image(frame, mid, rad, known, absent, missing)
+    (mid, rad), present, complete = _ordered(frame, jnp.stack([mid, rad]), jnp.isnan(mid), jnp.isnan(known))
+    c, k = frame.R.shape
+    rad, one = jnp.where(present, rad, 1), jnp.ones_like(mid[0])
+    z = jnp.where(present[:c], mid[:c] - _product(_matrix(frame), jnp.concatenate([mid[c:], jnp.where(jnp.isnan(known), 0, known)])), 0)
     stop = jax.lax.stop_gradient  # the best h stays the best for a small change: envelope theorem
-    h, _, _ = exchange_search(stop(frame.R), stop(z), stop(r_outer), stop(r_inner), present, jnp.ones_like(stop(z[0])), steps)
-    return jnp.where(complete & present.any(0), 1 - _factor(total(h * z), _width(frame.R, h, r_outer, r_inner)), jnp.nan)
+    h, _, _ = exchange_search(stop(frame.R), stop(z), stop(rad), present, stop(one), steps)
+    return jnp.where(complete & present[:c].any(0), 1 - _factor(_dot(h, z), _width(frame.R, h, rad)), jnp.nan)
 
 
-def separation_search(
-    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, one: jax.Array, steps: int, finer: jax.Array | float = 1.0
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly optimal where done.
+class Image(NamedTuple):
+    """What a search and its proofs need of N windows: arrays, the windows on the last axis.
 
-    Args:
-        frame, mid, rad, known: as for `separation_margin`. one: N ones, traced. steps: at most so many exchanges.
-        finer: factor on the share of the largest pivot below which none is taken: a small pivot spoils the inverse, but without it a
-            search may go round in circles.
+    z (c, N); radius, magnitude, present (c + k, N) of the outer rows, then the inner ones: without a sample radii are 1, all else 0;
+    magnitude: what rounding errors are relative to. floor (N,): more than what underflows cost. complete (N,): all samples on which the
+    frame is built are there.
     """
-    z, r_outer, r_inner, present, _ = _image(frame, mid, rad, known, jnp.isnan(mid), jnp.isnan(known))
-    return exchange_search(frame.R, z / one[None], r_outer / one[None], r_inner / one[None], present, one, steps, finer)
+
+    z: jax.Array
+    radius: jax.Array
+    magnitude: jax.Array
+    present: jax.Array
+    floor: jax.Array
+    complete: jax.Array
 
 
-def separation_verdict(
+def separation_image(
     frame: Frame,
     mid: jax.Array,
     rad: jax.Array,
@@ -105,9 +118,45 @@ def separation_verdict(
     known_scale: jax.Array,
     lift: jax.Array | float,
     one: jax.Array,
-    h: jax.Array,
-    d: jax.Array,
-    done: jax.Array,
+) -> Image:
+    """Return the Image of N windows.
+
+    Args:
+        frame, mid, rad, known: as for `separation_margin`. scale (rows, N), known_scale (l, N): magnitudes as in `rounding.residual_error`.
+        lift: at least every factor that multiplied a row after its own rounding. one: N ones, traced, see `exchange_search`.
+    """
+    c, k = frame.R.shape
+    missing = jnp.isnan(known_scale)  # NaN is absence, never overflow
+    (mid, rad, scale), present, complete = _ordered(frame, jnp.stack([mid, rad, scale]), jnp.isnan(scale), missing)
+    inner = jnp.concatenate([jnp.stack([mid[c:], scale[c:]]), jnp.where(missing[None], 0, jnp.stack([known, known_scale]))], 1)
+    matrix = _matrix(frame)
+    both = summed(
+        lambda columns, rows: columns[..., None] * rows[:, None], jnp.stack([matrix, jnp.abs(matrix)]), inner / one[None, None], axes=(2, 1)
+    )
+    both = both / one[None, None]
+    z = jnp.where(present[:c], mid[:c] - both[0], 0) / one[None]
+    magnitude = jnp.concatenate([scale[:c] + both[1], scale[c:]]) / one[None]
+    _, least = rounding.search_error(c, k, len(known), mid.dtype)
+    floor = least * lift * (1 + jnp.max(jnp.abs(frame.R))) * (1 + jnp.max(jnp.abs(frame.K), initial=0))
+    floor = floor * (1 + _total(magnitude[:c]) + _total(inner[1]))
+    return Image(z, jnp.where(present, rad, 1) / one[None], magnitude, present, floor, complete)
+
+
+def separation_search(
+    frame: Frame, image: Image, one: jax.Array, steps: int, finer: jax.Array | float = 1.0
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly optimal where done.
+
+    Args:
+        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. steps: at most so many exchanges.
+        finer: factor on the share of the largest pivot below which none is taken: a small pivot spoils the inverse, but without it a
+            search may go round in circles.
+    """
+    return exchange_search(frame.R, image.z, image.radius, image.present, one, steps, finer)
+
+
+def separation_verdict(
+    frame: Frame, image: Image, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled): margin > 0 inside, < 0 outside (both proved), 0 where rounding or the number of steps left it open, NaN
     where no relation has its data.
@@ -116,58 +165,54 @@ def separation_verdict(
     another frame.
 
     Args:
-        frame, mid, rad, known: as for `separation_margin`. scale (rows, N), known_scale (l, N): magnitudes as in `rounding.residual_error`.
-        lift: at least every factor that multiplied a row after its own rounding. one: N ones, traced.
-        h, d, done: from `separation_search`; any finite h and d will do, but they must be arrays, not expressions of the same function.
+        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. h, d, done: from `separation_search`; any finite h and
+            d will do. All of them must be arrays, not expressions of the same function.
     """
+    z, radius, magnitude, present, floor, complete = image
     c, k = frame.R.shape
-    absent, missing = jnp.isnan(scale), jnp.isnan(known_scale)  # NaN is absence, never overflow
-    z, r_outer, r_inner, present, complete = _image(frame, mid, rad, known, absent, missing)
-    z, r_outer, r_inner = z / one[None], r_outer / one[None], r_inner / one[None]  # see `exchange_search`
-    real = frame.real[:, None] & ~absent[frame.inner]
-    s_inner, s_outer = jnp.where(real, scale[frame.inner], 0), jnp.where(present, scale[frame.outer], 0)
-    size = jnp.abs(frame.R)
-    magnitude = s_outer + _product(size, s_inner)
-    if len(known):
-        magnitude += _product(jnp.abs(frame.K), jnp.where(missing, 0, known_scale))
-    magnitude = magnitude / one[None]
-    gamma, least = rounding.search_error(c, k, len(known), mid.dtype)
-    floor = least * lift * (1 + jnp.max(size)) * (1 + jnp.max(jnp.abs(frame.K), initial=0))
-    floor = floor * (1 + total(magnitude) + total([*s_inner, *jnp.where(missing, 0, known_scale)]))
-    residual, width = jnp.abs(total(h * z)), _width(frame.R, h, r_outer, r_inner)
-    outside = residual - width > gamma * total(jnp.abs(h) * magnitude) + floor
-    gap = jnp.abs(z - _product(frame.R, d))
-    excess = jnp.where(present, gap + gamma * magnitude + floor[None] - r_outer, -jnp.inf)
-    excess = jnp.concatenate([excess, jnp.abs(d) + gamma * s_inner + floor[None] - r_inner]) / one[None]
-    inside = most(excess) <= 0
-    margin, eps = jnp.nan_to_num(1 - _factor(residual, width), nan=0.0), jnp.finfo(mid.dtype).eps  # NaN says absent: sums may overflow
+    gamma, _ = rounding.search_error(c, k, frame.K.shape[1], z.dtype)
+    residual, width = jnp.abs(_dot(h, z)) / one, _width(frame.R, h, radius) / one
+    outside = residual - width > gamma * _dot(jnp.abs(h), magnitude[:c]) + floor
+    gap = jnp.concatenate([z - _product(frame.R, d), d])
+    within = jnp.abs(gap) + gamma * magnitude + floor[None] - radius <= 0  # false for NaN, which a largest may leave out
+    inner = jnp.arange(len(radius))[:, None] >= c
+    inside = jnp.all(within | ~(present | inner), 0)
+    margin, eps = jnp.nan_to_num(1 - _factor(residual, width), nan=0.0), jnp.finfo(z.dtype).eps  # NaN says absent: sums may overflow
     margin = jnp.where(outside, jnp.minimum(margin, -eps), jnp.where(inside, jnp.maximum(margin, eps), 0))
     margin = jnp.where(complete, margin, 0)
-    nothing = complete & ~present.any(0)
+    nothing = complete & ~present[:c].any(0)
     return jnp.where(nothing, jnp.nan, margin), nothing | (complete & done)
 
 
-def _image(
-    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, absent: jax.Array, missing: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array, Numbers, jax.Array]:
-    """Return (z, r_outer, r_inner, present, complete); radii are 1 and middles 0 where there is no sample."""
-    real = frame.real[:, None] & ~absent[frame.inner]
-    present = frame.used[:, None] & ~absent[frame.outer]
-    lacking = _product((frame.R != 0).astype(jnp.int32), (~real).astype(jnp.int32))
-    if len(known):
-        lacking += _product((frame.K != 0).astype(jnp.int32), missing.astype(jnp.int32))
-    complete = jnp.sum(jnp.where(present, lacking, 0), 0) == 0
-    m_inner, m_outer = jnp.where(real, mid[frame.inner], 0), jnp.where(present, mid[frame.outer], 0)
-    z = m_outer - _product(frame.R, m_inner)
-    if len(known):
-        z -= _product(frame.K, jnp.where(missing, 0, known))
-    return jnp.where(present, z, 0), jnp.where(present, rad[frame.outer], 1), jnp.where(real, rad[frame.inner], 1), present, complete
+def _ordered(frame: Frame, rows: jax.Array, absent: jax.Array, missing: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (rows (.., c + k, N), 0 without a sample, outer ones first; present, which have one and count; complete (N,))."""
+    c = len(frame.used)
+    order = jnp.concatenate([frame.outer, frame.inner]).astype(jnp.uint32)
+    take = lambda x, axis: jnp.take(x, order, axis, mode="clip")
+    present = jnp.concatenate([frame.used, frame.real])[:, None] & ~take(absent, 0)
+    gone = jnp.concatenate([~present[c:], missing]).astype(jnp.float32)
+    lacking = (_matrix(frame) != 0).astype(jnp.float32) @ gone  # a count of at most c + k + l: exact, in whatever order
+    complete = ~jnp.any(present[:c] & (lacking > 0), 0)
+    return jnp.where(present[None], take(rows, 1), 0), present, complete
 
 
-def _width(R: Numbers, h: jax.Array, r_outer: jax.Array, r_inner: jax.Array) -> jax.Array:
+def _matrix(frame: Frame) -> jax.Array:
+    """Return the coefficients (c, k + l) on inner rows and known values."""
+    return jnp.concatenate([frame.R, frame.K], 1)
+
+
+def _width(R: Numbers, h: jax.Array, radius: jax.Array) -> jax.Array:
     """Return sum_j |h_j| r_j + sum_i |h R|_i r_i."""
-    across = jnp.abs(_product(R.T, h))
-    return total(jnp.abs(h) * r_outer) + total(across * r_inner)
+    through = summed(lambda row, x: row[:, None] * x[None], cast(jax.Array, R), h)
+    return _dot(jnp.abs(jnp.concatenate([h, through])), radius)
+
+
+def _total(rows: jax.Array) -> jax.Array:
+    return summed(lambda x: x, rows)
+
+
+def _dot(x: jax.Array, y: jax.Array) -> jax.Array:
+    return summed(lambda a, b: a * b, x, y)
 
 
 def _factor(residual: jax.Array, width: jax.Array) -> jax.Array:
@@ -178,8 +223,7 @@ def _factor(residual: jax.Array, width: jax.Array) -> jax.Array:
 def exchange_search(
     R: Numbers,
     z: jax.Array,
-    r_outer: jax.Array,
-    r_inner: jax.Array,
+    radius: jax.Array,
     present: Numbers,
     one: jax.Array,
     steps: int,
@@ -187,94 +231,100 @@ def exchange_search(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where done.
 
-    `/ one` in here is nothing but a sign to the compiler: it does not work out a quotient again for each of its uses.
+    radius, present: (c + k, N), as of an `Image`. `/ one` in here is nothing but a sign to the compiler: it does not work out a quotient
+    again for each of its uses.
     """
     c, k = R.shape
     N, dtype = z.shape[1], z.dtype
     rows = jnp.concatenate([R, jnp.eye(k, dtype=dtype)])
-    value = jnp.concatenate([z, jnp.zeros_like(r_inner)])
-    radius = jnp.concatenate([r_outer, r_inner])
+    r_inner = radius[c:]
+    nothing = jnp.zeros_like(r_inner)
+    table = jnp.stack([jnp.concatenate([z, nothing]), radius]) / one[None, None]
     ones = jnp.where(r_inner == r_inner, one[None], 0)  # not a broadcast: by one, a division becomes a product
-    weight = jnp.where(jnp.concatenate([present, jnp.ones_like(r_inner, bool)]), 1 / radius, 0) / one[None]
+    counts = present | (jnp.arange(c + k)[:, None] >= c)  # an inner row without a sample has the window given up elsewhere
+    weight = jnp.where(counts, 1 / radius, 0) / one[None]
     slots = jnp.arange(k, dtype=jnp.int32)[:, None]
     close = 10 * rounding.unit(dtype) ** 0.75  # 1e-11 in float64
     alike = 64 * rounding.unit(dtype)
-    dot = lambda x, y: total(x[i] * y[i] for i in range(k))
+    through = lambda P, x: summed(lambda column, a: column * a[None], P, x, axes=(1, 0))
 
-    def reference(P, signs, S_value, S_radius, T, own, radius_e):
-        """Return the factor t, the multipliers on S, the signs of the errors there, and the point d where all are t times their radii."""
-        t = jnp.abs(own) / (radius_e + dot(jnp.abs(T), S_radius))
+    def reference(basis, T, leader):
+        """Return the error of e, the factor t, the multipliers on S, the signs there, the values where all errors are t times radii."""
+        signs, S_value, S_radius, _ = basis
+        _, value_e, radius_e, _ = leader
+        beyond, reach = summed(lambda a, row: a * row, jnp.stack([T, jnp.abs(T)], 1), basis[1:3], axes=(0, 1)) / one[None]
+        own, t = value_e - beyond, jnp.abs(value_e - beyond) / (radius_e + reach)
         shares = jnp.abs(T) * S_radius / radius_e[None]
         signs = jnp.where(shares > close, -jnp.sign(own)[None] * jnp.sign(T), signs)  # a row whose multiplier is 0 keeps its sign
-        on_S = (S_value - signs * t[None] * S_radius) / ones
-        return t, shares, signs, total(P[:, s] * on_S[s][None] for s in range(k)) / ones
+        return own, t, shares, signs, (S_value - signs * t[None] * S_radius) / ones
 
     def exchange(carry):
-        P, row, column, ids, signs, S_value, S_radius, T, own, e, done, count = carry
+        P, row, column, basis, T, leader, done, count = carry
         P = P - column[:, None] * row[None]  # of the exchange before: P is then read from memory by all its uses
-        radius_e = _pick(radius, e) / one
-        t, shares, signs, d = reference(P, signs, S_value, S_radius, T, own, radius_e)
-        error = jnp.concatenate([z - _product(R, d), -d]) / one[None]
-        worst, w = largest(jnp.abs(error) * weight / one[None], one)
+        S_radius, (_, value_e, radius_e, e) = basis[2], leader
+        own, t, shares, signs, on_S = reference(basis, T, leader)
+        d = through(P, on_S) / ones
+        error = jnp.concatenate([z - _product(R, d), d])
+        worst, w = foremost(jnp.abs(error) * weight / one[None])
         done = done | (worst <= t + close * (1 + t))
         enters = jnp.take(rows, w, 0, mode="clip").T / ones
-        T_w = total(enters[i][None] * P[i] for i in range(k)) / ones
-        sign_w = jnp.sign(_pick(error, w)) / one
-        radius_w = _pick(radius, w) / one
+        T_w = summed(lambda a, row: a[None] * row, enters, P) / ones
+        value_w, radius_w = _pick(table, w) / one[None]
+        sign_w = jnp.sign(value_w - _dot(enters, d)) / one
         change = sign_w[None] * T_w * signs * S_radius / radius_w[None]
-        worth = finer * close**0.5 * most(jnp.abs(change)) / one  # a smaller pivot would ruin P; such a row may as well change its sign
+        worth = finer * close**0.5 * highest(jnp.abs(change)) / one  # a smaller pivot would ruin P; such a row may as well change its sign
         rate = jnp.where(change > worth[None], change, 0) / ones
         step = shares / jnp.where(rate > 0, rate, 1) / ones  # of the multiplier of w, up to where that of a row of S is 0
-        after = 1 + step + total(jnp.abs(shares[s][None] - step * change[s][None]) for s in range(k))
-        slope = worst - t * total(change)
-        gained = (t * (1 + total(shares)) / one)[None] + step * (slope / one)[None]
+        after = 1 + step + summed(lambda share, way: jnp.abs(share[None] - step * way[None]), shares, change)
+        held, changed, moved = summed(lambda x: x, jnp.stack([shares, change, jnp.abs(change)], 1)) / one[None]
+        slope = (worst - t * changed) / one
+        gained = (t * (1 + held))[None] + step * slope[None]
         factor = jnp.where(rate > 0, gained / after, -1) / ones  # t once that row has left: rises up to its maximum, then falls
-        best = most(factor) / one
-        _, q = largest(jnp.where(factor >= (best * (1 - alike))[None], jnp.abs(T_w), -1) / ones, one)
-        swap = (best >= slope / (1 + total(jnp.abs(change)))) & ~done  # else e itself leaves
-        T_q, T_wq = _pick(T, q) / one, _pick(T_w, q) / one
+        best = highest(factor) / one
+        _, q = foremost(jnp.where(factor >= (best * (1 - alike))[None], jnp.abs(T_w), -1) / ones)
+        swap = (best >= slope / (1 + moved)) & ~done  # else e itself leaves
+        T_q, T_wq = _pick(jnp.stack([T, T_w]), q) / one[None]
         by_w = jnp.abs(T_wq) * radius_e >= jnp.abs(T_q) * radius_w  # w and e stay, q leaves; the one with the larger pivot joins S
         joins, stays = jnp.where(by_w[None], T_w, T), jnp.where(by_w[None], T, T_w)
-        pivot = jnp.where(by_w, T_wq, T_q)
+        pivot, rest = jnp.where(by_w, T_wq, T_q), jnp.where(by_w, T_q, T_wq)
         at_q = slots == q[None]
         row = (joins - at_q) * jnp.where(swap, 1 / jnp.where(pivot == 0, 1, pivot), 0)[None] / ones
-        column = jnp.take_along_axis(P, q[None, None], 1, mode="clip")[:, 0] / ones
-        new, kept = jnp.where(by_w, w, e), jnp.where(by_w, e, w)
-        at_q &= swap[None]
-        ids = jnp.where(at_q, new[None], ids)
-        signs = jnp.where(at_q, jnp.where(by_w, sign_w, jnp.sign(own))[None], signs)
-        S_value = jnp.where(at_q, (_pick(value, new) / one)[None], S_value) / ones
-        S_radius = jnp.where(at_q, (_pick(radius, new) / one)[None], S_radius)
-        e = jnp.where(done, e, jnp.where(swap, kept, w))
-        T = jnp.where(done[None], T, jnp.where(swap[None], stays - jnp.where(by_w, T_q, T_wq)[None] * row, T_w)) / ones
-        own = _pick(value, e) / one - dot(T, S_value)
-        return P, row, column, ids, signs, S_value, S_radius, T, own, e, done, count + 1
+        column = _pick(P, q) / ones
+        entering = jnp.stack([sign_w, value_w, radius_w, w.astype(dtype)])
+        leading = jnp.stack([jnp.sign(own), value_e, radius_e, e])
+        new = jnp.where(by_w[None], entering, leading)
+        basis = jnp.stack([signs, *basis[1:]])
+        basis = jnp.where((at_q & swap[None])[None], new[:, None], basis)
+        kept = jnp.where((swap & by_w)[None], leading, entering)
+        leader = jnp.where(done[None], leading, kept)
+        T = jnp.where(done[None], T, jnp.where(swap[None], stays - rest[None] * row, T_w)) / ones
+        return P, row, column, basis, T, leader, done, count + 1
 
-    alone = z / (r_outer + _product(jnp.abs(R), r_inner))
-    _, e = largest(jnp.where(present, jnp.abs(alone), -1) / one[None], one)
+    alone = z / (radius[:c] + _product(jnp.abs(R), r_inner))
+    _, e = foremost(jnp.where(present[:c], jnp.abs(alone), -1) / one[None])
     P = jnp.broadcast_to(jnp.eye(k, dtype=dtype)[:, :, None], (k, k, N))
-    nothing = jnp.zeros_like(r_inner)
-    ids = jnp.broadcast_to(c + slots, (k, N))
-    T = jnp.take(R, e, 0, mode="clip").T
-    start = P, nothing, nothing, ids, jnp.ones_like(r_inner), nothing, r_inner, T, _pick(z, e), e, jnp.zeros(N, bool), 0
+    basis = jnp.stack([jnp.ones_like(r_inner), nothing, r_inner, jnp.broadcast_to((c + slots).astype(dtype), (k, N))])
+    leader = jnp.stack([jnp.zeros_like(one), *_pick(table, e), e.astype(dtype)])
+    start = P, nothing, nothing, basis, jnp.take(R, e, 0, mode="clip").T, leader, jnp.zeros(N, bool), 0
     going = lambda carry: (carry[-1] < steps) & ~jnp.all(carry[-2])
-    P, row, column, ids, signs, S_value, S_radius, T, own, e, done, _ = jax.lax.while_loop(going, exchange, start)
-    P = P - column[:, None] * row[None]
-    _, _, _, d = reference(P, signs, S_value, S_radius, T, own, _pick(radius, e))
+    P, row, column, basis, T, leader, done, _ = jax.lax.while_loop(going, exchange, start)
+    P, e = P - column[:, None] * row[None], leader[3]
+    *_, on_S = reference(basis, T, leader)
+    d = through(P, on_S)
     outer = jnp.arange(c)[:, None]
-    on_S = total(jnp.where(ids[s][None] == outer, T[s][None], 0) for s in range(k))
-    h = jnp.where(present, jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]  # multipliers: 1 on e, -T on S
-    top = most(jnp.abs(h))
+    on_S = summed(lambda number, a: jnp.where(number[None] == outer, a[None], 0), basis[3], T)
+    h = jnp.where(present[:c], jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]  # multipliers: 1 on e, -T on S
+    top = highest(jnp.abs(h))
     h = h / jnp.where(top > 0, top, 1)[None]
     return jnp.where(jnp.abs(h) > rounding.unit(dtype) ** 2, h, 0), d, done
 
 
 def _product(R: Numbers, x: Numbers) -> jax.Array:
     """Return R x of a matrix (c, k) and rows (k, N), k > 0."""
-    matrix, rows = cast(jax.Array, R), cast(jax.Array, x)
-    return total(matrix[:, i, None] * rows[i][None] for i in range(len(rows)))
+    return summed(lambda column, row: column[:, None] * row[None], cast(jax.Array, R), cast(jax.Array, x), axes=(1, 0))
 
 
 def _pick(rows: jax.Array, number: jax.Array) -> jax.Array:
-    """Return for each window one of its rows."""
-    return jnp.take_along_axis(rows, number[None], 0, mode="clip")[0]
+    """Return for each window one of its rows (..., rows, N)."""
+    places = jnp.expand_dims(number.astype(jnp.uint32), range(rows.ndim - 1))
+    return jnp.take_along_axis(rows, places, -2, mode="promise_in_bounds")[..., 0, :]

@@ -154,7 +154,7 @@ def _one(strip, mid, rad, scale, known, known_scale):
 
 def _indexable(strips, *rows):
     """Stack the rows for a scan, which picks them by traced numbers."""
-    return rows if strips.supports is not None else tuple(map(jnp.stack, rows))
+    return rows if strips.supports is not None else tuple(x if isinstance(x, jax.Array) else jnp.stack(x) for x in rows)
 
 
 def _fold(step, carry, strips):

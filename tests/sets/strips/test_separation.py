@@ -12,7 +12,9 @@ from jaxbound.sets.strips import separation
 from jaxbound.sets.strips.separation import frame_of, separation_margin
 
 ROWS, UNKNOWNS, KNOWN, N = 8, 3, 1, 64  # one shape, because each compiles
-search, verdict, margin = map(jax.jit, (separation.separation_search, separation.separation_verdict, separation_margin))
+image, search, verdict, margin = map(
+    jax.jit, (separation.separation_image, separation.separation_search, separation.separation_verdict, separation_margin)
+)
 DTYPES = (np.float64, np.float32)
 
 
@@ -100,9 +102,10 @@ class Case:
 def run(case, dtype, steps=60, change=None):
     frame, mid, rad, scale, known, known_scale = case.floats(dtype)
     one = np.ones(N, dtype)
-    h, d, done = search(frame, mid, rad, known, one, steps)
+    seen = image(frame, mid, rad, scale, known, known_scale, dtype(1), one)
+    h, d, done = search(frame, seen, one, steps)
     h, d = change(np.asarray(h), np.asarray(d)) if change else (h, d)
-    out, settled = verdict(frame, mid, rad, scale, known, known_scale, dtype(1), one, h, d, done)
+    out, settled = verdict(frame, seen, one, h, d, done)
     return np.asarray(out), np.asarray(settled), h, d
 
 
@@ -203,7 +206,8 @@ def test_the_proofs_say_the_same_eagerly(rng):
     case = Case(rng, rng.choice([-1e-3, 1e-3, 1.0], N))
     frame, mid, rad, scale, known, known_scale = case.floats(np.float64)
     out, _, h, d = run(case, np.float64)
-    eager, _ = separation.separation_verdict(frame, mid, rad, scale, known, known_scale, 1.0, np.ones(N), h, d, np.ones(N, bool))
+    seen = separation.separation_image(frame, mid, rad, scale, known, known_scale, 1.0, np.ones(N))
+    eager, _ = separation.separation_verdict(frame, seen, np.ones(N), h, d, np.ones(N, bool))
     case.check(eager, h, d)
     np.testing.assert_array_equal(np.sign(out), np.sign(eager))
 
@@ -237,8 +241,9 @@ def test_a_coefficient_below_all_floats_still_counts(size):
     mid = np.array([[0.0], [moved], [size]])
     rad = np.full((3, 1), np.finfo(float).tiny) + [[0], [0], [size * 1e-16]]
     one, scale, known = np.ones(1), abs(mid) + rad, np.zeros((1, 1))
+    seen = image(frame, mid, rad, scale, known, known, 1.0, one)
     for h in (1.0, 1e-20):
-        out, _ = verdict(frame, mid, rad, scale, known, known, 1.0, one, np.full((1, 1), h), np.zeros((2, 1)), np.ones(1, bool))
+        out, _ = verdict(frame, seen, one, np.full((1, 1), h), np.zeros((2, 1)), np.ones(1, bool))
         assert out[0] >= 0
 
 
@@ -248,5 +253,6 @@ def test_no_bound_at_all_leaves_no_verdict_without_a_proof(rng):
     frame, mid, rad, scale, known, known_scale = case.floats(np.float64)
     mid[rng.integers(ROWS, size=N), np.arange(N)] = np.inf
     one = np.ones(N)
-    out, _ = verdict(frame, mid, rad, abs(mid) + rad, known, known_scale, 1.0, one, *search(frame, mid, rad, known, one, 60))
+    seen = image(frame, mid, rad, abs(mid) + rad, known, known_scale, 1.0, one)
+    out, _ = verdict(frame, seen, one, *search(frame, seen, one, 60))
     assert not (out < 0).any() and not (out > 0).any()
