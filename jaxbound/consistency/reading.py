@@ -50,21 +50,26 @@ class Reading:
         return silenced
 
     def stretch(self, u: jax.Array, y: jax.Array) -> tuple:
-        """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`."""
+        """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`; as arrays for strips that run in a scan."""
+        if isinstance(self.shape, Strips) and self.shape.supports is None:
+            return self.block(*self.windows(u, y))
         count = y.shape[0] - self.horizon
         return self.rows(
             [[u[j : j + count, i] for i in range(u.shape[1])] for j in range(self.lags)],
             [[y[j : j + count, i] for i in range(y.shape[1])] for j in range(self.horizon + 1)],
         )
 
+    def windows(self, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the samples u (lags, m, N), y (s + 1, p, N) of all windows of a stretch, u (N + s, m), y (N + s, p)."""
+        count = y.shape[0] - self.horizon
+        take = lambda x, lags: jax.lax.map(lambda j: jax.lax.dynamic_slice_in_dim(x.T, j, count, 1), jnp.arange(lags))
+        return take(u, self.lags), take(y, self.horizon + 1)
+
     def block(self, u: jax.Array, y: jax.Array) -> tuple:
         """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few operations, whatever s."""
-        per_output = []
-        for i in range(y.shape[1]):
-            largest = jnp.max(jnp.where(jnp.isnan(y[:, i]), 0, abs(y[:, i])), 0, keepdims=True)
-            bounds = self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]
-            per_output.append(sensor.true_value([y[:, i]], *bounds, largest))
-        rows = [jnp.stack([output[part][0] for output in per_output], 1).reshape(-1, y.shape[2]) for part in range(3)]
+        largest = jnp.max(jnp.where(jnp.isnan(y), 0, abs(y)), 0, keepdims=True)
+        bounds = (x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y))
+        rows = [x.reshape(-1, y.shape[2]) for (x,) in sensor.true_value([y], *bounds, largest)]
         if self.horizon and len(self.disturbance):
             rows = [jnp.concatenate([x, *[w] * self.horizon]) for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)]
         known = [u - self.offset_u[None, :, None], abs(u) + abs(self.offset_u)[None, :, None]]

@@ -14,7 +14,7 @@ from jaxbound.consistency.interface import WindowTest
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.strips.separation import Frame
-from jaxbound.sets.strips.strips import UNROLLED
+from jaxbound.sets.strips.strips import UNROLLED, Strips
 
 __all__ = ["is_traced", "stretch_block", "unproved_margins", "within"]
 
@@ -26,6 +26,8 @@ def is_traced(*trees: Any) -> bool:
 
 def stretch_block(reading: Any) -> int:
     """Return how many windows a kernel takes at once from contiguous samples: a function of the shape of the test alone."""
+    if isinstance(reading.shape, Strips) and reading.shape.supports is None:
+        return 2**12  # their rows are arrays, which should stay in the cache: twice as fast as 2**14
     return 2**16 if not isinstance(reading.shape, Frame) and len(reading.shape.h) <= UNROLLED else 2**14
 
 

@@ -72,7 +72,7 @@ def test_verdicts_do_not_depend_on_where_a_block_ends(horizon, rng):
     """Around every multiple of the block size a long recording says what a short one of the same samples says."""
     r = jb.parity_relations(paper(), horizon=horizon)
     block = r.test("joint", np.float64).block
-    assert block == (2**16 if horizon == 1 else 2**14)
+    assert block == (2**16 if horizon == 1 else 2**12)
     for samples in (block - 1, block, block + 1, block + horizon - 1, block + horizon, block + horizon + 1, 2 * block + horizon + 5):
         u, y = recording((samples,), rng)
         long = jb.detect(r, u, y)
