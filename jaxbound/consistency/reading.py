@@ -68,8 +68,8 @@ class Reading:
     def block(self, u: jax.Array, y: jax.Array) -> tuple:
         """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few operations, whatever s."""
         largest = jnp.max(jnp.where(jnp.isnan(y), 0, abs(y)), 0, keepdims=True)
-        bounds = (x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y))
-        rows = [x.reshape(-1, y.shape[2]) for (x,) in sensor.true_value([y], *bounds, largest)]
+        tolerance, noise, resolution, offset = (x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y))
+        rows = [x.reshape(-1, y.shape[2]) for (x,) in sensor.true_value([y], tolerance, noise, resolution, offset, largest)]
         if self.horizon and len(self.disturbance):
             rows = [jnp.concatenate([x, *[w] * self.horizon]) for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)]
         known = [u - self.offset_u[None, :, None], abs(u) + abs(self.offset_u)[None, :, None]]
