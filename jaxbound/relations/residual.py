@@ -143,7 +143,8 @@ class Residual:
             u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
         """
         given = self.recording(u, y, starts)[1]
-        u, y = jax.device_put((given.u, given.y))
+        on_device: tuple[jax.Array, jax.Array] = jax.device_put((given.u, given.y))
+        u, y = on_device
         s, T = self.horizon, y.shape[-2]
         count = self.shape(u.shape[-1], y.shape[-1])
         if T <= s:
