@@ -185,6 +185,8 @@ def exact_window(relations: Any, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     down = rounding.round_down(pairs[:, 0], dtype)
     inputs = exactly(u[: window.input_lags(model, s)])
     known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(inputs)]
+    if relations.lags is not None:
+        y = np.where(np.isin(s - np.arange(s + 1), relations.lags)[:, None], y, np.nan).astype(dtype)
     return ExactWindow(
         model, s, inputs, exactly(y), upward(bounds["tolerance"]), upward(bounds["noise"]), upward(list(model.resolution)),
         tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)), Fraction(float(np.finfo(dtype).eps)) / 2,

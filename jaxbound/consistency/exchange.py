@@ -115,7 +115,8 @@ class ExchangeTest(WindowTest):
             margin[starts[chosen] + self.horizon] = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
 
     def _gather(self, u, y, starts):
-        return gather(u, y, starts, self.lags, self.horizon)
+        u, y = gather(u, y, starts, self.lags, self.horizon)
+        return u, self.reading.seen(y)
 
     def _frames(self, u, y, starts):
         """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""

@@ -23,7 +23,8 @@ class Reading:
     """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
 
     Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise, resolution, offset_y (p,);
-    disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window.
+    disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window; looks: so many samples before the last outputs are looked
+    at, None: at every one.
     """
 
     shape: Strips | Frame
@@ -35,11 +36,19 @@ class Reading:
     offset_y: jax.Array
     horizon: int = field(metadata={"static": True})
     lags: int = field(metadata={"static": True})
+    looks: tuple[int, ...] | None = field(default=None, metadata={"static": True})
 
     @property
     def lift(self) -> jax.Array:
         """At least every factor that multiplies a row after its own rounding."""
         return sensor.lift(self.tolerance)
+
+    def seen(self, y: Any) -> Any:
+        """Return the samples y (s + 1, p, N) of windows, NaN where they are not looked at."""
+        if self.looks is None:
+            return y
+        kept = np.isin(self.horizon - np.arange(self.horizon + 1), self.looks)[:, None, None]
+        return (np if isinstance(y, np.ndarray) else jnp).where(kept, y, np.asarray(np.nan, y.dtype))
 
     def silenced(self, known: list) -> jax.Array:
         """Say which windows lack a known value that some circuit needs: the circuits that are left do not describe their set exactly."""
@@ -67,6 +76,7 @@ class Reading:
 
     def block(self, u: jax.Array, y: jax.Array) -> tuple:
         """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few operations, whatever s."""
+        y = self.seen(y)
         largest = jnp.max(jnp.where(jnp.isnan(y), 0, abs(y)), 0, keepdims=True)
         tolerance, noise, resolution, offset = (x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y))
         rows = [x.reshape(-1, y.shape[2]) for (x,) in sensor.true_value([y], tolerance, noise, resolution, offset, largest)]
@@ -86,9 +96,9 @@ class Reading:
 
         Rows are the true outputs, time-major, then the disturbances w_k .. w_{k+s-1}.
         """
-        per_output = []
+        per_output, nothing = [], jnp.full_like(y[0][0], jnp.nan)
         for i in range(len(self.noise)):
-            samples = [now[i] for now in y]
+            samples = [now[i] if self.looks is None or self.horizon - j in self.looks else nothing for j, now in enumerate(y)]
             per_output.append(sensor.true_value(samples, self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]))
         mid, rad, scale = ([output[part][j] for j in range(self.horizon + 1) for output in per_output] for part in range(3))
         if len(self.disturbance):

@@ -136,6 +136,7 @@ class _Rows:
 def _rows_of(model, test, u, y):
     """Return the _Rows of windows u (lags, m, N), y (s + 1, p, N)."""
     samples, p, N = y.shape
+    y = test.seen(y)
     shift = -int(np.log2(float(RECORDER_ULPS * rounding.unit(y.dtype))))  # a power of two
     bounds = [np.asarray(x, np.float64) for x in (test.noise, test.resolution, np.ravel(test.disturbance))]
     slip = input_slip(np.where(np.isnan(u), 0, u))

@@ -12,7 +12,7 @@ is then enough, but not the smallest.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -55,13 +55,20 @@ class GuaranteedSize(float):
     sizes: dict
 
 
-def detectable(model: ModelLike, fault: str | Fault, horizon: int | None = None, operating_range: Any = None) -> GuaranteedSize:
+def detectable(
+    model: ModelLike,
+    fault: str | Fault,
+    horizon: int | None = None,
+    operating_range: Any = None,
+    lags: Sequence[int] | None = None,
+) -> GuaranteedSize:
     """Return the smallest size of a constant fault that is guaranteed to be detected.
 
     Args:
         model: a LinearSystem.
         fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
         horizon: of the window, which the fault must fill; None: that of the model, or up to where longer windows see no smaller faults.
+        lags: of the window in place of horizon, as for `parity_relations`.
         operating_range: largest |reading - offset| of the outputs, one number, one per output or {output: number}, with the fault.
             Needed with a tolerance;
             without one, readings are assumed below a million times the bounds, so that the rounding of the recording does not matter.
@@ -93,17 +100,18 @@ def detectable(model: ModelLike, fault: str | Fault, horizon: int | None = None,
             "guaranteed sizes of an uncertain model are not implemented: leave its uncertainties out, or decouple them"
         )
     reach = _reach(model, operating_range)
-    horizon = model.horizon if horizon is None else horizon
-    first = parity_relations(model, horizon).horizon  # says so if there is none
+    horizon = model.horizon if horizon is None and lags is None else horizon
+    relations = parity_relations(model, horizon, lags=lags)  # says so if there is none
+    first, lags = relations.horizon, relations.lags
     tried, best = {}, None
-    for s in (first,) if horizon is not None else range(first + 4 * model.n + 12):
+    for s in (first,) if horizon is not None or lags is not None else range(first + 4 * model.n + 12):
         if s < first and not linalg.left_null_space(window.unbounded(model, s)):
             continue
         if best is None:
             affordable(model, s)
         elif relation_cost(model, s)[0] > SECONDS:
             break
-        size, h = _size(model, signal, s, reach)
+        size, h = _size(model, signal, s, reach, lags)
         tried[s] = size
         if size is not None and (best is None or size < best[0] * Fraction(999, 1000)):
             best = size, s, h
@@ -143,7 +151,8 @@ def always_seen(relations: Any, method: str = "joint", readings: ArrayLike | Non
             return None
         offset = np.array(model.offset["y"], float)
         reach = np.fmax.reduce(abs(np.asarray(readings, float) - offset), axis=0, initial=np.finfo(np.float32).tiny).tolist()
-    return {signal: float(detectable(model, signal, s, reach)) for signal in signals}
+    window = {"horizon": s} if relations.lags is None else {"lags": relations.lags}
+    return {signal: float(detectable(model, signal, operating_range=reach, **window)) for signal in signals}
 
 
 def _text(model, s, h):
@@ -217,10 +226,13 @@ def _shifted(model, signal, s, reach):
     return shift, widths, [model.tolerance[i] * x for x in shift]
 
 
-def _size(model, signal, s, reach):
+def _size(model, signal, s, reach, lags):
     """Return the smallest size that a window of horizon s always sees, None where none is, and the relation that sees it."""
-    shift, widths, spread = _shifted(model, signal, s, reach)
-    space, size = subspace(window.unknowns(model, s)[0]), None
+    E = window.unknowns(model, s)[0]
+    seen = window.seen_rows(model, s, range(s + 1) if lags is None else lags)
+    whole = lambda h: tuple(dict(zip(seen, h, strict=True)).get(i, ZERO) for i in range(len(E)))
+    shift, widths, spread = ([x[i] for i in seen] for x in _shifted(model, signal, s, reach))
+    space, size = subspace([E[i] for i in seen]), None
     best = chebyshev(space, shift, widths)
     if best.t == 0:
         return None, None
@@ -231,5 +243,5 @@ def _size(model, signal, s, reach):
             return size, None
         f = _least(best.h, shift, widths, spread)
         if best.t == 1:
-            return f, best.h
+            return f, whole(best.h)
         size = f

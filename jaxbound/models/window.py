@@ -13,14 +13,14 @@ Rows are time-major: y_k, then y_{k+1}, ... The inputs are u_k .. u_{k+s-1}, and
 Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["disturbance_form", "first_form", "input_lags", "second_form", "unbounded", "unknown_lags", "unknowns"]
+__all__ = ["disturbance_form", "first_form", "input_lags", "second_form", "seen_rows", "unbounded", "unknown_lags", "unknowns"]
 
 ZERO = Fraction(0)
 
@@ -33,6 +33,12 @@ def input_lags(model: LinearSystem, horizon: int) -> int:
 def unknown_lags(model: LinearSystem, horizon: int) -> int:
     """Return how many samples of v a window of s + 1 outputs depends on: s, or s + 1 with D_v."""
     return (horizon + 1 if model.has_direct_unknown else horizon) if model.d else 0
+
+
+def seen_rows(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[int, ...]:
+    """Return the numbers of the rows of (Y, w) in a window that looks at its outputs only so many samples before its last."""
+    outputs = ((horizon - lag) * model.p + i for lag in sorted(lags, reverse=True) for i in range(model.p))
+    return *outputs, *range((horizon + 1) * model.p, (horizon + 1) * model.p + model.g * horizon)
 
 
 def unbounded(model: LinearSystem, horizon: int) -> Matrix:

@@ -83,8 +83,15 @@ def changed_bounds(model: LinearSystem, old: Bounds, new: Mapping[str, ArrayLike
     return {name: checked_bound(model, name, new.get(name, value)) for name, value in old.items()}
 
 
-def reading(shape: Strips | Frame | None, model: LinearSystem, horizon: int, bounds: Bounds, dtype: DTypeLike) -> Reading:
-    """Return the Reading of a model under such bounds, rounded so that none is tighter."""
+def reading(
+    shape: Strips | Frame | None,
+    model: LinearSystem,
+    horizon: int,
+    bounds: Bounds,
+    dtype: DTypeLike,
+    lags: tuple[int, ...] | None = None,
+) -> Reading:
+    """Return the Reading of a model under such bounds, rounded so that none is tighter. lags: see `parity_relations`."""
     lo_hi = bounds.get("disturbance", np.zeros((0, 2)))
     if not isinstance(lo_hi, jax.core.Tracer):
         lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)
@@ -100,4 +107,5 @@ def reading(shape: Strips | Frame | None, model: LinearSystem, horizon: int, bou
         nearest(model.offset["y"]).astype(dtype),
         horizon,
         window.input_lags(model, horizon),
+        lags,
     )

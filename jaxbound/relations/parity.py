@@ -58,7 +58,7 @@ class ParityRelation:
     Fields: bounds {"tolerance": (p,), "noise": (p,)}, and "disturbance": (g, 2) if the model has one (floats, never tighter than the
     model's decimals), model, horizon, form, W (count, (s+1)p + gs) and K (count, l): W (Y, w) = K U for an exact plant, with exact
     entries; p_ext = W (Y, 0) - K U. circuits, circuits_known: the strips, none where they are too many; frame: then what the exchange
-    search needs (`sets.strips.separation`), else None.
+    search needs (`sets.strips.separation`), else None. lags: so many samples before its last a window looks at the outputs; None: always.
     """
 
     bounds: Bounds
@@ -70,6 +70,7 @@ class ParityRelation:
     circuits: Matrix = field(metadata={"static": True})
     circuits_known: Matrix = field(metadata={"static": True})
     frame: linalg.Frame | None = field(default=None, metadata={"static": True})
+    lags: tuple[int, ...] | None = field(default=None, metadata={"static": True})
 
     @property
     def count(self) -> int:
@@ -79,7 +80,7 @@ class ParityRelation:
     @property
     def made(self) -> tuple:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
-        return self.form, None
+        return self.form, self.lags
 
     @cached_property
     def _joint(self) -> Strips:
@@ -96,7 +97,7 @@ class ParityRelation:
             shape = self._alone.astype(dtype)
         else:
             shape = self._joint.astype(dtype) if self.frame is None else frame_of(self.frame, dtype)
-        return reading(shape, self.model, self.horizon, self.bounds, dtype)
+        return reading(shape, self.model, self.horizon, self.bounds, dtype, self.lags)
 
     def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
@@ -198,7 +199,11 @@ def _forms(test, u, y):
 
 
 def parity_relations(
-    model: ModelLike, horizon: int | None = None, form: str = "first", progress: Callable[[float], object] | None = None
+    model: ModelLike,
+    horizon: int | None = None,
+    form: str = "first",
+    progress: Callable[[float], object] | None = None,
+    lags: Sequence[int] | None = None,
 ) -> ParityRelation | UncertainRelations:
     """Eliminate the unknown state from a window exactly: chooses the elimination that the model needs.
 
@@ -209,14 +214,17 @@ def parity_relations(
         form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set; the basis of the
             relations, and with it the box test, differs.
         progress: called with the share of the work done: many states or a long window take minutes.
+        lags: samples before its last, 0 among them, at which a window looks at the outputs, in place of horizon: (0, 1, 2, 4, 8, 16, 32)
+            remembers as long as 33 samples with the rows of 7. It uses every input and disturbance between: an input that is missing
+            anywhere is missing.
 
     Returns:
         A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers. UncertainRelations if
         the model has uncertainties.
 
     Raises:
-        ValueError: no relation at this horizon; one so long that exact numbers would not end (`relations.cost`); uncertainties under which
-            some state is seen at some values and not at others.
+        ValueError: no relation at this horizon or these lags; a window so long that exact numbers would not end (`relations.cost`); lags
+            of a model with uncertainties; uncertainties under which some state is seen at some values and not at others.
 
     Source: Adrot, Maquin, Ragot 2000, (6), (13); Ploix, Adrot 2006, (2)-(3), (5).
 
@@ -229,6 +237,9 @@ def parity_relations(
     model, report = as_model(model), progress or (lambda share: None)
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
+    if lags is not None:
+        lags = _checked_lags(model, horizon, form, lags)
+        horizon = lags[-1]
     if horizon is None:
         horizon = model.horizon
     if horizon is None:
@@ -241,29 +252,66 @@ def parity_relations(
         if form != "first":
             raise ValueError("form 'second' is for models without uncertainties")
         return uncertain_relations(model, horizon)
-    if form == "first":
+    if lags is not None:
+        W, K = _lagged(model, horizon, lags)
+    elif form == "first":
         W, K = _first(model, horizon, lambda share: report(0.5 * share))
     else:
         samples, K = _second(model, horizon)
         W = _with_disturbance(model, horizon, samples)
     if not W:
-        raise ValueError(_without_relation(model, horizon))
+        raise ValueError(_without_relation(model, horizon, lags))
     report(0.5)
     bounds = model_bounds(model)
     E, known = window.unknowns(model, horizon)
+    seen = range(len(E)) if lags is None else window.seen_rows(model, horizon, lags)
+    E, known = tuple(E[i] for i in seen), tuple(known[i] for i in seen)
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
     report(0.6)
     if not circuits:
-        searched = linalg.frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
+        found = linalg.frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
+        searched = dataclasses.replace(found, inner=tuple(seen[i] for i in found.inner), outer=tuple(seen[i] for i in found.outer))
         report(1.0)
-        return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched)
+        return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
     circuits_known = linalg.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
-    return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known)
+    circuits = tuple(_spread(row, seen, model, horizon) for row in circuits)
+    return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
 
 
-def _without_relation(model: LinearSystem, horizon: int) -> str:
+def _checked_lags(model: LinearSystem, horizon: int | None, form: str, lags: Sequence[int]) -> tuple[int, ...]:
+    """Return lags in order, or refuse them."""
+    whole = [isinstance(x, (int, np.integer)) and not isinstance(x, bool) and x >= 0 for x in lags]
+    if not all(whole) or len(set(lags)) < len(lags) or 0 not in lags:
+        raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")
+    if horizon is not None or form != "first":
+        raise ValueError(f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} out")
+    if model.uncertainties:
+        raise ValueError(
+            "lags are for models without uncertainties: over so many samples the products of uncertain parameters are too many"
+        )
+    return tuple(sorted(map(int, lags)))
+
+
+def _lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matrix, Matrix]:
+    """Return (W, K) over the outputs at some samples only."""
+    seen = [i for i in window.seen_rows(model, horizon, lags) if i < (horizon + 1) * model.p]
+    free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
+    found = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen)))))
+    whole = tuple(_spread(row, seen, model, horizon)[: (horizon + 1) * model.p] for row in found)
+    return _with_disturbance(model, horizon, whole), linalg.matmul(whole, H) if H[0] and whole else tuple(() for _ in whole)
+
+
+def _spread(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:
+    """Return a row over some rows of (Y, w) as one over all."""
+    at = dict(zip(seen, row, strict=True))
+    return tuple(at.get(i, ZERO) for i in range((horizon + 1) * model.p + model.g * horizon))
+
+
+def _without_relation(model: LinearSystem, horizon: int, lags: Sequence[int] | None) -> str:
     """Return why a window has no relation, and which one has."""
+    if lags is not None:
+        return f"lags {lags} give no relation: {len(lags) * model.p} samples do not outnumber what is unknown; look at more of them"
     first = next((s for s in range(model.n + 1) if linalg.left_null_space(window.unbounded(model, s))), None)
     if first is None:
         return f"no horizon gives a relation: {model.d} unknown inputs can explain whatever {model.p} outputs show"

@@ -62,6 +62,11 @@ class UncertainRelations:
         return self.N.rows
 
     @property
+    def lags(self) -> None:
+        """None: a window looks at every sample."""
+        return None
+
+    @property
     def form(self) -> str:
         """How they were made."""
         return "polynomial"
