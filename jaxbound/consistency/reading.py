@@ -23,8 +23,8 @@ class Reading:
     """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
 
     Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise, resolution, offset_y (p,);
-    disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window; looks: so many samples before the last outputs are looked
-    at, None: at every one.
+    disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window; looks: at outputs so many samples before the
+    last, None: at all.
     """
 
     shape: Strips | Frame

@@ -287,9 +287,7 @@ def _checked_lags(model: LinearSystem, horizon: int | None, form: str, lags: Seq
     if horizon is not None or form != "first":
         raise ValueError(f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} out")
     if model.uncertainties:
-        raise ValueError(
-            "lags are for models without uncertainties: over so many samples the products of uncertain parameters are too many"
-        )
+        raise ValueError("lags are for models without uncertainties: over many samples uncertain parameters have too many products")
     return tuple(sorted(map(int, lags)))
 
 

@@ -1,6 +1,5 @@
 """Windows that look at their outputs at some samples only: long memory, few rows, every verdict exact."""
 
-import json
 import subprocess
 import sys
 from functools import cache
@@ -12,7 +11,6 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.models import window
 from jaxbound.relations.identity import identity
 
 HEATER = dict(
