@@ -37,6 +37,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
+from jaxbound.relations.lags import checked_lags, lagged, spread
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
@@ -238,7 +239,7 @@ def parity_relations(
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
     if lags is not None:
-        lags = _checked_lags(model, horizon, form, lags)
+        lags = checked_lags(model, horizon, form, lags)
         horizon = lags[-1]
     if horizon is None:
         horizon = model.horizon
@@ -253,7 +254,8 @@ def parity_relations(
             raise ValueError("form 'second' is for models without uncertainties")
         return uncertain_relations(model, horizon)
     if lags is not None:
-        W, K = _lagged(model, horizon, lags)
+        samples, K = lagged(model, horizon, lags)
+        W = _with_disturbance(model, horizon, samples)
     elif form == "first":
         W, K = _first(model, horizon, lambda share: report(0.5 * share))
     else:
@@ -275,35 +277,8 @@ def parity_relations(
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
     circuits_known = linalg.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
-    circuits = tuple(_spread(row, seen, model, horizon) for row in circuits)
+    circuits = tuple(spread(row, seen, model, horizon) for row in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
-
-
-def _checked_lags(model: LinearSystem, horizon: int | None, form: str, lags: Sequence[int]) -> tuple[int, ...]:
-    """Return lags in order, or refuse them."""
-    whole = [isinstance(x, (int, np.integer)) and not isinstance(x, bool) and x >= 0 for x in lags]
-    if not all(whole) or len(set(lags)) < len(lags) or 0 not in lags:
-        raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")
-    if horizon is not None or form != "first":
-        raise ValueError(f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} out")
-    if model.uncertainties:
-        raise ValueError("lags are for models without uncertainties: over many samples uncertain parameters have too many products")
-    return tuple(sorted(map(int, lags)))
-
-
-def _lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matrix, Matrix]:
-    """Return (W, K) over the outputs at some samples only."""
-    seen = [i for i in window.seen_rows(model, horizon, lags) if i < (horizon + 1) * model.p]
-    free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
-    found = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen)))))
-    whole = tuple(_spread(row, seen, model, horizon)[: (horizon + 1) * model.p] for row in found)
-    return _with_disturbance(model, horizon, whole), linalg.matmul(whole, H) if H[0] and whole else tuple(() for _ in whole)
-
-
-def _spread(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:
-    """Return a row over some rows of (Y, w) as one over all."""
-    at = dict(zip(seen, row, strict=True))
-    return tuple(at.get(i, ZERO) for i in range((horizon + 1) * model.p + model.g * horizon))
 
 
 def _without_relation(model: LinearSystem, horizon: int, lags: Sequence[int] | None) -> str:

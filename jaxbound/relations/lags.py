@@ -1,0 +1,46 @@
+"""Windows that look at the outputs at some samples only: long memory with few rows.
+
+A row that is not looked at is no row: the state is eliminated from those that are left. Inputs and disturbances act at every step between,
+so they count at every step.
+"""
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.models import window
+from jaxbound.models.system import LinearSystem
+
+__all__ = ["checked_lags", "lagged", "spread"]
+
+ZERO = Fraction(0)
+
+
+def checked_lags(model: LinearSystem, horizon: int | None, form: str, lags: Sequence[int]) -> tuple[int, ...]:
+    """Return lags in order, or refuse them."""
+    whole = [isinstance(x, (int, np.integer)) and not isinstance(x, bool) and x >= 0 for x in lags]
+    if not all(whole) or len(set(lags)) < len(lags) or 0 not in lags:
+        raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")
+    if horizon is not None or form != "first":
+        raise ValueError(f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} out")
+    if model.uncertainties:
+        raise ValueError("lags are for models without uncertainties: over many samples uncertain parameters have too many products")
+    return tuple(sorted(map(int, lags)))
+
+
+def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matrix, Matrix]:
+    """Return relations W Y = K U of an exact plant, without disturbances, over the outputs at some samples only."""
+    seen = [i for i in window.seen_rows(model, horizon, lags) if i < (horizon + 1) * model.p]
+    free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
+    found = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen)))))
+    whole = tuple(spread(row, seen, model, horizon)[: (horizon + 1) * model.p] for row in found)
+    return whole, linalg.matmul(whole, H) if H[0] and whole else tuple(() for _ in whole)
+
+
+def spread(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:
+    """Return a row over some rows of (Y, w) as one over all."""
+    at = dict(zip(seen, row, strict=True))
+    return tuple(at.get(i, ZERO) for i in range((horizon + 1) * model.p + model.g * horizon))
