@@ -69,7 +69,7 @@ EXACT_OR_UNPROVED = {
     "detectable", "from_control", "from_scipy", "interval", "interval_system", "isolability", "load_model", "parity_relations",
     "redundancy", "residual", "save_model", "signatures", "strips", "structured_relations", "zonotope",
     # no proof is claimed; evaluate compares residuals with a hull, as sure as the hull is
-    "evaluate", "margins", "plot", "sets", "simulate",
+    "evaluate", "margins", "plot", "sets", "simulate", "use_cache",
 }  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 
-__all__ = ["ConstantTest"]
+__all__ = ["ConstantTest", "gain_bounds", "narrowed", "signed"]
 
 BLOCK = 2**9
 HELD = 2**26  # bytes of strips at most that a block keeps
@@ -42,18 +42,7 @@ class ConstantTest(WindowTest):
 
     The sign of the margin is that of the verdict, its size that of the best gains found: 1 - t, t not below the true factor, but seldom
     30 % above it.
-
-    Raises:
-        NotImplementedError: relations that are too many to be tested one by one.
     """
-
-    def __init__(self, relations: Any, method: str, dtype: Any) -> None:
-        super().__init__(relations, method, dtype)
-        if method == "joint" and relations.frame is not None:
-            raise NotImplementedError(
-                f"horizon {relations.horizon} is too long for constant_tolerance, whose relations are tested one by one: choose a shorter "
-                "one, or leave constant_tolerance out (wider bounds, that still give no false alarm)"
-            )
 
     @property
     def block(self) -> int:
@@ -75,7 +64,7 @@ class ConstantTest(WindowTest):
             status, margin = outs
             at = left + self.horizon
             status[at] = self._search(u, y, left)
-            margin[at] = np.where(status[at] == Status.UNDECIDED, 0, _signed(margin[at], status[at] == Status.CONSISTENT))
+            margin[at] = np.where(status[at] == Status.UNDECIDED, 0, signed(margin[at], status[at] == Status.CONSISTENT))
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
@@ -85,7 +74,7 @@ class ConstantTest(WindowTest):
         """Return the status of windows that one box of gains does not decide."""
         test, given = self.reading, gather(u, y, starts, self.lags, self.horizon)
         on_device = jax.device_put(test)
-        lo, hi = (np.asarray(x) for x in _gains(test, np)[:2])
+        lo, hi = (np.asarray(x) for x in gain_bounds(test, np)[:2])
         judge = lambda lo, hi, owner: _boxes(on_device, *(x[..., owner] for x in given), lo, hi)  # any number of windows compiles once
         found = explore(judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(min(2**10, self.block),))
         status = np.where(np.bincount(found.owner, minlength=len(starts)) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
@@ -94,7 +83,7 @@ class ConstantTest(WindowTest):
         return np.where((status == Status.CONSISTENT) & missing, np.int8(Status.UNDECIDED), status)
 
 
-def _gains(test, xp):
+def gain_bounds(test: Any, xp: Any) -> tuple:
     """Return (lo, hi, inner_lo, inner_hi): a box of gains that holds [1 / (1 + sigma), 1 / (1 - sigma)], and one inside it that holds 1."""
     u4 = 4 * rounding.unit(test.noise.dtype)
     low, high = 1 / (1 + test.tolerance), 1 / (1 - test.tolerance)
@@ -109,15 +98,15 @@ def _gains(test, xp):
 def _first(test, u, y):
     """Return (status or OPEN, margin) of windows u (lags, m, N), y (s + 1, p, N)."""
     strips, silent = _strips(test, u, y)
-    lo, hi = (jnp.repeat(end[:, None], y.shape[2], 1) for end in _gains(test, jnp)[:2])
+    lo, hi = (jnp.repeat(end[:, None], y.shape[2], 1) for end in gain_bounds(test, jnp)[:2])
     out, fits, present, _, _, point, _ = _judge(test, strips, lo, hi)
     status = jnp.where(out, Status.FAULT, jnp.where(fits, jnp.where(silent, Status.UNDECIDED, Status.CONSISTENT), OPEN))
     margin = 1 - _factor(test, strips, point)
-    margin = jnp.where(status == OPEN, margin, _signed(margin, fits))
+    margin = jnp.where(status == OPEN, margin, signed(margin, fits))
     return jnp.where(present, status, Status.MISSING).astype(jnp.int8), jnp.where(present, margin, jnp.nan)
 
 
-def _signed(margin, inside):
+def signed(margin: Any, inside: Any) -> Any:
     """Give a margin the sign that was proved."""
     least = 1e-6
     return np.where(inside, np.maximum(margin, least), np.minimum(margin, -least)) if isinstance(margin, np.ndarray) else jnp.where(
@@ -187,7 +176,7 @@ def _slack(test, magnitude):
     """
     terms = test.shape.h.shape[1] + test.shape.k.shape[1] + len(test.noise)
     gamma, floor = rounding.residual_error(terms, magnitude.dtype)
-    most = jnp.max(_gains(test, jnp)[1])
+    most = jnp.max(gain_bounds(test, jnp)[1])
     usable = magnitude < np.asarray(2.0 ** (np.finfo(magnitude.dtype).maxexp // 2), magnitude.dtype)
     slack = 2 * (gamma * most * magnitude + floor * (1 + jnp.max(jnp.abs(test.shape.h))) * (1 + most))
     return jnp.where(usable, slack, 0), usable
@@ -209,7 +198,7 @@ def _judge(test, strips, lo, hi):
         lo, hi, out = carry
         usable = strip.usable
         for slope, least in ((strip.a + strip.e, strip.b - strip.slack), (strip.e - strip.a, -strip.b - strip.slack)):
-            lo, hi, missed = _narrowed(lo, hi, jnp.where(usable[None], slope, 0), jnp.where(usable, least, -1))
+            lo, hi, missed = narrowed(lo, hi, jnp.where(usable[None], slope, 0), jnp.where(usable, least, -1))
             out = out | missed
         return lo, hi, out
 
@@ -222,7 +211,7 @@ def _judge(test, strips, lo, hi):
     none = jnp.zeros(lo.shape[1:], bool)
     lo, hi, out = jax.lax.fori_loop(0, ROUNDS, lambda _, carry: _fold(narrow, carry, strips), (lo, hi, none))
     out |= jnp.any(lo > hi, 0)
-    point = jnp.clip(0.5 * lo + 0.5 * hi, *(x[:, None] for x in _gains(test, jnp)[2:]))
+    point = jnp.clip(0.5 * lo + 0.5 * hi, *(x[:, None] for x in gain_bounds(test, jnp)[2:]))
     fits, present, lean = _fold(keeps, (~out, none, jnp.zeros_like(lo)), strips)
     return out, fits, present, lo, hi, point, jnp.argmax(lean * (hi - lo), 0)
 
@@ -231,7 +220,7 @@ def _dot(x, y):
     return jnp.sum(x * y, 0)
 
 
-def _narrowed(lo, hi, slope, least):
+def narrowed(lo: jax.Array, hi: jax.Array, slope: jax.Array, least: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the box without parts where sum_i g_i slope_i < least, and whether nothing is left."""
     most = jnp.maximum(lo * slope, hi * slope)
     total = jnp.sum(most, 0)
@@ -267,7 +256,7 @@ def _factor(test, strips, guess):
             lo, hi, empty = carry
             for sign in (1, -1):
                 slope = jnp.where(strip.absent[None], 0, t[None] * strip.e + sign * strip.a)
-                lo, hi, missed = _narrowed(lo, hi, slope, jnp.where(strip.absent, -1, sign * strip.b))
+                lo, hi, missed = narrowed(lo, hi, slope, jnp.where(strip.absent, -1, sign * strip.b))
                 empty = empty | missed
             return lo, hi, empty
 

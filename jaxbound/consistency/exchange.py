@@ -23,7 +23,7 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 
-__all__ = ["ExchangeTest", "candidates", "exchange_margins", "verdicts"]
+__all__ = ["PATIENCE", "ExchangeTest", "candidates", "exchange_margins", "rounded_frame", "verdicts"]
 
 CONSISTENT, UNDECIDED, FAULT = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
 PATIENCE = 10
@@ -91,7 +91,7 @@ class ExchangeTest(WindowTest):
         k = len(self.relations.frame.inner)
         for frame, chosen in self._frames(u, y, left):
             starts = left[chosen]
-            shape = _rounded(self.relations, frame, self.dtype)
+            shape = rounded_frame(self.relations, frame, self.dtype)
             for finer in FINER:
                 starts = again(ExchangeTest(self.relations, self.dtype, shape, PATIENCE * (k + 10), finer), starts)
                 starts = starts[margin[starts + s] == 0]  # what is proved needs no other search
@@ -175,7 +175,7 @@ def _block_of(frame):
     return 1024 if len(frame.inner) <= 8 else 64
 
 
-def _rounded(relations, frame, dtype):
+def rounded_frame(relations: Any, frame: linalg.Frame, dtype: Any) -> separation.Frame:
     """Return a frame in floats, of one of few widths, so that few are compiled."""
     k, more = len(relations.frame.inner), len(frame.inner) - len(relations.frame.inner)
     return separation.frame_of(frame, dtype, k + (power(more) if more > 0 else 0))

@@ -24,6 +24,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.constant import ConstantTest
 from jaxbound.consistency.exchange import ExchangeTest
+from jaxbound.consistency.gains import GainsTest
 from jaxbound.consistency.gridding import PavingTest
 from jaxbound.consistency.interface import WindowTest, refuse_options
 from jaxbound.consistency.reading import Reading, forms
@@ -110,7 +111,7 @@ class ParityRelation:
         if method == "paving":
             return PavingTest(self, dtype, budget)
         if self.model.constant_tolerance:
-            return ConstantTest(self, method, dtype)
+            return ConstantTest(self, method, dtype) if method == "box" or self.frame is None else GainsTest(self, dtype)
         if method == "joint" and self.frame is not None:
             return ExchangeTest(self, dtype)
         return StripsTest(self, method, dtype)

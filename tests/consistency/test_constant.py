@@ -197,8 +197,6 @@ def test_what_a_constant_tolerance_cannot_do_is_said():
         jb.margins(r, np.zeros((3, 1)), np.zeros((3, 2)))
     with pytest.raises(ValueError, match="constant_tolerance must be True or False, not 'yes'"):
         paper(constant_tolerance="yes")
-    with pytest.raises(NotImplementedError, match="horizon 40 is too long for constant_tolerance"):
-        jb.detect(jb.parity_relations(model(), horizon=40), np.zeros((50, 1)), np.zeros((50, 2)))
 
 
 def test_a_model_file_keeps_the_field(tmp_path):

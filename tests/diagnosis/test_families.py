@@ -14,7 +14,7 @@ GAIN = dict(A=[[0.5]], B=[[1]], C=[[1]], noise=0.1)
 METHODS = {"short": "joint", "box": "box", "long": "joint", "paving": "paving", "constant": "joint", "long constant": "joint",
            "uncertain": "joint", "uncertain paving": "paving", "linearised": "linearised", "bank": "joint",
            "residual": "joint"}  # fmt: skip
-RARELY = {"paving": "slow", "long": "long", "long constant": "long"}  # for the time that they take to compile
+RARELY = {"paving": "slow", "long": "long", "long constant": "slow"}  # for the time that they take to compile
 FAMILIES = [pytest.param(name, marks=getattr(pytest.mark, RARELY[name])) if name in RARELY else name for name in METHODS]
 
 
@@ -26,7 +26,7 @@ def relations(name):
     if name in ("uncertain", "uncertain paving", "linearised"):
         return jb.parity_relations(jb.LinearSystem(**GAIN, uncertainties=[jb.Uncertainty("a", A=[[0.05]])]), 1)
     model = jb.LinearSystem(**SPEC, constant_tolerance="constant" in name)
-    return jb.structured_relations(model) if name == "bank" else jb.parity_relations(model, 9 if "long" in name else 1)
+    return jb.structured_relations(model) if name == "bank" else jb.parity_relations(model, {"long": 9, "long constant": 20}.get(name, 1))
 
 
 @cache

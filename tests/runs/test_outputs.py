@@ -228,7 +228,7 @@ class TestFolder:
     def test_a_state_may_lie_in_a_folder_that_is_made(self, place, capsysbinary, monkeypatch):
         monkeypatch.setattr(pipe, "_chunks", lambda *args: [csv_text().encode()])
         assert main.main(["detect", "model.toml", "-", "--out", "out", "--state", "out/s.jsonl"]) == 0
-        assert {p.name for p in (place / "out").iterdir()} == {".jaxbound.json", "verdicts.csv", "s.jsonl"}
+        assert {p.name for p in (place / "out").iterdir()} == {".jaxbound.json", "verdicts.csv", "s.jsonl", "run.json", "tested_model.toml"}
 
     def test_the_model_that_was_tested_may_be_tested_again(self, place, capsys):
         assert main.main(DETECT) == 0

@@ -40,7 +40,7 @@ def drawn(rng, dtype, count=COUNT):
     return center, G, points.astype(dtype), t
 
 
-@each_dtype
+@pytest.mark.parametrize("dtype", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64])
 def test_points_are_decided_as_outside_of_jit(rng, dtype):
     center, G, points, t = drawn(rng, dtype)
     Z = zonotope(center, G)
@@ -50,7 +50,8 @@ def test_points_are_decided_as_outside_of_jit(rng, dtype):
     assert (np.asarray(answer)[far, 0] == np.where(t < 1, 1, -1)[far]).all()
 
 
-@pytest.mark.parametrize("dtype", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64])
+@pytest.mark.slow
+@each_dtype
 def test_points_of_one_set_are_decided_as_outside_of_jit(rng, dtype):
     center, G, points, _ = drawn(rng, dtype)
     one, many = zonotope(center[0], G[0]), np.resize(points, (MANY, N))
@@ -75,6 +76,7 @@ def test_emptiness_inside_jit_is_that_outside(rng, dtype):
     assert agree(jax.jit(jax.vmap(is_empty))(C).answer, is_empty(C)) <= (0 if dtype == np.float64 else 0.5)
 
 
+@pytest.mark.slow
 def test_two_sets_are_separated_inside_jit_as_outside(rng):
     G, H, shift = rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N))
     t = 1 + rng.choice([-1, 1], COUNT) * 10.0 ** rng.uniform(-6, 0, COUNT)

@@ -79,6 +79,7 @@ def inclusions_wrong_and_open(rng, sizes, kinds, count):
     return wrong, left
 
 
+@pytest.mark.slow
 def test_some_pairs_and_inclusions_are_decided_as_by_linear_programs_and_exact_numbers(rng):
     assert meets_wrong_and_open(rng, [(2, 5)], KINDS, 6) == (0, 0)
     assert inclusions_wrong_and_open(rng, [(2, 5)], ["general", "integer"], 6) == (0, 0)
