@@ -29,6 +29,7 @@ from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.naming import listed
 from jaxbound.relations.cost import SECONDS, affordable, relation_cost
+from jaxbound.relations.lags import over_all_rows
 from jaxbound.relations.parity import parity_relations, relation_text
 
 __all__ = ["GuaranteedSize", "always_seen", "detectable", "visible_sizes"]
@@ -230,7 +231,6 @@ def _size(model, signal, s, reach, lags):
     """Return the smallest size that a window of horizon s always sees, None where none is, and the relation that sees it."""
     E = window.unknowns(model, s)[0]
     seen = window.seen_rows(model, s, range(s + 1) if lags is None else lags)
-    whole = lambda h: tuple(dict(zip(seen, h, strict=True)).get(i, ZERO) for i in range(len(E)))
     shift, widths, spread = ([x[i] for i in seen] for x in _shifted(model, signal, s, reach))
     space, size = subspace([E[i] for i in seen]), None
     best = chebyshev(space, shift, widths)
@@ -243,5 +243,5 @@ def _size(model, signal, s, reach, lags):
             return size, None
         f = _least(best.h, shift, widths, spread)
         if best.t == 1:
-            return f, whole(best.h)
+            return f, over_all_rows(best.h, seen, model, s)
         size = f

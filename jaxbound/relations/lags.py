@@ -14,7 +14,7 @@ from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["checked_lags", "lagged", "spread"]
+__all__ = ["checked_lags", "lagged", "over_all_rows"]
 
 ZERO = Fraction(0)
 
@@ -36,11 +36,11 @@ def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matr
     seen = [i for i in window.seen_rows(model, horizon, lags) if i < (horizon + 1) * model.p]
     free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
     found = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen)))))
-    whole = tuple(spread(row, seen, model, horizon)[: (horizon + 1) * model.p] for row in found)
+    whole = tuple(over_all_rows(row, seen, model, horizon)[: (horizon + 1) * model.p] for row in found)
     return whole, linalg.matmul(whole, H) if H[0] and whole else tuple(() for _ in whole)
 
 
-def spread(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:
+def over_all_rows(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:
     """Return a row over some rows of (Y, w) as one over all."""
     at = dict(zip(seen, row, strict=True))
     return tuple(at.get(i, ZERO) for i in range((horizon + 1) * model.p + model.g * horizon))

@@ -38,7 +38,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
-from jaxbound.relations.lags import checked_lags, lagged, spread
+from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
@@ -278,7 +278,7 @@ def parity_relations(
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
     circuits_known = linalg.matmul(circuits, known) if known[0] else tuple(() for _ in circuits)
-    circuits = tuple(spread(row, seen, model, horizon) for row in circuits)
+    circuits = tuple(over_all_rows(row, seen, model, horizon) for row in circuits)
     return ParityRelation(bounds, model, horizon, form, W, K, circuits, circuits_known, None, lags)
 
 

@@ -1,13 +1,11 @@
 """Windows that look at their outputs at some samples only: long memory, few rows, every verdict exact."""
 
-import subprocess
-import sys
 from functools import cache
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from agreement import certificates_hold, monitor_agrees
 from scipy.optimize import linprog
 
 import jaxbound as jb
@@ -100,22 +98,12 @@ def test_a_sample_that_nobody_looks_at_may_be_missing_or_mad_and_an_input_betwee
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_monitor_says_the_same(kind):
-    u, y, res = detected(kind)
-    mon = jb.Monitor(relations(kind))
-    _, said = mon.run(mon.init(), u, y)
-    np.testing.assert_array_equal(said.status, res.status)
-    np.testing.assert_array_equal(said.margin, res.margin)
+    monitor_agrees(relations(kind), *detected(kind))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_certificates_are_checked_by_fractions_alone(kind, tmp_path):
-    _, _, res = detected(kind)
-    checker = Path(__file__).parents[1] / "check_certificate.py"
-    for name in ("FAULT", "CONSISTENT"):
-        c = res.explain(int(np.argmax(res.status == jb.Status[name])))
-        assert c.proves.name == name
-        (tmp_path / f"{name}.json").write_text(c.to_json())
-    subprocess.run([sys.executable, checker, *map(str, sorted(tmp_path.iterdir()))], check=True, capture_output=True)
+def test_certificates_are_checked_by_fractions_alone(kind):
+    certificates_hold(detected(kind)[2])
 
 
 def test_the_guaranteed_size_needs_twice_the_bounds():
