@@ -90,6 +90,7 @@ def test_a_sample_that_nobody_looks_at_may_be_missing_or_mad_and_an_input_betwee
             other[k - lag] = (np.nan, 1e6)[lag % 2]
     again = jb.detect(relations("plain"), u, other)
     assert again.status[k] == res.status[k] and again.margin[k] == res.margin[k]
+    assert again.explain(k).proves == res.status[k] == jb.Status.CONSISTENT
     gone = u.copy()
     gone[k - 5] = np.nan
     assert jb.detect(relations("plain"), gone, y).status[k] != jb.Status.CONSISTENT
