@@ -135,6 +135,10 @@ def _parse(argv):
     c.add_argument("--out", type=_path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
     c.add_argument("--runs", type=_whole(1, 10**7), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
     c.set_defaults(module="detect", function="run_demo")
+    c = commands.add_parser("example", help="write recordings to try the other commands on", epilog="exit codes: 0, or 2 bad input")
+    c.add_argument("name", nargs="?", metavar="NAME", help="heater or tank; without it, the examples are listed")
+    c.add_argument("--out", type=_path, metavar="DIR", help="folder for the files (default: one of that name)")
+    c.set_defaults(module="example")
     epilog = EPILOG + SHARES_EPILOG + PIPE_EPILOG
     c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=epilog)
     c.add_argument("model", type=_path, metavar="MODEL.toml")
