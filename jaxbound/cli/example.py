@@ -1,11 +1,12 @@
 """The command `jaxbound example`: recordings to try the other commands on, simulated, so that what is true of them is known.
 
-    heater  a laboratory of two heaters and two sensors, like the small ones that teach control: three healthy recordings and one in which
-            a sensor jumps; truth.toml is the model that made them, with the bounds within which everything was drawn
-    tank    the model file that `jaxbound info --template` prints, and a recording in which its level sensor is stuck for a while
+heater  a laboratory of two heaters and two sensors, like the small ones that teach control: three healthy recordings and one in which
+        a sensor jumps; truth.toml is the model that made them, with the bounds within which everything was drawn
+tank    the model file that `jaxbound info --template` prints, and a recording in which its level sensor reads too much for a minute
 """
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from jaxbound.runs.outputs import output_folder
 
 __all__ = ["EXAMPLES", "heater_model", "run"]
 
-JUMP, ONSET = 2.0, 60  # degC added to T1, from which sample of jump.csv on
+JUMP, ONSET = 0.8, 60  # degC added to T1, from which sample of jump.csv on
 
 
 def heater_model() -> LinearSystem:
@@ -52,7 +53,7 @@ def _heater(folder):
         for name, faults in (("jump.csv", [Fault("T1", "bias", JUMP, ONSET)]), (f"healthy_{number}.csv", [])):
             if number == 3 or not faults:
                 y = simulate(model, u, jax.random.key(number), faults=faults).y
-                _write(folder / name, model, u, np.asarray(y), 2)
+                _write(folder / name, model, u, np.asarray(y))
     return [
         ("healthy_1.csv", "10 minutes at 3 s: heaters Q1, Q2 in %, temperatures T1, T2 in degC"),
         ("healthy_2.csv", "the same on another day"),
@@ -63,15 +64,15 @@ def _heater(folder):
 
 
 def _tank(folder):
-    """Write the template of a model file and a recording of it in which the level stands still for a minute."""
+    """Write the template of a model file and a recording to it in which the level reads too much for a minute."""
     (folder / "tank.toml").write_text(template(), encoding="utf-8")
     model = load_model(folder / "tank.toml")
-    u = 50 + np.repeat(np.random.default_rng(1).integers(-5, 6, (15, 1)) * 4.0, 20, 0)
-    run = simulate(model, u, jax.random.key(1), faults=[Fault("level", "stuck", 0, 200, 260)])
-    _write(folder / "tank.csv", model, u, np.asarray(run.y), 3)
+    u = 50 + np.repeat(np.random.default_rng(1).integers(0, 6, (15, 1)) / 2, 20, 0)
+    run = simulate(model, u, jax.random.key(1), faults=[Fault("level", "bias", 0.5, 200, 260)])
+    _write(folder / "tank.csv", model, u, np.asarray(run.y))
     return [
         ("tank.toml", "the commented model file of jaxbound info --template"),
-        ("tank.csv", "5 minutes at 1 s; the level sensor is stuck from 200 s to 260 s"),
+        ("tank.csv", "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s"),
     ]
 
 
@@ -86,17 +87,20 @@ EXAMPLES: dict[str, tuple[str, Callable[[Path], list[tuple[str, str]]], tuple[st
 """By name: what it is, the function that writes it into a folder, its files, and what to try first."""
 
 
-def _write(path, model, u, y, places):
-    """Write a recording as CSV, time first; outputs are rounded to so many places."""
+def _write(path, model, u, y):
+    """Write a recording as CSV, time first; an output is rounded by no more than its resolution, without one it stands in full."""
+    places = [-math.floor(math.log10(2 * r)) if r else None for r in map(float, model.resolution)]
+    text = lambda row: ",".join(repr(float(x)) if n is None else f"{x:.{n}f}" for x, n in zip(row, places, strict=True))
     names = [model.column(name) for name in (*model.inputs, *model.outputs)]
-    rows = [f"{k * model.dt:g},{','.join(f'{x:g}' for x in u[k])},{','.join(f'{x:.{places}f}' for x in y[k])}" for k in range(len(y))]
+    rows = [f"{k * model.dt:g},{','.join(f'{x:g}' for x in u[k])},{text(y[k])}" for k in range(len(y))]
     path.write_text("\n".join([",".join([model.columns.get("time", "Time (s)"), *names]), *rows]) + "\n", encoding="utf-8")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `jaxbound example [NAME] [--out DIR]`; return the exit code."""
     if args.name is None:
-        show("examples", "bold", [(name, about) for name, (about, *_) in EXAMPLES.items()], text="\njaxbound example heater writes its files into heater/")
+        listed = [(name, about) for name, (about, *_) in EXAMPLES.items()]
+        show("examples", "bold", listed, text="\njaxbound example heater writes its files into heater/")
         return OK
     if args.name not in EXAMPLES:
         raise Refused(f"there is no example {args.name!r}: choose one of {', '.join(EXAMPLES)}")

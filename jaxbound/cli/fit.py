@@ -81,11 +81,11 @@ def _finite(x):
 
 def _summary(model, args, hints):
     """Return what --json prints."""
-    check, bounds = model.check, dict(zip(model.outputs, map(float, model.noise), strict=True))
+    check, bounds, rounds = model.check, *(dict(zip(model.outputs, map(float, x), strict=True)) for x in (model.noise, model.resolution))
     held_out = check.held_out and {k: _finite(v) for k, v in check.held_out.items()}
     return {
         "out": str(args.out), "order": args.order, "horizon": model.horizon, "states": model.n, "dt": model.dt, "method": check.method,
-        "noise": bounds, "smallest": check.smallest, "safety": check.safety, "held_out": held_out,
+        "noise": bounds, "resolution": rounds, "smallest": check.smallest, "safety": check.safety, "held_out": held_out,
         "recordings": [{"data": str(path)} | {k: _finite(v) for k, v in r.items()}
                        for path, r in zip(args.data, check.recordings, strict=True)],
         "jump": {k: _finite(v) for k, v in check.jump.items()}, "steady": {k: _finite(v) for k, v in check.steady.items()},
@@ -97,9 +97,10 @@ def _tell(model, args, hints):
     check = model.check
     size = lambda x, name: "never" if not np.isfinite(x) else f"{x:.3g} {model.unit(name)}".rstrip()
     table = [("output", "smallest bound", "written", "jump always seen", "steady error always seen")]
-    for name, bound in zip(model.outputs, model.noise, strict=True):
+    for name, *bounds in zip(model.outputs, model.noise, model.resolution, strict=True):
         sizes = (size(x[name], name) for x in (check.jump, check.steady))
-        table.append((name, f"{check.smallest[name]:.4g}", f"{float(bound):.4g}", *sizes))
+        table.append((name, f"{check.smallest[name]:.4g}", f"{float(sum(bounds)):.4g}", *sizes))
+    rounded = ", ".join(f"{float(r):.6g} of {name}" for name, r in zip(model.outputs, model.resolution, strict=True) if r)
     unseen = check.held_out
     rows = [
         ("model", f"{model.n} states, order {args.order}, coefficients by {check.method}"),
@@ -110,6 +111,7 @@ def _tell(model, args, hints):
          f"a first fit, to the first {100 * (1 - args.held_out):.3g} % of each, found {100 * unseen['fault']:.3g} % FAULT in "
          f"{unseen['windows']} windows of the rest, which used {100 * unseen['growth']:.3g} % of its bounds; the model is fitted to all"),
         ("safety", f"{check.safety:g} times the smallest bounds"),
+        *([("resolution", f"{rounded}: that much of the bound is what the recorder rounds away")] if rounded else []),
         ("written", str(args.out) + (f" and {args.plot}" if args.plot else "")),
         *[("caution", s) for s in check.sentences],
         *[("hint", h) for h in hints],

@@ -21,7 +21,7 @@ __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 TOP = ("name", "dt", "horizon", "time", "where", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty",
        "decouple", "matrices", "provenance")  # fmt: skip
 STATE = ("name", "unit")
-INPUT = ("name", "unit", "column", "offset")
+INPUT = ("name", "unit", "column", "offset", "range")
 OUTPUT = ("name", "unit", "column", "offset", "tolerance", "noise", "resolution")
 DISTURBANCE = ("bound",)
 MATRICES = ("A", "B", "C", "D", "G", "F", "D_v", "E")
@@ -149,13 +149,14 @@ def _model(table):
         raise ValueError("D_v says how unknown inputs act on the outputs: it needs F beside it, zeros where they do not act on a state")
     columns = {s["name"]: s["column"] for s in inputs + outputs if "column" in s}
     columns |= {key: _string(key, table[key]) for key in ("time", "where") if key in table}
+    ranges = {s["name"]: s["range"] for s in inputs if "range" in s}
     offset = {side: [s.get("offset", 0) for s in signals] for side, signals in (("u", inputs), ("y", outputs)) if signals}
     bounds = {bound: [s.get(bound, 0) for s in outputs] for bound in ("tolerance", "noise", "resolution") if outputs}
     names = lambda signals: [s["name"] for s in signals] or None
     return LinearSystem(
         matrices.get("A"), matrices.get("B"), matrices.get("C"), matrices.get("D"), _number("dt", table["dt"]),
         inputs=names(inputs), outputs=names(outputs), states=names(states),
-        units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}, offset=offset, columns=columns, **bounds,
+        units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}, offset=offset, columns=columns, ranges=ranges, **bounds,
         disturbance=(matrices["G"], disturbances) if disturbances else None,
         unknown_inputs=(matrices["F"], matrices["D_v"]) if "D_v" in matrices else matrices.get("F"),
         uncertainties=uncertainties, E=matrices.get("E"),
@@ -222,7 +223,13 @@ def _signal(field, index, table, fields):
     if "name" not in table:
         raise ValueError(f"{where} needs a name")
     for key, value in table.items():
-        (_string if key in ("name", "unit", "column") else _number)(f"{key} of {where.rstrip(',')}", value)
+        if key == "range":
+            if not isinstance(value, list) or len(value) != 2:
+                raise ValueError(f"range of {where.rstrip(',')} must be [lowest, highest]")
+            for end in value:
+                _number(f"range of {where.rstrip(',')}", end)
+        else:
+            (_string if key in ("name", "unit", "column") else _number)(f"{key} of {where.rstrip(',')}", value)
     return table
 
 
@@ -282,6 +289,8 @@ def model_text(model: LinearSystem) -> str:
             out += [f"{key} = {quote(about[name])}" for key, about in (("unit", model.units), ("column", model.columns)) if name in about]
             if model.offset[side][i]:
                 out.append(f"offset = {number(model.offset[side][i])}")
+            if name in model.ranges and side == "u":
+                out.append(f"range = [{', '.join(map(number, model.ranges[name]))}]")
             if side == "y":
                 bounds = (("tolerance", model.tolerance), ("noise", model.noise), ("resolution", model.resolution))
                 out += [f"{key} = {number(bound[i])}" for key, bound in bounds if bound[i]]
@@ -348,6 +357,7 @@ name = "pump"
 unit = "%"           # optional, for the report
 column = "Pump [%]"  # optional: the column of the recording, if it is not called like the signal, or "= `In (bar)` - `Out (bar)`"
 offset = 50          # optional: operating point; the model speaks of (recorded value - offset)
+range = [30, 70]     # optional: between which it moves; jaxbound study draws its levels there
 
 # One [[outputs]] block per row of C, in order, with what is known of its sensor:
 #     recorded = (1 + theta) (true value) + e,    |theta| <= tolerance,   |e| <= noise + resolution,   drawn anew each sample

@@ -26,7 +26,8 @@ Words: TypeAlias = tuple[tuple[str, str], ...]
 class ModelSignals:
     """The signals of a model. Build it with `model_signals`.
 
-    Fields: inputs, outputs, states: names; input_offset (m,), output_offset (p,): the operating point; units, columns: of signals by name.
+    Fields: inputs, outputs, states: names; input_offset (m,), output_offset (p,): the operating point; units, columns: of signals by name;
+    ranges: (name, lowest, highest) of the inputs whose range is known.
     """
 
     inputs: tuple[str, ...]
@@ -36,6 +37,7 @@ class ModelSignals:
     output_offset: Vector
     units: Words
     columns: Words
+    ranges: tuple[tuple[str, Fraction, Fraction], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ def model_signals(
     offset: Mapping[str, Each] | None,
     units: Mapping[str, str] | None,
     columns: Mapping[str, str] | None,
+    ranges: Mapping[str, tuple[Number, Number]] | None = None,
 ) -> ModelSignals:
     """Check the arguments of a LinearSystem that speak of its signals and return them in one form.
 
@@ -80,7 +83,26 @@ def model_signals(
     for name, text in found:
         if name == "where" or (name != "time" and is_expression(text)):
             expression(text)
-    return ModelSignals(*called, *points, words("units", units, recorded + called[2]), found)
+    return ModelSignals(*called, *points, words("units", units, recorded + called[2]), found, _ranges(ranges, called[0]))
+
+
+def _ranges(table, inputs):
+    """Return (name, lowest, highest) of every input whose range is stated, in the order of the inputs."""
+    given = dict(table or {})
+    unknown = sorted(set(given) - set(inputs))
+    if unknown:
+        raise ValueError(f"ranges speaks of {listed(unknown)}, but the model's inputs are {listed(inputs)}")
+    out = []
+    for name in inputs:
+        if name in given:
+            ends = np.asarray(given[name], object)
+            if ends.shape != (2,):
+                raise ValueError(f"the range of {name!r} needs two numbers, the lowest and the highest, not {given[name]!r}")
+            lo, hi = (number(f"range of {name!r}", x) for x in ends)
+            if lo > hi:
+                raise ValueError(f"the range of {name!r} needs its lowest number first: {float(lo):g} is above {float(hi):g}")
+            out.append((name, lo, hi))
+    return tuple(out)
 
 
 def sensors(

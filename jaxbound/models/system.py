@@ -73,6 +73,7 @@ class LinearSystem:
         columns: {name: column} where a recording calls a signal otherwise, or "= an expression" over its columns, like
             "= `Supply Temp` - `Mixed Temp`"; "time": the column of its time stamps; "where": a condition, like "fan > 0": samples for
             which it does not hold are no part of the recording, and windows with them are MISSING.
+        ranges: {input: (lowest, highest)}: between which it moved in the recordings that the model was fitted to; `study` moves it there.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
         name: of the plant, for reports.
         horizon: of the windows for which the bounds were found (`jb.fit`): `parity_relations` takes it where none is asked for.
@@ -148,6 +149,7 @@ class LinearSystem:
         units: Mapping[str, str] | None = None,
         offset: Mapping[str, Each] | None = None,
         columns: Mapping[str, str] | None = None,
+        ranges: Mapping[str, tuple[Number, Number]] | None = None,
         provenance: Mapping[str, str] | None = None,
         name: str = "model",
         horizon: int | None = None,
@@ -158,7 +160,7 @@ class LinearSystem:
             given = E, A, B, C, D, disturbance, unknown_inputs, states
             A, B, C, D, disturbance, unknown_inputs, states = without_descriptor(*given)
         parts = plant(A, B, C, D, dt, disturbance, unknown_inputs, uncertainties, decouple)
-        signals = model_signals((parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns)
+        signals = model_signals((parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
         vars(self).update(
@@ -206,6 +208,7 @@ class LinearSystem:
             "units": self.units,
             "offset": self.offset,
             "columns": self.columns,
+            "ranges": self.ranges,
             "provenance": self.provenance,
             "name": self.name,
             "horizon": self.horizon,
@@ -225,6 +228,11 @@ class LinearSystem:
     def columns(self) -> Mapping[str, str]:
         """The columns that are stated, {name: column}."""
         return MappingProxyType(dict(self.signals.columns))
+
+    @property
+    def ranges(self) -> Mapping[str, tuple[Fraction, Fraction]]:
+        """The ranges of inputs that are stated, {input: (lowest, highest)}."""
+        return MappingProxyType({name: (lo, hi) for name, lo, hi in self.signals.ranges})
 
     @property
     def provenance(self) -> Mapping[str, str]:

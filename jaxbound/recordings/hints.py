@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxbound.recordings.naming import listed
 
-__all__ = ["missing_hints", "missing_samples", "missing_sentences", "refuse_short", "rounding_hints"]
+__all__ = ["missing_hints", "missing_samples", "missing_sentences", "recorded_step", "refuse_short", "rounding_hints"]
 
 
 def refuse_short(source: object, samples: int | None, horizon: int | None) -> None:
@@ -46,7 +46,7 @@ def rounding_hints(model: Any, y: np.ndarray) -> list[str]:
     """Return sentences on outputs that the recorder seems to round more than the model states."""
     found: dict[str, list[str]] = {}
     for i, name in enumerate(model.outputs):
-        step = _step(y[:, i])
+        step = recorded_step(y[:, i])
         if step and float(model.resolution[i]) < step / 2 * (1 - 1e-9):
             found.setdefault(f"{step:.6g}", []).append(name)
     return [
@@ -56,7 +56,7 @@ def rounding_hints(model: Any, y: np.ndarray) -> list[str]:
     ]
 
 
-def _step(x):
+def recorded_step(x: np.ndarray) -> float:
     """Return the largest step that all values are multiples of (counted from one of them), or 0: a recorder that rounds."""
     x = x[~np.isnan(x)]
     values = np.unique(x[:20_000])

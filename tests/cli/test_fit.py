@@ -2,6 +2,7 @@
 
 import json
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -38,7 +39,15 @@ def test_fit_writes_a_model_file(place, capsys):
     model = jb.load_model("tank.toml")
     assert (model.horizon, model.dt, model.name) == (4, 2.0, "tank")
     assert model.columns == {"heat": "Heater (%)", "lift": "= `T out`-`T room`", "where": "on == 1"}
-    assert said["noise"] == {"lift": float(model.noise[0])} and said["noise"]["lift"] >= 1.25 * said["smallest"]["lift"]
+    assert (
+        said["noise"] == {"lift": float(model.noise[0])}
+        and said["resolution"] == {"lift": 5e-05}
+        and model.resolution == (Fraction("5e-05"),)
+    )
+    assert said["noise"]["lift"] + 5e-05 >= 1.25 * said["smallest"]["lift"]
+    assert not any("multiple of" in hint for hint in jb.read("run.csv", model).hints)
+    heat = np.loadtxt("run.csv", delimiter=",", skiprows=1)[:110, 1]
+    assert tuple(map(float, model.ranges["heat"])) == (heat.min(), heat.max())
     assert said["recordings"][0]["windows"] == 106 and said["held_out"]["windows"] > 20
 
 

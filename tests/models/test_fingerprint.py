@@ -16,13 +16,13 @@ BASE = dict(
     A=[["1/2", 1], [0, "0.2"]], B=[[0], [1]], C=[[1, 0], [1, 1]], D=[[0], [0]], dt=0.01, tolerance=[0.02, 0.1], noise=[0.1, 0.01],
     constant_tolerance=False, resolution=None, E=None, unknown_inputs=[[0], [1]], disturbance=([[1], [0]], [0.01]), uncertainties=[FEW],
     decouple=(), inputs=["u"], outputs=["a", "b"], states=["p", "q"], units={"a": "bar"}, offset={"y": [1, 0]}, columns={"a": "A"},
-    provenance={"noise": "datasheet"}, name="plant", horizon=3)  # fmt: skip
+    ranges=None, provenance={"noise": "datasheet"}, name="plant", horizon=3)  # fmt: skip
 CHANGES = dict(
     A=[["0.5", 1], [0, "0.20000000000000000001"]], B=[[0], [2]], C=[[1, 0], [1, 2]], D=[[0], [1]], dt=0.02, tolerance=[0.02, 0.11],
     noise=["0.1", "0.010000000000000000001"], constant_tolerance=True, resolution=0.001, E=[[2, 0], [0, 1]], unknown_inputs=[[1], [1]],
     disturbance=([[1], [0]], [[0, 0.01]]), uncertainties=[jb.Uncertainty("k", B=[[1], [0]], varying=False)], decouple=("k",), inputs=["v"],
-    outputs=["a", "c"], states=["p", "r"], units={"a": "Pa"}, offset={"y": [1, 2]}, columns={"a": "B"}, provenance={"noise": "fitted"},
-    name="other", horizon=4)  # fmt: skip
+    outputs=["a", "c"], states=["p", "r"], units={"a": "Pa"}, offset={"y": [1, 2]}, columns={"a": "B"}, ranges={"u": ("0", "1.5")},
+    provenance={"noise": "fitted"}, name="other", horizon=4)  # fmt: skip
 FIELDS = [name for name in inspect.signature(jb.LinearSystem.__init__).parameters if name != "self"]
 
 

@@ -120,6 +120,12 @@ class TestReading:
         with pytest.raises(ValueError, match=r"m.toml: horizon must be a whole number >= 0"):
             load(f"horizon = {horizon}\n" + GOOD)
 
+    def test_ranges_of_inputs_are_kept_exactly(self, load, tmp_path):
+        m = load(GOOD.replace('name = "pump"', 'name = "pump"\nrange = [0.1, "1/3"]'))
+        assert m.ranges == {"pump": (Fraction("0.1"), Fraction(1, 3))} and m.replace(noise=0.2).ranges == m.ranges
+        save_model(m, tmp_path / "again.toml")
+        assert load_model(tmp_path / "again.toml") == m
+
     def test_states_may_have_units(self, load):
         assert load(GOOD.replace('["level"]', '[{name = "level", unit = "m"}]')).unit("level") == "m"
 
@@ -147,6 +153,8 @@ class TestReading:
     ("noise = 0.1", "constant_tolerance = true", "number 1 of outputs, 'height', has the unknown field 'constant_tolerance'"),
     ("noise = 0.1", "nose = 0.1", "number 1 of outputs, 'height', has the unknown field 'nose'; did you mean 'noise'?"),
     ('name = "pump"', 'name = "pump"\ntolerance = 0.1', "number 1 of inputs, 'pump', has the unknown field 'tolerance'"),
+    ('name = "pump"', 'name = "pump"\nrange = 3', r"range of number 1 of inputs, 'pump' must be \[lowest, highest\]"),
+    ('name = "pump"', 'name = "pump"\nrange = [3, 2]', "the range of 'pump' needs its lowest number first: 3 is above 2"),
     ("C = [[1]]", "C = [[1]]\nH = [[1]]", r"\[matrices\] has the unknown field 'H'"),
     ("C = [[1]]", "C = [[1]]\nG = [[1]]", r"a disturbance needs both G .* the blocks are missing"),
     ("[matrices]", "[[disturbances]]\nbound = 1\n[matrices]", r"a disturbance needs both G .*: G is missing"),

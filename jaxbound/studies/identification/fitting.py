@@ -9,11 +9,13 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.hints import recorded_step
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
@@ -134,7 +136,7 @@ def fit(recordings: object, order: int = 2, horizon: int = 15, *, inputs: str | 
     spec, relations, spread = candidate(records, kind)
     smallest = spread * _most(_needs(relations, records))
     report(0.9)
-    model, used = _verified(spec, [_rounded_up(x * safety) for x in smallest], records, safety)
+    model, used = _verified(spec | {"ranges": _ranges(records, inputs)}, [_rounded_up(x * safety) for x in smallest], records, safety)
     largest = lambda x: float(np.nanmax(x)) if np.isfinite(x).any() else math.nan
     check = FitCheck(
         method=kind, safety=float(safety), smallest=dict(zip(outputs, smallest.tolist(), strict=True)), held_out=_unseen(first),
@@ -279,16 +281,39 @@ def _most(needs):
     return max(float(np.nanmax(found)), LEAST) if np.isfinite(found).any() else math.nan
 
 
-def _verified(spec, noise, records, safety):
-    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the share of its bounds used."""
+def _ranges(records, inputs):
+    """Return {input: (lowest, highest)} of what was recorded; an input that never moved, or was never recorded, has none."""
+    u = np.concatenate([r[0] for r in records])
+    seen = {name: x[np.isfinite(x)] for name, x in zip(inputs, u.T, strict=True)}
+    return {name: (float(x.min()), float(x.max())) for name, x in seen.items() if len(x) and x.min() < x.max()}
+
+
+def _resolutions(records, p):
+    """Return half a step of what the recorder rounds each output to, Fractions of few digits; 0 where no step is seen."""
+    y = np.concatenate([r[1] for r in records])
+    return [Fraction(f"{recorded_step(y[:, i]) / 2:.6g}") for i in range(p)]
+
+
+def _verified(spec, bounds, records, safety):
+    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the share of its bounds used.
+
+    A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller than that, nothing is rounded:
+    the plant itself moves in steps.
+    """
+    rounds = _resolutions(records, len(bounds))
     total, count = sum(len(y) for _, y, _ in records), len(records)
     source = f"fitted to {total} samples in {count} recording{'s' * (count > 1)}"
     for _ in range(20):
-        model = LinearSystem(**spec, noise=noise, provenance={"model": source, "noise": f"{source}, safety factor {safety:g}"})
+        exact = [Fraction(repr(x)) for x in bounds]
+        rounds = [r if r < x else Fraction(0) for r, x in zip(rounds, exact, strict=True)]
+        noise = [x - r for x, r in zip(exact, rounds, strict=True)]
+        origin = {"model": source, "noise": f"{source}, safety factor {safety:g}"}
+        origin |= {"resolution": "as the recordings are rounded"} if any(rounds) else {}
+        model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin)
         found = _tested(parity_relations(model), records)
         if all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status, _ in found):
             break
-        noise = [_rounded_up(1.001 * x) for x in noise]
+        bounds = [_rounded_up(1.001 * x) for x in bounds]
     return model, [need for _, need in found]
 
 
@@ -350,4 +375,10 @@ def _judged(model, check, held_out, spans):
             unit = f" {model.unit(name)}".rstrip()
             out.append(f"the monitor is blind for {name}: no jump below {check.jump[name]:.3g}{unit} is sure to be seen, but in all "
                        f"recordings {name} moved by {spans[i]:.3g}{unit} only")  # fmt: skip
+        elif check.steady[name] > spans[i]:
+            size, unit = check.steady[name], f" {model.unit(name)}".rstrip()
+            sure = "however large" if math.isinf(size) else f"below {size:.3g}{unit}"
+            out.append(f"an error of {name} that was there before the recording began and never changes may stay unseen, {sure}, and in all "
+                       f"recordings {name} moved by {spans[i]:.3g}{unit} only: within {model.horizon + 1} samples the model can follow it; "
+                       "a longer horizon sees smaller ones")  # fmt: skip
     return out

@@ -65,7 +65,8 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         onset: a sample, or (lo, hi): drawn uniformly from lo <= k < hi; None: a Fault's own start and stop, else the second quarter.
         at: "uniform" draws unknowns uniformly, "vertices" each at one of its bounds, "adversarial" chooses them to hide the fault.
         inputs: (samples, m) for all, or a table; None: piecewise constant levels, each for `hold` samples, uniform in input_range.
-        input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: from 1 below the offset to 1 above.
+        input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: the
+            model's `ranges` (`fit` writes them), else from 1 below the offset to 1 above.
         method: of the monitor, as for `detect`; all but "linearised", which proves nothing.
         confidence: of the intervals.
         progress: called with the share of the work done.
@@ -183,7 +184,11 @@ def _inputs(model, inputs, input_range, samples, dtype):
             refuse_infinite("inputs", u, model.inputs)
             raise ValueError("inputs of a study must not be missing (NaN)")
         return u, np.zeros((model.m, 2), dtype), np.abs(u - offset).max(0, initial=0)
-    limits = np.stack([offset - 1, offset + 1], 1) if input_range is None else np.asarray(input_range, float)
+    if input_range is None:
+        known = [model.ranges.get(name, (x - 1, x + 1)) for name, x in zip(model.inputs, offset, strict=True)]
+        limits = np.array([[float(lo), float(hi)] for lo, hi in known]).reshape(-1, 2)
+    else:
+        limits = np.asarray(input_range, float)
     if limits.shape not in ((2,), (model.m, 2)):
         raise ValueError(f"input_range needs a pair (lo, hi), or one for each of {model.m} inputs: its shape is {limits.shape}")
     limits = np.broadcast_to(limits, (model.m, 2)).astype(dtype)

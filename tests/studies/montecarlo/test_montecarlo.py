@@ -53,6 +53,16 @@ def test_counts_are_those_of_detect_on_the_same_recordings(found):
     assert found.false_alarms == (0, total["clean"].sum())
 
 
+def test_inputs_move_over_the_range_that_the_model_states(found):
+    assert found.settings["input range"] == [[-1.0, 1.0]]
+    moved = jb.study(simple().replace(ranges={"u1": (3, 7)}), "y1:bias", 3, 3, **OPTIONS)
+    u = recordings(moved)[0]
+    assert moved.settings["input range"] == [[3.0, 7.0]] and u.min() >= 3 and u.max() <= 7 and np.ptp(u) > 3.9
+    assert jb.study(simple().replace(ranges={"u1": (3, 7)}), "y1:bias", 3, 3, input_range=(0, 1), **OPTIONS).settings["input range"] == [
+        [0, 1]
+    ]
+
+
 def test_recordings_hold_the_fault_and_nothing_else(found):
     u, y, onset, size = recordings(found)
     assert len(np.unique(u)) > 5000 and (abs(u) <= 1).all() and (u[:, :20] == u[:, :1]).all() and (u[:, 20] != u[:, 19]).all()
