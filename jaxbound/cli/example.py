@@ -33,11 +33,11 @@ def heater_model() -> LinearSystem:
         LinearSystem('two heaters': 4 states, inputs ['Q1', 'Q2'], outputs ['T1', 'T2'], dt=3 s)
     """
     return LinearSystem(
-        [["0.976", "0.006", 0, 0], ["0.006", "0.976", 0, 0], ["0.14", 0, "0.86", 0], [0, "0.14", 0, "0.86"]],
-        [["0.016", 0], [0, "0.009"], [0, 0], [0, 0]], [[0, 0, 1, 0], [0, 0, 0, 1]], dt=3,
-        noise="0.1", resolution="0.005", disturbance=([[1, 0], [0, 1], [0, 0], [0, 0]], ["0.01", "0.01"]),
+        [[0.976, 0.006, 0, 0], [0.006, 0.976, 0, 0], [0.14, 0, 0.86, 0], [0, 0.14, 0, 0.86]],
+        [[0.016, 0], [0, 0.009], [0, 0], [0, 0]], [[0, 0, 1, 0], [0, 0, 0, 1]], dt=3,
+        noise=0.1, resolution=0.005, disturbance=([[1, 0], [0, 1], [0, 0], [0, 0]], 0.01),
         inputs=["Q1", "Q2"], outputs=["T1", "T2"], states=["H1", "H2", "S1", "S2"],
-        units={"Q1": "%", "Q2": "%", "T1": "degC", "T2": "degC"}, offset={"y": ["21", "21"]},
+        units={"Q1": "%", "Q2": "%", "T1": "degC", "T2": "degC"}, offset={"y": 21},
         columns={"Q1": "Heater 1", "Q2": "Heater 2", "T1": "Temperature 1", "T2": "Temperature 2", "time": "Time (s)"}, name="two heaters",
         provenance={name: "simulated: true" for name in ("model", "noise", "resolution", "disturbance")})  # fmt: skip
 

@@ -156,7 +156,8 @@ def _model(table):
     return LinearSystem(
         matrices.get("A"), matrices.get("B"), matrices.get("C"), matrices.get("D"), _number("dt", table["dt"]),
         inputs=names(inputs), outputs=names(outputs), states=names(states),
-        units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}, offset=offset, columns=columns, ranges=ranges, **bounds,
+        units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}, offset=offset, columns=columns, ranges=ranges,
+        **bounds,
         disturbance=(matrices["G"], disturbances) if disturbances else None,
         unknown_inputs=(matrices["F"], matrices["D_v"]) if "D_v" in matrices else matrices.get("F"),
         uncertainties=uncertainties, E=matrices.get("E"),

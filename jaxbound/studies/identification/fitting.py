@@ -297,8 +297,8 @@ def _resolutions(records, p):
 def _verified(spec, bounds, records, safety):
     """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the share of its bounds used.
 
-    A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller than that, nothing is rounded:
-    the plant itself moves in steps.
+    A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller than that, nothing is
+    rounded: the plant itself moves in steps.
     """
     rounds = _resolutions(records, len(bounds))
     total, count = sum(len(y) for _, y, _ in records), len(records)
@@ -378,7 +378,9 @@ def _judged(model, check, held_out, spans):
         elif check.steady[name] > spans[i]:
             size, unit = check.steady[name], f" {model.unit(name)}".rstrip()
             sure = "however large" if math.isinf(size) else f"below {size:.3g}{unit}"
-            out.append(f"an error of {name} that was there before the recording began and never changes may stay unseen, {sure}, and in all "
-                       f"recordings {name} moved by {spans[i]:.3g}{unit} only: within {model.horizon + 1} samples the model can follow it; "
-                       "a longer horizon sees smaller ones")  # fmt: skip
+            out.append(
+                f"an error of {name} that was there before the recording began and never changes may stay unseen, {sure}, and in all "
+                f"recordings {name} moved by {spans[i]:.3g}{unit} only: within {model.horizon + 1} samples the model can follow it; a "
+                "longer horizon sees smaller ones"
+            )
     return out
