@@ -40,6 +40,7 @@ from jaxbound.runs.summary import Evidence, Summary, Window, bound_hints, summar
 
 __all__ = ["conclude", "run_demo", "run_detect"]
 
+FORMER = ("margin.png", "residuals.png")  # pictures of an earlier version, which do not belong to a new report
 COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
 
 
@@ -60,14 +61,14 @@ def run_detect(args: argparse.Namespace) -> int:
     refuse_shares(args, kind)
     if args.part is not None:
         return run_share(args)
-    threading.Thread(target=_load_plotting, daemon=True).start()
     if args.method == VALIDATION:
+        threading.Thread(target=_load_plotting, daemon=True).start()
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
         found = _report(args, _validate, ("output1.png",), ("read", "test", "report"))
     elif kind.parts:
         names, inputs = (
-            (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html", "margin.png", "residuals.png"),
+            (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html"),
             (args.model, args.data),
         )
         with door(), output_folder(args.out, names, inputs) as folder, progress_bars(("relations", "test", "report")) as step:
@@ -75,7 +76,7 @@ def run_detect(args: argparse.Namespace) -> int:
     elif args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
-        found = _report(args, _evaluate, ("margin.png", "residuals.png"), ("read", "relations", "test", "report"))
+        found = _report(args, _evaluate, (), ("read", "relations", "test", "report"))
     return conclude(args, *found)
 
 
@@ -85,7 +86,8 @@ def _report(args, how, pictures, stages):
     with door(OSError), output_folder(args.out, names, inputs) as folder:
         with folder.work() as work, progress_bars(stages) as step:
             found = how(args, work, step)
-        folder.remove(VERDICTS)
+        for name in (VERDICTS, *FORMER):
+            folder.remove(name)
     return found
 
 
@@ -116,7 +118,8 @@ def _stream(args, folder, step):
             raise Interrupted(f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from there") from None
         raise
     publish(folder)
-    folder.remove("verdicts.csv")
+    for name in ("verdicts.csv", *FORMER):
+        folder.remove(name)
     seconds["report"] = time.perf_counter() - start
     return res, source.model, seconds
 
@@ -228,7 +231,7 @@ def run_demo(args: argparse.Namespace) -> int:
     from jaxbound.cli import demo
 
     threading.Thread(target=_load_plotting, daemon=True).start()
-    names = ("model.toml", "run.csv", *file_names(), "report.html", "margin.png", "residuals.png", "figure_1.png", "figure_2.png")
+    names = ("model.toml", "run.csv", *file_names(), "report.html", "figure_1.png", "figure_2.png")
     stages = ("simulate", "read", "relations", "test", "report")
     with door(OSError), output_folder(args.out, names) as folder, folder.work() as work, progress_bars(stages) as step:
         with door():

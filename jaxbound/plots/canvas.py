@@ -1,8 +1,8 @@
 """The sheet that pictures are drawn on: colours, sizes, a time axis that reads well, bins of long recordings, PNG bytes.
 
-Pictures take results, never the other way round, and touch no global state of matplotlib. Colours are those of Okabe and Ito, which
-colour-blind readers can tell apart. Recordings of more than 5000 samples are drawn as the extremes of 1200 bins; a bin with a single FAULT
-window is drawn as FAULT.
+Pictures take results, never the other way round, and touch no global state of matplotlib. Colours are near those of Okabe and Ito, which
+colour-blind readers can tell apart; FAULT and CONSISTENT differ in lightness too, so that they do on a grey print. Recordings of more than
+5000 samples are drawn as the extremes of 1200 bins; a bin with a single FAULT window is drawn as FAULT.
 """
 
 import io
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["bins", "canvas", "finish", "shade", "stacked", "style", "thinning", "time_axis", "time_of", "to_png"]
 
-COLOURS = {Status.MISSING: "#c9ccd1", Status.CONSISTENT: "#009e73", Status.UNDECIDED: "#e69f00", Status.FAULT: "#d55e00"}
+COLOURS = {Status.MISSING: "#c9ccd1", Status.CONSISTENT: "#6fcfb0", Status.UNDECIDED: "#e69f00", Status.FAULT: "#b33c00"}
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
 PALE = "#eef1f4"
 SAMPLES, BINS, PANELS = 5000, 1200, 12

@@ -1,4 +1,4 @@
-"""The page of a detection, with pictures of the margin and of the residuals beside it."""
+"""The page of a detection: verdict, charts, alarms with their proofs, model and bounds."""
 
 import contextlib
 import time
@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.plots.canvas import to_png
-from jaxbound.plots.plot import plot
-from jaxbound.plots.residuals import distinct_relations, plot_residuals
+from jaxbound.plots.residuals import distinct_relations
 from jaxbound.recordings.plaintext import duration, factor
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.reports.chartdata import charts
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.digest import Digest
@@ -36,7 +35,7 @@ def write_report(
     extra: Sequence[tuple] = (),
     progress: Callable[[float], object] | None = None,
 ) -> list[str]:
-    """Write report.html, margin.png and residuals.png.
+    """Write report.html: one file that asks nobody, with its charts, and a script of its own that moves one of them.
 
     Args:
         directory: an existing folder. res: a Result of one recording, or a Digest. alarms: its alarms.
@@ -49,14 +48,12 @@ def write_report(
     Returns:
         The names of the files written.
     """
-    pictures = {}
-    for share, (name, data) in zip((0.35, 0.7), _pictures(res, recording, alarms, summary), strict=True):
-        pictures[name] = data
-        (Path(directory) / name).write_bytes(data)
-        if progress:
-            progress(share)
     relations, model, part = res.relations, res.relations.model, isinstance(res, Digest)
     dtype = res.data.dtype if part else res.y.dtype
+    chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
+    why = _certified(res, alarms, chosen)
+    if progress:
+        progress(0.5)
     page = render(
         "detection.html",
         name=model.name,
@@ -70,8 +67,8 @@ def write_report(
         decided=summary.decided,
         hints=summary.hints,
         extra=extra,
-        pictures=pictures,
-        alarms=_alarm_rows(res, recording, alarms),
+        charts=charts(res, recording, alarms, chosen, why, summary.worst.sample if summary.worst else None),
+        alarms=_alarm_rows(res, recording, alarms, chosen, why),
         alarm_total=summary.alarms,
         most=ROWS,
         sizes=sizes_text(res, summary.sizes),
@@ -84,47 +81,34 @@ def write_report(
     (Path(directory) / "report.html").write_text(page, encoding="utf-8")
     if progress:
         progress(1.0)
-    return ["report.html", *pictures]
+    return ["report.html"]
 
 
-def _pictures(res, recording, alarms, summary):
-    """Yield (file name, PNG) of the margin and of the residuals, of a Digest around the worst window."""
-    if isinstance(res, Digest):
-        yield "margin.png", to_png(plot(res))
-        res, recording = res.around(summary.worst.sample if summary.worst else 0)
-    else:
-        yield "margin.png", to_png(plot(res, recording.axis, alarms))
-    yield "residuals.png", to_png(plot_residuals(res, recording.axis))
+def _depth(alarm):
+    return alarm.depth if alarm.depth == alarm.depth else 0.0  # NaN where the test measures no margin
 
 
-def _alarm_rows(res, recording, alarms):
+def _alarm_rows(res, recording, alarms, chosen, why):
     """Return the rows of the deepest alarms in order of time."""
-
-    def depth(i):  # NaN where the test measures no margin
-        return alarms[i].depth if alarms[i].depth == alarms[i].depth else 0.0
-
-    chosen = sorted(range(len(alarms)), key=depth)[:ROWS]
-    why = _certified(res, alarms, chosen)
     rows = []
     for i in sorted(chosen):
         a = alarms[i]
         lasts = float(recording.time[a.end] - recording.time[a.start]) + res.relations.model.dt
         needed = "" if a.depth != a.depth else f"× {factor(1 - a.depth)}"
         begun, ended = recording.label(a.start), recording.label(a.end)
-        wrong, violated = why.get(i, ("", ""))
+        wrong, violated = (_sensor_errors(why[i]), why[i].relation) if i in why else ("", "")
         rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended))
     return rows
 
 
 def _certified(res, alarms, chosen):
-    """Return {i: (errors of single sensors, violated relation)}, of as many alarms as patience allows."""
+    """Return {i: certificate of the worst window}, of as many alarms as patience allows."""
     stop, why = time.perf_counter() + PATIENCE, {}
     for i in chosen:
         if time.perf_counter() >= stop:
             break
         with contextlib.suppress(NotImplementedError):
-            certificate = res.explain(alarms[i].worst)
-            why[i] = _sensor_errors(certificate), certificate.relation
+            why[i] = res.explain(alarms[i].worst)
     return why
 
 

@@ -44,11 +44,11 @@ def test_command_writes_a_report_that_detect_repeats(tmp_path, monkeypatch, caps
     out = capsys.readouterr().out
     assert "reference" in out and "0.150" in out and "jaxbound detect" in out and str(tmp_path / "out" / "report.html") in out
     names = {p.name for p in (tmp_path / "out").iterdir()}
-    assert names == {"model.toml", "run.csv", "verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml", "margin.png",
-                     "residuals.png", "figure_1.png", "figure_2.png", ".jaxbound.json"}  # fmt: skip
+    assert names == {"model.toml", "run.csv", "verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml",
+                     "figure_1.png", "figure_2.png", ".jaxbound.json"}  # fmt: skip
     assert load_model(tmp_path / "out" / "model.toml").A == demo.demo_model().A
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("data:image/png") == 4 and "How often are these faults seen?" in page
+    assert page.count("data:image/png") == 2 and "How often are these faults seen?" in page
     assert main.main(["detect", str(tmp_path / "out/model.toml"), str(tmp_path / "out/run.csv"), "--out", str(tmp_path / "again")]) == 1
     assert (tmp_path / "again/verdicts.csv").read_bytes() == (tmp_path / "out/verdicts.csv").read_bytes()
     assert jb.parity_relations(demo.demo_model()).horizon == 1

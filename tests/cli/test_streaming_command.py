@@ -41,7 +41,7 @@ def unreported(monkeypatch):
 
 
 DETECT = ["detect", "model.toml", "run", "--out", "out"]
-FILES = {"verdicts.parquet", "alarms.csv", "report.html", "margin.png", "residuals.png", "run.json", "tested_model.toml", ".jaxbound.json"}
+FILES = {"verdicts.parquet", "alarms.csv", "report.html", "run.json", "tested_model.toml", ".jaxbound.json"}
 
 
 class TestCommand:
@@ -57,7 +57,9 @@ class TestCommand:
         assert "alarms ended after windows without the onset" in found["hints"][-1] and sum(found["ended"].values()) == found["alarms"]
         page = (place / "out/report.html").read_text()
         assert (
-            f"run: {N} samples from 0 s to 60.49 s" in page and "Residuals, around the worst window" in page and "stays at exactly" in page
+            f"run: {N} samples from 0 s to 60.49 s" in page
+            and "The signals are in the recording's files" in page
+            and "stays at exactly" in page
         )
 
     def test_a_file_in_the_place_of_a_folder(self, place, small, unreported, capsys):

@@ -153,7 +153,7 @@ class TestOneFile:
 
 
 class TestFolder:
-    @pytest.mark.parametrize("name", ["verdicts.csv", "alarms.csv", "report.html", "run.json", "margin.png", "tested_model.toml"])
+    @pytest.mark.parametrize("name", ["verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml"])
     def test_somebody_elses_file_is_in_the_way(self, place, capsys, name):
         (place / "out").mkdir()
         (place / "out" / name).write_text("years of work")

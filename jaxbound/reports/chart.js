@@ -1,0 +1,231 @@
+// Moves the zoom of a report: draws any stretch of the numbers in the page. The first picture is there without it.
+(() => {
+  "use strict";
+  const all = JSON.parse(document.getElementById("numbers").textContent), zoom = document.getElementById("zoom");
+  const names = ["MISSING", "CONSISTENT", "UNDECIDED", "FAULT"], most = 1000;
+  const floats = (text, kind) => new kind(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+  const read = (p) => {
+    const x = Array.isArray(p.x) ? Float64Array.from({ length: p.n }, (_, i) => p.x[0] + i * p.x[1]) : floats(p.x, Float64Array);
+    const low = {}, high = {};
+    for (const [key, both] of Object.entries(p.series)) {
+      low[key] = floats(both[0], Float32Array);
+      high[key] = both[1] ? floats(both[1], Float32Array) : low[key];
+    }
+    const combined = new Map(p.combined.map(([i, relation, values]) => [i, { relation, values: floats(values, Float32Array) }]));
+    return { ...p, x, low, high, combined, first: x[0], last: x[p.n - 1] };
+  };
+  const whole = read(all.whole), near = all.near.map(read);
+  let from = all.from, to = all.to, alarm = all.alarm;
+
+  // times, as the recording writes them
+  const two = (n, digits) => String(n).padStart(digits, "0");
+  const fields = (t) => {
+    const at = new Date(1000 * Math.floor(Math.round(1000 * t) / 1000));
+    return { Y: at.getUTCFullYear(), m: at.getUTCMonth() + 1, d: at.getUTCDate(), H: at.getUTCHours(), M: at.getUTCMinutes(), S: at.getUTCSeconds() };
+  };
+  const time = (x) => {
+    const { tokens, base, digits, before, unit } = all.clock;
+    if (!tokens.length) return before + String(Number(x.toFixed(digits))) + unit;
+    const of = fields(base + x), part = Math.round(1000 * (base + x)) / 1000 % 1;
+    return tokens.map((k) => !/^[YmdHMSf]\d$/.test(k) ? k : k[0] === "f" ? part.toFixed(k[1]).slice(2) : two(of[k[0]], k[1])).join("");
+  };
+  const asked = (text) => {
+    const { tokens, base, before } = all.clock;
+    if (!tokens.length) return parseFloat(text.replace(before, ""));
+    const found = text.match(/\d+/g) || [], of = { ...fields(base + from), H: 0, M: 0, S: 0, f: 0 };
+    tokens.filter((k) => /^[YmdHMSf]\d$/.test(k)).slice(0, found.length).forEach((k, i) => {
+      of[k[0]] = k[0] === "f" ? Number("." + found[i]) : Number(found[i]);
+    });
+    return Date.UTC(of.Y, of.m - 1, of.d, of.H, of.M, of.S) / 1000 + of.f - base;
+  };
+  const steps = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 172800, 432000, 864000];
+  const months = (a, b) => {
+    const base = all.clock.base, step = [1, 2, 3, 6, 12, 24, 60, 120, 240, 600, 1200].find((n) => (b - a) / (n * 2629746) < 6) || 1200;
+    const begin = new Date(1000 * (a + base)), out = [];
+    const month = (n) => Date.UTC(1970, n, 1) / 1000 - base;
+    for (let n = Math.ceil(((begin.getUTCFullYear() - 1970) * 12 + begin.getUTCMonth()) / step) * step; month(n) <= b; n += step) if (month(n) >= a) out.push(month(n));
+    return out;
+  };
+  const ticks = (a, b) => {
+    const span = b - a, base = all.clock.base;
+    let step = all.clock.tokens.length && steps.find((s) => span / s < 6);
+    if (all.clock.tokens.length && !step) return months(a, b);
+    if (!step) {
+      const power = 10 ** Math.floor(Math.log10(span / 6));
+      step = [1, 2, 5, 10, 20].map((n) => n * power).find((s) => span / s < 6);
+      if (all.clock.before) step = Math.max(step, 1);
+    }
+    const out = [];
+    for (let n = Math.ceil((a + base) / step - 1e-9); n * step <= b + base + 1e-9 * span; n++) out.push(n * step - base);
+    return out;
+  };
+
+  // numbers to paths
+  const squeezed = (v) => (v < -1 ? -1 - Math.log10(Math.min(-v, 1e15)) : v);
+  const extremes = (p, i, j, key) => {
+    const n = j - i, bins = Math.min(n, most), out = { low: [], high: [] };
+    for (let b = 0; b < bins; b++) {
+      let lo = NaN, hi = NaN;
+      for (let k = i + Math.floor(b * n / bins), end = i + Math.floor((b + 1) * n / bins); k < end; k++) {
+        if (!(p.low[key][k] >= lo)) lo = Number.isNaN(p.low[key][k]) ? lo : p.low[key][k];
+        if (!(p.high[key][k] <= hi)) hi = Number.isNaN(p.high[key][k]) ? hi : p.high[key][k];
+      }
+      out.low.push(lo);
+      out.high.push(hi);
+    }
+    return out;
+  };
+  const limits = (kind, low, high) => {
+    const seen = low.filter(Number.isFinite).sort((a, b) => a - b), tall = high.filter(Number.isFinite).sort((a, b) => a - b);
+    const least = seen.length ? seen[0] : 0, largest = tall.length ? tall[tall.length - 1] : 0;
+    if (kind === "margin") return [Math.min(least, 0) - 0.08, 1.06];
+    if (kind === "combination") { const r = 1.08 * Math.min(Math.max(-least, largest, 1.2), 10); return [-r, r]; }
+    if (!seen.length) return [0, 1];
+    const bottom = seen[Math.floor(0.002 * seen.length)], top = tall[Math.ceil(0.998 * tall.length) - 1];
+    const reach = Math.max((top - bottom) / 2, 1e-9 * Math.max(Math.abs(bottom), Math.abs(top)), 1e-300);
+    const a = Math.max(least, bottom - reach), b = Math.min(largest, top + reach), pad = 0.06 * (b - a) || Math.abs(b) * 0.01 || 1;
+    return [a - pad, b + pad];
+  };
+  const marks = (kind, bottom, top) => {
+    if (kind === "combination") return top > 4 ? [[1, "1"], [-1, "-1"]] : [[1, "1"], [0, "0"], [-1, "-1"]];
+    if (kind === "margin") {
+      const count = Math.max(Math.floor(-bottom), 0), out = [[1, "1"], [0, "0"]];
+      for (let n = 0; n < count; n += 1 + Math.floor(count / 5)) out.push([-1 - n, String(-(10 ** n))]);
+      return out;
+    }
+    let step = 10 ** Math.floor(Math.log10((top - bottom) / 2));
+    step *= [5, 2, 1].find((n) => n === 1 || (top - bottom) / (n * step) >= 2);
+    const out = [];
+    for (let n = Math.ceil(bottom / step); n * step <= top; n++) out.push([n * step, String(Number((n * step).toPrecision(6)))]);
+    return out;
+  };
+  const spans = (across, on) => {
+    const half = across.length > 1 ? (across[across.length - 1] - across[0]) / (across.length - 1) / 2 : 500;
+    let out = "";
+    for (let i = 0; i < on.length; i++) {
+      if (!on[i] || on[i - 1]) continue;
+      let j = i;
+      while (on[j + 1]) j++;
+      out += `M${Math.max(across[i] - half, 0).toFixed(2)} 0H${Math.min(across[j] + half, 1000).toFixed(2)}V100H${Math.max(across[i] - half, 0).toFixed(2)}Z`;
+    }
+    return out;
+  };
+
+  const draw = () => {
+    const within = near.filter((p) => p.first <= from && to <= p.last), piece = within.find((p) => p.combined.has(alarm)) || within[0] || whole;
+    const violated = piece.combined.get(alarm) || [...piece.combined.values()][0];
+    if (violated) piece.low.combination = piece.high.combination = violated.values;
+    let i = piece.x.findIndex((x) => x >= from), j = piece.x.findLastIndex((x) => x <= to) + 1;
+    if (i < 0 || j - i < 2) { i = Math.max(Math.min(i < 0 ? piece.n - 2 : i - 1, piece.n - 2), 0); j = Math.min(i + 2, piece.n); }
+    const n = j - i, bins = Math.min(n, most), at = Array.from({ length: bins }, (_, b) => i + Math.floor(b * n / bins));
+    const across = at.map((k) => 1000 * (piece.x[k] - from) / (to - from)), gap = 2.5 * (across[bins - 1] - across[0]) / Math.max(bins - 1, 1);
+    const worst = at.map((k, b) => { let s = 0; for (let q = k; q < (at[b + 1] ?? j); q++) s = Math.max(s, Number(piece.status[q])); return s; });
+    const fault = worst.map((s) => s === 3);
+    for (const panel of zoom.querySelectorAll("[data-key]")) {
+      const key = panel.dataset.key, kind = panel.classList[1];
+      panel.hidden = !(key in piece.low);
+      if (panel.hidden) continue;
+      let { low, high } = extremes(piece, i, j, key);
+      if (kind === "margin") { low = low.map(squeezed); high = high.map(squeezed); }
+      const [bottom, top] = limits(kind, low, high), down = (v) => 100 * Math.min(Math.max((top - v) / (top - bottom), 0), 1);
+      const beyond = low.map((v, b) => Math.abs(v) > 1 || Math.abs(high[b]) > 1), shaded = kind === "combination" ? beyond : fault;
+      let line = "", out = "", pen = false;
+      low.forEach((v, b) => {
+        if (Number.isNaN(v) || Number.isNaN(high[b])) { pen = false; return; }
+        const on = pen && across[b] - across[b - 1] <= gap, x = across[b].toFixed(1);
+        line += `${on ? "L" : "M"}${x} ${down(v).toFixed(1)}` + (high[b] !== v ? `V${down(high[b]).toFixed(1)}` : on ? "" : "h0");
+        const peak = kind === "combination" && Math.abs(high[b]) > Math.abs(v) ? high[b] : v;
+        if (kind !== "signal" && shaded[b]) out += `M${x} ${down(peak).toFixed(1)}h0`;
+        pen = true;
+      });
+      panel.querySelector(".line").setAttribute("d", line);
+      panel.querySelector(".out").setAttribute("d", out);
+      panel.querySelector(".shade").setAttribute("d", spans(across, shaded));
+      const band = panel.querySelector(".band");
+      if (band) { band.setAttribute("y", down(1)); band.setAttribute("height", down(-1) - down(1)); }
+      panel.querySelector(".marks").replaceChildren(...marks(kind, bottom, top).map(([v, text]) => {
+        const mark = document.createElement("i"), said = document.createElement("span");
+        mark.style.top = `${down(v)}%`;
+        said.textContent = text;
+        mark.append(said);
+        return mark;
+      }));
+    }
+    names.forEach((name, s) => zoom.querySelector(`.verdicts .${name}`).setAttribute("d", spans(across, worst.map((w) => w === s))));
+    zoom.querySelector(".axis").replaceChildren(...ticks(from, to).map((x) => {
+      const tick = document.createElement("span");
+      tick.style.left = `${100 * (x - from) / (to - from)}%`;
+      tick.textContent = time(x);
+      return tick;
+    }));
+    const range = `${time(from)} to ${time(to)}`, each = Math.round(all.samples / whole.n);
+    const coarse = piece === whole && each > 1 ? `; each point stands for ${each} samples, an alarm has them one by one` : "";
+    const inside = all.alarms.some(([i, , , worst]) => i === alarm && from <= worst && worst <= to);
+    const where = piece === whole ? "" : alarm < 0 ? "around the tightest window: " : inside ? `around alarm ${alarm + 1}: ` : "";
+    zoom.querySelector(".said").textContent = where + range + coarse;
+    for (const svg of zoom.querySelectorAll("svg")) svg.setAttribute("aria-label", svg.getAttribute("aria-label").replace(/ from .*/s, ` from ${range}`));
+    const relation = zoom.querySelector(".relation");
+    relation.hidden = !violated;
+    relation.firstElementChild.textContent = violated ? violated.relation : "";
+    const shown = document.querySelector(".window");
+    if (shown) {
+      const span = whole.last - whole.first || 1;
+      shown.style.left = `${100 * (from - whole.first) / span}%`;
+      shown.style.width = `${100 * (to - from) / span}%`;
+    }
+  };
+  const show = (a, b) => {
+    const least = 4 * all.step, span = Math.min(Math.max(b - a, least), whole.last - whole.first || least);
+    const middle = Math.min(Math.max((a + b) / 2, whole.first + span / 2), whole.last - span / 2);
+    [from, to] = [middle - span / 2, middle + span / 2];
+    draw();
+  };
+  const select = zoom.querySelector("select"), field = zoom.querySelector("input");
+  const goto = (i) => {
+    if (!all.alarms.length) return show(all.from, all.to);
+    const row = Math.min(Math.max(i, 0), all.alarms.length - 1), [number, begun, ended, worst] = all.alarms[row];
+    alarm = number;
+    select.value = String(row);
+    const piece = near.find((p) => p.combined.has(alarm)) || near.find((p) => p.first <= begun && ended <= p.last), reach = 80 * all.step;
+    if (piece) show(piece.first, piece.last); else show(Math.min(begun, worst) - reach, Math.max(ended, worst) + reach);
+  };
+  const deeds = {
+    worst: () => { alarm = all.alarm; if (select) select.value = String(all.alarms.findIndex((a) => a[0] === alarm)); show(all.from, all.to); },
+    previous: () => goto(Number(select.value) - 1),
+    next: () => goto(Number(select.value) + 1),
+    go: () => { const x = asked(field.value), half = (to - from) / 2; if (Number.isFinite(x)) show(x - half, x + half); },
+    left: () => show(from - (to - from) / 4, to - (to - from) / 4),
+    right: () => show(from + (to - from) / 4, to + (to - from) / 4),
+    in: () => show(from + (to - from) / 4, to - (to - from) / 4),
+    out: () => show(from - (to - from) / 2, to + (to - from) / 2),
+    all: () => show(whole.first, whole.last),
+  };
+  zoom.querySelector(".moves").hidden = false;
+  zoom.addEventListener("click", (e) => { const what = e.target.closest("[data-do]"); if (what) deeds[what.dataset.do](); });
+  if (select) select.addEventListener("change", () => goto(Number(select.value)));
+  field.addEventListener("keydown", (e) => { if (e.key === "Enter") deeds.go(); });
+  zoom.addEventListener("keydown", (e) => {
+    const does = { ArrowLeft: "left", ArrowRight: "right", "+": "in", "=": "in", "-": "out" }[e.key];
+    if (e.target !== zoom || !does) return;
+    e.preventDefault();
+    deeds[does]();
+  });
+  for (const link of document.querySelectorAll("a[data-alarm]")) link.addEventListener("click", () => goto(Number(link.dataset.alarm)));
+  const overview = document.querySelector("#overview .margin .plot");
+  if (overview) {
+    const place = (e) => { const box = overview.getBoundingClientRect(); return whole.first + (whole.last - whole.first) * (e.clientX - box.left) / box.width; };
+    let begun = null;
+    const shown = document.createElement("div");
+    shown.className = "window";
+    overview.append(shown);
+    overview.addEventListener("pointerdown", (e) => { begun = place(e); });
+    window.addEventListener("pointerup", (e) => {
+      if (begun === null) return;
+      const ended = place(e), half = (to - from) / 2, wide = Math.abs(ended - begun) > (whole.last - whole.first) / 200;
+      if (wide) show(Math.min(begun, ended), Math.max(begun, ended)); else show(ended - half, ended + half);
+      begun = null;
+    });
+  }
+  if (select) select.value = String(all.alarms.findIndex((a) => a[0] === alarm));
+  draw();
+})();

@@ -1,0 +1,194 @@
+"""The charts of a report: signals, margin and violated combination over time, as paths for its templates and as numbers for its script.
+
+The whole recording is there in at most `VALUES` numbers (extremes of bins where it is longer), and a stretch around each of the deepest
+alarms sample by sample: so a page has a size that does not grow with the recording.
+"""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxbound.reports.clock import Clock, ticks
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["Piece", "Row", "coded", "drawn", "pieces_of", "plain"]
+
+VALUES = 80_000  # numbers of the whole recording in a page
+POINTS = 1000  # of a line that is drawn
+WIDTH, HEIGHT = 1000, 100  # of a chart, in its own units
+FAR = 10.0  # how far a chart of a combination reaches, in what the bounds allow
+HUGE = 1e150  # a number that is drawn
+GAP = 2.5  # usual steps between two points that are not joined
+
+
+@dataclass(frozen=True)
+class Row:
+    """One chart below the others. Fields: key: of its numbers; name; unit; kind: "signal", "margin" or "combination"."""
+
+    key: str
+    name: str
+    unit: str = ""
+    kind: str = "signal"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a recording: x (n,) s; status (n,), the worst of each bin; low, high: {key: (n,)}, extremes of each bin."""
+
+    x: np.ndarray
+    status: np.ndarray
+    low: dict
+    high: dict
+
+    def reduced(self, most: int) -> "Piece":
+        """Return the same stretch as the extremes of at most so many bins."""
+        if len(self.x) <= most:
+            return self
+        edges = np.linspace(0, len(self.x), most, endpoint=False).astype(int)
+        low = {key: np.fmin.reduceat(z, edges) for key, z in self.low.items()}
+        high = {key: np.fmax.reduceat(z, edges) for key, z in self.high.items()}
+        return Piece(self.x[edges], np.maximum.reduceat(self.status, edges), low, high)
+
+    def cut(self, first: int, stop: int) -> "Piece":
+        """Return the points first .. stop - 1."""
+        take = lambda z: {key: value[first:stop] for key, value in z.items()}
+        return Piece(self.x[first:stop], self.status[first:stop], take(self.low), take(self.high))
+
+
+def pieces_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray]) -> Piece:
+    """Return the Piece of a whole recording, in no more numbers than a page takes. series: {key: (T,)}."""
+    exact = Piece(np.asarray(x, float), np.asarray(status), dict(series), dict(series))
+    return exact if len(x) * len(series) <= VALUES else exact.reduced(VALUES // (2 * len(series)))
+
+
+def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[float] = ()) -> dict[str, Any]:
+    """Return what the macro `chart` shows of a Piece: paths, limits, ticks. marked: times to be marked above, in s."""
+    points = piece.reduced(POINTS)
+    first, last = float(points.x[0]), float(points.x[-1])
+    across = (points.x - first) / ((last - first) or 1.0) * WIDTH
+    joined = np.diff(across, prepend=across[:1]) <= GAP * np.median(np.diff(across)) if len(across) > 2 else np.ones(len(across), bool)
+    fault = points.status == Status.FAULT
+    panels = [_panel(row, points, across, joined, fault) for row in rows if row.key in points.low]
+    at = [{"left": 100 * (x - first) / ((last - first) or 1.0), "text": text} for x, text in ticks(clock, first, last)]
+    ribbon = {status.name: _spans(across, points.status == status) for status in Status}
+    marks = sorted({round(100 * (x - first) / ((last - first) or 1.0), 2) for x in marked})
+    return {"panels": panels, "ticks": at, "marked": marks, "ribbon": ribbon, "from": clock.text(first), "to": clock.text(last)}
+
+
+def _panel(row, points, across, joined, fault):
+    low, high = (np.clip(np.asarray(z[row.key], float), -HUGE, HUGE) for z in (points.low, points.high))
+    if row.kind == "margin":
+        low, high = squeezed(low), squeezed(high)
+    bottom, top = _limits(row, low, high)
+    beyond = (abs(low) > 1) | (abs(high) > 1)  # windows that this combination proves, not all that are FAULT
+    shaded = {"combination": beyond, "margin": fault, "signal": fault}[row.kind]
+    peak = np.where(abs(high) > abs(low), high, low) if row.kind == "combination" else low
+    out = shaded & np.isfinite(low) & (row.kind != "signal")
+    band = [float(_down(v, bottom, top)) for v in (1.0, -1.0)] if row.kind == "combination" else None
+    return {"row": row, "line": _line(across, _down(low, bottom, top), _down(high, bottom, top), joined), "band": band,
+            "shade": _spans(across, shaded), "out": _dots(across[out], _down(peak[out], bottom, top)),
+            "marks": [{"top": float(_down(v, bottom, top)), "text": text} for v, text in _marks(row, bottom, top)],
+            "empty": not np.isfinite(low).any()}  # fmt: skip
+
+
+def _limits(row, low, high):
+    """Return (bottom, top) of a chart."""
+    if row.kind == "signal":
+        return robust_limits(low, high)
+    least, most = (float(end(z[np.isfinite(z)], initial=0.0)) for end, z in ((np.min, low), (np.max, high)))
+    if row.kind == "margin":
+        return least - 0.08, 1.06
+    reach = min(max(-least, most, 1.2), FAR)
+    return -1.08 * reach, 1.08 * reach
+
+
+def squeezed(margin: np.ndarray) -> np.ndarray:
+    """Return margins with those below -1 on a logarithmic scale: -10 becomes -2, -100 becomes -3."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(margin < -1, -1 - np.log10(np.minimum(-np.maximum(margin, -1e15), 1e15)), margin)
+
+
+def robust_limits(low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
+    """Return (bottom, top) of a chart that one huge value does not spoil."""
+    low, high = low[np.isfinite(low)], high[np.isfinite(high)]
+    if not len(low) or not len(high):
+        return 0.0, 1.0
+    bottom, top = float(np.quantile(low, 0.002)), float(np.quantile(high, 0.998))
+    reach = max((top - bottom) / 2, 1e-9 * max(abs(bottom), abs(top)), 1e-300)
+    bottom, top = max(float(low.min()), bottom - reach), min(float(high.max()), top + reach)
+    pad = 0.06 * (top - bottom) or abs(top) * 0.01 or 1.0
+    return bottom - pad, top + pad
+
+
+def _down(value, bottom, top):
+    """Return places on a chart, counted from its top."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.clip((top - value) / (top - bottom), 0, 1) * HEIGHT
+
+
+def _marks(row, bottom, top):
+    """Return the lines across a chart: (value, text)."""
+    if row.kind == "combination":
+        return [(1.0, "1"), (-1.0, "-1")] if top > 4 else [(1.0, "1"), (0.0, "0"), (-1.0, "-1")]
+    if row.kind == "margin":
+        powers = range(max(int(-bottom), 0))
+        return [(1.0, "1"), (0.0, "0"), *((-1.0 - n, f"-{10.0**n:g}") for n in powers[:: 1 + len(powers) // 5])]
+    step = 10.0 ** np.floor(np.log10((top - bottom) / 2))
+    step *= next(n for n in (5, 2, 1) if n == 1 or (top - bottom) / (n * step) >= 2)
+    return [(n * step, f"{n * step:.6g}") for n in range(int(np.ceil(bottom / step)), int(np.floor(top / step)) + 1)]
+
+
+def _number(x):
+    return f"{x:.1f}".removesuffix(".0")
+
+
+def _line(across, low, high, joined):
+    """Return the path of a line, or of the zigzag between the extremes of bins."""
+    out, pen = [], False
+    for x, a, b, near in zip(across.tolist(), low.tolist(), high.tolist(), joined.tolist(), strict=True):
+        if a != a or b != b:
+            pen = False
+            continue
+        out.append(
+            f"{'L' if pen and near else 'M'}{_number(x)} {_number(a)}" + (f"V{_number(b)}" if a != b else "" if pen and near else "h0")
+        )
+        pen = True
+    return "".join(out)
+
+
+def _dots(across, down):
+    return "".join(f"M{_number(x)} {_number(a)}h0" for x, a in zip(across.tolist(), down.tolist(), strict=True))
+
+
+def _spans(across, on):
+    """Return the path of boxes of full height over the points that are on."""
+    half = np.median(np.diff(across)) / 2 if len(across) > 1 else WIDTH / 2
+    out = []
+    for run in _runs(on):
+        left, right = max(across[run][0] - half, 0.0), min(across[run][-1] + half, WIDTH)
+        out.append(f"M{left:.2f} 0H{right:.2f}V{HEIGHT}H{left:.2f}Z")
+    return "".join(out)
+
+
+def _runs(on):
+    """Return slices of the stretches that are on."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(on, np.int8), [0]])))
+    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def plain(piece: Piece) -> dict[str, Any]:
+    """Return a Piece as JSON has it: numbers as base64 of float32, times as (first, step) where they are even."""
+    step = np.diff(piece.x)
+    even = len(step) == 0 or np.allclose(step, step[0], rtol=0, atol=1e-3 * abs(step[0]))
+    x = [float(piece.x[0]), float(step[0]) if len(step) else 1.0] if even else coded(piece.x, "<f8")
+    both = {key: [coded(piece.low[key])] + ([] if piece.high[key] is piece.low[key] else [coded(piece.high[key])]) for key in piece.low}
+    return {"n": len(piece.x), "x": x, "status": "".join(map(str, piece.status.tolist())), "series": both}
+
+
+def coded(values: np.ndarray, kind: str = "<f4") -> str:
+    """Return numbers as base64 of a float type."""
+    with np.errstate(over="ignore"):
+        return base64.b64encode(np.asarray(values).astype(kind).tobytes()).decode()

@@ -1,0 +1,154 @@
+"""Times on an axis as the recording's owner wrote them: found from labels, one pattern serves text, axes and script."""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Clock", "clock_of", "ticks"]
+
+EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
+ORDERS = ("Ymd", "dmY", "mdY", "")
+STEPS = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200,
+         86400, 172800, 432000, 864000)  # fmt: skip
+MONTHS = (1, 2, 3, 6, 12, 24, 60, 120, 240, 600, 1200)
+ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
+TRIED = 9  # labels that a pattern is checked with
+
+
+class Clock:
+    """How the time x of a sample, in s, is written.
+
+    Fields: tokens: ("d2", ".", "m2", ...), a field and its least number of digits, or text as it is; empty: numbers. base: s from 1970 to
+    x = 0, as the fields count them. digits: behind the point of a number. unit: what stands behind it; before: what stands before it.
+    """
+
+    def __init__(self, tokens: Sequence[str] = (), base: float = 0.0, digits: int = 0, before: str = "", unit: str = "") -> None:
+        """Keep the fields."""
+        self.tokens, self.base, self.digits, self.before, self.unit = tuple(tokens), base, digits, before, unit
+
+    def text(self, x: float) -> str:
+        """Return a time as text.
+
+        Example:
+            >>> Clock(ISO, 1.7e9).text(60.0), Clock(unit=" s", digits=2).text(0.30000001)
+            ('2023-11-14 22:14:20', '0.3 s')
+        """
+        if not self.tokens:
+            short = f"{x:.{self.digits}f}"
+            return f"{self.before}{short.rstrip('0').rstrip('.') if '.' in short else short}{self.unit}"
+        return _written(self.tokens, self.base + x)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields as JSON has them."""
+        return dict(vars(self))
+
+
+def clock_of(label: Callable[[int], str], time: np.ndarray, stamp: Any, samples: int, step: float) -> Clock:
+    """Return the Clock of a recording.
+
+    Args:
+        label: text of the time of a sample. time: (k,) s of the samples `0 .. samples - 1`, evenly picked, the first and the last among
+            them. stamp: datetime64 of the first; None: there are no dates. samples: how many. step: usual seconds between two.
+    """
+    picked = np.linspace(0, samples - 1, min(samples, TRIED)).astype(int)
+    at = np.asarray(time)[np.linspace(0, len(time) - 1, len(picked)).astype(int)] - time[0]
+    texts = [label(int(k)) for k in picked]
+    if len(time) != samples:  # labels of samples whose times are not at hand prove nothing: those of both ends do
+        texts, at = [texts[0], texts[-1]], at[[0, -1]]
+    base = _midnight(texts[0]) if stamp is None else float((stamp - EPOCH) / SECOND)
+    if base is not None:
+        body, zone = _zone(texts[0])
+        base += _offset(zone)
+        bodies = [text.removesuffix(zone) for text in texts]
+        for tokens in _candidates(body):
+            if all(_written(tokens, base + x) == text for x, text in zip(at, bodies, strict=True)):
+                return Clock((*tokens, zone) if zone else tokens, base - float(time[0]))
+        if stamp is not None:
+            return Clock((*ISO, " UTC") if zone else ISO, float((stamp - EPOCH) / SECOND) - float(time[0]))
+    if texts[0].endswith(" s"):
+        return Clock(digits=max(0, 2 - math.floor(math.log10(step or 1.0))), unit=" s")
+    return Clock(before="sample ") if texts[0].startswith("sample ") else Clock(digits=max(0, 2 - math.floor(math.log10(step or 1.0))))
+
+
+def _zone(text):
+    found = re.search(r"(?<=[\d ])(Z|UTC|[+-]\d\d:?\d\d)$", text) if ":" in text else None
+    return (text[: found.start()], found[0]) if found else (text, "")
+
+
+def _offset(zone):
+    digits = re.sub(r"\D", "", zone)
+    return (-1 if zone.startswith("-") else 1) * (int(digits[:2]) * 3600 + int(digits[2:]) * 60) if digits else 0.0
+
+
+def _midnight(text):
+    """Return the seconds since midnight of a clock without a date, or None."""
+    found = re.fullmatch(r"(\d\d?):(\d\d)(?::(\d\d(?:\.\d+)?))?", text)
+    return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3] or 0) if found else None
+
+
+def _candidates(text):
+    """Yield the patterns that a text could have: its numbers as fields, in the usual orders, with and without leading zeros."""
+    parts = re.split(r"(\d+)", text)
+    groups = parts[1::2]
+    for order in ORDERS:
+        fields = order + "HMSf"[: max(len(groups) - len(order), 0)]
+        if len(fields) != len(groups) or len(groups) < 2:
+            continue
+        for days, hours in ((2, 2), (1, 1), (1, 2), (2, 1)):  # digits at least
+            digits = dict(m=days, d=days, H=hours, M=2, S=2)
+            tokens = [parts[0]]
+            for field, group, gap in zip(fields, groups, parts[2::2], strict=True):
+                tokens += [f"{field}{digits.get(field, len(group))}", gap]
+            yield [token for token in tokens if token]
+
+
+def _written(tokens, seconds):
+    whole = math.floor(round(seconds, 3))
+    at = datetime(1970, 1, 1) + timedelta(seconds=whole)
+    fields = {"Y": at.year, "m": at.month, "d": at.day, "H": at.hour, "M": at.minute, "S": at.second}
+    out = ""
+    for token in tokens:
+        if token[0] in fields and token[1:].isdigit():
+            out += f"{fields[token[0]]:0{token[1:]}d}"
+        elif token[0] == "f" and token[1:].isdigit():
+            out += f"{round(seconds, 3) - whole:.{token[1:]}f}"[2:]
+        else:
+            out += token
+    return out
+
+
+def ticks(clock: Clock, first: float, last: float, most: int = 6) -> list[tuple[float, str]]:
+    """Return (time, text) of at most so many round times from `first` to `last`."""
+    span = last - first
+    if not span > 0:
+        return [(first, clock.text(first))]
+    if clock.tokens:
+        step = float(next((size for size in STEPS if span / size < most), 0))
+        if not step:
+            return [(x, clock.text(x)) for x in _months(clock.base, first, last, most)]
+    else:
+        power = 10.0 ** math.floor(math.log10(span / most))
+        step = next(n * power for n in (1, 2, 5, 10, 20) if span / (n * power) < most)
+        step = max(step, 1.0) if clock.before else step
+    n = math.ceil((first + clock.base) / step - 1e-9)
+    found = []
+    while n * step <= last + clock.base + 1e-9 * span:
+        found.append((n * step - clock.base, clock.text(n * step - clock.base)))
+        n += 1
+    return found
+
+
+def _months(base, first, last, most):
+    """Return the first days of months, so many months apart that there are not too many."""
+    step = next((n for n in MONTHS if (last - first) / (n * 2_629_746) < most), MONTHS[-1])
+    month = lambda n: float(np.datetime64(n, "M").astype("datetime64[s]").astype(np.int64)) - base
+    begin = int(np.datetime64(math.floor(first + base), "s").astype("datetime64[M]").astype(np.int64))
+    n, found = -(-begin // step) * step, []
+    while month(n) <= last:
+        found += [month(n)] if month(n) >= first else []
+        n += step
+    return found
