@@ -5,6 +5,7 @@ Only the samples of that window are read again (a CSV file: all), tested as they
 
 import argparse
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from jaxbound.certificates.interface import certify
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
-from jaxbound.cli.terminal import door, show, write
+from jaxbound.cli.terminal import LOUDNESS, VERBOSE, door, show, write
 from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.plaintext import times as factor_text
 from jaxbound.recordings.read import open_source
@@ -119,9 +120,31 @@ def run(args: argparse.Namespace) -> int:
             (work / path.name).write_text(text + "\n", encoding="utf-8")
     except Refused as e:
         raise Refused(f"{e}; --json prints the certificate instead") from e
+    whole = args.all or LOUDNESS.get() == VERBOSE
     headline, rows, table = readable(certificate, k, labels)
-    show(headline, "bold", [*rows, ("certificate", str(path))], table)
+    if not whole:
+        rows = [(name, main_terms(text)) for name, text in rows]
+        rows.append(("all of it", f"--all: every coefficient, and what the {len(labels)} samples say, {len(table) - 1} rows"))
+    show(headline, "bold", [*rows, ("certificate", str(path))], table if whole else None, last=True)
     return 0
+
+
+def main_terms(relation: str, most: int = 6) -> str:
+    """Return a long relation by its largest terms, in their order, "..." where others stand; any other text, or a short one, as it is.
+
+    Example:
+        >>> main_terms("2 a[k-1] - 0.1 b[k] + c[k] = 0", most=2)
+        '2 a[k-1] + c[k] + ... = 0'
+    """
+    left, equals, right = relation.partition(" = ")
+    signs = re.findall(r" ([+-]) (?=\S)", f" + {left}")
+    terms = re.split(r" [+-] (?=\S)", left)
+    if not equals or len(terms) <= most or len(signs) != len(terms):
+        return relation
+    sizes = [abs(float(m[1])) if (m := re.match(r"-?([\d.]+(?:e[+-]?\d+)?) ", term)) else 1.0 for term in terms]
+    kept = sorted(sorted(range(len(terms)), key=lambda i: -sizes[i])[:most])
+    text = " ".join(f"{signs[i]} {terms[i]}" for i in kept)
+    return f"{text.removeprefix('+ ')} + ... = {right}"
 
 
 def readable(certificate: Any, k: int, labels: Sequence[str]) -> tuple[str, list[tuple[str, str]], list[tuple[str, ...]]]:

@@ -1,6 +1,7 @@
 """The command `jaxbound info`: what a model file says, and what can be detected and isolated with it."""
 
 import argparse
+import json
 import math
 
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
@@ -33,6 +34,9 @@ def run(args: argparse.Namespace) -> int:
     with door(), progress_bars(("relations",)) as step:
         m = load_model(args.model)
         r = parity_relations(m, args.horizon, progress=lambda share: step("relations", share))
+    if args.json:
+        write(json.dumps(_plain(m, r), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+        return OK
     exact = lambda names, values: ", ".join(f"{n} {float(v):.6g}" for n, v in zip(names, values, strict=True) if v) or "none"
     signals = lambda names: ", ".join(f"{n} [{m.unit(n)}]" if m.unit(n) else n for n in names) or "none"
     origin = lambda field: f"({m.provenance.get(field, 'origin not stated')})"
@@ -65,12 +69,48 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
+def _plain(model, r):
+    """Return what --json prints: the model file's own words and numbers, the relations, and the sizes that are guaranteed."""
+
+    def signals(side, names, *bounds):
+        found = []
+        for i, name in enumerate(names):
+            about = {"name": name, "unit": model.unit(name), "column": model.column(name), "offset": float(model.offset[side][i])}
+            if name in model.ranges and side == "u":
+                about["range"] = [float(x) for x in model.ranges[name]]
+            found.append(about | {bound: float(getattr(model, bound)[i]) for bound in bounds})
+        return found
+
+    parameters = [{"name": p.name, "between": [float(x) for x in p.between], "varying": p.varying} for p in model.uncertainties]
+    told = {"name": model.name, "dt": model.dt, "horizon": r.horizon, "states": list(model.states), "inputs": signals("u", model.inputs),
+            "outputs": signals("y", model.outputs, "tolerance", "noise", "resolution"), "unknown_inputs": model.d,
+            "disturbances": [[float(x) for x in ends] for ends in model.disturbance], "parameters": parameters,
+            "provenance": dict(model.provenance), "relations": r.text().splitlines(), "notes": list(getattr(r, "notes", ())),
+            "hints": bound_hints(model)}  # fmt: skip
+    if not model.uncertainties and not any(model.tolerance) and _seconds(model, r.horizon) <= PATIENCE:
+        sizes = _guaranteed(model, r.horizon)
+        told["guaranteed"] = {name: None if math.isinf(size) else float(size) for name, size in sizes.items()}
+    return told
+
+
+def _seconds(model, horizon):
+    """Return about how long the tables of `isolation_text` take."""
+    signals = model.outputs + model.inputs
+    return len(signals) * (elimination_seconds(model, model.n, unknown=1) + relation_cost(model, horizon)[0])
+
+
+def _guaranteed(model, horizon):
+    """Return {signal: size} of the constant faults that fill a window and are detected whatever else happens."""
+    horizon = max(horizon, redundancy(model).horizon)
+    return {name: detectable(model, name, horizon) for name in model.outputs + model.inputs}
+
+
 def isolation_text(model: LinearSystem, horizon: int) -> str:
     """Return paragraphs on a certain model: its relations of fewest signals, which single faults they tell apart, guaranteed sizes."""
     signals = model.outputs + model.inputs
     if len(signals) > SIGNALS:
         return f"(more than {SIGNALS} signals: jb.structured_relations(model, [...]) has the relations that ignore those of your choice)"
-    seconds = len(signals) * (elimination_seconds(model, model.n, unknown=1) + relation_cost(model, horizon)[0])
+    seconds = _seconds(model, horizon)
     if seconds > PATIENCE:
         return (f"(signatures, isolability and guaranteed sizes are not worked out: that would take {duration_text(seconds)}; "
                 "jb.isolability(model) and jb.detectable(model, signal, horizon) do it)")  # fmt: skip
@@ -87,15 +127,15 @@ def isolation_text(model: LinearSystem, horizon: int) -> str:
         isolability(model).text(),
         "",
     ]
-    return "\n".join([*out, *_sizes(model, signals, max(horizon, redundancy(model).horizon))])
+    return "\n".join([*out, *_sizes(model, horizon)])
 
 
-def _sizes(model, signals, horizon):
+def _sizes(model, horizon):
     if any(model.tolerance):
         return ["guaranteed sizes depend on the operating range: jb.detectable(model, signal, operating_range=...)"]
-    lines = [f"a constant fault that fills a window of {horizon + 1} samples is detected, whatever else happens, from this size on:"]
-    for name in signals:
-        size = detectable(model, name, horizon)
+    samples = max(horizon, redundancy(model).horizon) + 1
+    lines = [f"a constant fault that fills a window of {samples} samples is detected, whatever else happens, from this size on:"]
+    for name, size in _guaranteed(model, horizon).items():
         amount = "never guaranteed" if math.isinf(size) else f"{float(size):.4g} {model.unit(name)}".rstrip()
         lines.append(f"{name}: {amount}")
     return lines

@@ -1,4 +1,4 @@
-"""The command line: jaxbound demo | detect | explain | fleet | fit | tune | study | info.
+"""The command line: jaxbound demo | example | detect | explain | fleet | fit | tune | study | info.
 
 Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted (129 by SIGHUP, 143
 by SIGTERM, as shells count). What the user did wrong is one sentence on stderr; a report is written completely or not at all.
@@ -17,37 +17,35 @@ from pathlib import Path
 from typing import NoReturn
 
 from jaxbound import __version__
-from jaxbound.cli.terminal import BAD_INPUT, INTERNAL, INTERRUPTED, OK, Refused, say, stoppable, system_trouble, write
+from jaxbound.cli.terminal import (
+    BAD_INPUT,
+    INTERNAL,
+    INTERRUPTED,
+    LOUDNESS,
+    NORMAL,
+    OK,
+    QUIET,
+    VERBOSE,
+    Refused,
+    say,
+    stoppable,
+    system_trouble,
+    write,
+)
+from jaxbound.cli.usage import EPILOG, NO_COMMAND, epilog
 from jaxbound.recordings.plaintext import clipped
 
-__all__ = ["main"]
+__all__ = ["commands", "main"]
 
-EPILOG = (
-    "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted, and as shells "
-    "count 129 by SIGHUP, 143 by SIGTERM"
-)
 METHODS = "joint, box, paving, linearised"  # as `consistency.interface.METHODS`: a text, for what is asked here is not worth its imports
-FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (nothing is written)"
-TUNE_EPILOG = (
-    "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the best bounds until then are "
-    "written; the same command goes on)"
-)
-STUDY_EPILOG = "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the same command goes on)"
-SHARES_EPILOG = (
-    ". In shares, by three machines that see one folder: jaxbound detect plant.toml recordings/ --out report --part 1/3, the same with "
-    "--part 2/3 and --part 3/3, in any order, then with --merge; what was killed goes on when it is started again"
-)
-PIPE_EPILOG = (
-    ". With -: SIGINT (Ctrl-C), SIGTERM and SIGHUP end the input. Stopped in any way, kill -9 too, and started again with the same --out, "
-    "verdicts.csv holds each line that was taken once, whether the sender begins again (what was judged is known by the first line and its "
-    "number, or by its time) or goes on. On standard output each verdict stands once, after kill -9 at least once, if --out or --state is "
-    "given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
-)
-FLEET_EPILOG = (
-    "exit codes, the first that applies: 1 fault found in some unit, 2 some unit could not be tested (its row says why) or bad input or "
-    "usage, 3 too little evidence for some unit, 0 no fault; 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (what "
-    "was tested is written)"
-)
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Keeps paragraphs apart, and lines that are examples as they are."""
+
+    def _fill_text(self, text, width, indent):
+        filled = super()._fill_text
+        return "\n\n".join(p if "\n  " in p else filled(p, width, indent) for p in text.split("\n\n"))
 
 
 class Parser(argparse.ArgumentParser):
@@ -98,6 +96,8 @@ def _main(argv):
     except Exception as e:
         with tempfile.NamedTemporaryFile("w", prefix="jaxbound-traceback-", suffix=".txt", delete=False) as f:
             traceback.print_exc(file=f)
+        if {"-v", "--verbose"} & set(sys.argv[1:] if argv is None else argv):
+            traceback.print_exc()
         say(f"internal error, {type(e).__name__}: please report it with the traceback in {f.name}")
         return INTERNAL
 
@@ -115,33 +115,49 @@ def _run(args):
     finally:
         if collected:
             gc.enable()
+    token = LOUDNESS.set(args.loudness)
     try:
         return command(args)
     except Unverified as e:
         raise Refused(str(e)) from e
+    finally:
+        LOUDNESS.reset(token)
+
+
+def commands() -> dict[str, argparse.ArgumentParser]:
+    """Return the parser of each command by its name."""
+    return _parsers()[1]
 
 
 def _parse(argv):
     for i in reversed(range(1, len(argv))):
         if argv[i - 1] in ("--input-range", "--sizes") and argv[i][:1] == "-":  # argparse takes -1:1 for an option
             argv[i - 1 : i + 1] = [f"{argv[i - 1]}={argv[i]}"]
+    parser, _ = _parsers()
+    if not argv:
+        parser.print_help()
+        raise Refused(NO_COMMAND)
+    return parser.parse_args(argv)
+
+
+def _parsers():
+    """Return (the parser of the command line, {command: its parser})."""
     parser = Parser("jaxbound", description="Guaranteed fault detection: every FAULT is a proof.", epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"jaxbound {__version__}")
     parser.set_defaults(function="run")
-    commands = parser.add_subparsers(
-        metavar="demo | detect | explain | fleet | fit | tune | study | info", required=True, parser_class=Parser
+    choices = parser.add_subparsers(
+        title="commands (jaxbound COMMAND --help has its options and examples)", metavar="COMMAND", required=True, parser_class=Parser
     )
-    c = commands.add_parser("demo", help="run the example of a paper and write its report", epilog="exit code: 0")
+    c = choices.add_parser("demo", help="run the example of a paper and write its report")
     c.add_argument("--out", type=_path, default=Path("demo-report"), metavar="DIR", help="folder for the report (default: demo-report)")
     c.add_argument("--runs", type=_whole(1, 10**7), default=500, metavar="N", help="runs to count detection rates on (default: 500)")
     c.set_defaults(module="detect", function="run_demo")
-    c = commands.add_parser("example", help="write recordings to try the other commands on", epilog="exit codes: 0, or 2 bad input")
+    c = choices.add_parser("example", help="write recordings to try the other commands on")
     c.add_argument("name", nargs="?", metavar="NAME", help="heater or tank; without it, the examples are listed")
     c.add_argument("--out", type=_path, metavar="DIR", help="folder for the files (default: one of that name)")
     c.set_defaults(module="example")
-    epilog = EPILOG + SHARES_EPILOG + PIPE_EPILOG
-    c = commands.add_parser("detect", help="test a recording against a model and write a report", epilog=epilog)
-    c.add_argument("model", type=_path, metavar="MODEL.toml")
+    c = choices.add_parser("detect", help="test a recording against a model and write a report")
+    c.add_argument("model", type=_path, metavar="MODEL.toml", help="the plant and its bounds: from fit, tune, or written by hand")
     c.add_argument("data", type=_named, metavar="DATA", help="a CSV file, a Parquet file, a folder of Parquet files, which follow each "
                    "other by name, or -: lines of CSV from standard input, each judged as it comes, its verdict on standard "
                    "output")  # fmt: skip
@@ -156,17 +172,18 @@ def _parse(argv):
     more = "; validation bounds states and outputs, names the faulty sensor and says what it should have shown"
     _testing(c, more)
     c.set_defaults(module="detect", function="run_detect")
-    c = commands.add_parser("explain", help="print the certificate of one window", epilog="exit codes: 0, or 2 bad input")
+    c = choices.add_parser("explain", help="print the certificate of one window")
     c.add_argument("report", type=_path, metavar="DIR", help="folder that jaxbound detect wrote")
     c.add_argument("--at", required=True, metavar="TIME", help="time or number of the sample at which the window ends")
+    c.add_argument("--all", action="store_true", help="every coefficient, and a row for each sample (-v does the same)")
     c.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
     c.set_defaults(module="explain")
-    c = commands.add_parser("fleet", help="test many units listed in a table", epilog=FLEET_EPILOG)
+    c = choices.add_parser("fleet", help="test many units listed in a table")
     c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
     c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
     _testing(c)
     c.set_defaults(module="fleet")
-    c = commands.add_parser("fit", help="find a model and its bounds from healthy recordings", epilog=FIT_EPILOG)
+    c = choices.add_parser("fit", help="find a model and its bounds from healthy recordings")
     c.add_argument("data", type=_path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
     c.add_argument("--inputs", default="", metavar="A,B", help="columns; or name=column, or name=expression like lift=Tsup-Tmix")
     c.add_argument("--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain")
@@ -186,7 +203,7 @@ def _parse(argv):
     c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
     c.set_defaults(module="fit")
-    c = commands.add_parser("tune", help="find the smallest bounds under which healthy recordings are consistent", epilog=TUNE_EPILOG)
+    c = choices.add_parser("tune", help="find the smallest bounds under which healthy recordings are consistent")
     c.add_argument("model", type=_path, metavar="MODEL.toml", help="its bounds are the start; those at 0 stay 0")
     c.add_argument("healthy", type=_path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet")
     c.add_argument("--faulty", type=_path, nargs="+", default=[], metavar="F", help="recordings with a fault, to be left outside")
@@ -203,7 +220,7 @@ def _parse(argv):
     c.add_argument("--force", action="store_true", help="replace files that are there; never one that is read")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
     c.set_defaults(module="tune")
-    c = commands.add_parser("study", help="simulate a million scenarios and count what is detected", epilog=STUDY_EPILOG)
+    c = choices.add_parser("study", help="simulate a million scenarios and count what is detected")
     c.add_argument("model", type=_path, metavar="MODEL.toml", help="the plant and the bounds of its monitor")
     c.add_argument("--faults", required=True, metavar="F,F", help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation")
     c.add_argument("--sizes", metavar="LO:HI:COUNT", help="or numbers with commas (default: twelve around the guaranteed size)")
@@ -214,17 +231,29 @@ def _parse(argv):
     c.add_argument("--at", default="uniform", help="unknowns: uniform (default), vertices of their bounds, or adversarial")
     c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
     c.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="of the scenarios (default: 0)")
-    c.add_argument("--input-range", metavar="LO:HI", help="levels of the inputs, one pair for all or one each with commas")
+    c.add_argument("--input-range", metavar="LO:HI", help="levels of the inputs, one pair for all or one each with commas (default: the "
+                   "ranges that the model file states, which fit writes, else from 1 below the operating point to 1 above)")  # fmt: skip
     c.add_argument("--hold", type=_whole(1), default=20, metavar="H", help="samples that a level lasts (default: 20)")
     c.add_argument("--rows", action="store_true", help="keep a row for each scenario in DIR/scenarios/")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
     c.set_defaults(module="study")
-    c = commands.add_parser("info", help="show what a model file says and what can be tested", epilog="exit codes: 0, or 2 bad input")
-    c.add_argument("model", type=_path, nargs="?", metavar="MODEL.toml")
+    c = choices.add_parser("info", help="show what a model file says and what can be tested")
+    c.add_argument("model", type=_path, nargs="?", metavar="MODEL.toml", help="the model file to show")
     c.add_argument("--template", action="store_true", help="print a commented model file")
-    c.add_argument("--horizon", type=_whole(0), metavar="S")
+    c.add_argument(
+        "--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the model's, or the least useful S)"
+    )
+    c.add_argument("--json", action="store_true", help="the same as JSON on stdout, nothing else")
     c.set_defaults(module="info")
-    return parser.parse_args(argv)
+    for name, c in choices.choices.items():
+        c.formatter_class, c.epilog = _Formatter, epilog(name)
+        loud = c.add_mutually_exclusive_group()
+        loud.add_argument("-q", "--quiet", action="store_const", const=QUIET, dest="loudness", help="print the first line of the "
+                          "conclusion alone, and no progress")  # fmt: skip
+        loud.add_argument("-v", "--verbose", action="store_const", const=VERBOSE, dest="loudness", help="say more: when each stage begins, "
+                          "all of a certificate, the traceback of an internal error")  # fmt: skip
+        c.set_defaults(loudness=NORMAL)
+    return parser, choices.choices
 
 
 def _testing(c, more=""):

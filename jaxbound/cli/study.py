@@ -7,12 +7,13 @@ import time
 import jax
 import numpy as np
 
-from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
+from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
 from jaxbound.models.modelfile import load_model
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.study import plot_study
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.plaintext import cell
+from jaxbound.relations.cost import duration_text
 from jaxbound.relations.parity import parity_relations
 from jaxbound.reports.study import HEAD, sentence, study_page, study_rows
 from jaxbound.runs.outputs import output_folder
@@ -23,6 +24,8 @@ __all__ = ["run"]
 
 NAMES = ("summary.csv", "summary.parquet", "delays.parquet", "study.png", "report.html")
 MOST = 10_000  # sizes of a fault
+PATIENCE = 20.0
+"""Seconds that a study may take without being announced."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         onset = None if onset is None else tuple(map(int, onset[0]))
         res = study(
             model, faults, args.n, args.seed, relations, samples=args.samples, sizes=sizes, onset=onset, at=args.at, input_range=span,
-            hold=args.hold, progress=lambda share: step("study", share), out=args.out, rows=args.rows)  # fmt: skip
+            hold=args.hold, progress=_Announced(args, lambda share: step("study", share)), out=args.out, rows=args.rows)  # fmt: skip
         counted = time.perf_counter() - start
         step("report", 0.2)
         with folder.work() as work:
@@ -50,6 +53,25 @@ def run(args: argparse.Namespace) -> int:
         step("report", 1.0)
     _conclude(args, res, counted)
     return 0
+
+
+class _Announced:
+    """Progress of a study that says once, when a first part of it is counted, how long the rest will take."""
+
+    def __init__(self, args, step):
+        self.args, self.step, self.first, self.said = args, step, None, LOUDNESS.get() == QUIET
+
+    def __call__(self, share):
+        self.step(share)
+        now = time.monotonic()
+        if self.first is None:
+            self.first = now, share  # what is compiled is compiled now
+        elif not self.said and share > self.first[1]:
+            left = (1 - share) * (now - self.first[0]) / (share - self.first[1])
+            self.said = share > self.first[1] + 0.02 or now - self.first[0] > 1
+            if self.said and left > PATIENCE:
+                work = f"{self.args.n} scenarios of {self.args.samples} samples"
+                say(f"{work}: {duration_text(left)} to go; stopped, the same command goes on")
 
 
 def _sizes(text):

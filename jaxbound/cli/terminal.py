@@ -5,17 +5,24 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 
 from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.runs.refusals import Refused, Stopped
 
-__all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "OK", "door", "nobody_reads",
+__all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "LOUDNESS", "NORMAL", "OK", "QUIET", "VERBOSE", "door", "nobody_reads",
            "progress_bars", "say", "show", "stoppable", "system_trouble", "usable_device", "write"]  # fmt: skip
 
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))  # signals that ask for the end
 OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # exit codes of every command; those of verdicts: `detecting.CODES`
+QUIET, NORMAL, VERBOSE = 0, 1, 2
+LOUDNESS: ContextVar[int] = ContextVar("loudness", default=NORMAL)
+"""How much a command says: -q the first line of its conclusion, -v more than it would."""
+EVERY = 60.0
+"""Seconds between two lines of progress where there is no terminal."""
 
 
 @contextmanager
@@ -61,17 +68,38 @@ def stoppable() -> Iterator[list[int]]:
 
 @contextmanager
 def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], object]]:
-    """Show a bar for each stage on a terminal's stderr; yields a function of (stage, share)."""
-    if sys.stderr is None or not sys.stderr.isatty():
+    """Show a bar for each stage on a terminal's stderr, elsewhere a line now and then; yields a function of (stage, share)."""
+    if sys.stderr is None or LOUDNESS.get() == QUIET:
         yield lambda stage, share: None
         return
+    if not sys.stderr.isatty():
+        yield _Lines().step
+        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description:>8}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description:>8}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         tasks = {stage: bars.add_task(stage, total=1.0) for stage in stages}
         yield lambda stage, share: bars.update(tasks[stage], completed=share)
+
+
+class _Lines:
+    """Progress in a log: a line every minute while work goes on; with -v also one where a stage begins."""
+
+    def __init__(self):
+        self.start = self.last = time.monotonic()
+        self.stage = ""
+
+    def step(self, stage: str, share: float) -> None:
+        """Say where the work is, if it is time to."""
+        now = time.monotonic()
+        if stage != self.stage and LOUDNESS.get() == VERBOSE:
+            say(f"{stage}, {now - self.start:.1f} s after the start")
+        elif now - self.last >= EVERY:
+            say(f"{stage} {share:.0%}, {now - self.start:.0f} s after the start")
+            self.last = now
+        self.stage = stage
 
 
 def write(text: str) -> None:
@@ -99,8 +127,20 @@ def nobody_reads() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def show(headline: str, style: str, rows: Iterable[tuple[str, str]], table: Sequence[Sequence[str]] | None = None, text: str = "") -> None:
-    """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names are not markup."""
+def show(
+    headline: str,
+    style: str,
+    rows: Iterable[tuple[str, str]],
+    table: Sequence[Sequence[str]] | None = None,
+    text: str = "",
+    last: bool = False,
+) -> None:
+    """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names are not markup.
+
+    With -q the headline alone. Args: last: the table stands behind the pairs.
+    """
+    if LOUDNESS.get() == QUIET:
+        rows, table, text = (), None, ""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -112,6 +152,8 @@ def show(headline: str, style: str, rows: Iterable[tuple[str, str]], table: Sequ
     for name, value in rows:
         grid.add_row(Text(printable(name), "dim"), Text(printable(value), overflow="fold"))
     console.print(Text(printable(headline), style), soft_wrap=not terminal)
+    if last and grid.row_count:
+        console.print(grid)
     if table:
         rates = Table(box=None, padding=(0, 2), pad_edge=False)
         for i, name in enumerate(table[0]):
@@ -119,7 +161,8 @@ def show(headline: str, style: str, rows: Iterable[tuple[str, str]], table: Sequ
         for row in table[1:]:
             rates.add_row(*(Text(printable(cell)) for cell in row))
         console.print(rates)
-    console.print(grid)
+    if not last and grid.row_count:
+        console.print(grid)
     if text:
         console.print(Text(printable(text, "\n")), soft_wrap=True)
     write(page.getvalue() if terminal else "\n".join(line.rstrip() for line in page.getvalue().split("\n")))

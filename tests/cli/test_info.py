@@ -1,5 +1,7 @@
 """What `jaxbound info` says of detection and isolation."""
 
+import json
+
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.info import isolation_text
@@ -18,6 +20,15 @@ def test_info_lists_relations_signatures_and_sizes(tmp_path, capsys):
     lines = dict(line.strip().split(": ", 1) for line in text.splitlines() if line.strip().startswith(("level: ", "u1: ")))
     size = jb.detectable(jb.load_model(path), "u1", 1)
     assert lines["u1"] == f"{float(size):.4g} %" and float(lines["level"]) > 0
+    assert main.main(["info", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["guaranteed"]["u1"] == float(size) and list(told["guaranteed"]) == ["level", "flow", "sum", "u1"]
+    assert told["outputs"][1] == dict(name="flow", unit="", column="flow", offset=0.0, tolerance=0.0, noise=0.1, resolution=0.0)
+    assert (
+        told["unknown_inputs"] == 1
+        and told["inputs"][0]["unit"] == "%"
+        and len(told["relations"]) == jb.parity_relations(jb.load_model(path)).count
+    )
 
 
 def test_sizes_that_nothing_guarantees_and_tolerances_are_named():

@@ -201,7 +201,6 @@ BAD_USAGE = {
     "chunk of nothing": ([*DETECT, "--chunk", "0"], "--chunk needs a whole number >= 1"),
     "unknown option": ([*DETECT, "--speed", "9"], "unrecognized arguments: --speed 9"),
     "no --out": (["detect", "model.toml", "good.csv"], "the following arguments are required: --out"),
-    "no command": ([], "are required"),
     "unknown command": (["detekt"], "invalid choice: 'detekt'"),
     "fit without outputs": (["fit", "good.csv"], "the following arguments are required: --outputs, --out"),
     "info of nothing": (["info"], "needs either a model file or --template"),

@@ -1,5 +1,6 @@
 """The command `jaxbound study`."""
 
+import argparse
 import json
 
 import pandas as pd
@@ -7,6 +8,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
+from jaxbound.cli import study as command
 from jaxbound.studies.montecarlo import montecarlo
 
 
@@ -78,3 +80,14 @@ def test_wrong_usage_is_one_sentence_and_nothing_is_written(sentence, more, mode
     assert run(model, tmp_path / "out", *more) == 2
     said = capsys.readouterr().err
     assert sentence in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("first, said", [(2.0, "100000 scenarios of 200 samples: about 5 minutes to go"), (0.1, "")])
+def test_a_long_study_says_beforehand_how_long_it_takes(first, said, monkeypatch, capsys):
+    now = iter([8.0, 8.0 + first, 8.0 + 3 * first, 8.0 + 4 * first])  # the first of a hundred and fifty parts is compiled before
+    monkeypatch.setattr(command.time, "monotonic", lambda: next(now))
+    announced = command._Announced(argparse.Namespace(n=100_000, samples=200), lambda share: None)
+    for part in (1, 2, 4, 5):
+        announced(part / 150)
+    err = capsys.readouterr().err
+    assert err.count("\n") == bool(said) and said in err

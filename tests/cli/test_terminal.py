@@ -1,6 +1,7 @@
 """What reaches a terminal, a pipe, a page or a spreadsheet: whole, printable, and never a formula."""
 
 import os
+import shlex
 import subprocess
 import sys
 import threading
@@ -8,8 +9,9 @@ import threading
 import numpy as np
 import pytest
 
-from jaxbound.cli import info, main
+from jaxbound.cli import info, main, terminal
 from jaxbound.cli.fleet import write_fleet
+from jaxbound.cli.usage import EXAMPLES
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import canvas, to_png
 from jaxbound.recordings.expressions import expression, missing_column
@@ -134,3 +136,46 @@ def test_too_little_memory_is_a_sentence(capsys, monkeypatch, model):
     monkeypatch.setattr(info, "load_model", greedy)
     assert main.main(["info", str(model / "m.toml")]) == 2
     assert "more memory than there is" in capsys.readouterr().err
+
+
+def test_no_command_shows_the_help_on_stdout_and_asks_on_stderr(capsys):
+    assert main.main([]) == 2
+    out, err = capsys.readouterr()
+    assert out.startswith("usage: jaxbound") and all(f"\n    {name} " in out for name in EXAMPLES) and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_command_has_examples_that_its_parser_takes_and_a_word_on_every_parameter(name, capsys):
+    for line, about in EXAMPLES[name]:
+        words = shlex.split(line.rpartition("| ")[2].removesuffix(" > plant.toml"))
+        assert about and main._parse(words[1:]).module and words[0] == "jaxbound"
+    assert main.main([name, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "examples:\n  " in out and "exit code" in out and "-q, --quiet" in out and "-v, --verbose" in out
+    assert all(action.help for action in main.commands()[name]._actions)
+
+
+def test_long_work_is_reported_now_and_then_where_there_is_no_terminal(capsys, monkeypatch):
+    now = iter([0.0, 1.0, 59.0, 61.0, 62.0, 130.0])
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: next(now))
+    with terminal.progress_bars(("read", "test")) as step:
+        for stage, share in (("read", 0.5), ("test", 0.1), ("test", 0.25), ("test", 0.3), ("test", 0.9)):
+            step(stage, share)
+    said = "jaxbound: test 25%, 61 s after the start\njaxbound: test 90%, 130 s after the start\n"
+    assert capsys.readouterr().err == said
+
+
+def test_quiet_prints_the_first_line_and_verbose_each_stage(model, capsys):
+    assert main.main(["info", str(model / "m.toml"), "-q"]) == 0
+    assert capsys.readouterr() == ("tank\n", "")
+    assert main.main(["info", str(model / "m.toml"), "-v"]) == 0
+    out, err = capsys.readouterr()
+    assert out.count("\n") > 10 and err.startswith("jaxbound: relations, 0.") and terminal.LOUDNESS.get() == terminal.NORMAL
+    assert main.main(["info", str(model / "m.toml"), "-v", "-q"]) == 2
+
+
+def test_an_internal_error_says_its_traceback_with_v(model, capsys, monkeypatch):
+    monkeypatch.setattr(info, "load_model", lambda path: 1 / 0)
+    monkeypatch.setattr(main.tempfile, "tempdir", str(model))
+    assert main.main(["info", str(model / "m.toml")]) == 70 and "Traceback" not in capsys.readouterr().err
+    assert main.main(["info", str(model / "m.toml"), "-v"]) == 70 and "ZeroDivisionError" in capsys.readouterr().err
