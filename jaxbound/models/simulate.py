@@ -22,8 +22,12 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.sizes import power
 
 __all__ = ["Trajectory", "simulate"]
+
+FEW = 2**16
+"""Samples of all recordings up to which as many as the next power of two are compiled for: few shapes serve all."""
 
 
 @jax.tree_util.register_dataclass
@@ -110,11 +114,18 @@ def simulate(
                    model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
     count = math.prod(batch)
     longer = _length(T, count) - T
-    padded = lambda v: _library(v).pad(v.reshape(count, *v.shape[len(batch) :]), ((0, 0), (0, longer), (0, 0)))
+    more = power(count) - count if 1 < count and count * (T + longer) <= FEW else 0
+    padded = lambda v: _library(v).pad(v.reshape(count, *v.shape[len(batch) :]), ((0, more), (0, longer), (0, 0)))
     active = np.pad(_switches(model, faults, T), ((0, 0), (0, longer)))
     start = _library(start).broadcast_to(start, (*batch, model.n)).reshape(count, model.n)
-    v = v if v is None else padded(v)
-    out = _simulate(at == "vertices", model.constant_tolerance, kinds, numbers, sizes, active, key, padded(given), start, v)
+    start = _library(start).pad(start, ((0, more), (0, 0)))
+    widths = {0: model.p, 1: model.p, 2: len(kinds) if "noise" in [f.kind for f in faults] else 0, 3: model.g, 5: len(numbers["varying"])}
+    streams = [stream for stream, width in widths.items() if width]
+    size = (T + longer) * max(widths.values())
+    draws = _draws(key, np.array(streams), count + more, size, dtype)
+    v = _normal(key, count + more, (T + longer, model.d), dtype) if v is None else padded(v)
+    how = np.array([at == "vertices", model.constant_tolerance])
+    out = _simulate(kinds, tuple(streams), how, numbers, sizes, active, draws, padded(given), start, v)
     return Trajectory(*_cut(out, batch, T))
 
 
@@ -130,14 +141,17 @@ def _host(x: ArrayLike) -> Any:
 def _length(T: int, count: int) -> int:
     """Return the number of samples that is compiled for: of few sizes, and no more than an eighth beyond T where there is much to do."""
     step = 1 << max(T - 1, 63).bit_length()
-    if T * count > 2**16:
+    if T * count > FEW:
         step = max(step // 16, 1)
     return -(-T // step) * step
 
 
-@partial(jax.jit, static_argnums=(1, 2))
 def _cut(out: tuple[jax.Array, ...], batch: tuple[int, ...], T: int) -> tuple[jax.Array, ...]:
-    return tuple(v[:, :T].reshape(*batch, T, v.shape[2]) for v in out)
+    """Return what was asked for of what was compiled for; on the host, where nothing is compiled."""
+    cut = lambda v: v[: math.prod(batch), :T].reshape(*batch, T, v.shape[2])
+    if any(isinstance(v, jax.core.Tracer) for v in out):
+        return tuple(map(cut, out))
+    return tuple(jax.device_put([cut(np.asarray(v)) for v in out]))
 
 
 def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarray:
@@ -198,11 +212,30 @@ def _apply(matrix, vectors):
     return _total(rounding.dd_mul(matrix, tuple(v.reshape(len(v), *between, v.shape[1]) for v in vectors)))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _simulate(vertices, constant, kinds, numbers, sizes, active, key, u, x0, v):
-    n, keys = x0.shape[1], jax.random.split(key, len(u))
-    draws = partial(_draws, vertices, constant, kinds, numbers, sizes, active, n)
-    theta, noise, w, v, parameters, extra = jax.vmap(draws)(keys, u, v)
+@partial(jax.jit, static_argnums=(2, 3, 4))
+def _draws(key, streams, recordings, size, dtype):
+    """Return uniform draws (streams, recordings, size) in [-1, 1): one program for every model, and longer ones begin with the shorter."""
+    keys = jax.random.split(key, recordings)
+    keys = jax.vmap(lambda stream: jax.vmap(lambda k: jax.random.fold_in(k, stream))(keys))(streams)
+    return jax.vmap(jax.vmap(lambda k: jax.random.uniform(k, (size,), dtype, -1, 1)))(keys)
+
+
+def _normal(key, recordings, shape, dtype):
+    """Return unknown inputs (recordings, *shape) that nobody gave."""
+    if not shape[1]:
+        return np.zeros((recordings, *shape), dtype)
+    return _normal_draws(key, recordings, shape, dtype)
+
+
+@partial(jax.jit, static_argnums=(1, 2, 3))
+def _normal_draws(key, recordings, shape, dtype):
+    return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(k, 4), shape, dtype))(jax.random.split(key, recordings))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _simulate(kinds, streams, how, numbers, sizes, active, draws, u, x0, v):
+    n = x0.shape[1]
+    theta, noise, w, parameters, extra = _unknowns(kinds, dict(zip(streams, draws, strict=True)), how, numbers, sizes, active, u)
     faulty = lambda signals, side, dropped: jax.vmap(lambda s, e: _faulty(kinds, sizes, active, s, e, side, dropped))(signals, extra)
     applied = faulty(u, 2, 0.0)
 
@@ -227,28 +260,28 @@ def _simulate(vertices, constant, kinds, numbers, sizes, active, key, u, x0, v):
     return x, u, faulty(y, 1, jnp.nan), theta, noise, w, v, parameters
 
 
-def _draws(vertices, constant, kinds, numbers, sizes, active, n, key, u, v):
-    """Return what one recording draws: theta, noise, disturbances, unknown inputs, parameters, and the noise of faults."""
-    T, p = len(u), len(numbers["noise"])
-    k_theta, k_noise, k_fault = jax.random.split(key, 3)
-    k_w = jax.random.fold_in(key, 3)
-    draw = (lambda k, s: jax.random.rademacher(k, s, u.dtype)) if vertices else (lambda k, s: jax.random.uniform(k, s, u.dtype, -1, 1))
-    signs = jnp.broadcast_to(draw(k_theta, (1, p)), (T, p)) if constant else draw(k_theta, (T, p))
+def _unknowns(kinds, draws, how, numbers, sizes, active, u):
+    """Return what recordings draw, from `draws` by stream: theta, noise, disturbances, parameters, and the noise of faults."""
+    count, T, p = u.shape[0], u.shape[1], len(numbers["noise"])
+    vertices, constant = how
+
+    def drawn(stream, width, anywhere=False):
+        x = draws[stream][:, : T * width].reshape(count, T, width) if stream in draws else jnp.zeros((count, T, width), u.dtype)
+        return x if anywhere else jnp.where(vertices, jnp.where(x < 0, -1, 1).astype(x.dtype), x)
+
+    signs = drawn(0, p)
+    signs = jnp.where(constant, signs[:, :1], signs)
     tolerance = jnp.broadcast_to(numbers["tolerance"], (T, p))
     for (kind, output, _), size, on in zip(kinds, sizes, active, strict=True):
         if kind == "tolerance":
             tolerance = tolerance.at[:, output].set(jnp.where(on, size, tolerance[:, output]))
-    theta = tolerance * signs
-    noise = numbers["noise"][None] * draw(k_noise, (T, p))
-    lo, hi = numbers["lo"][None], jnp.maximum(numbers["lo"], numbers["hi"])[None]
-    share = draw(k_w, (T, lo.shape[1]))
+    lo, hi = numbers["lo"][None, None], jnp.maximum(numbers["lo"], numbers["hi"])[None, None]
+    share = drawn(3, lo.shape[2])
     w = jnp.where(share == 1, hi, jnp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
-    d = len(numbers["matrix"][0]) - n - u.shape[1] - lo.shape[1]
-    v = jax.random.normal(jax.random.fold_in(key, 4), (T, d), u.dtype) if v is None else v
-    extra = jax.random.uniform(k_fault, (T, len(kinds)), u.dtype, -1, 1).T
-    each = draw(jax.random.fold_in(key, 5), (T, len(numbers["varying"])))
-    parameters = jnp.where(numbers["varying"][None], each, each[:1])
-    return theta, noise, w, v, parameters, extra
+    each = drawn(5, len(numbers["varying"]))
+    parameters = jnp.where(numbers["varying"][None, None], each, each[:, :1])
+    extra = jnp.moveaxis(drawn(2, len(kinds), anywhere=True), 1, 2)
+    return tolerance[None] * signs, numbers["noise"][None, None] * drawn(1, p), w, parameters, extra
 
 
 def _faulty(kinds, sizes, active, signals, extra, side, dropped):
