@@ -17,6 +17,7 @@ import numpy as np
 from jaxbound.cli.share import merged, opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated
+from jaxbound.cli.window import window_relations
 from jaxbound.consistency.interface import METHODS
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
@@ -26,7 +27,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.plaintext import percent, times
 from jaxbound.recordings.read import kind_of, open_source
-from jaxbound.relations.parity import parity_relations
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.digest import digest
@@ -108,7 +108,7 @@ def _stream(args, folder, step):
             sizes = sizes_seen(found, found.alarms)
             hints = (*found.hints, *ending_hints(found, found.alarms, sizes), *bound_hints(source.model))
             res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes)
-            about = source.model, args.data, source.content, args.method, relations.horizon
+            about = relations.model, args.data, source.content, args.method, relations.horizon
             write_all(work, Outcome(found, None, found.alarms, res, *about))
             write_report(work, found, found, found.alarms, res, seconds=seconds,
                          progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
@@ -131,8 +131,7 @@ def _evaluate(args, work, step, extra=lambda res: ()):
         model = load_model(args.model)
         source = open_source(args.data, model)
         held, recording = source.content, source.read(progress=lambda share: step("read", share))
-        refuse_short(args.data, recording.samples, model.horizon if args.horizon is None else args.horizon)
-        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+        model, relations = window_relations(model, args, args.data, recording.samples, step)
         refuse_short(args.data, recording.samples, relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
@@ -162,6 +161,8 @@ def _validate(args, work, step):
         model = load_model(args.model)
         source = open_source(args.data, model)
         held, recording = source.content, source.read(progress=lambda share: step("read", share))
+        if args.lags is not None:
+            raise ValueError(f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn")
         horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
         _complete(args.data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
@@ -241,7 +242,8 @@ def run_demo(args: argparse.Namespace) -> int:
         save_model(demo.demo_model(), work / "model.toml")
         demo.write_run(work / "run.csv", run)
 
-        detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, method="joint", alarm=(1, 1),
+        detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, lags=None, method="joint",
+                                       alarm=(1, 1),
                                        min_coverage=0.5)  # fmt: skip
         extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
         found, *_ = _evaluate(detecting, work, step, extra)

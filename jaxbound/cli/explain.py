@@ -40,7 +40,7 @@ def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]
     if method == VALIDATION:
         raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
                          "only by the other methods of jaxbound detect")  # fmt: skip
-    relations = parity_relations(model, horizon)
+    relations = parity_relations(model, horizon if model.lags is None else None)
     source = open_source(data, model)
     axis = _Axis(source)
     k = axis.find(at)

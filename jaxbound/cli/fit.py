@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from jaxbound.cli.terminal import door, progress_bars, show, write
+from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.models.modelfile import model_text
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.fit import plot_fit
@@ -18,6 +19,7 @@ from jaxbound.studies.identification.fitting import fit
 
 __all__ = ["plot_fit", "run", "signals"]
 
+MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
 NAMED = re.compile(r"\s*([^=<>!`'\"]+?)\s*=(?!=)\s*(.+?)\s*")
 
 
@@ -29,8 +31,8 @@ def run(args: argparse.Namespace) -> int:
         about = {key: value for key, value in (("time", args.time), ("where", args.where)) if value}
         found = read_signals(args.data, inputs, outputs, about, args.dt, lambda share: step("read", share))
         names = [[name if isinstance(name, str) else name[0] for name in side] for side in (inputs, outputs)]
-        model = fit(found, args.order, args.horizon, inputs=names[0], outputs=names[1], direct=args.direct, safety=args.safety,
-                    held_out=args.held_out, method=args.method, name=args.name or args.out.stem,
+        model = fit(found, args.order, args.horizon, lags=args.lags, inputs=names[0], outputs=names[1], direct=args.direct,
+                    safety=args.safety, held_out=args.held_out, method=args.method, name=args.name or args.out.stem,
                     progress=lambda share: step("fit", share),
                     columns=about | dict(s for s in inputs + outputs if not isinstance(s, str)))  # fmt: skip
         with whole(args.out) as f:
@@ -92,6 +94,19 @@ def _summary(model, args, hints):
         "warnings": list(check.sentences), "hints": hints}  # fmt: skip
 
 
+def _memory(model):
+    """Return a line on lags where the plant remembers longer than its windows: they may see smaller lasting errors."""
+    if model.lags is not None or slowest(model) < MEMORY * (model.horizon + 1):
+        return []
+    try:
+        found = suggest_lags(model)
+    except ValueError:  # none of them would help
+        return []
+    sizes = ", ".join(f"{name} {found.sizes[found][name]:.3g} {model.unit(name)}".rstrip() for name in model.outputs)
+    said = f"the plant remembers longer than a window: --lags {','.join(map(str, found))} would see lasting errors from about {sizes} on"
+    return [("memory", f"{said}, if these bounds held so long")]
+
+
 def _tell(model, args, hints):
     """Print what was found."""
     check = model.check
@@ -102,14 +117,16 @@ def _tell(model, args, hints):
         table.append((name, f"{check.smallest[name]:.4g}", f"{float(sum(bounds)):.4g}", *sizes))
     rounded = ", ".join(f"{float(r):.6g} of {name}" for name, r in zip(model.outputs, model.resolution, strict=True) if r)
     unseen = check.held_out
+    looks = f"{model.horizon + 1}" if model.lags is None else f"{len(model.lags)} of {model.horizon + 1}"
     rows = [
         ("model", f"{model.n} states, order {args.order}, coefficients by {check.method}"),
-        ("windows", f"{model.horizon + 1} samples, {model.dt:g} s apart: all of them CONSISTENT, by the proved test"),
+        ("windows", f"{looks} samples, {model.dt:g} s apart: all of them CONSISTENT, by the proved test"),
         *[(f"{path}", f"{r['windows']} windows, {100 * r['used']:.3g} % of the bounds used" if r["windows"] else "no window")
           for path, r in zip(args.data, check.recordings, strict=True)],
         ("held out", "nothing" if unseen is None else
          f"a first fit, to the first {100 * (1 - args.held_out):.3g} % of each, found {100 * unseen['fault']:.3g} % FAULT in "
          f"{unseen['windows']} windows of the rest, which used {100 * unseen['growth']:.3g} % of its bounds; the model is fitted to all"),
+        *_memory(model),
         ("safety", f"{check.safety:g} times the smallest bounds"),
         *([("resolution", f"{rounded}: that much of the bound is what the recorder rounds away")] if rounded else []),
         ("written", str(args.out) + (f" and {args.plot}" if args.plot else "")),

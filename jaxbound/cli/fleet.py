@@ -59,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
     with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html"), inputs) as folder, folder.work() as work:
         try:
             with progress_bars(("units",)) as step:
-                testing = detect_fleet(units, args.method, args.horizon, args.alarm, args.min_coverage, lambda share: step("units", share))
+                testing = detect_fleet(units, args.method, args.horizon, args.alarm, args.min_coverage, lambda share: step("units", share),
+                                       args.lags)  # fmt: skip
                 for result in testing:
                     results.append(result)
         except KeyboardInterrupt:

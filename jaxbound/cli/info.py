@@ -5,13 +5,13 @@ import json
 import math
 
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
+from jaxbound.cli.window import window_relations
 from jaxbound.diagnosis.detectability import detectable
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import duration_text, elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
-from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.summary import bound_hints
@@ -32,8 +32,7 @@ def run(args: argparse.Namespace) -> int:
         write(template())
         return OK
     with door(), progress_bars(("relations",)) as step:
-        m = load_model(args.model)
-        r = parity_relations(m, args.horizon, progress=lambda share: step("relations", share))
+        m, r = window_relations(load_model(args.model), args, args.model, None, step)
     if args.json:
         write(json.dumps(_plain(m, r), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
         return OK
@@ -59,13 +58,15 @@ def run(args: argparse.Namespace) -> int:
         ("offset", exact(m.inputs + m.outputs, m.offset["u"] + m.offset["y"])),
         *[(f"column of {s}" if s in m.inputs + m.outputs else s, c) for s, c in m.columns.items()],
         ("horizon", f"{r.horizon}: a window has {r.horizon + 1} samples"),
+        *([("lags", f"{', '.join(map(str, lags))}: so long before its last sample outputs are looked at")]
+          if (lags := getattr(r, "lags", None)) else []),
         ("relations", f"{r.count} independent, {tested}"),
         *[("note", n) for n in getattr(r, "notes", ())], *[("hint", h) for h in bound_hints(m)]]  # fmt: skip
     distinct = distinct_relations(r)
     if len(distinct) < r.count:
         rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
     text = "\n".join(r.text().splitlines()[j] for j in distinct)
-    show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon)}")
+    show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon, getattr(r, 'lags', None))}")
     return OK
 
 
@@ -88,7 +89,7 @@ def _plain(model, r):
             "provenance": dict(model.provenance), "relations": r.text().splitlines(), "notes": list(getattr(r, "notes", ())),
             "hints": bound_hints(model)}  # fmt: skip
     if not model.uncertainties and not any(model.tolerance) and _seconds(model, r.horizon) <= PATIENCE:
-        sizes = _guaranteed(model, r.horizon)
+        sizes = _guaranteed(model, r.horizon, getattr(r, "lags", None))
         told["guaranteed"] = {name: None if math.isinf(size) else float(size) for name, size in sizes.items()}
     return told
 
@@ -99,13 +100,13 @@ def _seconds(model, horizon):
     return len(signals) * (elimination_seconds(model, model.n, unknown=1) + relation_cost(model, horizon)[0])
 
 
-def _guaranteed(model, horizon):
+def _guaranteed(model, horizon, lags):
     """Return {signal: size} of the constant faults that fill a window and are detected whatever else happens."""
-    horizon = max(horizon, redundancy(model).horizon)
-    return {name: detectable(model, name, horizon) for name in model.outputs + model.inputs}
+    window = {"horizon": max(horizon, redundancy(model).horizon)} if lags is None else {"lags": lags}
+    return {name: detectable(model, name, **window) for name in model.outputs + model.inputs}
 
 
-def isolation_text(model: LinearSystem, horizon: int) -> str:
+def isolation_text(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None = None) -> str:
     """Return paragraphs on a certain model: its relations of fewest signals, which single faults they tell apart, guaranteed sizes."""
     signals = model.outputs + model.inputs
     if len(signals) > SIGNALS:
@@ -127,15 +128,15 @@ def isolation_text(model: LinearSystem, horizon: int) -> str:
         isolability(model).text(),
         "",
     ]
-    return "\n".join([*out, *_sizes(model, horizon)])
+    return "\n".join([*out, *_sizes(model, horizon, lags)])
 
 
-def _sizes(model, horizon):
+def _sizes(model, horizon, lags):
     if any(model.tolerance):
         return ["guaranteed sizes depend on the operating range: jb.detectable(model, signal, operating_range=...)"]
-    samples = max(horizon, redundancy(model).horizon) + 1
+    samples = (max(horizon, redundancy(model).horizon) if lags is None else lags[-1]) + 1
     lines = [f"a constant fault that fills a window of {samples} samples is detected, whatever else happens, from this size on:"]
-    for name, size in _guaranteed(model, horizon).items():
+    for name, size in _guaranteed(model, horizon, lags).items():
         amount = "never guaranteed" if math.isinf(size) else f"{float(size):.4g} {model.unit(name)}".rstrip()
         lines.append(f"{name}: {amount}")
     return lines

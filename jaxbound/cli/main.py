@@ -188,7 +188,7 @@ def _parsers():
     c.add_argument("--inputs", default="", metavar="A,B", help="columns; or name=column, or name=expression like lift=Tsup-Tmix")
     c.add_argument("--outputs", required=True, metavar="C,D", help="as --inputs: what the model is to explain")
     c.add_argument("--order", type=_whole(1, 1000), default=2, metavar="N", help="samples back that determine the next one (default: 2)")
-    c.add_argument("--horizon", type=_whole(1), default=15, metavar="S", help="bounds are found for windows of S + 1 samples (default: 15)")
+    _window(c, "bounds are found for windows of S + 1 samples (default: 15; with --lags, the largest of them)", 1)
     c.add_argument("--direct", action="store_true", help="inputs act on outputs of the same sample")
     c.add_argument("--where", metavar="EXPR", help="condition on columns: samples where it does not hold are no part of the recording")
     c.add_argument("--time", metavar="COLUMN", help="of the time stamps (default: a column that looks like time)")
@@ -208,7 +208,7 @@ def _parsers():
     c.add_argument("healthy", type=_path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet")
     c.add_argument("--faulty", type=_path, nargs="+", default=[], metavar="F", help="recordings with a fault, to be left outside")
     c.add_argument("--out", type=_path, required=True, metavar="TUNED.toml", help="the model with its new bounds")
-    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the model's, or the least)")
+    _window(c)
     c.add_argument(
         "--steps", type=_whole(0, 10**7), default=300, metavar="N", help="gradient steps (default: 300; 0: one factor on all bounds)"
     )
@@ -229,7 +229,7 @@ def _parsers():
     c.add_argument("--samples", type=_whole(1, 10**6), default=200, metavar="T", help="of a scenario (default: 200)")
     c.add_argument("--onset", metavar="LO:HI", help="the fault starts at a sample LO <= k < HI (default: the second quarter)")
     c.add_argument("--at", default="uniform", help="unknowns: uniform (default), vertices of their bounds, or adversarial")
-    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
+    _window(c)
     c.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="of the scenarios (default: 0)")
     c.add_argument("--input-range", metavar="LO:HI", help="levels of the inputs, one pair for all or one each with commas (default: the "
                    "ranges that the model file states, which fit writes, else from 1 below the operating point to 1 above)")  # fmt: skip
@@ -240,9 +240,7 @@ def _parsers():
     c = choices.add_parser("info", help="show what a model file says and what can be tested")
     c.add_argument("model", type=_path, nargs="?", metavar="MODEL.toml", help="the model file to show")
     c.add_argument("--template", action="store_true", help="print a commented model file")
-    c.add_argument(
-        "--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the model's, or the least useful S)"
-    )
+    _window(c)
     c.add_argument("--json", action="store_true", help="the same as JSON on stdout, nothing else")
     c.set_defaults(module="info")
     for name, c in choices.choices.items():
@@ -259,11 +257,30 @@ def _parsers():
 def _testing(c, more=""):
     """Add the options of every command that tests recordings."""
     c.add_argument("--method", default="joint", help=f"{METHODS} (default: joint, the exact test){more}")
-    c.add_argument("--horizon", type=_whole(0), metavar="S", help="a window has S + 1 samples (default: the least useful S)")
+    _window(c)
     alarm = "an alarm needs k FAULT among n windows (default: 1/1)"
     c.add_argument("--alarm", type=_of_n("k", "3/5"), default=(1, 1), metavar="k/n", help=alarm)
     c.add_argument("--min-coverage", type=_share, default=0.5, metavar="F", help="least share of decided windows (default: 0.5)")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+
+
+def _window(c, about="a window has S + 1 samples (default: that of the model, or the least useful S)", least=0):
+    """Add the options that say which windows are tested."""
+    one = c.add_mutually_exclusive_group()
+    one.add_argument("--horizon", type=_whole(least), metavar="S", help=about)
+    one.add_argument("--lags", type=_lags, metavar="0,1,2,4", help="look at the outputs only so many samples before the last of a window: "
+                     "long memory, few rows; every input between is used")  # fmt: skip
+
+
+def _lags(text):
+    from jaxbound.models.system import whole_lags
+
+    try:
+        return whole_lags([_whole(0)(part.strip()) for part in text.split(",")])
+    except (ValueError, argparse.ArgumentTypeError):
+        raise argparse.ArgumentTypeError(
+            f"needs different whole numbers with commas, 0 among them, like 0,1,2,4,8: not {text[:60]!r}"
+        ) from None
 
 
 def _named(text):

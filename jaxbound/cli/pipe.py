@@ -22,6 +22,7 @@ import jax
 import numpy as np
 
 from jaxbound.cli.terminal import ENDS, door, nobody_reads, say, system_trouble, usable_device
+from jaxbound.cli.window import window_relations
 from jaxbound.consistency.monitor import Monitor, MonitorState
 from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
 from jaxbound.diagnosis.result import suspected
@@ -31,7 +32,6 @@ from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.seams import irregular, seam_hints
 from jaxbound.relations.identity import identity
-from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, VERDICTS, Journal
 from jaxbound.runs.outputs import output_folder, refuse_targets
@@ -74,8 +74,7 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a Monitor.
     """
     with door(), _place(args) as folder:
-        model = load_model(args.model)
-        relations = parity_relations(model, args.horizon)
+        model, relations = window_relations(load_model(args.model), args, args.data, None, lambda stage, share: None)
         if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
+from jaxbound.cli.window import window_relations
 from jaxbound.models.modelfile import load_model
-from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import open_source
-from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import shared_folder
 from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION
@@ -71,8 +70,7 @@ def opened(args: argparse.Namespace, step: Callable[[str, float], object]) -> tu
     model = load_model(args.model)
     usable_device()
     source = open_source(args.data, model)
-    refuse_short(args.data, source.samples, model.horizon if args.horizon is None else args.horizon)
-    return source, parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+    return source, window_relations(model, args, args.data, source.samples, step)[1]
 
 
 def merged(args: argparse.Namespace, source: Any, relations: Any) -> Path:
@@ -86,5 +84,6 @@ def merged(args: argparse.Namespace, source: Any, relations: Any) -> Path:
 def _again(args, *more):
     """Return the command that makes the same test, as the shell reads it."""
     horizon = () if args.horizon is None else ("--horizon", args.horizon)
+    lags = () if args.lags is None else ("--lags", ",".join(map(str, args.lags)))
     method = () if args.method == "joint" else ("--method", args.method)
-    return shlex.join(map(str, ("jaxbound", "detect", args.model, args.data, "--out", args.out, *method, *horizon, *more)))
+    return shlex.join(map(str, ("jaxbound", "detect", args.model, args.data, "--out", args.out, *method, *horizon, *lags, *more)))

@@ -8,13 +8,12 @@ import jax
 import numpy as np
 
 from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
+from jaxbound.cli.window import window_relations
 from jaxbound.models.modelfile import load_model
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.study import plot_study
-from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.plaintext import cell
 from jaxbound.relations.cost import duration_text
-from jaxbound.relations.parity import parity_relations
 from jaxbound.reports.study import HEAD, sentence, study_page, study_rows
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
@@ -39,8 +38,7 @@ def run(args: argparse.Namespace) -> int:
     with door(), output_folder(args.out, NAMES, (args.model,)) as folder, progress_bars(("relations", "study", "report")) as step:
         model = load_model(args.model)
         usable_device()
-        refuse_short("--samples", args.samples, model.horizon if args.horizon is None else args.horizon)
-        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+        model, relations = window_relations(model, args, "--samples", args.samples, step)
         span = span[0] if span is not None and len(span) == 1 else span
         onset = None if onset is None else tuple(map(int, onset[0]))
         res = study(

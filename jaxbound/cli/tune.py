@@ -8,13 +8,12 @@ from fractions import Fraction
 import numpy as np
 
 from jaxbound.cli.terminal import INTERRUPTED, door, progress_bars, say, show, write
+from jaxbound.cli.window import window_relations
 from jaxbound.models.modelfile import load_model, model_text, number_text
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.tune import plot_tuning
-from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import read
 from jaxbound.recordings.whole import whole
-from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import refuse_targets
 from jaxbound.studies.tuning.tuning import tune
 
@@ -37,8 +36,7 @@ def run(args: argparse.Namespace) -> int:
         report = lambda i: lambda share: step("read", (i + share) / len(files))
         recordings = [read(file, model, report(i)) for i, file in enumerate(files)]
         longest = int(np.argmax([r.samples for r in recordings]))
-        refuse_short(files[longest], recordings[longest].samples, model.horizon if args.horizon is None else args.horizon)
-        relations = parity_relations(model, args.horizon, progress=lambda share: step("relations", share))
+        model, relations = window_relations(model, args, files[longest], recordings[longest].samples, step)
         healthy, faulty = recordings[: len(args.healthy)], recordings[len(args.healthy) :] or None
         res = tune(relations, healthy, faulty, _optimizer(args.optimizer, args.steps), args.steps, bounds=chosen, safety=args.safety,
                    calibrate=args.calibrate, progress=lambda share: step("tune", share), state=state)  # fmt: skip

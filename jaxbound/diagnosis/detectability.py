@@ -26,13 +26,14 @@ from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.naming import listed
 from jaxbound.relations.cost import SECONDS, affordable, relation_cost
 from jaxbound.relations.lags import over_all_rows
 from jaxbound.relations.parity import parity_relations, relation_text
 
-__all__ = ["GuaranteedSize", "always_seen", "detectable", "visible_sizes"]
+__all__ = ["GuaranteedSize", "always_seen", "detectable", "operating_reach", "visible_sizes", "window_shift"]
 
 ZERO = Fraction(0)
 ROUNDING = RECORDER_ULPS + 256
@@ -68,7 +69,8 @@ def detectable(
     Args:
         model: a LinearSystem.
         fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
-        horizon: of the window, which the fault must fill; None: that of the model, or up to where longer windows see no smaller faults.
+        horizon: of the window, which the fault must fill; None: that of the model, or its lags, or up to where longer windows see no
+            smaller faults.
         lags: of the window in place of horizon, as for `parity_relations`.
         operating_range: largest |reading - offset| of the outputs, one number, one per output or {output: number}, with the fault.
             Needed with a tolerance;
@@ -100,8 +102,9 @@ def detectable(
         raise NotImplementedError(
             "guaranteed sizes of an uncertain model are not implemented: leave its uncertainties out, or decouple them"
         )
-    reach = _reach(model, operating_range)
-    horizon = model.horizon if horizon is None and lags is None else horizon
+    reach = operating_reach(model, operating_range)
+    if horizon is None and lags is None:
+        horizon, lags = (model.horizon, None) if model.lags is None else (None, model.lags)
     relations = parity_relations(model, horizon, lags=lags)  # says so if there is none
     first, lags = relations.horizon, relations.lags
     tried, best = {}, None
@@ -152,8 +155,7 @@ def always_seen(relations: Any, method: str = "joint", readings: ArrayLike | Non
             return None
         offset = np.array(model.offset["y"], float)
         reach = np.fmax.reduce(abs(np.asarray(readings, float) - offset), axis=0, initial=np.finfo(np.float32).tiny).tolist()
-    window = {"horizon": s} if relations.lags is None else {"lags": relations.lags}
-    return {signal: float(detectable(model, signal, operating_range=reach, **window)) for signal in signals}
+    return {signal: float(detectable(model, signal, operating_range=reach, **relations.window)) for signal in signals}
 
 
 def _text(model, s, h):
@@ -163,8 +165,8 @@ def _text(model, s, h):
     return relation_text(model, s, h, k)
 
 
-def _reach(model, given):
-    """Return the largest reading (deviation from the offset) of each output as a Fraction."""
+def operating_reach(model: LinearSystem, given: Any) -> tuple[Fraction, ...]:
+    """Return the largest reading (deviation from the offset) of each output as a Fraction, from `operating_range` of `detectable`."""
     if given is None:
         if any(model.tolerance):
             raise ValueError(
@@ -194,10 +196,10 @@ def visible_sizes(relations: Any, operating_range: Any = None) -> np.ndarray:
     """
     relations = getattr(relations, "relations", relations)
     model = relations.model
-    reach, signals = _reach(model, operating_range), model.outputs + model.inputs
+    reach, signals = operating_reach(model, operating_range), model.outputs + model.inputs
     out = np.full((relations.count, len(signals)), math.inf)
     for j, signal in enumerate(signals):
-        shift, widths, spread = _shifted(model, signal, relations.horizon, reach)
+        shift, widths, spread = window_shift(model, signal, relations.horizon, reach)
         for c, h in enumerate(relations.W):
             if (size := _least(h, shift, widths, spread)) is not None:
                 out[c, j] = math.nextafter(float(size), math.inf)
@@ -210,7 +212,7 @@ def _least(h, shift, widths, spread):
     return dot(map(abs, h), widths) / slope if slope > 0 else None
 
 
-def _shifted(model, signal, s, reach):
+def window_shift(model: LinearSystem, signal: str, s: int, reach: Sequence[Fraction]) -> tuple[list, list, list]:
     """Return for each row of a window: its shift by a fault of size 1, twice its half-width, and what the fault adds to that."""
     _, K = window.unknowns(model, s)
     unit, floor = Fraction(1, 2**53), Fraction(float(np.finfo(np.float64).tiny))
@@ -231,7 +233,7 @@ def _size(model, signal, s, reach, lags):
     """Return the smallest size that a window of horizon s always sees, None where none is, and the relation that sees it."""
     E = window.unknowns(model, s)[0]
     seen = window.seen_rows(model, s, range(s + 1) if lags is None else lags)
-    shift, widths, spread = ([x[i] for i in seen] for x in _shifted(model, signal, s, reach))
+    shift, widths, spread = ([x[i] for i in seen] for x in window_shift(model, signal, s, reach))
     space, size = subspace([E[i] for i in seen]), None
     best = chebyshev(space, shift, widths)
     if best.t == 0:

@@ -18,7 +18,7 @@ from jaxbound.recordings.whole import whole
 
 __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 
-TOP = ("name", "dt", "horizon", "time", "where", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty",
+TOP = ("name", "dt", "horizon", "lags", "time", "where", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty",
        "decouple", "matrices", "provenance")  # fmt: skip
 STATE = ("name", "unit")
 INPUT = ("name", "unit", "column", "offset", "range")
@@ -164,7 +164,8 @@ def _model(table):
         decouple=[_string("decouple", name) for name in _list("decouple", table.get("decouple", []))],
         constant_tolerance=_truth("constant_tolerance", table.get("constant_tolerance", False)),
         provenance=_known("[provenance]", _table("[provenance]", table.get("provenance", {})), PROVENANCE),
-        name=_string("name", table.get("name", "model")), horizon=table.get("horizon"))  # fmt: skip
+        name=_string("name", table.get("name", "model")), horizon=table.get("horizon"),
+        lags=None if "lags" not in table else _list("lags", table["lags"]))  # fmt: skip
 
 
 def _known(where, table, fields):
@@ -184,8 +185,8 @@ def _table(where, value):
 
 def _list(field, value):
     if not isinstance(value, list):
-        names = field in ("states", "decouple")
-        raise ValueError(f"{field} must be a list" + (" of names" if names else f": write [[{field}]] above each of them"))
+        of = {"states": " of names", "decouple": " of names", "lags": " of whole numbers"}
+        raise ValueError(f"{field} must be a list" + of.get(field, f": write [[{field}]] above each of them"))
     return value
 
 
@@ -277,7 +278,9 @@ def model_text(model: LinearSystem) -> str:
     number = lambda x: f'"{t}"' if "/" in (t := number_text(x)) else t
     rows = lambda a: "[\n" + "".join(f"    [{', '.join(map(number, row))}],\n" for row in a) + "]"
     out = [f"name = {quote(model.name)}", f"dt = {number(Fraction(repr(model.dt)))}  # s"]
-    if model.horizon is not None:
+    if model.lags is not None:
+        out.append(f"lags = [{', '.join(map(str, model.lags))}]")
+    elif model.horizon is not None:
         out.append(f"horizon = {model.horizon}")
     out += [f"{key} = {quote(model.columns[key])}" for key in ("time", "where") if key in model.columns]
     if model.constant_tolerance:
@@ -326,6 +329,7 @@ TEMPLATE = """\
 name = "tank"
 dt = 1.0             # sampling period of model and recording, in seconds
 # horizon = 15       # windows have 16 samples unless --horizon says otherwise: those for which the bounds were found
+# lags = [0, 1, 2, 4, 8, 16]   # in place of horizon: look at the outputs only so many samples before the last of a window
 # time = "Time"      # column of the time stamps; without it, a column that looks like time is taken
 # where = "Fan > 0"  # samples for which this does not hold are no part of the recording: windows with them are MISSING
 # constant_tolerance = true   # theta below keeps one value over a window (a gain error), instead of being drawn anew each sample

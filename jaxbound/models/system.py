@@ -16,7 +16,7 @@ from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_si
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
 
-__all__ = ["LinearSystem"]
+__all__ = ["LinearSystem", "whole_lags"]
 
 ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model")
 
@@ -77,6 +77,7 @@ class LinearSystem:
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
         name: of the plant, for reports.
         horizon: of the windows for which the bounds were found (`jb.fit`): `parity_relations` takes it where none is asked for.
+        lags: of these windows, where they look at the outputs at some samples only; the horizon is then the largest of them.
         uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given matrices are those at the value
             0 of every parameter; .A, .B, .C, .D are kept at the middle of their bounds.
         decouple: names of uncertainties whose bounds are not to be trusted: they become unknown inputs.
@@ -102,6 +103,7 @@ class LinearSystem:
     origins: Words
     name: str
     horizon: int | None
+    lags: tuple[int, ...] | None
 
     A = _Of[Matrix]("plant")
     B = _Of[Matrix]("plant")
@@ -153,6 +155,7 @@ class LinearSystem:
         provenance: Mapping[str, str] | None = None,
         name: str = "model",
         horizon: int | None = None,
+        lags: Sequence[int] | None = None,
     ) -> None:
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
@@ -163,6 +166,11 @@ class LinearSystem:
         signals = model_signals((parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+        if lags is not None:
+            lags = whole_lags(lags)
+            if horizon not in (None, lags[-1]):
+                raise ValueError(f"lags up to {lags[-1]} say by themselves how long a window is: leave the horizon {horizon} out")
+            horizon = lags[-1]
         vars(self).update(
             plant=parts,
             sensors=sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance),
@@ -170,6 +178,7 @@ class LinearSystem:
             origins=words("provenance", provenance, ORIGINS),
             name=str(name),
             horizon=None if horizon is None else int(horizon),
+            lags=lags,
         )
 
     def replace(self, **changes: Any) -> LinearSystem:
@@ -186,6 +195,8 @@ class LinearSystem:
             >>> m.replace(noise="1/3", name="tank").noise
             (Fraction(1, 3),)
         """
+        if "horizon" in changes or "lags" in changes:  # another window altogether
+            changes = {"horizon": None, "lags": None, **changes}
         return LinearSystem(**{**self._arguments(), **changes})
 
     __replace__ = replace  # copy.replace(model, noise=..), from Python 3.13 on
@@ -211,7 +222,8 @@ class LinearSystem:
             "ranges": self.ranges,
             "provenance": self.provenance,
             "name": self.name,
-            "horizon": self.horizon,
+            "horizon": self.horizon if self.lags is None else None,
+            "lags": self.lags,
         }
 
     @property
@@ -272,6 +284,18 @@ class LinearSystem:
         raise FrozenInstanceError(f"a LinearSystem is a value: {name} cannot be deleted; model.replace(noise=..) makes a changed copy")
 
     def __repr__(self) -> str:
-        horizon = "" if self.horizon is None else f", horizon {self.horizon}"
+        horizon = "" if self.horizon is None else f", horizon {self.horizon}" if self.lags is None else f", lags {self.lags}"
         signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
         return f"LinearSystem({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
+
+
+def whole_lags(lags: Sequence[int]) -> tuple[int, ...]:
+    """Return the lags of a window in order.
+
+    Raises:
+        ValueError: they are not different whole numbers >= 0, or 0 is not among them.
+    """
+    whole = [isinstance(x, (int, np.integer)) and not isinstance(x, bool) and x >= 0 for x in lags]
+    if not all(whole) or len(set(lags)) < len(lags) or 0 not in lags:
+        raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")
+    return tuple(sorted(map(int, lags)))

@@ -7,12 +7,10 @@ so they count at every step.
 from collections.abc import Sequence
 from fractions import Fraction
 
-import numpy as np
-
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
-from jaxbound.models.system import LinearSystem
+from jaxbound.models.system import LinearSystem, whole_lags
 
 __all__ = ["checked_lags", "lagged", "over_all_rows"]
 
@@ -21,14 +19,12 @@ ZERO = Fraction(0)
 
 def checked_lags(model: LinearSystem, horizon: int | None, form: str, lags: Sequence[int]) -> tuple[int, ...]:
     """Return lags in order, or refuse them."""
-    whole = [isinstance(x, (int, np.integer)) and not isinstance(x, bool) and x >= 0 for x in lags]
-    if not all(whole) or len(set(lags)) < len(lags) or 0 not in lags:
-        raise ValueError(f"lags must be different whole numbers >= 0, 0 among them, not {tuple(lags)!r}")
+    found = whole_lags(lags)
     if horizon is not None or form != "first":
         raise ValueError(f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} out")
     if model.uncertainties:
         raise ValueError("lags are for models without uncertainties: over many samples uncertain parameters have too many products")
-    return tuple(sorted(map(int, lags)))
+    return found
 
 
 def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matrix, Matrix]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
-from typing import Self
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -83,6 +83,11 @@ class ParityRelation:
     def made(self) -> tuple:
         """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
         return self.form, self.lags
+
+    @property
+    def window(self) -> dict[str, Any]:
+        """How `parity_relations` and `detectable` are asked for these windows: {"horizon": s}, or {"lags": lags}."""
+        return {"horizon": self.horizon} if self.lags is None else {"lags": self.lags}
 
     @cached_property
     def _joint(self) -> Strips:
@@ -211,8 +216,9 @@ def parity_relations(
 
     Args:
         model: a LinearSystem, or a discrete state-space object of python-control or scipy.signal (perfect sensors then).
-        horizon: s >= 0, a window has s + 1 samples; None: that of the model, for which its bounds were found; without one, the smallest at
-            which every output that can be checked is checked (and, with uncertainties, all states that can be seen are seen).
+        horizon: s >= 0, a window has s + 1 samples; None: that of the model, or its lags, for which its bounds were found; without them,
+            the smallest at which every output that can be checked is checked (and, with uncertainties, all states that can be seen are
+            seen).
         form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set; the basis of the
             relations, and with it the box test, differs.
         progress: called with the share of the work done: many states or a long window take minutes.
@@ -239,6 +245,8 @@ def parity_relations(
     model, report = as_model(model), progress or (lambda share: None)
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
+    if lags is None and horizon is None:
+        lags = model.lags
     if lags is not None:
         lags = checked_lags(model, horizon, form, lags)
         horizon = lags[-1]

@@ -175,11 +175,12 @@ def detect_fleet(
     alarm: tuple[int, int] = (1, 1),
     min_coverage: float = 0.5,
     progress: Callable | None = None,
+    lags: Sequence[int] | None = None,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
     Args:
-        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`. horizon: as for `parity_relations`.
+        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`. horizon, lags: as for `parity_relations`.
         alarm: (k, n), an alarm needs k FAULT among n windows.
         min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
         progress: called with the share of the units done.
@@ -193,8 +194,9 @@ def detect_fleet(
     def prepare(unit):
         model, relations = models.get(unit.model) or (load_model(unit.model), None)
         recording = read(unit.recording, model)
-        refuse_short(unit.recording, recording.samples, model.horizon if horizon is None else horizon)
-        relations = relations or parity_relations(model, horizon)
+        longest = max(lags) if lags else model.horizon if horizon is None else horizon
+        refuse_short(unit.recording, recording.samples, longest)
+        relations = relations or parity_relations(model, horizon, lags=lags)
         if shared[unit.model] > 1:
             models[unit.model] = model, relations
         return model, relations, recording

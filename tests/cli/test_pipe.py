@@ -58,7 +58,7 @@ def place(tmp_path, monkeypatch):
 
 
 def arguments(**changes):
-    given = dict(model="model.toml", data="-", out=None, state=None, horizon=None, method="joint", min_coverage=0.5, json=False)
+    given = dict(model="model.toml", data="-", out=None, state=None, horizon=None, lags=None, method="joint", min_coverage=0.5, json=False)
     return argparse.Namespace(**(given | changes))
 
 

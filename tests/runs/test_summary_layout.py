@@ -66,7 +66,7 @@ def test_every_command_has_one_layout(place, capsys):
 
 def test_the_pipe_says_what_detect_says(place, capsys):
     _, whole = shell(capsys, "detect", "m.toml", "run.csv")
-    args = argparse.Namespace(model="m.toml", horizon=None, method="joint", out=None, state=None, min_coverage=0.5, json=False)
+    args = argparse.Namespace(model="m.toml", horizon=None, lags=None, method="joint", out=None, state=None, min_coverage=0.5, json=False)
     assert follow(args, [(place / "run.csv").read_bytes()]) == 1
     assert whole["summary"] in " ".join(capsys.readouterr().err.split())
 

@@ -14,7 +14,7 @@ from fractions import Fraction
 import numpy as np
 
 from jaxbound.diagnosis.detection import detect
-from jaxbound.models.system import LinearSystem
+from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -73,10 +73,11 @@ class Fitted(LinearSystem):
         vars(self).update(vars(model), check=check)
 
 
-def fit(recordings: object, order: int = 2, horizon: int = 15, *, inputs: str | Sequence[str] | None = None,
-        outputs: str | Sequence[str] | None = None, dt: float | None = None, direct: bool = False, safety: float = 1.25,
-        held_out: float = 0.3, method: str = "auto", name: str = "fitted", units: Mapping[str, str] | None = None,
-        columns: Mapping[str, str] | None = None, progress: Callable[[float], object] | None = None) -> Fitted:  # fmt: skip
+def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags: Sequence[int] | None = None,
+        inputs: str | Sequence[str] | None = None, outputs: str | Sequence[str] | None = None, dt: float | None = None,
+        direct: bool = False, safety: float = 1.25, held_out: float = 0.3, method: str = "auto", name: str = "fitted",
+        units: Mapping[str, str] | None = None, columns: Mapping[str, str] | None = None,
+        progress: Callable[[float], object] | None = None) -> Fitted:  # fmt: skip
     """Find a nominal model and noise bounds from healthy recordings.
 
     The smallest bounds are those under which every window of the recordings is consistent, in the ratio of the outputs' residuals: `tune`
@@ -86,7 +87,9 @@ def fit(recordings: object, order: int = 2, horizon: int = 15, *, inputs: str | 
         recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table with the columns `inputs` and
             `outputs`; a Recording. NaN marks a missing sample. Windows do not cross gaps in an index, nor `starts`, as for `detect`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order * p states.
-        horizon: s, the bounds are found for windows of s + 1 samples. Long windows see small faults; the model says for which it is made.
+        horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small faults; the model says for which
+            it is made.
+        lags: of windows that look at the outputs at some samples only, in place of horizon; see `parity_relations` and `suggest_lags`.
         inputs, outputs: names; needed with tables. dt: sampling period in s; None: what dates in the index or a Recording say, else 1.
         direct: whether inputs act on the outputs of the same sample (D).
         safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may deviate.
@@ -110,10 +113,16 @@ def fit(recordings: object, order: int = 2, horizon: int = 15, *, inputs: str | 
         >>> abs(float(model.A[0][0]) - 0.8) < 0.05, float(model.noise[0]) < 0.15
         (True, True)
     """
+    if lags is not None:
+        if horizon is not None:
+            raise ValueError("lags say by themselves how long a window is: leave horizon out")
+        lags = whole_lags(lags)
+    horizon = (15 if lags is None else lags[-1]) if horizon is None else horizon
     _check_options(order, horizon, safety, held_out, method)
     report = progress or (lambda share: None)
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
-    about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name, horizon=horizon)
+    about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
+    about |= {"horizon": horizon} if lags is None else {"lags": lags}
     refuse_unverified()  # at the end the bounds are verified
     scales = regression.scales_of(records)
     sentences = _standing_still(records, inputs, outputs)

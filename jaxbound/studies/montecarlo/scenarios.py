@@ -201,7 +201,7 @@ def guaranteed_size(model: Any, fault: Any, relations: Any, highest: Any, sample
         readings[[i for i, name in enumerate(model.outputs) if name == fault.signal]] += size
         if not np.isfinite(readings).all():
             return np.nan
-        found = float(detectable(monitor, fault, relations.horizon, readings.tolist()))
+        found = float(detectable(monitor, fault, operating_range=readings.tolist(), **relations.window))
         if found <= size or not np.isfinite(found):
             return found
         slope = (found - before[1]) / (size - before[0]) if before else 0.0

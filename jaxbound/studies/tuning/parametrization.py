@@ -149,7 +149,7 @@ def model_with(relations: ParityRelation | UncertainRelations, moved: Moving, va
     """
     model, old = relations.model, model_bounds(relations.model)
     provenance, fractions, at = dict(model.provenance), [Fraction(v) for v in values], 0
-    changes: dict[str, object] = {"horizon": relations.horizon, "provenance": provenance}
+    changes: dict[str, object] = {"provenance": provenance} | getattr(relations, "window", {"horizon": relations.horizon})
     decimals = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": [x for pair in model.disturbance for x in pair]}
     for kind, count in moved.sizes:
         now, before = np.ravel(relations.bounds[kind]), np.ravel(old[kind])

@@ -1,0 +1,149 @@
+"""How far back should a window look? Lags that see a lasting fault, and what each choice is worth.
+
+A lasting fault hides behind a first state that nobody knows for about as long as the plant remembers it: the slowest time constant. Fewer
+samples, the farther back the fewer, see nearly as much as all of them, at a fraction of the work; disturbances of every step between make
+a window forget, whatever it looks at. Sizes here come from linear programs in floats: they help to choose, `detectable` proves.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxbound.diagnosis.detectability import operating_reach, window_shift
+from jaxbound.models import window
+from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.cost import SECONDS, relation_cost
+
+__all__ = ["SuggestedLags", "slowest", "suggest_lags"]
+
+SHORTEST, LONGEST = 8, 512
+"""Spans that are tried, in samples; each is half of the one before."""
+ENOUGH = 1.25
+"""A span that sees faults this many times as large as the best of all is taken if it is shorter."""
+
+
+class SuggestedLags(tuple):
+    """Lags, a tuple for `parity_relations(model, lags=...)`.
+
+    Attributes: sizes: {lags: {signal: size}} of all that were tried, the longest first: about the size from which on a constant fault that
+    fills the window is always seen (`detectable` proves it), inf for never.
+    """
+
+    sizes: dict[tuple[int, ...], dict[str, float]]
+
+    def text(self) -> str:
+        """Return a table: a line for each choice, what is suggested marked by a star."""
+        signals = tuple(next(iter(self.sizes.values())))
+        head = ["", "span", "looks", *signals]
+        shown = lambda size: "never" if math.isinf(size) else f"{size:.3g}"
+        lines = [["*" if lags == self else "", str(lags[-1] + 1), str(len(lags)), *map(shown, found.values())]
+                 for lags, found in self.sizes.items()]  # fmt: skip
+        width = [max(len(line[i]) for line in (head, *lines)) for i in range(len(head))]
+        return "\n".join(" ".join(cell.rjust(w) for cell, w in zip(line, width, strict=True)).rstrip() for line in (head, *lines))
+
+
+def suggest_lags(model: ModelLike, count: int = 16, longest: int | None = None, operating_range: Any = None) -> SuggestedLags:
+    """Suggest the lags of windows that see lasting faults of a plant.
+
+    Args:
+        model: a LinearSystem without uncertainties.
+        count: so many samples at most are looked at: 0, 1, 2 and then farther and farther back.
+        longest: the longest span that is tried, in samples; None: the slowest time constant of the plant, of an integrating or unstable
+            one its fastest but 64 samples at least.
+        operating_range: as for `detectable`, needed with tolerances.
+
+    Returns:
+        SuggestedLags: the shortest span of those that see within 25 % of what the best sees, with a table of all. Bounds must hold over the
+        whole span: those that were found for short windows may be too tight for long ones (`jb.tune(..., lags)` or `jb.fit(lags=...)`).
+
+    Raises:
+        ValueError: no whole number >= 2 of samples, an operating range that is missing, no span with a relation.
+        NotImplementedError: an uncertain model.
+
+    Example:
+        >>> from jaxbound import LinearSystem
+        >>> found = suggest_lags(LinearSystem([["0.98"]], [[1]], [[1]], noise=0.1, outputs="T"), count=6)
+        >>> found, round(found.sizes[found]["T"], 2)
+        ((0, 1, 3, 7, 19, 50), 0.43)
+    """
+    model = as_model(model)
+    if model.uncertainties:
+        raise NotImplementedError("lags are for models without uncertainties: leave them out, or decouple them")
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 2:
+        raise ValueError(f"count must be a whole number of samples >= 2, not {count!r}")
+    reach = operating_reach(model, operating_range)
+    top = _span_of(model) if longest is None else int(longest)
+    sizes: dict[tuple[int, ...], dict[str, float]] = {}
+    while top >= max(min(SHORTEST, _span_of(model) if longest is None else longest), 1):
+        if relation_cost(model, top)[0] < SECONDS:
+            lags = _spread(top, int(count))
+            sizes.setdefault(lags, _sizes(model, lags, reach))
+        top //= 2
+    seen = {lags: found for lags, found in sizes.items() if any(map(math.isfinite, found.values()))}
+    if not seen:
+        raise ValueError("no window of these spans is sure to see a lasting fault, whatever its size: its bounds or disturbances hide it")
+    score = {lags: _score(found, list(seen.values())) for lags, found in seen.items()}
+    best = min(score.values())
+    chosen = min((lags for lags in seen if score[lags] <= best + math.log(ENOUGH)), key=lambda lags: lags[-1])
+    out = SuggestedLags(chosen)
+    out.sizes = sizes
+    return out
+
+
+def slowest(model: LinearSystem) -> float:
+    """Return the slowest time constant of a plant in samples, inf if it integrates or is unstable, 0 without states."""
+    if not model.n:
+        return 0.0
+    poles = np.abs(np.linalg.eigvals(np.array([[float(x) for x in row] for row in model.A])))
+    worst = float(poles.max())
+    return math.inf if worst > 1 - 1e-9 else 0.0 if worst == 0 else -1 / math.log(worst)
+
+
+def _span_of(model: LinearSystem) -> int:
+    """Return the longest span that is worth a look."""
+    memory = slowest(model)
+    if math.isinf(memory):
+        poles = np.abs(np.linalg.eigvals(np.array([[float(x) for x in row] for row in model.A])))
+        memory = max([64.0, *(-1 / math.log(p) for p in poles if 0 < p < 1 - 1e-9)])
+    return min(max(math.ceil(memory), 2 * model.n + 1, SHORTEST), LONGEST)
+
+
+def _spread(span: int, count: int) -> tuple[int, ...]:
+    """Return lags up to span, all of them or at most `count`, each farther back by about the same factor."""
+    if span < count:
+        return tuple(range(span + 1))
+    return tuple(np.unique(np.round([0, *np.geomspace(1, span, count - 1)])).astype(int).tolist())
+
+
+def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Any) -> dict[str, float]:
+    """Return {signal: about the size of a constant fault that is always seen}."""
+    from scipy.optimize import linprog
+    from scipy.sparse import csr_array, hstack, vstack
+
+    s = lags[-1]
+    seen = window.seen_rows(model, s, lags)
+    E = np.array([[float(x) for x in row] for i, row in enumerate(window.unknowns(model, s)[0]) if i in set(seen)])
+    E = csr_array(E / np.maximum(np.abs(E).max(0, initial=0), 1e-300))  # of columns that grow out of reach
+    found = {}
+    for name in model.outputs + model.inputs:
+        shift, widths, _ = ([float(x[i]) for i in seen] for x in window_shift(model, name, s, reach))
+        phi, width = np.array(shift), np.array(widths)
+        most = np.abs(phi).max(initial=0) or 1.0
+        upper = vstack([hstack([sign * E, csr_array(-width[:, None])]) for sign in (1, -1)])
+        cost, free = np.append(np.zeros(E.shape[1]), 1.0), [(None, None)] * E.shape[1] + [(0, None)]
+        t = linprog(cost, upper, np.concatenate([phi, -phi]) / most, bounds=free, method="highs").fun
+        found[name] = math.inf if t is None or t * width.max() < 1e-9 else float(1 / (t * most))
+    return found
+
+
+def _score(found: Mapping[str, float], others: list) -> float:
+    """Return the mean logarithm of sizes over the smallest of each signal; what is never seen counts ten times the worst."""
+    total, signals = 0.0, [name for name in found if any(math.isfinite(o[name]) for o in others)]
+    for name in signals:
+        finite = [o[name] for o in others if math.isfinite(o[name])]
+        size = found[name] if math.isfinite(found[name]) else 10 * max(finite)
+        total += math.log(size / min(finite))
+    return total / len(signals)

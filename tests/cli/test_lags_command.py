@@ -1,0 +1,104 @@
+"""The option --lags: the windows of every command, kept with the model and with what was found."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from systems import paper
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.cli.window import windowed
+from jaxbound.models.modelfile import load_model, save_model
+
+LAGS = (0, 1, 3)
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """Return a folder with model.toml and run.csv, a fault in it."""
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    monkeypatch.chdir(tmp_path)
+    save_model(paper(name="paper"), "model.toml")
+    u = np.where(np.arange(60) // 20 % 2, 1.0, -0.5)[:, None]
+    x, y = np.zeros(2), []
+    for k in range(60):
+        y.append([x[0] + (30 <= k < 33), x[0] + x[1]])
+        x = np.array([0.8 * x[0] + x[1], 0.2 * x[1] + u[k, 0]])
+    data = np.column_stack([np.arange(60) / 100, u, y])
+    np.savetxt("run.csv", data, delimiter=",", header="t,u1,y1,y2", comments="", fmt="%.17g")
+    return u, np.array(y)
+
+
+def test_detect_tests_windows_with_lags_and_explain_finds_them_again(place, capsys):
+    assert main.main(["detect", "model.toml", "run.csv", "--lags", "3,1,0", "--out", "out"]) == 1
+    res = jb.detect(jb.parity_relations(paper(), lags=LAGS), *place)
+    with open("out/verdicts.csv") as f:
+        assert [line.split(",")[1] for line in f][1:] == [jb.Status(int(s)).name for s in res.status]
+    assert load_model("out/tested_model.toml").lags == LAGS
+    capsys.readouterr()
+    assert main.main(["explain", "out", "--at", "30", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["status"] == "FAULT" and found["numbers"]["relation"]["h"][1] == ["0", "0"]
+
+
+def test_the_lags_of_a_model_file_are_taken_and_a_horizon_takes_their_place(place):
+    save_model(paper(name="paper", lags=LAGS), "lags.toml")
+    model = load_model("lags.toml")
+    assert model == paper(name="paper", lags=LAGS) and model.horizon == 3 and "horizon" not in Path("lags.toml").read_text()
+    assert main.main(["detect", "lags.toml", "run.csv", "--out", "out"]) == 1
+    assert load_model("out/tested_model.toml").lags == LAGS
+    assert main.main(["detect", "lags.toml", "run.csv", "--horizon", "3", "--out", "out"]) == 1
+    assert load_model("out/tested_model.toml").lags is None
+    assert windowed(model, None, (0, 2)).lags == (0, 2) and windowed(model, None, None) is model
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [(["--lags", "0,1", "--horizon", "3"], "not allowed with"), (["--lags", "1,2"], "0 among them"), (["--lags", "0,x"], "whole numbers"),
+     (["--lags", "0"], "do not outnumber"), (["--lags", "0,70"], "one window needs 71"),
+     (["--lags", "0,1", "--method", "validation"], "--lags is for other methods")],
+)  # fmt: skip
+def test_what_is_wrong_with_lags_is_one_sentence(place, more, said, capsys):
+    assert main.main(["detect", "model.toml", "run.csv", "--out", "out", *more]) == 2
+    err = capsys.readouterr().err
+    assert said in err and len(err.strip().splitlines()) == 1
+
+
+def test_fit_keeps_lags_tune_moves_bounds_under_them_and_a_fleet_takes_them(place, capsys):
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, 1, (200, 1))
+    y, x = np.zeros((200, 1)), 0.0
+    for k in range(200):
+        y[k], x = x + rng.uniform(-0.1, 0.1), 0.9 * x + 0.1 * u[k, 0]
+    np.savetxt("healthy.csv", np.column_stack([np.arange(200), u, y]), delimiter=",", header="t,u,y", comments="")
+    fit = ["fit", "healthy.csv", "--inputs", "u", "--outputs", "y"]
+    fit += ["--order", "1", "--method", "least squares", "--out", "fit.toml"]
+    assert main.main([*fit, "--lags", "0,2,5"]) == 0
+    assert "3 of 6 samples" in capsys.readouterr().out
+    model = load_model("fit.toml")
+    assert model.lags == (0, 2, 5) and jb.parity_relations(model).lags == (0, 2, 5)
+    res = jb.detect(jb.parity_relations(model), u, y)
+    assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0
+    assert main.main(["tune", "fit.toml", "healthy.csv", "--steps", "0", "--lags", "0,1,4", "--out", "tuned.toml"]) == 0
+    assert load_model("tuned.toml").lags == (0, 1, 4)
+    with open("fleet.csv", "w") as f:
+        f.write("unit,model,recording\nA,tuned.toml,healthy.csv\n")
+    assert main.main(["fleet", "fleet.csv", "--lags", "0,1,4", "--out", "fleet"]) == 0
+
+
+def test_fit_says_that_a_plant_remembers_longer_than_its_windows():
+    from jaxbound.cli.fit import _memory
+
+    slow = jb.LinearSystem([["0.98"]], [[1]], [[1]], noise=0.1, outputs="T", horizon=8)
+    assert "--lags 0,1," in _memory(slow)[0][1] and "T 0." in _memory(slow)[0][1]
+    assert _memory(slow.replace(horizon=60)) == _memory(slow.replace(lags=(0, 1))) == []
+
+
+def test_shares_of_a_recording_are_told_the_same_lags():
+    from jaxbound.cli.share import _again
+
+    args = argparse.Namespace(model="m.toml", data="d", out="o", horizon=None, lags=(0, 4), method="joint")
+    assert "--lags 0,4" in _again(args, "--merge")
