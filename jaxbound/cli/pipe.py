@@ -74,7 +74,7 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a Monitor.
     """
     with door(), _place(args) as folder:
-        model, relations = window_relations(load_model(args.model), args, args.data, None, lambda stage, share: None)
+        model, relations = window_relations(load_model(args.model), args, args.model, None, lambda stage, share: None)
         if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()

@@ -25,7 +25,7 @@ def test_the_span_is_what_the_plant_remembers_and_no_longer_than_needed():
     assert 49 < slowest(model) < 50 and jb.suggest_lags(model)[-1] == 50 and slowest(jb.LinearSystem([[1]], [[1]], [[1]])) == math.inf
     loose = jb.LinearSystem([["0.98"]], [[1]], [[1], [1]], noise=0.1, disturbance=([[1]], 10))  # y1 - y2 sees all that can be seen, at once
     found = jb.suggest_lags(loose, count=4)
-    assert found[-1] < 20 < max(lags[-1] for lags in found.sizes) and found.sizes[found]["y1"] == pytest.approx(0.4, rel=1e-6)
+    assert found[-1] < 20 < max(lags[-1] for lags in found.sizes) and found.sizes[found]["y1"] == pytest.approx(0.4, rel=1e-4)
 
 
 def test_what_cannot_be_suggested_is_refused():
