@@ -1,7 +1,11 @@
-"""The pages: every public name is documented, what they take from the README is there, and they build without a warning."""
+"""The pages: their commands run and print what is shown, every public name is documented, links lead somewhere, they build."""
 
+import contextlib
 import importlib.util
+import io
+import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -71,3 +75,137 @@ def test_links_of_the_readme_work_from_a_page():
     moved = script("hooks").moved
     text = "![a](notebooks/a.png) [b](docs/start.md) [c](Makefile) [d](https://x.y)"
     assert moved(text, "../") == "![a](../notebooks/a.png) [b](../start.md) c [d](https://x.y)"
+
+
+BLOCK = re.compile(r"(?P<mark><!-- not run: [^>]+ -->\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```$", re.M | re.S)
+
+
+def blocks(page):
+    """Yield (kind, text, text that is shown as printed or None, whether it is run) of each block of commands of a page."""
+    found = list(BLOCK.finditer(page.read_text()))
+    for block, after in zip(found, [*found[1:], None], strict=False):
+        shown = None
+        if after is not None and after["kind"] == "text" and not page.read_text()[block.end() : after.start()].strip():
+            shown = after["text"]
+        if block["kind"] in ("sh", "python"):
+            yield block["kind"], block["text"], shown, block["mark"] is None
+
+
+def differs(shown, printed):
+    """Return the first line that is shown and not printed, or None. A line "..." is any lines, "..." in a line any characters of it."""
+    lines = [" ".join(line.split()) for line in printed.splitlines()]
+    at, skip = 0, False
+    for wanted in (" ".join(line.split()) for line in shown.splitlines() if line.strip()):
+        if wanted == "...":
+            skip = True
+            continue
+        pattern = re.compile(".*".join(map(re.escape, wanted.split("..."))))
+        while at < len(lines) and (not lines[at] or skip and not pattern.fullmatch(lines[at])):
+            at += 1
+        if at == len(lines) or not pattern.fullmatch(lines[at]):
+            return f"shown: {wanted}\nprinted: {lines[at] if at < len(lines) else 'nothing more'}"
+        at, skip = at + 1, False
+    left = [line for line in lines[at:] if line]
+    return f"printed and not shown: {left[0]}" if left and not skip else None
+
+
+def test_what_is_shown_is_compared_but_for_what_is_marked_as_left_out():
+    assert differs("a  b\n...\nd", "a b\n\nc\nc\nd\n") is None and differs("a\n...", "a\nb") is None and differs("x 1...", "x 1.25") is None
+    for shown, printed in (("a", "a\nb"), ("a\nb", "a"), ("...\nd", "a\nc"), ("a\nd", "a\nc\nd"), ("x 2...", "x 1.25"), ("a.b", "axb")):
+        assert differs(shown, printed)
+
+
+def typed(command, place):
+    """Run one line of a shell in this process, or in bash where it has a pipe; return what it printed, its place and its exit codes."""
+    from jaxbound.cli import main
+
+    line, codes = re.sub(r"\s+# .*", "", command), []
+    if " | " in line:
+        shim = f'jaxbound() {{ {shlex.quote(sys.executable)} -m jaxbound.cli "$@"; }}; '
+        done = subprocess.run(["bash", "-c", shim + line], cwd=place, capture_output=True, text=True, check=False)
+        return done.stdout, place, [done.returncode]
+    printed = io.StringIO()
+    for part in line.split(" && "):
+        words, _, target = part.partition(" > ")
+        words = shlex.split(words)
+        if words[0] == "cd":
+            place = place / words[1]
+            os.chdir(place)
+            continue
+        assert words[0] == "jaxbound", f"say why it is not run: {command}"
+        out = io.StringIO() if target else printed
+        with contextlib.redirect_stdout(out):
+            codes.append(main.main(words[1:]))
+        if target:
+            (place / target.strip()).write_text(out.getvalue())
+    return printed.getvalue(), place, codes
+
+
+def follow(page, place, blocks_run=None):
+    """Do what a page says in a folder and compare what is printed with what is shown."""
+    os.chdir(place)
+    names, run = {}, 0
+    for kind, text, shown, wanted in blocks(page):
+        if not wanted:
+            continue
+        printed = ""
+        if kind == "python":
+            out = io.StringIO()
+            with contextlib.redirect_stdout(out):
+                exec(compile(text, str(page), "exec"), names)
+            printed = out.getvalue()
+        else:
+            for command in filter(None, text.replace("\\\n", " ").splitlines()):
+                more, place, codes = typed(command, place)
+                printed += more
+                stated = re.search(r"exit code (\d)", command)
+                assert all(code == int(stated[1]) if stated else code in (0, 1) for code in codes), (command, codes)
+        wrong = differs(shown, printed) if shown is not None else None
+        assert not wrong, f"{page.name}\n{text}\n{wrong}"
+        run += 1
+        if run == blocks_run:
+            return
+
+
+@pytest.fixture
+def empty(tmp_path, monkeypatch):
+    """Return an empty folder to which commands are typed; nothing of them reaches other tests."""
+    from jaxbound.cli import main
+    from jaxbound.runs import cache
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    monkeypatch.setattr(cache, "use_cache", lambda *args: None)
+    monkeypatch.setattr(jb, "use_cache", lambda *args: None, raising=False)
+    return tmp_path
+
+
+def test_the_first_page_runs_as_it_stands_until_the_proof(empty):
+    follow(ROOT / "docs" / "start.md", empty, blocks_run=5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["README.md", "docs/start.md"])
+def test_every_command_of_the_first_pages_runs_in_an_empty_folder(page, empty):
+    follow(ROOT / page, empty)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [p.name for p in PAGES if p.name not in ("start.md",) and any(run for *_, run in blocks(p))])
+def test_every_command_of_the_other_pages_runs_beside_the_laboratory(page, empty):
+    import pandas as pd
+
+    fitted = next(text for _, text, *_ in blocks(ROOT / "docs" / "start.md") if text.startswith("jaxbound fit"))
+    for command in ("jaxbound example heater", "cd heater", fitted.replace("\\\n", " ").strip()):
+        _, place, _ = typed(command, Path.cwd())
+    (place / "recordings").mkdir()
+    for i in (1, 2):
+        table = pd.read_csv(place / f"healthy_{i}.csv")
+        table["Time (s)"] += 6000.0 * (i - 1)  # another day
+        table.to_parquet(place / "recordings" / f"{i}.parquet")
+    follow(next(p for p in PAGES if p.name == page), place)
+
+
+def test_every_block_of_commands_is_run_or_says_why_not():
+    marked = [text for page in [ROOT / "README.md", *PAGES] for _, text, _, run in blocks(page) if not run]
+    assert len(marked) <= 6 and any("make demo" in text for text in marked)

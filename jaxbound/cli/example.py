@@ -54,11 +54,14 @@ def _heater(folder):
             if number == 3 or not faults:
                 y = simulate(model, u, jax.random.key(number), faults=faults).y
                 _write(folder / name, model, u, np.asarray(y))
+    rows = ["unit,model,recording", "lab 1,plant.toml,healthy_3.csv", "lab 2,plant.toml,jump.csv"]
+    (folder / "units.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     return [
         ("healthy_1.csv", "10 minutes at 3 s: heaters Q1, Q2 in %, temperatures T1, T2 in degC"),
         ("healthy_2.csv", "the same on another day"),
         ("healthy_3.csv", "and another one, kept for the test"),
         ("jump.csv", f"healthy_3.csv with {JUMP:g} degC added to T1 from sample {ONSET}, {3 * ONSET} s, on"),
+        ("units.csv", "a table of two units for jaxbound fleet, with the model that jaxbound fit is to write"),
         ("truth.toml", "the model that made them, with the bounds within which everything was drawn"),
     ]
 
@@ -78,9 +81,9 @@ def _tank(folder):
 
 EXAMPLES: dict[str, tuple[str, Callable[[Path], list[tuple[str, str]]], tuple[str, ...], str]] = {
     "heater": ("a laboratory with two heaters: three healthy recordings, one with a fault", _heater,
-               ("healthy_1.csv", "healthy_2.csv", "healthy_3.csv", "jump.csv", "truth.toml"),
+               ("healthy_1.csv", "healthy_2.csv", "healthy_3.csv", "jump.csv", "units.csv", "truth.toml"),
                "jaxbound fit healthy_1.csv healthy_2.csv --inputs \"Q1=Heater 1,Q2=Heater 2\" "
-               "--outputs \"T1=Temperature 1,T2=Temperature 2\" --out lab.toml"),
+               "--outputs \"T1=Temperature 1,T2=Temperature 2\" --out plant.toml"),
     "tank": ("a model file to fill in, with a recording to it", _tank, ("tank.toml", "tank.csv"),
              "jaxbound detect tank.toml tank.csv --out report/"),
 }  # fmt: skip
