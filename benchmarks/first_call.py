@@ -143,7 +143,7 @@ CASES: dict[str, Callable[[], Callable[[], object]]] = {
     "uncertain1": lambda: detect(GAIN, 1, uncertainties=[POLE]),
     "uncertain2": lambda: detect(PLANT, 2, uncertainties=POLE_AND_INPUT),
     "uncertain2_paving": lambda: detect(PLANT, 2, "paving", uncertainties=POLE_AND_INPUT),
-    "linearised": lambda: detect(GAIN, 1, "linearised", uncertainties=[POLE]),
+    "linearized": lambda: detect(GAIN, 1, "linearized", uncertainties=[POLE]),
     "bank": lambda: detect(PLANT, relations=jb.structured_relations),
     "residual": residual,
     "margins1": lambda: margins(1), "margins12": lambda: margins(12),

@@ -37,7 +37,7 @@ from jaxbound.recordings.plaintext import clipped
 
 __all__ = ["commands", "main"]
 
-METHODS = "joint, box, paving, linearised"  # as `consistency.interface.METHODS`: a text, for what is asked here is not worth its imports
+METHODS = "joint, box, paving, linearized"  # as `consistency.interface.METHODS`: a text, for what is asked here is not worth its imports
 
 
 class _Formatter(argparse.HelpFormatter):

@@ -16,7 +16,7 @@ from jaxbound.sets.floats.status import Status
 
 __all__ = ["METHODS", "Judged", "Observer", "Open", "WindowTest", "refuse_options"]
 
-METHODS = ("joint", "box", "paving", "linearised")
+METHODS = ("joint", "box", "paving", "linearized")
 
 
 class Judged(NamedTuple):
@@ -129,10 +129,10 @@ def refuse_options(method: str, budget: Any, compensation: Any, adaptive: bool =
     """
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
-    if method == "linearised" and not linear:
-        raise ValueError("method 'linearised' is for models with uncertain parameters: use 'joint', which is exact here")
-    if method != "linearised" and np.any(np.asarray(compensation) != 0):
-        raise ValueError(f"compensation belongs to method='linearised'; {method!r} neglects nothing")
+    if method == "linearized" and not linear:
+        raise ValueError("method 'linearized' is for models with uncertain parameters: use 'joint', which is exact here")
+    if method != "linearized" and np.any(np.asarray(compensation) != 0):
+        raise ValueError(f"compensation belongs to method='linearized'; {method!r} neglects nothing")
     if budget is not None and method != "paving" and not adaptive:
         raise ValueError(f"budget belongs to method='paving'; {method!r} always finishes")
 

@@ -27,10 +27,10 @@ class ParametricTest(WindowTest):
     """Tests windows of a model with uncertain parameters; see `parametric_windows`.
 
     The sign of the margin is the verdict's. Its size is that of the zonotope, with which the neglected monomials grow as one: for an
-    UNDECIDED window the true margin is not above it. For "linearised" it is the gauge of the paper's set, and no proof.
+    UNDECIDED window the true margin is not above it. For "linearized" it is the gauge of the paper's set, and no proof.
 
     Args:
-        budget: boxes a window that "paving" may evaluate; None: `BUDGET`. allowance: what each relation may be off by, for "linearised".
+        budget: boxes a window that "paving" may evaluate; None: `BUDGET`. allowance: what each relation may be off by, for "linearized".
 
     Raises:
         ValueError: a budget that is no whole number >= 1, an allowance that is none.

@@ -1,4 +1,4 @@
-"""Numbers to tune by, for models with uncertain parameters: how far out a window is, and what the linearised test lacks. No proofs.
+"""Numbers to tune by, for models with uncertain parameters: how far out a window is, and what the linearized test lacks. No proofs.
 
 The margin is that of the joint test, 1 - t with t = min { max_j |z_j| : c + G z = 0 } = max over h of |h c| / sum_j |h g_j|. Its derivative
 is that of a linear program, h (dc + dG z) / sum_j |h g_j| with both optima held. The compensation that a window needs is the largest excess

@@ -84,8 +84,8 @@ def finite(windows: Any) -> Any:
 
 
 def judged_by(relations: Any, method: str) -> str:
-    """Return how a block is judged: "vertices", "zonotope", "linearised" or "box"."""
-    if method in ("linearised", "box"):
+    """Return how a block is judged: "vertices", "zonotope", "linearized" or "box"."""
+    if method in ("linearized", "box"):
         return method
     exact = relations.count == 1 and polynomials.multiaffine(relations.exponents) and len(relations.variables) <= VERTICES
     return "vertices" if exact else "zonotope"
@@ -98,7 +98,7 @@ def judged_whole(test: Any, samples: Any, kind: str, proved: bool, allowance: An
         return at_vertices(test, terms, proved)
     if kind == "box":
         return _box(test, terms, proved)
-    if kind == "linearised":
+    if kind == "linearized":
         return _suspected(test, *_linear(test, terms, allowance))
     return on_whole(test, terms, proved)[:2]
 
@@ -131,7 +131,7 @@ def linear_image(test: Any, terms: Any, allowance: Any) -> tuple[jax.Array, jax.
 
 @jax.jit
 def _linear(test, terms, allowance):
-    """Return (c, G, error, h) of the linearised test: see `linear_image`."""
+    """Return (c, G, error, h) of the linearized test: see `linear_image`."""
     c, G, error = linear_image(test, terms, allowance)
     return c, G, error, None if varying.strip_count(*G.shape[:2]) else farthest(c, G)[0]
 

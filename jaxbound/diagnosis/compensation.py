@@ -1,4 +1,4 @@
-"""What the linearised test lacks on healthy data, for models with uncertain parameters."""
+"""What the linearized test lacks on healthy data, for models with uncertain parameters."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ __all__ = ["compensation"]
 
 
 def compensation(relations: UncertainRelations, u: Any, y: Any = None, share: float = 0.0, starts: ArrayLike = ()) -> float:
-    """Return the smallest compensation under which the linearised test lets a healthy recording pass.
+    """Return the smallest compensation under which the linearized test lets a healthy recording pass.
 
-    `detect(relations, u, y, method="linearised", compensation=c)` neglects products of parameters, and marks healthy windows as suspect.
+    `detect(relations, u, y, method="linearized", compensation=c)` neglects products of parameters, and marks healthy windows as suspect.
     c is added to what each relation may be off by. Each window needs a certain c; this is the least number that is enough for all windows
     but the given share of them.
 
@@ -29,7 +29,7 @@ def compensation(relations: UncertainRelations, u: Any, y: Any = None, share: fl
     Raises:
         TypeError: relations without uncertain parameters. ValueError: a share outside of [0, 1), infinite samples, no window with data.
 
-    Source: Ploix, Adrot 2006, section 4: the a-posteriori compensation of the linearisation.
+    Source: Ploix, Adrot 2006, section 4: the a-posteriori compensation of the linearization.
 
     Example:
         >>> import numpy as np, jaxbound as jb
@@ -38,7 +38,7 @@ def compensation(relations: UncertainRelations, u: Any, y: Any = None, share: fl
         >>> y = np.array([[1.0], [0.9], [0.2], [1.0]])      # y[k-1] (1 + gain[k] / 2) = y[k] (1 + gain[k-1] / 2)
         >>> round(compensation(r, None, y), 6)
         0.2
-        >>> [int(jb.detect(r, None, y, method="linearised", compensation=c).suspect.sum()) for c in (0, 0.2)]
+        >>> [int(jb.detect(r, None, y, method="linearized", compensation=c).suspect.sum()) for c in (0, 0.2)]
         [2, 0]
     """
     if not isinstance(relations, UncertainRelations):

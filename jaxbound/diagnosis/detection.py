@@ -40,13 +40,13 @@ def detect(
             adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED (but see uncertain parameters).
             A residual is always decided by bisection of its unknowns: FAULT and CONSISTENT are proofs.
             With uncertain parameters both proofs of "joint" hold too, but what it neither refutes nor explains is UNDECIDED, until "paving"
-            bisects the parameters. "linearised" is the paper's test, which proves nothing: UNDECIDED, and .suspect where it is outside.
+            bisects the parameters. "linearized" is the paper's test, which proves nothing: UNDECIDED, and .suspect where it is outside.
         budget: for "paving", (q, boxes a window): stop at r > q - 1; default (3, 100_000). For a residual, or with uncertain parameters,
             boxes a window; default 1000, or 10 000.
         progress: called with the share of the work done, after each block.
         starts: numbers of the samples that do not follow the one before, after a gap for example: windows across are MISSING. The gaps
             that the index of a table shows are found from it.
-        compensation: for "linearised", what each relation may be off by for the terms that it neglects, one number or one a relation.
+        compensation: for "linearized", what each relation may be off by for the terms that it neglects, one number or one a relation.
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends at sample k. The

@@ -95,7 +95,7 @@ def linearize(
     else:
         seen, seen_at_zero, y0, given["noise"] = _measured(call(output), box, [*at_x, *at_u], middles, bounds)
     ranges = [f"{s} in [{float(a):g}, {float(b):g}]" for s, (a, b) in zip([*signals, *names], box, strict=True)]
-    where = f"linearised over {', '.join(ranges)}"
+    where = f"linearized over {', '.join(ranges)}"
     sides = {"model": where, "disturbance": where, **({"noise": f"as given, plus what was {where}"} if output is not None else {})}
     given["provenance"] = {**sides, **dict(bounds.get("provenance") or {})}
     given["disturbance"] = _disturbed(g, n, bounds.get("disturbance"))

@@ -194,7 +194,7 @@ BAD_USAGE = {
     "alarm 3/2": ([*DETECT, "--alarm", "3/2"], "--alarm needs k/n with 1 <= k <= n, like 3/5, not '3/2'"),
     "alarm without n": ([*DETECT, "--alarm", "3"], "--alarm needs k/n"),
     "unknown method": ([*DETECT, "--method", "best"], "--method must be one of joint, box, paving"),
-    "a method for other models": ([*DETECT, "--method", "linearised"], "'linearised' is for models with uncertain parameters"),
+    "a method for other models": ([*DETECT, "--method", "linearized"], "'linearized' is for models with uncertain parameters"),
     "horizon in words": ([*DETECT, "--horizon", "two"], "--horizon needs a whole number >= 0"),
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),

@@ -166,8 +166,8 @@ def test_integers_and_lists_are_numbers(rng):
     (dict(y=np.where(np.arange(20).reshape(10, 2) == 7, np.inf, 0)), ValueError, "y must be finite .* 1 of 20 .* in 'y2' at sample 3"),
     (dict(u=np.where(np.arange(10)[:, None] == 4, -np.inf, 0)), ValueError, "u must be finite .* first in 'u1' at sample 4"),
     (dict(y=pd.DataFrame({"y1": [0.0] * 10, "z2": [0.0] * 10})), ValueError, "y has no column 'y2'; did you mean 'z2'"),
-    (dict(method="zonotope"), ValueError, "method must be one of joint, box, paving, linearised, not 'zonotope'"),
-    (dict(method="linearised"), ValueError, "method 'linearised' is for models with uncertain parameters: use 'joint'"),
+    (dict(method="zonotope"), ValueError, "method must be one of joint, box, paving, linearized, not 'zonotope'"),
+    (dict(method="linearized"), ValueError, "method 'linearized' is for models with uncertain parameters: use 'joint'"),
     (dict(budget=(3, 100)), ValueError, "budget belongs to method='paving'"),
     (dict(r="relations"), TypeError, r"detect needs relations, not str: detect\(parity_relations\(model\), u, y\)"),
 ])  # fmt: skip

@@ -45,7 +45,7 @@ def shares(rng, name, at, runs):
     """Return (share of suspect windows, its standard error over runs): a run keeps its constant parameters."""
     u, y = record(rng, name, runs, at)
     r = relations(name)
-    res = jb.detect(r, u, y, method="linearised")
+    res = jb.detect(r, u, y, method="linearized")
     assert res.counts["FAULT"] == res.counts["CONSISTENT"] == 0
     by_run = res.suspect[:, r.horizon :].mean(1)
     return by_run.mean(), by_run.std() / np.sqrt(runs)
@@ -74,11 +74,11 @@ def test_linearised_alarms_of_all_golden_systems_are_as_many_as_golden_says(rng,
 
 
 def test_on_the_papers_example_strips_are_exact(rng, golden):
-    """Golden: linearised = sound = exact for the printed system; C + [0, 0.3] is seen in 78 of 11 200 windows, C1 halved in 6064."""
+    """Golden: linearized = sound = exact for the printed system; C + [0, 0.3] is seen in 78 of 11 200 windows, C1 halved in 6064."""
     r = relations("n2p1_paper_h3")
     for dC, wanted in (([[0, 0.3]], 78), ([[-0.5, 0]], 6064)):
         u, y = record(rng, "n2p1_paper_h3", 100, "uniform", dC=dC)
-        joint, paper = jb.detect(r, u, y), jb.detect(r, u, y, method="linearised")
+        joint, paper = jb.detect(r, u, y), jb.detect(r, u, y, method="linearized")
         assert ((joint.status == Status.FAULT) == paper.suspect).all()
         share = (joint.status == Status.FAULT)[:, in_fault(2)].mean()
         assert abs(share - wanted / 11200) < 0.01 + 0.1 * wanted / 11200
@@ -210,7 +210,7 @@ def test_box_alone_proves_faults_only(rng, name, dC):
 @pytest.mark.parametrize("name", ["n2p1_Btwo_h3", long("n3p2_mixed3_h3")])
 def test_compensation_quiets_the_linearised_test(rng, name):
     r, (u, y) = relations(name), record(rng, name, 10, "vertices")
-    alarms = [int(jb.detect(r, u, y, method="linearised", compensation=c).suspect.sum()) for c in (0, 0.01, 0.1, 10)]
+    alarms = [int(jb.detect(r, u, y, method="linearized", compensation=c).suspect.sum()) for c in (0, 0.01, 0.1, 10)]
     assert alarms[0] > alarms[2] >= alarms[3] == 0
 
 
@@ -256,9 +256,9 @@ def test_what_cannot_be_done_is_said(rng):
     r, (u, y) = relations("n2p1_paper_h3"), record(rng, "n2p1_paper_h3", 1, "uniform")
     certain = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
     for call, says in (
-        (lambda: jb.detect(certain, None, y[0], method="linearised"), "use 'joint', which is exact here"),
-        (lambda: jb.detect(r, u, y, compensation=0.1), "compensation belongs to method='linearised'"),
-        (lambda: jb.detect(r, u, y, method="linearised", compensation=[1, 2]), "one for each of 1 relations"),
+        (lambda: jb.detect(certain, None, y[0], method="linearized"), "use 'joint', which is exact here"),
+        (lambda: jb.detect(r, u, y, compensation=0.1), "compensation belongs to method='linearized'"),
+        (lambda: jb.detect(r, u, y, method="linearized", compensation=[1, 2]), "one for each of 1 relations"),
         (lambda: jb.detect(r, u, y, budget=5), "budget belongs to method='paving'"),
         (lambda: jb.detect(r, u, y, method="paving", budget=0), "budget must be a whole number of boxes"),
         (lambda: jb.detect(r, u, np.where(y == y.max(), np.inf, y)), "y must be finite"),

@@ -12,7 +12,7 @@ import jaxbound as jb
 SPEC = dict(A=[[0.5, 0.25], [0, 0.25]], B=[[0], [1]], C=[[1, 0], [1, 1]], noise=[0.1, 0.1], tolerance=[0.02, 0.02])
 GAIN = dict(A=[[0.5]], B=[[1]], C=[[1]], noise=0.1)
 METHODS = {"short": "joint", "box": "box", "long": "joint", "paving": "paving", "constant": "joint", "long constant": "joint",
-           "uncertain": "joint", "uncertain paving": "paving", "linearised": "linearised", "bank": "joint",
+           "uncertain": "joint", "uncertain paving": "paving", "linearized": "linearized", "bank": "joint",
            "residual": "joint"}  # fmt: skip
 RARELY = {"paving": "slow", "long": "long", "long constant": "slow"}  # for the time that they take to compile
 FAMILIES = [pytest.param(name, marks=getattr(pytest.mark, RARELY[name])) if name in RARELY else name for name in METHODS]
@@ -23,7 +23,7 @@ def relations(name):
     if name == "residual":
         grow = lambda z, u, y: y[1, 0] - (0.5 + z[0]) * y[0, 0] - u[0, 0] - z[1]
         return jb.residual(grow, jb.interval([-0.05, -0.2], [0.05, 0.2]), 1, inputs=["u1"], outputs=["y1"])
-    if name in ("uncertain", "uncertain paving", "linearised"):
+    if name in ("uncertain", "uncertain paving", "linearized"):
         return jb.parity_relations(jb.LinearSystem(**GAIN, uncertainties=[jb.Uncertainty("a", A=[[0.05]])]), 1)
     model = jb.LinearSystem(**SPEC, constant_tolerance="constant" in name)
     return jb.structured_relations(model) if name == "bank" else jb.parity_relations(model, {"long": 9, "long constant": 20}.get(name, 1))
@@ -45,7 +45,7 @@ def detected(name):
 def test_detect_proves_what_the_family_can(name):
     _, _, res = detected(name)
     assert res.counts["MISSING"] >= relations(name).horizon
-    if name == "linearised":
+    if name == "linearized":
         assert res.counts["FAULT"] == 0 and res.suspect[30:].any()
     else:
         assert (res.status[:30] != jb.Status.FAULT).all() and (res.status[30:] == jb.Status.FAULT).any()
@@ -69,7 +69,7 @@ def test_a_monitor_says_the_same_at_once_and_sample_by_sample(name):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_fault_has_a_certificate_for_people_and_as_json(name):
     _, _, res = detected(name)
-    if name == "linearised":
+    if name == "linearized":
         return  # proves nothing
     at = int(np.argmax(res.status == jb.Status.FAULT))
     c = res.explain(at)

@@ -128,5 +128,5 @@ def test_uncertain_relations_and_their_compensation_count_the_rounding_of_float3
     uncertain = jb.LinearSystem(**BARE, uncertainties=[jb.Uncertainty("a", A=[["0.01", 0], [0, 0]])])
     relations, (_, u, y, _) = jb.parity_relations(uncertain), recorded(rng)
     c = jb.compensation(relations, u, y)
-    assert not (jb.detect(relations, u, y, "linearised", compensation=c).status == jb.Status.FAULT).any()
+    assert not (jb.detect(relations, u, y, "linearized", compensation=c).status == jb.Status.FAULT).any()
     assert not (jb.detect(relations, u, y).status == jb.Status.FAULT).any()

@@ -72,10 +72,10 @@ def test_margins_are_those_of_detect_with_lost_samples_too(rng):
 def test_the_compensation_is_the_smallest(rng):
     r, (u, y) = relations("n2p1_Btwo_h3"), record(rng, "n2p1_Btwo_h3", 20, "vertices")
     y[3, 20] = np.nan
-    windows = int((jb.detect(r, u, y, method="linearised").status != Status.MISSING).sum())
+    windows = int((jb.detect(r, u, y, method="linearized").status != Status.MISSING).sum())
     for share in (0.0, 0.02):
         least = jb.compensation(r, u, y, share)
-        alarms = lambda c: int(jb.detect(r, u, y, method="linearised", compensation=c).suspect.sum())
+        alarms = lambda c: int(jb.detect(r, u, y, method="linearized", compensation=c).suspect.sum())
         assert least > 0 and alarms(least) <= share * windows < alarms(least * (1 - 1e-9))
 
 
@@ -86,7 +86,7 @@ def test_the_compensation_of_several_relations_is_the_smallest(rng, name, change
         y[:, 50] += 1
     for share in (0.0, 0.01):
         least = jb.compensation(r, u, y, share)
-        alarms = lambda c: int(jb.detect(r, u, y, method="linearised", compensation=c).suspect.sum())
+        alarms = lambda c: int(jb.detect(r, u, y, method="linearized", compensation=c).suspect.sum())
         assert least > 0 and alarms(least) <= share * 30 * (100 - r.horizon) < alarms(least * (1 - 1e-7))
 
 

@@ -1,4 +1,4 @@
-"""Linearised models: every simulated step of the nonlinear plant obeys the linear one within its disturbance, and the bound is close."""
+"""Linearized models: every simulated step of the nonlinear plant obeys the linear one within its disturbance, and the bound is close."""
 
 from fractions import Fraction
 
@@ -111,7 +111,7 @@ def test_matrices_are_those_of_the_slopes_held_over_a_step(two_tanks):
     np.testing.assert_allclose(floats(m.A), step[:2, :2], atol=1e-15)
     np.testing.assert_allclose(floats(m.B), step[:2, 2:], atol=1e-15)
     assert m.offset == {"u": (Fraction(1, 2),), "y": (1, 1)} and m.outputs == ("h1", "h2") and m.dt == 2
-    assert m.provenance["disturbance"] == "linearised over h1 in [0.8, 1.2], h2 in [0.8, 1.2], u1 in [0.3, 0.7]"
+    assert m.provenance["disturbance"] == "linearized over h1 in [0.8, 1.2], h2 in [0.8, 1.2], u1 in [0.3, 0.7]"
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ def test_a_curved_output_widens_the_noise():
     h = lambda x, u: jnp.array([x[0], x[0] * x[0]])
     f = lambda x, u: jnp.array([-x[0]])
     m = linearize(f, [2.0], None, 0.1, region={"x": 0.5}, output=h, noise=[0.1, 0.2], tolerance=[0.02, 0.1])
-    assert m.offset["y"] == (2, 4) and m.C == ((1,), (4,)) and "linearised" in m.provenance["noise"]
+    assert m.offset["y"] == (2, 4) and m.C == ((1,), (4,)) and "linearized" in m.provenance["noise"]
     assert 0 <= m.noise[0] - Fraction(1, 10) < 1e-12
     assert 0.25 * 1.1 <= float(m.noise[1]) - 0.2 < 0.25 * 1.1 * 1.01
 

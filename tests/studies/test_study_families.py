@@ -53,7 +53,7 @@ def test_the_joint_test_guarantees_what_no_other_does():
 
 def test_a_study_of_the_linearised_test_is_refused():
     with pytest.raises(ValueError, match="proves no FAULT, which is what a study counts"):
-        jb.study(MOVING, "y1:bias", 4, 0, jb.parity_relations(MOVING), samples=12, method="linearised")
+        jb.study(MOVING, "y1:bias", 4, 0, jb.parity_relations(MOVING), samples=12, method="linearized")
 
 
 def test_a_study_of_a_residual_cannot_be_taken_up(tmp_path):

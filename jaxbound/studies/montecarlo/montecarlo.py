@@ -67,7 +67,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         inputs: (samples, m) for all, or a table; None: piecewise constant levels, each for `hold` samples, uniform in input_range.
         input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: the
             model's `ranges` (`fit` writes them), else from 1 below the offset to 1 above.
-        method: of the monitor, as for `detect`; all but "linearised", which proves nothing.
+        method: of the monitor, as for `detect`; all but "linearized", which proves nothing.
         confidence: of the intervals.
         progress: called with the share of the work done.
         out: a folder where the state is kept every few seconds: the same call goes on where a killed one stopped, and ends with the
@@ -156,8 +156,8 @@ def _named(relations: Relations, model: LinearSystem) -> Relations:
 def _check(model, relations, n, samples, hold, at, method, confidence):
     if not hasattr(relations, "test"):
         raise TypeError(f"a study needs relations that `detect` takes, from parity_relations for example, not {type(relations).__name__}")
-    if method == "linearised":
-        raise ValueError("method 'linearised' neglects terms and proves no FAULT, which is what a study counts: use 'joint' or 'paving'")
+    if method == "linearized":
+        raise ValueError("method 'linearized' neglects terms and proves no FAULT, which is what a study counts: use 'joint' or 'paving'")
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):

@@ -91,7 +91,7 @@ class TuneResult:
 
 def tune(relations: ParityRelation | UncertainRelations, healthy: object, faulty: object = None,
          optimizer: "optax.GradientTransformation | None" = None, steps: int = 300, *, bounds: str | Iterable[str] | None = None,
-         weights: Mapping[str, ArrayLike] | None = None, safety: float = 1.0, calibrate: float = 1 / 3, block: int | None = None,
+         weights: Mapping[str, ArrayLike] | None = None, safety: float = 1.25, calibrate: float = 1 / 3, block: int | None = None,
          confidence: float = 0.95, every: int = 10, progress: Callable[[float], object] | None = None,
          state: str | os.PathLike | None = None) -> TuneResult:  # fmt: skip
     """Find the smallest bounds under which healthy data are consistent; with faulty data, those that leave most of these outside.
@@ -110,7 +110,8 @@ def tune(relations: ParityRelation | UncertainRelations, healthy: object, faulty
         bounds: names of those that move, "noise", "tolerance", "disturbance", "parameters"; None: all. The ends of an asymmetric
             disturbance move separately.
         weights: {name: number or one per entry}: what is made small is their weighted sum; None: 1 / starting bound.
-        safety: factor >= 1 on the smallest bounds, for what the data did not show. It is kept apart and in no statement.
+        safety: factor >= 1 on the smallest bounds, for what the data did not show: 1.25 as in `fit` and at the command line; 1 for the
+            smallest themselves. It is kept apart and in no statement.
         calibrate: share of the blocks of healthy windows that has no part in finding the direction, on which the statement about other
             data rests; 0: all are used to find it.
         block: windows in a block; None: so many that there are about 100 blocks.
