@@ -18,6 +18,7 @@ from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
+from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.parity import ParityRelation, relation_text
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.sets.floats.status import Status
@@ -25,6 +26,7 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["Certificate"]
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Certificate(Witnessed, WindowCertificate):
     """Why a window has its verdict; every number is an exact Fraction, so that anybody can check it.

@@ -36,6 +36,12 @@ class WindowCertificate:
         """The signals that alone could explain a FAULT window; empty where that is not known."""
         return ()
 
+    def _head(self):
+        return f"{type(self).__name__} of window {self.at if len(self.at) != 1 else self.at[0]}: {self.status.name}"
+
+    def _rows(self):
+        return {"why": str(self)}
+
     def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
         """Return what a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names apart from them.
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import texts
 from jaxbound.consistency.bisection import BUDGET, search
+from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
@@ -20,6 +21,7 @@ from jaxbound.sets.intervals.interval import Interval
 __all__ = ["ResidualCertificate"]
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class ResidualCertificate(WindowCertificate):
     """Why a window of a residual has its verdict.

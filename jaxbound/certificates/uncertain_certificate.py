@@ -19,6 +19,7 @@ from jaxbound.certificates.exact_polynomials import polynomial_window
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.consistency import parametric_windows
+from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
@@ -56,6 +57,7 @@ class Cut:
     above: object
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class UncertainCertificate(Witnessed, WindowCertificate):
     """Why a window of a model with uncertain parameters has its verdict; every number is an exact Fraction.

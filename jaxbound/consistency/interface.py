@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import numpy as np
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 
@@ -19,6 +20,7 @@ __all__ = ["METHODS", "Judged", "Observer", "Open", "WindowTest", "refuse_option
 METHODS = ("joint", "box", "paving", "linearized")
 
 
+@readable
 class Judged(NamedTuple):
     """Verdicts (..., T): status, as int8; margin; words, of a bank the packed verdicts of its relations, else None."""
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import Observer
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row, unlabelled
@@ -23,6 +24,7 @@ __all__ = ["Monitor", "MonitorState", "Verdict"]
 BURST = 8  # short blocks; more windows than in these are judged in long blocks
 
 
+@readable
 class MonitorState(NamedTuple):
     """What a Monitor remembers: a PyTree of NumPy arrays. `np.savez(file, **state._asdict())` saves it, and
     `mon.init()._replace(**np.load(file))` restores it.
@@ -38,6 +40,7 @@ class MonitorState(NamedTuple):
     time: np.float64
 
 
+@readable
 class Verdict(NamedTuple):
     """Of the window that ends at a sample: status (a `Status` as int8) and margin, as in the Result of `detect`; (N,) for N samples.
 
@@ -48,6 +51,7 @@ class Verdict(NamedTuple):
     margin: np.ndarray
 
 
+@readable
 class Monitor:
     """Tests windows as their samples come: verdicts and margins are those of `detect` over the whole recording.
 
@@ -94,6 +98,12 @@ class Monitor:
         self.relations, self.method = self._test.relations, self._test.method
         model = self.relations.model
         self._names, self._dt = (model.inputs, model.outputs), model.dt
+
+    def _head(self):
+        return f"Monitor ({self.method}) of {repr(self.relations).splitlines()[0]}"
+
+    def _rows(self):
+        return {} if self._observer is not None else {"samples": str(self.dtype)}
 
     def init(self) -> Any:
         """Return the MonitorState before the first sample; of an Observer what it carries."""

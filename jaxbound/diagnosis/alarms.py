@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats.status import Status
 
 __all__ = [
@@ -35,6 +36,7 @@ ONSET_LEFT, NO_LONGER = ENDINGS[2:]
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 
 
+@readable
 @dataclass(frozen=True)
 class Alarm:
     """A stretch of FAULT windows.

@@ -16,6 +16,7 @@ from jaxbound.diagnosis.detectability import visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.expressions import find_column
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.table import as_table, is_table, unlabelled
 from jaxbound.relations.decoupling import Signatures, signatures
 from jaxbound.relations.redundancy import Redundancy
@@ -25,6 +26,7 @@ from jaxbound.sets.strips.bank import PACKED
 __all__ = ["BankResult", "evaluate", "words_of"]
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class BankResult(Result):
     """A Result with the verdict of each relation of a bank alone.

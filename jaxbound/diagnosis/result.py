@@ -10,6 +10,7 @@ from jaxbound.certificates.interface import explain
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.timestamps import row_label
 from jaxbound.sets.floats.status import Status
@@ -23,6 +24,7 @@ def suspected(status: np.ndarray, margin: np.ndarray) -> np.ndarray:
         return (status == Status.FAULT) | (margin < 0)
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Result:
     """Verdicts of all windows; entry k belongs to the window that ends at sample k.
@@ -47,6 +49,21 @@ class Result:
     index: object = None
     starts: tuple = ()
     aside: int = field(default=0, kw_only=True)
+
+    def _head(self):
+        return f"{type(self).__name__} {self.status.shape}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
+
+    def _rows(self):
+        rows = {"method": f"{self.method}, windows of {self.relations.horizon + 1} samples" if self.relations else self.method}
+        if self.relations is not None and hasattr(self.relations, "model"):
+            rows["model"] = repr(self.relations.model)
+        if not np.isnan(self.margin).all():
+            at = tuple(int(i) for i in np.unravel_index(int(np.nanargmin(self.margin)), self.margin.shape))
+            rows["smallest margin"] = f"{self.margin[at]:.4g} at {at if len(at) > 1 else at[0]}"
+        rows["samples"] = f"u {np.shape(self.u)}, y {np.shape(self.y)} {np.asarray(self.y).dtype}"
+        if len(self.starts):
+            rows["gaps"] = f"{len(self.starts)}, the first at {int(self.starts[0])}"
+        return rows
 
     @property
     def suspect(self) -> np.ndarray:

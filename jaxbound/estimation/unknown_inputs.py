@@ -24,6 +24,7 @@ from jaxbound.consistency.unproved import stretch_block
 from jaxbound.exact import linalg
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
@@ -37,6 +38,7 @@ KEPT = 48
 """Ways to work an unknown input out that are used at most: the tightest ones."""
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class UnknownInputs:
     """Intervals of the unknown inputs.

@@ -29,6 +29,7 @@ from jaxbound.estimation.validation_windows import Said, begun, said, slide, wei
 from jaxbound.models.intervals import as_intervals, stacked
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.sensor import largest_error
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats import rounding
@@ -45,6 +46,7 @@ BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Validation:

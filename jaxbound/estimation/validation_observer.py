@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import Observer
 from jaxbound.estimation.validation import Validation, nothing_said, prepared
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -27,6 +28,7 @@ class ValidationState(NamedTuple):
     first: bool
 
 
+@readable
 class ValidationObserver(Observer):
     """Encloses the state, finds the sensor that does not fit: `validate`, sample by sample.
 

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 
+from jaxbound.recordings.objecttext import readable
+
 __all__ = ["Fault"]
 
 KINDS = ("bias", "drift", "gain", "noise", "tolerance", "stuck", "dropout")
 
 
+@readable
 @dataclass(frozen=True)
 class Fault:
     """A fault of one sensor or actuator for the samples start <= k < stop.

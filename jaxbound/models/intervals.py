@@ -12,6 +12,7 @@ from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.signals import Each
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 
@@ -23,6 +24,7 @@ Entries: TypeAlias = Interval | np.ndarray | Sequence[Sequence[Any]]
 Moves: TypeAlias = tuple[Interval, Interval, Interval, Interval]
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class IntervalSystem:
     """x+ = A x + B u + w, y = (1 + theta)(C x + D u) + e with every entry in its interval, drawn anew each sample. See `interval_system`.

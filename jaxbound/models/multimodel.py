@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxbound.models.intervals import IntervalSystem, as_intervals
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 
@@ -17,6 +18,7 @@ UNITS = 32
 """A weight is taken to be within so many units of roundoff (16 ulps) of the number that the user's function returns."""
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class MultiModel:
     """x_i+ = A_i x_i + B_i u + w_i for every sub-model i, and y = sum_i mu_i(u) C_i x_i: a plant that changes with its input.

@@ -21,6 +21,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.recordings.expressions import missing_column
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.sizes import power
 
@@ -30,6 +31,7 @@ FEW = 2**16
 """Samples of all recordings up to which as many as the next power of two are compiled for: few shapes serve all."""
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Trajectory:

@@ -15,6 +15,7 @@ from jaxbound.models.plant import Plant, plant
 from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_signals, sensors, words
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
+from jaxbound.recordings.objecttext import readable
 
 __all__ = ["LinearSystem", "whole_lags"]
 
@@ -42,6 +43,7 @@ class _Of(Generic[T]):
         return self if model is None else getattr(getattr(model, self.part), self.name)
 
 
+@readable
 @dataclass(init=False, eq=False, repr=False)
 class LinearSystem:
     """A discrete-time linear model with imperfect sensors.
@@ -282,6 +284,13 @@ class LinearSystem:
 
     def __delattr__(self, name: str) -> NoReturn:
         raise FrozenInstanceError(f"a LinearSystem is a value: {name} cannot be deleted; model.replace(noise=..) makes a changed copy")
+
+    def _rows(self):
+        bounds = zip(self.outputs, self.tolerance, self.noise, self.resolution, strict=True)
+        rows = {
+            name: f"tolerance {float(t):.4g}, noise {float(n):.4g}, resolution {float(r):.4g} {self.unit(name)}" for name, t, n, r in bounds
+        }
+        return rows | {u.name: repr(u) for u in self.uncertainties}
 
     def __repr__(self) -> str:
         horizon = "" if self.horizon is None else f", horizon {self.horizon}" if self.lags is None else f", lags {self.lags}"

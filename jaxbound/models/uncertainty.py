@@ -8,12 +8,14 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
+from jaxbound.recordings.objecttext import readable
 
 __all__ = ["Uncertainty", "centred", "influences"]
 
 LETTERS = ("A", "B", "C", "D")
 
 
+@readable
 @dataclass(frozen=True, init=False)
 class Uncertainty:
     """A parameter of which only bounds are known, and what it multiplies: A(v) = A + v dA, and likewise B, C, D.

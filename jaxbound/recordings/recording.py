@@ -12,6 +12,7 @@ import numpy as np
 from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_infinite
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, irregular, tick, usual_period
 from jaxbound.recordings.table import as_table, is_date, is_table, paired, time_like, unlabelled, usual_step
 from jaxbound.recordings.timestamps import row_label, time_label
@@ -50,6 +51,7 @@ def signals_of(model: Any) -> Any:
     return Signals(tuple(model.inputs), tuple(model.outputs), {}, getattr(model, "dt", None))
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Recording:
     """One recording, or a batch of one length, as every verb takes it. `Recording.of` builds it of what a user holds, `jb.read` of a file.
@@ -161,6 +163,25 @@ class Recording:
         if isinstance(given, cls):
             return replace(given, u=u, y=y, **known)
         return cls(u, y, **known, dt=dt, excluded=getattr(given, "excluded", None), index=getattr(given, "index", None))
+
+    def _head(self):
+        names = f" of {self.source}" if self.source else ""
+        return f"Recording{names}: {self.y.shape[-2]} samples, u {tuple(self.u.shape)}, y {tuple(self.y.shape)} {self.y.dtype}"
+
+    def _rows(self):
+        rows = {}
+        if self.inputs or self.outputs:
+            rows = {"inputs": ", ".join(self.inputs), "outputs": ", ".join(self.outputs)}
+        if self.time is not None and self.samples:
+            rows["time"] = f"{self.label(0)} to {self.label(self.samples - 1)}"
+        if len(self.starts):
+            rows["gaps"] = f"{len(self.starts)}, the first before sample {int(self.starts[0])}"
+        missing = 0 if not isinstance(self.y, np.ndarray) else int(np.isnan(self.y).sum())
+        if missing:
+            rows["missing"] = f"{missing} samples of outputs"
+        if self.excluded is not None:
+            rows["excluded"] = f"{int(np.sum(self.excluded))} samples"
+        return rows | {f"hint {i + 1}": hint for i, hint in enumerate(self.hints)}
 
     @property
     def samples(self) -> int:

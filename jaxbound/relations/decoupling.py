@@ -22,6 +22,7 @@ from jaxbound.exact.linalg import Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.naming import listed
+from jaxbound.recordings.objecttext import readable
 from jaxbound.relations import shift
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy, basis, redundancy
@@ -129,6 +130,7 @@ def _chosen(table: Sequence[Sequence[bool]], order: list[int]) -> list[int]:
     return [order[i] for i in sorted(taken)]
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Signatures:
     """Which relation reacts to which single fault.
@@ -199,6 +201,7 @@ def _reactions(rows: Sequence[Row], width: int) -> tuple[np.ndarray, np.ndarray]
     return weak, np.array([[bool(sum(p)) for p in row] for row in rows], bool).reshape(len(rows), width)
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Isolability:
     """What single faults of outputs and inputs can be seen and told apart, if each may do what it likes.

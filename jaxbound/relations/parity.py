@@ -35,6 +35,7 @@ from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
@@ -52,6 +53,7 @@ SUBSETS, TESTED = 4_000, 400
 is faster."""
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class ParityRelation:
@@ -73,6 +75,16 @@ class ParityRelation:
     circuits_known: Matrix = field(metadata={"static": True})
     frame: linalg.Frame | None = field(default=None, metadata={"static": True})
     lags: tuple[int, ...] | None = field(default=None, metadata={"static": True})
+
+    def _head(self):
+        return (
+            f"{type(self).__name__}: {self.count} relations over {self.horizon + 1} samples, {self.model.p} outputs, {self.model.m} inputs"
+        )
+
+    def _rows(self):
+        first = [relation_text(self.model, self.horizon, h, k) for h, k in zip(self.W[:3], self.K, strict=False)]
+        tested = f"{len(self.circuits)} combinations, one by one" if self.frame is None else "an exchange search"
+        return {"model": repr(self.model), "tested by": tested, **{f"r{i + 1}": text for i, text in enumerate(first)}}
 
     @property
     def count(self) -> int:

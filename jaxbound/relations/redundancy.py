@@ -27,6 +27,7 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
 from jaxbound.relations.elimination import eliminate
@@ -38,6 +39,7 @@ __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
 METHODS = ("window", "elimination")
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Redundancy:
     """Relations M(q) (y; u) = 0 of a model. Build them with `redundancy` or `structured_relations`.
@@ -49,6 +51,13 @@ class Redundancy:
     model: LinearSystem
     rows: tuple[Row, ...]
     insensitive: tuple[tuple[str, ...], ...]
+
+    def _head(self):
+        return f"{type(self).__name__}: {self.count} relations, {self.model.p} outputs, {self.model.m} inputs"
+
+    def _rows(self):
+        lines = self.text().splitlines() if self.count <= 8 else ()
+        return {"model": repr(self.model), **{f"{i + 1}": line for i, line in enumerate(lines)}}
 
     @property
     def count(self) -> int:

@@ -16,6 +16,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.consistency.bisection import BisectionTest, flat
 from jaxbound.consistency.interface import WindowTest, refuse_options
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
@@ -61,6 +62,7 @@ def _names(data: object, letter: str) -> tuple[str, ...]:
     return tuple(f"{letter}{i + 1}" for i in range(1 if np.ndim(table) < 2 else np.shape(table)[-1]))
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Residual:
     """f(z, u_window, y_window) = 0 for some z in a box. Build it with `residual`.

@@ -21,6 +21,7 @@ from jaxbound.consistency.polynomial_reading import PolynomialReading
 from jaxbound.consistency.reading import forms
 from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
@@ -33,6 +34,7 @@ from jaxbound.sets.strips.polynomials import closure
 __all__ = ["UncertainRelations", "uncertain_relations"]
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class UncertainRelations:
@@ -55,6 +57,15 @@ class UncertainRelations:
     steps: tuple[Step, ...] = field(metadata={"static": True})
     complete: str = field(metadata={"static": True})
     notes: tuple[str, ...] = field(metadata={"static": True})
+
+    def _head(self):
+        return (
+            f"{type(self).__name__}: {self.count} relations over {self.horizon + 1} samples, {self.model.p} outputs, {self.model.m} inputs"
+        )
+
+    def _rows(self):
+        lines = self.text().splitlines() if self.count <= 8 else ()
+        return {"model": repr(self.model), **{f"{i + 1}": line for i, line in enumerate(lines)}}
 
     @property
     def count(self) -> int:

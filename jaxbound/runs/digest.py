@@ -16,6 +16,7 @@ from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
 from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.read import open_source
@@ -55,6 +56,7 @@ DEEPEST = 200  # alarms kept in memory
 FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at", "ended")  # of an Alarm, and their seconds
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Digest:
     """What was found in a recording larger than memory; the verdicts themselves are in files.
@@ -81,6 +83,15 @@ class Digest:
     time: dict
     aside: int = 0
     ended: dict = field(default_factory=dict)
+
+    def _head(self):
+        return f"Digest ({self.samples},) of {self.source}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
+
+    def _rows(self):
+        rows = {"method": f"{self.method}, windows of {self.relations.horizon + 1} samples", "model": repr(self.relations.model)}
+        if self.worst is not None:
+            rows["worst"] = f"margin {self.worst[1]:.4g} at {self.label(self.worst[0])}"
+        return rows | {"alarms": str(self.alarm_count)}
 
     def label(self, k: int) -> str:
         """Return the time of sample k as text."""

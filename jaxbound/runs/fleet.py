@@ -18,6 +18,7 @@ from jaxbound.diagnosis.units import unit_hints
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.read import read
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.endings import ending_hints
@@ -38,6 +39,7 @@ class Unit(NamedTuple):
     recording: Path
 
 
+@readable
 class UnitResult(NamedTuple):
     """What was found about a unit.
 

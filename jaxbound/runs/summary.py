@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.plaintext import percent, times
 from jaxbound.sets.floats.status import Status
 
@@ -25,6 +26,7 @@ class Window(NamedTuple):
     margin: float
 
 
+@readable
 @dataclass(frozen=True)
 class Evidence:
     """The numbers that a verdict on a recording rests on.
@@ -66,6 +68,7 @@ class Evidence:
         return 1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows if self.windows else 0.0
 
 
+@readable
 @dataclass(frozen=True)
 class Summary:
     """What the test of one recording comes to. Made by `summarised`.

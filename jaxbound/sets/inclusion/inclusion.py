@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.derivatives import plain
@@ -74,6 +75,7 @@ def inclusion(f: Callable[..., Any], method: str = "natural") -> Inclusion:
     return Inclusion(f, method)
 
 
+@readable
 @dataclass(frozen=True)
 class Inclusion:
     """An inclusion function, built by `inclusion`: call it on Intervals and points."""

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals import approximations
 from jaxbound.sets.intervals.bounds import Number, bound, check, settled
@@ -31,6 +32,7 @@ __all__ = [
 _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operations of the same name
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Interval:
@@ -137,8 +139,7 @@ def interval(lo: Operand, hi: Number | None = None) -> Interval:
     Args:
         lo, hi: array-likes with lo <= hi. lo = +inf with hi = -inf is the empty interval.
 
-    Returns:
-        An Interval of the wider float dtype of the two. Bounds that the dtype cannot hold (float64 numbers with x64 off, large
+    Returns: an Interval of the wider float dtype of the two. Bounds that the dtype cannot hold (float64 numbers with x64 off, large
         integers, exact fractions, subnormal numbers) are moved outward, never inward.
 
     Raises:

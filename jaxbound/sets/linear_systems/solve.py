@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.linear_systems.hull import orthant_hull
@@ -38,6 +39,7 @@ class Solvability(IntEnum):
     INFEASIBLE = 2
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Solution:

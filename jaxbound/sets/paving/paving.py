@@ -18,6 +18,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
@@ -30,6 +31,7 @@ CUTS = ("alternate", "widest", "smear")
 SOLUTIONS = ("none", "one", "all")
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class Paving:
     """The outcome of `pave`.

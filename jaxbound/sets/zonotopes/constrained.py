@@ -7,11 +7,13 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.zonotopes.zonotope import Zonotope, finite_arrays
 
 __all__ = ["ConstrainedZonotope", "constrained_zonotope", "parts"]
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class ConstrainedZonotope:

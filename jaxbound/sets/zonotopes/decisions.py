@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import interval, mid, rad
@@ -49,6 +50,7 @@ class Answer(IntEnum):
     YES = 1
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Decision:
@@ -185,6 +187,7 @@ def intersects(X: AnySet, Y: AnySet) -> Decision:
     return _decide(Question("intersects", tuple(flat(x, batch) for x in wide), None), batch, meets=Answer.YES)
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Separation:

@@ -7,12 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["Zonotope", "finite_arrays", "refuse_infinite", "zonotope"]
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Zonotope:

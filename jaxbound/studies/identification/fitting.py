@@ -16,6 +16,7 @@ import numpy as np
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem, whole_lags
 from jaxbound.recordings.hints import recorded_step
+from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
@@ -34,6 +35,7 @@ FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
 overlap, the user is told that the data do not carry the monitor."""
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class FitCheck:
     """What is known of a fit beyond its model.
@@ -64,6 +66,7 @@ class FitCheck:
     sentences: tuple[str, ...] = ()
 
 
+@readable
 class Fitted(LinearSystem):
     """A LinearSystem that `fit` made: with `.check`, a FitCheck, which is no part of its value."""
 
@@ -71,6 +74,13 @@ class Fitted(LinearSystem):
 
     def __init__(self, model: LinearSystem, check: FitCheck) -> None:
         vars(self).update(vars(model), check=check)
+
+    def _head(self):
+        return repr(self.replace()).replace("LinearSystem(", "Fitted(", 1).splitlines()[0]
+
+    def _rows(self):
+        return {"noise": ", ".join(f"{name} {float(x):.4g}" for name, x in zip(self.outputs, self.noise, strict=True)),
+                **{f"found {i + 1}": sentence for i, sentence in enumerate(self.check.sentences)}}  # fmt: skip
 
 
 def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags: Sequence[int] | None = None,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.objecttext import readable
 from jaxbound.studies.montecarlo.proportions import proportion_interval
 from jaxbound.studies.montecarlo.scenarios import Trial
 from jaxbound.studies.montecarlo.tally import Tally
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["StudyResult"]
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class StudyResult:
     """Counts of a study, by fault and size. Build it with `study`.

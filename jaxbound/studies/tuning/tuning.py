@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.checkpoint import Checkpoint
+from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.bounds import Bounds, model_bounds
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import ParityRelation
@@ -39,6 +40,7 @@ UNTUNED = {
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
 
+@readable
 @dataclass(frozen=True, eq=False)
 class TuneResult:
     """Bounds that were tuned, how, and what is known of them.
