@@ -77,14 +77,10 @@ class ParityRelation:
     lags: tuple[int, ...] | None = field(default=None, metadata={"static": True})
 
     def _head(self):
-        return (
-            f"{type(self).__name__}: {self.count} relations over {self.horizon + 1} samples, {self.model.p} outputs, {self.model.m} inputs"
-        )
+        return f"ParityRelation: {self.count} relations over {self.horizon + 1} samples"
 
     def _rows(self):
-        first = [relation_text(self.model, self.horizon, h, k) for h, k in zip(self.W[:3], self.K, strict=False)]
-        tested = f"{len(self.circuits)} combinations, one by one" if self.frame is None else "an exchange search"
-        return {"model": repr(self.model), "tested by": tested, **{f"r{i + 1}": text for i, text in enumerate(first)}}
+        return {"model": repr(self.model), "r1": relation_text(self.model, self.horizon, self.W[0], self.K[0])}
 
     @property
     def count(self) -> int:
