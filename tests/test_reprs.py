@@ -25,7 +25,8 @@ LONG = np.zeros((1000, 400))
 
 def public_classes():
     every = {thing for room in ROOMS for name in room.__all__ if inspect.isclass(thing := getattr(room, name))}
-    return sorted((c for c in every if not issubclass(c, enum.Enum | float) and c not in ABSTRACT), key=lambda c: c.__name__)
+    plain = [c for c in every if issubclass(c, enum.Enum | float) or (issubclass(c, tuple) and not hasattr(c, "_fields"))]
+    return sorted((c for c in every if c not in (*plain, *ABSTRACT)), key=lambda c: c.__name__)
 
 
 def filled(kind):

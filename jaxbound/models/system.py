@@ -295,7 +295,7 @@ class LinearSystem:
     def __repr__(self) -> str:
         horizon = "" if self.horizon is None else f", horizon {self.horizon}" if self.lags is None else f", lags {self.lags}"
         signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
-        return f"LinearSystem({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
+        return f"{type(self).__name__}({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
 
 
 def whole_lags(lags: Sequence[int]) -> tuple[int, ...]:

@@ -66,7 +66,6 @@ class FitCheck:
     sentences: tuple[str, ...] = ()
 
 
-@readable
 class Fitted(LinearSystem):
     """A LinearSystem that `fit` made: with `.check`, a FitCheck, which is no part of its value."""
 
@@ -74,13 +73,6 @@ class Fitted(LinearSystem):
 
     def __init__(self, model: LinearSystem, check: FitCheck) -> None:
         vars(self).update(vars(model), check=check)
-
-    def _head(self):
-        return repr(self.replace()).replace("LinearSystem(", "Fitted(", 1).splitlines()[0]
-
-    def _rows(self):
-        return {"noise": ", ".join(f"{name} {float(x):.4g}" for name, x in zip(self.outputs, self.noise, strict=True)),
-                **{f"found {i + 1}": sentence for i, sentence in enumerate(self.check.sentences)}}  # fmt: skip
 
 
 def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags: Sequence[int] | None = None,
