@@ -12,7 +12,7 @@ import jaxbound as jb
 
 PACKAGE = Path(jb.__file__).parent
 FLOORS = ("exact", "recordings", "sets", "models", "consistency", "relations", "certificates", "estimation", "diagnosis", "studies",
-          "plots", "runs", "reports", "cli")  # fmt: skip
+          "sklearn", "plots", "runs", "reports", "cli")  # fmt: skip
 ROOMS = {
     "sets": {"floats", "intervals", "strips", "inclusion", "linear_systems", "paving", "zonotopes"},
     "studies": {"identification", "tuning", "montecarlo"},
@@ -72,7 +72,7 @@ def folder(name):
 def test_every_folder_is_known():
     folders = {str(p.relative_to(PACKAGE)) for p in PACKAGE.rglob("*") if p.is_dir() and p.name != "__pycache__"}
     assert folders - {*FLOORS, *(f"{floor}/{room}" for floor, rooms in ROOMS.items() for room in rooms)} == set()
-    assert {p.name for p in PACKAGE.iterdir() if p.is_file()} <= {"__init__.py", "py.typed"}
+    assert {p.name for p in PACKAGE.iterdir() if p.is_file()} <= {"__init__.py", "py.typed", "sklearn.py"}  # an optional face
 
 
 @pytest.mark.parametrize("name", [n for n in GRAPH if n != OUTSIDE])
