@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.comparisons import contains as contains_number
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes import kernels, proof, search
@@ -133,10 +132,9 @@ def _encode(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, 
             rest = rest[~(least[rest] <= 1) & np.isfinite(D[rest]).all((1, 2)) & np.isfinite(image.loss[rest])]
             if not len(rest):
                 break
-            some, size = image.of(rest), power(len(rest))
-            M, R, d, z = (np.resize(v, (size, *v.shape[1:])) for v in (some.M, some.R, D[rest], Z[rest]))
-            X, z = (np.asarray(v, float)[: len(rest)] for v in search.project_rows(M, R, d, z, steps))
-            Z[rest], X = z, X + some.R @ (D[rest] - some.M @ X)
+            some = image.of(rest)
+            X, Z[rest] = search.project_rows(some.M, some.R, D[rest], Z[rest], steps)
+            X = X + some.R @ (D[rest] - some.M @ X)
             most = proof.rows_below(some, D[rest], X)
             better = most < least[rest]
             best[rest[better]], least[rest[better]] = X[better], most[better]

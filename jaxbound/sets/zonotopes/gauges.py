@@ -1,15 +1,14 @@
 """Proved bounds of the gauge of points in M [-1, 1]^q: easy points first, only the others go on.
 
 A few steps of projections for all points of a set at once (`search.project`), then interior points and the vertex that they point to
-(`search.interior_point`, `proof.vertices`) for what is left, in blocks of sizes that depend on the shapes alone. The host looks at proofs
-between the stages.
+(`search.advance`, `proof.vertices`) for what is left, in blocks. The host looks at proofs between the stages. All of it is NumPy: nothing is
+compiled, so the first question takes no longer than the next.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.zonotopes import proof, search
 
 __all__ = ["Bounds", "gauge_bounds"]
@@ -20,8 +19,12 @@ FRUITLESS = 0.8
 """The share of points still open after some steps from which on more of them are not worth it."""
 CLEAR = 2.0**-30
 """How far from 1 a gauge must be for the interior points to stop before the optimum."""
-BLOCK = 2**19
-"""Numbers in the largest array of a block of interior points."""
+LATER = (3, 3, 4, 8, 16)
+"""Steps of interior points between looks at the proofs, after the first six or more."""
+TIGHT = (12, 6, 22)
+"""The same where all go on to the optimum."""
+BLOCK, LARGEST = 2**19, 1024
+"""Numbers in the largest array of a block of interior points; points in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,36 +107,41 @@ def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, fou
 
 
 def _interior(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, tight: bool) -> None:
-    """Run interior points; the vertex is known long before the optimum for most, some seven steps in 20 dimensions."""
-    for steps in (search.STEPS,) if tight else (6 + d.shape[2] // 16, search.STEPS):
-        left = np.nonzero(~_settled(found, tight))
-        if len(left[0]):
-            _vertices(image, d, found, left, np.inf if tight else CLEAR, steps)
-
-
-def _vertices(
-    image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, left: tuple[np.ndarray, ...], enough: float, steps: int
-) -> None:
+    """Run interior points, on blocks of what is left."""
     S, (m, q) = len(image.M), image.M.shape[1:]
-    largest = min(max(1, power(BLOCK // max(m * q, 1) + 1) // 2), 1024)
-    for start in range(0, len(left[0]), largest):
-        i, j = (v[start : start + largest] for v in left)
-        count, size = len(i), min(power(len(i), 4), largest)
-        more = np.resize(np.arange(count), size)
-        if S == 1:  # (1, count) points of one set, or (count, 1) of as many
-            at, some = (i[None], j[None]), image
-            M, R, points = some.M, some.R, d[0, j[more]][None]
-        else:
-            at, some = (i[:, None], j[:, None]), image.of(i)
-            M, R, points = some.M[more], some.R[more], d[i[more], j[more]][:, None]
-        x, l, s = (np.asarray(v, float) for v in search.interior_point(M, R, points, enough, steps))
-        points = d[at]
-        x, l, s = (v[: points.shape[0], : points.shape[1]] for v in (x, l, s))
+    i, j = np.nonzero(~_settled(found, tight))
+    size = min(max(1, BLOCK // max(m * q, 1)), LARGEST)
+    for start in range(0, len(i), size):
+        at = tuple(v[start : start + size][None if S == 1 else np.s_[:, None]] for v in (i, j))  # (1, P) of one set, (P, 1) of as many
+        _vertices(image, d, found, at, tight)
+
+
+def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: tuple[np.ndarray, ...], tight: bool) -> None:
+    """Look at the vertices that the points `at` tend to, now and then: most are known long before the optimum."""
+    S, (m, q), enough = len(image.M), image.M.shape[1:], np.inf if tight else CLEAR
+    some = image if S == 1 else image.of(at[0][:, 0])
+    points = _beside(d[at])
+    state = search.start(some.M, some.R, points)
+    for steps in TIGHT if tight else (6 + m // 16, *LATER):
+        for _ in range(steps):
+            if state[-1].all():
+                break
+            state = search.advance(some.M, points, state, enough)
+        x, l, s = search.reached(state)
         found.take(at, some, points, l, _onto(some, points, x))
-        if m > q:
-            continue
-        x, l = proof.vertices(some.M[0] if S == 1 else some.M, *(v.reshape(count, -1) for v in (points, x, s)))
-        found.take(at, some, points, l.reshape(points.shape), _onto(some, points, x.reshape(*points.shape[:2], q)))
+        if m <= q:
+            x, l = (v.reshape(*points.shape[:2], -1) for v in proof.vertices(
+                some.M[0] if S == 1 else some.M, *(v.reshape(-1, v.shape[2]) for v in (points, x, s))
+            ))  # fmt: skip
+            found.take(at, some, points, l, _onto(some, points, x))
+        left = ~state[-1] & ~_settled(found, tight)[at]
+        if not left.any():
+            break
+        if S == 1:
+            at, points, state = tuple(v[:, left[0]] for v in at), _beside(points[:, left[0]]), tuple(v[:, left[0]] for v in state)
+        else:
+            left = left[:, 0]
+            at, points, state, some = tuple(v[left] for v in at), points[left], tuple(v[left] for v in state), some.of(left)
 
 
 def _onto(image: proof.Image[np.ndarray], d: np.ndarray, x: np.ndarray) -> np.ndarray:

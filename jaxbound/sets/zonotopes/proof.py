@@ -61,7 +61,7 @@ def product(A: Array, B: Array) -> Array:
         return A @ B
     (S, N, k), j = A.shape, B.shape[2]
     left, right, points = B.swapaxes(1, 2), A.swapaxes(1, 2), SINGLE // max(k * j, 1)
-    if not 64 <= points < N:
+    if not 8 <= points < N:
         return (left @ right).swapaxes(1, 2)
     out = np.empty((S, j, N))
     for start in range(0, N, points):

@@ -12,17 +12,24 @@ b = t + x and multipliers u, w >= 0, u - w = M' l, sum(u + w) = 1. With s = a b 
 Ten to twenty steps, whatever the size. At the end s is large where |x_j| < t: the vertex is known (`vertex_basis` in `proof`).
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxbound.sets.zonotopes.proof import Array, library, product
+from jaxbound.sets.zonotopes.proof import Array, largest, library, product
 
-__all__ = ["interior_point", "project", "project_rows"]
+__all__ = ["State", "advance", "interior_point", "project", "project_rows", "reached", "start"]
 
 STEPS = 40
 """At most so many steps of interior points; ten to twenty are the rule."""
+OUTER = 2**15
+"""Numbers in the products of all pairs of rows of a matrix, up to which they are kept for all its points."""
+MANY, SMALL = 64, 64
+"""From so many matrices on, and up to so many rows, they are factored side by side on the host."""
 
 
 def project(M: Array, R: Array, d: Array, z: Array, steps: int) -> tuple[Array, Array, Array]:
@@ -40,112 +47,167 @@ def project(M: Array, R: Array, d: Array, z: Array, steps: int) -> tuple[Array, 
         y = xp.clip(z, -1, 1)
         return z + onto(2 * y - z) - y
 
-    if xp is np:
-        for i in range(steps):
-            z = step(i, z)
-    else:
-        z = jax.lax.fori_loop(0, steps, step, z)
+    z = _repeated(step, z, steps)
     y = xp.clip(z, -1, 1)
     return onto(y), product(z - y, R), z
 
 
-@jax.jit
-def project_rows(M: jax.Array, R: jax.Array, D: jax.Array, Z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array]:
+def project_rows(M: Array, R: Array, D: Array, Z: Array, steps: int) -> tuple[Array, Array]:
     """Return (X, Z) for each set after so many steps between M X = D (S, m, p) and rows of |X| with sums of at most 1: as `project`."""
-    return jax.vmap(_project_rows, (0, 0, 0, 0, None))(M, R, D, Z, steps)
-
-
-def _project_rows(M: jax.Array, R: jax.Array, D: jax.Array, Z: jax.Array, steps: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    xp = library(Z)
     onto = lambda X: X + R @ (D - M @ X)
 
     def step(_, Z):
         Y = _row_balls(Z)
         return Z + onto(2 * Y - Z) - Y
 
-    Z = jax.lax.fori_loop(0, steps, step, Z)
+    Z = _repeated(step, Z, steps)
     Y = _row_balls(Z)
     near, reflected = onto(Y), onto(2 * Y - Z)
-    sums = lambda X: jnp.max(jnp.sum(jnp.abs(X), 1))
-    return jnp.where(sums(near) < sums(reflected), near, reflected), Z
+    sums = lambda X: abs(X).sum(2).max(1)
+    return xp.where((sums(near) < sums(reflected))[:, None, None], near, reflected), Z
 
 
-def _row_balls(X: jax.Array) -> jax.Array:
+def _row_balls(X: Array) -> Array:
     """Return the nearest rows with sums of |x| of at most 1 (Held, Wolfe, Crowder 1974)."""
-    size = jnp.abs(X)
-    falling = -jnp.sort(-size, 1)
-    rank = jnp.arange(1, X.shape[1] + 1, dtype=X.dtype)[None]
-    level = jnp.max((jnp.cumsum(falling, 1) - 1) / rank, 1, keepdims=True)
-    return jnp.sign(X) * jnp.maximum(size - jnp.maximum(level, 0), 0)
+    xp, size = library(X), abs(X)
+    falling = -xp.sort(-size, 2)
+    rank = xp.arange(1, X.shape[2] + 1, dtype=X.dtype)[None, None]
+    level = ((xp.cumsum(falling, 2) - 1) / rank).max(2)[..., None]
+    return xp.sign(X) * xp.maximum(size - xp.maximum(level, 0), 0)
+
+
+def _repeated(step: Callable[[Any, Array], Array], z: Array, steps: int) -> Array:
+    if isinstance(z, jax.Array):
+        return jax.lax.fori_loop(0, steps, step, z)
+    for i in range(steps):
+        z = step(i, z)
+    return z
+
+
+State: TypeAlias = tuple[Array, ...]
+"""x (S, N, q), t (S, N), l (S, N, m), u and w (S, N, q) as above, points in terms of size (S, N), and whether a point is done (S, N)."""
 
 
 @jax.jit
-def interior_point(
-    M: jax.Array, R: jax.Array, d: jax.Array, enough: ArrayLike, steps: ArrayLike = STEPS
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+def interior_point(M: jax.Array, R: jax.Array, d: jax.Array, enough: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (x, l, s) for each point: near-optimal for the two programs, and how free each x_j is.
 
     Args:
         M, R, d: as for `project`. enough: a point for which t < 1 - enough or l' d > 1 + enough is settled; inf to go on to the optimum.
-        steps: traced, at most so many.
     """
-    start = jax.vmap(jax.vmap(_start, (None, None, 0)))(M, R, d)
-    advance = jax.vmap(jax.vmap(_advance, (None, 0, 0, None)), (0, 0, 0, None))
-    going = lambda carry: (carry[1] < steps) & jnp.any(~carry[0][-1])
-    (x, t, l, u, w, size, _), _ = jax.lax.while_loop(going, lambda c: (advance(M, d, c[0], enough), c[1] + 1), (start, jnp.int32(0)))
+    going = lambda carry: (carry[1] < STEPS) & jnp.any(~carry[0][-1])
+    advanced = lambda carry: (advance(M, d, carry[0], enough), carry[1] + 1)
+    return reached(jax.lax.while_loop(going, advanced, (start(M, R, d), jnp.int32(0)))[0])
+
+
+def start(M: Array, R: Array, d: Array) -> State:
+    """Return where interior points begin, for points d (S, N, m)."""
+    xp, q = library(d), M.shape[2]
+    x = product(d, R.swapaxes(1, 2))
+    size = largest(x, 2)
+    size = xp.where((size > 0) & (size < np.inf), size, 1)
+    even = xp.full_like(x, 0.5 / q)
+    return x / size[..., None], xp.full_like(size, 1.5), xp.zeros_like(d), even, even, size, ~xp.isfinite(x.sum(2))
+
+
+def reached(state: State) -> tuple[Array, Array, Array]:
+    """Return (x, l, s) of a state, as `interior_point` does."""
+    x, t, l, u, w, size, _ = state
     a, b = t[..., None] - x, t[..., None] + x
     return x * size[..., None], l, a * b / (u * b + w * a)
 
 
-def _start(M: jax.Array, R: jax.Array, d: jax.Array) -> tuple[jax.Array, ...]:
-    q = M.shape[1]
-    x = R @ d
-    size = jnp.max(jnp.abs(x))
-    size = jnp.where((size > 0) & (size < jnp.inf), size, 1)
-    even = jnp.full(q, 0.5 / q, x.dtype)
-    return x / size, jnp.asarray(1.5, x.dtype), jnp.zeros_like(d), even, even, size, ~jnp.isfinite(jnp.sum(x))
-
-
-def _advance(M: jax.Array, d: jax.Array, state: tuple[jax.Array, ...], enough: ArrayLike) -> tuple[jax.Array, ...]:
+def advance(M: Array, d: Array, state: State, enough: ArrayLike) -> State:
+    """Take one step of interior points, on the host or inside jit; what is done stays."""
+    xp, turned = library(d), M.swapaxes(1, 2)
     x, t, l, u, w, size, done = state
-    m, q = M.shape
-    eps = jnp.finfo(x.dtype).eps
-    a, b = t - x, t + x
-    d = d / size
+    (_, m, q), eps, each = M.shape, np.finfo(x.dtype).eps, (..., None)
+    total = lambda v: v.sum(2)
+    a, b = t[each] - x, t[each] + x
+    d = d / size[each]
     alpha, beta = u / a, w / b
     s = 1 / (alpha + beta)
     lean = (alpha - beta) * s
-    N = (M * s[None]) @ M.T
-    L = jnp.linalg.cholesky(N + jnp.eye(m, dtype=x.dtype) * (jnp.trace(N) * (4 * eps / m)))
-    v = M @ lean
-    lack, slope, total = d - M @ x, l @ M - u + w, 1 - jnp.sum(u + w)
-    curve, gap = jnp.sum(4 * alpha * beta * s), jnp.sum(a * u + b * w)
+    solve = _solver(M, s, 4 * eps / m)
+    v = product(lean, turned)
+    lack, slope, rest = d - product(x, turned), product(l, M) - u + w, 1 - total(u + w)
+    Nv = solve(v)
+    curve, gap = total(4 * alpha * beta * s) + total(v * Nv), total(a * u + b * w)
 
     def newton(_, carry):
         """Take the step with a du + u da = ra and b dw + w db = rb; return what to correct it by, it, and how far it may go."""
         ra, rb, *_ = carry
         ra, rb = ra / a, rb / b
         h = slope - ra + rb
-        f, Nv = jax.scipy.linalg.cho_solve((L, True), jnp.stack([lack - M @ (s * h), v], 1)).T
-        dt = (v @ f - (total - lean @ h - jnp.sum(ra + rb))) / (v @ Nv + curve)
-        dl = f - Nv * dt
-        dx = s * (dl @ M + h) + lean * dt
-        da, db, du, dw = dt - dx, dt + dx, ra - alpha * (dt - dx), rb - beta * (dt + dx)
-        p, r = jnp.minimum(_room(a, da), _room(b, db)), jnp.minimum(_room(u, du), _room(w, dw))
-        ahead = jnp.sum((a + p * da) * (u + r * du) + (b + p * db) * (w + r * dw))
-        target = (ahead / gap) ** 3 * gap / (2 * q)
+        f = solve(lack - product(s * h, turned))
+        dt = (total(v * f) - (rest - total(lean * h) - total(ra + rb))) / curve
+        dl = f - Nv * dt[each]
+        dx = s * (product(dl, M) + h) + lean * dt[each]
+        da, db = dt[each] - dx, dt[each] + dx
+        du, dw = ra - alpha * da, rb - beta * db
+        p, r = _room(((a, da), (b, db))), _room(((u, du), (w, dw)))
+        ahead = total((a + p[each] * da) * (u + r[each] * du) + (b + p[each] * db) * (w + r[each] * dw))
+        target = ((ahead / gap) ** 3 * gap / (2 * q))[each]
         return target - a * u - da * du, target - b * w - db * dw, dx, dt, dl, du, dw, p, r
 
-    one = jnp.ones_like(t)
-    *_, dx, dt, dl, du, dw, p, r = jax.lax.fori_loop(0, 2, newton, (-a * u, -b * w, x, t, l, u, w, one, one))
+    found = (-a * u, -b * w, x, t, l, u, w, t, t)
+    found = newton(1, newton(0, found)) if xp is np else jax.lax.fori_loop(0, 2, newton, found)
+    *_, dx, dt, dl, du, dw, p, r = found
     p, r = 0.995 * p, 0.995 * r
-    new = x + p * dx, t + p * dt, l + r * dl, u + r * du, w + r * dw
-    keep = done | ~jnp.isfinite(jnp.sum(new[0]) + jnp.sum(new[2]) + new[1])
-    x, t, l, u, w = (jnp.where(keep, old, now) for old, now in zip(state, new, strict=False))
-    least, most = l @ d / jnp.maximum(jnp.sum(jnp.abs(l @ M)), eps), jnp.max(jnp.abs(x))
+    new = x + p[each] * dx, t + p * dt, l + r[each] * dl, u + r[each] * du, w + r[each] * dw
+    keep = done | ~xp.isfinite(total(new[0]) + total(new[2]) + new[1])
+    x, t, l, u, w = (xp.where(keep[each] if old.ndim == 3 else keep, old, now) for old, now in zip(state, new, strict=False))
+    least, most = total(l * d) / xp.maximum(total(abs(product(l, M))), eps), abs(x).max(2)
     settled = (most * size < 1 - enough) | (least * size > 1 + enough)
     return x, t, l, u, w, size, keep | settled | (most - least <= 2.0**-16 * eps**0.5 * most)
 
 
-def _room(x: jax.Array, dx: jax.Array) -> jax.Array:
-    """Return how far x + p dx stays positive, at most 1."""
-    return jnp.min(jnp.where(dx < 0, jnp.minimum(-x / jnp.where(dx < 0, dx, 1), 1), 1))
+def _room(pairs: Sequence[tuple[Array, Array]]) -> Array:
+    """Return how far all x + p dx stay positive, at most 1."""
+    xp = library(pairs[0][0])
+    rooms = [xp.where(dx < 0, -x / dx, 1).min(2) for x, dx in pairs]
+    return xp.minimum(xp.minimum(*rooms), 1)
+
+
+def _solver(M: Array, s: Array, room: float) -> Callable[[Array], Array]:
+    """Return what solves (M diag(s) M' + room times its mean diagonal) f = r for each point, r (S, N, m)."""
+    xp, (S, m, q), N = library(s), M.shape, s.shape[1]
+    if xp is np and S == 1 and N > 1 and m * m * q <= OUTER:  # one matrix product for many points
+        normal = product(s, (M[0, :, None] * M[0]).reshape(1, m * m, q).swapaxes(1, 2)).reshape(S, N, m, m)
+    else:
+        root = M[:, None] * xp.sqrt(s)[:, :, None]
+        normal = root @ root.swapaxes(2, 3)
+    mean = xp.trace(normal, axis1=2, axis2=3)[..., None, None]
+    normal = normal + room * mean * xp.eye(m, dtype=s.dtype)[None, None]
+    if xp is jnp:
+        L = jnp.linalg.cholesky(normal)
+        return lambda r: jax.scipy.linalg.cho_solve((L, True), r[..., None])[..., 0]
+    solve = _factored(normal.reshape(S * N, m, m))
+    return lambda r: solve(r.reshape(S * N, m)).reshape(S, N, m)
+
+
+def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what solves with positive definite matrices N (P, m, m) for r (P, m): many small ones side by side, others one after another."""
+    P, m, _ = N.shape
+    if P < MANY or m > SMALL:
+        from scipy.linalg.lapack import dpotrf, dpotrs
+
+        factors = [dpotrf(A)[0] for A in N]
+        return lambda r: np.array([dpotrs(L, v)[0] for L, v in zip(factors, r, strict=True)])
+    L = np.array(N.transpose(1, 2, 0), order="C")
+    for k in range(m):
+        L[k:, k] -= np.einsum("ijp,jp->ip", L[k:, :k], L[k, :k])
+        L[k:, k] /= np.sqrt(L[k, k])
+
+    def solve(r):
+        x = np.array(r.T, order="C")
+        for k in range(m):
+            x[k] /= L[k, k]
+            x[k + 1 :] -= L[k + 1 :, k] * x[k]
+        for k in reversed(range(m)):
+            x[k] /= L[k, k]
+            x[:k] -= L[k, :k] * x[k]
+        return x.T
+
+    return solve

@@ -167,3 +167,4 @@ def test_every_random_set_is_held(name, how, rng):
         for dtype in (np.float64, np.float32):
             Z, x = draw(rng, count, n, q, dtype), coefficients(rng, count, q)
             assert CHECKS[name](rng, Z, x), (name, n, q, dtype)
+    print(f"{name}: {2 * sum(how.values())} sets, 0 unsound")
