@@ -1,8 +1,8 @@
 """Proved bounds of the gauge of points in M [-1, 1]^q: easy points first, only the others go on.
 
 A few steps of projections for all points of a set at once (`search.project`), then interior points and the vertex that they point to
-(`search.advance`, `proof.vertices`) for what is left, in blocks. The host looks at proofs between the stages. All of it is NumPy: nothing is
-compiled, so the first question takes no longer than the next.
+(`search.advance`, `proof.vertices`) for what is left, in blocks. Proofs are looked at between the stages. All of it is NumPy: nothing
+is compiled, so the first question takes no longer than the next.
 """
 
 from dataclasses import dataclass
@@ -87,40 +87,44 @@ def _start(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds) -> np.n
     return z
 
 
+def _gathered(left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (sets (S, 1), points (S, N)): the sets with something left, as many points of each as of that with most."""
+    i = np.nonzero(left.any(1))[0]
+    return i[:, None], np.argsort(~left[i], axis=1, kind="stable")[:, : left.sum(1).max()]
+
+
 def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, found: Bounds) -> None:
-    """Run the projections, on what they leave open of each set: as many points of it as of that with most."""
-    S, before = len(d), 0
+    """Run the projections, on what they leave open of each set."""
+    before = d.size
     for steps in STEPS:
         left = ~_settled(found, False)
-        i = np.nonzero(left.any(1))[0]
-        if not len(i):
-            break
-        if steps > STEPS[0] and left.sum() > FRUITLESS * before:
+        if not left.any() or (steps > STEPS[0] and left.sum() > FRUITLESS * before):
             break  # they are near the boundary, where projections take too long
         before = left.sum()
-        count = left.sum(1).max()
-        j = np.argsort(~left[i], axis=1, kind="stable")[:, :count]
-        at, some = (i[:, None], j), image if S == 1 else image.of(i)
-        points = _beside(d[at])
+        at = _gathered(left)
+        some, points = _of(image, at[0]), _beside(d[at])
         x, l, z[at] = search.project(some.M, some.R, points, _beside(z[at]), steps)
         found.take(at, some, points, l, x)
 
 
 def _interior(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, tight: bool) -> None:
-    """Run interior points, on blocks of what is left."""
-    S, (m, q) = len(image.M), image.M.shape[1:]
-    i, j = np.nonzero(~_settled(found, tight))
-    size = min(max(1, BLOCK // max(m * q, 1)), LARGEST)
-    for start in range(0, len(i), size):
-        at = tuple(v[start : start + size][None if S == 1 else np.s_[:, None]] for v in (i, j))  # (1, P) of one set, (P, 1) of as many
-        _vertices(image, d, found, at, tight)
+    """Run interior points on what is left, in blocks: of sets, or of points of one set."""
+    left = ~_settled(found, tight)
+    if not left.any():
+        return
+    sets, points = _gathered(left)
+    most = min(max(1, BLOCK // max(image.M[0].size, 1)), LARGEST)
+    wide = min(points.shape[1], most)
+    high = max(1, most // wide)
+    for i in range(0, len(sets), high):
+        for j in range(0, points.shape[1], wide):
+            _vertices(image, d, found, (sets[i : i + high], points[i : i + high, j : j + wide]), tight)
 
 
-def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: tuple[np.ndarray, ...], tight: bool) -> None:
+def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: tuple[np.ndarray, np.ndarray], tight: bool) -> None:
     """Look at the vertices that the points `at` tend to, now and then: most are known long before the optimum."""
-    S, (m, q), enough = len(image.M), image.M.shape[1:], np.inf if tight else CLEAR
-    some = image if S == 1 else image.of(at[0][:, 0])
-    points = _beside(d[at])
+    (m, q), enough, rows = image.M.shape[1:], np.inf if tight else CLEAR, lambda v: v.reshape(-1, v.shape[2])
+    some, points = _of(image, at[0]), _beside(d[at])
     state = search.start(some.M, some.R, points)
     for steps in TIGHT if tight else (6 + m // 16, *LATER):
         for _ in range(steps):
@@ -130,18 +134,21 @@ def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: 
         x, l, s = search.reached(state)
         found.take(at, some, points, l, _onto(some, points, x))
         if m <= q:
-            x, l = (v.reshape(*points.shape[:2], -1) for v in proof.vertices(
-                some.M[0] if S == 1 else some.M, *(v.reshape(-1, v.shape[2]) for v in (points, x, s))
-            ))  # fmt: skip
+            M = some.M[0] if len(some.M) == 1 else np.repeat(some.M, points.shape[1], 0)
+            x, l = proof.vertices(M, rows(points), rows(x), rows(s))
+            x, l = x.reshape(*points.shape[:2], q), l.reshape(points.shape)
             found.take(at, some, points, l, _onto(some, points, x))
         left = ~state[-1] & ~_settled(found, tight)[at]
         if not left.any():
             break
-        if S == 1:
-            at, points, state = tuple(v[:, left[0]] for v in at), _beside(points[:, left[0]]), tuple(v[:, left[0]] for v in state)
-        else:
-            left = left[:, 0]
-            at, points, state, some = tuple(v[left] for v in at), points[left], tuple(v[left] for v in state), some.of(left)
+        sets, _ = keep = _gathered(left)
+        at, points, some = (at[0][sets[:, 0]], at[1][keep]), _beside(points[keep]), _of(some, sets)
+        state = tuple(_beside(v[keep]) if v.ndim == 3 else v[keep] for v in state)
+
+
+def _of(image: proof.Image[np.ndarray], sets: np.ndarray) -> proof.Image[np.ndarray]:
+    """Return the Image of the sets (S, 1) numbered, uncopied where that is all."""
+    return image if len(sets) == len(image.M) else image.of(sets[:, 0])
 
 
 def _onto(image: proof.Image[np.ndarray], d: np.ndarray, x: np.ndarray) -> np.ndarray:

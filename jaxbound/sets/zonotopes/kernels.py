@@ -28,7 +28,7 @@ CHUNK, CHUNKS = 16, 21
 def settled(*arrays: jax.Array) -> tuple[jax.Array, ...]:
     """Return arrays that have one value for all their uses, NaN made infinite: the carry of a loop, whose length no compiler knows."""
     again = lambda carry: (carry[0] - 1, *(jnp.where(jnp.isnan(x), jnp.inf, x) for x in carry[1:]))
-    rounds = jnp.any(jnp.stack([jnp.any(jnp.isnan(x)) for x in arrays])).astype(jnp.int32)
+    rounds = jnp.any(jnp.isnan(jnp.concatenate([x.ravel() for x in arrays]))).astype(jnp.int32)
     return jax.lax.while_loop(lambda carry: carry[0] > 0, again, (rounds, *arrays))[1:]
 
 
@@ -87,36 +87,37 @@ def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: bool) -> tupl
     turned, back = body.M.swapaxes(1, 2), body.R.swapaxes(1, 2)
     enough = np.inf if tight else rounding.unit(d.dtype) ** 0.5
 
-    def best(found, l, x):
+    def rated(l, x):
         l, x = proof.unit(l), x + (d - x @ turned) @ back
-        ahead, size = jnp.sum(l * d, 2) / jnp.sum(jnp.abs(l @ body.M), 2), proof.largest(x, 2)
+        ahead = jnp.sum(l * d, 2) / jnp.sum(jnp.abs(l @ body.M), 2)
+        return jnp.where(ahead > 0, ahead, 0), proof.largest(x, 2), l, x
+
+    def better(found, candidate):
+        ahead, size, l, x = rated(*candidate)
         above, below = ahead > found[0], size < found[1]
         ahead, size = jnp.where(above, ahead, found[0]), jnp.where(below, size, found[1])
-        return ahead, size, jnp.where(above[..., None], l, found[2]), jnp.where(below[..., None], x, found[3])
+        return (ahead, size, jnp.where(above[..., None], l, found[2]), jnp.where(below[..., None], x, found[3])), None
 
     def unsettled(found):
         return ~(found[0] > 1 + enough) & ~(found[1] < 1 - enough) & jnp.all(jnp.isfinite(d), 2)
 
-    def far(found):
-        x, l, _ = search.project(body.M, body.R, d, d @ back, STEPS)
-        return best(found, l, x)
-
     def near(found):
         hidden = jnp.where(unsettled(found)[..., None], d, jnp.nan)
         x, l, s = search.interior_point(body.M, body.R, hidden, enough)
-        found = best(found, l, x)
         if m > q:
-            return found
+            return better(found, (l, x))[0]
         flat = lambda v: v.reshape(S * N, -1)
         M = body.M[0] if S == 1 else jnp.repeat(body.M, N, 0)
-        x, l = proof.vertices(M, flat(d), flat(x), flat(s))
-        return best(found, l.reshape(d.shape), x.reshape(S, N, q))
+        corner, normal = proof.vertices(M, flat(d), flat(x), flat(s))
+        both = jnp.stack([l, normal.reshape(l.shape)]), jnp.stack([x, corner.reshape(x.shape)])
+        return jax.lax.scan(better, found, both)[0]
 
-    z, nothing = d @ back, jnp.full((S, N), -jnp.inf, d.dtype)
-    found = best((nothing, -nothing, jnp.zeros_like(d), z), d - z @ turned, z)
-    for stage in (near,) if tight else (far, near):
-        found = _once(lambda found: jnp.any(unsettled(found)), stage, found)
-    return found[2:]
+    z = d @ back
+    x, l, _ = search.project(body.M, body.R, d, z, STEPS)
+    beside = d - z @ turned  # points may be beside the plane of a flat set
+    flat = jnp.max(jnp.abs(beside), 2) > rounding.unit(d.dtype) ** 0.5 * jnp.max(jnp.abs(d), 2)
+    found = rated(jnp.where(flat[..., None], beside, l), x)
+    return _once(lambda found: jnp.any(unsettled(found)), near, found)[2:]
 
 
 @jax.jit

@@ -170,9 +170,10 @@ def _room(pairs: Sequence[tuple[Array, Array]]) -> Array:
     return xp.minimum(xp.minimum(*rooms), 1)
 
 
-def _solver(M: Array, s: Array, room: float) -> Callable[[Array], Array]:
+def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
     """Return what solves (M diag(s) M' + room times its mean diagonal) f = r for each point, r (S, N, m)."""
     xp, (S, m, q), N = library(s), M.shape, s.shape[1]
+    normal: Any
     if xp is np and S == 1 and N > 1 and m * m * q <= OUTER:  # one matrix product for many points
         normal = product(s, (M[0, :, None] * M[0]).reshape(1, m * m, q).swapaxes(1, 2)).reshape(S, N, m, m)
     else:
@@ -188,7 +189,7 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Array], Array]:
 
 
 def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what solves with positive definite matrices N (P, m, m) for r (P, m): many small ones side by side, others one after another."""
+    """Return what solves N f = r for r (P, m), N (P, m, m) positive definite: many small ones side by side, others one by one."""
     P, m, _ = N.shape
     if P < MANY or m > SMALL:
         from scipy.linalg.lapack import dpotrf, dpotrs
