@@ -197,17 +197,16 @@ def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> st
 
 @jax.jit
 def _forms(test, u, y):
-    s, p = test.horizon, y.shape[1]
-    mid, rad, _, known, _ = test.stretch(u, y)
-    mid, rad = jnp.stack(mid), jnp.stack(rad)
-    samples = jnp.stack([y[j : j + mid.shape[1], i] - test.offset_y[i] for j in range(s + 1) for i in range(p)])
+    s, windows = test.horizon, test.windows(u, y)
+    mid, rad, _, known, _ = test.block(*windows)
+    samples = (windows[1] - test.offset_y[None, :, None]).reshape(-1, mid.shape[1])
     samples = jnp.concatenate([samples, jnp.zeros_like(mid[len(samples) :])])  # nobody measures a disturbance
-    known = jnp.stack(known) if len(known) else jnp.zeros((0, mid.shape[1]), mid.dtype)
 
     def one(strip):
         rows, h, k = strip
         given = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
-        return h @ samples[rows] - given, h @ (samples[rows] - mid[rows]), abs(h) @ rad[rows]
+        total = lambda weights, x: jnp.sum(weights[:, None] * x[rows], 0)
+        return total(h, samples) - given, total(h, samples - mid), total(abs(h), rad)
 
     external, centre, width = (x.T for x in jax.lax.map(one, (test.shape.rows, test.shape.h, test.shape.k)))
     return tuple(jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in (external, centre - width, centre + width))

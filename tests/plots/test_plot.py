@@ -6,6 +6,7 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
+import jaxbound.runs.digest  # noqa: F401  registers its picture, whatever other tests have imported
 
 
 def labels(axis):

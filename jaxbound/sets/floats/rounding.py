@@ -23,6 +23,7 @@ like |x| and x x, is >= 0 for the compiler without a look, NaN or not.
 `round_up` away from zero, so that a float bound is never smaller than the decimal the user wrote.
 """
 
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Any, TypeAlias, cast
@@ -39,6 +40,7 @@ __all__ = [
     "fraction_to_float",
     "mantissa_exponent",
     "nearest_normal",
+    "nearest_normals",
     "one_dtype",
     "order",
     "outward",
@@ -260,8 +262,17 @@ def fraction_to_float(value: Fraction | float, dtype: DTypeLike = np.float64) ->
 
 def nearest_normal(value: Fraction | float, dtype: DTypeLike = np.float64) -> np.floating:
     """Round an exact rational to the nearest float, one below the normal range to the smallest normal number of its sign: never to 0."""
-    out, least = _scalar(_nearest(value), dtype), tiny(dtype)
-    return out if abs(out) >= least or not value else np.copysign(least, value > 0 or -1)
+    return cast(np.floating, nearest_normals([value], dtype)[0])
+
+
+def nearest_normals(values: Sequence[Fraction | float], dtype: DTypeLike = np.float64) -> np.ndarray:
+    """Return `nearest_normal` of each of a sequence of numbers, as an array."""
+    with np.errstate(over="ignore"):
+        out, least = np.array([_nearest(x) for x in values], np.float64).astype(dtype), tiny(dtype)
+    for i in np.flatnonzero(abs(out) < least).tolist():
+        if values[i]:
+            out[i] = least if values[i] > 0 else -least
+    return out
 
 
 def _nearest(value):

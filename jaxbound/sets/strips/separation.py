@@ -70,10 +70,9 @@ def frame_of(exact_frame: linalg.Frame, dtype: DTypeLike, width: int | None = No
     """Round an `exact.Frame`; fill its inner rows up to `width`."""
     c, k = len(exact_frame.outer), len(exact_frame.inner)
     width = k if width is None else width
+    rounded = lambda rows: rounding.nearest_normals([x for row in rows for x in row], dtype).reshape(c, -1)
     R = np.zeros((c, width), dtype)
-    for j in range(c):
-        R[j, :k] = [rounding.nearest_normal(x, dtype) for x in exact_frame.R[j]]
-    K = np.array([[rounding.nearest_normal(x, dtype) for x in row] for row in exact_frame.K], dtype).reshape(c, -1)
+    R[:, :k], K = rounded(exact_frame.R), rounded(exact_frame.K)
     inner = np.array([*exact_frame.inner, *[0] * (width - k)], np.int32)
     return Frame(R, K, inner, np.array(exact_frame.outer, np.int32), np.array(exact_frame.used, bool), np.arange(width) < k)
 

@@ -110,27 +110,34 @@ def _residuals(theta, u, y, there, weight, order, direct):
 
     there (N,): 1, or 0 for a window that only fills the array up.
     """
-    m, p, count = u.shape[2], y.shape[2], y.shape[1]
-    A, B, D, c = coefficients(theta, order, direct, m, p)
+    N, count, p = y.shape
+    A, B, D, c = coefficients(theta, order, direct, u.shape[2], p)
     states = order * p
+    times = lambda M, v: jnp.sum(M[:, :, None] * v[None], 1)  # small matrices and long vectors: a dot is ten times slower here
+    units = lambda x: jnp.pad(x, ((0, 0),) * (x.ndim - 1) + ((0, states),))  # columns of their own: each unit of the first state, alone
+    constant = c[:, None] * units(there)[None]
 
-    def step(carry, now):
-        x, O = carry  # (N, order, p): x[:, i] waits i samples to be added; the same for each unit of the first state
+    def step(x, now):  # x (order, p, N + states): x[i] waits i samples to be added
         yk, uk = now
-        out = x[:, 0] + uk @ D.T
-        shift = lambda z: jnp.concatenate([z[:, 1:], jnp.zeros_like(z[:, :1])], 1)
-        drive = jnp.stack([out @ A[i].T + uk @ B[i].T + (c[None] if i == 0 else 0.0) for i in range(order)], 1)
-        free = jnp.stack([O[:, 0] @ A[i].T for i in range(order)], 1)
-        return (shift(x) + drive, shift(O) + free), ((yk - out) * weight[None], O[:, 0] * weight[None])
+        out = x[0] + times(D, uk)
+        later = jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
+        return later + jnp.stack([times(A[i], out) + times(B[i], uk) + (constant if i == 0 else 0.0) for i in range(order)]), yk - out
 
-    start = jnp.zeros((len(y), order, p)), jnp.eye(states).reshape(states, order, p)
-    _, (e, O) = jax.lax.scan(step, start, (jnp.moveaxis(y, 1, 0), jnp.moveaxis(u, 1, 0)))
-    e = jnp.moveaxis(e, 0, 1).reshape(len(y), count * p) * there[:, None]
-    Q, _ = jnp.linalg.qr(jnp.moveaxis(O, 1, 2).reshape(count * p, states))
+    start = jnp.concatenate([jnp.zeros((order, p, N)), jnp.eye(states).reshape(order, p, states)], 2)
+    _, left = jax.lax.scan(step, start, (units(jnp.transpose(y, (1, 2, 0))), units(jnp.transpose(u, (1, 2, 0)))))
+    left = (left * weight[None, :, None]).reshape(count * p, N + states)
+    e = (left[:, :N] * there[None]).T
+    Q, _ = jnp.linalg.qr(left[:, N:])
     return e - (e @ Q) @ Q.T
 
 
-_slopes = jax.jit(jax.jacfwd(_residuals), static_argnames=("order", "direct"))
+@partial(jax.jit, static_argnames=("order", "direct"))
+def _around(theta, u, y, there, weight, order, direct):
+    """Return (J'J, J'e) of the residuals e and their slopes J: what a step needs, small whatever the number of windows."""
+    f = lambda theta: (_residuals(theta, u, y, there, weight, order, direct),) * 2
+    J, e = jax.jacfwd(f, has_aux=True)(theta)
+    J = J.reshape(e.size, theta.size)
+    return J.T @ J, J.T @ e.ravel()
 
 
 def refined(theta: np.ndarray, windows: Windows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -171,22 +178,20 @@ def growth(theta: np.ndarray, order: int) -> float:
 
 def _marquardt(theta, windows, weight, order, direct):
     given = *windows, weight, order, direct
-    e = np.asarray(_residuals(theta, *given)).ravel()
-    cost, damping, limit = e @ e, 1e-3, max(1.0, growth(theta, order))  # no faster growth than the data asked for one step ahead
+    cost_of = lambda theta: np.square(_residuals(theta, *given)).sum()
+    cost, damping, limit = cost_of(theta), 1e-3, max(1.0, growth(theta, order))  # no faster growth than the data asked for one step ahead
     for _ in range(STEPS):
-        J = np.asarray(_slopes(theta, *given)).reshape(e.size, theta.size)
-        H, g = J.T @ J, J.T @ e
+        H, g = map(np.asarray, _around(theta, *given))
         size = np.diag(H) + 1e-9 * np.trace(H) / len(H)
         for _ in range(12):
             trial = theta - np.linalg.solve(H + damping * np.diag(size), g).reshape(theta.shape)
-            e_trial = np.asarray(_residuals(trial, *given)).ravel()
-            if e_trial @ e_trial < cost and growth(trial, order) <= limit:  # False for NaN
+            after = cost_of(trial)
+            if after < cost and growth(trial, order) <= limit:  # False for NaN
                 break
             damping *= 4
         else:
             return theta
-        gain = 1 - (e_trial @ e_trial) / cost
-        theta, e, cost, damping = trial, e_trial, e_trial @ e_trial, max(damping / 8, 1e-12)
+        gain, theta, cost, damping = 1 - after / cost, trial, after, max(damping / 8, 1e-12)
         if gain < SETTLED:
             break
     return theta
