@@ -23,7 +23,6 @@ like |x| and x x, is >= 0 for the compiler without a look, NaN or not.
 `round_up` away from zero, so that a float bound is never smaller than the decimal the user wrote.
 """
 
-from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Any, TypeAlias, cast
@@ -39,7 +38,6 @@ __all__ = [
     "dd_mul",
     "fraction_to_float",
     "mantissa_exponent",
-    "nearest_normal",
     "nearest_normals",
     "one_dtype",
     "order",
@@ -161,7 +159,7 @@ def search_error(outer: int, inner: int, known: int, dtype: DTypeLike) -> tuple[
     (c + 2) u |h| |R|, the radii by 11 u, their sum by (c + k + 1) u. Together at most (3 c + 3 k + 2 l + 50) u |h| M.
     Both are below (4 (c + k + l) + 52) u, the bound of `residual_error` for 2 (c + k + l) + 10 terms. h is exact: whatever it is.
 
-    An underflow, in any of the sums of row j or in a coefficient off by that much (`nearest_normal`), costs tiny times at most one
+    An underflow, in any of the sums of row j or in a coefficient off by that much (`nearest_normals`), costs tiny times at most one
     coefficient of R or K and one M, inner scale_i or |v_b| + |offset_b| (a column of R can be as small as tiny, and M then says nothing
     of its scale): `floor` is to be multiplied by 1 + max|R|, 1 + max|K|, and 1 + the sum of all these.
     """
@@ -260,18 +258,11 @@ def fraction_to_float(value: Fraction | float, dtype: DTypeLike = np.float64) ->
     return out
 
 
-def nearest_normal(value: Fraction | float, dtype: DTypeLike = np.float64) -> np.floating:
-    """Round an exact rational to the nearest float, one below the normal range to the smallest normal number of its sign: never to 0."""
-    return cast(np.floating, nearest_normals([value], dtype)[0])
-
-
-def nearest_normals(values: Sequence[Fraction | float], dtype: DTypeLike = np.float64) -> np.ndarray:
-    """Return `nearest_normal` of each of a sequence of numbers, as an array."""
-    with np.errstate(over="ignore"):
-        out, least = np.array([_nearest(x) for x in values], np.float64).astype(dtype), tiny(dtype)
-    for i in np.flatnonzero(abs(out) < least).tolist():
-        if values[i]:
-            out[i] = least if values[i] > 0 else -least
+def nearest_normals(values: list, dtype: DTypeLike = np.float64) -> np.ndarray:
+    """Round exact rationals to the nearest floats, one below the normal range to the smallest normal number of its sign: never to 0."""
+    out = np.array([_nearest(x) for x in values], np.float64).astype(dtype)
+    for i in np.flatnonzero(abs(out) < tiny(dtype)).tolist():
+        out[i] = ((values[i] > 0) - (values[i] < 0)) * tiny(dtype)
     return out
 
 
