@@ -55,6 +55,7 @@ def detect(
         sensor without noise are, "joint" and "box" decide in whole numbers: exact, but some 10 to 100 microseconds a window.
 
     Raises:
+        TypeError: no relations; samples inside jit, vmap or grad.
         ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite sample, an unknown method,
             starts that are no sample numbers.
         RuntimeError: where rounding has not been verified: all devices but CPU, so far, fast-math flags, another rounding mode.
@@ -69,6 +70,9 @@ def detect(
     """
     if not hasattr(relations, "test"):
         raise TypeError(f"detect needs relations, not {type(relations).__name__}: detect(parity_relations(model), u, y)")
+    if isinstance(u, jax.core.Tracer) or isinstance(y, jax.core.Tracer):
+        raise TypeError("detect drives compiled kernels from the host and cannot run inside jit, vmap or grad: give it arrays, a batch of "
+                        "recordings at once; inside, use margins, which is differentiable and proves nothing")  # fmt: skip
     kind, (relations, given) = relations, relations.recording(u, y, starts)
     refuse_unverified()
     given = replace(given, u=np.asarray(given.u), y=np.asarray(given.y))

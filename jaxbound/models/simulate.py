@@ -22,6 +22,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.objecttext import readable
+from jaxbound.recordings.seeds import key_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.sizes import power
 
@@ -53,7 +54,7 @@ class Trajectory:
 def simulate(
     model: ModelLike,
     u: object,
-    key: jax.Array,
+    key: jax.Array | int,
     x0: ArrayLike | None = None,
     at: str = "uniform",
     faults: Sequence[Fault] = (),
@@ -67,7 +68,7 @@ def simulate(
         u: (..., T, m) inputs as recorded, offset included; leading axes are recordings of their own. A model without inputs
             needs (..., T, 0). A table gives them by name.
             Its float dtype is that of the recording (float32 as it is, anything else the default float).
-        key: a jax.random key.
+        key: a jax.random key, or a whole number.
         x0: (n,) or (..., n) first state; default 0.
         at: "uniform" draws w, theta, noise and parameters uniformly; "vertices" at one of their bounds each sample.
             With constant_tolerance a recording has one theta an output, and a parameter that does not vary keeps one value.
@@ -124,6 +125,7 @@ def simulate(
     widths = {0: model.p, 1: model.p, 2: len(kinds) if "noise" in [f.kind for f in faults] else 0, 3: model.g, 5: len(numbers["varying"])}
     streams = [stream for stream, width in widths.items() if width]
     size = (T + longer) * max(widths.values())
+    key = key_of(key)
     draws = _draws(key, np.array(streams), count + more, size, dtype)
     v = _normal(key, count + more, (T + longer, model.d), dtype) if v is None else padded(v)
     how = np.array([at == "vertices", model.constant_tolerance])

@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.exact import linalg
+from jaxbound.recordings.seeds import key_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import search
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
@@ -138,7 +139,7 @@ def volume(Z: Zonotope) -> float:
     return float(2**n * total)
 
 
-def sample(Z: AnySet, key: jax.Array, count: int) -> jax.Array:
+def sample(Z: AnySet, key: jax.Array | int, count: int) -> jax.Array:
     """Draw points of a set, so more near the middle. Plain floats, not proved.
 
     The coefficients are uniform in [-1, 1]; with constraints nearly uniform among those that keep them: each point ends a walk of its own
@@ -146,14 +147,14 @@ def sample(Z: AnySet, key: jax.Array, count: int) -> jax.Array:
     with most room.
 
     Args:
-        Z: a Zonotope or ConstrainedZonotope. key: a jax random key. count: how many.
+        Z: a Zonotope or ConstrainedZonotope. key: a jax.random key, or a whole number. count: how many.
 
     Returns:
         (count, n) points; NaN if the constraints cannot be kept.
 
     Source: Smith 1984 (hit and run).
     """
-    c, G, A, b = parts(Z)
+    (c, G, A, b), key = parts(Z), key_of(key)
     if not len(b):
         return c[None] + jax.random.uniform(key, (count, G.shape[1]), c.dtype, -1, 1) @ G.T
     return c[None] + _walked(A, b, key, count) @ G.T

@@ -55,9 +55,10 @@ def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
 def finite_arrays(**arrays: np.ndarray) -> tuple[jax.Array, ...]:
     """Return NumPy arrays as JAX arrays of their common float dtype; refuse NaN and infinity by name."""
     refuse_infinite(**arrays)
-    single = all(x.dtype == np.float32 for x in arrays.values())
-    dtype = jnp.result_type(*arrays.values(), np.float32 if single else float)
-    return tuple(jnp.asarray(x, dtype) for x in arrays.values())
+    native = [x if x.dtype.isnative else x.astype(x.dtype.newbyteorder("=")) for x in map(np.asarray, arrays.values())]
+    single = all(x.dtype == np.float32 for x in native)
+    dtype = jnp.result_type(*native, np.float32 if single else float)
+    return tuple(jnp.asarray(x, dtype) for x in native)
 
 
 def refuse_infinite(**arrays: ArrayLike) -> None:

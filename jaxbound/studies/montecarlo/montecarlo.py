@@ -24,6 +24,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
+from jaxbound.recordings.seeds import key_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual
@@ -105,7 +106,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
     counts = [n // len(trials) + (i < n % len(trials)) for i in range(len(trials))]
     if n < len(trials):
         raise ValueError(f"n must be at least the number of faults, {len(trials)}, not {n}")
-    key = jax.random.key(key) if isinstance(key, int | np.integer) else key
+    key = key_of(key)
     words = [np.asarray(_words(key, i)) for i in range(len(trials))]
     room = np.max([recursion.rounding_room(model, relations.horizon, scenarios.largest_input(model, t, highest, samples), samples, dtype)
                    for t in trials], 0)  # fmt: skip
