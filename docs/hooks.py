@@ -3,17 +3,25 @@
 - `<!-- README: Heading -->`: the section of README.md under that heading, without it
 - `<!-- HELP: detect -->`: what `jaxbound detect --help` prints
 - `<!-- FIGURES -->`: the figures that `python -m benchmarks` has drawn, if there are any
+- `<!-- GALLERY -->`: the notebooks, each with its question and its first picture
+
+Notebooks become pages, with what they printed and drew when they were last executed. Equations between dollars become MathML, which
+browsers draw themselves: the pages need no network.
 """
 
+import base64
 import contextlib
 import io
+import json
 import os
 import re
+from functools import cache
 from pathlib import Path
 
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 FIGURES = ROOT / "benchmarks" / "figures"
 
 
@@ -26,6 +34,11 @@ def on_files(files, config):
         ROOT / "CHANGELOG.md",
     ):
         files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
+    for path in NOTEBOOKS:
+        text, pictures = notebook(path)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=text))
+        for name, data in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=data))
     return files
 
 
@@ -33,8 +46,68 @@ def on_page_markdown(markdown, page, config, files):
     """Put sections of the README and the help of commands in their places."""
     up = "../" * page.file.src_uri.count("/")
     markdown = re.sub(r"<!-- README: (.+?) -->", lambda m: moved(section(m[1]), up), markdown)
-    markdown = markdown.replace("<!-- FIGURES -->", figures(up))
-    return re.sub(r"<!-- HELP: (\w+) -->", lambda m: f"```text\n{usage(m[1])}\n```", markdown)
+    markdown = markdown.replace("<!-- FIGURES -->", figures(up)).replace("<!-- GALLERY -->", gallery(up))
+    markdown = re.sub(r"<!-- not run: [^>]+ -->\n", "", markdown)
+    markdown = re.sub(r"\]\(((?:\.\./)*notebooks/\w+)\.ipynb\)", r"](\1.md)", markdown)
+    return equations(re.sub(r"<!-- HELP: (\w+) -->", lambda m: f"```text\n{usage(m[1])}\n```", markdown))
+
+
+def on_post_page(output, page, config):
+    """Take the script that lets search work from a folder from the pages themselves, not from elsewhere."""
+    return output.replace("https://unpkg.com/iframe-worker/shim", "../" * page.file.src_uri.count("/") + "folder_search.js")
+
+
+def on_post_template(output_content, template_name, config):
+    """Do the same for pages without a source."""
+    return output_content.replace("https://unpkg.com/iframe-worker/shim", "folder_search.js")
+
+
+@cache
+def notebook(path):
+    """Return (Markdown, {file name: PNG}) of a notebook: its texts, its code, and what that printed and drew."""
+    parts, pictures = [], {}
+    for number, cell in enumerate(json.loads(path.read_text())["cells"]):
+        text = "".join(cell["source"])
+        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        for i, output in enumerate(cell.get("outputs", ())):
+            data = output.get("data", {"text/plain": output.get("text", "")})
+            if "image/png" in data:
+                name = f"{path.stem}_{number}_{i}.png"
+                pictures[name] = base64.b64decode(data["image/png"])
+                parts.append(f"![drawn by the code above]({name})")
+            elif data["text/plain"]:
+                parts.append(f"```text\n{''.join(data['text/plain']).rstrip()}\n```")
+    return "\n\n".join([*parts, f"[This page as a notebook]({path.name}), executed by a test of the project."]) + "\n", pictures
+
+
+def gallery(up):
+    """Return a table of the notebooks: picture, and question with its first sentence."""
+    rows = ["| | |", "|---|---|"]
+    for path in NOTEBOOKS:
+        text, pictures = notebook(path)
+        heading, paragraph = text.split("\n\n")[:2]
+        picture = f"[![{path.stem}]({up}notebooks/{next(iter(pictures))}){{ width=220 }}]({up}notebooks/{path.stem}.md)" if pictures else ""
+        sentence = re.split(r"(?<=[.?!:])\s", " ".join(paragraph.split()))[0].replace("**Question.**", "").strip()
+        rows.append(
+            f"| {picture} | [**{heading.lstrip('# ')}**]({up}notebooks/{path.stem}.md)<br>{sentence if len(sentence) > 3 else ''} |"
+        )
+    return "\n".join(rows)
+
+
+def equations(markdown):
+    """Return Markdown whose equations, between dollars and outside of code, are MathML: what needs no script and no network."""
+    from latex2mathml.converter import convert
+
+    def drawn(match):
+        if match["code"]:
+            return match[0]
+        block = match["block"] is not None
+        # the package is the one that knows LaTeX; entities keep Markdown away from signs
+        mathml = convert(match["block"] if block else match["inline"], display="block" if block else "inline")
+        return f'<div class="equation">{mathml}</div>' if block else mathml
+
+    code = r"(?P<code>^```.*?^```[^\n]*$|`[^`\n]+`)"
+    return re.sub(code + r"|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^$\s](?:[^$\n]*[^$\s])?)\$", drawn, markdown, flags=re.M | re.S)
 
 
 def section(heading):

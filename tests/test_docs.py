@@ -209,3 +209,37 @@ def test_every_command_of_the_other_pages_runs_beside_the_laboratory(page, empty
 def test_every_block_of_commands_is_run_or_says_why_not():
     marked = [text for page in [ROOT / "README.md", *PAGES] for _, text, _, run in blocks(page) if not run]
     assert len(marked) <= 6 and any("make demo" in text for text in marked)
+
+
+def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_its_entry():
+    from jaxbound.cli.main import commands
+    from jaxbound.models import modelfile
+
+    page = (ROOT / "docs" / "commands.md").read_text()
+    assert re.findall("<!-- HELP: (\\w+) -->", page) == re.findall("^## (\\w+)$", page, re.M) and set(commands()) == set(
+        re.findall("^## (\\w+)$", page, re.M)
+    )
+    known = [modelfile.TOP, modelfile.STATE, modelfile.INPUT, modelfile.OUTPUT, modelfile.DISTURBANCE, modelfile.UNCERTAINTY,
+             modelfile.MATRICES, modelfile.PROVENANCE]  # fmt: skip
+    sections = re.split("^## .+$", (ROOT / "docs" / "modelfile.md").read_text(), flags=re.M)[1:]
+    for keys, section in zip(known, sections, strict=True):
+        assert sorted(re.findall("^\\| `(\\w+)` \\| \\S", section, re.M)) == sorted(keys)
+
+
+LINK = re.compile(r"\[[^\]\n]*\]\(([^)\s#]+)(#[^)\s]*)?\)")
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES], ids=lambda p: p.name)
+def test_links_lead_to_files(page):
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+    for target, _ in LINK.findall(re.sub(r"`[^`\n]+`", "", text)):
+        if not target.startswith(("http://", "https://")):
+            places = [page.parent / target, *([ROOT / target] if page.parent.name == "docs" else [])]
+            assert any(place.exists() for place in places), f"{page.name}: {target}"
+
+
+def test_equations_become_mathml_outside_of_code():
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("latex2mathml")
+    drawn = script("hooks").equations("$x_1$ and `$y$` cost 5 $ and 6 $\n```sh\necho $a $b\n```\n$$x = 1$$")
+    assert drawn.count("<math") == 2 and "`$y$`" in drawn and "echo $a $b" in drawn and "5 $ and 6 $" in drawn
