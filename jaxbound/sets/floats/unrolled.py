@@ -49,8 +49,12 @@ def largest(rows: Sequence[jax.Array] | jax.Array, one: jax.Array) -> tuple[jax.
     return top, (first / one).astype(jnp.int32)
 
 
-def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int] | None = None) -> jax.Array:
-    """Return the sum of term(*row) over the rows of arrays, added up in order. axes: along which each has its rows; the first."""
+def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int] | None = None, few: int = FEW) -> jax.Array:
+    """Return the sum of term(*row) over the rows of arrays, added up in order.
+
+    Args:
+        axes: along which each has its rows; the first. few: up to how many rows the sum is written out.
+    """
     places = (0,) * len(rows) if axes is None else axes
     count = rows[0].shape[places[0]]
 
@@ -58,7 +62,7 @@ def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int]
         take = lambda x, axis: jax.lax.dynamic_index_in_dim(x, i, axis, keepdims=False, allow_negative_indices=False)
         return term(*map(take, rows, places))
 
-    whole = count // TOGETHER if count > FEW else 0
+    whole = count // TOGETHER if count > few else 0
     so_far = at(0)
     if whole:
         add = lambda some, so_far: total([so_far, *(at(some * TOGETHER + i) for i in range(TOGETHER))])

@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.unrolled import summed
 
 __all__ = ["gauge_search"]
 
@@ -56,7 +57,7 @@ def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) ->
     def step(carry):
         T, signs, weight, _, ids, done, count = carry
         # how fast sum_j |h g_j| over the generators outside the basis changes along each edge
-        slope = jax.lax.fori_loop(0, q, lambda j, x: x + signs[j][None] * T[1:, j], jnp.zeros_like(weight))
+        slope = summed(lambda sign, column: sign[None] * column[1:], signs, T[:, :q], axes=(0, 1))
         steep = jnp.abs(slope)
         first = jnp.where(steep > q * noise, steep * 2.0**20, 0)  # unit vectors leave first
         worth = jnp.where(weight > 0, steep - (1 + close), first) / many
@@ -67,7 +68,7 @@ def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) ->
         crosses = (signs * edge * turn[None] > 0) & (size > noise)
         reach = jnp.where(crosses, jnp.abs(T[0, :q]) / jnp.where(size > 0, size, 1), jnp.inf) / many
         share = jnp.where(crosses, size, 0) / many
-        passed = jax.lax.fori_loop(0, q, lambda j, x: x + jnp.where(reach[j][None] <= reach, share[j][None], 0), jnp.zeros_like(reach))
+        passed = summed(lambda far, size: jnp.where(far[None] <= reach, size[None], 0), reach, share)
         worth = jnp.where(passed >= need[None], -reach, -jnp.inf) / many
         j, gain = jnp.argmax(worth, 0).astype(jnp.int32), jnp.max(worth, 0)
         moves = (~done & (best > 0) & (gain > -jnp.inf))[None]
@@ -86,7 +87,7 @@ def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) ->
     going = lambda carry: (carry[-1] < steps) & ~jnp.all(carry[-2])
     T, signs, weight, slope, ids, done, _ = jax.lax.while_loop(going, step, start) if r > 1 else start
     h = jnp.where(flat[None], 0, T[0, q:])
-    width = jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
+    width = summed(jnp.abs, summed(lambda x, row: x[None] * row, h, G) / many)
     t = jnp.where(width > 0, 1 / jnp.where(width > 0, width, 1), 0)[None]
     z = -t * signs
     for k in range(r - 1):  # slopes are those of where the last step began: what is done did not move in it

@@ -23,6 +23,7 @@ Everything is written for a block of N windows, the last axis, and elementwise o
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, TypeAlias, cast
 
 import jax
@@ -47,6 +48,9 @@ __all__ = [
 
 
 Numbers: TypeAlias = jax.Array | np.ndarray
+
+WRITTEN_OUT = 24
+"""Inner rows up to which the sums of an exchange are written out: a loop is slower by a sixth, and takes as long to compile."""
 
 
 @jax.tree_util.register_dataclass
@@ -245,13 +249,15 @@ def exchange_search(
     slots = jnp.arange(k, dtype=jnp.int32)[:, None]
     close = 10 * rounding.unit(dtype) ** 0.75  # 1e-11 in float64
     alike = 64 * rounding.unit(dtype)
-    through = lambda P, x: summed(lambda column, a: column * a[None], P, x, axes=(1, 0))
+    added = partial(summed, few=WRITTEN_OUT)
+    dot = lambda x, y: added(lambda a, b: a * b, x, y)
+    through = lambda P, x: added(lambda column, a: column * a[None], P, x, axes=(1, 0))
 
     def reference(basis, T, leader):
         """Return the error of e, the factor t, the multipliers on S, the signs there, the values where all errors are t times radii."""
         signs, S_value, S_radius, _ = basis
         _, value_e, radius_e, _ = leader
-        beyond, reach = summed(lambda a, row: a * row, jnp.stack([T, jnp.abs(T)], 1), basis[1:3], axes=(0, 1)) / one[None]
+        beyond, reach = dot(T, S_value) / one, added(lambda a, row: jnp.abs(a) * row, T, S_radius) / one
         own, t = value_e - beyond, jnp.abs(value_e - beyond) / (radius_e + reach)
         shares = jnp.abs(T) * S_radius / radius_e[None]
         signs = jnp.where(shares > close, -jnp.sign(own)[None] * jnp.sign(T), signs)  # a row whose multiplier is 0 keeps its sign
@@ -263,26 +269,26 @@ def exchange_search(
         S_radius, (_, value_e, radius_e, e) = basis[2], leader
         own, t, shares, signs, on_S = reference(basis, T, leader)
         d = through(P, on_S) / ones
-        error = jnp.concatenate([z - _product(R, d), d])
+        error = jnp.concatenate([z - added(lambda column, row: column[:, None] * row[None], R, d, axes=(1, 0)), d])
         worst, w = foremost(jnp.abs(error) * weight / one[None])
         done = done | (worst <= t + close * (1 + t))
         enters = jnp.take(rows, w, 0, mode="clip").T / ones
-        T_w = summed(lambda a, row: a[None] * row, enters, P) / ones
-        value_w, radius_w = _pick(table, w) / one[None]
-        sign_w = jnp.sign(value_w - _dot(enters, d)) / one
+        T_w = added(lambda a, row: a[None] * row, enters, P) / ones
+        value_w, radius_w = (_pick(x, w) / one for x in table)
+        sign_w = jnp.sign(value_w - dot(enters, d)) / one
         change = sign_w[None] * T_w * signs * S_radius / radius_w[None]
         worth = finer * close**0.5 * highest(jnp.abs(change)) / one  # a smaller pivot would ruin P; such a row may as well change its sign
         rate = jnp.where(change > worth[None], change, 0) / ones
         step = shares / jnp.where(rate > 0, rate, 1) / ones  # of the multiplier of w, up to where that of a row of S is 0
-        after = 1 + step + summed(lambda share, way: jnp.abs(share[None] - step * way[None]), shares, change)
-        held, changed, moved = summed(lambda x: x, jnp.stack([shares, change, jnp.abs(change)], 1)) / one[None]
+        after = 1 + step + added(lambda share, way: jnp.abs(share[None] - step * way[None]), shares, change)
+        held, changed, moved = (added(size, x) / one for size, x in ((jnp.asarray, shares), (jnp.asarray, change), (jnp.abs, change)))
         slope = (worst - t * changed) / one
         gained = (t * (1 + held))[None] + step * slope[None]
         factor = jnp.where(rate > 0, gained / after, -1) / ones  # t once that row has left: rises up to its maximum, then falls
         best = highest(factor) / one
         _, q = foremost(jnp.where(factor >= (best * (1 - alike))[None], jnp.abs(T_w), -1) / ones)
         swap = (best >= slope / (1 + moved)) & ~done  # else e itself leaves
-        T_q, T_wq = _pick(jnp.stack([T, T_w]), q) / one[None]
+        T_q, T_wq = (_pick(x, q) / one for x in (T, T_w))
         by_w = jnp.abs(T_wq) * radius_e >= jnp.abs(T_q) * radius_w  # w and e stay, q leaves; the one with the larger pivot joins S
         joins, stays = jnp.where(by_w[None], T_w, T), jnp.where(by_w[None], T, T_w)
         pivot, rest = jnp.where(by_w, T_wq, T_q), jnp.where(by_w, T_q, T_wq)

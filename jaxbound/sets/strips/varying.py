@@ -34,7 +34,7 @@ from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import most, total
+from jaxbound.sets.floats.unrolled import most, summed, total
 from jaxbound.sets.strips.gauge import gauge_search
 
 __all__ = ["affine_error", "holds", "refutes", "right_inverse", "row_sizes", "scaled", "strip_count", "strip_margins", "zonotope_margins"]
@@ -140,8 +140,9 @@ def _completed_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array
 
 def _scales(c, G, error):
     """Return (s of each generator, s of each unit vector, product of s -> slack of a strip)."""
-    E, M = _with_rounding(c, G, error)
     r, q = G.shape[:2]
+    sizes = (total(jnp.abs(G[i, j]) for j in range(q)) for i in range(r))
+    E, M = zip(*(_with_rounding(c[i], size, error[i], r, q) for i, size in enumerate(sizes)), strict=True)
     share = most([jnp.where(m > 0, e / jnp.where(m > 0, m, 1), 0) for e, m in zip(E, M, strict=True)])
     share = jnp.where(share > 0, share, 1)
     size = [jnp.maximum(e / share, rounding.tiny(c.dtype) ** 0.4) for e in E]  # any will do: two reciprocals should not overflow
@@ -169,8 +170,8 @@ def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.A
 
     Args: as for `strip_margins`.
     """
-    E, _ = _with_rounding(c, G, error)
     r, q = G.shape[:2]
+    E, _ = _with_rounding(c, summed(jnp.abs, G, axes=(1,)), error, r, q)
     floor = _floor(c.dtype, r, q) * (1 + jnp.max(jnp.abs(h), 0)) * (1 + jnp.max(jnp.abs(c), 0) + jnp.max(jnp.abs(G), (0, 1)))
     residual = jnp.abs(jnp.sum(h * c, 0))
     width = jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
@@ -178,11 +179,10 @@ def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.A
     return _signed(short / (width + floor), short - width)
 
 
-def _with_rounding(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (E, M), each (r, N): E with the rounding of a strip test, M the size of a row."""
-    r, q = G.shape[:2]
+def _with_rounding(c: jax.Array, size: jax.Array, error: jax.Array, r: int, q: int) -> tuple[jax.Array, jax.Array]:
+    """Return (E, M): E with the rounding of a strip test, M the size |c_i| + sum_j |g_ij|; of one row, or of all."""
     gamma, floor = rounding.product_error(q + 2 * r + 8, c.dtype)
-    M = jnp.abs(c) + jnp.sum(jnp.abs(G), 1)
+    M = jnp.abs(c) + size
     return (1 + 2 * gamma) * error + gamma * M + floor, M
 
 
