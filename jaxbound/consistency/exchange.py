@@ -6,7 +6,6 @@ that lack a sample on which the search is built get an exact frame without it, s
 
 import dataclasses
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import jax
@@ -38,22 +37,20 @@ class ExchangeTest(WindowTest):
     Both verdicts are proofs. Windows that a first, short search leaves open are searched on; those that lack a sample on which the search
     is built get an exact frame without it, shared by all windows that it fits.
 
-    Fields: shape: the Frame in floats; steps, finer: of `separation.separation_search`.
+    Args:
+        reading: how kernels read a window, with the frame of this search; None: that of the relations. steps, finer: of
+            `separation.separation_search`.
     """
 
     threads = True
     short = 16  # the work grows with the block
 
-    def __init__(self, relations: Any, dtype: Any, shape: Any = None, steps: int | None = None, finer: float = 1.0) -> None:
+    def __init__(self, relations: Any, dtype: Any, reading: Any = None, steps: int | None = None, finer: float = 1.0) -> None:
         super().__init__(relations, "joint", dtype)
-        self.shape, self.finer = shape, finer
+        self.finer = finer
+        if reading is not None:
+            self.reading = reading
         self.steps = 2 * len(relations.frame.inner) + 6 if steps is None else steps
-
-    @cached_property
-    def reading(self) -> Any:
-        """How kernels read a window, with the frame of this search."""
-        reading = self.relations.reading(self.dtype)
-        return reading if self.shape is None else dataclasses.replace(reading, shape=self.shape)
 
     @property
     def constants(self) -> Any:
@@ -91,10 +88,13 @@ class ExchangeTest(WindowTest):
         k = len(self.relations.frame.inner)
         for frame, chosen in self._frames(u, y, left):
             starts = left[chosen]
-            shape = rounded_frame(self.relations, frame, self.dtype)
+            own = frame is self.relations.frame
+            reading = self.reading if own else dataclasses.replace(self.reading, shape=rounded_frame(self.relations, frame, self.dtype))
             for finer in FINER:
-                starts = again(ExchangeTest(self.relations, self.dtype, shape, PATIENCE * (k + 10), finer), starts)
+                starts = again(ExchangeTest(self.relations, self.dtype, reading, PATIENCE * (k + 10), finer), starts)
                 starts = starts[margin[starts + s] == 0]  # what is proved needs no other search
+                if not len(starts):
+                    break
 
     def judged(self, outs: list) -> Judged:
         """Return the verdicts that the margins say."""

@@ -6,7 +6,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-__all__ = ["foremost", "highest", "largest", "most", "stored", "summed", "total"]
+__all__ = ["FEW", "foremost", "highest", "largest", "most", "stored", "summed", "total"]
 
 FEW = 8
 """Rows up to which a sum is written out; more are added in a loop, four at a time: it compiles to no more with their number."""
@@ -59,6 +59,8 @@ def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int]
     count = rows[0].shape[places[0]]
 
     def at(i):
+        if isinstance(i, int):
+            return term(*(jax.lax.index_in_dim(x, i, axis, keepdims=False) for x, axis in zip(rows, places, strict=True)))
         take = lambda x, axis: jax.lax.dynamic_index_in_dim(x, i, axis, keepdims=False, allow_negative_indices=False)
         return term(*map(take, rows, places))
 

@@ -33,7 +33,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import foremost, highest, summed
+from jaxbound.sets.floats.unrolled import FEW, foremost, highest, summed
 
 __all__ = [
     "Frame",
@@ -50,7 +50,8 @@ __all__ = [
 Numbers: TypeAlias = jax.Array | np.ndarray
 
 WRITTEN_OUT = 24
-"""Inner rows up to which the sums of an exchange are written out: a loop is slower by a sixth, and takes as long to compile."""
+"""Rows up to which what every exchange adds up, and what blocks of few windows do, is written out: loops take a sixth longer there, and
+as long to compile."""
 
 
 @jax.tree_util.register_dataclass
@@ -133,8 +134,9 @@ def separation_image(
     (mid, rad, scale), present, complete = _ordered(frame, jnp.stack([mid, rad, scale]), jnp.isnan(scale), missing)
     inner = jnp.concatenate([jnp.stack([mid[c:], scale[c:]]), jnp.where(missing[None], 0, jnp.stack([known, known_scale]))], 1)
     matrix = _matrix(frame)
+    inner = inner / one[None, None]
     both = summed(
-        lambda columns, rows: columns[..., None] * rows[:, None], jnp.stack([matrix, jnp.abs(matrix)]), inner / one[None, None], axes=(2, 1)
+        lambda columns, rows: columns[..., None] * rows[:, None], jnp.stack([matrix, jnp.abs(matrix)]), inner, axes=(2, 1), few=WRITTEN_OUT
     )
     both = both / one[None, None]
     z = jnp.where(present[:c], mid[:c] - both[0], 0) / one[None]
@@ -211,7 +213,7 @@ def _width(R: Numbers, h: jax.Array, radius: jax.Array) -> jax.Array:
 
 
 def _total(rows: jax.Array) -> jax.Array:
-    return summed(lambda x: x, rows)
+    return summed(lambda x: x, rows, few=2 * WRITTEN_OUT)
 
 
 def _dot(x: jax.Array, y: jax.Array) -> jax.Array:
@@ -269,7 +271,7 @@ def exchange_search(
         S_radius, (_, value_e, radius_e, e) = basis[2], leader
         own, t, shares, signs, on_S = reference(basis, T, leader)
         d = through(P, on_S) / ones
-        error = jnp.concatenate([z - added(lambda column, row: column[:, None] * row[None], R, d, axes=(1, 0)), d])
+        error = jnp.concatenate([z - _product(R, d, WRITTEN_OUT), d])
         worst, w = foremost(jnp.abs(error) * weight / one[None])
         done = done | (worst <= t + close * (1 + t))
         enters = jnp.take(rows, w, 0, mode="clip").T / ones
@@ -324,9 +326,10 @@ def exchange_search(
     return jnp.where(jnp.abs(h) > rounding.unit(dtype) ** 2, h, 0), d, done
 
 
-def _product(R: Numbers, x: Numbers) -> jax.Array:
-    """Return R x of a matrix (c, k) and rows (k, N), k > 0."""
-    return summed(lambda column, row: column[:, None] * row[None], cast(jax.Array, R), cast(jax.Array, x), axes=(1, 0))
+def _product(R: Numbers, x: Numbers, few: int = FEW) -> jax.Array:
+    """Return R x of a matrix (c, k) and rows (k, N), k > 0; few: as of `summed`."""
+    term = lambda column, row: column[:, None] * row[None]
+    return summed(term, cast(jax.Array, R), cast(jax.Array, x), axes=(1, 0), few=few)
 
 
 def _pick(rows: jax.Array, number: jax.Array) -> jax.Array:
