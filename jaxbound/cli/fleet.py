@@ -4,12 +4,14 @@ import argparse
 import csv
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.consistency.interface import METHODS
 from jaxbound.recordings.plaintext import cell, percent
+from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
 from jaxbound.runs.outputs import output_folder
@@ -18,7 +20,9 @@ from jaxbound.runs.summary import LAYOUT
 
 __all__ = ["run", "write_fleet"]
 
+UNITS = "units"  # the folder of their pages
 COLOUR = {"fault": "bold red", "not tested": "bold magenta", "too little evidence": "bold yellow", "no fault": "bold green"}
+PAGES = 100  # faulty units that get a page of their own
 SHOWN = 10  # units in the table on the terminal
 FIELDS = ("unit", "verdict", "margin", "factor", "FAULT", "CONSISTENT", "UNDECIDED", "MISSING", "decided", "alarms", "first_alarm", "worst",
           "sentence", "hints", "model", "recording", "ended")  # fmt: skip
@@ -56,11 +60,12 @@ def run(args: argparse.Namespace) -> int:
     results = []
     stopped: Interrupted | None = None
     inputs = [args.manifest, *(path for unit in units for path in (unit.model, unit.recording))]
-    with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html"), inputs) as folder, folder.work() as work:
+    with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html", UNITS), inputs) as folder, folder.work() as work:
+        folder.remove(UNITS)  # pages of an earlier run
         try:
             with progress_bars(("units",)) as step:
                 testing = detect_fleet(units, args.method, args.horizon, args.alarm, args.min_coverage, lambda share: step("units", share),
-                                       args.lags)  # fmt: skip
+                                       args.lags, _pages(work))  # fmt: skip
                 for result in testing:
                     results.append(result)
         except KeyboardInterrupt:
@@ -73,6 +78,21 @@ def run(args: argparse.Namespace) -> int:
     if stopped is not None:
         raise stopped
     return _conclude(args, results)
+
+
+def _pages(work):
+    """Return a function that writes the page of a unit with a fault and returns its name; of as many units as have room."""
+    written: list[str] = []
+
+    def page(unit, res, recording, alarms, summary):
+        if summary.verdict != "fault" or len(written) == PAGES:
+            return ""
+        (work / UNITS).mkdir(exist_ok=True)
+        name = f"{len(written) + 1}-{re.sub(r'[^A-Za-z0-9._-]+', '_', unit.name)[:60]}.html"
+        written.extend(write_report(work / UNITS, res, recording, alarms, summary, file=name))
+        return f"{UNITS}/{name}"
+
+    return page
 
 
 def _conclude(args, results):

@@ -34,6 +34,7 @@ def write_report(
     seconds: dict[str, float] | None = None,
     extra: Sequence[tuple] = (),
     progress: Callable[[float], object] | None = None,
+    file: str = "report.html",
 ) -> list[str]:
     """Write report.html: one file that asks nobody, with its charts, and a script of its own that moves one of them.
 
@@ -43,7 +44,7 @@ def write_report(
         summary: from `summarised`. seconds: {stage: seconds}.
         extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections
             of one's own.
-        progress: called with the share of the work done.
+        progress: called with the share of the work done. file: what to call it.
 
     Returns:
         The names of the files written.
@@ -78,10 +79,10 @@ def write_report(
         **_relations(relations),
         computed=computed(res.method, relations.horizon, dtype, seconds or {}),
     )
-    (Path(directory) / "report.html").write_text(page, encoding="utf-8")
+    (Path(directory) / file).write_text(page, encoding="utf-8")
     if progress:
         progress(1.0)
-    return ["report.html"]
+    return [file]
 
 
 def _depth(alarm):

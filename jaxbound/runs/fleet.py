@@ -43,11 +43,13 @@ class Unit(NamedTuple):
 class UnitResult(NamedTuple):
     """What was found about a unit.
 
-    Fields: unit; summary: its Summary, of one that could not be tested with the verdict "not tested" and why in its sentence.
+    Fields: unit; summary: its Summary, of one that could not be tested with the verdict "not tested" and why in its sentence; report: the
+    file of its own page, beside the page of the fleet, "" where it has none.
     """
 
     unit: Unit
     summary: Summary
+    report: str = ""
 
     @property
     def verdict(self) -> str:
@@ -178,6 +180,7 @@ def detect_fleet(
     min_coverage: float = 0.5,
     progress: Callable | None = None,
     lags: Sequence[int] | None = None,
+    page: Callable[..., str] | None = None,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
@@ -186,6 +189,7 @@ def detect_fleet(
         alarm: (k, n), an alarm needs k FAULT among n windows.
         min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
         progress: called with the share of the units done.
+        page: called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`.
 
     Yields:
         UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
@@ -209,7 +213,8 @@ def detect_fleet(
             for i, unit in enumerate(units):
                 while len(waiting) < AHEAD and i + len(waiting) < len(units):
                     waiting.append(beside.submit(prepare, units[i + len(waiting)]))
-                yield _tested(unit, waiting.popleft(), method, alarm, min_coverage)
+                found, about = _tested(unit, waiting.popleft(), method, alarm, min_coverage)
+                yield found._replace(report=page(unit, *about, found.summary)) if page and about else found
                 report((i + 1) / len(units))
         finally:
             for job in waiting:
@@ -217,6 +222,7 @@ def detect_fleet(
 
 
 def _tested(unit, job, method, alarm, min_coverage):
+    """Return (UnitResult, (Result, Recording, alarms) or None)."""
     try:
         model, relations, recording = job.result()
         s = relations.horizon
@@ -224,13 +230,13 @@ def _tested(unit, job, method, alarm, min_coverage):
         res = detect(relations, recording, method=method)
         alarms = res.alarms(*alarm)
         hints = (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms))
-        return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints))
+        return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints)), (res, recording, alarms)
     except (OSError, ValueError, NotImplementedError, TypeError) as e:
         if isinstance(e, OSError) and e.filename and e.strerror:
-            return UnitResult.untested(unit, f"{e.filename}: {e.strerror.lower()}")
-        return UnitResult.untested(unit, str(e))
+            return UnitResult.untested(unit, f"{e.filename}: {e.strerror.lower()}"), None
+        return UnitResult.untested(unit, str(e)), None
     except Exception as e:  # one unit's trouble must not cost the others their answer
-        return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}")
+        return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}"), None
 
 
 def worst_first(results: Iterable[UnitResult]) -> list[UnitResult]:

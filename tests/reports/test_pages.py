@@ -97,7 +97,7 @@ PAGES = {
     study: (*OF_MODEL, "setting"),
     fleet: ("unit", "sentence", "first", "hint", "ended", "other", "why", "all", "title"),
 }
-SCRIPTS = dict.fromkeys(PAGES, 0) | {detection: 2, uncertain: 2}
+SCRIPTS = dict.fromkeys(PAGES, 0) | {detection: 2, uncertain: 2, fleet: 1}
 every_page = pytest.mark.parametrize("make", PAGES, ids=lambda make: make.__name__)
 
 
@@ -131,6 +131,15 @@ def test_what_a_user_wrote_is_escaped_exactly_once(make, tmp_path):
 
 def test_the_command_of_a_fleet_is_quoted_for_the_shell_and_escaped(tmp_path):
     assert shlex.join(["jaxbound", "detect", evil("file"), evil("recording")]) in Reader(fleet(tmp_path)).shown
+
+
+def test_a_fleet_leads_to_the_reports_of_its_units_and_tells_what_it_is_sorted_by(tmp_path):
+    unit = Unit(evil("unit"), Path("m"), Path("r"))
+    page = fleet_page([UnitResult(unit, Summary("fault", "s"), "units/1-x.html"), UnitResult.untested(unit, "why")], ("fault", 1, "s"), "t")
+    assert page.count('<a href="units/1-x.html">') == 1 and "leads to its own report" in page
+    rows = re.findall(r"<tr data-verdict=.*?</tr>", page, re.S)
+    assert len(rows) == 2 and all(row.count("data-key=") == 4 and '<th scope="row"' in row for row in rows)
+    assert 'id="filter" hidden' in page and "<option>fault</option>" in page
 
 
 @every_page

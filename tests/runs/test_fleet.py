@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -92,6 +93,10 @@ class TestCommand:
         assert out.startswith("9 units listed: 2 with a proved fault, 1 with no fault found, 1 with too little evidence, "
                               "5 could not be tested; the worst is large.")  # fmt: skip
         page = (plant / "out" / "fleet.html").read_text()
+        links = re.findall('href="(units/[^"]*)"', page)
+        assert len(links) == page.count('data-verdict="fault"') > 0 and all(
+            "Fault proved" in (plant / "out" / link).read_text() for link in links
+        )
         assert page.index(">large<") < page.index(">small<") < page.index(">no-data<") < page.index(">good<")
 
     @pytest.mark.parametrize("units, code", [
