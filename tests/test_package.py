@@ -1,0 +1,48 @@
+"""What is handed on: the archive of the sources holds what its tests need, the README works on an index page, versions agree."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import jaxbound as jb
+
+ROOT = Path(__file__).parents[1]
+
+
+def description(*args):
+    spec = importlib.util.spec_from_file_location("package_setup", ROOT / "setup.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.description(*args)
+
+
+def test_every_folder_and_file_of_the_sources_is_in_the_archive():
+    stated = (ROOT / "MANIFEST.in").read_text()
+    taken = set(re.findall(r"^graft (\S+)", stated, re.M)) | {
+        name for line in re.findall(r"^include (.+)", stated, re.M) for name in line.split()
+    }
+    kept = {"jaxbound", "pyproject.toml", "setup.py", "MANIFEST.in"}  # by setuptools itself
+    made = {line.strip("/") for line in (ROOT / ".gitignore").read_text().split()} | {".git", "PKG-INFO", "setup.cfg", "shared"}
+    there = {p.name for p in ROOT.iterdir() if not p.name.endswith((".egg-info", "_cache", ".pyc"))}
+    assert there - kept - made <= taken and taken <= there
+
+
+def test_the_readme_has_no_link_that_leads_nowhere_on_an_index_page():
+    text = "![p](a/b.png)\n[docs](docs/x.md) [web](https://a.b/c) `jb.x`"
+    assert description(text, None) == "\ndocs [web](https://a.b/c) `jb.x`"
+    assert description(text, "https://host/r") == (
+        "![p](https://host/r/raw/main/a/b.png)\n[docs](https://host/r/blob/main/docs/x.md) [web](https://a.b/c) `jb.x`")  # fmt: skip
+    assert not re.findall(r"\]\((?!https?:|#)", description((ROOT / "README.md").read_text(), None))
+
+
+def test_versions_and_licence_are_stated_alike():
+    cited = dict(re.findall(r"^(\w+): (.+)$", (ROOT / "CITATION.cff").read_text(), re.M))
+    project = (ROOT / "pyproject.toml").read_text()
+    assert cited["version"] == jb.__version__ and f'license = "{cited["license"]}"' in project
+
+
+def test_continuous_integration_calls_what_is_there():
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.M)
+    assert {"lowest", "newest"} <= set(targets) and set(re.findall(r"which: (\w+)", text)) == {"lowest", "newest"}
+    assert all((ROOT / script).is_file() for script in re.findall(r"run: (\.ci/\w+)", text))
