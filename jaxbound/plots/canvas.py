@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
-__all__ = ["bins", "canvas", "finish", "shade", "stacked", "style", "thinning", "time_axis", "time_of", "to_png"]
+__all__ = ["bins", "canvas", "finish", "label_time", "shade", "stacked", "style", "thinning", "time_axis", "time_of", "to_png"]
 
 COLOURS = {Status.MISSING: "#c9ccd1", Status.CONSISTENT: "#6fcfb0", Status.UNDECIDED: "#e69f00", Status.FAULT: "#b33c00"}
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
@@ -128,16 +128,21 @@ def shade(ax: "Axes", x: np.ndarray, on: np.ndarray) -> None:
 
 def finish(fig: "Figure", axes: "Sequence[Axes]", x: np.ndarray, label: str, dates: bool, top: float = 0.62, gap: float = 0.09) -> None:
     """Label the time axis of the lowest axes and place all of them: margins in inches, gap relative to an axes' height."""
-    axes[-1].set_xlabel(label)
     for ax in axes[:-1]:
         ax.tick_params(labelbottom=False)
+    label_time(axes[-1], x, label, dates)
+    height = fig.get_figheight()
+    fig.subplots_adjust(left=0.075, right=0.925, bottom=BOTTOM / height, top=1 - top / height, hspace=gap)
+
+
+def label_time(ax: "Axes", x: np.ndarray, label: str, dates: bool) -> None:
+    """Label the time axis of an Axes."""
+    ax.set_xlabel(label)
     if len(x) > 1:
-        axes[-1].set_xlim(x[0], x[-1])
+        ax.set_xlim(x[0], x[-1])
     if dates:
         from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
         locator = AutoDateLocator()
-        axes[-1].xaxis.set_major_locator(locator)
-        axes[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    height = fig.get_figheight()
-    fig.subplots_adjust(left=0.075, right=0.925, bottom=BOTTOM / height, top=1 - top / height, hspace=gap)
+        ax.xaxis.set_major_locator(locator)
+        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))

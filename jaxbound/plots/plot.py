@@ -4,13 +4,14 @@ from functools import singledispatch
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["plot"]
 
 
 @singledispatch
-def plot(thing: object, time: object = None, alarms: object = None) -> "Figure":
+def plot(thing: object, time: object = None, alarms: object = None, ax: object = None) -> "Figure | Axes":
     """Draw a result, a table of faults, or sets in the plane.
 
     Args:
@@ -24,9 +25,11 @@ def plot(thing: object, time: object = None, alarms: object = None) -> "Figure":
             times dt.
         alarms: a list of Alarm for a Result; None: its own.
         y: (T, p), of a Validation: what the sensors showed, if it is to be drawn too.
+        ax: matplotlib Axes of one's own to draw into: of what is one chart (sets, Signatures, Isolability), and of a Result or Digest
+            the margin with its alarms. What has several charts makes a figure of its own and takes none.
 
     Returns:
-        A matplotlib Figure.
+        A matplotlib Figure, which is not pyplot's: fig.savefig("margin.png"), or the last line of a notebook's cell. With ax, that Axes.
 
     Raises:
         ValueError: a batch of recordings, or a time axis of another length. TypeError: what cannot be drawn, and options that a thing

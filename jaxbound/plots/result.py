@@ -12,17 +12,19 @@ from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["plot_result"]
 
 
 @plot.register(Result)
-def plot_result(res: Result, time: np.ndarray | None = None, alarms: Sequence[Alarm] | None = None) -> "Figure":
+def plot_result(res: Result, time: np.ndarray | None = None, alarms: Sequence[Alarm] | None = None,
+                ax: "Axes | None" = None) -> "Figure | Axes":  # fmt: skip
     """Draw a Result of one recording: `plot` says what, and takes the same arguments."""
     x = time_of(res, time)
     alarms = res.alarms() if alarms is None else alarms
     line = Timeline(len(x))
     line.add(0, x, res.status, res.margin)
     line.mark([a.worst for a in alarms])
-    return plot_timeline(line, res.relations.model.name, res.method, len(alarms))
+    return plot_timeline(line, res.relations.model.name, res.method, len(alarms), ax)

@@ -15,6 +15,7 @@ from jaxbound.sets.zonotopes.shapes import vertices
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["plot_set", "plot_sets"]
@@ -24,13 +25,13 @@ SIDES = 360  # of the polygon drawn around a constrained zonotope
 
 
 @plot.register(Zonotope | ConstrainedZonotope)
-def plot_set(S: Zonotope | ConstrainedZonotope) -> "Figure":
+def plot_set(S: Zonotope | ConstrainedZonotope, ax: "Axes | None" = None) -> "Figure | Axes":
     """Draw the outline of one set in the plane."""
-    return plot_sets([S])
+    return plot_sets([S], ax)
 
 
 @plot.register(list | tuple)
-def plot_sets(sets: Sequence[Zonotope | ConstrainedZonotope]) -> "Figure":
+def plot_sets(sets: Sequence[Zonotope | ConstrainedZonotope], ax: "Axes | None" = None) -> "Figure | Axes":
     """Draw the outlines of sets in the plane.
 
     Raises:
@@ -40,18 +41,24 @@ def plot_sets(sets: Sequence[Zonotope | ConstrainedZonotope]) -> "Figure":
         if not isinstance(S, Zonotope | ConstrainedZonotope) or np.shape(S.center) != (2,):
             raise ValueError(f"sets of two coordinates can be drawn, not {type(S).__name__} {np.shape(getattr(S, 'center', ()))}: "
                              "choose two with linear_map")  # fmt: skip
+    if ax is not None:
+        _draw(ax, sets)
+        return ax
     with style():
         fig = canvas((5.2, 4.6))
-        ax = fig.subplots()
-        for number, S in enumerate(sets):
-            outline, colour = _outline(S), SERIES[number % len(SERIES)]
-            ax.fill(*outline.T, facecolor=colour, alpha=0.18)
-            ax.plot(*np.concatenate([outline, outline[:1]]).T, color=colour, lw=1.6)
-        ax.set_xlabel("first coordinate")
-        ax.set_ylabel("second coordinate")
-        ax.set_aspect("equal", "datalim")
+        _draw(fig.subplots(), sets)
         fig.subplots_adjust(left=0.14, right=0.97, top=0.97, bottom=0.13)
     return fig
+
+
+def _draw(ax: "Axes", sets: Sequence[Zonotope | ConstrainedZonotope]) -> None:
+    for number, S in enumerate(sets):
+        outline, colour = _outline(S), SERIES[number % len(SERIES)]
+        ax.fill(*outline.T, facecolor=colour, alpha=0.18)
+        ax.plot(*np.concatenate([outline, outline[:1]]).T, color=colour, lw=1.6)
+    ax.set_xlabel("first coordinate")
+    ax.set_ylabel("second coordinate")
+    ax.set_aspect("equal", "datalim")
 
 
 def _outline(S: Zonotope | ConstrainedZonotope) -> np.ndarray:

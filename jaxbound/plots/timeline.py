@@ -14,6 +14,7 @@ from jaxbound.plots.canvas import (
     SAMPLES,
     bins,
     finish,
+    label_time,
     shade,
     stacked,
     style,
@@ -63,25 +64,34 @@ class Timeline:
         self.marked[np.searchsorted(self.bins, np.asarray(samples, np.int64), "right") - 1] = True
 
 
-def plot_timeline(line: Timeline, name: str, method: str, alarms: int) -> "Figure":
-    """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are."""
+def plot_timeline(line: Timeline, name: str, method: str, alarms: int, ax: "Axes | None" = None) -> "Figure | Axes":
+    """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are; into `ax` the margin alone."""
     assert line.x is not None, "a Timeline is drawn when all its samples were added"
     at, label, dates = time_axis(line.x)
+    if ax is not None:
+        _chart(ax, line, at, name, method, alarms)
+        label_time(ax, at, label, dates)
+        return ax
     with style():
-        fig, (ax, ribbon) = stacked(2, (11, 4.3), [12, 1])
-        shade(ax, at, line.status == Status.FAULT)
-        if np.isnan(line.low).all():
-            ax.text(0.5, 0.5, _no_margin(method), ha="center", va="center", transform=ax.transAxes, color="#57606a")
-            ax.set_yticks([])
-        else:
-            _margin(ax, at, line.low, line.high, line.samples > SAMPLES)
-        if alarms:
-            _mark_alarms(ax, at[line.marked], alarms)
+        fig, (margin, ribbon) = stacked(2, (11, 4.3), [12, 1])
+        _chart(margin, line, at, name, method, alarms)
         _ribbon(ribbon, at, line.status)
-        title = f"Margin of {name}" + thinning(line.samples, len(at), "extremes")
-        ax.set_title(title, pad=16, parse_math=False)
-        finish(fig, [ax, ribbon], at, label, dates)
+        finish(fig, [margin, ribbon], at, label, dates)
     return fig
+
+
+def _chart(ax: "Axes", line: Timeline, at: np.ndarray, name: str, method: str, alarms: int) -> None:
+    """Draw the margin and the alarms."""
+    shade(ax, at, line.status == Status.FAULT)
+    if np.isnan(line.low).all():
+        ax.text(0.5, 0.5, _no_margin(method), ha="center", va="center", transform=ax.transAxes, color="#57606a")
+        ax.set_yticks([])
+    else:
+        _margin(ax, at, line.low, line.high, line.samples > SAMPLES)
+    if alarms:
+        _mark_alarms(ax, at[line.marked], alarms)
+    title = f"Margin of {name}" + thinning(line.samples, len(at), "extremes")
+    ax.set_title(title, pad=16, parse_math=False)
 
 
 def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinned: bool) -> None:

@@ -48,6 +48,7 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Digest", "detect_dataset", "digest"]
@@ -118,9 +119,9 @@ class Digest:
 
 
 @plot.register(Digest)
-def plot_digest(found: Digest) -> "Figure":
+def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
     """Draw the whole recording as a Result of its verdicts would be drawn."""
-    return plot_timeline(found.line, found.relations.model.name, found.method, found.alarm_count)
+    return plot_timeline(found.line, found.relations.model.name, found.method, found.alarm_count, ax)
 
 
 @evidence.register(Digest)

@@ -59,6 +59,23 @@ def test_sets_in_the_plane_are_drawn_with_their_outlines():
         jb.plot(jb.zonotope([0.0], [[1.0]]))
 
 
+def test_what_is_one_chart_is_drawn_into_axes_of_ones_own():
+    """In the style that its owner has: nothing else of the figure changes."""
+    from matplotlib.figure import Figure
+
+    res, bank = jb.detect(jb.parity_relations(paper()), np.zeros((9, 1)), np.zeros((9, 2))), jb.structured_relations(paper())
+    Z = jb.zonotope([1.0, 2.0], [[1.0, 0.5, 0.2], [0.0, 1.0, -0.4]])
+    things = (res, Z, [Z, Z], jb.signatures(bank), jb.isolability(paper()))
+    fig = Figure()
+    before = fig.subplotpars.left
+    for thing, ax in zip(things, fig.subplots(len(things)), strict=True):
+        assert jb.plot(thing, ax=ax) is ax and (ax.lines or ax.collections or ax.patches)
+        assert type(jb.plot(thing)) is Figure
+    assert not fig.legends and fig.subplotpars.left == before and fig.axes[0].get_xlabel() == "time (s)"
+    with pytest.raises(TypeError, match="ax"):
+        jb.plot(jb.detect(bank, np.zeros((9, 1)), np.zeros((9, 2))), ax=fig.axes[0])
+
+
 def test_a_new_kind_of_thing_registers_in_three_lines():
     @jb.plot.register(complex)
     def drawn(number, time=None):
