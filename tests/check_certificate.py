@@ -4,6 +4,8 @@ Plant x+ = A x + B u + G w + F v, readings y = (1 + theta) (C x + D u + D_v v) +
 |theta| <= tolerance, w in its bounds, |delta| <= noise + resolution + recorder (largest |y| of the signal + noise) + floor (+ an error of
 one sensor).
 
+"averages" bound weighted sums of consecutive deltas of one output, or of one disturbance, in every run of samples that is listed.
+
 A document with "constant" has one theta for all samples of an output: one gain 1 / (1 + theta).
 
 With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i. FAULT
@@ -37,7 +39,10 @@ def confirm(document):
     if not fault:
         explain(c, c["witness"])
     for e in c["errors"]:
-        i, unused = int(e["output"]), not any(h[int(e["output"])] for h in e["relation"]["h"])
+        i = int(e["output"])
+        runs = zip(e["relation"].get("a", []), c.get("runs", []), strict=True)
+        own = [x for x, run in runs if (a := c["averages"][int(run["average"])])["output"] and a["number"] == i]
+        unused = not any([h[i] for h in e["relation"]["h"]] + own)
         if e["smallest"] is None:
             insist(unused and factor(c, e["relation"]) > 1, "an error of this sensor might explain the window")
         else:
@@ -48,7 +53,7 @@ def confirm(document):
 
 def factor(c, r, error=None):
     """Check that a relation holds for every trajectory; return the factor on all bounds at which the samples can keep it."""
-    follow(c, r, [])
+    follow(c, single(c, r), [])
     if "constant" in c:
         residual, width = with_gains(c, r)
         insist([residual, width, abs(residual) / width] == [r["residual"], r["width"], r["factor"]], "residual, width or factor is wrong")
@@ -58,8 +63,53 @@ def factor(c, r, error=None):
         for x, (lo, hi) in [(x, ends) for x, ends in zip(h + g, readings + w, strict=True) if x]:
             residual, width = residual + x * (lo + hi) / 2, width + abs(x) * (hi - lo) / 2
         residual -= sum(x * (v - offset) for x, v, offset in zip(k, u, c["offset_u"], strict=True) if x)
+    for x, ends in zip(r.get("a", []), averaged(c, error), strict=True):
+        insist(not x or ends is not None, "an average needs a reading that is missing")
+        residual, width = (residual + x * sum(ends) / 2, width + abs(x) * (ends[1] - ends[0]) / 2) if x else (residual, width)
     insist([residual, width, abs(residual) / width] == [r["residual"], r["width"], r["factor"]], "residual, width or factor is wrong")
     return r["factor"]
+
+
+def single(c, r):
+    """Return a relation with its averages written out as the samples that they combine."""
+    out = {"h": [list(row) for row in r["h"]], "g": [list(row) for row in r["g"]], "k": r["k"]}
+    for x, run in zip(r.get("a", []), c.get("runs", []), strict=True):
+        a = c["averages"][int(run["average"])]
+        for j, f in enumerate(a["weights"] if x else []):
+            out["h" if a["output"] else "g"][int(run["first"]) + j][int(a["number"])] += x * f
+    return out
+
+
+def averaged(c, error):
+    """Return [lo, hi] of each run of an average, in deviations of true values, None where it says nothing."""
+    out = []
+    for run in c.get("runs", []):
+        a, middle, first = c["averages"][int(run["average"])], F(0), run["first"]
+        if first is None:
+            out.append(None)
+            continue
+        i, size = int(a["number"]), sum(map(abs, a["weights"]))
+        rad = a["bound"] + 10 * (len(a["weights"]) + size) * c["floor"]
+        if a["output"]:
+            largest = greatest(c, i)
+            rad += size * (c["resolution"][i] + c["recorder"] * (largest + c["noise"][i]) + (error[1] if error and error[0] == i else 0))
+            samples = c["all_y"][int(first) : int(first) + len(a["weights"])]
+            if any(row[i] is None for row in samples):
+                out.append(None)
+                continue
+            middle = sum((f * (row[i] - c["offset_y"][i]) for f, row in zip(a["weights"], samples, strict=True)), F(0))
+        out.append((middle - rad, middle + rad))
+    return out
+
+
+def greatest(c, i):
+    """Return the largest reading of an output that is looked at, alone or in an average."""
+    looked = [row[i] for row in c["y"]]
+    for run in c.get("runs", []):
+        a, first = c["averages"][int(run["average"])], run["first"]
+        if a["output"] and a["number"] == i and first is not None:
+            looked += [row[i] for row in c["all_y"][int(first) : int(first) + len(a["weights"])]]
+    return max((abs(v) for v in looked if v is not None), default=F(0))
 
 
 def with_gains(c, r):
@@ -241,6 +291,15 @@ def explain(c, witness, error=None, v=()):
         inside = all(b is None or b[0] <= a <= b[1] for a, b in zip(t + w, readings + bounds, strict=True))
         insist(inside, "a reading or a disturbance is out of its bounds")
         x = add(add(dots(A, x), dots(B, u)), add(dots(c["G"], w), dots(c["F"], free)))
+    for run, ends in zip(c.get("runs", []), averaged(c, error), strict=True):
+        if ends is None:
+            continue
+        a = c["averages"][int(run["average"])]
+        i, rows = int(a["number"]), witness["outputs" if a["output"] else "disturbances"]
+        offset = c["offset_y"][i] if a["output"] else F(0)
+        rows = rows[int(run["first"]) : int(run["first"]) + len(a["weights"])]
+        total = sum((f * (row[i] - offset) for f, row in zip(a["weights"], rows, strict=True)), F(0))
+        insist(ends[0] <= total <= ends[1], "an average is out of its bound")
 
 
 def limits(c, error, gains=None):
@@ -249,7 +308,7 @@ def limits(c, error, gains=None):
     for row in c["y"]:
         readings = []
         for i, (y, noise) in enumerate(zip(row, c["noise"], strict=True)):
-            largest = max([abs(other[i]) for other in c["y"] if other[i] is not None], default=F(0))
+            largest = greatest(c, i)
             delta = (
                 noise + c["resolution"][i] + c["recorder"] * (largest + noise) + c["floor"] + (error[1] if error and error[0] == i else 0)
             )

@@ -14,6 +14,7 @@ from jaxbound.certificates.exact_window import ExactWindow, Explanation, stretch
 __all__ = ["SensorError", "rounded_witness", "smallest_error"]
 
 DIGITS = (4, 8, 12, 17)
+ZERO = Fraction(0)
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,17 @@ def _error_that_holds(window, h, i):
     for j, (d, rho) in enumerate(window.readings()):
         if j % window.model.p == i and h[j]:
             terms.append((abs(h[j]), rho + d if h[j] > 0 else rho - d))
-    if not terms:
+    steady = ZERO  # of averages, whose bounds grow by as much an error
+    for j in range(len(h) - len(window.runs), len(h)):
+        a, rows = window.runs[j - len(h)]
+        if h[j] and rows and rows[0] < len(window.y) and rows[0] % window.model.p == i:
+            steady += abs(h[j]) * sum(map(abs, window.model.averages[a].weights))
+    if not terms and not steady:
         return None
     reach -= sum(a * stretched(c, sigma) for a, c in terms)
-    at = lambda e: reach + sum(a * stretched(c + e, sigma) for a, c in terms)
-    low = max((-c for _, c in terms if c < 0 and at(-c) < 0), default=Fraction(0))  # slopes change where a reading's limit is zero
-    slope = sum(a / (1 - sigma if c + low >= 0 else 1 + sigma) for a, c in terms)
+    at = lambda e: reach + steady * e + sum(a * stretched(c + e, sigma) for a, c in terms)
+    low = max((-c for _, c in terms if c < 0 and at(-c) < 0), default=ZERO)  # slopes change where a reading's limit is zero
+    slope = steady + sum(a / (1 - sigma if c + low >= 0 else 1 + sigma) for a, c in terms)
     return low - at(low) / slope
 
 

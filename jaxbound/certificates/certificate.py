@@ -19,8 +19,9 @@ from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_w
 from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.recordings.objecttext import readable
-from jaxbound.relations.parity import ParityRelation, relation_text
+from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
+from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Certificate"]
@@ -121,7 +122,9 @@ class Certificate(Witnessed, WindowCertificate):
         w, model = self.window, self.window.model
         k, residual, width = (w if error is None else w.with_error(output, error)).relation(h)
         count, none = len(w.y), [Fraction(0)] * max(model.g, model.m)
-        return {"h": rows_of(h[:count], model.p), "g": self._every_sample(h[count:], none[: model.g]),
+        rest = count + model.g * w.horizon
+        averaged = {"a": tuple(h[rest:])} if w.runs else {}
+        return averaged | {"h": rows_of(h[:count], model.p), "g": self._every_sample(h[count:rest], none[: model.g]),
                 "k": self._every_sample(k, none[: model.m]),
                 "residual": residual, "width": width, "factor": abs(residual) / width}  # fmt: skip
 

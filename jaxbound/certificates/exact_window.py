@@ -52,7 +52,8 @@ class ExactWindow:
 
     Fields: model, horizon; u (l,) and y ((s+1)p,): the recorded samples time-major, None where missing; tolerance, noise, resolution (p,);
     disturbance (g, 2); unit: the roundoff of the recording's float type; floor: its smallest normal number, in every bound; drive: what
-    the inputs that are there make of each row; error (p,): what is allowed to a sensor beyond its bounds.
+    the inputs that are there make of each row; error (p,): what is allowed to a sensor beyond its bounds. average (a,): bounds of averages;
+    whole ((s+1)p,): all samples, also those that only averages look at; lags: of the relations.
     """
 
     model: LinearSystem
@@ -67,6 +68,9 @@ class ExactWindow:
     floor: Fraction
     drive: tuple
     error: tuple = ()
+    average: tuple = ()
+    whole: tuple = ()
+    lags: tuple | None = None
 
     def with_error(self, i: int, e: Fraction) -> Self:
         """Return the window with an error of up to e allowed to output i."""
@@ -85,12 +89,44 @@ class ExactWindow:
         out: list[tuple[Fraction | None, Fraction]] = [(None, ZERO)] * len(self.y)
         for i in range(p):
             samples = self.y[i::p]
-            largest = max((abs(v) for v in samples if v is not None), default=ZERO)
-            rho = self.noise[i] + self.resolution[i] + RECORDER_ULPS * self.unit * (largest + self.noise[i]) + self.floor
-            rho += self.error[i] if self.error else 0
+            rho = self.noise[i] + self.resolution[i] + self.recorded(i) + self.floor + (self.error[i] if self.error else 0)
             for j, v in enumerate(samples):
                 out[j * p + i] = None if v is None else v - self.model.offset["y"][i], rho
         return out
+
+    def recorded(self, i: int) -> Fraction:
+        """Return what the recorder may have rounded away of a sample of output i: by the largest one that is looked at."""
+        samples = [v for v in self.y[i :: self.model.p] if v is not None]
+        runs = (rows for _, rows in _runs(self.model, self.horizon) if self.looked(rows) and rows[0] < len(self.y))
+        samples += [self.whole[j] for rows in runs if rows[0] % self.model.p == i for j in rows]
+        return RECORDER_ULPS * self.unit * (max((abs(v) for v in samples if v is not None), default=ZERO) + self.noise[i])
+
+    def looked(self, rows: tuple) -> bool:
+        """Return whether an average of these rows is looked at."""
+        return rows[0] >= len(self.y) or self.lags is None or self.horizon - rows[-1] // self.model.p in self.lags
+
+    @cached_property
+    def runs(self) -> tuple:
+        """(number of the average, rows that it combines, or None where it is not looked at or a sample is missing) of each average row."""
+        found = []
+        for a, rows in _runs(self.model, self.horizon):
+            there = rows[0] >= len(self.y) or all(self.whole[j] is not None for j in rows)
+            found.append((a, rows if there and self.looked(rows) else ()))
+        return tuple(found)
+
+    def averaged(self, number: int) -> tuple | None:
+        """Return (lo, hi) of an average row, None where a sample of it is missing or it is not looked at."""
+        a, rows = self.runs[number]
+        average, p = self.model.averages[a], self.model.p
+        if not rows:
+            return None
+        size = sum(map(abs, average.weights), ZERO)
+        rad, middle = self.average[a] + 10 * (len(rows) + size) * self.floor, ZERO
+        if rows[0] < len(self.y):
+            i = rows[0] % p
+            rad += size * (self.resolution[i] + self.recorded(i) + (self.error[i] if self.error else 0))
+            middle = dot(average.weights, [self.whole[j] - self.model.offset["y"][i] for j in rows])
+        return middle - rad, middle + rad
 
     @cached_property
     def limits(self) -> list:
@@ -99,7 +135,8 @@ class ExactWindow:
         for row, (d, rho) in enumerate(self.readings()):
             sigma = self.tolerance[row % self.model.p]
             out.append(None if d is None else (-stretched(rho - d, sigma), stretched(rho + d, sigma)))
-        return out + [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance] * self.horizon
+        out += [(lo - self.floor, hi + self.floor) for lo, hi in self.disturbance] * self.horizon
+        return out + [self.averaged(j) for j in range(len(self.runs))]
 
     def solve(self, start: Any = None) -> Explanation:
         """Return the Explanation of this window. `start`: the reference of a similar one (same samples missing)."""
@@ -185,12 +222,19 @@ def exact_window(relations: Any, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     down = rounding.round_down(pairs[:, 0], dtype)
     inputs = exactly(u[: window.input_lags(model, s)])
     known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(inputs)]
+    whole = exactly(y)
     if relations.lags is not None:
         y = np.where(np.isin(s - np.arange(s + 1), relations.lags)[:, None], y, np.nan).astype(dtype)
     return ExactWindow(
         model, s, inputs, exactly(y), upward(bounds["tolerance"]), upward(bounds["noise"]), upward(list(model.resolution)),
         tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)), Fraction(float(np.finfo(dtype).eps)) / 2,
-        Fraction(float(np.finfo(dtype).tiny)), tuple(dot(row, known) for row in _forms(model, s)[1]))  # fmt: skip
+        Fraction(float(np.finfo(dtype).tiny)), tuple(dot(row, known) for row in _forms(model, s)[1]),
+        average=upward(bounds.get("average", ())), whole=whole, lags=relations.lags)  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def _runs(model, horizon):
+    return window.runs(model, horizon)
 
 
 @lru_cache(maxsize=16)

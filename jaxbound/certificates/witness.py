@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxbound.certificates.exact_window import dot
 from jaxbound.models.sensor import RECORDER_ULPS
+from jaxbound.models.window import runs as window_runs
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Witnessed", "rows_of"]
@@ -67,6 +68,7 @@ class Witnessed:
             "offset_u": model.offset["u"], "offset_y": model.offset["y"], "tolerance": w.tolerance, "noise": w.noise,
             "resolution": w.resolution,
             "disturbance": w.disturbance, "recorder": RECORDER_ULPS * w.unit, "floor": w.floor,
+            **self._averages(),
             "u": self._every_sample(w.u, [None] * model.m), "y": rows_of(w.y, model.p),
             "witness": None if self.z is None else self._witness_dict(self.z),
             **numbers,
@@ -82,6 +84,19 @@ class Witnessed:
                       "sample": list(self.at) if sample is None else sample, "times": None if times is None else list(times)},
             "numbers": texts(numbers),
         }  # fmt: skip
+
+    def _averages(self):
+        """Return what bounds say of averages: {"averages": one each}, {"runs": rows that count}, nothing without any."""
+        w, model = self.window, self.window.model
+        if not model.averages:
+            return {}
+        place = lambda a: model.outputs.index(a.signal) if a.signal in model.outputs else int(a.signal[1:]) - 1
+        told = [{"output": Fraction(int(a.signal in model.outputs)), "number": Fraction(place(a)), "weights": a.weights, "bound": b}
+                for a, b in zip(model.averages, w.average, strict=True)]  # fmt: skip
+        first = lambda rows: rows[0] // model.p if rows[0] < len(w.y) else (rows[0] - len(w.y)) // model.g
+        runs = window_runs(model, w.horizon)
+        ends = [{"average": Fraction(a), "first": Fraction(first(rows)) if w.looked(rows) else None} for a, rows in runs]
+        return {"averages": told, "runs": ends, "all_y": rows_of(w.whole, model.p)}
 
     def _with(self, z):
         """Return a certificate of another witness."""

@@ -217,7 +217,13 @@ def _samples(c, labels):
         for i, x in enumerate(c.h[len(w.y) :]):
             if x:
                 lo, hi = limits[len(w.y) + i]
-                rows.append((labels[i // model.g], f"w{i % model.g + 1}", "", number(lo), number(hi), number(x)))
+                if i < model.g * w.horizon:
+                    when, what = labels[i // model.g], f"w{i % model.g + 1}"
+                else:
+                    a, run = w.runs[i - model.g * w.horizon]
+                    when = labels[run[-1] // model.p if run[-1] < len(w.y) else (run[-1] - len(w.y)) // model.g]
+                    what = model.averages[a].text
+                rows.append((when, what, "", number(lo), number(hi), number(x)))
     return rows
 
 

@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     bounds = [(b, f"{exact(m.outputs, getattr(m, b))}   {origin(b)}") for b in ("tolerance", "noise", "resolution")]
     ranges = ", ".join(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]" for j, (lo, hi) in enumerate(m.disturbance))
     bounds += [("disturbance", f"{ranges}   {origin('disturbance')}")] if m.g else []
+    bounds += [("average", f"{a.text} within {float(a.bound):.6g}") for a in m.averages]
     bounds += [("unknown inputs", f"{m.d}, of which nothing is known")] if m.d else []
     bounds += [
         ("parameter", f"{p.name} in [{float(p.between[0]):.6g}, {float(p.between[1]):.6g}], {'varies' if p.varying else 'constant'}")

@@ -36,6 +36,8 @@ class BankTest(WindowTest):
             raise NotImplementedError(
                 "a bank is tested with tolerances drawn anew each sample: leave constant_tolerance out, it is wider then"
             )
+        if relations.model.averages:
+            raise NotImplementedError("a bank looks at single samples: leave averages out, its bounds are wider then")
         if relations.count > MOST:
             raise ValueError(f"a bank of {relations.count} relations is more than is tested at once, {MOST}: choose fewer parts")
 

@@ -111,7 +111,7 @@ class ExchangeTest(WindowTest):
         starts = np.flatnonzero(nothing) - self.horizon
         starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
         for frame, chosen in self._frames(u, y, starts):
-            windows = self._gather(u, y, starts[chosen])
+            windows = gather(u, y, starts[chosen], self.lags, self.horizon)
             margin[starts[chosen] + self.horizon] = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
 
     def _gather(self, u, y, starts):
@@ -122,7 +122,8 @@ class ExchangeTest(WindowTest):
         """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
         if not len(starts):
             return []
-        missing, absent = (np.isnan(x).reshape(-1, len(starts)).T for x in self._gather(u, y, starts))
+        gathered = gather(u, y, starts, self.lags, self.horizon)
+        missing, absent = np.isnan(gathered[0]).reshape(-1, len(starts)).T, self.reading.absent(gathered[1]).T
         patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
         rows = absent.shape[1]
         frames, numbers = [self.relations.frame], []

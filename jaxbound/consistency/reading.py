@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,12 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["Reading", "forms", "gather"]
+__all__ = ["Filter", "Reading", "forms", "gather"]
+
+Filter: TypeAlias = tuple[bool, int, tuple[float, ...]]
+"""A combination of consecutive samples: whether of an output or of a disturbance, its number, weights, the oldest sample first."""
+AVERAGING = 16
+"""Terms of an average that the error bound of one row pays for, with a magnitude as large again: see `Reading.block`."""
 
 
 @jax.tree_util.register_dataclass
@@ -24,7 +29,7 @@ class Reading:
 
     Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise, resolution, offset_y (p,);
     disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window; looks: at outputs so many samples before the
-    last, None: at all.
+    last, None: at all. average (a,), filters: bounds of averages and what they combine.
     """
 
     shape: Strips | Frame
@@ -37,6 +42,8 @@ class Reading:
     horizon: int = field(metadata={"static": True})
     lags: int = field(metadata={"static": True})
     looks: tuple[int, ...] | None = field(default=None, metadata={"static": True})
+    average: jax.Array | np.ndarray = field(default_factory=lambda: np.zeros(0))
+    filters: tuple[Filter, ...] = field(default=(), metadata={"static": True})
 
     @property
     def lift(self) -> jax.Array:
@@ -50,6 +57,31 @@ class Reading:
         kept = np.isin(self.horizon - np.arange(self.horizon + 1), self.looks)[:, None, None]
         return (np if isinstance(y, np.ndarray) else jnp).where(kept, y, np.asarray(np.nan, y.dtype))
 
+    def used(self) -> np.ndarray:
+        """Return (s + 1, p) bool: the samples of outputs that are looked at, alone or in an average."""
+        used = np.ones((self.horizon + 1, len(self.noise)), bool)
+        if self.looks is not None:
+            used[:] = np.isin(self.horizon - np.arange(self.horizon + 1), self.looks)[:, None]
+            for (measured, i, weights), ends in zip(self.filters, self.ends(), strict=True):
+                for end in ends if measured else ():
+                    used[end + 1 - len(weights) : end + 1, i] = True
+        return used
+
+    def ends(self) -> list[list[int]]:
+        """Return for each average the samples at which it ends in a window, all of them, looked at or not."""
+        samples = (self.horizon, self.horizon + 1)
+        return [list(range(len(weights) - 1, samples[measured])) for measured, _, weights in self.filters]
+
+    def absent(self, y: np.ndarray) -> np.ndarray:
+        """Return (rows, N) bool: which rows of windows y (s + 1, p, N) lack a sample."""
+        N, gone = y.shape[2], np.isnan(y)
+        parts = [np.isnan(self.seen(y)).reshape(-1, N), np.zeros((self.horizon * len(self.disturbance), N), bool)]
+        for (measured, i, weights), ends in zip(self.filters, self.ends(), strict=True):
+            for end in ends:
+                lost = gone[end + 1 - len(weights) : end + 1, i].any(0) if measured else np.zeros(N, bool)
+                parts.append((lost | (measured and self.looks is not None and self.horizon - end not in self.looks))[None])
+        return np.concatenate(parts)
+
     def silenced(self, known: list) -> jax.Array:
         """Say which windows lack a known value that some circuit needs: the circuits that are left do not describe their set exactly."""
         strips: Any = self.shape  # or a bank: what has circuits on known values
@@ -60,7 +92,7 @@ class Reading:
 
     def stretch(self, u: jax.Array, y: jax.Array) -> tuple:
         """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`; as arrays for strips that run in a scan."""
-        if isinstance(self.shape, Strips) and self.shape.supports is None:
+        if self.filters or isinstance(self.shape, Strips) and self.shape.supports is None:
             return self.block(*self.windows(u, y))
         count = y.shape[0] - self.horizon
         return self.rows(
@@ -76,14 +108,47 @@ class Reading:
 
     def block(self, u: jax.Array, y: jax.Array) -> tuple:
         """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few operations, whatever s."""
-        y = self.seen(y)
-        largest = jnp.max(jnp.where(jnp.isnan(y), 0, abs(y)), 0, keepdims=True)
+        whole, y = y, self.seen(y)
+        taken = whole if self.looks is None else jnp.where(self.used()[:, :, None], whole, jnp.nan)
+        largest = jnp.max(jnp.where(jnp.isnan(taken), 0, abs(taken)), 0, keepdims=True)
         tolerance, noise, resolution, offset = (x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y))
         rows = [x.reshape(-1, y.shape[2]) for (x,) in sensor.true_value([y], tolerance, noise, resolution, offset, largest)]
         if self.horizon and len(self.disturbance):
             rows = [jnp.concatenate([x, *[w] * self.horizon]) for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)]
+        for number in range(len(self.filters)):
+            rows = [jnp.concatenate(pair) for pair in zip(rows, self._averaged(number, whole, largest[0]), strict=True)]
         known = [u - self.offset_u[None, :, None], abs(u) + abs(self.offset_u)[None, :, None]]
         return *rows, *(x.reshape(-1, y.shape[2]) for x in known)
+
+    def _averaged(self, number, y, largest):
+        """Return (mid, rad, scale) of the runs of one average, (runs, N) each, NaN in mid and scale where a sample is missing.
+
+        The middle, a sum of n products, is off by (n + 4) u S and the radius by (n + 8) u S with S the magnitude of all its terms and the
+        radius together; a magnitude of (2 + n / 16) S has `rounding.residual_error` pay for that: 32 u (1 + n / 16) S beyond what it pays
+        for any row. What underflows costs less than the floor in the radius.
+        """
+        measured, i, weights = self.filters[number]
+        dtype, N, n, runs = y.dtype, y.shape[2], len(weights), max(len(self.ends()[number]), 0)
+        total, tiny = sum(map(abs, weights)), float(rounding.tiny(dtype)) * 6
+        bound, one = self.average[number] + tiny * (n + sum(map(abs, weights))), jnp.ones((runs, N), dtype)
+        if not measured or not runs:
+            rad = bound * one
+            return 0 * one, rad, (2 + n / AVERAGING) * rad
+        unit = rounding.unit(dtype)
+        rho = self.resolution[i] + sensor.RECORDER_ULPS * unit * (jnp.minimum(largest[i], np.finfo(dtype).max) + self.noise[i])
+        d, size = y[:, i] - self.offset_y[i], abs(y[:, i]) + abs(self.offset_y[i])
+        factors = np.asarray(weights, dtype)
+
+        def add(k, sums):
+            take = lambda x: jax.lax.dynamic_slice_in_dim(x, k, runs, 0)
+            f = jnp.asarray(factors)[k]
+            return sums[0] + f * take(d), sums[1] + jnp.abs(f) * take(size)
+
+        mid, magnitude = jax.lax.fori_loop(0, n, add, (0 * one, 0 * one))
+        rad = bound * one + np.asarray(total, dtype) * rho[None]
+        looked = np.array([self.looks is None or self.horizon - end in self.looks for end in self.ends()[number]])[:, None]
+        scale = jnp.where(looked, (2 + n / AVERAGING) * (magnitude + rad), jnp.nan)
+        return jnp.where(jnp.isnan(scale), jnp.nan, mid), rad, scale
 
     def _disturbance(self, like):
         """Return (mid, rad, scale) of one sample of the disturbances, (g, N) each."""

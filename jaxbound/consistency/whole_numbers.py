@@ -22,6 +22,7 @@ import numpy as np
 
 from jaxbound.consistency.reading import gather
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
+from jaxbound.models.window import runs as window_runs
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
@@ -136,17 +137,18 @@ class _Rows:
 def _rows_of(model, test, u, y):
     """Return the _Rows of windows u (lags, m, N), y (s + 1, p, N)."""
     samples, p, N = y.shape
-    y = test.seen(y)
+    whole_y, y = y, test.seen(y)
+    used = np.where(test.used()[:, :, None], whole_y, np.nan)
     shift = -int(np.log2(float(RECORDER_ULPS * rounding.unit(y.dtype))))  # a power of two
-    bounds = [np.asarray(x, np.float64) for x in (test.noise, test.resolution, np.ravel(test.disturbance))]
+    bounds = [np.asarray(x, np.float64) for x in (test.noise, test.resolution, np.ravel(test.disturbance), test.average)]
     slip = input_slip(np.where(np.isnan(u), 0, u))
     whole = lcm(*(x.denominator for x in (*model.offset["u"], *model.offset["y"])))
-    power = max(0, shift + max(map(_places, (u, slip, y, *bounds))))
+    power = max(0, shift + max(map(_places, (u, slip, used, *bounds))))
     integers = lambda x: _integers(x, power) * whole
     offset = {name: [int(x * whole) << power for x in values] for name, values in model.offset.items()}
-    noise, resolution, w = map(integers, bounds)
-    absent, missing = np.isnan(y), np.isnan(u)
-    Y, U = integers(np.where(absent, 0, y)), integers(np.where(missing, 0, u))
+    noise, resolution, w, average = map(integers, bounds)
+    missing = np.isnan(u)
+    Y, U = integers(np.where(np.isnan(used), 0, used)), integers(np.where(missing, 0, u))
     nothing, rows = np.zeros(0, object), samples * p
     twice, spread, factor = [nothing] * rows, [nothing] * rows, [Fraction(0)] * rows
     for i in range(p):
@@ -164,12 +166,26 @@ def _rows_of(model, test, u, y):
         twice.append(np.full(N, hi + lo, object))
         spread.append(np.full(N, hi - lo, object))
         factor.append(Fraction(1))
+    slack, runs = Fraction(0), window_runs(model, test.horizon)
+    for a, run in runs:  # a weighted sum of rows, weights as whole numbers over one denominator
+        weights = model.averages[a].weights
+        common = lcm(*(x.denominator for x in weights))
+        f, size = [int(x * common) for x in weights], sum(map(abs, weights))
+        half, middle = common * average[a] + np.zeros(N, object), np.zeros(N, object)
+        slack = max(slack, 10 * (len(f) + size) * Fraction(float(rounding.tiny(y.dtype))))
+        if run[0] < samples * p:
+            i = run[0] % p
+            rho = resolution[i] + ((np.abs(Y[:, i]).max(0) + noise[i]) >> shift)
+            half = half + int(size * common) * rho
+            middle = _total(x * (Y[j // p, i] - offset["y"][i]) for x, j in zip(f, run, strict=True))
+        twice.append(2 * middle)
+        spread.append(2 * half)
+        factor.append(Fraction(1, common))
     known = U - np.array(offset["u"], object).reshape(1, -1, 1)
-    none = np.zeros((len(twice) - samples * p, N), bool)
     largest = max(1 / (1 - Fraction(float(x))) for x in test.tolerance)
-    absent, known, slip, missing = (x.reshape(-1, N) for x in (absent, known, integers(slip), missing))
-    floor = 2 * largest * Fraction(float(rounding.tiny(y.dtype)))
-    return _Rows(twice, spread, factor, known, slip, np.concatenate([absent, none]), missing, whole << power, floor)
+    known, slip, missing = (x.reshape(-1, N) for x in (known, integers(slip), missing))
+    floor = max(2 * largest * Fraction(float(rounding.tiny(y.dtype))), slack)
+    return _Rows(twice, spread, factor, known, slip, test.absent(whole_y), missing, whole << power, floor)
 
 
 def _strips(rows, strips, dtype):

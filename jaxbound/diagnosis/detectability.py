@@ -31,7 +31,8 @@ from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.naming import listed
 from jaxbound.relations.cost import SECONDS, affordable, relation_cost
 from jaxbound.relations.lags import over_all_rows
-from jaxbound.relations.parity import parity_relations, relation_text
+from jaxbound.relations.parity import parity_relations
+from jaxbound.relations.sentence import relation_text
 
 __all__ = ["GuaranteedSize", "always_seen", "detectable", "operating_reach", "visible_sizes", "window_shift"]
 
@@ -222,10 +223,16 @@ def window_shift(model: LinearSystem, signal: str, s: int, reach: Sequence[Fract
         rho = model.noise[i] + model.resolution[i] + ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i]) + floor
         widths.append(2 * stretch[i] * (rho + model.tolerance[i] * max(reach[i], rho)))
     widths = widths * (s + 1) + [hi - lo + 2 * floor for lo, hi in model.disturbance] * s
+    runs = [(model.averages[a], run) for a, run in window.runs(model, s)]
+    for average, run in runs:
+        size, i = sum(map(abs, average.weights), ZERO), run[0] % model.p
+        worn = ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i]) + model.resolution[i] if run[0] < rows else ZERO
+        widths.append(2 * (average.bound + size * worn + 10 * (len(run) + size) * floor))
     if signal not in model.outputs:
         return [sum(row[model.inputs.index(signal) :: model.m], ZERO) for row in K], widths, [ZERO] * len(widths)
     i = model.outputs.index(signal)
-    shift = [stretch[i] if j < rows and j % model.p == i else ZERO for j in range(len(widths))]
+    shift = [stretch[i] if j < rows and j % model.p == i else ZERO for j in range(len(widths) - len(runs))]
+    shift += [dot(average.weights, [shift[j] for j in run]) for average, run in runs]
     return shift, widths, [model.tolerance[i] * x for x in shift]
 
 

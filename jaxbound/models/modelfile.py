@@ -23,8 +23,9 @@ TOP = ("name", "dt", "horizon", "lags", "time", "where", "constant_tolerance", "
        "decouple", "matrices", "provenance")  # fmt: skip
 STATE = ("name", "unit")
 INPUT = ("name", "unit", "column", "offset", "range")
-OUTPUT = ("name", "unit", "column", "offset", "tolerance", "noise", "resolution")
-DISTURBANCE = ("bound",)
+OUTPUT = ("name", "unit", "column", "offset", "tolerance", "noise", "resolution", "averages")
+DISTURBANCE = ("bound", "averages")
+AVERAGE = ("samples", "weights", "bound")
 MATRICES = ("A", "B", "C", "D", "G", "F", "D_v", "E")
 PROVENANCE = ("model", "tolerance", "noise", "resolution", "disturbance")
 UNCERTAINTY = ("name", "varying", "between", "A", "B", "C", "D")
@@ -131,6 +132,10 @@ def _model(table):
     states = [_signal("states", i, s, STATE) for i, s in enumerate(states)]
     inputs = [_signal("inputs", i, s, INPUT) for i, s in enumerate(_list("inputs", table.get("inputs", [])))]
     outputs = [_signal("outputs", i, s, OUTPUT) for i, s in enumerate(_list("outputs", table.get("outputs", [])))]
+    averages = {s["name"]: _averages(s["name"], s["averages"]) for s in outputs if "averages" in s}
+    for i, d in enumerate(_list("disturbances", table.get("disturbances", []))):
+        if isinstance(d, dict) and "averages" in d:
+            averages[f"w{i + 1}"] = _averages(f"number {i + 1} of disturbances", d["averages"])
     disturbances = [_disturbance(i, d) for i, d in enumerate(_list("disturbances", table.get("disturbances", [])))]
     uncertainties = [_uncertainty(i, u) for i, u in enumerate(_list("uncertainty", table.get("uncertainty", [])))]
     if ("G" in matrices) != bool(disturbances):
@@ -156,7 +161,7 @@ def _model(table):
         constant_tolerance=_truth("constant_tolerance", table.get("constant_tolerance", False)),
         provenance=_known("[provenance]", _table("[provenance]", table.get("provenance", {})), PROVENANCE),
         name=_string("name", table.get("name", "model")), horizon=table.get("horizon"),
-        lags=None if "lags" not in table else _list("lags", table["lags"]))  # fmt: skip
+        lags=None if "lags" not in table else _list("lags", table["lags"]), averages=averages)  # fmt: skip
 
 
 def _known(where, table, fields):
@@ -216,7 +221,9 @@ def _signal(field, index, table, fields):
     if "name" not in table:
         raise ValueError(f"{where} needs a name")
     for key, value in table.items():
-        if key == "range":
+        if key == "averages":
+            _averages(where.rstrip(","), value)
+        elif key == "range":
             if not isinstance(value, list) or len(value) != 2:
                 raise ValueError(f"range of {where.rstrip(',')} must be [lowest, highest]")
             for end in value:
@@ -234,6 +241,24 @@ def _disturbance(index, table):
         raise ValueError(f"{where} needs a bound: a number for |w| <= bound, or [lowest, highest]")
     bound = table["bound"]
     return [_number(f"bound of {where}", x) for x in bound] if isinstance(bound, list) else _number(f"bound of {where}", bound)
+
+
+def _averages(where, entries):
+    """Return [(samples or weights, bound)] of a list of averages."""
+    if not isinstance(entries, list):
+        raise ValueError(f"averages of {where} must be a list, like [{{samples = 16, bound = 0.1}}]")
+    found = []
+    for entry in entries:
+        entry = _known(f"an average of {where}", _table(f"an average of {where}", entry), AVERAGE)
+        if "bound" not in entry or ("samples" in entry) == ("weights" in entry):
+            raise ValueError(f"an average of {where} needs samples (how many consecutive ones) or weights (a list of them), and a bound")
+        weights = entry.get("samples", entry.get("weights"))
+        if isinstance(weights, list):
+            weights = [_number(f"weights of {where}", x) for x in weights]
+        elif "weights" in entry:
+            raise ValueError(f"weights of an average of {where} must be a list of numbers, the oldest sample first")
+        found.append((weights, _number(f"bound of an average of {where}", entry["bound"])))
+    return found
 
 
 def _rows(field, rows):
@@ -268,6 +293,14 @@ def model_text(model: LinearSystem) -> str:
     quote = lambda s: json.dumps(s, ensure_ascii=False).replace("\x7f", "\\u007f")
     number = lambda x: f'"{t}"' if "/" in (t := number_text(x)) else t
     rows = lambda a: "[\n" + "".join(f"    [{', '.join(map(number, row))}],\n" for row in a) + "]"
+
+    def averages(signal):
+        found = []
+        for a in (a for a in model.averages if a.signal == signal):
+            of = f"samples = {len(a.weights)}" if a.is_mean else f"weights = [{', '.join(map(number, a.weights))}]"
+            found.append(f"{{{of}, bound = {number(a.bound)}}}")
+        return [f"averages = [{', '.join(found)}]"] if found else []
+
     out = [f"name = {quote(model.name)}", f"dt = {number(Fraction(repr(model.dt)))}  # s"]
     if model.lags is not None:
         out.append(f"lags = [{', '.join(map(str, model.lags))}]")
@@ -289,8 +322,9 @@ def model_text(model: LinearSystem) -> str:
             if side == "y":
                 bounds = (("tolerance", model.tolerance), ("noise", model.noise), ("resolution", model.resolution))
                 out += [f"{key} = {number(bound[i])}" for key, bound in bounds if bound[i]]
-    for lo, hi in model.disturbance:
-        out += ["", "[[disturbances]]", f"bound = {number(hi) if lo == -hi else f'[{number(lo)}, {number(hi)}]'}"]
+                out += averages(name)
+    for j, (lo, hi) in enumerate(model.disturbance):
+        out += ["", "[[disturbances]]", f"bound = {number(hi) if lo == -hi else f'[{number(lo)}, {number(hi)}]'}", *averages(f"w{j + 1}")]
     for u in model.uncertainties:
         out += ["", "[[uncertainty]]", f"name = {quote(u.name)}"]
         out += [] if u.varying else ["varying = false"]

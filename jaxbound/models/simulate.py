@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxbound.models.averaging import kept_averages, places_of
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
@@ -71,6 +72,7 @@ def simulate(
         key: a jax.random key, or a whole number.
         x0: (n,) or (..., n) first state; default 0.
         at: "uniform" draws w, theta, noise and parameters uniformly; "vertices" at one of their bounds each sample.
+            Averages that the model bounds are kept by moving draws as little as they need (`models.averaging`).
             With constant_tolerance a recording has one theta an output, and a parameter that does not vary keeps one value.
         faults: a sequence of Fault.
         unknown_input: v, (..., T, d) of the model's unknown inputs; default: drawn from a standard normal distribution.
@@ -129,7 +131,8 @@ def simulate(
     draws = _draws(key, np.array(streams), count + more, size, dtype)
     v = _normal(key, count + more, (T + longer, model.d), dtype) if v is None else padded(v)
     how = np.array([at == "vertices", model.constant_tolerance])
-    out = _simulate(kinds, tuple(streams), how, numbers, sizes, active, draws, padded(given), start, v)
+    places, numbers["averages"] = places_of(model, dtype)
+    out = _simulate(kinds, tuple(streams), places, how, numbers, sizes, active, draws, padded(given), start, v)
     return Trajectory(*_cut(out, batch, T))
 
 
@@ -236,10 +239,12 @@ def _normal_draws(key, recordings, shape, dtype):
     return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(k, 4), shape, dtype))(jax.random.split(key, recordings))
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _simulate(kinds, streams, how, numbers, sizes, active, draws, u, x0, v):
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _simulate(kinds, streams, places, how, numbers, sizes, active, draws, u, x0, v):
     n = x0.shape[1]
     theta, noise, w, parameters, extra = _unknowns(kinds, dict(zip(streams, draws, strict=True)), how, numbers, sizes, active, u)
+    if places:
+        noise, w = kept_averages(places, numbers["averages"], noise, w, (numbers["noise"], numbers["lo"], numbers["hi"]))
     faulty = lambda signals, side, dropped: jax.vmap(lambda s, e: _faulty(kinds, sizes, active, s, e, side, dropped))(signals, extra)
     applied = faulty(u, 2, 0.0)
 

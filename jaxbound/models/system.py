@@ -11,6 +11,7 @@ from typing import Any, Generic, NoReturn, TypeVar, overload
 import numpy as np
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, Vector
+from jaxbound.models.average import Average, Averaged, averages_of
 from jaxbound.models.plant import Plant, plant
 from jaxbound.models.signals import Each, ModelSignals, Sensors, Words, model_signals, sensors, words
 from jaxbound.models.uncertainty import Uncertainty, centred
@@ -65,6 +66,9 @@ class LinearSystem:
         resolution: what the recording itself rounds away (half a step of a quantised sensor), in the unit of the output, one number or one
             per output. On top of it, every sample is taken to be known to 4 u (largest |y_i| in the window + noise_i), u the unit
             roundoff of the recording's float type: a sum, a product and a final rounding of a perfect plant are within 3 u of this.
+        averages: errors that average out, {signal: {samples: bound on the mean of so many consecutive ones}}, of the error of an output or
+            of a disturbance "w1", "w2", ..: {"T1": {16: 0.1}}; or {signal: [(weights, bound)]}, any sum of consecutive samples, the oldest
+            first. An output then needs tolerance 0. Kept as `Average`.
         disturbance: (G, bound): G (n, g) says how unmeasured, bounded inputs w act on the states; bound (g,) or one number means
             |w| <= bound, bound (g, 2) means lo <= w <= hi (a leak is [0, w]). Kept as .G and .disturbance, g pairs (lo, hi).
         unknown_inputs: F (n, d), or a pair (F, D_v (p, d)): how inputs that nobody knows, not even a bound, act on the states and outputs.
@@ -106,6 +110,7 @@ class LinearSystem:
     name: str
     horizon: int | None
     lags: tuple[int, ...] | None
+    averages: tuple[Average, ...]
 
     A = _Of[Matrix]("plant")
     B = _Of[Matrix]("plant")
@@ -158,6 +163,7 @@ class LinearSystem:
         name: str = "model",
         horizon: int | None = None,
         lags: Sequence[int] | None = None,
+        averages: Averaged | None = None,
     ) -> None:
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
@@ -173,14 +179,16 @@ class LinearSystem:
             if horizon not in (None, lags[-1]):
                 raise ValueError(f"lags up to {lags[-1]} say by themselves how long a window is: leave the horizon {horizon} out")
             horizon = lags[-1]
+        measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
         vars(self).update(
             plant=parts,
-            sensors=sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance),
+            sensors=measured,
             signals=signals,
             origins=words("provenance", provenance, ORIGINS),
             name=str(name),
             horizon=None if horizon is None else int(horizon),
             lags=lags,
+            averages=_averages(averages, parts, measured, signals.outputs),
         )
 
     def replace(self, **changes: Any) -> LinearSystem:
@@ -226,6 +234,7 @@ class LinearSystem:
             "name": self.name,
             "horizon": self.horizon if self.lags is None else None,
             "lags": self.lags,
+            "averages": self.averages,
         }
 
     @property
@@ -296,6 +305,19 @@ class LinearSystem:
         horizon = "" if self.horizon is None else f", horizon {self.horizon}" if self.lags is None else f", lags {self.lags}"
         signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
         return f"{type(self).__name__}({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
+
+
+def _averages(given, parts, measured, outputs):
+    """Return the averages of a model; refuse what they do not go together with."""
+    found = averages_of(given, outputs, parts.disturbance)
+    if found and (parts.uncertainties or measured.constant_tolerance):
+        what = "uncertainties" if parts.uncertainties else "constant_tolerance"
+        raise ValueError(f"averages and {what} do not go together: they are tested beside exact models and tolerances drawn anew")
+    for a in found:
+        if a.signal in outputs and measured.tolerance[outputs.index(a.signal)]:
+            raise ValueError(f"averages of {a.signal!r} need its tolerance to be 0: a relative error of samples that differ has no mean; "
+                             "give the tolerance as noise")  # fmt: skip
+    return found
 
 
 def whole_lags(lags: Sequence[int]) -> tuple[int, ...]:

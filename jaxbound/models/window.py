@@ -20,7 +20,8 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["disturbance_form", "first_form", "input_lags", "second_form", "seen_rows", "unbounded", "unknown_lags", "unknowns"]
+__all__ = ["disturbance_form", "first_form", "input_lags", "row_count", "runs", "second_form", "seen_rows", "unbounded",
+           "unknown_lags", "unknowns"]  # fmt: skip
 
 ZERO = Fraction(0)
 
@@ -38,7 +39,28 @@ def unknown_lags(model: LinearSystem, horizon: int) -> int:
 def seen_rows(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[int, ...]:
     """Return the numbers of the rows of (Y, w) in a window that looks at its outputs only so many samples before its last."""
     outputs = ((horizon - lag) * model.p + i for lag in sorted(lags, reverse=True) for i in range(model.p))
-    return *outputs, *range((horizon + 1) * model.p, (horizon + 1) * model.p + model.g * horizon)
+    first, measured = (horizon + 1) * model.p + model.g * horizon, (horizon + 1) * model.p
+    ends = (first + i for i, (_, rows) in enumerate(runs(model, horizon)) if rows[-1] >= measured or horizon - rows[-1] // model.p in lags)
+    return *outputs, *range(measured, first), *ends
+
+
+def runs(model: LinearSystem, horizon: int) -> list[tuple[int, tuple[int, ...]]]:
+    """Return (number of the average, rows of (Y, w) that it combines) for every run of consecutive samples that lies in a window.
+
+    With lags an average is looked at where it ends at a sample that is looked at; it uses every sample of its run.
+    """
+    found = []
+    for number, average in enumerate(model.averages):
+        measured = average.signal in model.outputs
+        first = model.outputs.index(average.signal) if measured else (horizon + 1) * model.p + int(average.signal[1:]) - 1
+        width, samples, length = (model.p, horizon + 1, len(average.weights)) if measured else (model.g, horizon, len(average.weights))
+        found += [(number, tuple(first + width * j for j in range(k, k + length))) for k in range(samples - length + 1)]
+    return found
+
+
+def row_count(model: LinearSystem, horizon: int) -> int:
+    """Return how many rows bounds speak of in a window: outputs, disturbances, averages."""
+    return (horizon + 1) * model.p + model.g * horizon + len(runs(model, horizon))
 
 
 def unbounded(model: LinearSystem, horizon: int) -> Matrix:
@@ -84,7 +106,7 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (E, K): all that bounds speak of in a window, on its unknowns and inputs, for an exact plant.
 
     The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w) = E (x_k, w, v) + K U,
-    E = [O V G_v; 0 I 0], K = [H; 0].
+    E = [O V G_v; 0 I 0], K = [H; 0]; then those of the averages, a = F (Y, w): weighted sums of rows before.
     """
     O, H = first_form(model, horizon)
     G_v = tuple(row[model.n :] for row in unbounded(model, horizon))
@@ -93,7 +115,15 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     nothing = (ZERO,) * len(G_v[0])
     own = tuple((ZERO,) * model.n + tuple(Fraction(int(i == j)) for j in range(count)) + nothing for i in range(count))
     lags = model.m * input_lags(model, horizon)
-    return tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
+    E, K = tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
+    combined = [(model.averages[a].weights, rows) for a, rows in runs(model, horizon)]
+    summed = lambda M: tuple(_combination(weights, [M[i] for i in rows]) for weights, rows in combined)
+    return E + summed(E), K + summed(K)
+
+
+def _combination(weights: Vector, rows: Sequence[Vector]) -> Vector:
+    """Return the weighted sum of rows."""
+    return tuple(sum((f * x for f, x in zip(weights, column, strict=True) if x), ZERO) for column in zip(*rows, strict=True))
 
 
 def second_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:

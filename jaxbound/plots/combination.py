@@ -30,7 +30,14 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
             low, high = lo(j), hi(j)
             value += h[j * p + i] * (low + high) / 2
             width += abs(h[j * p + i]) * (high - low) / 2
-    for j, x in enumerate(h[(s + 1) * p :]):
+    for x, (a, run) in zip(h[(s + 1) * p + g * s :], window.runs, strict=True):
+        if not x:
+            continue
+        average = model.averages[a]
+        value_of, width_of = _averaged(window, average, run, y, s, count) if run[0] < (s + 1) * p else (0.0, float(average.bound))
+        value += x * value_of
+        width += abs(x) * width_of
+    for j, x in enumerate(h[(s + 1) * p : (s + 1) * p + g * s]):
         low, high = map(float, window.disturbance[j % g])
         value += x * (low + high) / 2
         width += abs(x) * (high - low) / 2
@@ -40,6 +47,18 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
             value -= x * (np.asarray(u[lag : lag + count, i], float) - float(model.offset["u"][i]))
     pad = np.full(len(y) - count, np.nan)
     return np.concatenate([pad, value]), np.concatenate([pad, np.where(np.isnan(value), np.nan, width)])
+
+
+def _averaged(window, average, run, y, s, count):
+    """Return (middle, half-width) of an average of every window."""
+    first, i = divmod(run[0], window.model.p)
+    ends = [_limits(window, i, np.asarray(y[:, i], float), s, count)]
+    middle, size = np.zeros(count), float(sum(map(abs, average.weights)))
+    for k, f in enumerate(map(float, average.weights)):
+        lo, hi = ends[0][0](first + k), ends[0][1](first + k)
+        middle += f * (lo + hi) / 2
+    rho = (hi - lo) / 2 - float(window.noise[i])
+    return middle, float(average.bound) + size * rho
 
 
 def _limits(window, i, y, s, count):

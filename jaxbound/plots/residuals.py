@@ -95,7 +95,11 @@ def distinct_relations(relations: ParityRelation | UncertainRelations) -> list[i
     model, last = relations.model, {}
     count = (relations.horizon + 1) * model.p
     for j, (h, k) in enumerate(zip(relations.W, relations.K, strict=True)):
-        parts = ((h[:count], model.p), (h[count:], model.g), (k, model.m))  # outputs, disturbances, inputs
+        parts = (
+            (h[:count], model.p),
+            (h[count : count + model.g * relations.horizon], model.g),
+            (k, model.m),
+        )  # outputs, disturbances, inputs
         first = min(i // width for row, width in parts for i, x in enumerate(row) if x)
         last[tuple(tuple((i - first * width, x) for i, x in enumerate(row) if x) for row, width in parts)] = j
     return sorted(last.values())

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
-from jaxbound.consistency.reading import Reading
+from jaxbound.consistency.reading import Filter, Reading
 from jaxbound.models import window
+from jaxbound.models.average import Average
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
@@ -20,17 +21,19 @@ __all__ = ["Bounds", "changed_bounds", "checked_bound", "float_bound", "model_bo
 Bounds: TypeAlias = dict[str, np.ndarray | jax.Array]
 """{"tolerance": (p,), "noise": (p,), ..}, see `model_bounds`."""
 
-KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance", "parameters": "parameter"}
+KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance", "parameters": "parameter", "average": "average"}
 
 
 def model_bounds(model: LinearSystem) -> Bounds:
-    """Return the bounds of a model as floats: "tolerance", "noise", and "disturbance" (g, 2), "parameters" (q,) where it has them."""
+    """Return the bounds of a model as floats: "tolerance", "noise", and what it has of "disturbance" (g, 2), "parameters", "average"."""
     bounds: dict[str, np.ndarray] = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
     if model.g:
         lo, hi = zip(*model.disturbance, strict=True)
         bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
     if model.uncertainties:
         bounds["parameters"] = np.ones(len(model.uncertainties))
+    if model.averages:
+        bounds["average"] = rounding.round_up([a.bound for a in model.averages])
     for bound in bounds.values():
         bound.setflags(write=False)
     return {**bounds}
@@ -47,6 +50,8 @@ def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> np.ndarra
         names = model.outputs
     elif kind == "disturbance":
         names = tuple(f"w{j + 1}" for j in range(model.g))
+    elif kind == "average":
+        names = tuple(a.text for a in model.averages)
     else:
         names = tuple(u.name for u in model.uncertainties)
     shape = np.shape(value)
@@ -108,4 +113,13 @@ def reading(
         horizon,
         window.input_lags(model, horizon),
         lags,
+        taken(float_bound(bounds.get("average", np.zeros(0)), dtype)),
+        tuple(_filter(model, a) for a in model.averages),
     )
+
+
+def _filter(model: LinearSystem, average: Average) -> Filter:
+    """Return an average as kernels take it."""
+    measured = average.signal in model.outputs
+    place = model.outputs.index(average.signal) if measured else int(average.signal[1:]) - 1
+    return measured, place, tuple(map(float, average.weights))

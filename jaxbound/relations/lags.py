@@ -37,6 +37,6 @@ def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matr
 
 
 def over_all_rows(row: Vector, seen: Sequence[int], model: LinearSystem, horizon: int) -> Vector:
-    """Return a row over some rows of (Y, w) as one over all."""
+    """Return a row over some rows of (Y, w, averages) as one over all."""
     at = dict(zip(seen, row, strict=True))
-    return tuple(at.get(i, ZERO) for i in range((horizon + 1) * model.p + model.g * horizon))
+    return tuple(at.get(i, ZERO) for i in range(window.row_count(model, horizon)))

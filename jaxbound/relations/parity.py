@@ -31,7 +31,7 @@ from jaxbound.consistency.reading import Reading, forms
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import PRIME
-from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.exact.linalg import Matrix
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
@@ -40,6 +40,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
+from jaxbound.relations.sentence import relation_text
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
@@ -121,6 +122,8 @@ class ParityRelation:
             ValueError: a method, budget or compensation that these relations cannot be tested by.
         """
         refuse_options(method, budget, compensation)
+        if self.model.averages and method != "joint":
+            raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if method == "paving":
             return PavingTest(self, dtype, budget)
         if self.model.constant_tolerance:
@@ -176,23 +179,6 @@ class ParityRelation:
         """
         letter, rows = ("c", zip(self.circuits, self.circuits_known, strict=True)) if circuits else ("r", zip(self.W, self.K, strict=True))
         return "\n".join(f"{letter}{i + 1}: {relation_text(self.model, self.horizon, h, k)}" for i, (h, k) in enumerate(rows))
-
-
-def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> str:
-    """Return one relation h Y - k U = 0 as text."""
-    at = [f"[k-{horizon - j}]" if j < horizon else "[k]" for j in range(horizon + 1)]
-    count = (horizon + 1) * model.p
-    terms = [(x, model.outputs[i % model.p] + at[i // model.p]) for i, x in enumerate(h[:count])]
-    terms += [(x, f"w{i % model.g + 1}" + at[i // model.g]) for i, x in enumerate(h[count:])]
-    terms += [(-x, model.inputs[i % model.m] + at[i // model.m]) for i, x in enumerate(k)]
-    out = ""
-    for x, signal in terms:
-        if x:
-            sign = ("- " if x < 0 else "") if not out else (" - " if x < 0 else " + ")
-            size = abs(x)
-            factor = "" if size == 1 else f"{size} " if size.denominator == 1 else f"{float(size):.6g} "
-            out += sign + factor + signal
-    return out + " = 0"
 
 
 @jax.jit
@@ -277,6 +263,7 @@ def parity_relations(
     else:
         samples, K = _second(model, horizon)
         W = _with_disturbance(model, horizon, samples)
+    W = _beside_averages(model, horizon, W)
     if not W:
         raise ValueError(_without_relation(model, horizon, lags))
     report(0.5)
@@ -313,7 +300,14 @@ def _without_relation(model: LinearSystem, horizon: int, lags: Sequence[int] | N
 
 def stated_relations(model: LinearSystem, horizon: int, samples: Matrix, K: Matrix) -> ParityRelation:
     """Return given relations samples Y = K U of an exact plant as a ParityRelation, to be tested one by one (method "box")."""
-    return ParityRelation(model_bounds(model), model, horizon, "stated", _with_disturbance(model, horizon, samples), K, (), ())
+    W = _beside_averages(model, horizon, _with_disturbance(model, horizon, samples))
+    return ParityRelation(model_bounds(model), model, horizon, "stated", W, K, (), ())
+
+
+def _beside_averages(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix:
+    """Append to relations the coefficients of the averages: none."""
+    nothing = (ZERO,) * len(window.runs(model, horizon))
+    return tuple(row + nothing for row in relations)
 
 
 def _few_circuits(E: Matrix, most: int) -> Matrix:

@@ -22,20 +22,22 @@ CHANGES = dict(
     noise=["0.1", "0.010000000000000000001"], constant_tolerance=True, resolution=0.001, E=[[2, 0], [0, 1]], unknown_inputs=[[1], [1]],
     disturbance=([[1], [0]], [[0, 0.01]]), uncertainties=[jb.Uncertainty("k", B=[[1], [0]], varying=False)], decouple=("k",), inputs=["v"],
     outputs=["a", "c"], states=["p", "r"], units={"a": "Pa"}, offset={"y": [1, 2]}, columns={"a": "B"}, ranges={"u": ("0", "1.5")},
-    provenance={"noise": "fitted"}, name="other", horizon=4)  # fmt: skip
+    provenance={"noise": "fitted"}, name="other", horizon=4, lags=(0, 1, 3),
+    averages={"w1": {2: 0.005}})  # fmt: skip
+WITHOUT = ("E", "averages")
 FIELDS = [name for name in inspect.signature(jb.LinearSystem.__init__).parameters if name != "self"]
 
 
 def model(field=None):
     given = dict(BASE, **({} if field is None else {field: CHANGES[field]}))
-    if field == "E":  # not together with uncertainties: compared with the same model without E
+    if field in WITHOUT:  # not together with uncertainties: compared with the same model without it
         given["uncertainties"] = ()
     return jb.LinearSystem(**given)
 
 
 @pytest.mark.parametrize("field", FIELDS)
 def test_every_argument_of_a_model_changes_it(field):
-    before = jb.LinearSystem(**dict(BASE, uncertainties=())) if field == "E" else model()
+    before = jb.LinearSystem(**dict(BASE, uncertainties=())) if field in WITHOUT else model()
     assert fingerprint(model(field)) != fingerprint(before)
     assert model(field) != before and model(field) == model(field)
 

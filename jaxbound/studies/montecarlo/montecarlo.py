@@ -208,8 +208,8 @@ def _engine(model, relations, course, at, method, room, u, limits, dtype):
     if at == "adversarial":
         if not (plain and certain):
             raise NotImplementedError(
-                "an adversary needs a test by strips, down whose margin it goes: a certain model with noise on every output, parity "
-                "relations, method 'joint' or 'box'; use at='vertices' instead"
+                "an adversary needs a test by strips, down whose margin it goes: a certain model without averages, noise on every output, "
+                "parity relations, method 'joint' or 'box'; use at='vertices' instead"
             )
         test = relations.reading(dtype)
 

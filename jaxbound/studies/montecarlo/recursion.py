@@ -127,7 +127,7 @@ def rounding_room(model: LinearSystem, horizon: int, inputs: np.ndarray, samples
 
 def fits(model: LinearSystem, room: np.ndarray) -> bool:
     """Say whether the fast recursion may stand for this model: certain, all unknowns bounded, and noise enough for the room."""
-    if model.uncertainties or model.d or model.constant_tolerance:
+    if model.uncertainties or model.d or model.constant_tolerance or model.averages:
         return False
     return all(taken <= SHARE * float(noise) for taken, noise in zip(_taken(model, room), model.noise, strict=True))
 

@@ -85,6 +85,7 @@ def moving(
             raise ValueError(f"there is no bound {name!r} to move: this model has {', '.join(bounds)}")
     who = {"output": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
     who["parameter"] = tuple(u.name for u in model.uncertainties)
+    who["average"] = tuple(a.text for a in model.averages)
     names, start, scale, most, still, columns = [], [], [], [], [], []
     fixed: list[float] = []
     sizes = tuple((name, np.size(b)) for name, b in bounds.items())
@@ -150,7 +151,8 @@ def model_with(relations: ParityRelation | UncertainRelations, moved: Moving, va
     model, old = relations.model, model_bounds(relations.model)
     provenance, fractions, at = dict(model.provenance), [Fraction(v) for v in values], 0
     changes: dict[str, object] = {"provenance": provenance} | getattr(relations, "window", {"horizon": relations.horizon})
-    decimals = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": [x for pair in model.disturbance for x in pair]}
+    decimals = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": [x for pair in model.disturbance for x in pair],
+                "average": [a.bound for a in model.averages]}  # fmt: skip
     for kind, count in moved.sizes:
         now, before = np.ravel(relations.bounds[kind]), np.ravel(old[kind])
         exact = list(decimals.get(kind, [Fraction(1)] * count))  # a bound that nobody changed keeps the decimal that the user wrote
@@ -160,11 +162,13 @@ def model_with(relations: ParityRelation | UncertainRelations, moved: Moving, va
             exact[i] = int(rows[i, b]) * fractions[b]
         if kind == "disturbance":
             changes[kind] = model.G, tuple(zip(exact[::2], exact[1::2], strict=True))
+        elif kind == "average":
+            changes["averages"] = tuple(replace(a, bound=x) for a, x in zip(model.averages, exact, strict=True))
         elif kind == "parameters":
             pairs = zip(model.uncertainties, exact, strict=True)
             changes["uncertainties"] = tuple(replace(u, between=(u.centre - k * u.radius, u.centre + k * u.radius)) for u, k in pairs)
         else:
             changes[kind] = exact
-        if rows.any() and kind != "parameters":
+        if rows.any() and kind not in ("parameters", "average"):
             provenance[kind] = source
     return model.replace(**changes)
