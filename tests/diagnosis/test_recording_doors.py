@@ -145,11 +145,16 @@ def test_a_bank(given):
     assert res.counts["FAULT"] == 0
 
 
-@pytest.mark.parametrize("kind", ["two frames", "masked", "jb.read of a CSV", "jb.read of Parquet"])
-def test_a_residual(kind):
-    u, y, starts = held(kind, *course()[::2])
+@pytest.fixture(scope="module")
+def own():
+    """Return a residual, one for all ways of holding a recording: it compiles once."""
     f = lambda z, u, y: y[1, 1] - z[1] - 0.2 * (y[0, 1] - z[0]) - u[0, 0]
-    r = jb.residual(f, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1, inputs=["valve"], outputs=["level", "flow"])
+    return jb.residual(f, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1, inputs=["valve"], outputs=["level", "flow"])
+
+
+@pytest.mark.parametrize("kind", ["two frames", "masked", "jb.read of a CSV", "jb.read of Parquet"])
+def test_a_residual(kind, own):
+    r, (u, y, starts) = own, held(kind, *course()[::2])
     shown = Recording.of(plant(), u, y, starts)  # a residual has no `where`
     res = jb.detect(r, shown)
     u, y, starts = clean(*course()[::2])
