@@ -191,8 +191,7 @@ def _read(x: Interval) -> Interval:
 
 def _close(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
     """Round outward; empty if any argument is."""
-    lo, hi = rounding.outward(lo, hi)
-    return _or_empty(lo, hi, *arguments)
+    return _or_empty(*rounding.outward(lo, hi), *arguments)
 
 
 def _or_empty(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
@@ -343,6 +342,7 @@ def matmul(x: Operand, y: Operand) -> Interval:
     return sum(mul(left, right), axis=-1 if vector else -2)
 
 
+@partial(jax.jit, inline=True)
 def mid(x: Interval) -> jax.Array:
     """Return a float inside x near its middle (half-line: the largest float, entire: 0, empty: NaN). Source: IEEE 1788 mid."""
     top = np.finfo(x.dtype).max
@@ -352,16 +352,16 @@ def mid(x: Interval) -> jax.Array:
     middle = jnp.clip(left + right, lo, hi)
     # subnormal bounds, which clip reads as 0
     middle = jnp.where(rounding.above(x.lo, middle), x.lo, jnp.where(rounding.above(middle, x.hi), x.hi, middle))
-    ends = jnp.where(unbounded[0], jnp.where(unbounded[1], 0, -top), jnp.where(unbounded[1], top, middle))
-    return jnp.where(x.is_empty, jnp.nan, ends)
+    return jnp.where(x.is_empty, jnp.nan, jnp.where(unbounded[0], jnp.where(unbounded[1], 0, -top), jnp.where(unbounded[1], top, middle)))
 
 
+@partial(jax.jit, inline=True)
 def rad(x: Interval) -> jax.Array:
     """Return a radius, rounded up, with x inside [mid - rad, mid + rad]; NaN for empty. Source: IEEE 1788 rad."""
-    m = mid(x)
-    return _spread(x, jnp.maximum(m - x.lo, x.hi - m))
+    return _spread(x, jnp.maximum((m := mid(x)) - x.lo, x.hi - m))
 
 
+@partial(jax.jit, inline=True)
 def wid(x: Interval) -> jax.Array:
     """Return hi - lo, rounded up; NaN for empty. Source: IEEE 1788 wid."""
     return _spread(x, x.hi - x.lo)
