@@ -9,6 +9,7 @@ import numpy as np
 from jaxbound.plots.canvas import PANELS, to_png
 from jaxbound.plots.validation import plot_output
 from jaxbound.recordings.plaintext import duration
+from jaxbound.reports.clock import clock_of
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.summary import Evidence, Summary
@@ -36,7 +37,7 @@ def write_page(
     shown = model.outputs[:PANELS]
     for i in range(len(shown)):
         name = f"output{i + 1}.png"
-        pictures[name] = to_png(plot_output(res, i, recording.axis))
+        pictures[name] = to_png(_as_written(plot_output(res, i, recording.axis), recording))
         (Path(directory) / name).write_bytes(pictures[name])
         if progress:
             progress((i + 1) / (len(shown) + 1))
@@ -64,6 +65,22 @@ def write_page(
     if progress:
         progress(1.0)
     return ["report.html", *pictures]
+
+
+def _as_written(fig, recording):
+    """Write dates on the axes of a Figure as the recording does; return it."""
+    stamps = getattr(recording, "stamps", None)
+    if stamps is None:
+        return fig
+    from matplotlib.ticker import FuncFormatter
+
+    step = float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else 1.0
+    clock = clock_of(recording.label, recording.time, stamps[0], len(stamps), step)
+    first = float(stamps[0].astype("datetime64[ns]").astype(np.int64)) / 1e9 - float(recording.time[0])
+    for ax in fig.axes:
+        ax.xaxis.get_major_locator().maxticks.update(dict.fromkeys(ax.xaxis.get_major_locator().maxticks, 8))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda day, at: clock.text(86400 * day - first).replace(" ", "\n", 1)))
+    return fig
 
 
 def _row(res, recording, i, first, last):

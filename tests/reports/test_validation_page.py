@@ -1,11 +1,26 @@
 """The page of a validated recording."""
 
 import re
+from types import SimpleNamespace
 
+import numpy as np
 from validated_case import found_in, recording_of
 
-from jaxbound.reports.validation import write_page
+from jaxbound.plots.canvas import to_png
+from jaxbound.plots.validation import plot_output
+from jaxbound.reports.validation import _as_written, write_page
 from jaxbound.runs.summary import summarised
+
+
+def test_dates_on_its_axes_are_written_as_in_the_recording():
+    days = np.datetime64("2024-03-01T08:00", "ns") + np.arange(60) * np.timedelta64(1, "h")
+    written = [f"{d.day:02d}.{d.month:02d}.{d.year} {d.hour:02d}:00" for d in days.astype("datetime64[s]").tolist()]
+    res = found_in()
+    recording = SimpleNamespace(time=np.arange(60) * 3600.0, stamps=days, axis=days, label=written.__getitem__)
+    fig = _as_written(plot_output(res, 0, days), recording)
+    to_png(fig)
+    shown = [t.get_text().replace("\n", " ") for t in fig.axes[0].get_xticklabels()]
+    assert 3 <= len(shown) <= 9 and set(shown) <= set(written)
 
 
 def test_it_shows_each_output_and_each_stretch(tmp_path):
