@@ -370,7 +370,7 @@ def wid(x: Interval) -> jax.Array:
 def _spread(x: Interval, size: jax.Array) -> jax.Array:
     """Return at least the size, off by two subnormal numbers read as 0: nothing for a point, infinite where a bound is not known."""
     out = _close(jnp.zeros_like(size), jnp.where(jnp.isnan(size), jnp.inf, size), x).hi
-    return jnp.where(x.is_empty, jnp.nan, jnp.where(rounding.above(x.hi, x.lo), out, 0))
+    return jnp.where(x.is_empty, jnp.nan, jnp.where(rounding.above(x.hi, x.lo) | jnp.isnan(x.lo + x.hi), out, 0))
 
 
 def mag(x: Interval) -> jax.Array:

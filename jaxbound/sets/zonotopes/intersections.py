@@ -35,7 +35,8 @@ def intersection(S: AnySet | Interval, Y: AnySet | Interval, matrix: Operand | N
 
     Args:
         S: a Zonotope or ConstrainedZonotope of n coordinates (or an Interval: IEEE 1788 intersection, no matrix).
-        Y: a set of r coordinates: a Zonotope, a ConstrainedZonotope, or an Interval (r,): strips, or half-spaces where a bound is infinite.
+        Y: a set of r coordinates: a Zonotope, a ConstrainedZonotope, or an Interval (r,): strips, half-spaces where a bound is infinite or
+            NaN, nothing where it is empty (for `is_empty` to prove).
             A measurement y = M p + v, v in V: Y = translate(scale(V, -1.0), y).
         matrix: M (r, n), numbers or Interval; None: the identity.
 
@@ -91,11 +92,13 @@ def _intersect(S: AnySet, Y: AnySet | Interval, M: Interval | None) -> Constrain
 
 
 def _bounded(Y: Interval, middle: jax.Array, radius: jax.Array) -> Interval:
-    """Return an Interval whose infinite bounds are where values within `radius` of `middle` cannot be anyway."""
+    """Return an Interval whose infinite bounds are where values within `radius` of `middle` cannot be anyway; an empty one is there too."""
     spread = up(radius + 4 * rounding.unit(middle.dtype) * jnp.abs(middle))
-    lo = jnp.where(jnp.isfinite(Y.lo), Y.lo, jnp.minimum(middle - spread, Y.hi))
-    hi = jnp.where(jnp.isfinite(Y.hi), Y.hi, jnp.maximum(middle + spread, Y.lo))
-    return Interval(jnp.minimum(lo, hi), hi)
+    below, above = jnp.isfinite(Y.lo), jnp.isfinite(Y.hi)
+    lo, hi = jnp.where(below, Y.lo, middle - spread), jnp.where(above, Y.hi, middle + spread)
+    lo, hi = jnp.where(below, lo, jnp.minimum(lo, hi)), jnp.where(above, hi, jnp.maximum(lo, hi))
+    nothing, away = Y.is_empty | (Y.lo == jnp.inf) | (Y.hi == -jnp.inf), middle + (2 * spread + jnp.abs(middle) + 1)
+    return Interval(jnp.where(nothing, away, lo), jnp.where(nothing, away, hi))
 
 
 def strip_intersection(Z: Zonotope, Y: Interval, matrix: Operand, gain: ArrayLike | None = None) -> Zonotope:

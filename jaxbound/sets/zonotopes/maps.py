@@ -223,11 +223,15 @@ def from_interval(box: Interval) -> Zonotope:
     """Return the Zonotope of a box, an Interval (n,): n generators, rounded outward.
 
     Raises:
-        ValueError: an array of another rank.
+        ValueError: an array of another rank, a box that is empty (inside jit it becomes a set of NaN, of which nothing is decided).
     """
     refuse_unverified(box)
     if len(box.shape) != 1:
         raise ValueError(f"a box is an Interval of shape (n,): the shape is {box.shape}")
+    if not any(isinstance(x, jax.core.Tracer) for x in (box.lo, box.hi)):
+        empty = np.nonzero(np.asarray(box.lo) > np.asarray(box.hi))[0]
+        if empty.size:
+            raise ValueError(f"an empty box is no zonotope: {empty.size} of {box.shape[0]} coordinates are empty, first at ({empty[0]},)")
     return _from_interval(box)
 
 

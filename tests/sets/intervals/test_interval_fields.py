@@ -98,6 +98,7 @@ def test_precisions_mix_without_losing_a_subnormal_number():
 @pytest.mark.parametrize("dtype", [pytest.param(t, marks=[pytest.mark.slow] if t == np.float32 else []) for t in DTYPES])
 def test_a_bound_that_is_nan_bounds_nothing(dtype):
     x, one = Interval(jnp.array([np.nan, 0.0, np.nan], dtype), jnp.array([1.0, np.nan, np.nan], dtype)), interval(np.ones(3, dtype))
+    assert (x.rad == np.inf).all() and (x.wid == np.inf).all()
     unary = (sets.sqr, sets.recip, abs, sets.sqrt, sets.log, sets.exp, sets.asin, sets.cos, lambda v: v**3, lambda v: v**-2)
     binary = (sets.add, sets.sub, sets.mul, sets.div, sets.hull, sets.intersection, sets.fma)
 

@@ -291,6 +291,36 @@ def test_a_support_along_zero_proves_sets_empty_under_jit_and_vmap(rng):
     assert (far[:10] >= 0).all() and (far[10:] < 0).all()
 
 
+EMPTY = [(np.inf, -np.inf), (2.0, 1.0), (np.inf, np.inf)]
+
+
+@pytest.mark.parametrize("bounds", EMPTY, ids=["empty", "lo above hi", "infinite point"])
+@pytest.mark.parametrize("center", [0.0, 1e9], ids=["near", "far"])
+def test_nothing_is_in_an_empty_interval_nor_in_a_strip_of_negative_width(bounds, center):
+    Z, Y = sets.zonotope([center, 1.0], np.eye(2)), Interval(*(jnp.array([b, s]) for b, s in zip(bounds, (-9.0, 9.0), strict=True)))
+    assert sets.is_empty(sets.intersection(Z, Y, np.array([[1.0, 1.0], [1.0, 0.0]]))).yes
+
+
+@pytest.mark.parametrize("bounds", [(np.nan, np.nan), (np.nan, 9.0), (-9.0, np.nan), (-np.inf, np.nan)])
+def test_a_bound_that_is_no_number_takes_nothing_away(bounds):
+    Z, Y = sets.zonotope([0.0, 1.0], np.eye(2)), Interval(*(jnp.array([b]) for b in bounds))
+    common, around = sets.intersection(Z, Y, [[1.0, 1.0]]), sets.strip_intersection(Z, Y, [[1.0, 1.0]])
+    corners = [[x, y] for x in (-0.99, 0.99) for y in (0.01, 1.99)]
+    assert sets.contains(common, corners).yes.all() and sets.contains(around, corners).yes.all()
+
+
+def test_a_matrix_or_factor_with_a_bound_that_is_no_number_bounds_nothing():
+    Z, N = sets.zonotope([1.0], [[1.0]]), Interval(jnp.array([np.nan]), jnp.array([np.nan]))
+    for S in (sets.linear_map(Interval(N.lo[None], N.hi[None]), Z), sets.linear_map([[1.0]], Z, N), sets.translate(Z, N), sets.scale(Z, N)):
+        assert not np.isfinite(np.asarray(S.generators)).all()
+    assert not sets.support(Z, N) < np.inf
+
+
+def test_an_empty_box_is_no_zonotope():
+    with pytest.raises(ValueError, match=r"an empty box is no zonotope: 1 of 2 coordinates are empty, first at \(1,\)"):
+        sets.from_interval(Interval(jnp.array([0.0, np.inf]), jnp.array([1.0, -np.inf])))
+
+
 def test_a_box_becomes_a_zonotope_that_holds_it(rng):
     lo = rng.normal(size=4)
     box = sets.interval(lo, lo + rng.exponential(size=4))

@@ -91,6 +91,57 @@ def scale(rng, Z, x):
     )
 
 
+def translate(rng, Z, x):
+    v = rng.normal(size=Z.center.shape).astype(Z.center.dtype)
+    found = jax.vmap(sets.translate)(Z, v)
+    moved = lambda z, w, a: [p + b for p, b in zip(image(*z, exact(w)), exact(a), strict=True)]
+    return all(made_up(c, G, exact(w), moved(z, w, a)) for (c, G), z, w, a in zip(each(found), each(Z), x, v, strict=True))
+
+
+def cartesian_product(rng, Z, x):
+    Y, y = draw(rng, len(x), 2, 3, Z.center.dtype), coefficients(rng, len(x), 3)
+    found = jax.vmap(sets.cartesian_product)(Z, Y)
+    return all(
+        image(c, G, exact([*w, *t])) == image(*z, exact(w)) + image(*v, exact(t))
+        for (c, G), z, v, w, t in zip(each(found), each(Z), each(Y), x, y, strict=True)
+    )
+
+
+def from_interval(rng, Z, x):
+    """The corners of boxes around the sets."""
+    box = jax.vmap(sets.interval_hull)(Z)
+    found = jax.vmap(sets.from_interval)(box)
+    far = lambda c, g: (Fraction(float(c)) - Fraction(float(g)), Fraction(float(c)) + Fraction(float(g)))
+    held = lambda c, g, lo, hi: far(c, g)[0] <= Fraction(float(lo)) and Fraction(float(hi)) <= far(c, g)[1]
+    return all(
+        all(held(*v) for v in zip(c, np.diag(G), lo, hi, strict=True)) for (c, G), lo, hi in zip(each(found), box.lo, box.hi, strict=True)
+    )
+
+
+def intersection(rng, Z, x):
+    """Another set is moved so that it shares the point, but for the rounding of the move, which its smallest generators make up for."""
+    n, dtype = Z.center.shape[1], Z.center.dtype
+    M, H, y = rng.normal(size=(len(x), 2, n)).astype(dtype), rng.normal(size=(len(x), 2, 2)).astype(dtype), coefficients(rng, len(x), 2)
+    at = [[dot(row, image(*z, exact(w))) for row in exact(m)] for m, z, w in zip(M, each(Z), x, strict=True)]
+    c = np.array(
+        [[float(p - q) for p, q in zip(p, image(np.zeros(2), h, exact(t)), strict=True)] for p, h, t in zip(at, H, y, strict=True)]
+    )
+    c = c.astype(dtype)
+    gap = [[p - q for p, q in zip(p, image(v, h, exact(t)), strict=True)] for p, v, h, t in zip(at, c, H, y, strict=True)]
+    axes = np.array([np.diag([np.nextafter(abs(dtype.type(float(v))), dtype.type(np.inf)) * 2 for v in g]) for g in gap], dtype)
+    rest = [[v / Fraction(float(e)) for v, e in zip(g, np.diag(a), strict=True)] for g, a in zip(gap, axes, strict=True)]
+    Y = Zonotope(jnp.asarray(c), jnp.asarray(np.concatenate([H, axes], 2)))
+    found = jax.vmap(sets.intersection)(Z, Y, M)
+
+    def held(S, w, t, r):
+        rows, own = exact(S[2]), exact([*w, *t]) + r
+        return all(
+            abs(dot(row[: len(own)], own) - b) <= -row[len(own) + i] for i, (row, b) in enumerate(zip(rows, exact(S[3]), strict=True))
+        )
+
+    return all(held(S, w, t, r) for S, w, t, r in zip(each(found), x, y, rest, strict=True))
+
+
 def convex_hull(rng, Z, x):
     Y, y, share = draw(rng, len(x), Z.center.shape[1], x.shape[1], Z.center.dtype), coefficients(rng, *x.shape), rng.uniform(size=len(x))
     found = jax.vmap(sets.convex_hull)(Z, Y)
@@ -153,7 +204,20 @@ def supports(rng, Z, x):
 
 CHECKS = {
     f.__name__: f
-    for f in (linear_map, interval_map, minkowski_sum, scale, convex_hull, strip_intersection, eliminate_constraints, supports)
+    for f in (
+        linear_map,
+        interval_map,
+        minkowski_sum,
+        scale,
+        translate,
+        cartesian_product,
+        from_interval,
+        convex_hull,
+        intersection,
+        strip_intersection,
+        eliminate_constraints,
+        supports,
+    )  # fmt: skip
 }
 CHECKS |= {f"reduce_order {m}": reductions(m) for m in ("girard", "combastel", "pca", "last")}
 
