@@ -219,8 +219,8 @@ def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_it
     assert re.findall("<!-- HELP: (\\w+) -->", page) == re.findall("^## (\\w+)$", page, re.M) and set(commands()) == set(
         re.findall("^## (\\w+)$", page, re.M)
     )
-    known = [modelfile.TOP, modelfile.STATE, modelfile.INPUT, modelfile.OUTPUT, modelfile.DISTURBANCE, modelfile.UNCERTAINTY,
-             modelfile.MATRICES, modelfile.PROVENANCE]  # fmt: skip
+    known = [modelfile.TOP, modelfile.STATE, modelfile.INPUT, modelfile.OUTPUT, modelfile.DISTURBANCE, modelfile.AVERAGE,
+             modelfile.UNCERTAINTY, modelfile.MATRICES, modelfile.PROVENANCE]  # fmt: skip
     sections = re.split("^## .+$", (ROOT / "docs" / "modelfile.md").read_text(), flags=re.M)[1:]
     for keys, section in zip(known, sections, strict=True):
         assert sorted(re.findall("^\\| `(\\w+)` \\| \\S", section, re.M)) == sorted(keys)
