@@ -210,7 +210,10 @@
     e.preventDefault();
     deeds[does]();
   });
-  for (const link of document.querySelectorAll("a[data-alarm]")) link.addEventListener("click", () => goto(Number(link.dataset.alarm)));
+  document.addEventListener("click", (e) => { // the table of alarms comes below
+    const link = e.target.closest("a[data-alarm]");
+    if (link) goto(Number(link.dataset.alarm));
+  });
   const overview = document.querySelector("#overview .margin .plot");
   if (overview) {
     const place = (e) => { const box = overview.getBoundingClientRect(); return whole.first + (whole.last - whole.first) * (e.clientX - box.left) / box.width; };

@@ -249,6 +249,8 @@ def test_a_reader_without_eyes_or_mouse_gets_everything(page):
     for target in set(re.findall('href="#([^"]*)"', page)):
         assert f'id="{target}"' in page
     assert '<figure id="zoom" tabindex="0"' in page and page.count("data-alarm=") == page.count("<option")
+    assert page.index("data-alarm=") > page.index('id="numbers"')  # below the script, which must not look for links while it is read
+    assert 'querySelectorAll("a[data-alarm]")' not in page
     buttons = re.findall("<button[^>]*>([^<]*)", page)
     assert len(buttons) == 9 and all('type="button"' in b for b in re.findall("<button[^>]*>", page))
 
