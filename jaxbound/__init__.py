@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.detectability import detectable
     from jaxbound.diagnosis.detection import detect, margins
     from jaxbound.diagnosis.isolation import evaluate
-    from jaxbound.diagnosis.memory import suggest_lags
+    from jaxbound.estimation.observer import observe, observer
     from jaxbound.estimation.unknown_inputs import unknown_inputs
     from jaxbound.estimation.validation import validate
     from jaxbound.models.conversion import from_control, from_scipy
@@ -48,9 +48,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Fault", "LinearSystem", "Monitor", "MultiModel", "Recording", "Status", "Uncertainty", "compensation", "detect", "detect_dataset",
     "detectable", "evaluate", "fit", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "linearize",
-    "load_model", "margins", "membership", "parity_relations", "pave", "plot", "read", "redundancy", "residual", "save_model", "sets",
-    "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "suggest_lags", "tune", "unknown_inputs",
-    "use_cache", "validate", "zonotope",
+    "load_model", "margins", "membership", "observe", "observer", "parity_relations", "pave", "plot", "read", "redundancy", "residual",
+    "save_model", "sets", "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "suggest_lags", "tune",
+    "unknown_inputs", "use_cache", "validate", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -60,7 +60,11 @@ _HOMES = {  # where a name is imported from when it is first asked for; types of
     "diagnosis.detectability": "detectable",
     "diagnosis.detection": "detect margins",
     "diagnosis.isolation": "evaluate",
+<<<<<<< HEAD
     "diagnosis.memory": "suggest_lags",
+=======
+    "estimation.observer": "observe observer",
+>>>>>>> ea5406c (Set observers: enclosures of the state from everything since the start, and proofs where nothing is left)
     "estimation.unknown_inputs": "unknown_inputs",
     "estimation.validation": "validate",
     "models.conversion": "from_control from_scipy",
@@ -93,7 +97,7 @@ _HOMES = {  # where a name is imported from when it is first asked for; types of
     "studies.tuning.tuning": "tune",
     "certificates": "Certificate UncertainCertificate",
     "diagnosis": "Alarm BankResult GuaranteedSize Result",
-    "estimation": "UnknownInputs Validation",
+    "estimation": "Observation UnknownInputs Validation",
     "models": "IntervalSystem Trajectory",
     "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",
     "runs": "Digest",

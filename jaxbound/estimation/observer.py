@@ -1,0 +1,337 @@
+"""Set observers: at every sample an enclosure of the state from everything since the start, and a proof when nothing is left of it.
+
+A window forgets what came before it; an observer does not. The set of states that all samples so far allow is carried on as a zonotope
+(`zonotope_steps`): moved by the model, met with what each sample says. Where it is proved empty, no behaviour within the bounds explains
+the samples since it began: a FAULT.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxbound.consistency.drive import drive
+from jaxbound.consistency.interface import Judged, Observer
+from jaxbound.estimation import zonotope_steps as steps
+from jaxbound.estimation.zonotope_numbers import least_horizon, middle, numbers, start
+from jaxbound.models.intervals import as_intervals
+from jaxbound.models.sensor import input_slip
+from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.sizes import power
+from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.zonotopes.zonotope import Zonotope
+
+__all__ = ["Observation", "ObserverState", "SetObserver", "observe", "observer"]
+
+BLOCK = 128
+"""Recordings side by side in one kernel: their sets should stay in the cache."""
+WEIGHTS = (1.0, 30.0, 1000.0)
+"""Sets side by side where nothing else is asked for: one for what is sudden, two for what lasts and what is slow."""
+PIECES = (16, 1024)
+"""Samples that a kernel is compiled for."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What `observe` found, time first.
+
+    Fields:
+        status (..., T) int8, see `Status`: FAULT is a proof that no behaviour explains all samples from `since` to this one. UNDECIDED:
+            they are not refuted. MISSING: nothing to test against (the state is not known yet), or no sample.
+        margin (..., T): 1 - t, t the factor on the set before this sample and on its own bounds at which the two would just touch, by the
+            worst output: < 0 where FAULT. It is about this sample given those before, not comparable with the margin of a window. NaN where
+            nothing was tested.
+        since (..., T) int: the first sample that the enclosure rests on; -1: there is none.
+        state Interval (..., T, n): holds the state of every behaviour that explains the samples from `since` on, this one included; entire
+            where there is none. Of a FAULT: what the samples before it allowed.
+        predicted Interval (..., T, p): what a perfect sensor would show as far as the samples before this one tell. output: with it.
+    """
+
+    status: Any
+    margin: Any
+    since: Any
+    state: Interval
+    predicted: Interval
+    output: Interval
+
+
+class ObserverState(NamedTuple):
+    """What a set observer carries on. Fields: carry: of the kernels, recordings on the last axis; samples: how many there were."""
+
+    carry: steps.Carry
+    samples: np.int64
+
+
+def observer(
+    model: Any, order: float = 20, weight: float | Sequence[float] = WEIGHTS, restart: bool = True, x0: Interval | Zonotope | None = None,
+    horizon: int | None = None,
+) -> "SetObserver":  # fmt: skip
+    """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
+
+    Args:
+        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no unknown inputs) or an `interval_system`.
+        order: generators of the zonotope for each state, >= 1: more is sharper and slower.
+        weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its generators; above 1 the
+            observer believes a sample less and remembers longer, so that lasting and slow faults show. Several numbers: as many sets side
+            by side, whose verdicts and intervals hold together; they cost as much more.
+        restart: True: the sample after a contradiction begins anew, MISSING until the state is known again. False: a FAULT stays until a
+            gap, since what contradicts once contradicts for good.
+        x0: Interval (n,) or Zonotope that holds the state at the very first sample; it need not be narrow. None: it can be anything, and is
+            found from the first horizon + 1 samples in a row that are whole.
+        horizon: of these; None: the least that shows all states.
+
+    Raises:
+        ValueError: states that the outputs do not show and no x0, an x0 that is not bounded or does not fit, an order below 1, a weight
+            that is not positive.
+        TypeError: no model.
+
+    Encloses: every state of every behaviour within the bounds that explains all samples since it began.
+
+    Source: Alamo, Bravo, Camacho 2005; Combastel 2015; Girard 2005. See `zonotope_steps`.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[0.9]], [[1]], [[1]], noise=0.1, disturbance=([[1]], 0.01))
+        >>> found = jb.detect(jb.observer(m), [[1.0]] * 4, [[0.0], [1.0], [1.9], [5.0]])
+        >>> [jb.Status(s).name for s in found.status]
+        ['MISSING', 'UNDECIDED', 'UNDECIDED', 'FAULT']
+    """
+    return SetObserver(model, order, weight, restart, x0, horizon)
+
+
+def observe(
+    model: Any, u: Any, y: Any = None, order: float = 20, weight: float | Sequence[float] = WEIGHTS, restart: bool = True,
+    x0: Interval | Zonotope | None = None, horizon: int | None = None, starts: ArrayLike = (),
+) -> Observation:  # fmt: skip
+    """Enclose the state at every sample by what all samples since the start allow, and prove where nothing is left.
+
+    Args:
+        model, order, weight, restart, x0, horizon: as for `observer`.
+        u: (..., T, m) or None, y: (..., T, p), tables and starts as for `detect`; recordings on leading axes run side by side. A missing
+            output says nothing; a missing input, and a gap, begin anew.
+
+    Returns:
+        An Observation.
+
+    Raises:
+        ValueError: as `observer`, and shapes that do not fit. RuntimeError: where rounding has not been verified.
+
+    Encloses: as `observer`.
+
+    Example:
+        >>> import jaxbound as jb
+        >>> m = jb.LinearSystem([[0.9]], [[1]], [[1]], noise=0.1, disturbance=([[1]], 0.01))
+        >>> jb.observe(m, [[1.0]] * 4, [[0.0], [1.0], [1.9], [5.0]]).predicted.hi[3].round(2)
+        array([2.82])
+    """
+    watch = SetObserver(model, order, weight, restart, x0, horizon, enclosures=True)
+    _, given = watch.recording(u, y, starts)
+    return drive(watch, given)
+
+
+class SetObserver(Observer):
+    """Carries the set of states that all samples since the start allow. Build it with `observer`.
+
+    Fields: model; order; weights; restart; horizon: samples without a verdict at the start, or None; enclosures: whether `fold` returns an
+    Observation, else verdicts alone.
+    """
+
+    method = "observer"
+
+    def __init__(
+        self, model: Any, order: float, weight: Any, restart: bool, x0: Any, horizon: int | None, enclosures: bool = False
+    ) -> None:
+        refuse_unverified()
+        self.model, self.order, self.restart, self.enclosures = model, float(order), bool(restart), enclosures
+        self._system = system = as_intervals(model)
+        self.signals = model if hasattr(model, "column") else Signals(system.inputs, system.outputs, {})
+        if not order >= 1:
+            raise ValueError(f"the order of an observer must be at least 1: it is {order!r}")
+        self.weights = np.atleast_1d(np.asarray(weight, np.float64))
+        if self.weights.ndim > 1 or not len(self.weights) or not ((self.weights > 0) & np.isfinite(self.weights)).all():
+            raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
+        self._x0 = None if x0 is None else _first_set(x0, system.n)
+        least = least_horizon(system) if horizon is None else horizon
+        if least is None and x0 is None:
+            raise ValueError("the outputs do not show all states, however long one looks: give x0, bounds of the first state")
+        if isinstance(least, bool) or not (least is None or isinstance(least, (int, np.integer)) and least >= 0):
+            raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+        self._start = None if least is None else start(model, system, int(least), self._dtype)
+        if self._start is None and x0 is None:
+            raise ValueError(f"{least + 1} samples do not show all states, or the parameters are too uncertain for it: give x0")
+        self._past = 0 if self._start is None else int(least)
+        self.horizon = 0 if x0 is not None else self._past
+
+    @property
+    def relations(self) -> "SetObserver":
+        """What a Result calls relations: this observer."""
+        return self
+
+    def recording(self, u: Any, y: Any = None, starts: ArrayLike = ()) -> tuple["SetObserver", Recording]:
+        """Return (this observer, the Recording of its signals)."""
+        return self, Recording.of(self.signals, u, y, starts).finite()
+
+    def test(self, method: str = "joint", dtype: Any = None, budget: Any = None, compensation: ArrayLike = 0.0) -> "SetObserver":
+        """Return the observer that gives verdicts alone; an observer knows one method.
+
+        Raises:
+            ValueError: another method than "joint", a budget or a compensation.
+        """
+        if method != "joint" or budget is not None or np.any(np.asarray(compensation) != 0):
+            raise ValueError("an observer takes neither method nor budget nor compensation: they belong to windows")
+        watch = object.__new__(SetObserver)
+        vars(watch).update(vars(self), enclosures=False)
+        return watch
+
+    @property
+    def _dtype(self):
+        return np.dtype(jax.dtypes.canonicalize_dtype(np.float64))
+
+    @cached_property
+    def _numbers(self):
+        return numbers(self.model, self._system, self._dtype)
+
+    @cached_property
+    def _generators(self):
+        return int(self.order * self._system.n)
+
+    def init(self) -> ObserverState:
+        """Return the state before the first sample."""
+        m = self._system
+        carry = steps.unknown((m.n, self._generators, m.p, m.m, self._past), self.weights.astype(self._dtype))
+        if self._x0 is not None:
+            carry = _known(carry, *self._x0)
+        return ObserverState(carry, np.int64(0))
+
+    def fold(self, carry: ObserverState, piece: Recording) -> tuple[ObserverState, Any]:
+        """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
+        piece.finite()
+        u, y = np.asarray(piece.u), np.asarray(piece.y)
+        *lead, T, p = y.shape
+        count = int(np.prod(lead))
+        lanes, past = len(self.weights), carry.carry
+        followed = past.c.shape[-1] // lanes
+        if followed not in (1, count):
+            raise ValueError(f"this observer follows {followed} recordings, y holds {count}")
+        past = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], lanes, followed), past)
+        past = jax.tree.map(lambda x: np.repeat(x, count // followed, -1), past)
+        last = lambda x: np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1).astype(self._dtype)
+        fresh = np.zeros(T, bool)
+        fresh[np.asarray(piece.starts, np.int64)] = True
+        if piece.excluded is not None:
+            fresh |= piece.excluded
+        given = last(u), last(y), last(input_slip(u)), fresh
+        rounded = max(float(rounding.unit(y.dtype)), float(rounding.unit(self._dtype)))
+        size = min(max(BLOCK // lanes, 1), power(count))
+        blocks = [np.minimum(np.arange(a, a + size), count - 1) for a in range(0, count, size)]
+        beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
+        cut = lambda block: jax.tree.map(lambda x: beside(x[..., block]), past)
+        job = lambda block: self._block(cut(block), [np.tile(x[..., block], lanes) for x in given[:3]], fresh, rounded)
+        done = [job(blocks[0])]
+        if len(blocks) > 1:
+            with jax.enable_x64(self._dtype == np.float64), ThreadPoolExecutor(os.cpu_count()) as threads:
+                done += threads.map(self._beside(job), blocks[1:])
+        split = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
+        together = lambda *parts: np.concatenate([split(x) for x in parts], -1)[..., :count]
+        past = jax.tree.map(lambda *parts: beside(together(*parts)), *(a for a, _ in done))
+        found = jax.tree.map(together, *(b for _, b in done))
+        return ObserverState(past, carry.samples + T), self._told(_joined(found), lead, T, int(carry.samples))
+
+    def _beside(self, job):
+        """Return the job for a thread, which does not inherit how wide numbers are."""
+        wide = self._dtype == np.float64
+
+        def run(block):
+            with jax.enable_x64(wide):
+                return job(block)
+
+        return run
+
+    def _block(self, carry, samples, fresh, rounded):
+        """Follow some recordings side by side, piece by piece."""
+        T, parts, first = len(fresh), [], 0
+        while first < T or not parts:
+            length = PIECES[0] if T - first <= PIECES[0] else PIECES[1]
+            stop = min(first + length, T)
+            cut = [_filled(x[first:stop], length, np.nan) for x in samples[:2]]
+            slip, new = _filled(samples[2][first:stop], length, 0), _filled(fresh[first:stop], length, False)
+            known = steps.read(self._numbers, *cut, slip, new, np.asarray(rounded, self._dtype))
+            carry, found = steps.follow(
+                self._numbers, self._start, carry, known, 0, stop - first, len(self.weights), self.enclosures, self.restart
+            )
+            parts.append(jax.tree.map(lambda x, count=stop - first: np.asarray(x)[:count], found))
+            first = stop
+        return jax.tree.map(np.asarray, carry), jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+    def _told(self, found, lead, T, before):
+        """Return the Observation, or the verdicts, of arrays with time first and recordings last."""
+        shaped = lambda x: np.moveaxis(x, -1, 0).reshape(*lead, T, *x.shape[1:-1])
+        status, margin, age = (shaped(x) for x in found[:3])
+        if not self.enclosures:
+            return Judged(status, margin)
+        since = np.where(age > 0, before + np.arange(T) - age + 1, -1)
+        n, p = self._system.n, self._system.p
+        ends = lambda x, width: Interval(-x[..., :width], x[..., width:])
+        states, outputs = shaped(found.states), shaped(found.outputs)
+        return Observation(status, margin, since, ends(states, n), ends(outputs[..., : 2 * p], p), ends(outputs[..., 2 * p :], p))
+
+
+def _joined(found):
+    """Return what sets side by side (.., lanes, N) say together."""
+    if found.status.shape[-2] == 1:
+        return steps.Found(*(x[..., 0, :] for x in found))
+    age = np.where((found.age > 0).all(-2), found.age.max(-2), 0)
+    return steps.Found(found.status.max(-2), found.margin.min(-2), age, found.states.min(-2), found.outputs.min(-2))
+
+
+def _filled(x, length, value):
+    """Return x with rows of a value behind, up to a length."""
+    out = np.full((length, *x.shape[1:]), value, x.dtype)
+    out[: len(x)] = x
+    return out
+
+
+def _first_set(x0, n):
+    """Return (centre (n,), generators (n, q), box (n,)), exact floats, of what holds the first state."""
+    if isinstance(x0, Zonotope):
+        c, G = np.asarray(x0.center, np.float64), np.asarray(x0.generators, np.float64)
+        r = np.zeros(len(c))
+    else:
+        x0 = interval(x0)
+        bounded = np.isfinite(x0.lo) & np.isfinite(x0.hi)
+        c, r = (np.where(bounded, part, np.inf) for part in middle(jax.tree.map(lambda end: np.where(bounded, end, 0), x0)))
+        G = np.zeros((*c.shape, 0))
+    if c.shape != (n,):
+        raise ValueError(f"x0 needs one interval for each of {n} states: its shape is {c.shape}")
+    if not (np.isfinite(c).all() and np.isfinite(G).all() and np.isfinite(r).all()):
+        raise ValueError("x0 must be bounded: give each state an interval, it need not be narrow; or no x0")
+    return c, G, r
+
+
+def _known(carry, c, G, r):
+    """Return the carry of a first sample whose state is in a set."""
+    dtype, (n, q, _) = carry.c.dtype, carry.G.shape
+    parts = [np.diag(r)[:, r > 0], G]
+    columns = np.concatenate(parts, 1)
+    key = np.abs(columns).sum(0) - np.abs(columns).max(0, initial=0)
+    if columns.shape[1] > q:
+        order = np.argsort(key)
+        rest = columns[:, order[: columns.shape[1] - q + n]]
+        columns = np.concatenate([np.diag(np.abs(rest).sum(1) * (1 + 1e-12)), columns[:, order[columns.shape[1] - q + n :]]], 1)
+    inside = columns.astype(dtype)
+    centre = c.astype(dtype)
+    off = np.abs(c - centre.astype(np.float64)) + np.abs(columns - inside.astype(np.float64)).sum(1)
+    full = np.zeros((n, q), dtype)
+    full[:, : inside.shape[1]] = inside
+    off = rounding.round_up(np.where(off > 0, off * (1 + 1e-12), 0), dtype)
+    each = lambda x: np.repeat(x[..., None], len(carry.age), -1)
+    return carry._replace(c=each(centre), G=each(full), r=each(off), age=np.zeros_like(carry.age))

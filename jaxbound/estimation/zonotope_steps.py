@@ -1,0 +1,367 @@
+"""One step of a set observer: zonotopes that hold the state, all recordings side by side on the last axis, one loop over time.
+
+A set is {c + G xi + diag(r) eta}, |xi|, |eta| <= 1, with q generators in G; r holds what rounding adds until it becomes a generator.
+
+**A sample** says |m - C x - D v| <= s of one output (`sensor.true_value`). For every number L, x lies in
+c + L (m - C c - D v) + (I - L C) G xi + L s delta, |delta| <= 1. Taken is the L that makes the sum of squares of all generators least,
+L = R C' / (C R C' + s^2) with R = G G': one output after the other, it is the gain of the Kalman filter. With weight s^2 in place of s^2,
+weight > 1, samples count less: the set is wider, and what is slow shows for longer. Several weights go side by side, each a recording of
+its own; what one of them refutes is refuted.
+**A step of time** maps the set by A and adds generators of the disturbances. Then the smallest generators (1-norm less the largest entry)
+go into a box, if there are more than q.
+
+**Rounding.** Every result above is off by less than gamma (|c| + sum_j |G_j| + r + ..), with the magnitudes of all that it is computed
+from, see `product_error`; the sum of these bounds, and what intervals instead of numbers in A, B, C, D add, goes into r. Numbers beyond
+2^300 (float32: 2^40) end the enclosure, as if the state were not known; below it no product overflows, and 2^-500 (2^-46) covers what
+underflows.
+
+Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel 2015 (its gain); Girard 2005 (which generators stay).
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbound.models.sensor import RECORDER_ULPS, lift, true_value
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.sizes import power
+from jaxbound.sets.floats.status import Status
+from jaxbound.sets.floats.unrolled import stored, summed
+
+__all__ = ["Carry", "Numbers", "Read", "Start", "follow", "read", "unknown"]
+
+
+class Numbers(NamedTuple):
+    """A model in floats.
+
+    Fields: A (n, n), B (n, m), C (p, n), D (p, m) and wide_A, .., what entries may be more or less; W (n, g) columns of disturbances,
+    w (n,) their middle, wide_w (n,) what these may be off by; u0 (m,), wide_u0; tolerance, noise, y0 (p,).
+    """
+
+    A: jax.Array
+    wide_A: jax.Array
+    B: jax.Array
+    wide_B: jax.Array
+    C: jax.Array
+    wide_C: jax.Array
+    D: jax.Array
+    wide_D: jax.Array
+    W: jax.Array
+    w: jax.Array
+    wide_w: jax.Array
+    u0: jax.Array
+    wide_u0: jax.Array
+    tolerance: jax.Array
+    noise: jax.Array
+    y0: jax.Array
+
+
+class Start(NamedTuple):
+    """The state x of the newest sample from the last h + 1 alone: x = K m + U v + w + W xi - K s delta.
+
+    Fields: K (n, (h+1) p), U (n, (h+1) m), w (n,), W (n, h g), the oldest sample first; wide_K, wide_U, wide (n,): what x may be off by for
+    each |m| + s and |v|, and beside.
+    """
+
+    K: jax.Array
+    U: jax.Array
+    w: jax.Array
+    W: jax.Array
+    wide_K: jax.Array
+    wide_U: jax.Array
+    wide: jax.Array
+
+
+class Read(NamedTuple):
+    """What T samples say. Fields: mid, rad (T, p, N), radius infinite where there is none; v, slip (T, m, N) inputs less their offset, and
+    what they may be off by; whole (T, N): whether every output is there; known: every input; fresh: does not follow the sample before.
+    """
+
+    mid: jax.Array
+    rad: jax.Array
+    v: jax.Array
+    slip: jax.Array
+    whole: jax.Array
+    known: jax.Array
+    fresh: jax.Array
+
+
+class Carry(NamedTuple):
+    """What goes on from sample to sample: the set before a sample is looked at, and the last samples.
+
+    Fields: c (n, N), G (n, q, N), r (n, N); age (N,): samples that the set rests on, -1 where there is none; empty (N,): contradicted;
+    mid, rad (h, p, N), v, slip (h, m, N): the last samples; ready (N,): how many of these are whole and follow each other. weight (N,).
+    """
+
+    c: jax.Array
+    G: jax.Array
+    r: jax.Array
+    age: jax.Array
+    empty: jax.Array
+    mid: jax.Array
+    rad: jax.Array
+    v: jax.Array
+    slip: jax.Array
+    ready: jax.Array
+    weight: jax.Array
+
+
+def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Carry:
+    """Return the Carry of recordings before the first sample, on the host. sizes: n, q, p, m, h; weight (N,), in the dtype of all."""
+    (n, q, p, m, h), N, dtype = sizes, len(weight), weight.dtype
+    zero = lambda *shape: np.zeros((*shape, N), dtype)
+    last = zero(h, p), zero(h, p), zero(h, m), zero(h, m)
+    return Carry(zero(n), zero(n, q), zero(n), np.full(N, -1, np.int32), np.zeros(N, bool), *last, np.zeros(N, np.int32), weight)
+
+
+@jax.jit
+def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array) -> Read:
+    """Return what samples u, slip (T, m, N), y (T, p, N) say. rounded: the unit roundoff of the type that y was recorded in."""
+    mid, rad = [], []
+    gamma, floor = rounding.residual_error(8, y.dtype)
+    for i in range(y.shape[1]):
+        sample = y[:, i]
+        size = jnp.where(jnp.isnan(sample), 0, jnp.abs(sample))
+        noise = plant.noise[i] + RECORDER_ULPS * rounded * (size + plant.noise[i])
+        (middle,), (radius,), (scale,) = true_value([sample], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size)
+        gone = jnp.isnan(sample) | ~(scale < _largest(y.dtype))
+        mid.append(jnp.where(gone, 0, middle))
+        rad.append(jnp.where(gone, jnp.inf, radius + gamma * scale + floor * (1 + lift(plant.tolerance))))
+    mid, rad = (jnp.stack(x, 1) for x in (mid, rad))
+    all_along = lambda x: x[None, :, None]
+    known = jnp.all(jnp.abs(u) < _largest(u.dtype), 1)
+    v = jnp.where(jnp.isnan(u), 0, u) - all_along(plant.u0)
+    off = (
+        slip + all_along(plant.wide_u0) + 4 * rounding.unit(u.dtype) * (jnp.abs(u) + jnp.abs(all_along(plant.u0))) + rounding.tiny(u.dtype)
+    )
+    whole = jnp.all(jnp.isfinite(rad), 1) & known
+    return Read(mid, rad, v, jnp.where(known[:, None], off, 0), whole, known, fresh)
+
+
+class Found(NamedTuple):
+    """What is found of T samples.
+
+    Fields: status (T, N) int8; margin (T, N); age (T, N) int32, samples that the set rests on, 0 without one; states (T, 2 n, N), ends -lo,
+    hi of the states; outputs (T, 4 p, N), of what perfect sensors would show: as the samples before allow, then with this one. Without
+    enclosures these two are empty.
+    """
+
+    status: jax.Array
+    margin: jax.Array
+    age: jax.Array
+    states: jax.Array
+    outputs: jax.Array
+
+
+@partial(jax.jit, static_argnames=("lanes", "enclosures", "restart"))
+def follow(
+    plant: Numbers, start: Start | None, carry: Carry, known: Read, first: int, stop: int, lanes: int, enclosures: bool, restart: bool
+) -> tuple[Carry, Found]:
+    """Follow N recordings over the samples first, .., stop - 1 of these.
+
+    Args:
+        start: how the state is found from samples alone, or None: where it is lost it stays so.
+        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: whether to return them.
+        restart: whether the sample after a contradiction begins anew; else FAULT stays.
+
+    Returns:
+        (carry, Found); what it has of other samples means nothing.
+    """
+    (n, _, N), (T, p, _), dtype = carry.G.shape, known.mid.shape, known.mid.dtype
+    room = lambda *width, dtype=dtype: jnp.zeros((T, *width, N), dtype)
+    empty = Found(room(dtype=jnp.int8), room(), room(dtype=jnp.int32), room(2 * n * enclosures), room(4 * p * enclosures))
+
+    def step(k, state):
+        carry, found = state
+        now = Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
+        carry, out = _sample(plant, start, _begun_anew(carry, now.fresh), now, enclosures)
+        if restart:
+            carry = _begun_anew(carry, jnp.tile(jnp.any(carry.empty.reshape(lanes, -1), 0), lanes))
+        carry = _step_of_time(plant, carry, now)
+        put = lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0)
+        return carry, Found(*(put(old, new) for old, new in zip(found, out, strict=True)))
+
+    return jax.lax.fori_loop(first, stop, step, (carry, empty))
+
+
+def _begun_anew(carry, where):
+    """Forget what was before."""
+    return carry._replace(age=jnp.where(where, -1, carry.age), empty=carry.empty & ~where, ready=jnp.where(where, 0, carry.ready))
+
+
+def _sample(plant, start, carry, now, enclosures):
+    """Look at one sample: return (carry with the set after it, one row of `Found`)."""
+    alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
+    dtype, g = carry.c.dtype, _Bounds(plant, carry)
+    direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
+    seen = jnp.isfinite(now.rad) & (now.known[None] | ~direct[:, None])
+    through = jnp.where(now.known[None], _map(plant.D, now.v), 0)
+    sizes = jnp.abs(plant.D)
+    loose = jnp.where(now.known[None], g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes, now.slip)), 0)
+    mid, rad = jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0)
+    one = lambda x, i: jax.lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
+
+    def says(i, c, G, r, size):
+        """Return of output i: (C_i G, its value at the middle, how far it reaches, what rounding and intervals add to that, magnitudes)."""
+        row, wide = one(plant.C, i), one(plant.wide_C, i)
+        P = summed(lambda a, x: a * x, row, G)
+        value = summed(lambda a, x: a * x, row, c) + one(through, i)
+        whole = summed(lambda a, x: abs(a) * x, row, size) + jnp.abs(one(through, i)) + jnp.abs(one(mid, i)) + one(rad, i)
+        slack = g.up * (summed(lambda a, x: a * x, wide, size) + one(loose, i) + g.gamma * whole) + g.least
+        return P, value, g.up * (jnp.sum(jnp.abs(P), 0) + summed(lambda a, x: abs(a) * x, row, r)) + slack, slack, whole
+
+    sized = lambda c, G, r: jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r
+    before = carry.c, carry.G, carry.r, sized(carry.c, carry.G, carry.r)
+
+    def output(i, state):
+        """Test output i against the set before this sample and as it is by now, then meet its strip."""
+        (c, G, r), ratio, wrong = state
+        size = sized(c, G, r)
+        P, value, reach, slack, whole = says(i, c, G, r, size)
+        _, alone, reach_alone, *_ = says(i, *before)
+        there, s = one(seen, i), one(rad, i)
+        e = one(mid, i) - value
+        for far, bound in ((e, reach + s), (one(mid, i) - alone, reach_alone + s)):
+            ratio = jnp.where(there, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
+            wrong |= there & (jnp.abs(far) > g.up * bound)
+        L = jnp.sum(G * P[None], 1) / (jnp.sum(P * P, 0) + carry.weight * s * s + g.least)[None]
+        L = stored(jnp.where(there[None] & (jnp.abs(L) < g.steepest), L, 0))  # one number for all its uses: then any will do
+        far = jnp.abs(L)
+        added = summed(lambda a, x: abs(a) * x, one(plant.C, i), r) + slack + g.gamma * whole
+        r = g.up * (r + far * added[None] + g.gamma * size) + g.least
+        G = G - L[:, None] * P[None]
+        G = jax.lax.dynamic_update_index_in_dim(G, L * s[None], q + i, 1)
+        return (c + L * e[None], G, r), ratio, wrong
+
+    room = jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1)
+    nothing = (carry.c, room, carry.r), jnp.zeros(N, dtype), jnp.zeros(N, bool)
+    before = (before[0], room, *before[2:])
+    (c, G, r), ratio, wrong = jax.lax.fori_loop(0, p, output, nothing)
+    bounded = jnp.all(sized(c, G, r) <= g.most, 0)
+    looked = alive & jnp.any(seen, 0)
+    empty = carry.empty | (looked & wrong)
+    status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING)).astype(jnp.int8)
+    margin = jnp.where(looked, 1 - ratio, jnp.nan)
+    age = jnp.where(alive & bounded, carry.age + 1, -1)
+    ends = jnp.zeros((0, N), dtype), jnp.zeros((0, N), dtype)
+    ready = jnp.where(now.whole, carry.ready + 1, 0)
+    carry = carry._replace(age=age, empty=empty)
+    if start is not None:
+        begin = (age < 0) & (ready > len(carry.mid))
+        fill = lambda state: _begun(plant, start, carry, now, begin, g, *state)
+        c, G, r, age = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age))
+        carry = carry._replace(age=age)
+    if enclosures:
+        ends = _enclosures(plant, says, sized, before, (c, G, r), wrong, alive, age >= 0, g, p)
+    later = lambda past, x: jnp.concatenate([past, x[None]])[1:]
+    past = {name: later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
+    ready = jnp.minimum(ready, len(carry.mid))
+    return carry._replace(c=c, G=G, r=r, ready=ready, **past), Found(status, margin, jnp.maximum(age, 0), *ends)
+
+
+class _Bounds:
+    """What bounds of rounding are made of. Fields: gamma: share of all magnitudes that one result may be off by; up: factor that covers
+    the rounding of a sum of non-negative numbers; least: more than what underflows cost; most, steepest: largest numbers, and gains.
+    """
+
+    def __init__(self, plant, carry):
+        (n, m), (p, _), (_, q, _), dtype = plant.B.shape, plant.C.shape, carry.G.shape, carry.G.dtype
+        wide = dtype == np.float64
+        number = lambda x: np.asarray(x, dtype)
+        self.gamma = rounding.product_error(n + m + 8, dtype)[0]
+        self.up = number(1 + 4 * (q + p + plant.W.shape[1] + 4 * (n + m) + 64) * float(rounding.unit(dtype)))
+        self.least = number(2.0**-500 if wide else 2.0**-46)
+        self.most, self.steepest = _largest(dtype), number(2.0**60 if wide else 2.0**20)
+
+
+def _map(M, X):
+    """Return M X for M (r, n), X (n, N)."""
+    if not len(X):
+        return jnp.zeros((len(M), X.shape[1]), X.dtype)
+    return summed(lambda column, row: column[:, None] * row[None], M, X, axes=(1, 0))
+
+
+def _begun(plant, start, carry, now, begin, g, c, G, r, age):
+    """Return (c, G, r, age), where it begins those of the set that the last samples alone allow."""
+    (n, wide, N), h = G.shape, len(carry.mid)
+    join = lambda name: jnp.concatenate([getattr(carry, name), getattr(now, name)[None]]).reshape(-1, N)
+    mid, rad, v, slip = (join(name) for name in ("mid", "rad", "v", "slip"))
+    rad = jnp.where(begin[None], rad, 0)
+    K, U = jnp.abs(start.K), jnp.abs(start.U)
+    centre = _map(start.K, mid) + _map(start.U, v) + start.w[:, None]
+    whole = _map(K, jnp.abs(mid) + rad) + _map(U, jnp.abs(v)) + (jnp.abs(start.w) + jnp.sum(jnp.abs(start.W), 1))[:, None]
+    loose = _map(start.wide_K, jnp.abs(mid) + rad) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
+    off = g.up * (_map(U, slip) + g.gamma * whole + loose) + g.least
+    columns = [start.K[:, :, None] * rad[None], jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N))]
+    found, off = _reduced(jnp.concatenate([jnp.zeros((n, wide, N), G.dtype), *columns], 1), off, wide, g)
+    pick = lambda new, old: jnp.where(begin.reshape(*[1] * (new.ndim - 1), N), new, old)
+    return pick(centre, c), pick(found, G), pick(off, r), jnp.where(begin, h + 1, age)
+
+
+def _step_of_time(plant, carry, now):
+    """Move the set on by one sample, and put its smallest generators into a box."""
+    g, A, (c, G, r), v = _Bounds(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
+    N, q = c.shape[-1], G.shape[1] - len(plant.C)
+    size = jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r
+    off = _map(plant.wide_A + g.gamma * A, size) + _map(plant.wide_B + g.gamma * jnp.abs(plant.B), v) + _map(jnp.abs(plant.B), now.slip)
+    lift = lambda x: x[:, None]
+    r = g.up * (_map(A, r) + off + lift(plant.wide_w + g.gamma * jnp.abs(plant.w))) + g.least
+    c = _map(plant.A, c) + _map(plant.B, now.v) + lift(plant.w)
+    moved = summed(lambda column, x: column[:, None, None] * x[None], plant.A, G, axes=(1, 0))
+    G = jnp.concatenate([moved, jnp.broadcast_to(plant.W[:, :, None], (*plant.W.shape, N))], 1)
+    G, r = _reduced(G, r, q, g)
+    bounded = jnp.all(jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r <= g.most, 0)
+    needed = jnp.any(plant.B != 0) | jnp.any(plant.wide_B != 0)
+    lost = ~bounded | (needed & ~now.known)
+    return carry._replace(c=c, G=G, r=r, age=jnp.where(lost, -1, carry.age))
+
+
+def _reduced(G, r, q, g):
+    """Return (q generators, r) of a set that holds the one of G (n, Q, N) and r: the smallest are in a box, if it has more than q."""
+    n, Q, N = G.shape
+    bits, below = (np.int64 if G.dtype == np.float64 else np.int32), power(Q) - 1
+    key = jnp.maximum(jnp.sum(jnp.abs(G), 0) - jnp.max(jnp.abs(G), 0), 0)  # for the order alone; its last digits count the columns
+    key = (jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
+    S = jnp.take_along_axis(G, (jnp.sort(key, 0) & bits(below))[None], 1)
+    rest, some, kept = S[:, : Q - q], S[:, Q - q : Q - q + n], S[:, Q - q + n :]
+    boxed = jnp.sum(jnp.abs(rest), 1)
+    free = jnp.all(some == 0, (0, 1)) & jnp.any(r > 2.0**-36 * jnp.sum(jnp.abs(kept), 1), 0)  # r moved as a box would grow
+    enough = jnp.all(boxed == 0, 0) & ~free
+    box = g.up * (boxed + jnp.sum(jnp.abs(some), 1) + r) + g.least
+    diagonal = jnp.eye(n, dtype=G.dtype)[:, :, None] * box[None]
+    return jnp.concatenate([jnp.where(enough[None, None], some, diagonal), kept], 1), jnp.where(enough[None], r, 0)
+
+
+def _enclosures(plant, says, sized, before, after, wrong, tested, there, g, p):
+    """Return the ends (2 n, N) of the states and (4 p, N) of the outputs."""
+    c, G, r, _ = before
+    hull = lambda c, G, r: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
+    inf = lambda x, where: jnp.where(where[None], x, jnp.inf)
+    prior, now = inf(hull(c, G, r), tested), inf(hull(*after), there)
+    refuted = (wrong & tested)[None]
+    states = jnp.where(refuted, prior, jnp.minimum(prior, now))
+
+    def shown(values, where):
+        value, reach = values
+        y0 = plant.y0[:, None]
+        return inf(_outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g), where)
+
+    rows = jnp.arange(p)
+    of = lambda c, G, r, size: jax.lax.map(lambda i: says(i, c, G, r, size)[1:3], rows)
+    first = shown(of(*before), tested)
+    second = shown(of(*after, sized(*after)), there)
+    return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
+
+
+def _outward(middle, reach, g):
+    """Return ends -lo, hi, one above the other."""
+    reach = g.up * (reach + g.gamma * jnp.abs(middle)) + g.least
+    return jnp.concatenate([reach - middle, reach + middle])
+
+
+def _largest(dtype):
+    """Return the largest number that a set may speak of."""
+    return np.asarray(2.0**300 if dtype == np.float64 else 2.0**40, dtype)

@@ -1,0 +1,242 @@
+"""Set observers: enclosures hold, against linear programs over everything since the start; FAULT is a proof, and is for good."""
+
+import json
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import jaxbound as jb
+from jaxbound.estimation.observer import SetObserver
+from jaxbound.recordings.recording import Recording
+from jaxbound.sets import zonotope
+
+PLANT = jb.LinearSystem(
+    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0]], noise="0.1", disturbance=([[1], ["0.5"]], "0.02"), tolerance="0.01"
+)  # fmt: skip
+
+
+def program(model, u, y, x0=None):
+    """Return the least and largest of each state of the last sample that explain all samples, by linear programs; None: nothing does.
+
+    Independent of the observer: floats of the model, one variable a first state and a disturbance.
+    """
+    A, B, C, G = (np.array(getattr(model, name), float) for name in "ABCG")
+    n, g, T = model.n, model.g, len(y)
+    lo, hi = np.array(model.disturbance, float).T
+    count = n + g * (T - 1)
+    bounds = [(None, None)] * n if x0 is None else list(zip(*x0, strict=True))
+    bounds += [(a, b) for _ in range(T - 1) for a, b in zip(lo, hi, strict=True)]
+    X, f = np.eye(n, count), np.zeros(n)
+    rows, right = [], []
+    for k in range(T):
+        if k:
+            X, f = A @ X, A @ f + B @ u[k - 1]
+            X[:, n + g * (k - 1) : n + g * k] += G
+        for i in range(model.p):
+            if not np.isnan(y[k, i]):
+                t, r = float(model.tolerance[i]), float(model.noise[i])
+                ends = [(y[k, i] + a) / (1 + b) for a in (-r, r) for b in (-t, t)]
+                rows += [C[i] @ X, -C[i] @ X]
+                right += [max(ends) - C[i] @ f, C[i] @ f - min(ends)]
+    out = np.zeros((2, n))
+    for i in range(n):
+        for side, sign in enumerate((1, -1)):
+            found = linprog(sign * X[i], np.array(rows), right, bounds=bounds, method="highs")
+            if found.status == 2:
+                return None
+            assert found.status == 0
+            out[side, i] = sign * found.fun + f[i]
+    return out
+
+
+def recorded(model, T, key, N=None, at="vertices", dtype=np.float64):
+    """Return u, x, y of fault-free recordings."""
+    rng = np.random.default_rng(key)
+    shape = (T, model.m) if N is None else (N, T, model.m)
+    u = rng.normal(size=shape).astype(dtype)
+    x0 = 3 * rng.normal(size=(*shape[:-2], model.n))
+    found = jb.simulate(model, u, jax.random.key(key), x0=x0, at=at)
+    return np.array(found.u), np.asarray(found.x, np.float64), np.array(found.y)
+
+
+def inside(found, x, dtype=np.float64):
+    slack = (1e-12 if dtype == np.float64 else 2e-6) * (1 + abs(x))  # of the states as simulate returns them
+    return (np.asarray(found.state.lo) <= x + slack) & (x - slack <= np.asarray(found.state.hi))
+
+
+def test_an_enclosure_holds_what_linear_programs_over_all_samples_allow(rng):
+    u, _, y = recorded(PLANT, 16, 1, at="uniform")
+    y[6] = np.nan
+    found, first = jb.observe(PLANT, u, y), ([-20.0, -20.0], [20.0, 20.0])
+    known = jb.observe(PLANT, u, y, x0=jb.interval(*first))
+    assert found.status[:2].tolist() == [jb.Status.MISSING] * 2 and known.status[0] == jb.Status.UNDECIDED
+    assert found.since[:3].tolist() == [-1, 0, 0] and known.since[0] == 0
+    assert found.status[6] == jb.Status.MISSING and found.since[7] == 0, "a missing sample is no end"
+    for k in (3, 9, 15):
+        for got, x0 in ((found, None), (known, first)):
+            lo, hi = program(PLANT, u[: k + 1], y[: k + 1], x0)
+            assert (got.state.lo[k] <= lo + 1e-9).all() and (hi - 1e-9 <= got.state.hi[k]).all()
+            assert ((got.state.hi[k] - got.state.lo[k]) < 2.5 * (hi - lo)).all(), "and is not much wider"
+
+
+def test_every_proof_of_a_fault_is_one_of_a_linear_program(rng):
+    """Near the boundary: jumps of a sensor from far below to far above what can be proved."""
+    proved = possible = 0
+    u, _, y = recorded(PLANT, 14, 3, N=48, at="uniform")
+    y[:, 8:, 0] += np.linspace(0, 0.8, 48)[:, None]
+    found = jb.observe(PLANT, u, y, restart=False)
+    for j in range(48):
+        wrong = found.status[j] == jb.Status.FAULT
+        possible += program(PLANT, u[j], y[j]) is None
+        if wrong.any():
+            k = int(wrong.argmax())
+            assert wrong[k:].all(), "what contradicts once contradicts for good"
+            assert program(PLANT, u[j, : k + 1], y[j, : k + 1]) is None
+            proved += 1
+            assert found.margin[j, k] < 0 and (found.since[j, k:] == 0).all()
+    print(f"{proved} of {possible} contradictions proved")
+    assert possible >= 20 and proved >= 0.8 * possible
+
+
+@pytest.mark.parametrize("order", [1, 20])
+def test_published_intervals_of_a_zonotopic_kalman_filter(shared, order):
+    """CORA's linearSysDT example: without a reduction to 1e-9; at order 20 rounding takes two of the 40 generators, and ours holds it."""
+    case = json.loads(shared("external/observer_2dim.json").read_text())[0]
+    model = jb.LinearSystem(case["A"], None, case["C"], noise=case["V_radius"][0], disturbance=(case["W_generators"], 1))
+    y, x0 = np.array(case["y"]).T, zonotope([0.0, 0.0], case["R0_generators"])
+    want = np.array(case["cora_interval_of_last_set"]["FRad-A"])
+    wide = jb.observe(model, None, y, order=40 if order > 1 else 1, weight=1, x0=x0).state
+    lo, hi = np.asarray(wide.lo)[-1], np.asarray(wide.hi)[-1]
+    if order > 1:
+        np.testing.assert_allclose([lo, hi], want, atol=1e-9)
+        some = jb.observe(model, None, y, order=20, weight=1, x0=x0).state
+        assert (np.asarray(some.lo)[-1] <= want[0]).all() and (want[1] <= np.asarray(some.hi)[-1]).all()
+        np.testing.assert_allclose([some.lo[-1], some.hi[-1]], want, atol=1e-6)
+    exact = np.array(case["exact_hull_lp_here"]["x_19"]).T
+    assert (lo <= exact[0] + 1e-9).all() and (exact[1] - 1e-9 <= hi).all()
+
+
+def systems(rng, kind):
+    """Return a random model: stable, integrating or unstable, perhaps uncertain, with everything that a model can have."""
+    A = rng.normal(size=(3, 3))
+    A = (A * {"stable": 0.9, "integrating": 1.0, "unstable": 1.05}[kind] / abs(np.linalg.eigvals(A)).max()).round(4)
+    more = {"uncertainties": [jb.Uncertainty("a", A=(0.003 * rng.normal(size=(3, 3))).round(5))]} if rng.random() < 0.5 else {}
+    B, C, D, G = (rng.normal(size=s).round(2) for s in ((3, 1), (2, 3), (2, 1), (3, 2)))
+    return jb.LinearSystem(A, B, C, D, noise=[0.1, 0.02], tolerance=[0, 0.02], disturbance=(G, [[-0.02, 0.05], [0, 0]]),
+                           offset={"u": 1.5, "y": [-20.25, 3]}, **more)  # fmt: skip
+
+
+def fault_free(rng, seeds, N, T):
+    """Return how many fault-free samples were observed: the state inside all, no FAULT."""
+    samples = 0
+    for seed in seeds:
+        dtype, kind = (np.float64, np.float32)[seed % 2], ("stable", "integrating", "unstable")[seed % 3]
+        model = systems(rng, kind)
+        u, x, y = recorded(model, T, seed, N, ("vertices", "uniform")[seed // 2 % 2], dtype)
+        y[rng.random(y.shape) < 0.03] = np.nan
+        for order, weight, x0 in ((2, (0.1, 1, 10), None), (8, 1, jb.interval([-50] * 3, [50] * 3))):
+            try:
+                found = jb.observe(model, u, y, order=order, weight=weight, x0=x0, starts=[T // 2])
+            except ValueError as e:
+                assert x0 is None and "uncertain" in str(e)
+                continue
+            assert inside(found, x, dtype).all() and not (found.status == jb.Status.FAULT).any()
+            bounded = np.isfinite(found.state.lo).all(-1)
+            assert x0 is None or kind == "unstable" or bounded[:, : T // 2].all()
+            samples += y[..., 0].size
+    print(f"{samples} fault-free samples: the state inside all, 0 FAULT")
+    return samples
+
+
+def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng):
+    assert fault_free(rng, range(6), 64, 60) > 30_000
+
+
+@pytest.mark.long
+def test_two_million_fault_free_samples(rng):
+    assert fault_free(rng, range(60), 256, 60) > 2_000_000
+
+
+def test_in_pieces_sample_by_sample_and_in_a_batch_it_says_the_same(rng):
+    u, _, y = recorded(PLANT, 40, 5, N=3, at="uniform")
+    y[1, 20:] += 3
+    watch = partial(SetObserver, PLANT, 20, (1, 30, 1000), True, None, None)
+    whole = jb.observe(PLANT, u, y)
+    for j in range(3):
+        alone = jb.observe(PLANT, u[j], y[j])
+        for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(a[j], b, rtol=1e-12, atol=1e-12)  # one recording is scalar code: other last digits
+        found = jb.detect(jb.observer(PLANT), u[j], y[j])
+        np.testing.assert_array_equal(found.status, alone.status)
+        np.testing.assert_allclose(found.margin, alone.margin, rtol=1e-12)
+        for cuts in ([7, 23], range(1, 40)):
+            pieces, watching = [], watch(enclosures=True)
+            carry = watching.init()
+            for a, b in zip([0, *cuts], [*cuts, 40], strict=True):
+                carry, told = watching.fold(carry, Recording.of(PLANT, u[j, a:b], y[j, a:b]))
+                pieces.append(told)
+            for a, b in zip(jax.tree.leaves(jax.tree.map(lambda *x: np.concatenate(x), *pieces)), jax.tree.leaves(alone), strict=True):
+                np.testing.assert_array_equal(a, b)
+    monitor = jb.Monitor(jb.observer(PLANT))
+    state, said = monitor.init(), []
+    for k in range(40):
+        state, verdict = monitor.step(state, u[1, k], y[1, k])
+        said.append(int(verdict.status))
+    assert said == np.asarray(whole.status[1]).tolist() and said[20] == jb.Status.FAULT
+
+
+def test_a_second_recording_compiles_nothing(rng):
+    from jaxbound.estimation.zonotope_steps import follow
+
+    u, _, y = recorded(PLANT, 40, 5)
+    jb.observe(PLANT, u, y)
+    known = follow._cache_size()
+    jb.observe(PLANT.replace(noise=0.2), u[:33], y[:33])
+    assert follow._cache_size() == known
+
+
+def test_gaps_missing_inputs_and_contradictions_begin_anew(rng):
+    u, _, y = recorded(PLANT, 30, 7, at="uniform")
+    y[12] += 5
+    u[20] = np.nan
+    found = jb.observe(PLANT, u, y, starts=[26])
+    named = [jb.Status(s).name[0] for s in np.asarray(found.status)]
+    assert "".join(named) == "MM" + "U" * 10 + "F" + "MM" + "U" * 6 + "MM" + "U" * 3 + "MM" + "UU"
+    assert found.since[[11, 12, 14, 20, 22, 27, 29]].tolist() == [0, 0, 13, 13, 21, 26, 26]
+    latched = jb.detect(jb.observer(PLANT, restart=False), u, y, starts=[26])
+    assert (latched.status[12:26] == jb.Status.FAULT).all() and (latched.status[26:28] == jb.Status.MISSING).all()
+    assert np.isinf(found.state.hi[13]).all() and np.isfinite(found.state.hi[14]).all()
+
+
+def test_what_a_window_of_sixteen_never_sees_an_observer_does():
+    """A slow plant and a drifting sensor: a window with a free first state takes the drift for the plant's."""
+    slow = jb.LinearSystem([["0.999"]], [["0.001"]], [[1]], noise="0.5", disturbance=([[1]], "0.0005"))
+    u, noise = np.ones((400, 1)), np.random.default_rng(0).uniform(-0.4, 0.4, (400, 1))
+    y = 1 + noise + 0.005 * np.maximum(np.arange(400) - 100, 0)[:, None]
+    assert not (jb.detect(jb.parity_relations(slow, 15), u, y).status == jb.Status.FAULT).any()
+    found = jb.detect(jb.observer(slow), u, y)
+    assert (found.status == jb.Status.FAULT).any() and found.alarms()[0].start > 100
+
+
+def test_what_an_observer_cannot_take_is_said():
+    hidden = jb.LinearSystem([[0.5, 0], [0, 0.5]], None, [[1, 0]], noise=0.1)
+    for match, args, more in (
+        ("do not show all states", (hidden,), {}),
+        ("at least 1", (PLANT,), {"order": 0.5}),
+        ("positive number", (PLANT,), {"weight": (1, 0)}),
+        ("one interval for each of 2 states", (PLANT,), {"x0": jb.interval([0.0], [1.0])}),
+        ("must be bounded", (PLANT,), {"x0": jb.interval([0.0, -np.inf], [1.0, 1.0])}),
+        ("1 samples do not show all states", (PLANT,), {"horizon": 0}),
+        ("whole number", (PLANT,), {"horizon": -1}),
+        ("unknown inputs", (PLANT.replace(unknown_inputs=[[1], [0]]),), {}),
+    ):
+        with pytest.raises(ValueError, match=match):
+            jb.observer(*args, **more)
+    assert jb.observer(hidden, x0=jb.interval([-1.0, -1.0], [1.0, 1.0])).horizon == 0
+    with pytest.raises(ValueError, match="belong to windows"):
+        jb.detect(jb.observer(PLANT), np.ones((3, 1)), np.ones((3, 1)), method="paving")
+    with pytest.raises(TypeError, match="LinearSystem"):
+        jb.observer(3)
