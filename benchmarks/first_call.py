@@ -87,6 +87,13 @@ def validate(plant):
     return lambda: jb.validate(model, u, y)
 
 
+def observe():
+    model = jb.LinearSystem(**PLANT, disturbance=([[1], [0]], [0.01]))
+    u, y = recording(model)
+    watch = jb.observer(model)
+    return lambda: jb.detect(watch, u, y)
+
+
 def unknown_inputs():
     model = jb.LinearSystem(**PLANT, unknown_inputs=[[0], [1]])
     u, y = recording(model)
@@ -149,7 +156,7 @@ CASES: dict[str, Callable[[], Callable[[], object]]] = {
     "margins1": lambda: margins(1), "margins12": lambda: margins(12),
     "gradient1": lambda: margins(1, True), "gradient12": lambda: margins(12, True),
     "validate": lambda: validate(PLANT), "validate_heater": lambda: validate(HEATER),
-    "unknown_inputs": unknown_inputs, "study": study, "tune": tune, "fit": fit, "monitor": monitor, "explain": explain,
+    "observer": observe, "unknown_inputs": unknown_inputs, "study": study, "tune": tune, "fit": fit, "monitor": monitor, "explain": explain,
 }  # fmt: skip
 
 ALIKE = ("joint2", "joint5", "joint20", "box2", "box5", "box20", "disturbed1", "disturbed2", "disturbed5", "disturbed20",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxbound.estimation.unknown_inputs import unknown_inputs
     from jaxbound.estimation.validation import validate
     from jaxbound.models.conversion import from_control, from_scipy
+    from jaxbound.models.fault_states import with_faults
     from jaxbound.models.faults import Fault
     from jaxbound.models.intervals import interval_system
     from jaxbound.models.linearize import linearize
@@ -50,7 +51,7 @@ __all__ = [
     "detectable", "evaluate", "fit", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "linearize",
     "load_model", "margins", "membership", "observe", "observer", "parity_relations", "pave", "plot", "read", "redundancy", "residual",
     "save_model", "sets", "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "suggest_lags", "tune",
-    "unknown_inputs", "use_cache", "validate", "zonotope",
+    "unknown_inputs", "use_cache", "validate", "with_faults", "zonotope",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -60,14 +61,12 @@ _HOMES = {  # where a name is imported from when it is first asked for; types of
     "diagnosis.detectability": "detectable",
     "diagnosis.detection": "detect margins",
     "diagnosis.isolation": "evaluate",
-<<<<<<< HEAD
     "diagnosis.memory": "suggest_lags",
-=======
     "estimation.observer": "observe observer",
->>>>>>> ea5406c (Set observers: enclosures of the state from everything since the start, and proofs where nothing is left)
     "estimation.unknown_inputs": "unknown_inputs",
     "estimation.validation": "validate",
     "models.conversion": "from_control from_scipy",
+    "models.fault_states": "with_faults",
     "models.faults": "Fault",
     "models.intervals": "interval_system",
     "models.linearize": "linearize",

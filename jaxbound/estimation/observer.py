@@ -22,6 +22,7 @@ from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.zonotope_numbers import least_horizon, middle, numbers, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
+from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
@@ -39,6 +40,7 @@ PIECES = (16, 1024)
 """Samples that a kernel is compiled for."""
 
 
+@readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -64,6 +66,7 @@ class Observation:
     output: Interval
 
 
+@readable
 class ObserverState(NamedTuple):
     """What a set observer carries on. Fields: carry: of the kernels, recordings on the last axis; samples: how many there were."""
 
@@ -131,13 +134,14 @@ def observe(
         >>> import jaxbound as jb
         >>> m = jb.LinearSystem([[0.9]], [[1]], [[1]], noise=0.1, disturbance=([[1]], 0.01))
         >>> jb.observe(m, [[1.0]] * 4, [[0.0], [1.0], [1.9], [5.0]]).predicted.hi[3].round(2)
-        array([2.82])
+        array([2.81])
     """
     watch = SetObserver(model, order, weight, restart, x0, horizon, enclosures=True)
     _, given = watch.recording(u, y, starts)
     return drive(watch, given)
 
 
+@readable
 class SetObserver(Observer):
     """Carries the set of states that all samples since the start allow. Build it with `observer`.
 
@@ -160,15 +164,15 @@ class SetObserver(Observer):
         if self.weights.ndim > 1 or not len(self.weights) or not ((self.weights > 0) & np.isfinite(self.weights)).all():
             raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
         self._x0 = None if x0 is None else _first_set(x0, system.n)
-        least = least_horizon(system) if horizon is None else horizon
-        if least is None and x0 is None:
-            raise ValueError("the outputs do not show all states, however long one looks: give x0, bounds of the first state")
-        if isinstance(least, bool) or not (least is None or isinstance(least, (int, np.integer)) and least >= 0):
+        if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-        self._start = None if least is None else start(model, system, int(least), self._dtype)
+        h = least_horizon(system) if horizon is None else int(horizon)
+        self._start = None if h is None else start(model, system, h, self._dtype)
         if self._start is None and x0 is None:
-            raise ValueError(f"{least + 1} samples do not show all states, or the parameters are too uncertain for it: give x0")
-        self._past = 0 if self._start is None else int(least)
+            if h is None:
+                raise ValueError("the outputs do not show all states, however long one looks: give x0, bounds of the first state")
+            raise ValueError(f"{h + 1} samples do not show all states, or the parameters are too uncertain for it: give x0")
+        self._past = 0 if self._start is None or h is None else h
         self.horizon = 0 if x0 is not None else self._past
 
     @property
@@ -258,7 +262,8 @@ class SetObserver(Observer):
 
     def _block(self, carry, samples, fresh, rounded):
         """Follow some recordings side by side, piece by piece."""
-        T, parts, first = len(fresh), [], 0
+        T, first = len(fresh), 0
+        parts: list[steps.Found] = []
         while first < T or not parts:
             length = PIECES[0] if T - first <= PIECES[0] else PIECES[1]
             stop = min(first + length, T)

@@ -79,7 +79,7 @@ def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype) -> Start 
     for _ in range(h):
         powers.append(linalg.matmul(_exact(A), powers[-1]))
     seen = [linalg.matmul(_exact(C), P) for P in powers]
-    O = [row for rows in seen for row in rows]
+    O = tuple(row for rows in seen for row in rows)
     if linalg.rank(O) < n:
         return None
     K0 = _left_inverse(O, np.tile(system.noise, h + 1))

@@ -19,7 +19,7 @@ Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -41,22 +41,22 @@ class Numbers(NamedTuple):
     w (n,) their middle, wide_w (n,) what these may be off by; u0 (m,), wide_u0; tolerance, noise, y0 (p,).
     """
 
-    A: jax.Array
-    wide_A: jax.Array
-    B: jax.Array
-    wide_B: jax.Array
-    C: jax.Array
-    wide_C: jax.Array
-    D: jax.Array
-    wide_D: jax.Array
-    W: jax.Array
-    w: jax.Array
-    wide_w: jax.Array
-    u0: jax.Array
-    wide_u0: jax.Array
-    tolerance: jax.Array
-    noise: jax.Array
-    y0: jax.Array
+    A: Any
+    wide_A: Any
+    B: Any
+    wide_B: Any
+    C: Any
+    wide_C: Any
+    D: Any
+    wide_D: Any
+    W: Any
+    w: Any
+    wide_w: Any
+    u0: Any
+    wide_u0: Any
+    tolerance: Any
+    noise: Any
+    y0: Any
 
 
 class Start(NamedTuple):
@@ -66,13 +66,13 @@ class Start(NamedTuple):
     each |m| + s and |v|, and beside.
     """
 
-    K: jax.Array
-    U: jax.Array
-    w: jax.Array
-    W: jax.Array
-    wide_K: jax.Array
-    wide_U: jax.Array
-    wide: jax.Array
+    K: Any
+    U: Any
+    w: Any
+    W: Any
+    wide_K: Any
+    wide_U: Any
+    wide: Any
 
 
 class Read(NamedTuple):
@@ -80,13 +80,13 @@ class Read(NamedTuple):
     what they may be off by; whole (T, N): whether every output is there; known: every input; fresh: does not follow the sample before.
     """
 
-    mid: jax.Array
-    rad: jax.Array
-    v: jax.Array
-    slip: jax.Array
-    whole: jax.Array
-    known: jax.Array
-    fresh: jax.Array
+    mid: Any
+    rad: Any
+    v: Any
+    slip: Any
+    whole: Any
+    known: Any
+    fresh: Any
 
 
 class Carry(NamedTuple):
@@ -96,17 +96,17 @@ class Carry(NamedTuple):
     mid, rad (h, p, N), v, slip (h, m, N): the last samples; ready (N,): how many of these are whole and follow each other. weight (N,).
     """
 
-    c: jax.Array
-    G: jax.Array
-    r: jax.Array
-    age: jax.Array
-    empty: jax.Array
-    mid: jax.Array
-    rad: jax.Array
-    v: jax.Array
-    slip: jax.Array
-    ready: jax.Array
-    weight: jax.Array
+    c: Any
+    G: Any
+    r: Any
+    age: Any
+    empty: Any
+    mid: Any
+    rad: Any
+    v: Any
+    slip: Any
+    ready: Any
+    weight: Any
 
 
 def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Carry:
@@ -130,15 +130,15 @@ def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax
         gone = jnp.isnan(sample) | ~(scale < _largest(y.dtype))
         mid.append(jnp.where(gone, 0, middle))
         rad.append(jnp.where(gone, jnp.inf, radius + gamma * scale + floor * (1 + lift(plant.tolerance))))
-    mid, rad = (jnp.stack(x, 1) for x in (mid, rad))
+    middles, radii = jnp.stack(mid, 1), jnp.stack(rad, 1)
     all_along = lambda x: x[None, :, None]
     known = jnp.all(jnp.abs(u) < _largest(u.dtype), 1)
     v = jnp.where(jnp.isnan(u), 0, u) - all_along(plant.u0)
     off = (
         slip + all_along(plant.wide_u0) + 4 * rounding.unit(u.dtype) * (jnp.abs(u) + jnp.abs(all_along(plant.u0))) + rounding.tiny(u.dtype)
     )
-    whole = jnp.all(jnp.isfinite(rad), 1) & known
-    return Read(mid, rad, v, jnp.where(known[:, None], off, 0), whole, known, fresh)
+    whole = jnp.all(jnp.isfinite(radii), 1) & known
+    return Read(middles, radii, v, jnp.where(known[:, None], off, 0), whole, known, fresh)
 
 
 class Found(NamedTuple):
@@ -149,11 +149,11 @@ class Found(NamedTuple):
     enclosures these two are empty.
     """
 
-    status: jax.Array
-    margin: jax.Array
-    age: jax.Array
-    states: jax.Array
-    outputs: jax.Array
+    status: Any
+    margin: Any
+    age: Any
+    states: Any
+    outputs: Any
 
 
 @partial(jax.jit, static_argnames=("lanes", "enclosures", "restart"))
@@ -337,10 +337,9 @@ def _reduced(G, r, q, g):
 
 def _enclosures(plant, says, sized, before, after, wrong, tested, there, g, p):
     """Return the ends (2 n, N) of the states and (4 p, N) of the outputs."""
-    c, G, r, _ = before
-    hull = lambda c, G, r: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
+    hull = lambda c, G, r, *_: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
     inf = lambda x, where: jnp.where(where[None], x, jnp.inf)
-    prior, now = inf(hull(c, G, r), tested), inf(hull(*after), there)
+    prior, now = inf(hull(*before), tested), inf(hull(*after), there)
     refuted = (wrong & tested)[None]
     states = jnp.where(refuted, prior, jnp.minimum(prior, now))
 
@@ -350,9 +349,9 @@ def _enclosures(plant, says, sized, before, after, wrong, tested, there, g, p):
         return inf(_outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g), where)
 
     rows = jnp.arange(p)
-    of = lambda c, G, r, size: jax.lax.map(lambda i: says(i, c, G, r, size)[1:3], rows)
-    first = shown(of(*before), tested)
-    second = shown(of(*after, sized(*after)), there)
+    of = lambda sets: jax.lax.map(lambda i: says(i, *sets)[1:3], rows)
+    first = shown(of(before), tested)
+    second = shown(of((*after, sized(*after))), there)
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 
 

@@ -1,5 +1,5 @@
 """Pictures of results. They take results, never the other way round. Each file registers with `plot` what it draws."""
 
-from jaxbound.plots import bank, fit, result, sets, signatures, study, tune, validation
+from jaxbound.plots import bank, fit, observation, result, sets, signatures, study, tune, validation
 
-__all__ = ["bank", "fit", "result", "sets", "signatures", "study", "tune", "validation"]
+__all__ = ["bank", "fit", "observation", "result", "sets", "signatures", "study", "tune", "validation"]

@@ -20,13 +20,18 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
             A TuneResult: the search and the margins.
             A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against the size of a fault.
             A Digest: as a Result. A Validation: the band of the true value of each output, and its faulty samples.
+            An Observation: the band of each output before its sample is looked at, and of each state.
             A Zonotope or ConstrainedZonotope in the plane, or a list of them: their outlines.
-        time: (T,) seconds or datetime64, of a Result, BankResult or Validation; None: the index of the DataFrame, or sample numbers
-            times dt.
+        time: (T,) seconds or datetime64, of a Result, BankResult, Validation or Observation; None: the index of the DataFrame, or
+            sample numbers times dt.
         alarms: a list of Alarm for a Result; None: its own.
+<<<<<<< HEAD
         y: (T, p), of a Validation: what the sensors showed, if it is to be drawn too.
         ax: matplotlib Axes of one's own to draw into: of what is one chart (sets, Signatures, Isolability), and of a Result or Digest
             the margin with its alarms. What has several charts makes a figure of its own and takes none.
+=======
+        y: (T, p), of a Validation or Observation: what the sensors showed, if it is to be drawn too.
+>>>>>>> 802af19 (Observers: pictures of bands, faults as states, pages and types)
 
     Returns:
         A matplotlib Figure, which is not pyplot's: fig.savefig("margin.png"), or the last line of a notebook's cell. With ax, that Axes.

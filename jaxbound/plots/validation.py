@@ -6,22 +6,19 @@ import numpy as np
 
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
+from jaxbound.plots.bands import draw_band, name_band
 from jaxbound.plots.canvas import (
-    ENVELOPE,
-    FAULTY,
-    GRID,
-    INK,
     PANELS,
     SAMPLES,
     bins,
     finish,
-    shade,
     stacked,
     style,
     thinning,
     time_axis,
 )
 from jaxbound.plots.plot import plot
+from jaxbound.sets.intervals.interval import Interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,10 +66,10 @@ def plot_validation(found: Validation, time: np.ndarray | None = None, y: np.nda
     with style():
         fig, axes = stacked(count, (11, 1.6 + 1.8 * count), [1] * count)
         for i, ax in enumerate(axes):
-            _draw(ax, found, shown[:, i], i, at, edges, len(x))
+            _draw(ax, found, i, shown[:, i], at, edges, len(x))
             more = f"; the first {PANELS} outputs are shown" if i == 0 and faulty.shape[1] > PANELS else ""
             ax.set_title(f"y{i + 1}: {_faults(faulty[:, i])}{more}{thinning(len(x), len(edges), 'extremes')}", pad=6)
-        _legend(axes[0], None if y is not None else "measured")
+        name_band(axes[0], None if y is not None else "measured")
         finish(fig, axes, at, label, dates, top=0.7, gap=0.36)
     return fig
 
@@ -98,11 +95,11 @@ def plot_output(res: ValidatedRecording, i: int, time: np.ndarray) -> "Figure":
             fig, axes = stacked(2, (11, 6.2), [1, 1], shared=False)
             first = max(min(int(np.argmax(faulty)) - NEAR // 4, count - NEAR), 0)
             near = np.arange(first, first + NEAR)
-            _draw(axes[1], res.found, y, i, x, near, near[-1] + 1)
+            _draw(axes[1], res.found, i, y, x, near, near[-1] + 1)
             axes[1].set_title("The samples around the first faulty one" if faulty.any() else "The first samples", pad=6)
-        _draw(axes[0], res.found, y, i, x, whole, count)
+        _draw(axes[0], res.found, i, y, x, whole, count)
         axes[0].set_title(f"{name}: {_faults(faulty)}{thinning(count, len(whole), 'extremes')}", pad=24, parse_math=False)
-        _legend(axes[0])
+        name_band(axes[0])
         for ax in axes:
             ax.set_ylabel(f"{name} [{unit}]" if unit else name, parse_math=False)
         for ax, part in zip(axes, (x, x[near] if len(axes) > 1 else x), strict=False):
@@ -118,48 +115,7 @@ def _faults(faulty: np.ndarray) -> str:
     return f"{total} faulty sample{'s' * (total > 1)} in {stretches} stretch{'es' * (stretches > 1)}"
 
 
-def _legend(ax: "Axes", without: str | None = None) -> None:
-    """Name what is drawn, above the axes; without the names that begin so."""
-    handles, labels = ax.get_legend_handles_labels()
-    drawn = dict(zip(labels, handles, strict=True))
-    named = [name for name in drawn if name != "FAULT" and not (without and name.startswith(without))]
-    ax.legend([drawn[name] for name in named], named, loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-
-
-def _draw(ax: "Axes", found: Validation, y: np.ndarray, i: int, x: np.ndarray, edges: np.ndarray, stop: int) -> None:
-    """Draw the bins that start at the samples `edges`, one sample each or the extremes of many."""
-    finite = lambda end: np.where(np.isfinite(end), end, np.nan)[:stop]
-    lo, hi = (finite(np.asarray(end)[:, i]) for end in (found.output.lo, found.output.hi))
-    lower, upper = (finite(np.asarray(end)[:, i]) for end in (found.corrected.lo, found.corrected.hi))
-    y, faulty = y[:stop], np.asarray(found.faulty)[:stop, i]
-    least, most = (lambda a: np.fmin.reduceat(a, edges)), (lambda a: np.fmax.reduceat(a, edges))
-    at, lo, hi = x[edges], least(lo), most(hi)
-    centre = np.where(faulty | np.isnan(y), (lower + upper) / 2, np.nan)
-    healthy, wrong = np.where(faulty, np.nan, y), np.where(faulty, y, np.nan)
-    shade(ax, at, np.maximum.reduceat(faulty, edges))
-    ax.fill_between(at, lo, hi, color=ENVELOPE, alpha=0.35, lw=0, label="true value")
-    for edge in (lo, hi):
-        ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
-    if stop - edges[0] > len(edges):
-        ax.fill_between(at, least(healthy), most(healthy), color="#57606a", lw=0.5, alpha=0.7, label="measured")
-        ax.fill_between(at, least(wrong), most(wrong), color=FAULTY, lw=1.2, label="measured, faulty")
-    else:
-        ax.plot(at, healthy[edges], color="#57606a", lw=0.8, marker=".", ms=2.5, label="measured")
-        ax.plot(at, wrong[edges], color=FAULTY, ls="", marker="x", ms=4, label="measured, faulty")
-    ax.plot(at, (least(centre) + most(centre)) / 2, color=INK, lw=1.3, label="corrected")
-    _limits(ax, lo, hi, np.concatenate([least(y), most(y)]))
-    ax.grid(color=GRID, lw=0.7)
-
-
-def _limits(ax: "Axes", lo: np.ndarray, hi: np.ndarray, y: np.ndarray) -> None:
-    """Set limits that a band of the first samples, or one huge sample, does not spoil."""
-    seen = np.isfinite(lo) & np.isfinite(hi)
-    if not seen.any():
-        return
-    bottom, top = float(np.quantile(lo[seen], 0.01)), float(np.quantile(hi[seen], 0.99))
-    width = max(top - bottom, 1e-300)
-    y = y[np.isfinite(y)]
-    if len(y):
-        bottom, top = max(min(bottom, float(y.min())), bottom - 2 * width), min(max(top, float(y.max())), top + 2 * width)
-    pad = 0.06 * (top - bottom)
-    ax.set_ylim(bottom - pad, top + pad)
+def _draw(ax: "Axes", found: Validation, i: int, y: np.ndarray, x: np.ndarray, edges: np.ndarray, stop: int) -> None:
+    """Draw output i."""
+    of = lambda band: Interval(np.asarray(band.lo)[:, i], np.asarray(band.hi)[:, i])
+    draw_band(ax, of(found.output), y, np.asarray(found.faulty)[:, i], x, edges, stop, of(found.corrected))

@@ -93,6 +93,7 @@ def test_what_cannot_be_drawn_gets_one_sentence(thing):
 def test_every_file_of_a_picture_is_registered_where_its_type_is_drawn():
     drawn = {kind.__name__: draw.__module__.rpartition(".")[2] for kind, draw in jb.plot.registry.items() if kind.__module__ != "builtins"}
     assert drawn == {"BankResult": "bank", "ConstrainedZonotope": "sets", "Digest": "digest", "Fitted": "fit", "Isolability": "signatures",
+                     "Observation": "observation",
                      "Result": "result", "Signatures": "signatures", "StudyResult": "study", "TuneResult": "tune",
                      "Validation": "validation", "Zonotope": "sets"}  # fmt: skip
 

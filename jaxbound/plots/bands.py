@@ -1,0 +1,69 @@
+"""A band that holds a signal, and the samples of it: drawn alike wherever something is enclosed over time."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, shade
+from jaxbound.sets.intervals.interval import Interval
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw_band", "name_band"]
+
+
+def name_band(ax: "Axes", without: str | None = None) -> None:
+    """Name what is drawn, above the axes; without the names that begin so."""
+    handles, labels = ax.get_legend_handles_labels()
+    drawn = dict(zip(labels, handles, strict=True))
+    named = [name for name in drawn if name != "FAULT" and not (without and name.startswith(without))]
+    ax.legend([drawn[name] for name in named], named, loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+
+
+def draw_band(
+    ax: "Axes", band: Interval, y: np.ndarray, faulty: np.ndarray, x: np.ndarray, edges: np.ndarray, stop: int,
+    middle: Interval | None = None, name: str = "true value",
+) -> None:  # fmt: skip
+    """Draw a band and the samples y of one signal, the bins that start at the samples `edges`, one sample each or the extremes of many.
+
+    Args:
+        band: (T,), infinite where nothing is known. y, faulty: (T,) samples, and which of them are marked. x: (T,) time. stop: the sample
+            behind the last bin. middle: (T,), whose middle stands in where a sample is faulty or missing, or None. name: of the band.
+    """
+    finite = lambda end: np.where(np.isfinite(end), end, np.nan)[:stop]
+    lo, hi = (finite(np.asarray(end)) for end in (band.lo, band.hi))
+    y, faulty = y[:stop], faulty[:stop]
+    least, most = (lambda a: np.fmin.reduceat(a, edges)), (lambda a: np.fmax.reduceat(a, edges))
+    at, lo, hi = x[edges], least(lo), most(hi)
+    healthy, wrong = np.where(faulty, np.nan, y), np.where(faulty, y, np.nan)
+    shade(ax, at, np.maximum.reduceat(faulty, edges))
+    ax.fill_between(at, lo, hi, color=ENVELOPE, alpha=0.35, lw=0, label=name)
+    for edge in (lo, hi):
+        ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
+    if stop - edges[0] > len(edges):
+        ax.fill_between(at, least(healthy), most(healthy), color="#57606a", lw=0.5, alpha=0.7, label="measured")
+        ax.fill_between(at, least(wrong), most(wrong), color=FAULTY, lw=1.2, label="measured, faulty")
+    else:
+        ax.plot(at, healthy[edges], color="#57606a", lw=0.8, marker=".", ms=2.5, label="measured")
+        ax.plot(at, wrong[edges], color=FAULTY, ls="", marker="x", ms=4, label="measured, faulty")
+    if middle is not None:
+        lower, upper = (finite(np.asarray(end)) for end in (middle.lo, middle.hi))
+        centre = np.where(faulty | np.isnan(y), (lower + upper) / 2, np.nan)
+        ax.plot(at, (least(centre) + most(centre)) / 2, color=INK, lw=1.3, label="corrected")
+    _limits(ax, lo, hi, np.concatenate([least(y), most(y)]))
+    ax.grid(color=GRID, lw=0.7)
+
+
+def _limits(ax: "Axes", lo: np.ndarray, hi: np.ndarray, y: np.ndarray) -> None:
+    """Set limits that a band of the first samples, or one huge sample, does not spoil."""
+    seen = np.isfinite(lo) & np.isfinite(hi)
+    if not seen.any():
+        return
+    bottom, top = float(np.quantile(lo[seen], 0.01)), float(np.quantile(hi[seen], 0.99))
+    width = max(top - bottom, 1e-300)
+    y = y[np.isfinite(y)]
+    if len(y):
+        bottom, top = max(min(bottom, float(y.min())), bottom - 2 * width), min(max(top, float(y.max())), top + 2 * width)
+    pad = 0.06 * (top - bottom)
+    ax.set_ylim(bottom - pad, top + pad)
