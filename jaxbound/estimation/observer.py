@@ -81,7 +81,8 @@ def observer(
     """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
 
     Args:
-        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no unknown inputs) or an `interval_system`.
+        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no unknown inputs; bounds of averages are not used) or
+            an `interval_system`.
         order: generators of the zonotope for each state, >= 1: more is sharper and slower.
         weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its generators; above 1 the
             observer believes a sample less and remembers longer, so that lasting and slow faults show. Several numbers: as many sets side
