@@ -25,13 +25,9 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
         time: (T,) seconds or datetime64, of a Result, BankResult, Validation or Observation; None: the index of the DataFrame, or
             sample numbers times dt.
         alarms: a list of Alarm for a Result; None: its own.
-<<<<<<< HEAD
-        y: (T, p), of a Validation: what the sensors showed, if it is to be drawn too.
+        y: (T, p), of a Validation or Observation: what the sensors showed, if it is to be drawn too.
         ax: matplotlib Axes of one's own to draw into: of what is one chart (sets, Signatures, Isolability), and of a Result or Digest
             the margin with its alarms. What has several charts makes a figure of its own and takes none.
-=======
-        y: (T, p), of a Validation or Observation: what the sensors showed, if it is to be drawn too.
->>>>>>> 802af19 (Observers: pictures of bands, faults as states, pages and types)
 
     Returns:
         A matplotlib Figure, which is not pyplot's: fig.savefig("margin.png"), or the last line of a notebook's cell. With ax, that Axes.
