@@ -11,7 +11,7 @@ from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 import jax
 import numpy as np
 
-__all__ = ["Cover", "Verdicts", "explore", "in_blocks"]
+__all__ = ["BLOCKS", "Cover", "Verdicts", "explore", "in_blocks"]
 
 BLOCKS = (2**10,)  # the only sizes that are compiled, the smaller for levels that fit into one
 MOST = 10**8  # boxes of all targets together: what memory holds

@@ -23,12 +23,14 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
-from jaxbound.sets.paving.frontier import Boxes, Kernel, Verdicts, explore, in_blocks
+from jaxbound.sets.paving.frontier import BLOCKS, Boxes, Kernel, Verdicts, explore, in_blocks
 
 __all__ = ["Paving", "pave"]
 
 CUTS = ("alternate", "widest", "smear")
 SOLUTIONS = ("none", "one", "all")
+EXCLUDED = 2**12
+"""Boxes at once where boxes are only excluded: that is little work a box, beside what it costs to start a kernel."""
 
 
 @readable
@@ -171,7 +173,8 @@ def pave(
             kernel = _of_targets(partial(_inner, f), goal, given)
         else:
             kernel = _of_targets(partial(_search, f, box, solutions == "all", region), goal, given)
-        found = explore(kernel, lo, hi, count, depth, most, "kernel" if cut == "smear" else cut, solutions == "one", progress)
+        sizes = (EXCLUDED,) if solutions == "none" else BLOCKS
+        found = explore(kernel, lo, hi, count, depth, most, "kernel" if cut == "smear" else cut, solutions == "one", progress, sizes)
         left_lo, left_hi, owner, evaluated, levels = found.lo, found.hi, found.owner, found.evaluated, found.levels
         proofs = found.proofs if len(found.proofs[2]) else None
         if proofs is not None and not (solutions == "all" and thick):

@@ -43,7 +43,8 @@ UNROLLED = {1: 300, 2: 300, 3: 60}
 """Determinants, by rows, up to which strips are enumerated; beyond, compiling takes longer than a search loses."""
 FLAT = 2.0**10
 """How many times its error the widest strip must measure for the generators to span three dimensions."""
-BLOCK = 2**11
+BLOCK, HELD = 2**11, 2**17
+"""Windows at once; a quarter where the tableaus of their search hold more numbers than HELD: they should stay in the cache."""
 
 
 Test: TypeAlias = tuple[jax.Array, jax.Array | int, jax.Array]
@@ -282,10 +283,12 @@ def zonotope_margins(c: ArrayLike, G: ArrayLike, c_error: ArrayLike | None = Non
             raise ValueError(f"{name} must have the shape {x.shape} of what it bounds: its shape is {e.shape}")
     dtype = jax.dtypes.canonicalize_dtype(np.result_type(c, G, np.float32))
     out = np.empty(c.shape[1], dtype)
-    for start in range(0, len(out), BLOCK):
-        stop = min(start + BLOCK, len(out))
+    r, q = G.shape[:2]
+    size = BLOCK if r * (q + r) * BLOCK <= HELD else BLOCK // 4
+    for start in range(0, len(out), size):
+        stop = min(start + size, len(out))
         block = [x[..., start:stop].astype(dtype) for x in (c, G, *errors)]
-        block = [np.concatenate([x, np.zeros((*x.shape[:-1], BLOCK - stop + start), dtype)], -1) for x in block]
+        block = [np.concatenate([x, np.zeros((*x.shape[:-1], size - stop + start), dtype)], -1) for x in block]
         out[start:stop] = _margins(*map(jnp.asarray, block))[: stop - start]
     return out
 
