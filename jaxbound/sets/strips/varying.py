@@ -174,9 +174,9 @@ def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.A
     r, q = G.shape[:2]
     E, _ = _with_rounding(c, summed(jnp.abs, G, axes=(1,)), error, r, q)
     floor = _floor(c.dtype, r, q) * (1 + jnp.max(jnp.abs(h), 0)) * (1 + jnp.max(jnp.abs(c), 0) + jnp.max(jnp.abs(G), (0, 1)))
-    residual = jnp.abs(jnp.sum(h * c, 0))
-    width = jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
-    short = residual - (jnp.sum(jnp.abs(h) * E, 0) + floor)
+    residual = jnp.abs(summed(lambda x, row: x * row, h, c))
+    width = summed(jnp.abs, summed(lambda x, row: x[None] * row, h, G))
+    short = residual - (summed(lambda x, e: jnp.abs(x) * e, h, E) + floor)
     return _signed(short / (width + floor), short - width)
 
 
