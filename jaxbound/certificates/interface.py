@@ -88,6 +88,9 @@ def explain(result: Any, at: int | tuple) -> Any:
         raise ValueError(f"window {at} is MISSING: there is nothing to explain")
     at = at if isinstance(at, tuple) else (at,)
     at = tuple(int(i) % n for i, n in zip(at, result.status.shape, strict=True))
+    if hasattr(result.relations, "evidence"):  # an observer: a window that proves the same
+        relations, u, y = result.relations.evidence(result.u[at[:-1]], result.y[at[:-1]], result.starts, at[-1], status)
+        return certify(relations, u, y, "joint", status, at)
     s = result.relations.horizon
     u, y = (np.asarray(x)[at[:-1]][at[-1] - s : at[-1] + 1] for x in (result.u, result.y))
     return certify(result.relations, u, y, result.method, status, at)

@@ -54,7 +54,7 @@ class Result:
         return f"{type(self).__name__} {self.status.shape}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
 
     def _rows(self):
-        rows = {"method": f"{self.method}, windows of {self.relations.horizon + 1} samples" if self.relations else self.method}
+        rows = {"method": _tested(self)}
         if self.relations is not None and hasattr(self.relations, "model"):
             rows["model"] = repr(self.relations.model)
         if not np.isnan(self.margin).all():
@@ -143,6 +143,15 @@ class Result:
             raise ValueError(f"to_pandas is for one recording, this result has the shape {self.status.shape}: build a frame for each")
         names = pd.Categorical.from_codes(self.status, [s.name for s in Status])
         return pd.DataFrame({"status": names, "margin": self.margin, "suspect": self.suspect}, index=self.index)
+
+
+def _tested(res):
+    """Return what was tested, as text."""
+    if res.relations is None:
+        return res.method
+    if res.method == "observer":
+        return "observer, by everything since it began"
+    return f"{res.method}, windows of {res.relations.horizon + 1} samples"
 
 
 @singledispatch

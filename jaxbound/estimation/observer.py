@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import jax
 import numpy as np
@@ -24,9 +24,11 @@ from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
+from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
+from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
@@ -164,6 +166,7 @@ class SetObserver(Observer):
         self.weights = np.atleast_1d(np.asarray(weight, np.float64))
         if self.weights.ndim > 1 or not len(self.weights) or not ((self.weights > 0) & np.isfinite(self.weights)).all():
             raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
+        self._given, self._asked = x0, horizon
         self._x0 = None if x0 is None else _first_set(x0, system.n)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
@@ -196,6 +199,35 @@ class SetObserver(Observer):
         watch = object.__new__(SetObserver)
         vars(watch).update(vars(self), enclosures=False)
         return watch
+
+    def margins(self, given: Recording) -> NoReturn:
+        """Raise NotImplementedError: an observer has no derivative."""
+        raise NotImplementedError("margins are those of windows: detect(observer, ..).margin has what an observer says")
+
+    def evidence(self, u: np.ndarray, y: np.ndarray, starts: Sequence[int], k: int, status: Status) -> tuple[Any, np.ndarray, np.ndarray]:
+        """Return (relations, u, y) of the shortest of some windows that end at sample k and prove its FAULT alone.
+
+        A chain of sets is long and nobody reads it; most contradictions show in a window of the last samples, whose certificate is one
+        relation. Tried are windows of 3, 5, 9, .. samples, no more than 65 and none before the observer began.
+
+        Raises:
+            NotImplementedError: a verdict other than FAULT, no such window.
+        """
+        if status != Status.FAULT:
+            raise NotImplementedError(f"an observer exhibits no behaviour: {status.name} at sample {k} has no certificate, FAULT has")
+        watch = SetObserver(self.model, self.order, self.weights, self.restart, self._given, self._asked, enclosures=True)
+        since = int(drive(watch, Recording.of(self.signals, u[: k + 1], y[: k + 1], [s for s in starts if s <= k])).since[k])
+        for h in (2**i for i in range(1, 7)):
+            if k - h < since:
+                break
+            try:
+                relations = parity_relations(self.model, h)
+            except ValueError:  # without a relation yet
+                continue
+            relations, given = relations.recording(u[k - h : k + 1], y[k - h : k + 1], ())
+            if drive(relations.test("joint", given.y.dtype), given).status[-1] == Status.FAULT:
+                return relations, np.asarray(given.u), np.asarray(given.y)
+        raise NotImplementedError(f"no window of up to 65 samples proves this alone: the FAULT at sample {k} rests on all since {since}")
 
     @property
     def _dtype(self):

@@ -240,3 +240,16 @@ def test_what_an_observer_cannot_take_is_said():
         jb.detect(jb.observer(PLANT), np.ones((3, 1)), np.ones((3, 1)), method="paving")
     with pytest.raises(TypeError, match="LinearSystem"):
         jb.observer(3)
+
+
+def test_a_fault_is_explained_by_the_shortest_window_that_proves_it():
+    u, _, y = recorded(PLANT, 30, 9, at="uniform")
+    y[20] += 3
+    found = jb.detect(jb.observer(PLANT), u, y)
+    why = found.explain(20)
+    assert why.proves == jb.Status.FAULT and why.at == (20,) and len(json.loads(why.to_json())["numbers"]["y"]) == 3
+    assert "observer" in repr(found)
+    with pytest.raises(NotImplementedError, match="exhibits no behaviour"):
+        found.explain(19)
+    with pytest.raises(NotImplementedError, match="are those of windows"):
+        jb.margins(jb.observer(PLANT), u, y)
