@@ -6,6 +6,8 @@ For process noise rho and a room that drifts, in shares of the sensors' bound b:
 the share of it that the unseen half of a recording needs; and for each sensor the sizes of a jump that is seen within 30 samples, of a bias
 that was always there, and what a ramp of 0.05 degC a sample has reached when it is seen first. The definitions are those of the file.
 
+Observers rest on everything since the start, with the bound of the ideal that does; nothing of theirs is found by steps.
+
 A method to compare is one function `need(rho, drift)` that returns `least(u, y)`: u (T, 2), y (..., T, 2) to (..., T), the smallest b with
 which the method would not call sample k a FAULT, NaN where it says nothing. One that only gives verdicts is made so by `by_steps`.
 
@@ -80,25 +82,42 @@ def by_steps(faults: Callable[[float, np.ndarray, np.ndarray], np.ndarray], top:
 def row(least: Least, runs: tuple, samples: int) -> dict:
     """Return what a method with a memory of so many samples sees, as a row of the golden table."""
     prbs, first, second = runs
-    u, y = prbs
-    k = np.arange(len(y))
-    ends = lambda T, lo=0: np.arange(max(lo, samples - 1), T, 6)
-    most = lambda run: float(np.nanmax(least(*run)[ends(len(run[1]))]))
+    most = lambda run: float(np.nanmax(least(*run)[_ends(samples, len(run[1]))]))
     bound = 1.25 * max(most(prbs), most(first))
-    out = {"bound": bound, "unseen": most(second) / bound}
+    beyond = lambda u, y: least(u, y) > bound
+    return {"bound": bound, "unseen": most(second) / bound} | sizes(beyond, prbs, samples)
+
+
+def sizes(beyond: Callable[[np.ndarray, np.ndarray], np.ndarray], run: tuple, samples: int) -> dict:
+    """Return what is seen of faults in both sensors, by `beyond(u, y)`: (..., T) bool, True where sample k is a FAULT."""
+    u, y = run
+    k, out = np.arange(len(y)), {}
     smallest = lambda seen: next((float(z) for z, hit in zip(SIZES, seen, strict=True) if hit), None)
     for i, name in enumerate(("T1", "T2")):
         wrong = SIZES[:, None, None] * np.eye(2)[i]
-        jump = least(u[:141], y[None, :141] + wrong * (k[:141, None] >= 110))[:, ends(141, 110)]
-        always = least(u, y[None] + wrong)[:, ends(len(y))]
+        jump = beyond(u[:141], y[None, :141] + wrong * (k[:141, None] >= 110))[:, _ends(samples, 141, 110)]
+        always = beyond(u, y[None] + wrong)[:, _ends(samples, len(y))]
         at = np.arange(115, len(y), 7)
-        ramp = least(u, y + 0.05 * np.maximum(0, k - 109)[:, None] * np.eye(2)[i])[at] > bound
+        ramp = beyond(u, y + 0.05 * np.maximum(0, k - 109)[:, None] * np.eye(2)[i])[at]
         out[name] = {
-            "jump": smallest(np.nanmax(jump, 1) > bound),
-            "always": smallest(np.nanmax(always, 1) > bound),
+            "jump": smallest(jump.any(1)),
+            "always": smallest(always.any(1)),
             "ramp": round(0.05 * float(at[ramp][0] - 109), 2) if ramp.any() else None,
         }
     return out
+
+
+def _ends(samples, T, first=0):
+    return np.arange(max(first, samples - 1), T, 6)
+
+
+def observed(golden: dict, rho: float, drift: float, bound: float, **options: object) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return `beyond` of a set observer: everything since the start, the first state known to 200 degC, the room to 3."""
+    model = heater(golden, rho, drift, round(bound, 4))
+    room = [3.0] * (model.n - 4)
+    x0 = jb.interval([-100.0] * 4 + [-r for r in room], [300.0] * 4 + room)
+    watch = jb.observer(model, restart=False, x0=x0, **options)
+    return lambda u, y: jb.detect(watch, np.broadcast_to(u, y.shape), y).status == jb.Status.FAULT
 
 
 def text(label: str, found: dict, ideal: dict | None = None) -> str:
@@ -109,7 +128,8 @@ def text(label: str, found: dict, ideal: dict | None = None) -> str:
     if ideal:
         pairs = [(found[name][what], ideal[name][what]) for name in ("T1", "T2") for what in ("jump", "always", "ramp")]
         ratio = f"  worst ratio {max((math.inf if a is None else a / b for a, b in pairs if b is not None), default=1):.2f}"
-    return f"{label:<28} b {found['bound']:.3f}  unseen {found['unseen']:.2f}  {sizes}{ratio}"
+    unseen = f"unseen {found['unseen']:.2f}" if "unseen" in found else " " * 11
+    return f"{label:<28} b {found['bound']:.3f}  {unseen}  {sizes}{ratio}"
 
 
 def main() -> None:
@@ -130,6 +150,16 @@ def main() -> None:
             least(*runs[0])
             spent = (time.process_time() - start) / (len(runs[0][1]) - samples + 1)
             print(f"{text(name, row(least, tuple(runs), samples), ideal[61])}  {1e6 * spent:.0f} us a window", flush=True)
+        bound = ideal["past"]["bound"]
+        for name, options in (("observer, order 20", {}), ("observer, order 60", {"order": 60}),
+                              ("observer, weight 1", {"order": 60, "weight": 1})):  # fmt: skip
+            beyond = observed(golden, rho, drift, bound, **options)
+            false = int(beyond(*runs[0]).sum())
+            start = time.process_time()
+            beyond(*runs[0])
+            spent = (time.process_time() - start) / len(runs[0][1])
+            found = {"bound": bound} | sizes(beyond, runs[0], 1)
+            print(f"{text(name, found, ideal['past'])}  {1e6 * spent:.0f} us a sample, {false} false alarms", flush=True)
 
 
 if __name__ == "__main__":
