@@ -134,7 +134,7 @@ def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
             box = interval(points)
             points, off = mid(box), rad(box).astype(dtype).reshape(math.prod(batch), -1, n)
             off = jnp.pad(off, ((0, 0), (0, 0), (0, sets[3].shape[-1])))
-        (points,) = kernels.settled(rounding.widened(points, dtype))
+        (points,) = kernels.settled(rounding.widened(jnp.asarray(points), dtype))
     question = Question("contains", (flat(sets, batch),), points.reshape(math.prod(batch), -1, n))
     return _decide(question, lead, Answer.YES, off)
 
