@@ -226,6 +226,15 @@ def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_it
         assert sorted(re.findall("^\\| `(\\w+)` \\| \\S", section, re.M)) == sorted(keys)
 
 
+def test_the_first_page_says_as_a_file_how_to_install():
+    page, readme = (ROOT / "docs" / "start.md").read_text(), (ROOT / "README.md").read_text()
+    (install,) = re.findall("^## 1. Install\n(.+?)^## ", page, re.M | re.S)
+    (commands, *_) = re.findall("^```sh\n(.+?)^```", install, re.M | re.S)
+    for part in re.split(r" && |\n", commands)[:2]:
+        assert part in readme, part  # one way, on both pages
+    assert ". .venv/bin/activate" in commands and "run `jaxbound COMMAND --help`" in (ROOT / "docs" / "commands.md").read_text()
+
+
 LINK = re.compile(r"\[[^\]\n]*\]\(([^)\s#]+)(#[^)\s]*)?\)")
 
 

@@ -5,6 +5,7 @@ A report is written completely or not at all, see `outputs`.
 
 import argparse
 import json
+import re
 import shlex
 import threading
 import time
@@ -208,13 +209,18 @@ def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, se
         rows.append(("decided", f"{percent(found.decided)} of {found.windows} windows, {by}"))
     else:
         rows.append(("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor"))
-    rows.append(("alarms", f"{found.alarms}" + (f", the first at {summary.first_alarm}" if found.alarms else "")))
+    proved = summary.verdict == "fault" and found.faulty is None and not model.uncertainties
+    command = f"jaxbound explain {shlex.quote(str(args.out))} --at "
+    first = summary.first_alarm
+    rows.append(("alarms", f"{found.alarms}" + (f", the first at {first}" if found.alarms else "")))
+    if proved and found.alarms and re.fullmatch(r"\S+ s|\d{4}-\d\d-\d\d[ T][\d:.]+", first):
+        rows[-1] = ("alarms", f"{rows[-1][1]}: {command}{shlex.quote(first.removesuffix(' s') + 's' * first.endswith(' s'))}")
     if np.isfinite(summary.margin):
         at, margin = cast(Window, summary.worst).time, summary.margin
         what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
         rows.append(("worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
-    if summary.verdict == "fault" and found.faulty is None and not model.uncertainties:
-        rows.append(("proof", f"jaxbound explain {shlex.quote(str(args.out))} --at {found.at}"))
+    if proved:
+        rows.append(("proof", f"{command}{found.at}"))
     rows += [("hint", h) for h in summary.hints]
     rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]
     show(summary.sentence, COLOUR[summary.verdict], rows)

@@ -36,6 +36,11 @@ def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]
     Raises:
         OSError, ValueError, NotImplementedError: with a sentence for the user.
     """
+    return _certified(directory, at)[:3]
+
+
+def _certified(directory, at):
+    """Return what `certificate_of` does, and a sentence, or "", where the number that was asked for could be meant as a time."""
     model, data, method, horizon = load_run(Path(directory))
     if method == VALIDATION:
         raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
@@ -50,7 +55,7 @@ def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]
     try:
         if part.across(horizon)[horizon]:
             raise ValueError("a window across a gap in time is MISSING")
-        return certify(relations, part.u, part.y, method), k, [part.label(j) for j in range(horizon + 1)]
+        return certify(relations, part.u, part.y, method), k, [part.label(j) for j in range(horizon + 1)], axis.also_a_time(at)
     except ValueError as e:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
 
@@ -71,7 +76,8 @@ class _Axis:
         text = text.strip()
         if text.removeprefix("-").isdecimal():
             if not 0 <= int(text) < self.samples:
-                raise ValueError(f"there is no sample {text}: the recording has {self.samples}, numbered from 0")
+                other = f"; for the time write --at {text}s" if self.also_a_time(text) else ""
+                raise ValueError(f"there is no sample {text}: the recording has {self.samples}, numbered from 0{other}")
             return int(text)
         if (k := self.source.find(text)) is not None:
             return k
@@ -86,6 +92,15 @@ class _Axis:
             ends = f"the recording runs from {self.label(0)} to {self.label(self.samples - 1)}"
             raise ValueError(f"no sample lies at {text}: the nearest is at {self.label(near)}; {ends}")
         return near
+
+    def also_a_time(self, text):
+        """Return a sentence where the number of a sample is a time of the recording, too, and of another sample; else ""."""
+        text = text.strip()
+        if not text.isdecimal() or self.stamped or not self.label(0).endswith(" s"):
+            return ""
+        if not self._time(0) <= int(text) <= self._time(self.samples - 1) or self.label(min(int(text), self.samples - 1)) == f"{text} s":
+            return ""
+        return f"sample {text}; for the time write --at {text}s"
 
     def _parsed(self, text):
         try:
@@ -109,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
     Prints the certificate readably and writes it to DIR/certificate-SAMPLE.json; with --json, prints that JSON and writes nothing.
     """
     with door():
-        certificate, k, labels = certificate_of(args.report, args.at)
+        certificate, k, labels, asked = _certified(args.report, args.at)
         text = certificate.to_json(labels, k)
     if args.json:
         write(text + "\n")
@@ -125,6 +140,8 @@ def run(args: argparse.Namespace) -> int:
     if not whole:
         rows = [(name, main_terms(text)) for name, text in rows]
         rows.append(("all of it", f"--all: every coefficient, and what the {len(labels)} samples say, {len(table) - 1} rows"))
+    if asked:
+        rows.insert(0, ("asked for", asked))
     show(headline, "bold", [*rows, ("certificate", str(path))], table if whole else None, last=True)
     return 0
 
@@ -161,8 +178,11 @@ def readable(certificate: Any, k: int, labels: Sequence[str]) -> tuple[str, list
                 ("bounds needed", f"{'at least ' if c.window.constant else ''}{factor_text(float(c.factor))} the stated ones")]  # fmt: skip
         for name, e in c.errors.items():
             said = "no error of this sensor alone explains the window" if e == math.inf else (
-                f"an error of {number(e)}{unit(name)} of this sensor alone would explain the window, no smaller one")  # fmt: skip
+                f"an error of {number(e)}{unit(name)} of this sensor alone would explain the window, no smaller one: the least, "
+                "not the size of the fault")  # fmt: skip
             rows.append((f"{name} wrong?", said))
+        rows += [(f"{name} wrong?", "an actuator that did something else than was recorded would alone explain the window")
+                 for name in c.candidates if name in model.inputs]  # fmt: skip
     else:
         state = ", ".join(f"{name} {number(x)}{unit(name)}" for name, x in zip(model.states, c.state, strict=True))
         rows = [("tightest", c.relation), ("", f"{percent(float(c.factor))} of the bounds are used"), ("first state", state)]

@@ -174,7 +174,12 @@ def _parsers():
     c.set_defaults(module="detect", function="run_detect")
     c = choices.add_parser("explain", help="print the certificate of one window")
     c.add_argument("report", type=_path, metavar="DIR", help="folder that jaxbound detect wrote")
-    c.add_argument("--at", required=True, metavar="TIME", help="time or number of the sample at which the window ends")
+    c.add_argument(
+        "--at",
+        required=True,
+        metavar="TIME",
+        help="sample at which the window ends: its number, like 60, or its time, like 180s (with the s) or 2026-03-01T12:00:07",
+    )
     c.add_argument("--all", action="store_true", help="every coefficient, and a row for each sample (-v does the same)")
     c.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
     c.set_defaults(module="explain")

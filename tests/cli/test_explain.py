@@ -262,3 +262,18 @@ def test_parquet_is_read_where_it_is_needed(dated, tmp_path, capsys):
     os.utime(edited, ns=(state.st_atime_ns, state.st_mtime_ns))
     code, out, err = explain(tmp_path, "30", capsys=capsys)
     assert (code, out) == (2, "") and "has changed since: run jaxbound detect again" in err
+
+
+def test_a_number_that_could_be_a_time_says_so(tmp_path, capsys):
+    model = jb.LinearSystem([[0.5]], [[0.5]], [[1]], noise=0.1, dt=3, name="slow", inputs=["Q"], outputs=["T"])
+    save_model(model, tmp_path / "model.toml")
+    rows = [f"{3 * k},0,{1.0 * (k == 20)}" for k in range(40)]
+    (tmp_path / "run.csv").write_text("\n".join(["time,Q,T", *rows]) + "\n")
+    assert main.main(["detect", str(tmp_path / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
+    command = f"the first at 60 s: jaxbound explain {tmp_path / 'out'} --at 60s\n"
+    assert command in capsys.readouterr().out
+    assert "asked for" in (said := explain(tmp_path, "20", capsys=capsys)[1]) and "sample 20; for the time write --at 20s\n" in said
+    timed = explain(tmp_path, "60s", capsys=capsys)[1]
+    assert "sample 20\n" in timed and "asked for" not in timed and said.split("violated")[1] == timed.split("violated")[1]
+    assert "the least, not the size of the fault\n" in said and "Q wrong?" in said
+    assert explain(tmp_path, "60", capsys=capsys)[2].endswith("numbered from 0; for the time write --at 60s\n")
