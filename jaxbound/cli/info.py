@@ -38,8 +38,8 @@ def run(args: argparse.Namespace) -> int:
         return OK
     exact = lambda names, values: ", ".join(f"{n} {float(v):.6g}" for n, v in zip(names, values, strict=True) if v) or "none"
     signals = lambda names: ", ".join(f"{n} [{m.unit(n)}]" if m.unit(n) else n for n in names) or "none"
-    origin = lambda field: f"({m.provenance.get(field, 'origin not stated')})"
-    bounds = [(b, f"{exact(m.outputs, getattr(m, b))}   {origin(b)}") for b in ("tolerance", "noise", "resolution")]
+    origin = lambda field: f"({x})" if (x := m.provenance.get(field) or ("" if _bare(m, field) else "origin not stated")) else ""
+    bounds = [(b, f"{exact(m.outputs, getattr(m, b))}   {origin(b)}".rstrip()) for b in ("tolerance", "noise", "resolution")]
     ranges = ", ".join(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]" for j, (lo, hi) in enumerate(m.disturbance))
     bounds += [("disturbance", f"{ranges}   {origin('disturbance')}")] if m.g else []
     bounds += [("average", f"{a.text} within {float(a.bound):.6g}") for a in m.averages]
@@ -69,6 +69,11 @@ def run(args: argparse.Namespace) -> int:
     text = "\n".join(r.text().splitlines()[j] for j in distinct)
     show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon, getattr(r, 'lags', None))}")
     return OK
+
+
+def _bare(model, field):
+    """Return whether a bound of the sensors is 0 throughout, so that it has no origin."""
+    return field in ("tolerance", "noise", "resolution") and not any(getattr(model, field))
 
 
 def _plain(model, r):

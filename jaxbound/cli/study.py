@@ -14,7 +14,7 @@ from jaxbound.plots.canvas import to_png
 from jaxbound.plots.study import plot_study
 from jaxbound.recordings.plaintext import cell
 from jaxbound.relations.cost import duration_text
-from jaxbound.reports.study import HEAD, sentence, study_page, study_rows
+from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
 from jaxbound.studies.montecarlo.montecarlo import study
@@ -126,5 +126,10 @@ def _conclude(args, res, seconds):
         write(json.dumps(told, indent=1, default=float) + "\n")
         return
     speed = f"{res.scenarios * res.samples / max(seconds, 1e-9) / 1e6:.3g} million samples a second on {jax.local_device_count()} device"
-    rows = [("study", sentence(res)), ("seconds", f"{seconds:.1f}, {speed}"), ("report", str(args.out / "report.html"))]
+    rows = [
+        ("study", sentence(res)),
+        ("columns", COLUMNS),
+        ("seconds", f"{seconds:.1f}, {speed}"),
+        ("report", str(args.out / "report.html")),
+    ]
     show(res.model.name, "bold", rows, table=[HEAD, *study_rows(found)])

@@ -89,7 +89,7 @@ def _fault(model, text):
     if not signal or kind not in KINDS:
         raise ValueError(f"a fault is written 'signal:bias' or 'signal:drift', not {text!r}")
     if signal not in model.outputs + model.inputs:
-        raise ValueError(missing_column(signal, model.outputs + model.inputs, "the model"))
+        raise ValueError(missing_column(signal, model.outputs + model.inputs, "the model", "signal"))
     return signal, kind
 
 

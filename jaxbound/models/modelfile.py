@@ -28,6 +28,7 @@ DISTURBANCE = ("bound", "averages")
 AVERAGE = ("samples", "weights", "bound")
 MATRICES = ("A", "B", "C", "D", "G", "F", "D_v", "E")
 PROVENANCE = ("model", "tolerance", "noise", "resolution", "disturbance")
+RECORDED = (".csv", ".parquet", ".pq", ".tsv", ".xlsx")  # ends of names of what is no model
 UNCERTAINTY = ("name", "varying", "between", "A", "B", "C", "D")
 
 
@@ -50,21 +51,35 @@ def load_model(path: str | PathLike[str]) -> LinearSystem:
     """
     import tomllib
 
-    path = Path(path)
+    path, text = Path(path), ""
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder: a model file is needed")
     if not path.exists():
         raise FileNotFoundError(f"there is no model file {path}")
     try:
-        return _model(tomllib.loads(path.read_bytes().decode("utf-8-sig"), parse_float=str))
+        text = path.read_bytes().decode("utf-8-sig")
+        return _model(tomllib.loads(text, parse_float=str))
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no model file") from None
+        raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no model file{_swapped(path)}") from None
     except tomllib.TOMLDecodeError as e:
-        raise ValueError(f"{path}: this is not valid TOML: {e}") from None
+        raise ValueError(f"{path}: this is not valid TOML: {e}{_swapped(path) or _comma(text, str(e))}") from None
     except RecursionError:
         raise ValueError(f"{path}: this is no model file: its lists are nested too deeply") from None
     except ValueError as e:
         raise ValueError(f"{path}: {e}") from None
+
+
+def _swapped(path):
+    """Return what to add where a recording was given for a model."""
+    return "; it looks like a recording: the model comes first" if path.suffix.lower() in RECORDED else ""
+
+
+def _comma(text, failure):
+    """Return what to add where the line that TOML stumbles over has a number with a decimal comma."""
+    at = re.search(r"at line (\d+)", failure)
+    line = text.splitlines()[int(at[1]) - 1 : int(at[1])] if at else []
+    found = re.search(r"=\s*([-+]?\d+),(\d+)\s*(#.*)?$", line[0]) if line else None
+    return f"; write {found[1]}.{found[2]} with a point" if found else ""
 
 
 def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:

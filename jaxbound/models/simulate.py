@@ -166,7 +166,7 @@ def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarra
     rows = []
     for f in faults:
         if f.signal not in model.outputs + model.inputs:
-            raise ValueError(missing_column(f.signal, model.outputs + model.inputs, "the model"))
+            raise ValueError(missing_column(f.signal, model.outputs + model.inputs, "the model", "signal"))
         if f.kind == "tolerance" and f.signal not in model.outputs:
             raise ValueError(f"a tolerance fault needs an output, {f.signal!r} is an input")
         if f.start >= T:

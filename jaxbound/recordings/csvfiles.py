@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
-from jaxbound.recordings.csvtext import is_number, parse_columns, sniff
+from jaxbound.recordings.csvtext import above_header, is_number, parse_columns, sniff
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
 from jaxbound.recordings.selection import wanted
@@ -40,7 +40,10 @@ class CsvFile(Source):
 
 def _read(path, model, report):
     layout = sniff(path)
-    plan = wanted(layout.names, model)
+    try:
+        plan = wanted(layout.names, model)
+    except ValueError as e:
+        raise ValueError(f"{e}{above_header(layout)}") from None
     if plan.time is None and layout.names[0] == "" and layout.first[0] and not is_number(layout.first[0], layout.decimal):
         plan = replace(plan, time="")  # an index of time stamps without a name
     report(0.05)

@@ -18,6 +18,7 @@ __all__ = ["Layout", "cells_of", "is_number", "parse_columns", "sniff"]
 WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "#N/A", "None", "none")
 MISSING_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
 ENOUGH, LINES, LONGEST = 1 << 18, 8, 1 << 26  # bytes and lines of a file that show how it is written; bytes looked at at most
+FURTHER = 20  # lines below the first row that show whether it is the header
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
 SIGNATURES = {
     b"PAR1": "a Parquet file",
@@ -92,6 +93,18 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
     return Layout(path, names, delimiter, decimal, encoding, skip + 1, first, hints)
 
 
+def above_header(layout: Layout) -> str:
+    """Return what to add to a sentence on a column that is not there: "", or that the first row is no header."""
+    with open(layout.path, encoding=layout.encoding, errors="replace", newline="") as f:
+        lines = [line for line, _ in zip(f, range(layout.skip + FURTHER), strict=False)]
+    widths = [max(len(cells_of(line, d)) for d in (";", "\t", ",")) for line in lines]
+    first = widths[layout.skip - 1] if len(widths) >= layout.skip else 0
+    if not widths or first >= max(widths):
+        return ""
+    here, there = f"row {layout.skip} has {first} cell{'s' * (first != 1)}", f"row {widths.index(max(widths)) + 1} has {max(widths)}"
+    return f"; the header must be the first row: {here}, {there}"
+
+
 def cells_of(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line; of one that csv cannot read, what lies between the delimiters."""
     try:
@@ -144,4 +157,5 @@ def _bad_row(layout, index, texts):
             for name, i in index.items():
                 cell = row[i]
                 if name not in texts and cell not in MISSING_CELLS and not is_number(cell, layout.decimal):
-                    return f"row {reader.line_num} of column {name!r} holds {cell.strip()[:60]!r}, which is not a number"
+                    what = "which is not a number: leave a missing sample blank"
+                    return f"row {reader.line_num} of column {name!r} holds {cell.strip()[:60]!r}, {what}"

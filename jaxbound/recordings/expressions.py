@@ -252,13 +252,13 @@ def find_column(wanted: str, present: Iterable[str], where: str) -> str:
     return found[0]
 
 
-def missing_column(wanted: str, present: Iterable[str], where: str) -> str:
-    """Return the sentence for a column that is not there, with the nearest name."""
+def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = "column") -> str:
+    """Return the sentence for a column, or what else of a kind, that is not there, with the nearest name."""
     near = difflib.get_close_matches(wanted, [str(c) for c in present if len(str(c)) < 200][:10_000], n=1, cutoff=0.5)
     here = listed(list(map(str, present)))
     if near:
-        return f"{where} has no column {shown(wanted)}; did you mean {shown(near[0])}? It has {here}."
-    return f"{where} has no column {shown(wanted)}: it has {here}"
+        return f"{where} has no {kind} {shown(wanted)}; did you mean {shown(near[0])}? It has {here}."
+    return f"{where} has no {kind} {shown(wanted)}: it has {here}"
 
 
 def likely(names: Iterable[str], patterns: Iterable[str]) -> list[str]:

@@ -92,7 +92,7 @@ class LineReader:
             cell = cells[i].strip()
             text = name in self.plan.texts or (name == self.plan.time and self.is_text)
             if not text and cell not in MISSING_CELLS and not is_number(cell, self.layout.decimal):
-                return f"of column {name!r} holds {cell[:60]!r}, which is not a number"
+                return f"of column {name!r} holds {cell[:60]!r}, which is not a number: leave a missing sample blank"
         return ""
 
     def _few(self, lines):

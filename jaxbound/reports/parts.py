@@ -38,7 +38,8 @@ def _origin(model, field):
 
 
 def _headed(model):
-    return [f"{field} ({_origin(model, field)})" for field in ("tolerance", "noise", "resolution")]
+    stated = lambda field: field in model.provenance or any(getattr(model, field))
+    return [f"{field} ({_origin(model, field)})" if stated(field) else field for field in ("tolerance", "noise", "resolution")]
 
 
 def _signal(model, kind, i):

@@ -9,7 +9,7 @@ from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.studies.montecarlo.study_result import StudyResult
 
-__all__ = ["HEAD", "sentence", "study_page", "study_rows"]
+__all__ = ["COLUMNS", "HEAD", "sentence", "study_page", "study_rows"]
 
 HEAD = (
     "fault",
@@ -23,6 +23,9 @@ HEAD = (
     "90 % by",
     "guaranteed",
 )
+COLUMNS = ("detected: share of scenarios with a FAULT; FAULT windows: share of the windows wholly inside the fault; delays in samples; "
+           "size and guaranteed in the unit of the signal, of a drift per sample, of a gain or a tolerance as a share")  # fmt: skip
+"""What the columns of HEAD are."""
 NOT_SHOWN = ("method", "key", "faults", "engine", "dtype")  # settings that are told elsewhere, or to nobody
 
 
@@ -42,6 +45,7 @@ def study_page(res: StudyResult, found: Any, png: bytes, seed: int, seconds: flo
         sentence=sentence(res),
         picture=png,
         head=HEAD,
+        columns=COLUMNS,
         rows=study_rows(found),
         settings=list(_settings(res, seed)),
         model=model_values(res.model, bounds),

@@ -230,4 +230,9 @@ def bound_hints(model: Any) -> list[str]:
     """Return sentences on bounds that nobody can mean."""
     bare = [s for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True) if not any(b)]
     none = f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error there is a FAULT"
-    return [none] if bare else []
+    rows = zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True)
+    rounded = [s for s, tolerance, noise, resolution in rows if resolution and not (tolerance or noise)]
+    only = (
+        f"{', '.join(rounded)} {'have' if len(rounded) > 1 else 'has'} only a resolution: state noise or tolerance, what the sensor errs by"
+    )
+    return [none] * bool(bare) + [only] * bool(rounded)

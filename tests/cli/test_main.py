@@ -302,6 +302,7 @@ class TestOtherEnds:
         for part in ("paper", "A 2x2, B 2x1, C 2x2, D zero", "y1 0.02, y2 0.1", "origin not stated", "2 independent, 4 combinations",
                      "r1: y1[k-1] - 5 y2[k-1] + 5 y1[k] = 0"):  # fmt: skip
             assert part in out
+        assert re.search(r"tolerance +y1 0.02, y2 0.1 +\(origin|tolerance +none$", out, re.M) and not re.search(r"none +\(origin", out)
         assert "20 combinations" in run(place, "info", "model.toml", "--horizon", 2, capsys=capsys)[1]
 
     def test_template_is_a_model(self, tmp_path, capsys):

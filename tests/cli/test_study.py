@@ -28,6 +28,7 @@ def test_a_study_writes_tables_and_a_page_and_prints_what_it_found(model, tmp_pa
     out = tmp_path / "out"
     assert run(model, out, "--onset", "20:25", "--input-range", "-2:2", "--hold", "7", "--rows") == 0
     said = capsys.readouterr()
+    assert "detected: share of scenarios with a FAULT" in " ".join(said.out.split())
     assert "0 false alarms in" in said.out and "y1:bias" in said.out and said.err == ""
     summary, delays = pd.read_csv(out / "summary.csv"), pd.read_parquet(out / "delays.parquet")
     assert summary.scenarios.tolist() == [3000] * 3 and summary.false_alarms.sum() == 0 and delays.scenarios.sum() == 9000
@@ -35,6 +36,7 @@ def test_a_study_writes_tables_and_a_page_and_prints_what_it_found(model, tmp_pa
     rows = pd.read_parquet(out / "scenarios")
     assert len(rows) == 9000 and rows.onset.between(20, 24).all() and rows.onset.nunique() == 5
     page = (out / "report.html").read_text()
+    assert "of a drift per sample" in page and "<th" in page
     assert "tank &lt;1&gt;" in page and "size of the fault" not in page and "What is guaranteed" in page
     expected = jb.study(
         jb.load_model(model), "y1:bias", 9000, 3, sizes=[0.1, 2.55, 5.0], samples=60, onset=(20, 25), input_range=(-2, 2), hold=7

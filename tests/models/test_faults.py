@@ -133,7 +133,7 @@ def test_a_fault_that_makes_no_sense_is_refused(given, message):
 
 
 @pytest.mark.parametrize("given, message", [
-    (jb.Fault("y9"), "the model has no column 'y9'; did you mean 'y"),
+    (jb.Fault("y9"), "the model has no signal 'y9'; did you mean 'y"),
     (jb.Fault("u1", "tolerance", 0.1), "a tolerance fault needs an output, 'u1' is an input"),
     (jb.Fault("y1", start=40), "the fault of 'y1' starts at sample 40, but there are 40 samples"),
 ])  # fmt: skip

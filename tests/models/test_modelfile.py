@@ -194,6 +194,7 @@ class TestReading:
     ("dt = 0.5", "dt = 0", "dt must be a positive number"),
     ("dt = 0.5", "", "dt is missing"),
     ("dt = 0.5", "dt = 1 2", r"not valid TOML: .*line 3"),
+    ("dt = 0.5", "dt = 0,5  # s", r"not valid TOML: .*line 3.*; write 0.5 with a point"),
     ('"tank"', '"tank', r"not valid TOML: .*line 2"),
     ('"tank"', "7", "name must be text in quotes, not 7"),
     ('name = "pump"', 'unit = "%"', "number 1 of inputs needs a name"),
@@ -224,3 +225,10 @@ def test_save_needs_a_model(tmp_path):
         save_model(np.eye(2), tmp_path / "m.toml")
     with pytest.raises(OSError):
         save_model(paper(), tmp_path / "none" / "m.toml")
+
+
+def test_a_recording_in_place_of_a_model_is_told(tmp_path):
+    for name, content in (("run.csv", b"t,u1\n0,1\n"), ("run.parquet", b"PAR1\xff\xfe")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match="it looks like a recording: the model comes first"):
+            load_model(tmp_path / name)

@@ -73,3 +73,9 @@ class TestSummary:
         assert bound_hints(paper()) == []
         (hint,) = bound_hints(paper(noise=[0.1, 0], tolerance=0))
         assert "no tolerance, noise or resolution for y2:" in hint
+
+    def test_a_bound_that_is_missing(self):
+        assert bound_hints(paper(noise=0.1, tolerance=0, resolution=0.01)) == []
+        only = bound_hints(paper(noise=[0.1, 0], tolerance=0, resolution=0.01))
+        assert only == ["y2 has only a resolution: state noise or tolerance, what the sensor errs by"]
+        assert "y1, y2 have only a resolution" in bound_hints(paper(noise=0, tolerance=0, resolution=0.01))[0]

@@ -159,7 +159,7 @@ def _fault(model, given):
             signal, _, kind = given.rpartition(":")
         given = Fault(signal, kind)
     if given.signal not in model.outputs + model.inputs:
-        raise ValueError(missing_column(given.signal, model.outputs + model.inputs, "the model"))
+        raise ValueError(missing_column(given.signal, model.outputs + model.inputs, "the model", "signal"))
     if given.kind == "tolerance" and given.signal not in model.outputs:
         raise ValueError(f"a tolerance fault needs an output, {given.signal!r} is an input")
     return given
