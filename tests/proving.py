@@ -33,6 +33,8 @@ def doors():
         "detect_dataset": lambda: dataset(r),
         "Monitor": monitor,
         "compensation": lambda: jb.compensation(unsure, None, y),
+        "observer": lambda: jb.observer(MODEL),
+        "observe": lambda: jb.observe(MODEL, None, y),
         "unknown_inputs": lambda: jb.unknown_inputs(LEAKING, None, y, horizon=1),
         "validate": lambda: jb.validate(M, None, y),
         "linearize": lambda: jb.linearize(lambda x, u: -x * x, [1.0], region={"x": 0.1}),
@@ -67,9 +69,9 @@ EXACT_OR_UNPROVED = {
     "Fault", "LinearSystem", "MultiModel", "Recording", "Status", "Uncertainty", "read",
     # exact rationals on the host
     "detectable", "from_control", "from_scipy", "interval", "interval_system", "isolability", "load_model", "parity_relations",
-    "redundancy", "residual", "save_model", "signatures", "strips", "structured_relations", "zonotope",
+    "redundancy", "residual", "save_model", "signatures", "strips", "structured_relations", "with_faults", "zonotope",
     # no proof is claimed; evaluate compares residuals with a hull, as sure as the hull is
-    "evaluate", "margins", "plot", "sets", "simulate", "use_cache",
+    "evaluate", "margins", "plot", "sets", "simulate", "suggest_lags", "use_cache",
 }  # fmt: skip
 
 

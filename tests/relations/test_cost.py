@@ -69,7 +69,7 @@ def test_a_model_of_too_many_states_is_refused_at_once():
     row = (Fraction(1, 10),) * n
     none = ((),) * n
     plant = Plant(A=(row,) * n, B=none, C=(row,), D=((),), G=none, disturbance=(), F=none, D_v=((),), uncertainties=(), dt=1.0)
-    vars(model).update(plant=plant, horizon=None)
+    vars(model).update(plant=plant, horizon=None, lags=None, averages=())
     start = time.perf_counter()
     with pytest.raises(ValueError, match="a model of 2000 states is too large"):
         jb.parity_relations(model)
@@ -115,12 +115,12 @@ def test_progress_of_relations_rises_to_the_end():
 
 
 def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, capsys, monkeypatch):
-    from jaxbound.cli import detect as detecting
     from jaxbound.cli import main as cli
+    from jaxbound.cli import window
 
     save_model(CHAIN, tmp_path / "m.toml")
     (tmp_path / "r.csv").write_text("u1,y1,y2\n" + "0,0,0\n" * 201)
-    monkeypatch.setattr(detecting, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
+    monkeypatch.setattr(window, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
     for horizon in ("1000", "1" + "0" * 15):
         args = ["detect", str(tmp_path / "m.toml"), str(tmp_path / "r.csv"), "--out", str(tmp_path / "out"), "--horizon", horizon]
         assert cli.main(args) == 2
