@@ -75,7 +75,7 @@ def _tank(folder):
     _write(folder / "tank.csv", model, u, np.asarray(run.y))
     return [
         ("tank.toml", "the commented model file of jaxbound info --template"),
-        ("tank.csv", "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s"),
+        ("tank.csv", "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s: windows of 16 samples show all of it"),
     ]
 
 
@@ -85,7 +85,7 @@ EXAMPLES: dict[str, tuple[str, Callable[[Path], list[tuple[str, str]]], tuple[st
                "jaxbound fit healthy_1.csv healthy_2.csv --inputs \"Q1=Heater 1,Q2=Heater 2\" "
                "--outputs \"T1=Temperature 1,T2=Temperature 2\" --out plant.toml"),
     "tank": ("a model file to fill in, with a recording to it", _tank, ("tank.toml", "tank.csv"),
-             "jaxbound detect tank.toml tank.csv --out report/"),
+             "jaxbound detect tank.toml tank.csv --horizon 15 --out report/"),
 }  # fmt: skip
 """By name: what it is, the function that writes it into a folder, its files, and what to try first."""
 

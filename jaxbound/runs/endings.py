@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxbound.diagnosis.alarms import NO_LONGER, ONSET_LEFT, Alarm
 from jaxbound.diagnosis.detectability import always_seen
+from jaxbound.diagnosis.memory import slowest
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
 
@@ -32,7 +33,15 @@ def ending_hints(res: Any, alarms: Sequence[Alarm], sizes: Mapping[str, float] |
         res, alarms: as for `sizes_seen`, which returns sizes; None: not asked for.
     """
     counts = evidence(res, alarms).ended or {}
-    return [f"{said}; {sizes_text(res, sizes)}" for said in endings_said(counts, sum(counts.values()))]
+    return [f"{said}; {sizes_text(res, sizes)}{_longer(res, sizes)}" for said in endings_said(counts, sum(counts.values()))]
+
+
+def _longer(res, sizes):
+    """Return what to add where the plant remembers longer than its windows, which lasting errors hide behind."""
+    relations = res.relations
+    if sizes is None or getattr(relations, "lags", None) is not None or slowest(relations.model) <= relations.horizon + 1:
+        return ""
+    return "; smaller ones may show in a longer --horizon, or with the lags of jb.suggest_lags(model), if the bounds hold so long"
 
 
 def endings_said(counts: Mapping[str, int], total: int) -> list[str]:

@@ -39,6 +39,9 @@ def test_files_are_the_same_each_time_and_nothing_of_others_is_replaced(place, c
     assert (place / "tank/tank.csv").read_bytes() == (place / "again/tank.csv").read_bytes()
     res = jb.detect(jb.parity_relations(m := jb.load_model("tank/tank.toml")), jb.read("tank/tank.csv", m))
     assert (res.status[:200] != jb.Status.FAULT).all() and (res.status[200:260] == jb.Status.FAULT).any()
+    assert f" {EXAMPLES['tank'][3]}\n" in capsys.readouterr().out and "--horizon 15" in EXAMPLES["tank"][3]
+    (alarm,) = jb.detect(jb.parity_relations(m, 15), jb.read("tank/tank.csv", m)).alarms()
+    assert (alarm.start, alarm.end) == (200, 274)  # all of the fault; windows of 2 samples see its ends alone
     (place / "again/tank.csv").write_text("mine")
     assert main.main(["example", "tank", "--out", "again"]) == 2
     assert "again/tank.csv" in capsys.readouterr().err and (place / "again/tank.csv").read_text() == "mine"
