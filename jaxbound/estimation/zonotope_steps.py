@@ -251,7 +251,7 @@ def _sample(plant, start, carry, now, enclosures):
     carry = carry._replace(age=age, empty=empty)
     if start is not None:
         begin = (age < 0) & (ready > len(carry.mid))
-        fill = lambda state: _begun(plant, start, carry, now, begin, g, *state)
+        fill = lambda state: _begun(plant, start, carry, now, begin, *state)
         c, G, r, age = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age))
         carry = carry._replace(age=age)
     if enclosures:
@@ -267,12 +267,13 @@ class _Bounds:
     the rounding of a sum of non-negative numbers; least: more than what underflows cost; most, steepest: largest numbers, and gains.
     """
 
-    def __init__(self, plant, carry):
+    def __init__(self, plant, carry, more=0):
+        """more: terms that sums have beyond those of a step."""
         (n, m), (p, _), (_, q, _), dtype = plant.B.shape, plant.C.shape, carry.G.shape, carry.G.dtype
         wide = dtype == np.float64
         number = lambda x: np.asarray(x, dtype)
-        self.gamma = rounding.product_error(n + m + 8, dtype)[0]
-        self.up = number(1 + 4 * (q + p + plant.W.shape[1] + 4 * (n + m) + 64) * float(rounding.unit(dtype)))
+        self.gamma = rounding.product_error(n + m + 8 + more, dtype)[0]
+        self.up = number(1 + 4 * (q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more) * float(rounding.unit(dtype)))
         self.least = number(2.0**-500 if wide else 2.0**-46)
         self.most, self.steepest = _largest(dtype), number(2.0**60 if wide else 2.0**20)
 
@@ -284,9 +285,10 @@ def _map(M, X):
     return summed(lambda column, row: column[:, None] * row[None], M, X, axes=(1, 0))
 
 
-def _begun(plant, start, carry, now, begin, g, c, G, r, age):
+def _begun(plant, start, carry, now, begin, c, G, r, age):
     """Return (c, G, r, age), where it begins those of the set that the last samples alone allow."""
     (n, wide, N), h = G.shape, len(carry.mid)
+    g = _Bounds(plant, carry, start.K.shape[1] + start.U.shape[1] + start.W.shape[1])
     join = lambda name: jnp.concatenate([getattr(carry, name), getattr(now, name)[None]]).reshape(-1, N)
     mid, rad, v, slip = (join(name) for name in ("mid", "rad", "v", "slip"))
     rad = jnp.where(begin[None], rad, 0)

@@ -253,3 +253,14 @@ def test_a_fault_is_explained_by_the_shortest_window_that_proves_it():
         found.explain(19)
     with pytest.raises(NotImplementedError, match="are those of windows"):
         jb.margins(jb.observer(PLANT), u, y)
+
+
+@pytest.mark.parametrize("x64", [True, False])
+def test_a_long_beginning_counts_the_rounding_of_all_its_samples(x64, rng):
+    """Without noise to hide behind: the state that 41 samples give is off by what their sum rounds, and the set knows."""
+    model = jb.LinearSystem([["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0], ["0.3", 1]], noise="1e-7")
+    with jax.enable_x64(x64):
+        u, x, y = recorded(model, 60, 11, 32, dtype=np.float64 if x64 else np.float32)
+        found = jb.observe(model, u, y, horizon=40, order=4, weight=1)
+        assert inside(found, x, u.dtype).all() and not (found.status == jb.Status.FAULT).any()
+        assert np.isfinite(found.state.hi[:, 40:]).all()
