@@ -15,7 +15,8 @@ from jaxbound.studies.montecarlo import montecarlo
 @pytest.fixture
 def model(tmp_path):
     path = tmp_path / "plant.toml"
-    jb.save_model(jb.LinearSystem([[0.8]], [[1]], [[1]], noise=0.1, tolerance=0.005, name="tank <1>", units={"y1": "bar"}), path)
+    jb.save_model(jb.LinearSystem([[0.8]], [[1]], [[1]], noise=0.1, tolerance=0.005, name="tank <1>", units={"y1": "bar"},
+                                columns={"y1": "Level 1"}), path)  # fmt: skip
     return path
 
 
@@ -70,11 +71,12 @@ def test_an_interrupted_command_goes_on_and_says_so(model, tmp_path, capsys, mon
 @pytest.mark.parametrize(
     ("sentence", "more"),
     [
+        ("'Level 1' is the column of the signal y1", ["--faults", "Level 1:bias"]),
         ("--sizes needs lo:hi:count", ["--sizes", "a:b"]),
         ("--input-range needs lo:hi", ["--input-range", "3"]),
         ("--onset needs", ["--onset", "1.5:3"]),
         ("at must be one of", ["--at", "corners"]),
-        ("the model has", ["--faults", "y9:bias"]),
+        ("the model has no signal", ["--faults", "y9:bias"]),
         ("needs a whole number >= 1", ["--n", "0"]),
     ],
 )

@@ -159,6 +159,9 @@ def _fault(model, given):
             signal, _, kind = given.rpartition(":")
         given = Fault(signal, kind)
     if given.signal not in model.outputs + model.inputs:
+        for name in model.outputs + model.inputs:
+            if model.column(name) == given.signal:
+                raise ValueError(f"{given.signal!r} is the column of the signal {name}: a fault names the signal, {name}")
         raise ValueError(missing_column(given.signal, model.outputs + model.inputs, "the model", "signal"))
     if given.kind == "tolerance" and given.signal not in model.outputs:
         raise ValueError(f"a tolerance fault needs an output, {given.signal!r} is an input")
