@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.detectability import detectable
     from jaxbound.diagnosis.detection import detect, margins
     from jaxbound.diagnosis.isolation import evaluate
+    from jaxbound.diagnosis.memory import suggest_lags
     from jaxbound.estimation.observer import observe, observer
     from jaxbound.estimation.unknown_inputs import unknown_inputs
     from jaxbound.estimation.validation import validate

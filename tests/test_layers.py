@@ -126,6 +126,8 @@ def test_the_top_has_verbs_and_what_is_constructed_and_types_of_results_live_in_
     assert all(getattr(jb, name) is getattr(getattr(jb, room), name) for room, names in types.items() for name in names)
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = jb.nothing
+    seen = {name.rpartition(".")[2] for name in imported(FILES[OUTSIDE])}  # what type checkers and the pages read
+    assert verbs - {"sets"} <= seen, verbs - seen
 
 
 def test_import_loads_nothing_heavy_beyond_jax():
