@@ -90,9 +90,9 @@ class Witnessed:
         w, model = self.window, self.window.model
         if not model.averages:
             return {}
-        place = lambda a: model.outputs.index(a.signal) if a.signal in model.outputs else int(a.signal[1:]) - 1
-        told = [{"output": Fraction(int(a.signal in model.outputs)), "number": Fraction(place(a)), "weights": a.weights, "bound": b}
-                for a, b in zip(model.averages, w.average, strict=True)]  # fmt: skip
+        places = [a.place(model.outputs) for a in model.averages]
+        told = [{"output": Fraction(measured), "number": Fraction(number), "weights": a.weights, "bound": b}
+                for a, b, (measured, number) in zip(model.averages, w.average, places, strict=True)]  # fmt: skip
         first = lambda rows: rows[0] // model.p if rows[0] < len(w.y) else (rows[0] - len(w.y)) // model.g
         runs = window_runs(model, w.horizon)
         ends = [{"average": Fraction(a), "first": Fraction(first(rows)) if w.looked(rows) else None} for a, rows in runs]

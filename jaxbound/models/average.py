@@ -33,6 +33,11 @@ class Average:
     weights: Vector
     bound: Fraction
 
+    def place(self, outputs: Sequence[str]) -> tuple[bool, int]:
+        """Return (whether it is of an output, the number of that output or disturbance)."""
+        measured = self.signal in outputs
+        return measured, list(outputs).index(self.signal) if measured else int(self.signal[1:]) - 1
+
     @property
     def is_mean(self) -> bool:
         """Whether the sum is the mean of its samples."""

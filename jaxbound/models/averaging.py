@@ -23,9 +23,7 @@ Places = tuple[tuple[bool, int, int], ...]
 
 def places_of(model: LinearSystem, dtype: np.dtype) -> tuple[Places, tuple]:
     """Return ((of an output, number, samples) of each average, [(weights (n,), bound)] in floats, bounds rounded down)."""
-    measured = [a.signal in model.outputs for a in model.averages]
-    number = [model.outputs.index(a.signal) if y else int(a.signal[1:]) - 1 for a, y in zip(model.averages, measured, strict=True)]
-    places = tuple((y, i, len(a.weights)) for a, y, i in zip(model.averages, measured, number, strict=True))
+    places = tuple((*a.place(model.outputs), len(a.weights)) for a in model.averages)
     numbers = tuple((np.array([float(x) for x in a.weights], dtype), rounding.round_down(a.bound, dtype)) for a in model.averages)
     return places, numbers
 

@@ -5,10 +5,10 @@ from fractions import Fraction
 from typing import Any
 
 from jaxbound.exact.linalg import Number
+from jaxbound.models.faults import refuse_unknown_signal
 from jaxbound.models.plant import number
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.uncertainty import Uncertainty
-from jaxbound.recordings.expressions import missing_column
+from jaxbound.models.uncertainty import Uncertainty, centred
 
 __all__ = ["with_faults"]
 
@@ -60,8 +60,7 @@ def with_faults(model: LinearSystem, *faults: str, rate: Number | Mapping[str, N
         C = [row + [c[1][i] for c in columns] for i, row in enumerate(C)]
         return {"A": A, "B": B + zero(k, model.m), "C": C, "D": D}
 
-    centred = model._arguments()
-    matrices = grown({x: centred[x] for x in "ABCD"}, 1)
+    matrices = grown({x: centred(given[x], model.uncertainties, x, sign=-1) for x in "ABCD"}, 1)
     acts = lambda rows: any(x for row in rows for x in row)
     parameters = []
     for p in model.uncertainties:
@@ -88,8 +87,7 @@ def _fault(model, text):
     signal, _, kind = str(text).rpartition(":")
     if not signal or kind not in KINDS:
         raise ValueError(f"a fault is written 'signal:bias' or 'signal:drift', not {text!r}")
-    if signal not in model.outputs + model.inputs:
-        raise ValueError(missing_column(signal, model.outputs + model.inputs, "the model", "signal"))
+    refuse_unknown_signal(model, signal, kind)
     return signal, kind
 
 

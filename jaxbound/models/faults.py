@@ -1,10 +1,12 @@
 """Faults to put into a simulation."""
 
 from dataclasses import dataclass
+from typing import Any
 
+from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.objecttext import readable
 
-__all__ = ["Fault"]
+__all__ = ["Fault", "refuse_unknown_signal"]
 
 KINDS = ("bias", "drift", "gain", "noise", "tolerance", "stuck", "dropout")
 
@@ -43,3 +45,15 @@ class Fault:
             raise ValueError(f"size of a fault must be a finite number, not {self.size!r}")
         if self.start < 0 or (self.stop is not None and self.stop <= self.start):
             raise ValueError(f"a fault needs 0 <= start < stop: start {self.start}, stop {self.stop}")
+
+
+def refuse_unknown_signal(model: Any, signal: str, kind: str) -> None:
+    """Raise ValueError for a signal that the model does not have, or that cannot have a fault of this kind."""
+    known = model.outputs + model.inputs
+    if signal not in known:
+        for name in known:
+            if model.column(name) == signal:
+                raise ValueError(f"{signal!r} is the column of the signal {name}: a fault names the signal, {name}")
+        raise ValueError(missing_column(signal, known, "the model", "signal"))
+    if kind == "tolerance" and signal not in model.outputs:
+        raise ValueError(f"a tolerance fault needs an output, {signal!r} is an input")

@@ -18,10 +18,9 @@ from jax.typing import ArrayLike
 
 from jaxbound.models.averaging import kept_averages, places_of
 from jaxbound.models.conversion import ModelLike, as_model
-from jaxbound.models.faults import Fault
+from jaxbound.models.faults import Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
-from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.seeds import key_of
 from jaxbound.sets.floats import rounding
@@ -165,10 +164,7 @@ def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarra
     """Return (faults, T) bool: where each fault acts."""
     rows = []
     for f in faults:
-        if f.signal not in model.outputs + model.inputs:
-            raise ValueError(missing_column(f.signal, model.outputs + model.inputs, "the model", "signal"))
-        if f.kind == "tolerance" and f.signal not in model.outputs:
-            raise ValueError(f"a tolerance fault needs an output, {f.signal!r} is an input")
+        refuse_unknown_signal(model, f.signal, f.kind)
         if f.start >= T:
             raise ValueError(f"the fault of {f.signal!r} starts at sample {f.start}, but there are {T} samples")
         k = np.arange(T)

@@ -51,8 +51,8 @@ def runs(model: LinearSystem, horizon: int) -> list[tuple[int, tuple[int, ...]]]
     """
     found = []
     for number, average in enumerate(model.averages):
-        measured = average.signal in model.outputs
-        first = model.outputs.index(average.signal) if measured else (horizon + 1) * model.p + int(average.signal[1:]) - 1
+        measured, place = average.place(model.outputs)
+        first = place if measured else (horizon + 1) * model.p + place
         width, samples, length = (model.p, horizon + 1, len(average.weights)) if measured else (model.g, horizon, len(average.weights))
         found += [(number, tuple(first + width * j for j in range(k, k + length))) for k in range(samples - length + 1)]
     return found

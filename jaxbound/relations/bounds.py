@@ -120,6 +120,4 @@ def reading(
 
 def _filter(model: LinearSystem, average: Average) -> Filter:
     """Return an average as kernels take it."""
-    measured = average.signal in model.outputs
-    place = model.outputs.index(average.signal) if measured else int(average.signal[1:]) - 1
-    return measured, place, tuple(map(float, average.weights))
+    return *average.place(model.outputs), tuple(map(float, average.weights))

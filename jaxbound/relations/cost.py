@@ -30,7 +30,7 @@ def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
     if model.uncertainties:
         terms = _terms(model, s)
         return 4e-3 * terms, 1e3 * terms
-    averaged = sum(s + (a.signal in model.outputs) for a in model.averages)
+    averaged = sum(s + a.place(model.outputs)[0] for a in model.averages)
     rows = (s + 1) * model.p + model.g * s + averaged
     columns = model.n + model.g * s + model.d * window.unknown_lags(model, s)
     known, left = model.m * window.input_lags(model, s), max(rows - columns, 0)

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis.detectability import detectable
-from jaxbound.models.faults import KINDS, Fault
+from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.expressions import missing_column
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -158,13 +157,7 @@ def _fault(model, given):
         if signal not in model.outputs + model.inputs and ":" in given:
             signal, _, kind = given.rpartition(":")
         given = Fault(signal, kind)
-    if given.signal not in model.outputs + model.inputs:
-        for name in model.outputs + model.inputs:
-            if model.column(name) == given.signal:
-                raise ValueError(f"{given.signal!r} is the column of the signal {name}: a fault names the signal, {name}")
-        raise ValueError(missing_column(given.signal, model.outputs + model.inputs, "the model", "signal"))
-    if given.kind == "tolerance" and given.signal not in model.outputs:
-        raise ValueError(f"a tolerance fault needs an output, {given.signal!r} is an input")
+    refuse_unknown_signal(model, given.signal, given.kind)
     return given
 
 
