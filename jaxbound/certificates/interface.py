@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["WindowCertificate", "certify", "explain"]
+__all__ = ["WindowCertificate", "certify", "evidence", "explain"]
 
 
 class WindowCertificate:
@@ -88,9 +88,17 @@ def explain(result: Any, at: int | tuple) -> Any:
         raise ValueError(f"window {at} is MISSING: there is nothing to explain")
     at = at if isinstance(at, tuple) else (at,)
     at = tuple(int(i) % n for i, n in zip(at, result.status.shape, strict=True))
-    if hasattr(result.relations, "evidence"):  # an observer: a window that proves the same
-        relations, u, y = result.relations.evidence(result.u[at[:-1]], result.y[at[:-1]], result.starts, at[-1], status)
-        return certify(relations, u, y, "joint", status, at)
-    s = result.relations.horizon
+    relations, method, u, y = evidence(result.relations, result, at, status)
+    return certify(relations, u, y, method, status, at)
+
+
+@singledispatch
+def evidence(relations: Any, result: Any, at: tuple, status: Status) -> tuple[Any, str, np.ndarray, np.ndarray]:
+    """Return (relations, method, u, y): the window whose certificate explains the verdict of a Result at an index, chosen by its relations.
+
+    Raises:
+        NotImplementedError: no window proves it.
+    """
+    s = relations.horizon
     u, y = (np.asarray(x)[at[:-1]][at[-1] - s : at[-1] + 1] for x in (result.u, result.y))
-    return certify(result.relations, u, y, result.method, status, at)
+    return relations, result.method, u, y

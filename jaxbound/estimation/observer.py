@@ -5,21 +5,23 @@ A window forgets what came before it; an observer does not. The set of states th
 the samples since it began: a FAULT.
 """
 
-import os
+import copy
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, NoReturn
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.certificates.interface import evidence
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
-from jaxbound.estimation.zonotope_numbers import least_horizon, middle, numbers, start
+from jaxbound.estimation.blocks import in_blocks
+from jaxbound.estimation.zonotope_numbers import ROUNDED, least_horizon, middle, numbers, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
 from jaxbound.recordings.objecttext import readable
@@ -30,6 +32,7 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.zonotopes.reduction import reduce_order
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["Observation", "ObserverState", "SetObserver", "observe", "observer"]
@@ -166,8 +169,7 @@ class SetObserver(Observer):
         self.weights = np.atleast_1d(np.asarray(weight, np.float64))
         if self.weights.ndim > 1 or not len(self.weights) or not ((self.weights > 0) & np.isfinite(self.weights)).all():
             raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
-        self._given, self._asked = x0, horizon
-        self._x0 = None if x0 is None else _first_set(x0, system.n)
+        self._x0 = None if x0 is None else _first_set(x0, system.n, self.order, self._dtype)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
         h = least_horizon(system) if horizon is None else int(horizon)
@@ -196,38 +198,17 @@ class SetObserver(Observer):
         """
         if method != "joint" or budget is not None or np.any(np.asarray(compensation) != 0):
             raise ValueError("an observer takes neither method nor budget nor compensation: they belong to windows")
-        watch = object.__new__(SetObserver)
-        vars(watch).update(vars(self), enclosures=False)
+        return self.telling(enclosures=False)
+
+    def telling(self, enclosures: bool) -> "SetObserver":
+        """Return the same observer, whose `fold` returns an Observation, or verdicts alone."""
+        watch = copy.copy(self)
+        watch.enclosures = enclosures
         return watch
 
     def margins(self, given: Recording) -> NoReturn:
         """Raise NotImplementedError: an observer has no derivative."""
         raise NotImplementedError("margins are those of windows: detect(observer, ..).margin has what an observer says")
-
-    def evidence(self, u: np.ndarray, y: np.ndarray, starts: Sequence[int], k: int, status: Status) -> tuple[Any, np.ndarray, np.ndarray]:
-        """Return (relations, u, y) of the shortest of some windows that end at sample k and prove its FAULT alone.
-
-        A chain of sets is long and nobody reads it; most contradictions show in a window of the last samples, whose certificate is one
-        relation. Tried are windows of 3, 5, 9, .. samples, no more than 65 and none before the observer began.
-
-        Raises:
-            NotImplementedError: a verdict other than FAULT, no such window.
-        """
-        if status != Status.FAULT:
-            raise NotImplementedError(f"an observer exhibits no behaviour: {status.name} at sample {k} has no certificate, FAULT has")
-        watch = SetObserver(self.model, self.order, self.weights, self.restart, self._given, self._asked, enclosures=True)
-        since = int(drive(watch, Recording.of(self.signals, u[: k + 1], y[: k + 1], [s for s in starts if s <= k])).since[k])
-        for h in (2**i for i in range(1, 7)):
-            if k - h < since:
-                break
-            try:
-                relations = parity_relations(self.model, h)
-            except ValueError:  # without a relation yet
-                continue
-            relations, given = relations.recording(u[k - h : k + 1], y[k - h : k + 1], ())
-            if drive(relations.test("joint", given.y.dtype), given).status[-1] == Status.FAULT:
-                return relations, np.asarray(given.u), np.asarray(given.y)
-        raise NotImplementedError(f"no window of up to 65 samples proves this alone: the FAULT at sample {k} rests on all since {since}")
 
     @property
     def _dtype(self):
@@ -266,32 +247,17 @@ class SetObserver(Observer):
         fresh[np.asarray(piece.starts, np.int64)] = True
         if piece.excluded is not None:
             fresh |= piece.excluded
-        given = last(u), last(y), last(input_slip(u)), fresh
+        given = last(u), last(y), last(input_slip(u))
         rounded = max(float(rounding.unit(y.dtype)), float(rounding.unit(self._dtype)))
-        size = min(max(BLOCK // lanes, 1), power(count))
-        blocks = [np.minimum(np.arange(a, a + size), count - 1) for a in range(0, count, size)]
         beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
         cut = lambda block: jax.tree.map(lambda x: beside(x[..., block]), past)
-        job = lambda block: self._block(cut(block), [np.tile(x[..., block], lanes) for x in given[:3]], fresh, rounded)
-        done = [job(blocks[0])]
-        if len(blocks) > 1:
-            with jax.enable_x64(self._dtype == np.float64), ThreadPoolExecutor(os.cpu_count()) as threads:
-                done += threads.map(self._beside(job), blocks[1:])
+        job = lambda block: self._block(cut(block), [np.tile(x[..., block], lanes) for x in given], fresh, rounded)
+        done = in_blocks(job, count, min(max(BLOCK // lanes, 1), power(count)))
         split = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
         together = lambda *parts: np.concatenate([split(x) for x in parts], -1)[..., :count]
         past = jax.tree.map(lambda *parts: beside(together(*parts)), *(a for a, _ in done))
         found = jax.tree.map(together, *(b for _, b in done))
         return ObserverState(past, carry.samples + T), self._told(_joined(found), lead, T, int(carry.samples))
-
-    def _beside(self, job):
-        """Return the job for a thread, which does not inherit how wide numbers are."""
-        wide = self._dtype == np.float64
-
-        def run(block):
-            with jax.enable_x64(wide):
-                return job(block)
-
-        return run
 
     def _block(self, carry, samples, fresh, rounded):
         """Follow some recordings side by side, piece by piece."""
@@ -300,11 +266,10 @@ class SetObserver(Observer):
         while first < T or not parts:
             length = PIECES[0] if T - first <= PIECES[0] else PIECES[1]
             stop = min(first + length, T)
-            cut = [_filled(x[first:stop], length, np.nan) for x in samples[:2]]
-            slip, new = _filled(samples[2][first:stop], length, 0), _filled(fresh[first:stop], length, False)
-            known = steps.read(self._numbers, *cut, slip, new, np.asarray(rounded, self._dtype))
+            filled = lambda x, a=first, b=stop, more=first + length - stop: np.pad(x[a:b], [(0, more)] + [(0, 0)] * (x.ndim - 1))
+            known = steps.read(self._numbers, *map(filled, samples), filled(fresh), np.asarray(rounded, self._dtype))
             carry, found = steps.follow(
-                self._numbers, self._start, carry, known, 0, stop - first, len(self.weights), self.enclosures, self.restart
+                self._numbers, self._start, carry, known, stop - first, len(self.weights), self.enclosures, self.restart
             )
             parts.append(jax.tree.map(lambda x, count=stop - first: np.asarray(x)[:count], found))
             first = stop
@@ -331,45 +296,56 @@ def _joined(found):
     return steps.Found(found.status.max(-2), found.margin.min(-2), age, found.states.min(-2), found.outputs.min(-2))
 
 
-def _filled(x, length, value):
-    """Return x with rows of a value behind, up to a length."""
-    out = np.full((length, *x.shape[1:]), value, x.dtype)
-    out[: len(x)] = x
-    return out
-
-
-def _first_set(x0, n):
-    """Return (centre (n,), generators (n, q), box (n,)), exact floats, of what holds the first state."""
+def _first_set(x0, n, order, dtype):
+    """Return (centre (n,), generators (n, q), box (n,)) in a dtype, at most so many generators a state, of what holds the first state."""
     if isinstance(x0, Zonotope):
         c, G = np.asarray(x0.center, np.float64), np.asarray(x0.generators, np.float64)
-        r = np.zeros(len(c))
     else:
         x0 = interval(x0)
         bounded = np.isfinite(x0.lo) & np.isfinite(x0.hi)
         c, r = (np.where(bounded, part, np.inf) for part in middle(jax.tree.map(lambda end: np.where(bounded, end, 0), x0)))
-        G = np.zeros((*c.shape, 0))
+        G = np.diag(r) if r.ndim == 1 else r
     if c.shape != (n,):
         raise ValueError(f"x0 needs one interval for each of {n} states: its shape is {c.shape}")
-    if not (np.isfinite(c).all() and np.isfinite(G).all() and np.isfinite(r).all()):
+    if not (np.isfinite(c).all() and np.isfinite(G).all()):
         raise ValueError("x0 must be bounded: give each state an interval, it need not be narrow; or no x0")
-    return c, G, r
+    near = c.astype(dtype), G.astype(dtype)
+    off = np.abs(c - near[0]) + np.abs(G - near[1]).sum(1)
+    fewer = reduce_order(Zonotope(*map(jnp.asarray, near)), order)
+    return np.asarray(fewer.center), np.asarray(fewer.generators), rounding.round_up(off * ROUNDED, dtype)
 
 
 def _known(carry, c, G, r):
     """Return the carry of a first sample whose state is in a set."""
-    dtype, (n, q, _) = carry.c.dtype, carry.G.shape
-    parts = [np.diag(r)[:, r > 0], G]
-    columns = np.concatenate(parts, 1)
-    key = np.abs(columns).sum(0) - np.abs(columns).max(0, initial=0)
-    if columns.shape[1] > q:
-        order = np.argsort(key)
-        rest = columns[:, order[: columns.shape[1] - q + n]]
-        columns = np.concatenate([np.diag(np.abs(rest).sum(1) * (1 + 1e-12)), columns[:, order[columns.shape[1] - q + n :]]], 1)
-    inside = columns.astype(dtype)
-    centre = c.astype(dtype)
-    off = np.abs(c - centre.astype(np.float64)) + np.abs(columns - inside.astype(np.float64)).sum(1)
-    full = np.zeros((n, q), dtype)
-    full[:, : inside.shape[1]] = inside
-    off = rounding.round_up(np.where(off > 0, off * (1 + 1e-12), 0), dtype)
     each = lambda x: np.repeat(x[..., None], len(carry.age), -1)
-    return carry._replace(c=each(centre), G=each(full), r=each(off), age=np.zeros_like(carry.age))
+    full = np.pad(G, ((0, 0), (0, carry.G.shape[1] - G.shape[1])))
+    return carry._replace(c=each(c), G=each(full), r=each(r), age=np.zeros_like(carry.age))
+
+
+@evidence.register
+def _window(observer: SetObserver, result: Any, at: tuple, status: Status) -> tuple[Any, str, np.ndarray, np.ndarray]:
+    """Return (relations, method, u, y) of the shortest of some windows that end at a sample and prove its FAULT alone.
+
+    A chain of sets is long and nobody reads it; most contradictions show in a window of the last samples, whose certificate is one
+    relation. Tried are windows of 3, 5, 9, .. samples, no more than 65 and none before the observer began.
+
+    Raises:
+        NotImplementedError: a verdict other than FAULT, no such window.
+    """
+    k = at[-1]
+    if status != Status.FAULT:
+        raise NotImplementedError(f"an observer exhibits no behaviour: {status.name} at sample {k} has no certificate, FAULT has")
+    u, y = (np.asarray(x)[at[:-1]][: k + 1] for x in (result.u, result.y))
+    given = Recording.of(observer.signals, u, y, [s for s in result.starts if s <= k])
+    since = int(drive(observer.telling(enclosures=True), given).since[k])
+    for h in (2**i for i in range(1, 7)):
+        if k - h < since:
+            break
+        try:
+            relations = parity_relations(observer.model, h)
+        except ValueError:  # without a relation yet
+            continue
+        relations, given = relations.recording(u[k - h :], y[k - h :], ())
+        if drive(relations.test("joint", given.y.dtype), given).status[-1] == Status.FAULT:
+            return relations, "joint", np.asarray(given.u), np.asarray(given.y)
+    raise NotImplementedError(f"no window of up to 65 samples proves this alone: the FAULT at sample {k} rests on all since {since}")

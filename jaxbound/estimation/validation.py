@@ -12,8 +12,6 @@ contradicts it: then the recording is marked FAULT, but sound sensors may be bla
 Source: Alhaj-Dibo, Maquin, Ragot 2004.
 """
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, partial
@@ -24,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.multiple import validate_parts
 from jaxbound.estimation.validation_windows import Said, begun, said, slide, weighted
 from jaxbound.models.intervals import as_intervals, stacked
@@ -304,17 +303,10 @@ def _first_window(M, p):
 
 
 def _blocks(kernel, given, count, size):
-    """Run blocks of one size, on all cores: what a block works on stays in the cache, and another number of recordings traces nothing.
+    """Run a kernel on blocks. What is given and returned has recordings on its first axis, the kernel has them on the last."""
 
-    What is given and returned has recordings on its first axis, the kernel has them on the last.
-    """
-
-    def block(first):
-        chosen = np.minimum(np.arange(first, first + size), count - 1)
+    def block(chosen):
         found = kernel(*jax.tree.map(lambda a: np.moveaxis(a[chosen], 0, -1), given))
-        return jax.tree.map(lambda a: np.moveaxis(np.asarray(a), -1, 0)[: count - first], found)
+        return jax.tree.map(lambda a: np.moveaxis(np.asarray(a), -1, 0), found)
 
-    done = [block(0)]  # compiled here, once
-    with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock
-        done += threads.map(block, range(size, count, size))
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *done)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *in_blocks(block, count, size))

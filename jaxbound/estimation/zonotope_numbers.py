@@ -12,7 +12,7 @@ from jaxbound.models.intervals import IntervalSystem
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["least_horizon", "middle", "numbers", "start"]
+__all__ = ["ROUNDED", "least_horizon", "middle", "numbers", "start"]
 
 ROUNDED = 1 + 1e-9
 """Above what rounding does to a few thousand sums and products of numbers >= 0 in float64."""

@@ -158,9 +158,9 @@ class Found(NamedTuple):
 
 @partial(jax.jit, static_argnames=("lanes", "enclosures", "restart"))
 def follow(
-    plant: Numbers, start: Start | None, carry: Carry, known: Read, first: int, stop: int, lanes: int, enclosures: bool, restart: bool
+    plant: Numbers, start: Start | None, carry: Carry, known: Read, stop: int, lanes: int, enclosures: bool, restart: bool
 ) -> tuple[Carry, Found]:
-    """Follow N recordings over the samples first, .., stop - 1 of these.
+    """Follow N recordings over the first `stop` of these samples.
 
     Args:
         start: how the state is found from samples alone, or None: where it is lost it stays so.
@@ -184,7 +184,7 @@ def follow(
         put = lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0)
         return carry, Found(*(put(old, new) for old, new in zip(found, out, strict=True)))
 
-    return jax.lax.fori_loop(first, stop, step, (carry, empty))
+    return jax.lax.fori_loop(0, stop, step, (carry, empty))
 
 
 def _begun_anew(carry, where):
@@ -238,7 +238,6 @@ def _sample(plant, start, carry, now, enclosures):
 
     room = jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1)
     nothing = (carry.c, room, carry.r), jnp.zeros(N, dtype), jnp.zeros(N, bool)
-    before = (before[0], room, *before[2:])
     (c, G, r), ratio, wrong = jax.lax.fori_loop(0, p, output, nothing)
     bounded = jnp.all(sized(c, G, r) <= g.most, 0)
     looked = alive & jnp.any(seen, 0)

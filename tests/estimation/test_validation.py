@@ -1,5 +1,6 @@
 """Data validation (Alhaj-Dibo, Maquin, Ragot 2004, section 5): the state stays inside, no false alarm, the faulty sensor is found."""
 
+import jax
 import numpy as np
 import pytest
 from validation_case import faulty, inside, paper, record, reference_width, width
@@ -76,3 +77,19 @@ def test_intervals_of_a_linear_system_hold_its_parameters():
 def test_bad_input_gets_a_sentence(call, says):
     with pytest.raises(ValueError, match=says):
         call()
+
+
+def test_blocks_beside_each_other_compute_in_the_precision_of_who_asks():
+    """A thread does not inherit `jax.enable_x64`: float64 asked for here alone is float64 in every block."""
+    model = jb.interval_system([[[0.89, 0.91]]], [[1]], [[1], [1]], noise=1e-9)
+    y = np.tile(10 - 9 * 0.9 ** np.arange(8)[:, None], (600, 1, 2))
+    u = np.ones((600, 8, 1))
+    wide = jb.validate(model, u, y, method="sequential").state
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with jax.enable_x64(True):
+            found = jb.validate(model, u, y, method="sequential").state
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    np.testing.assert_array_equal(found.lo, wide.lo)
+    np.testing.assert_array_equal(found.hi, wide.hi)
