@@ -1,16 +1,79 @@
 """A band that holds a signal, and the samples of it: drawn alike wherever something is enclosed over time."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, shade
+from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, PANELS, bins, finish, shade, stacked, style, thinning, time_axis
 from jaxbound.sets.intervals.interval import Interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-__all__ = ["draw_band", "name_band"]
+__all__ = ["Band", "draw_band", "draw_bands", "name_band", "one_of", "one_recording"]
+
+
+class Band(NamedTuple):
+    """One panel of a picture of bands: its title, and what `draw_band` takes, y None where nothing was measured."""
+
+    title: str
+    band: Interval
+    y: np.ndarray | None
+    faulty: np.ndarray
+    middle: Interval | None = None
+
+
+def one_recording(
+    what: str, made: str, shape: tuple[int, ...], p: int, time: np.ndarray | None, y: np.ndarray | None
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return (time (T,) or None, y (T, p) or None) as arrays, for a picture of one recording.
+
+    Args:
+        what, made: what is drawn and how it came to be, for sentences: "validation", "validate". shape: of its samples, (T,). p: outputs.
+
+    Raises:
+        ValueError: a batch of recordings, a time axis or samples of another shape.
+    """
+    if len(shape) != 1:
+        raise ValueError(f"a plot shows one recording, this {what} has the shape {shape}: {made} and plot one of them")
+    time, y = (None if x is None else np.asarray(x) for x in (time, y))
+    if time is not None and time.shape != shape:
+        raise ValueError(f"time needs one entry for each of the {shape[0]} samples: its shape is {time.shape}")
+    if y is not None and y.shape != (*shape, p):
+        raise ValueError(f"y needs the samples that were {made.removesuffix('e')}ed, of shape {(*shape, p)}: its shape is {y.shape}")
+    return time, y
+
+
+def draw_bands(panels: Sequence[Band], time: np.ndarray | None, what: str, name: str = "true value") -> "Figure":
+    """Draw bands of one recording below each other over one time axis, at most 12.
+
+    Args:
+        panels: of (T,) samples each. time: (T,) seconds or datetime64; None: the numbers of the samples. what: there are more of than are
+            drawn, for the title: "outputs". name: of the band.
+
+    Returns:
+        A matplotlib Figure.
+    """
+    count, drawn = len(panels[0].faulty), panels[:PANELS]
+    at, label, dates = (np.arange(count), "sample", False) if time is None else time_axis(time)
+    edges = bins(count)
+    more = f"; the first {PANELS} of {len(panels)} {what} are shown" if len(panels) > PANELS else ""
+    with style():
+        fig, axes = stacked(len(drawn), (11, 1.6 + 1.8 * len(drawn)), [1] * len(drawn))
+        for i, (ax, (title, band, y, faulty, middle)) in enumerate(zip(axes, drawn, strict=True)):
+            samples = np.full(count, np.nan) if y is None else y
+            draw_band(ax, band, samples, faulty, at, edges, count, middle, name)
+            ax.set_title(f"{title}{more if i == 0 else ''}{thinning(count, len(edges), 'extremes')}", pad=6, parse_math=False)
+        name_band(axes[0], "measured" if panels[0].y is None else None)
+        finish(fig, axes, at, label, dates, top=0.7, gap=0.36)
+    return fig
+
+
+def one_of(bands: Interval, i: int) -> Interval:
+    """Return band i of bands (T, n)."""
+    return Interval(np.asarray(bands.lo)[:, i], np.asarray(bands.hi)[:, i])
 
 
 def name_band(ax: "Axes", without: str | None = None) -> None:

@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.estimation.observer import Observation
-from jaxbound.plots.bands import draw_band, name_band
-from jaxbound.plots.canvas import PANELS, bins, finish, stacked, style, thinning, time_axis
+from jaxbound.plots.bands import Band, draw_bands, one_of, one_recording
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.intervals.interval import Interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,30 +30,9 @@ def plot_observation(found: Observation, time: np.ndarray | None = None, y: np.n
         ValueError: a batch of recordings, a time axis or samples of another shape.
     """
     status, p = np.asarray(found.status), found.predicted.shape[-1]
-    if status.ndim != 1:
-        raise ValueError(f"a plot shows one recording, this observation has the shape {status.shape}: observe and plot one of them")
-    x = np.arange(len(status)) if time is None else np.asarray(time)
-    if x.shape != status.shape:
-        raise ValueError(f"time needs one entry for each of the {len(status)} samples: its shape is {x.shape}")
-    shown = np.full((len(status), p), np.nan) if y is None else np.asarray(y)
-    if shown.shape != (len(status), p):
-        raise ValueError(f"y needs the samples that were observed, of shape {(len(status), p)}: its shape is {shown.shape}")
-    panels = [(f"y{i + 1}, as the samples before allow", _one(found.predicted, i), shown[:, i]) for i in range(p)]
-    nothing = np.full(len(status), np.nan)
-    panels += [(f"state x{i + 1}", _one(found.state, i), nothing) for i in range(found.state.shape[-1])]
-    at, label, dates = (x, "sample", False) if time is None else time_axis(x)
-    edges, wrong = bins(len(x)), status == Status.FAULT
-    drawn = panels[:PANELS]
-    with style():
-        fig, axes = stacked(len(drawn), (11, 1.6 + 1.8 * len(drawn)), [1] * len(drawn))
-        for i, (ax, (title, band, samples)) in enumerate(zip(axes, drawn, strict=True)):
-            draw_band(ax, band, samples, wrong, at, edges, len(x), name="enclosure")
-            more = f"; the first {PANELS} of {len(panels)} bands are shown" if i == 0 and len(panels) > PANELS else ""
-            ax.set_title(f"{title}{more}{thinning(len(x), len(edges), 'extremes')}", pad=6)
-        name_band(axes[0], None if y is not None else "measured")
-        finish(fig, axes, at, label, dates, top=0.7, gap=0.36)
-    return fig
-
-
-def _one(band, i):
-    return Interval(np.asarray(band.lo)[:, i], np.asarray(band.hi)[:, i])
+    time, y = one_recording("observation", "observe", status.shape, p, time, y)
+    wrong = status == Status.FAULT
+    panels = [Band(f"y{i + 1}, as the samples before allow", one_of(found.predicted, i), None if y is None else y[:, i], wrong)
+              for i in range(p)]  # fmt: skip
+    panels += [Band(f"state x{i + 1}", one_of(found.state, i), None, wrong) for i in range(found.state.shape[-1])]
+    return draw_bands(panels, time, "bands", "enclosure")

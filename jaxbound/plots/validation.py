@@ -6,19 +6,9 @@ import numpy as np
 
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
-from jaxbound.plots.bands import draw_band, name_band
-from jaxbound.plots.canvas import (
-    PANELS,
-    SAMPLES,
-    bins,
-    finish,
-    stacked,
-    style,
-    thinning,
-    time_axis,
-)
+from jaxbound.plots.bands import Band, draw_band, draw_bands, name_band, one_of, one_recording
+from jaxbound.plots.canvas import SAMPLES, bins, finish, stacked, style, thinning, time_axis
 from jaxbound.plots.plot import plot
-from jaxbound.sets.intervals.interval import Interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,25 +43,11 @@ def plot_validation(found: Validation, time: np.ndarray | None = None, y: np.nda
         ValueError: a batch of recordings, a time axis or samples of another shape.
     """
     faulty = np.asarray(found.faulty)
-    if faulty.ndim != 2:
-        raise ValueError(f"a plot shows one recording, this validation has the shape {faulty.shape[:-1]}: validate and plot one of them")
-    x = np.arange(len(faulty)) if time is None else np.asarray(time)
-    if x.shape != faulty.shape[:1]:
-        raise ValueError(f"time needs one entry for each of the {len(faulty)} samples: its shape is {x.shape}")
-    shown = np.full(faulty.shape, np.nan) if y is None else np.asarray(y)
-    if shown.shape != faulty.shape:
-        raise ValueError(f"y needs the samples that were validated, of shape {faulty.shape}: its shape is {shown.shape}")
-    at, label, dates = (x, "sample", False) if time is None else time_axis(x)
-    edges, count = bins(len(x)), min(faulty.shape[1], PANELS)
-    with style():
-        fig, axes = stacked(count, (11, 1.6 + 1.8 * count), [1] * count)
-        for i, ax in enumerate(axes):
-            _draw(ax, found, i, shown[:, i], at, edges, len(x))
-            more = f"; the first {PANELS} outputs are shown" if i == 0 and faulty.shape[1] > PANELS else ""
-            ax.set_title(f"y{i + 1}: {_faults(faulty[:, i])}{more}{thinning(len(x), len(edges), 'extremes')}", pad=6)
-        name_band(axes[0], None if y is not None else "measured")
-        finish(fig, axes, at, label, dates, top=0.7, gap=0.36)
-    return fig
+    p = faulty.shape[-1]
+    time, y = one_recording("validation", "validate", faulty.shape[:-1], p, time, y)
+    panels = [Band(f"y{i + 1}: {_faults(faulty[:, i])}", one_of(found.output, i), None if y is None else y[:, i], faulty[:, i],
+                   one_of(found.corrected, i)) for i in range(p)]  # fmt: skip
+    return draw_bands(panels, time, "outputs")
 
 
 def plot_output(res: ValidatedRecording, i: int, time: np.ndarray) -> "Figure":
@@ -117,5 +93,4 @@ def _faults(faulty: np.ndarray) -> str:
 
 def _draw(ax: "Axes", found: Validation, i: int, y: np.ndarray, x: np.ndarray, edges: np.ndarray, stop: int) -> None:
     """Draw output i."""
-    of = lambda band: Interval(np.asarray(band.lo)[:, i], np.asarray(band.hi)[:, i])
-    draw_band(ax, of(found.output), y, np.asarray(found.faulty)[:, i], x, edges, stop, of(found.corrected))
+    draw_band(ax, one_of(found.output, i), y, np.asarray(found.faulty)[:, i], x, edges, stop, one_of(found.corrected, i))

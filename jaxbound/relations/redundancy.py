@@ -32,6 +32,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
 from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import ParityRelation, stated_relations
+from jaxbound.relations.sentence import few_lines
 from jaxbound.relations.shift import Row
 
 __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
@@ -56,8 +57,7 @@ class Redundancy:
         return f"{type(self).__name__}: {self.count} relations, {self.model.p} outputs, {self.model.m} inputs"
 
     def _rows(self):
-        lines = self.text().splitlines() if self.count <= 8 else ()
-        return {"model": repr(self.model), **{f"{i + 1}": line for i, line in enumerate(lines)}}
+        return few_lines(self)
 
     @property
     def count(self) -> int:

@@ -1,10 +1,21 @@
-"""A relation as a reader would write it."""
+"""Relations as a reader would write them."""
+
+from typing import Any
 
 from jaxbound.exact.linalg import Vector
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["relation_text"]
+__all__ = ["few_lines", "relation_text"]
+
+FEW = 8
+"""Relations that are shown at a prompt."""
+
+
+def few_lines(relations: Any) -> dict[str, str]:
+    """Return what relations show of themselves at a prompt: their model, and each of them where they are few."""
+    lines = relations.text().splitlines() if relations.count <= FEW else ()
+    return {"model": repr(relations.model), **{f"{i + 1}": line for i, line in enumerate(lines)}}
 
 
 def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> str:

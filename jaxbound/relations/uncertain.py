@@ -26,6 +26,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.relations.annihilator import Step, annihilator, generic_rank, rank_over_box
 from jaxbound.relations.bounds import Bounds, changed_bounds, float_bound, model_bounds, reading
 from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, stacked
+from jaxbound.relations.sentence import few_lines
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
@@ -64,8 +65,7 @@ class UncertainRelations:
         )
 
     def _rows(self):
-        lines = self.text().splitlines() if self.count <= 8 else ()
-        return {"model": repr(self.model), **{f"{i + 1}": line for i, line in enumerate(lines)}}
+        return few_lines(self)
 
     @property
     def count(self) -> int:
