@@ -6,6 +6,7 @@ import textwrap
 import griffe
 
 LISTS = ("Fields", "Attributes")
+ARGUMENTS = re.compile(r"^Args:\n((?:(?: {4}.*)?\n)*(?: {4}.*)?)", re.M)
 SECTIONS = ("Encloses", "Source", "Returns", "Fields", "Attributes", "Costs")
 
 
@@ -15,11 +16,34 @@ class Sections(griffe.Extension):
     def on_object(self, *, obj, **_):
         """Rewrite the docstring of an object that was found."""
         if obj.docstring is not None:
-            obj.docstring.value = readable(obj.docstring.value)
+            names = [p.name for p in obj.parameters] if obj.is_function or obj.is_class else []
+            obj.docstring.value = readable(obj.docstring.value, names)
 
 
-def readable(text):
-    """Return a docstring with paragraphs in place of sections that Google's style does not have."""
+def arguments(text):
+    """Return what the `Args:` section of a docstring says, or ""."""
+    found = re.search(ARGUMENTS, text)
+    return textwrap.dedent(found[1]) if found else ""
+
+
+def entries(text, names):
+    """Return (name, text) of each parameter in such a section, where one line may tell of several: "u (T, m), y (T, p): samples"."""
+    item = rf"\*{{0,2}}(?:{'|'.join(map(re.escape, names))})(?: \([^()]*\))*"
+    heads = list(re.finditer(rf"(?:^|\n|(?<=[.;,] )|(?<=[.;,]\n))({item}(?:,\s{item})*):\s", text)) if names else []
+    found = []
+    for head, after in zip(heads, [*heads[1:], None], strict=False):
+        words = " ".join(text[head.end() : after.start() if after else None].split()).rstrip(";,")
+        for name, shape in re.findall(r"(\w+)((?: \([^()]*\))*)(?:,\s|$)", head[1]):
+            found.append((name, f"{shape.strip()} {words}".strip()))
+    return found
+
+
+def readable(text, names=()):
+    """Return a docstring with an entry for each parameter, and paragraphs in place of sections that Google's style does not have."""
+    if found := entries(arguments(text), names):
+        told = "".join(f"    {name}: {words}\n" for name, words in found)
+        text = re.sub(ARGUMENTS, lambda _: f"Args:\n{told}\n", text)
+    text = re.sub(r"(?<=[.;])\s+(?=[A-Z]\w+Error: )", "\n    ", text)  # an entry for each error
     out, lines, i = [], text.split("\n"), 0
     while i < len(lines):
         found = re.match(rf"({'|'.join(SECTIONS)})( \([^)]*\))?:(?: (.*))?$", lines[i])
@@ -27,7 +51,8 @@ def readable(text):
             out += ["", "Examples:"]
         elif found:
             body = []
-            while i + 1 < len(lines) and (not lines[i + 1].strip() or lines[i + 1].startswith("    ")):
+            inside = lambda line, begun=bool(found[3]): bool(line.strip()) if begun else not line.strip() or line.startswith("    ")
+            while i + 1 < len(lines) and inside(lines[i + 1]):
                 i += 1
                 body.append(lines[i])
             words = textwrap.dedent("\n".join(body)).strip("\n")

@@ -2,12 +2,14 @@
 
 import contextlib
 import importlib.util
+import inspect
 import io
 import os
 import re
 import shlex
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,13 @@ def script(name):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture
+def docstrings(monkeypatch):
+    """The extension of the pages, without the package that calls it."""
+    monkeypatch.setitem(sys.modules, "griffe", types.SimpleNamespace(Extension=object))
+    return script("docstrings")
 
 
 def documented():
@@ -41,6 +50,27 @@ def test_every_public_name_has_its_place_in_the_reference(module):
     assert not missing, f"add to docs/api: {missing}"
 
 
+def test_every_parameter_has_an_entry(docstrings):
+    """Functions whose one sentence says all, x + y and the like, need none."""
+    missing = {}
+    for path, thing in documented():
+        if inspect.isclass(thing) or not callable(thing):
+            continue
+        names, text = list(inspect.signature(thing).parameters), inspect.getdoc(thing)
+        told = [name for name, _ in docstrings.entries(docstrings.arguments(text), names)]
+        left = set(names) - set(told)
+        if len(told) != len(set(told)) or left and (told or not left <= {"x", "y", "z", "n", "axis"}):
+            missing[path] = sorted(left) or told
+    assert not missing
+
+
+def test_a_line_that_tells_of_several_parameters_becomes_several_entries(docstrings):
+    text = "Args:\n    u (T, m), y (T, p): samples; see u.\n        None: no n. n: so many,\n        at most. *more: rest\n\nReturns: x"
+    found = docstrings.entries(docstrings.arguments(text), ["u", "y", "n", "more"])
+    seen = [("u", "(T, m) samples; see u. None: no n."), ("y", "(T, p) samples; see u. None: no n.")]
+    assert found == [*seen, ("n", "so many, at most."), ("more", "rest")]
+
+
 def test_nothing_is_documented_twice():
     paths = [path for path, _ in documented()]
     assert len(paths) == len(set(paths)) and len({id(t) for _, t in documented()}) == len(paths)
@@ -53,10 +83,9 @@ def test_sections_taken_from_the_readme_are_there():
     assert taken and all(hooks.section(heading) for heading in taken)
 
 
-def test_docstrings_become_paragraphs_and_examples():
-    pytest.importorskip("griffe")
+def test_docstrings_become_paragraphs_and_examples(docstrings):
     text = "Do it.\n\nReturns:\n    A thing: good.\n\nEncloses: all\n    of it.\n\nExample:\n    >>> 1\n    1"
-    out = script("docstrings").readable(text)
+    out = docstrings.readable(text)
     assert "**Returns**  A thing: good." in out and "**Encloses**  all of it." in out.replace("\n", " ") and "Examples:\n    >>> 1" in out
 
 

@@ -125,8 +125,10 @@ def observe(
 
     Args:
         model, order, weight, restart, x0, horizon: as for `observer`.
-        u: (..., T, m) or None, y: (..., T, p), tables and starts as for `detect`; recordings on leading axes run side by side. A missing
-            output says nothing; a missing input, and a gap, begin anew.
+        u: (..., T, m) or None.
+        y: (..., T, p), tables as for `detect`; recordings on leading axes run side by side. A missing output says nothing; a missing
+            input begins anew.
+        starts: as for `detect`: the observer begins anew there.
 
     Returns:
         An Observation.

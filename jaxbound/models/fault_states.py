@@ -22,6 +22,7 @@ def with_faults(model: LinearSystem, *faults: str, rate: Number | Mapping[str, N
     that no output tells apart (a bias of every sensor of a level, say) stay wide: bounds of the first state, x0, are then needed.
 
     Args:
+        model: a LinearSystem.
         faults: texts "signal:kind", signal an output or an input. "T1:bias" is constant, "T2:drift" moves by at most `rate` from one sample
             to the next. The states are called as the texts.
         rate: of drifts, in the unit of the signal; one number, or {"T2": number}.

@@ -28,6 +28,9 @@ def register(kind: type["Source"]) -> type["Source"]:
 
     A kind with .fallback is asked after all others, so that it does not matter what is imported first.
 
+    Args:
+        kind: a subclass of Source.
+
     Example:
         >>> import json, tempfile, jaxbound as jb
         >>> from pathlib import Path

@@ -52,6 +52,9 @@ SINKS: list[Sink] = []
 def register(kind: type[Sink]) -> type[Sink]:
     """Make every command that tests a recording write this output too.
 
+    Args:
+        kind: a subclass of Sink.
+
     Example:
         >>> @register
         ... class Verdict(Sink):

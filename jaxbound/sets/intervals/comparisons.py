@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Callable
-from functools import reduce, wraps
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -22,12 +22,13 @@ def _ordered(x: Interval) -> Interval:
 def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], jax.Array]:
     """Lift holds(x, y, no x, no y, infinity), its bounds integers in the order of floats; no relation holds for a bound that is NaN."""
 
-    @wraps(holds)
-    def relation(x, y):
+    def relation(x: Operand, y: Operand) -> jax.Array:
         x, y = pair(x, y)
         known = reduce(operator.and_, [end == end for end in (x.lo, x.hi, y.lo, y.hi)])
         return known & holds(_ordered(x), _ordered(y), x.is_empty, y.is_empty, rounding.order(jnp.full((), jnp.inf, x.dtype)))
 
+    for name in ("__module__", "__name__", "__qualname__", "__doc__"):  # not the signature: what is lifted takes two Intervals
+        setattr(relation, name, getattr(holds, name))
     return relation
 
 

@@ -46,6 +46,9 @@ def support(S: AnySet, direction: Operand) -> jax.Array:
 def interval_hull(S: AnySet) -> Interval:
     """Return a box around S, an Interval (n,): the smallest one but for rounding of a Zonotope, nearly so with constraints.
 
+    Args:
+        S: a Zonotope or ConstrainedZonotope of n coordinates.
+
     Example:
         >>> from jaxbound import sets
         >>> sets.interval_hull(sets.zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]])).hi

@@ -132,9 +132,12 @@ def added(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
-    """Return {p + r : p in S, r in T}; sets of one number n of coordinates, each a Zonotope or a ConstrainedZonotope.
+    """Return {p + r : p in S, r in T}.
 
     Generators of S, then of T, then n for the rounding of the center. Source: Kuehn 1998; Scott, Raimondo, Marseglia, Braatz 2016, (12).
+
+    Args:
+        S, T: each a Zonotope or a ConstrainedZonotope; both of n coordinates.
 
     Raises:
         ValueError: sets of different dimension.
@@ -164,7 +167,11 @@ def blocks(A: jax.Array, B: jax.Array) -> jax.Array:
 
 
 def translate(S: AnySet, vector: Operand) -> AnySet:
-    """Return {p + vector : p in S} for (n,) numbers or an Interval, with n generators more. Numbers in a list leave the dtype as it is.
+    """Return {p + vector : p in S}, with n generators more.
+
+    Args:
+        S: a Zonotope or ConstrainedZonotope of n coordinates.
+        vector: (n,) numbers or an Interval. Numbers in a list leave the dtype as it is.
 
     Raises:
         ValueError: a vector of another dimension, NaN or infinity.
@@ -185,7 +192,11 @@ def _translated(S: AnySet, move: Interval) -> AnySet:
 
 
 def scale(S: AnySet, factor: Operand) -> AnySet:
-    """Return {factor * p : p in S}; factor a number, (n,) numbers one a coordinate, or an Interval of either shape.
+    """Return {factor * p : p in S}.
+
+    Args:
+        S: a Zonotope or ConstrainedZonotope of n coordinates.
+        factor: a number, (n,) numbers one a coordinate, or an Interval of either shape.
 
     Raises:
         ValueError: a factor of another shape.
@@ -208,7 +219,11 @@ def _scaled(S: AnySet, factor: Interval) -> AnySet:
 
 
 def cartesian_product(S: AnySet, T: AnySet) -> AnySet:
-    """Return {(p, r) : p in S, r in T}, exactly: coordinates and generators of S, then those of T."""
+    """Return {(p, r) : p in S, r in T}, exactly: coordinates and generators of S, then those of T.
+
+    Args:
+        S, T: each a Zonotope or a ConstrainedZonotope, of any dimensions.
+    """
     dimension(S), dimension(T)
     return _cartesian_product(S, T)
 
@@ -220,7 +235,10 @@ def _cartesian_product(S: AnySet, T: AnySet) -> AnySet:
 
 
 def from_interval(box: Interval) -> Zonotope:
-    """Return the Zonotope of a box, an Interval (n,): n generators, rounded outward.
+    """Return the Zonotope of a box: n generators, rounded outward.
+
+    Args:
+        box: an Interval (n,).
 
     Raises:
         ValueError: an array of another rank, a box that is empty (inside jit it becomes a set of NaN, of which nothing is decided).
@@ -241,10 +259,13 @@ def _from_interval(box: Interval) -> Zonotope:
 
 
 def convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
-    """Return a Zonotope that encloses the convex hull of two Zonotopes of one dimension.
+    """Return a Zonotope that encloses the convex hull of two.
 
     {(p + r) / 2 + (p - r) s / 2} with generators taken in pairs: half their sums, half their differences, half the difference of the
     centers; missing ones of the smaller are 0.
+
+    Args:
+        Z, Y: Zonotopes of one dimension.
 
     Raises:
         ValueError: sets of different dimension. TypeError: a set with constraints.

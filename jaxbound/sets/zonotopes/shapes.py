@@ -116,6 +116,9 @@ def _touched(c: np.ndarray, G: np.ndarray, A: np.ndarray, b: np.ndarray) -> np.n
 def volume(Z: Zonotope) -> float:
     """Return the volume 2^n sum |det(n generators)| of a small Zonotope, worked out exactly and rounded to nearest.
 
+    Args:
+        Z: a Zonotope of n coordinates; q generators have (q over n) determinants.
+
     Raises:
         ValueError: more than 20 000 determinants. TypeError: inside jit.
 

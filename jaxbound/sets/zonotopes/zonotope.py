@@ -35,7 +35,11 @@ class Zonotope:
 
 
 def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
-    """Build a Zonotope from center (..., n) and generators (..., n, q), rounded to nearest where the dtype cannot hold them (x64 off).
+    """Build a Zonotope {c + G z : |z_i| <= 1}, rounded to nearest where the dtype cannot hold the numbers (x64 off).
+
+    Args:
+        center: c (..., n).
+        generators: G (..., n, q), a column each.
 
     Raises:
         ValueError: shapes that do not fit, NaN or infinity.

@@ -65,7 +65,8 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
             or {"signal:kind": sequence}; None: a Fault's own, else twelve around the guaranteed size.
         onset: a sample, or (lo, hi): drawn uniformly from lo <= k < hi; None: a Fault's own start and stop, else the second quarter.
         at: "uniform" draws unknowns uniformly, "vertices" each at one of its bounds, "adversarial" chooses them to hide the fault.
-        inputs: (samples, m) for all, or a table; None: piecewise constant levels, each for `hold` samples, uniform in input_range.
+        inputs: (samples, m) for all, or a table; None: piecewise constant levels, uniform in input_range.
+        hold: samples that each of these levels lasts.
         input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: the
             model's `ranges` (`fit` writes them), else from 1 below the offset to 1 above.
         method: of the monitor, as for `detect`; all but "linearized", which proves nothing.
