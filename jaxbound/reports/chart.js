@@ -15,6 +15,7 @@
     return { ...p, x, low, high, combined, first: x[0], last: x[p.n - 1] };
   };
   const whole = read(all.whole), near = all.near.map(read);
+  const hair = 1e-6 * all.step; // times are sums of steps, rounded
   let from = all.from, to = all.to, alarm = all.alarm;
 
   // times, as the recording writes them
@@ -112,10 +113,10 @@
   };
 
   const draw = () => {
-    const within = near.filter((p) => p.first <= from && to <= p.last), piece = within.find((p) => p.combined.has(alarm)) || within[0] || whole;
+    const within = near.filter((p) => p.first <= from + hair && to <= p.last + hair), piece = within.find((p) => p.combined.has(alarm)) || within[0] || whole;
     const violated = piece.combined.get(alarm) || [...piece.combined.values()][0];
     if (violated) piece.low.combination = piece.high.combination = violated.values;
-    let i = piece.x.findIndex((x) => x >= from), j = piece.x.findLastIndex((x) => x <= to) + 1;
+    let i = piece.x.findIndex((x) => x >= from - hair), j = piece.x.findLastIndex((x) => x <= to + hair) + 1;
     if (i < 0 || j - i < 2) { i = Math.max(Math.min(i < 0 ? piece.n - 2 : i - 1, piece.n - 2), 0); j = Math.min(i + 2, piece.n); }
     const n = j - i, bins = Math.min(n, most), at = Array.from({ length: bins }, (_, b) => i + Math.floor(b * n / bins));
     const across = at.map((k) => 1000 * (piece.x[k] - from) / (to - from)), gap = 2.5 * (across[bins - 1] - across[0]) / Math.max(bins - 1, 1);
@@ -160,7 +161,7 @@
     }));
     const range = `${time(from)} to ${time(to)}`, each = Math.round(all.samples / whole.n);
     const coarse = piece === whole && each > 1 ? `; each point stands for ${each} samples, an alarm has them one by one` : "";
-    const inside = all.alarms.some(([i, , , worst]) => i === alarm && from <= worst && worst <= to);
+    const inside = all.alarms.some(([i, , , worst]) => i === alarm && from - hair <= worst && worst <= to + hair);
     const where = piece === whole ? "" : alarm < 0 ? "around the tightest window: " : inside ? `around alarm ${alarm + 1}: ` : "";
     zoom.querySelector(".said").textContent = where + range + coarse;
     for (const svg of zoom.querySelectorAll("svg")) svg.setAttribute("aria-label", svg.getAttribute("aria-label").replace(/ from .*/s, ` from ${range}`));
