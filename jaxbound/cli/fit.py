@@ -32,8 +32,8 @@ def run(args: argparse.Namespace) -> int:
         found = read_signals(args.data, inputs, outputs, about, args.dt, lambda share: step("read", share))
         names = [[name if isinstance(name, str) else name[0] for name in side] for side in (inputs, outputs)]
         model = fit(found, args.order, args.horizon, lags=args.lags, inputs=names[0], outputs=names[1], direct=args.direct,
-                    safety=args.safety, held_out=args.held_out, method=args.method, name=args.name or args.out.stem,
-                    progress=lambda share: step("fit", share),
+                    safety=args.safety, held_out=args.held_out, method=args.method, average=args.average,
+                    name=args.name or args.out.stem, progress=lambda share: step("fit", share),
                     columns=about | dict(s for s in inputs + outputs if not isinstance(s, str)))  # fmt: skip
         with whole(args.out) as f:
             f.write(model_text(model).encode())
@@ -88,6 +88,7 @@ def _summary(model, args, hints):
     return {
         "out": str(args.out), "order": args.order, "horizon": model.horizon, "states": model.n, "dt": model.dt, "method": check.method,
         "noise": bounds, "resolution": rounds, "smallest": check.smallest, "safety": check.safety, "held_out": held_out,
+        "average": args.average, "means": {a.signal: float(a.bound) for a in model.averages}, "smallest_mean": check.smallest_mean,
         "recordings": [{"data": str(path)} | {k: _finite(v) for k, v in r.items()}
                        for path, r in zip(args.data, check.recordings, strict=True)],
         "jump": {k: _finite(v) for k, v in check.jump.items()}, "steady": {k: _finite(v) for k, v in check.steady.items()},
@@ -115,6 +116,7 @@ def _tell(model, args, hints):
     for name, *bounds in zip(model.outputs, model.noise, model.resolution, strict=True):
         sizes = (size(x[name], name) for x in (check.jump, check.steady))
         table.append((name, f"{check.smallest[name]:.4g}", f"{float(sum(bounds)):.4g}", *sizes))
+    means = ", ".join(f"{a.text} within {float(a.bound):.4g} {model.unit(a.signal)}".rstrip() for a in model.averages)
     rounded = ", ".join(f"{float(r):.6g} of {name}" for name, r in zip(model.outputs, model.resolution, strict=True) if r)
     unseen = check.held_out
     looks = f"{model.horizon + 1}" if model.lags is None else f"{len(model.lags)} of {model.horizon + 1}"
@@ -128,6 +130,7 @@ def _tell(model, args, hints):
          f"{unseen['windows']} windows of the rest, which used {100 * unseen['growth']:.3g} % of its bounds; the model is fitted to all"),
         *_memory(model),
         ("safety", f"{check.safety:g} times the smallest bounds"),
+        *([("averages", means)] if means else []),
         *([("resolution", f"{rounded}: that much of the bound is what the recorder rounds away")] if rounded else []),
         ("written", str(args.out) + (f" and {args.plot}" if args.plot else "")),
         *[("caution", s) for s in check.sentences],

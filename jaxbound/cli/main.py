@@ -202,6 +202,7 @@ def _parsers():
     c.add_argument("--held-out", type=_share, default=0.3, metavar="F", help="last share of each recording kept from a first fit, to see "
                    "what it makes of unseen data (default: 0.3)")  # fmt: skip
     c.add_argument("--method", default="auto", help="auto, least squares, windows, or filters (fast given dynamics: no error hides)")
+    c.add_argument("--average", type=_whole(2), metavar="N", help="bound the mean of N errors in a row too: lasting errors show smaller")
     c.add_argument("--out", type=_path, required=True, metavar="MODEL.toml", help="the model file to write")
     c.add_argument("--name", metavar="NAME", help="of the plant (default: that of the model file)")
     c.add_argument("--plot", type=_path, metavar="PNG", help="picture: how much of the bounds each window needs")

@@ -52,6 +52,17 @@ def test_fit_writes_a_model_file(place, capsys):
 
 
 @pytest.mark.slow
+def test_fit_writes_bounds_of_means(place, capsys):
+    assert main.main([*FIT, "--average", "4", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    (one,) = jb.load_model("tank.toml").averages
+    assert said["average"] == 4 == len(one.weights) and said["means"] == {"lift": float(one.bound)}
+    assert said["smallest_mean"]["lift"] < float(one.bound) + 5e-05 < said["noise"]["lift"]
+    assert main.main([*FIT, "--average", "4", "--force"]) == 0
+    assert "mean of 4 samples of lift within" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_fit_and_detect_agree_and_draw(place, capsys):
     assert main.main([*FIT, "--plot", "fit.png"]) == 0
     assert (place / "fit.png").read_bytes().startswith(b"\x89PNG")

@@ -3,6 +3,8 @@
 The model is x+ = A x + B u, y = C x + D u in the states that an ARX model of the given order needs: those of all outputs together. Its
 coefficients are rounded to short decimals first and the bounds found afterwards, so that they hold for the model as it is saved. What the
 constant of the regression says becomes the operating point.
+
+Where errors average out, the mean of several of them has a smaller bound than one of them: `average` finds it too, of the same windows.
 """
 
 import dataclasses
@@ -21,6 +23,7 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import filters, regression
+from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.records import read_records
 
 __all__ = ["FitCheck", "Fitted", "fit"]
@@ -30,6 +33,8 @@ DIGITS = 6
 EXACT, LEAST = 1e-14, 1e-3
 """The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits exactly."""
 KINDS = ("least squares", "windows", "filters")
+AVERAGES = 0.95
+"""Share of the bound of a sample from which on that of a mean says nothing."""
 FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
 """Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this number of windows that do not
 overlap, the user is told that the data do not carry the monitor."""
@@ -42,7 +47,8 @@ class FitCheck:
 
     Fields:
         method: how the coefficients were found, see `fit`.
-        safety: the factor on the smallest bounds. smallest: those, {output: bound}.
+        safety: the factor on the smallest bounds. smallest: those, {output: bound}. smallest_mean: those of the mean of `average` errors in
+            a row, {} where it was not asked for.
         held_out: what a first fit, to the first parts of the recordings, made of their last parts: {"windows", "fault", "growth"}: how many
             windows, the share in FAULT, and the factor by which the bounds would have had to be wider; None if nothing was held out. The
             model itself was fitted to everything afterwards.
@@ -64,6 +70,7 @@ class FitCheck:
     used: tuple[np.ndarray, ...] = field(repr=False)
     held_out_used: tuple[np.ndarray, ...] = field(repr=False)
     sentences: tuple[str, ...] = ()
+    smallest_mean: dict[str, float] = field(default_factory=dict)
 
 
 class Fitted(LinearSystem):
@@ -77,8 +84,8 @@ class Fitted(LinearSystem):
 
 def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags: Sequence[int] | None = None,
         inputs: str | Sequence[str] | None = None, outputs: str | Sequence[str] | None = None, dt: float | None = None,
-        direct: bool = False, safety: float = 1.25, held_out: float = 0.3, method: str = "auto", name: str = "fitted",
-        units: Mapping[str, str] | None = None, columns: Mapping[str, str] | None = None,
+        direct: bool = False, safety: float = 1.25, held_out: float = 0.3, method: str = "auto", average: int | None = None,
+        name: str = "fitted", units: Mapping[str, str] | None = None, columns: Mapping[str, str] | None = None,
         progress: Callable[[float], object] | None = None) -> Fitted:  # fmt: skip
     """Find a nominal model and noise bounds from healthy recordings.
 
@@ -99,6 +106,8 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
         method: "least squares" (ARX, one step ahead), "windows" (the same, refined over whole windows), "filters" (inputs through given
             filters that fade within a window, so that no state can follow a lasting error) or "auto": whichever sees the smallest jump and
             lasting error when its bounds cover the held-out parts too.
+        average: of so many errors in a row, at most horizon + 1, the mean gets a bound too: an average of the model. Lasting errors show
+            smaller where errors do average out. None: none.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called with the share of the work done.
 
     Returns:
@@ -120,7 +129,7 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
             raise ValueError("lags say by themselves how long a window is: leave horizon out")
         lags = whole_lags(lags)
     horizon = (15 if lags is None else lags[-1]) if horizon is None else horizon
-    _check_options(order, horizon, safety, held_out, method)
+    _check_options(order, horizon, safety, held_out, method, average)
     report = progress or (lambda share: None)
     inputs, outputs, dt, records = read_records(recordings, inputs, outputs, columns, dt)
     about = dict(dt=dt, inputs=inputs, outputs=outputs, units=units, columns=columns, name=name)
@@ -134,31 +143,46 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
     spans = [np.nanmax(y) - np.nanmin(y) for y in np.concatenate([r[1] for r in records]).T]
     kind, first = "windows" if method == "auto" else method, ()
     report(0.05)
+    explained = lambda parts: lambda relations: _consistent(_tested(relations, parts))
     if tails:
         found = []
         for i, kind in enumerate(kinds):
             spec, relations, spread = candidate(heads, kind)
             own, unseen = _needs(relations, heads), _needs(relations, tails)
             blindness = _blindness(LinearSystem(**spec, noise=np.fmax(_most(own), _most(unseen)) * spread), scales, spans)
-            found.append((blindness, i, _most(own) * safety, unseen))
-            report(0.05 + 0.7 * (i + 1) / len(kinds))
-        _, i, bound, unseen = min(found, key=lambda f: f[:2])
-        kind, first = kinds[i], tuple(x / bound for x in unseen)
+            found.append((blindness, i, spec, _most(own) * spread, tuple(x / _most(own) for x in unseen)))
+            report(0.05 + 0.5 * (i + 1) / len(kinds))
+        _, i, spec, bound, unseen = min(found, key=lambda f: f[:2])
+        if average is not None:
+            head = LinearSystem(**spec)
+            means = smallest_means(head, bound, average, explained(heads), lambda share: report(0.55 + 0.2 * share))
+            averages = {name: {average: x} for name, x in zip(outputs, means, strict=True)}
+            unseen = _needs(parity_relations(head.replace(noise=bound, averages=averages)), tails)
+        kind, first = kinds[i], tuple(x / safety for x in unseen)
     spec, relations, spread = candidate(records, kind)
-    smallest = spread * _most(_needs(relations, records))
-    report(0.9)
-    model, used = _verified(spec | {"ranges": _ranges(records, inputs)}, [_rounded_up(x * safety) for x in smallest], records, safety)
+    smallest, means = spread * _most(_needs(relations, records)), None
+    report(0.8)
+    if average is not None:
+        means = smallest_means(LinearSystem(**spec), smallest, average, explained(records), lambda share: report(0.8 + 0.1 * share))
+    named = lambda bounds: dict(zip(outputs, bounds.tolist(), strict=True))
+    spec |= {"ranges": _ranges(records, inputs)}
+    kept = {} if means is None else {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
+    model, used = _verified(spec, [_rounded_up(x * safety) for x in smallest], kept, records, safety)
     largest = lambda x: float(np.nanmax(x)) if np.isfinite(x).any() else math.nan
     check = FitCheck(
-        method=kind, safety=float(safety), smallest=dict(zip(outputs, smallest.tolist(), strict=True)), held_out=_unseen(first),
+        method=kind, safety=float(safety), smallest=named(smallest), smallest_mean={} if means is None else named(means),
+        held_out=_unseen(first),
         recordings=tuple({"samples": len(r[1]), "windows": int(np.isfinite(x).sum()), "used": largest(x)}
                          for r, x in zip(records, used, strict=True)), used=tuple(used), held_out_used=first,
         jump=_visible(model, scales, middle=True), steady=_visible(model, scales, middle=False))  # fmt: skip
+    if average is not None:
+        sentences += [f"errors of {name} do not average out: the mean of {average} in a row is as large as one of them, and gets no bound"
+                      for i, name in enumerate(outputs) if i not in kept]  # fmt: skip
     report(1.0)
     return Fitted(model, dataclasses.replace(check, sentences=(*sentences, *_judged(model, check, held_out, spans))))
 
 
-def _check_options(order, horizon, safety, held_out, method):
+def _check_options(order, horizon, safety, held_out, method, average):
     whole = lambda x: isinstance(x, (int, np.integer)) and not isinstance(x, bool)
     if not whole(order) or order < 1:
         raise ValueError(f"order must be a whole number >= 1, not {order!r}")
@@ -170,6 +194,8 @@ def _check_options(order, horizon, safety, held_out, method):
         raise ValueError(f"held_out must be a share from 0 to below 1, not {held_out!r}")
     if method not in ("auto", *KINDS):
         raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")
+    if average is not None and not (whole(average) and 2 <= average <= horizon + 1):
+        raise ValueError(f"average must be a whole number from 2 to the {horizon + 1} samples of a window, not {average!r}")
 
 
 def _standing_still(records, inputs, outputs):
@@ -305,26 +331,33 @@ def _resolutions(records, p):
     return [Fraction(f"{recorded_step(y[:, i]) / 2:.6g}") for i in range(p)]
 
 
-def _verified(spec, bounds, records, safety):
+def _consistent(found):
+    """Say whether every window of what `_tested` returns is CONSISTENT."""
+    return all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status, _ in found)
+
+
+def _verified(spec, bounds, means, records, safety):
     """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the share of its bounds used.
 
     A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller than that, nothing is
-    rounded: the plant itself moves in steps.
+    rounded: the plant itself moves in steps. means: {number of the output: (samples, smallest bound of their mean)}.
     """
     rounds = _resolutions(records, len(bounds))
     total, count = sum(len(y) for _, y, _ in records), len(records)
     source = f"fitted to {total} samples in {count} recording{'s' * (count > 1)}"
+    held = {i: _rounded_up(x * safety) for i, (_, x) in means.items()}
     for _ in range(20):
         exact = [Fraction(repr(x)) for x in bounds]
         rounds = [r if r < x else Fraction(0) for r, x in zip(rounds, exact, strict=True)]
         noise = [x - r for x, r in zip(exact, rounds, strict=True)]
         origin = {"model": source, "noise": f"{source}, safety factor {safety:g}"}
         origin |= {"resolution": "as the recordings are rounded"} if any(rounds) else {}
-        model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin)
+        averages = {spec["outputs"][i]: {n: max(Fraction(repr(held[i])) - rounds[i], Fraction(0))} for i, (n, _) in means.items()}
+        model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin, averages=averages)
         found = _tested(parity_relations(model), records)
-        if all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status, _ in found):
+        if _consistent(found):
             break
-        bounds = [_rounded_up(1.001 * x) for x in bounds]
+        bounds, held = [_rounded_up(1.001 * x) for x in bounds], {i: _rounded_up(1.001 * x) for i, x in held.items()}
     return model, [need for _, need in found]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from oracles import Plant, Windows
+from scipy.optimize import linprog
 
 import jaxbound as jb
 from jaxbound.models.modelfile import load_model, model_text, save_model
@@ -29,6 +30,25 @@ def plant_of(model):
     noise = [model.check.smallest[name] for name in model.outputs]
     offset = {side: list(values) for side, values in model.offset.items()}
     return Plant(lists(model.A), lists(model.B), lists(model.C), noise=noise, offset=offset)
+
+
+def _mean_by_program(model, b, window, samples):
+    """Return the least bound of the mean of errors of at most b each that explain a window of so many samples, by a linear program."""
+    u, y = window
+    response, forced = [np.ones(1)], [np.zeros(1)]
+    a, drive = float(model.A[0][0]), np.array(model.B[0], float)
+    offset = {side: np.array(values, float) for side, values in model.offset.items()}
+    for k in range(samples - 1):
+        response.append(a * response[-1])
+        forced.append(a * forced[-1] + drive @ (u[k] - offset["u"]))
+    O, f = np.concatenate(response), np.concatenate(forced) + offset["y"]
+    # unknowns: the first state, and the mean; |y - f - O x| <= b, |mean(y - f - O x)| <= t
+    left, mean = y[:, 0] - f, np.array([[O.mean(), 0]])
+    rows = np.vstack([np.stack([O, 0 * O], 1), np.stack([-O, 0 * O], 1), -mean - [[0, 1]], mean - [[0, 1]]])
+    right = np.concatenate([left + b, b - left, [-left.mean()], [left.mean()]])
+    found = linprog([0, 1], rows, right, bounds=[(None, None), (0, None)], method="highs")
+    assert found.status == 0
+    return found.fun
 
 
 def all_windows(u, y, s):
@@ -127,6 +147,26 @@ class TestModel:
         less = r.with_bounds({"noise": model.check.smallest["y1"] * (1 - 1e-6)})
         assert any((jb.detect(less, *record).status == Status.FAULT).any() for record in records)
 
+    def test_the_bound_of_a_mean_is_the_smallest_that_explains_every_window(self, rng, tmp_path):
+        u, y = run(rng, T=90, noise=0.1)
+        model = jb.fit((u, y), order=1, horizon=7, average=8, safety=1.2)
+        (one,), b, mean = model.averages, model.check.smallest["y1"], model.check.smallest_mean["y1"]
+        assert (one.signal, len(one.weights), one.is_mean) == ("y1", 8, True) and mean < 0.8 * b
+        assert 1.2 * mean <= float(one.bound) < 1.2 * mean * 1.01
+        assert (jb.detect(jb.parity_relations(model), u, y).status[7:] == Status.CONSISTENT).all()
+        assert max(r["used"] for r in model.check.recordings) <= 1 / 1.2 + 1e-5
+        explained = [_mean_by_program(model, b * (1 + 2e-6), window, 8) for window in zip(*all_windows(u, y, 7), strict=True)]
+        assert 0.98 * mean < max(explained) <= mean * (1 + 1e-9)
+        save_model(model, tmp_path / "plant.toml")
+        assert load_model(tmp_path / "plant.toml").averages == model.averages and "{samples = 8, bound = " in model_text(model)
+        assert jb.fit((u, y), order=1, horizon=7).averages == ()
+
+    def test_errors_that_do_not_average_out_get_no_bound_of_a_mean(self, rng):
+        u, y = run(rng, T=90, noise=0.0)
+        lasting = np.repeat(rng.choice([-0.1, 0.1], 9), 10)[:, None]
+        model = jb.fit((u, y + lasting), order=1, horizon=7, average=2)
+        assert model.averages == () and any("do not average out" in s for s in model.check.sentences)
+
     def test_the_constant_becomes_the_operating_point(self, rng):
         u, y = run(rng, level=350.0)
         model = jb.fit((u, y), order=1, horizon=4)
@@ -219,6 +259,8 @@ class TestCautions:
     (dict(order=0), "order must be a whole number >= 1, not 0"),
     (dict(horizon=1), r"horizon must be a whole number above the order \(1\), not 1"),
     (dict(safety=0.9), "safety must be a factor >= 1, not 0.9"),
+    (dict(average=6), "average must be a whole number from 2 to the 5 samples of a window, not 6"),
+    (dict(average=True), "average must be a whole number from 2"),
     (dict(held_out=1), "held_out must be a share from 0 to below 1, not 1"),
     (dict(recordings=[]), "there is no recording"),
     (dict(recordings=[3]), r"recording 1 must be a pair \(u, y\), a DataFrame or a Recording, not int"),

@@ -1,0 +1,45 @@
+"""How far errors average out in recordings: the smallest bounds of the means of consecutive errors that explain every window.
+
+The bounds of single samples stay where they are, and those of the means are lowered: first together, in the ratio of the bounds of single
+samples, then each output's alone. A window that is explained stays so if a bound grows, so each is found by bisection.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxbound.models.system import LinearSystem
+from jaxbound.relations.parity import ParityRelation, parity_relations
+
+__all__ = ["smallest_means"]
+
+LEAST, STEPS = 1e-3, 10
+"""The least share of the bound of a sample that is tried, and halvings of the logarithm from there to 1: to about 1 %."""
+LOOSE = 1 + 1e-6
+"""On the bounds of single samples, the smallest that explain all: the worst window lies on their edge."""
+
+
+def smallest_means(
+    model: LinearSystem, noise: np.ndarray, samples: int, explained: Callable[[ParityRelation], bool], step: Callable[[float], object]
+) -> np.ndarray:
+    """Return the smallest bound of the mean of so many consecutive errors of each output (p,), that of a sample where it says nothing.
+
+    Args:
+        model: without averages. noise: (p,), bounds of single samples. samples: >= 2. explained: whether all windows are. step: called with
+            the share of the work done.
+    """
+    noise, p = np.asarray(noise) * LOOSE, model.p
+    means = {name: {samples: float(b)} for name, b in zip(model.outputs, noise, strict=True)}
+    relations = parity_relations(model.replace(noise=noise.tolist(), averages=means))
+    share = np.ones(p)
+    groups = [np.arange(p), *([i] for i in range(p) if p > 1)]
+    for number, group in enumerate(groups):
+        low, high = np.log(LEAST), np.log(share[group[0]])
+        for _ in range(STEPS if low < high else 0):
+            middle = (low + high) / 2
+            trial = share.copy()
+            trial[group] = np.exp(middle)
+            low, high = (low, middle) if explained(relations.with_bounds({"average": trial * noise})) else (middle, high)
+        share[group] = np.exp(high)
+        step((number + 1) / len(groups))
+    return share * noise
