@@ -24,12 +24,11 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.means import smallest_means
+from jaxbound.studies.identification.realisation import realised, realised_filters
 from jaxbound.studies.identification.records import read_records
 
 __all__ = ["FitCheck", "Fitted", "fit"]
 
-DIGITS = 6
-"""Coefficients are rounded to this many digits behind the largest effect that they could have, relative to the spread of the output."""
 EXACT, LEAST = 1e-14, 1e-3
 """The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits exactly."""
 KINDS = ("least squares", "windows", "filters")
@@ -247,48 +246,15 @@ def _candidate(records, scales, order, horizon, direct, kind, about):
         )
     digits = EXACT * np.array([np.nanmax(np.abs(y)) for y in np.concatenate([y for _, y, _ in records]).T])  # where all fits exactly
     if kind == "filters":
-        spec, spread = _realised_filters(records, scales, filters.poles_of(order, horizon), direct)
+        spec, spread = realised_filters(records, scales, filters.poles_of(order, horizon), direct)
         spread = np.maximum(spread, digits)
         return spec | about, parity_relations(LinearSystem(**spec | about)).with_bounds({"noise": spread}), spread
     theta, _ = regression.least_squares(steps, order, direct)
     spread = regression.window_spread(theta, windows, order, direct)
     if kind == "windows":
         theta, spread = regression.refined(theta, windows, order, direct)
-    spec, spread = _realised(theta, scales, order, direct, m, p) | about, np.maximum(spread * scales.y_spread, digits)
+    spec, spread = realised(theta, scales, order, direct, m, p) | about, np.maximum(spread * scales.y_spread, digits)
     return spec, parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread}), spread
-
-
-def _realised(theta, scales, order, direct, m, p):
-    """Return A, B, C, D and the offset of a LinearSystem from standardised coefficients, rounded to short decimals."""
-    A, B, D, c = regression.coefficients(np.asarray(theta, np.float64), order, direct, m, p)
-    to_y, to_u = (scales.y_spread[:, None] / x[None] for x in (scales.y_spread, scales.u_spread))
-    A, D = [_short(a * to_y, to_y) for a in A], _short(D * to_u, to_u)
-    B = [_short(b * to_u + a @ D, to_u) for a, b in zip(A, B, strict=True)]
-    eye, none = np.eye(p), np.zeros((p, p))
-    rows = [[a, *(eye if j == i + 1 else none for j in range(1, order))] for i, a in enumerate(A)]
-    # the constant as an operating point, the nearest to the middle of the data: (I - sum A) y0 = (sum B + (I - sum A) D) u0 + c
-    stay = eye - sum(A)
-    moved = np.linalg.lstsq(np.hstack([stay / to_y, -(sum(B) + stay @ D) / to_u]), c, rcond=None)[0]
-    y0, u0 = scales.y + moved[:p] * scales.y_spread, scales.u + moved[p:] * scales.u_spread
-    offset = {"y": _short(y0, scales.y_spread), "u": _short(u0, scales.u_spread)}
-    C = np.hstack([eye, *[none] * (order - 1)])
-    return dict(A=np.block(rows), B=np.vstack(B) if m else None, C=C, D=D if direct and m else None, offset=offset)
-
-
-def _realised_filters(records, scales, poles, direct):
-    """Return (A, B, C, D and offset of a LinearSystem, spread): each output has its own states, one a pole."""
-    B, D, c, spread = filters.filtered(records, scales, poles, direct)
-    p, to_u = len(c), scales.y_spread[:, None] / scales.u_spread[None]
-    offset = {"y": _short(scales.y + c * scales.y_spread, scales.y_spread), "u": _short(scales.u, scales.u_spread)}
-    A, C = np.diag(np.repeat(poles, p)), np.hstack([np.eye(p)] * len(poles))
-    B = np.concatenate([_short(b * to_u, to_u) for b in B])
-    return dict(A=A, B=B, C=C, D=_short(D * to_u, to_u) if direct else None, offset=offset), spread * scales.y_spread
-
-
-def _short(x, size):
-    """Return numbers rounded to DIGITS decimals behind the leading one of the size that they could have."""
-    places = DIGITS - np.floor(np.log10(size)).astype(int)
-    return np.array([float(f"{round(v, int(k)):.15g}") for v, k in np.broadcast(x, places)]).reshape(np.shape(x))
 
 
 def _rounded_up(x, digits=3):
