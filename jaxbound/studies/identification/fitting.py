@@ -168,12 +168,13 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
     kept = {} if means is None else {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
     model, used = _verified(spec, [_rounded_up(x * safety) for x in smallest], kept, records, safety)
     largest = lambda x: float(np.nanmax(x)) if np.isfinite(x).any() else math.nan
+    jump, steady = _visible(model, scales)
     check = FitCheck(
         method=kind, safety=float(safety), smallest=named(smallest), smallest_mean={} if means is None else named(means),
         held_out=_unseen(first),
         recordings=tuple({"samples": len(r[1]), "windows": int(np.isfinite(x).sum()), "used": largest(x)}
                          for r, x in zip(records, used, strict=True)), used=tuple(used), held_out_used=first,
-        jump=_visible(model, scales, middle=True), steady=_visible(model, scales, middle=False))  # fmt: skip
+        jump=jump, steady=steady)  # fmt: skip
     if average is not None:
         sentences += [f"errors of {name} do not average out: the mean of {average} in a row is as large as one of them, and gets no bound"
                       for i, name in enumerate(outputs) if i not in kept]  # fmt: skip
@@ -334,17 +335,17 @@ def _unseen(shares):
     return {"windows": len(found), "fault": float((found > 1).mean()), "growth": float(found.max())} if len(found) else None
 
 
-def _visible(model, scales, middle):
-    """Return {output: size} of an error of one output that no noise hides: from the middle of a window on, or all through it."""
-    u = np.tile(np.array(model.offset["u"], float), (model.horizon + 1, 1))
-    y = np.tile(np.array(model.offset["y"], float), (model.horizon + 1, 1))
-    relations, sizes = parity_relations(model), {}
-    acts = np.arange(model.horizon + 1) >= ((model.horizon + 1) // 2 if middle else 0)
-    for i, (name, spread) in enumerate(zip(model.outputs, scales.y_spread, strict=True)):
-        wrong = y + np.outer(acts * spread, np.eye(model.p)[i])
-        need = float(1 - detect(relations, u if model.m else None, wrong).margin[-1])  # grows with the size; healthy noise takes 1 of it
-        sizes[name] = 2 * float(spread) / need if need > 1e-9 else math.inf
-    return sizes
+def _visible(model, scales):
+    """Return (jump, steady), {output: size} each, of an error of one output that no noise hides: from mid-window on, and all through it."""
+    count, p = model.horizon + 1, model.p
+    acts = np.stack([np.arange(count) >= count // 2, np.ones(count, bool)])
+    wrong = acts[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (2, p, s + 1, p)
+    y = np.array(model.offset["y"], float) + wrong
+    u = np.broadcast_to(np.array(model.offset["u"], float), (2, p, count, model.m))
+    margin = detect(parity_relations(model), u if model.m else None, y).margin[..., -1]
+    with np.errstate(divide="ignore"):  # a need grows with the size; healthy noise takes 1 of it
+        sizes = np.where(1 - margin > 1e-9, 2 * scales.y_spread / (1 - margin), np.inf)
+    return [dict(zip(model.outputs, row, strict=True)) for row in sizes.tolist()]
 
 
 def _blindness(model, scales, spans):
@@ -352,8 +353,7 @@ def _blindness(model, scales, spans):
 
     Beyond the span of an output it does not count how blind the monitor is for it.
     """
-    sizes = [_visible(model, scales, middle) for middle in (True, False)]
-    return sum(min(size[name], span) / spread for size in sizes
+    return sum(min(size[name], span) / spread for size in _visible(model, scales)
                for name, span, spread in zip(model.outputs, spans, scales.y_spread, strict=True))  # fmt: skip
 
 

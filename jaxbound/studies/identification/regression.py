@@ -127,8 +127,23 @@ def _residuals(theta, u, y, there, weight, order, direct):
     _, left = jax.lax.scan(step, start, (units(jnp.transpose(y, (1, 2, 0))), units(jnp.transpose(u, (1, 2, 0)))))
     left = (left * weight[None, :, None]).reshape(count * p, N + states)
     e = (left[:, :N] * there[None]).T
-    Q, _ = jnp.linalg.qr(left[:, N:])
+    Q = _orthonormal(left[:, N:])
     return e - (e @ Q) @ Q.T
+
+
+def _orthonormal(M):
+    """Return orthonormal columns that span those of M, which are independent: a first state is what the first samples show of it.
+
+    Without LAPACK, for whose sake jax imports SciPy: that takes longer than a fit.
+    """
+
+    def step(Q, now):
+        i, v = now
+        for _ in range(2):  # twice is enough (Kahan, Parlett)
+            v = v - Q @ (v @ Q)
+        return Q.at[:, i].set(v / jnp.sqrt(jnp.sum(v * v))), None
+
+    return jax.lax.scan(step, jnp.zeros_like(M), (jnp.arange(M.shape[1]), M.T))[0]
 
 
 @partial(jax.jit, static_argnames=("order", "direct"))
