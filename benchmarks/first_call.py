@@ -279,7 +279,8 @@ def commands(names, repeats=3):
         table = np.column_stack([0.01 * np.arange(len(u)), u, y])
         for name, rows in (("run.csv", table), ("good.csv", table[: len(u) // 2])):
             np.savetxt(folder / name, rows, delimiter=",", header="time,u1,y1,y2", comments="")
-        settings = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), "MPLCONFIGDIR": matplotlib.get_cachedir()}
+        kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}  # else Python compiles every file at each start
+        settings = {**kept, "XDG_CACHE_HOME": str(folder / "cache"), "MPLCONFIGDIR": matplotlib.get_cachedir()}
         out = {}
         for name in names:
             runs = []

@@ -41,7 +41,11 @@ from jaxbound.runs.summary import Evidence, Summary, Window, bound_hints, summar
 
 __all__ = ["conclude", "run_demo", "run_detect"]
 
-FORMER = ("margin.png", "residuals.png")  # pictures of an earlier version, which do not belong to a new report
+FORMER = (
+    "margin.png",
+    "residuals.png",
+    *(f"output{i}.png" for i in range(1, 13)),
+)  # pictures of an earlier version, which do not belong to a new report
 COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
 
 
@@ -63,10 +67,9 @@ def run_detect(args: argparse.Namespace) -> int:
     if args.part is not None:
         return run_share(args)
     if args.method == VALIDATION:
-        threading.Thread(target=_load_plotting, daemon=True).start()
         if args.chunk is not None:
             raise Refused(f"--chunk is for other methods: {VALIDATION} reads {args.data} as a whole")
-        found = _report(args, _validate, ("output1.png",), ("read", "test", "report"))
+        found = _report(args, _validate, ("read", "test", "report"))
     elif kind.parts:
         names, inputs = (
             (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html"),
@@ -77,13 +80,13 @@ def run_detect(args: argparse.Namespace) -> int:
     elif args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
     else:
-        found = _report(args, _evaluate, (), ("read", "relations", "test", "report"))
+        found = _report(args, _evaluate, ("read", "relations", "test", "report"))
     return conclude(args, *found)
 
 
-def _report(args, how, pictures, stages):
+def _report(args, how, stages):
     """Let `how` read a recording as a whole, test it and write its report; return what the conclusion needs."""
-    names, inputs = (*file_names(), "report.html", *pictures), (args.model, args.data)
+    names, inputs = (*file_names(), "report.html"), (args.model, args.data)
     with door(OSError), output_folder(args.out, names, inputs) as folder:
         with folder.work() as work, progress_bars(stages) as step:
             found = how(args, work, step)

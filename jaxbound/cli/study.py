@@ -10,18 +10,18 @@ import numpy as np
 from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
 from jaxbound.cli.window import window_relations
 from jaxbound.models.modelfile import load_model
-from jaxbound.plots.canvas import to_png
-from jaxbound.plots.study import plot_study
+from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.recordings.plaintext import cell
 from jaxbound.relations.cost import duration_text
 from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
 from jaxbound.studies.montecarlo.montecarlo import study
+from jaxbound.studies.montecarlo.study_result import delay_table, study_table
 
 __all__ = ["run"]
 
-NAMES = ("summary.csv", "summary.parquet", "delays.parquet", "study.png", "report.html")
+NAMES = ("summary.csv", "summary.parquet", "delays.parquet", "report.html")
 MOST = 10_000  # sizes of a fault
 PATIENCE = 20.0
 """Seconds that a study may take without being announced."""
@@ -48,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
         step("report", 0.2)
         with folder.work() as work:
             _write(work, res, args.seed, counted)
+        folder.remove("study.png")  # of an earlier version
         step("report", 1.0)
     _conclude(args, res, counted)
     return 0
@@ -101,28 +102,35 @@ def _pairs(option, text):
 
 
 def _write(work, res, seed, seconds):
-    """Write the tables, the picture and the page of a study."""
+    """Write the tables and the page of a study."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    found, png = res.to_pandas(), to_png(plot_study(res))
-    named = found.select_dtypes(exclude="number").columns
-    found.assign(**{c: found[c].astype(object).map(lambda x: cell(x) if isinstance(x, str) else x) for c in named}).to_csv(
-        work / "summary.csv", index=False
-    )
-    pq.write_table(pa.Table.from_pandas(found, preserve_index=False), work / "summary.parquet")
-    pq.write_table(pa.Table.from_pandas(res.delays(), preserve_index=False), work / "delays.parquet")
-    (work / "study.png").write_bytes(png)
-    (work / "report.html").write_text(study_page(res, found, png, seed, seconds), encoding="utf-8")
+    found, delays = study_table(res), delay_table(res)
+    write_columns(work / "summary.csv", {name: _column(x, cell) for name, x in found.items()})
+    columns = {name: _column(x) for name, x in delays.items()}
+    columns["delay"] = columns["delay"].cast(pa.int64())
+    for name, table in (("summary", {name: _column(x) for name, x in found.items()}), ("delays", columns)):
+        pq.write_table(pa.Table.from_arrays(list(table.values()), list(table)), work / f"{name}.parquet")
+    (work / "report.html").write_text(study_page(res, seed, seconds), encoding="utf-8")
+
+
+def _column(values, written=str):
+    """Return numbers, or texts as they are written, as a pyarrow array."""
+    if values.dtype != object:
+        return to_arrow(values)
+    names = list(dict.fromkeys(values))
+    return texts([written(name) for name in names]).take(to_arrow(np.array([names.index(v) for v in values])))
 
 
 def _conclude(args, res, seconds):
-    found = res.to_pandas()
     if args.json:
         false, clean = res.false_alarms
-        plain = found.astype(object).where(np.isfinite(found.select_dtypes("number")).reindex(columns=found.columns, fill_value=True), None)
+        known = lambda x: None if isinstance(x, float) and not np.isfinite(x) else x
+        columns = {name: list(map(known, x.tolist())) for name, x in study_table(res).items()}
+        cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         told = {"scenarios": res.scenarios, "samples": res.samples, "at": res.at, "horizon": res.horizon, "false_alarms": false,
-                "clean_windows": clean, "cells": plain.to_dict("records"), "report": str(args.out / "report.html")}  # fmt: skip
+                "clean_windows": clean, "cells": cells, "report": str(args.out / "report.html")}  # fmt: skip
         write(json.dumps(told, indent=1, default=float) + "\n")
         return
     speed = f"{res.scenarios * res.samples / max(seconds, 1e-9) / 1e6:.3g} million samples a second on {jax.local_device_count()} device"
@@ -132,4 +140,4 @@ def _conclude(args, res, seconds):
         ("seconds", f"{seconds:.1f}, {speed}"),
         ("report", str(args.out / "report.html")),
     ]
-    show(res.model.name, "bold", rows, table=[HEAD, *study_rows(found)])
+    show(res.model.name, "bold", rows, table=[HEAD, *study_rows(res)])

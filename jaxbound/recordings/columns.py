@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.recordings.plaintext import cell
 
-__all__ = ["categories", "from_arrow", "is_plain", "to_arrow", "valid", "words", "write_columns", "write_rows"]
+__all__ = ["categories", "from_arrow", "is_plain", "texts", "to_arrow", "valid", "words", "write_columns", "write_rows"]
 
 
 def from_arrow(column: Any) -> np.ndarray:
@@ -49,16 +49,27 @@ def to_arrow(x: Any) -> Any:
 
 
 def words(names: Sequence[str], codes: np.ndarray) -> Any:
-    """Return the pyarrow array of the ASCII names[code].
+    """Return the pyarrow array of names[code].
 
     Example:
         >>> words(["no", "yes"], np.array([1, 0])).to_pylist()
         ['yes', 'no']
     """
+    return texts(names).take(to_arrow(codes))
+
+
+def texts(names: Sequence[str]) -> Any:
+    """Return texts as a pyarrow array.
+
+    Example:
+        >>> texts(["tank", "größe"]).to_pylist()
+        ['tank', 'größe']
+    """
     import pyarrow as pa
 
-    ends = np.cumsum([0, *map(len, names)]).astype(np.int32)
-    return pa.StringArray.from_buffers(len(names), pa.py_buffer(ends), pa.py_buffer("".join(names).encode())).take(to_arrow(codes))
+    parts = [name.encode() for name in names]
+    ends = np.cumsum([0, *map(len, parts)]).astype(np.int32)
+    return pa.StringArray.from_buffers(len(parts), pa.py_buffer(ends), pa.py_buffer(b"".join(parts)))
 
 
 def categories(names: Sequence[str], codes: np.ndarray) -> Any:
@@ -71,7 +82,7 @@ def categories(names: Sequence[str], codes: np.ndarray) -> Any:
     import pyarrow as pa
 
     indices = pa.Array.from_buffers(pa.int8(), len(codes), [None, pa.py_buffer(np.ascontiguousarray(codes, np.int8))])
-    return pa.DictionaryArray.from_arrays(indices, words(names, np.arange(len(names))))
+    return pa.DictionaryArray.from_arrays(indices, texts(names))
 
 
 def write_columns(path: str | PathLike, columns: Mapping[str, Any], append: bool = False) -> None:

@@ -5,6 +5,7 @@ alarms sample by sample: so a page has a size that does not grow with the record
 """
 
 import base64
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,19 +15,24 @@ import numpy as np
 from jaxbound.reports.clock import Clock, ticks
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Piece", "Row", "coded", "drawn", "pieces_of", "plain"]
+__all__ = ["Piece", "Row", "coded", "drawn", "even_marks", "pieces_of", "plain"]
 
 VALUES = 80_000  # numbers of the whole recording in a page
 POINTS = 1000  # of a line that is drawn
 WIDTH, HEIGHT = 1000, 100  # of a chart, in its own units
 FAR = 10.0  # how far a chart of a combination reaches, in what the bounds allow
+ENCLOSED = ("band", "faulty", "instead")
 HUGE = 1e150  # a number that is drawn
 GAP = 2.5  # usual steps between two points that are not joined
 
 
 @dataclass(frozen=True)
 class Row:
-    """One chart below the others. Fields: key: of its numbers; name; unit; kind: "signal", "margin" or "combination"."""
+    """One chart below the others.
+
+    Fields: key: of its numbers; name; unit; kind: "signal", "margin", "combination" or "enclosed": a signal with key:band, the ends of what
+    holds its true value, key:faulty, its samples that are proved to be wrong, and key:instead, what is to be used in their place.
+    """
 
     key: str
     name: str
@@ -79,7 +85,10 @@ def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[floa
 
 
 def _panel(row, points, across, joined, fault):
-    low, high = (np.clip(np.asarray(z[row.key], float), -HUGE, HUGE) for z in (points.low, points.high))
+    ends_of = lambda key: (np.clip(np.asarray(z[key], float), -HUGE, HUGE) for z in (points.low, points.high))
+    if row.kind == "enclosed":
+        return _enclosed(row, across, joined, *map(list, map(ends_of, (row.key, *(f"{row.key}:{what}" for what in ENCLOSED)))))
+    low, high = ends_of(row.key)
     if row.kind == "margin":
         low, high = squeezed(low), squeezed(high)
     bottom, top = _limits(row, low, high)
@@ -89,9 +98,42 @@ def _panel(row, points, across, joined, fault):
     out = shaded & np.isfinite(low) & (row.kind != "signal")
     band = [float(_down(v, bottom, top)) for v in (1.0, -1.0)] if row.kind == "combination" else None
     return {"row": row, "line": _line(across, _down(low, bottom, top), _down(high, bottom, top), joined), "band": band,
-            "shade": _spans(across, shaded), "out": _dots(across[out], _down(peak[out], bottom, top)),
-            "marks": [{"top": float(_down(v, bottom, top)), "text": text} for v, text in _marks(row, bottom, top)],
-            "empty": not np.isfinite(low).any()}  # fmt: skip
+            "shade": _spans(across, shaded), "out": _dots(across[out], _down(peak[out], bottom, top)), "hull": "", "instead": "",
+            "marks": _places(row, bottom, top), "empty": not np.isfinite(low).any()}  # fmt: skip
+
+
+def _places(row, bottom, top):
+    return [{"top": float(_down(v, bottom, top)), "text": text} for v, text in _marks(row, bottom, top)]
+
+
+def _enclosed(row, across, joined, shown, band, faulty, instead):
+    """Return what is drawn of a signal and of the band that holds its true value: [lowest, highest] of each."""
+    known = np.isfinite(band[0]) & np.isfinite(band[1])
+    least, most = robust_limits(*shown)
+    if known.any():  # a band of the first samples, or one huge sample, spoils nothing
+        lo, hi = float(np.quantile(band[0][known], 0.01)), float(np.quantile(band[1][known], 0.99))
+        wide = max(hi - lo, 1e-9 * max(abs(lo), abs(hi)), 1e-300)
+        lowest, highest = (np.fmin.reduce(shown[0], initial=lo), np.fmax.reduce(shown[1], initial=hi))
+        least, most = max(lowest, lo - 2 * wide) - 0.06 * wide, min(highest, hi + 2 * wide) + 0.06 * wide
+    down = lambda ends: [_down(end, least, most) for end in ends]
+    wrong = np.isfinite(faulty[0])
+    least_out, most_out = (end[wrong] for end in down(faulty))
+    out = _dots(across[wrong], least_out) + _dots(across[wrong][most_out != least_out], most_out[most_out != least_out])
+    return {"row": row, "line": _line(across, *down(shown), joined), "band": None, "shade": _spans(across, wrong), "out": out,
+            "hull": _hull(across, *down(band), joined), "instead": _line(across, *down(instead), joined),
+            "marks": _places(row, least, most), "empty": not (known.any() or np.isfinite(shown[0]).any())}  # fmt: skip
+
+
+def _hull(across, low, high, joined):
+    """Return the path of the areas between two lines, a piece where points are joined."""
+    on, out = np.isfinite(low) & np.isfinite(high), []
+    edges = np.flatnonzero(on & ~joined)
+    for run in _runs(on):
+        for first, stop in itertools.pairwise([run.start, *edges[(edges > run.start) & (edges < run.stop)], run.stop]):
+            x, a, b = across[first:stop].tolist(), low[first:stop].tolist(), high[first:stop].tolist()
+            there = [f"{_number(i)} {_number(j)}" for i, j in (*zip(x, b, strict=True), *zip(x[::-1], a[::-1], strict=True))]
+            out.append(f"M{'L'.join(there)}Z")
+    return "".join(out)
 
 
 def _limits(row, low, high):
@@ -136,6 +178,11 @@ def _marks(row, bottom, top):
     if row.kind == "margin":
         powers = range(max(int(-bottom), 0))
         return [(1.0, "1"), (0.0, "0"), *((-1.0 - n, f"-{10.0**n:g}") for n in powers[:: 1 + len(powers) // 5])]
+    return even_marks(bottom, top)
+
+
+def even_marks(bottom: float, top: float) -> list[tuple[float, str]]:
+    """Return two to five round numbers between two, with their texts."""
     step = 10.0 ** np.floor(np.log10((top - bottom) / 2))
     step *= next(n for n in (5, 2, 1) if n == 1 or (top - bottom) / (n * step) >= 2)
     return [(n * step, f"{n * step:.6g}") for n in range(int(np.ceil(bottom / step)), int(np.floor(top / step)) + 1)]

@@ -13,7 +13,7 @@ from jaxbound.plots.combination import combination
 from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.chart import Piece, Row, coded, drawn, pieces_of, plain
-from jaxbound.reports.clock import clock_of
+from jaxbound.reports.clock import axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
 
@@ -83,16 +83,7 @@ def charts(
 
 def _whole(res, recording, signals):
     """Return (Piece, time of a sample, Clock) of a Result."""
-    samples = len(res.status)
-    time = np.arange(samples, dtype=float) if recording.time is None else np.asarray(recording.time, float)
-    even = samples > 1 and bool((np.diff(time) > 0).all())
-    stamps = getattr(recording, "stamps", None)
-    step = float(np.median(np.diff(time))) if samples > 1 else res.relations.model.dt
-    if even or samples == 1:
-        clock = clock_of(recording.label, time, None if stamps is None else stamps[0], samples, step)
-    else:  # a clock that goes back is no axis: the samples in their order are
-        time = np.arange(samples, dtype=float)
-        clock = clock_of(lambda k: f"sample {k}", time, None, samples, 1.0)
+    time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
     return pieces_of(time, res.status, {"margin": res.margin, **_signals(res.u, res.y, signals)}), time.__getitem__, clock
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Clock", "clock_of", "ticks"]
+__all__ = ["Clock", "axis_of", "clock_of", "ticks"]
 
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 ORDERS = ("Ymd", "dmY", "mdY", "")
@@ -45,6 +45,17 @@ class Clock:
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON has them."""
         return dict(vars(self))
+
+
+def axis_of(recording: Any, samples: int, step: float) -> tuple[np.ndarray, Clock]:
+    """Return (time of each sample, Clock) of a recording in memory. step: usual seconds between two, of a recording of one sample."""
+    time = np.arange(samples, dtype=float) if recording.time is None else np.asarray(recording.time, float)
+    if samples > 1 and not (np.diff(time) > 0).all():  # a clock that goes back is no axis: the samples in their order are
+        time = np.arange(samples, dtype=float)
+        return time, clock_of(lambda k: f"sample {k}", time, None, samples, 1.0)
+    stamps = getattr(recording, "stamps", None)
+    step = float(np.median(np.diff(time))) if samples > 1 else step
+    return time, clock_of(recording.label, time, None if stamps is None else stamps[0], samples, step)
 
 
 def clock_of(label: Callable[[int], str], time: np.ndarray, stamp: Any, samples: int, step: float) -> Clock:

@@ -1,13 +1,17 @@
 """The page of a study: what a monitor sees, how soon, and how often it is wrong."""
 
-from typing import Any, cast
+import dataclasses
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 
 from jaxbound.recordings.plaintext import percent
+from jaxbound.reports.chart import even_marks
+from jaxbound.reports.curves import Curve, share_chart
 from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
-from jaxbound.studies.montecarlo.study_result import StudyResult
+from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
 
 __all__ = ["COLUMNS", "HEAD", "sentence", "study_page", "study_rows"]
 
@@ -26,16 +30,14 @@ HEAD = (
 COLUMNS = ("detected: share of scenarios with a FAULT; FAULT windows: share of the windows wholly inside the fault; delays in samples; "
            "size and guaranteed in the unit of the signal, of a drift per sample, of a gain or a tolerance as a share")  # fmt: skip
 """What the columns of HEAD are."""
+FAULTS, CURVES = 8, 4
+"""Charts, and sizes whose delays are drawn."""
+DELAYS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 100000)
 NOT_SHOWN = ("method", "key", "faults", "engine", "dtype")  # settings that are told elsewhere, or to nobody
 
 
-def study_page(res: StudyResult, found: Any, png: bytes, seed: int, seconds: float) -> str:
-    """Return the HTML text.
-
-    Args:
-        res: of the study. found: its table. png: a picture of it. seed: of the study.
-        seconds: that it took.
-    """
+def study_page(res: StudyResult, seed: int, seconds: float) -> str:
+    """Return the HTML text. res: of the study. seed: of it. seconds: that it took."""
     bounds = {"tolerance": res.model.tolerance, "noise": res.model.noise}
     return render(
         "study.html",
@@ -43,10 +45,11 @@ def study_page(res: StudyResult, found: Any, png: bytes, seed: int, seconds: flo
         verdict="study",
         title="What this monitor sees",
         sentence=sentence(res),
-        picture=png,
+        charts=[(_sizes(res, *pair), _delays(*pair)) for pair in zip(res.trials[:FAULTS], res.tallies, strict=False)],
+        others=max(len(res.trials) - FAULTS, 0),
         head=HEAD,
         columns=COLUMNS,
-        rows=study_rows(found),
+        rows=study_rows(res),
         settings=list(_settings(res, seed)),
         model=model_values(res.model, bounds),
         computed=computed(cast(str, res.settings["method"]), res.horizon, np.dtype(cast(str, res.settings["dtype"])), {"study": seconds}),
@@ -64,9 +67,46 @@ def _settings(res, seed):
             yield f"onset of {trial.label}", f"samples {trial.onset[0]} to {trial.onset[1] - 1}"
 
 
-def study_rows(found: Any) -> list[tuple[str, ...]]:
+def _sizes(res, trial, tally):
+    """Return the chart of the shares against the size."""
+    order, label = np.argsort(trial.sizes), ""
+    (share, low, high), (rate, rate_lo, rate_hi) = tally.share(res.confidence), tally.rate(res.confidence)
+    x = np.asarray(trial.sizes, float)[order]
+    curves = [Curve("scenarios detected", "seen", x, share[order], low[order], high[order]),
+              Curve("FAULT windows", "windows", x, rate[order], rate_lo[order], rate_hi[order])]  # fmt: skip
+    least, most = float(x[0]), float(x[-1])
+    if np.isfinite(trial.guaranteed):
+        least, most = min(least, trial.guaranteed), max(most, trial.guaranteed)
+    room = 0.03 * (most - least) or abs(most) or 1.0
+    ends, steps = (least - room, most + room), []
+    if trial.fault is not None and trial.fault.kind not in ("stuck", "dropout"):
+        unit = "" if trial.fault.kind in ("gain", "tolerance") else res.model.unit(trial.fault.signal)
+        label, steps = f"size{f' [{unit}]' if unit else ''}", even_marks(*ends)
+    return share_chart(trial.label, label, curves, steps, ends, trial.guaranteed)
+
+
+def _delays(trial, tally):
+    """Return the chart of the shares detected within so many samples, for a few of the sizes."""
+    sizes = len(trial.sizes)
+    last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
+    picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
+    at = np.arange(last + 2)
+    curves = [Curve(f"size {trial.sizes[i]:.4g}", f"size{CURVES - len(picked) + rank}", _squeezed(at),
+                    np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)) for rank, i in enumerate(picked)]  # fmt: skip
+    curves = [dataclasses.replace(c, x=c.x[: len(c.share)]) for c in curves]
+    ticks = [(float(_squeezed(t)), str(t)) for t in DELAYS if t <= last + 1]
+    return share_chart("detected by then", "samples from the onset", curves, ticks, (0.0, float(_squeezed(last + 1))))
+
+
+def _squeezed(delay):
+    """Return delays with those above 10 on a logarithmic scale."""
+    return np.where(np.asarray(delay) <= 10, delay, 10 + 10 * np.log10(np.maximum(delay, 10) / 10))
+
+
+def study_rows(res: StudyResult) -> list[tuple[str, ...]]:
     """Return the table of a study as texts, a tuple a row, as HEAD names them."""
-    return list(map(_row, found.itertuples()))
+    table = study_table(res)
+    return [_row(SimpleNamespace(**dict(zip(table, cells, strict=True)))) for cells in zip(*table.values(), strict=True)]
 
 
 def _row(cell):

@@ -6,10 +6,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from jaxbound.plots.canvas import PANELS, to_png
-from jaxbound.plots.validation import plot_output
 from jaxbound.recordings.plaintext import duration
-from jaxbound.reports.clock import clock_of
+from jaxbound.reports.chart import POINTS, Piece, Row, drawn
+from jaxbound.reports.clock import axis_of
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.runs.summary import Evidence, Summary
@@ -17,6 +16,8 @@ from jaxbound.runs.summary import Evidence, Summary
 __all__ = ["write_page"]
 
 ROWS = 200  # stretches in the table
+OUTPUTS = 12  # charts
+NEAR = 600  # samples around the first faulty one of a long recording, drawn one by one
 
 
 def write_page(
@@ -28,19 +29,16 @@ def write_page(
     seconds: dict[str, float] | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> list[str]:
-    """Write report.html and a picture for each output. Args: as for `detection.write_report`.
+    """Write report.html: one file that asks nobody, with its charts. Args: as for `detection.write_report`.
 
     Returns:
         The names of the files written.
     """
-    model, pictures = res.model, {}
-    shown = model.outputs[:PANELS]
-    for i in range(len(shown)):
-        name = f"output{i + 1}.png"
-        pictures[name] = to_png(_as_written(plot_output(res, i, recording.axis), recording))
-        (Path(directory) / name).write_bytes(pictures[name])
-        if progress:
-            progress((i + 1) / (len(shown) + 1))
+    model = res.model
+    shown = model.outputs[:OUTPUTS]
+    drawings = list(_charts(res, recording, shown))
+    if progress:
+        progress(0.5)
     stretches = res.stretches()
     page = render(
         "validation.html",
@@ -56,7 +54,7 @@ def write_page(
         hints=summary.hints,
         stretches=[_row(res, recording, *stretch) for stretch in stretches[:ROWS]],
         stretch_total=len(stretches),
-        outputs=zip(shown, pictures.values(), strict=True),
+        charts=drawings,
         others=model.p - len(shown),
         model=model_values(model, {"tolerance": model.tolerance, "noise": model.noise}),
         computed=computed(res.method, res.horizon, np.asarray(res.found.state.lo).dtype, seconds or {}),
@@ -64,23 +62,27 @@ def write_page(
     (Path(directory) / "report.html").write_text(page, encoding="utf-8")
     if progress:
         progress(1.0)
-    return ["report.html", *pictures]
+    return ["report.html"]
 
 
-def _as_written(fig, recording):
-    """Write dates on the axes of a Figure as the recording does; return it."""
-    stamps = getattr(recording, "stamps", None)
-    if stamps is None:
-        return fig
-    from matplotlib.ticker import FuncFormatter
-
-    step = float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else 1.0
-    clock = clock_of(recording.label, recording.time, stamps[0], len(stamps), step)
-    first = float(stamps[0].astype("datetime64[ns]").astype(np.int64)) / 1e9 - float(recording.time[0])
-    for ax in fig.axes:
-        ax.xaxis.get_major_locator().maxticks.update(dict.fromkeys(ax.xaxis.get_major_locator().maxticks, 8))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda day, at: clock.text(86400 * day - first).replace(" ", "\n", 1)))
-    return fig
+def _charts(res, recording, shown):
+    """Yield (title, chart) of the whole recording, and of the samples around the first faulty one if it is long."""
+    found, (time, clock) = res.found, axis_of(recording, len(res.y), res.model.dt)
+    faulty, low, high = np.asarray(found.faulty), {}, {}
+    finite = lambda end, i: np.where(np.isfinite(end := np.asarray(end)[:, i]), end, np.nan)
+    for i in range(len(shown)):
+        y, lo, hi = res.y[:, i], finite(found.corrected.lo, i), finite(found.corrected.hi, i)
+        centre = np.where(faulty[:, i] | np.isnan(y), lo / 2 + hi / 2, np.nan)
+        lines = {f"y{i}": y, f"y{i}:faulty": np.where(faulty[:, i], y, np.nan), f"y{i}:instead": centre}
+        low |= lines | {f"y{i}:band": finite(found.output.lo, i)}
+        high |= lines | {f"y{i}:band": finite(found.output.hi, i)}
+    rows = [Row(f"y{i}", name, res.model.unit(name), "enclosed") for i, name in enumerate(shown)]
+    whole = Piece(time, res.status, low, high)
+    yield "The whole recording", drawn(rows, whole, clock)
+    if len(time) > POINTS:
+        first = max(min(int(np.argmax(faulty.any(1))) - NEAR // 4, len(time) - NEAR), 0)
+        title = "The samples around the first faulty one" if faulty.any() else "The first samples"
+        yield title, drawn(rows, whole.cut(first, first + NEAR), clock)
 
 
 def _row(res, recording, i, first, last):

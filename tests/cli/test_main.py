@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax
 import matplotlib
 import numpy as np
 import pytest
@@ -338,6 +339,26 @@ print(*sys.modules, file=sys.stderr)
         assert heavy & {name.partition(".")[0] for name in done.stderr.split()} == set()
         assert f"{', '.join(interface.METHODS)} (default: joint" in " ".join(done.stdout.split())
         assert f"; {VALIDATION} bounds states" in " ".join(done.stdout.split())
+
+    def test_no_command_waits_for_an_import_that_it_can_do_without(self, place):
+        code = """
+import sys
+from jaxbound.cli import main
+main._configure = lambda: None
+main.main("detect model.toml faulty.csv --out out -q".split())
+main.main("detect model.toml faulty.csv --method validation --out validated -q".split())
+main.main("fit good.csv --inputs u1 --outputs y1,y2 --order 1 --horizon 2 --held-out 0 --method windows --out fitted.toml -q".split())
+print(*sys.modules, file=sys.stderr)
+main.main("study model.toml --faults y1:bias --sizes 1 --n 20 --samples 20 --out study -q".split())
+print(*sys.modules, file=sys.stderr)
+"""
+        settings = {**os.environ, "JAX_ENABLE_X64": "1", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+        if kept := jax.config.jax_compilation_cache_dir:
+            settings["JAX_COMPILATION_CACHE_DIR"] = kept
+        done = subprocess.run([sys.executable, "-c", code], cwd=place, env=settings, capture_output=True, text=True, timeout=300)
+        *_, before, study = ({name.partition(".")[0] for name in line.split()} for line in done.stderr.splitlines())
+        assert {"pandas", "matplotlib", "scipy", "optax"} & before == set() and {"pandas", "matplotlib", "optax"} & study == set()
+        assert all((place / name).exists() for name in ("out/report.html", "validated/report.html", "fitted.toml", "study/report.html"))
 
     def test_a_run_from_the_shell(self, place, shell):
         args, environment = shell

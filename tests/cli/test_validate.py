@@ -133,7 +133,7 @@ def test_a_recording_from_the_shell(place, capsys, tmp_path):
     assert main.main(["detect", *place(faulty=range(20, 25)), "--method", "validation", "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["verdict"] == "fault" and found["faulty"] == {"y1": 5} and found["horizon"] == 1 and found["counts"]["FAULT"] == 5
-    files = {"verdicts.csv", "alarms.csv", "report.html", "output1.png", "output2.png", "run.json", "tested_model.toml",
+    files = {"verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml",
              ".jaxbound.json"}  # fmt: skip
     assert {f.name for f in (tmp_path / "out").iterdir()} == files
     u, y = record(faulty=range(20, 25))

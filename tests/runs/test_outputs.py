@@ -269,7 +269,7 @@ class TestFolder:
         (["study", "model.toml", "--faults", "y1:bias", "--out", "out"], "summary.csv"),
         (["study", "model.toml", "--faults", "y1:bias", "--out", "out"], "report.html"),
         (["fleet", "units.csv", "--out", "out"], "fleet.csv"), (["fleet", "units.csv", "--out", "out"], "fleet.html"),
-        ([*DETECT, "--method", "validation"], "output1.png"),
+        ([*DETECT, "--method", "validation"], "alarms.csv"),
     ], ids=lambda x: x if isinstance(x, str) else x[0])  # fmt: skip
     def test_no_command_replaces_what_it_did_not_write(self, place, capsys, args, name):
         (place / "units.csv").write_text("unit,model,recording\na,model.toml,run.csv\n")

@@ -14,7 +14,7 @@ from jaxbound.studies.montecarlo.tally import Tally
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["StudyResult"]
+__all__ = ["StudyResult", "delay_table", "study_table"]
 
 
 @readable
@@ -64,34 +64,51 @@ class StudyResult:
         """
         import pandas as pd
 
-        frames = []
-        for trial, tally in zip(self.trials, self.tallies, strict=True):
-            (share, lo, hi), (rate, rate_lo, rate_hi) = tally.share(self.confidence), tally.rate(self.confidence)
-            frames.append(pd.DataFrame({
-                "fault": trial.label, "size": trial.sizes, "scenarios": tally.scenarios, "detected": tally.detected,
-                "share": share, "share_lo": lo, "share_hi": hi, "windows": tally.windows, "rate": rate, "rate_lo": rate_lo,
-                "rate_hi": rate_hi, "delay_median": delay_quantile(tally, 0.5), "delay_90": delay_quantile(tally, 0.9),
-                "never": tally.scenarios - tally.detected, "false_alarms": tally.false, "clean_windows": tally.clean,
-                "guaranteed": trial.guaranteed}))  # fmt: skip
-        return pd.concat(frames, ignore_index=True)
+        return pd.DataFrame(study_table(self))
 
     def delays(self) -> "pd.DataFrame":
         """Return a DataFrame with a row for each (fault, size, delay) that occurred: scenarios, delay null where never detected."""
         import pandas as pd
 
-        rows: list[tuple[str, float, int | None, int]] = []
-        for trial, tally in zip(self.trials, self.tallies, strict=True):
-            for i, size in enumerate(trial.sizes):
-                found = np.flatnonzero(tally.delays[i])
-                rows += [(trial.label, float(size), int(d), int(tally.delays[i, d])) for d in found]
-                rows += [(trial.label, float(size), None, int(never))] if (never := tally.scenarios[i] - tally.detected[i]) else []
-        frame = pd.DataFrame(rows, columns=["fault", "size", "delay", "scenarios"])
-        return frame.astype({"delay": "Int64", "scenarios": "int64", "size": "float64"})
+        found = delay_table(self)
+        delay = pd.array(found["delay"], dtype="Int64")
+        return pd.DataFrame(found | {"delay": delay})
 
     def __repr__(self) -> str:
         false, clean = self.false_alarms
         labels = ", ".join(t.label for t in self.trials)
         return f"StudyResult({self.scenarios} scenarios of {labels}, unknowns {self.at}; {false} false alarms in {clean} windows)"
+
+
+def study_table(res: StudyResult) -> dict[str, np.ndarray]:
+    """Return the columns of `StudyResult.to_pandas` as {name: array}, without pandas, which takes longer to import than a small study."""
+    parts = [_columns(trial, tally, res.confidence) for trial, tally in zip(res.trials, res.tallies, strict=True)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def delay_table(res: StudyResult) -> dict[str, np.ndarray]:
+    """Return the columns of `StudyResult.delays` as {name: array}, NaN for the delay of what was never detected."""
+    rows: list[tuple[str, float, float, int]] = []
+    for trial, tally in zip(res.trials, res.tallies, strict=True):
+        for i, size in enumerate(trial.sizes):
+            found = np.flatnonzero(tally.delays[i])
+            rows += [(trial.label, float(size), float(d), int(tally.delays[i, d])) for d in found]
+            rows += [(trial.label, float(size), np.nan, int(never))] if (never := tally.scenarios[i] - tally.detected[i]) else []
+    kinds = {"fault": object, "size": float, "delay": float, "scenarios": np.int64}
+    return {name: np.array([row[j] for row in rows], kind) for j, (name, kind) in enumerate(kinds.items())}
+
+
+def _columns(trial, tally, confidence):
+    """Return {name: (S,)} of one Trial."""
+    (share, lo, hi), (rate, rate_lo, rate_hi) = tally.share(confidence), tally.rate(confidence)
+    found = {
+        "fault": trial.label, "size": trial.sizes, "scenarios": tally.scenarios, "detected": tally.detected,
+        "share": share, "share_lo": lo, "share_hi": hi, "windows": tally.windows, "rate": rate, "rate_lo": rate_lo,
+        "rate_hi": rate_hi, "delay_median": delay_quantile(tally, 0.5), "delay_90": delay_quantile(tally, 0.9),
+        "never": tally.scenarios - tally.detected, "false_alarms": tally.false, "clean_windows": tally.clean,
+        "guaranteed": trial.guaranteed}  # fmt: skip
+    like = {"fault": object, "size": float, "guaranteed": float}
+    return {name: np.array(np.broadcast_to(x, len(tally.scenarios)), like.get(name)) for name, x in found.items()}
 
 
 def delay_quantile(tally: Tally, share: float) -> np.ndarray:
