@@ -119,8 +119,8 @@ def _enclosed(row, across, joined, shown, band, faulty, instead):
     wrong = np.isfinite(faulty[0])
     least_out, most_out = (end[wrong] for end in down(faulty))
     out = _dots(across[wrong], least_out) + _dots(across[wrong][most_out != least_out], most_out[most_out != least_out])
-    return {"row": row, "line": _line(across, *down(shown), joined), "band": None, "shade": _spans(across, wrong), "out": out,
-            "hull": _hull(across, *down(band), joined), "instead": _line(across, *down(instead), joined),
+    return {"row": row, "line": _line(across, *down(shown), joined=joined), "band": None, "shade": _spans(across, wrong), "out": out,
+            "hull": _hull(across, *down(band), joined=joined), "instead": _line(across, *down(instead), joined=joined),
             "marks": _places(row, least, most), "empty": not (known.any() or np.isfinite(shown[0]).any())}  # fmt: skip
 
 

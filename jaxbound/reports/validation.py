@@ -68,7 +68,9 @@ def write_page(
 def _charts(res, recording, shown):
     """Yield (title, chart) of the whole recording, and of the samples around the first faulty one if it is long."""
     found, (time, clock) = res.found, axis_of(recording, len(res.y), res.model.dt)
-    faulty, low, high = np.asarray(found.faulty), {}, {}
+    faulty = np.asarray(found.faulty)
+    low: dict[str, np.ndarray] = {}
+    high: dict[str, np.ndarray] = {}
     finite = lambda end, i: np.where(np.isfinite(end := np.asarray(end)[:, i]), end, np.nan)
     for i in range(len(shown)):
         y, lo, hi = res.y[:, i], finite(found.corrected.lo, i), finite(found.corrected.hi, i)
