@@ -126,7 +126,7 @@ def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: 
     (m, q), enough, rows = image.M.shape[1:], np.inf if tight else CLEAR, lambda v: v.reshape(-1, v.shape[2])
     some, points = _of(image, at[0]), _beside(d[at])
     state = search.start(some.M, some.R, points)
-    few = m > search.SMALL  # a look inverts a matrix a point, which takes longer than a step
+    few = m > proof.SMALL  # a look inverts a matrix a point, which takes longer than a step
     for steps in ((search.STEPS,) if few else TIGHT) if tight else (6 + m // 16, *((search.STEPS,) if few else LATER)):
         for _ in range(steps):
             if state[-1].all():

@@ -30,14 +30,17 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Image", "gauge_above", "gauge_below", "image", "largest", "library", "measured", "more", "product", "reach_above", "rows_below",
-           "unit", "vertices"]  # fmt: skip
+__all__ = ["SMALL", "Image", "gauge_above", "gauge_below", "image", "largest", "library", "measured", "more", "product", "reach_above",
+           "rows_below", "unit", "vertices"]  # fmt: skip
 
 
 Array = TypeVar("Array", np.ndarray, jax.Array)
 
 SINGLE = 2**18
 """Products of numbers for which OpenBLAS stays on one thread; with two, 1000 points of 20 coordinates took five times as long."""
+
+SMALL = 64
+"""Rows up to which equations are solved many at a time on the host; larger ones one by one, while they are in the processor's cache."""
 
 
 def library(x: object) -> Any:
@@ -121,7 +124,7 @@ def measured(M: Array, powers: Array, R: Array) -> Image[Array]:
     with np.errstate(all="ignore"):
         gamma, floor = rounding.product_error(q + 2, M.dtype)
         up = 1 + rounding.product_error(m, M.dtype)[0]
-        off = abs(M @ R - xp.eye(m, dtype=M.dtype)[None]) + gamma * (abs(M) @ abs(R) + 1)
+        off = abs(product(M, R) - xp.eye(m, dtype=M.dtype)[None]) + gamma * (product(abs(M), abs(R)) + 1)
         off += 2 * floor * (1 + largest(R, (1, 2)))[:, None, None]
         loss = largest(off.sum(2), 1) * up
         return Image(M, powers, R, abs(R).sum(2) * up, xp.where(loss < 0.5, loss, np.inf), abs(M).sum(2))
@@ -234,9 +237,32 @@ def vertices(M: Array, d: Array, x: Array, s: Array) -> tuple[Array, Array]:
     chosen = xp.take_along_axis(xp.broadcast_to(M, (len(d), *M.shape[-2:])), order[:, None, : m - 1], 2)
     W = xp.concatenate([chosen, (M @ sign[..., None] if M.ndim == 3 else (sign @ M.T)[..., None])], 2)
     with np.errstate(all="ignore"):
-        inverse, regular = _inverse(W)
-        y = inverse @ d[..., None]
-        y = (y + inverse @ (d[..., None] - W @ y))[..., 0]
+        y, normal, regular = _solved(W, d)
         places = xp.where(rank < m - 1, q + rank, xp.arange(q)[None])
         out = xp.take_along_axis(xp.concatenate([sign * y[:, -1:], y[:, :-1]], 1), places, 1)
-    return xp.where(regular[:, None], out, x), xp.where(regular[:, None], inverse[:, -1], 0)
+    return xp.where(regular[:, None], out, x), xp.where(regular[:, None], normal, 0)
+
+
+def _solved(W: Array, d: Array) -> tuple[Any, Any, Any]:
+    """Return (W^-1 d, the last rows of W^-1, which of W (N, m, m) are regular) for d (N, m)."""
+    if library(W) is np and W.shape[1] > SMALL:
+        return _solved_alone(cast(np.ndarray, W), cast(np.ndarray, d))
+    inverse, regular = _inverse(W)
+    y = inverse @ d[..., None]
+    return (y + inverse @ (d[..., None] - W @ y))[..., 0], inverse[:, -1], regular
+
+
+def _solved_alone(W: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    from scipy.linalg.lapack import dgetrf, dgetrs
+
+    y, normal, regular = np.zeros_like(d), np.zeros_like(d), np.zeros(len(d), bool)
+    last = np.eye(W.shape[1])[-1]
+    for i, (A, v) in enumerate(zip(W, d, strict=True)):
+        factor, pivots, singular = dgetrf(A.T, overwrite_a=False)  # of the transpose: no copy in another order
+        regular[i] = not singular
+        if regular[i]:
+            solve = lambda r, trans, factor=factor, pivots=pivots: dgetrs(factor, pivots, r, trans=trans)[0]
+            y[i] = solve(v, 1)
+            y[i] += solve(v - A @ y[i], 1)
+            normal[i] = solve(last, 0)
+    return y, normal, regular

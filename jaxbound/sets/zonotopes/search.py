@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxbound.sets.zonotopes.proof import Array, largest, library, product
+from jaxbound.sets.zonotopes.proof import SMALL, Array, largest, library, product
 
 __all__ = ["State", "advance", "interior_point", "project", "project_rows", "reached", "start"]
 
@@ -28,8 +28,8 @@ STEPS = 40
 """At most so many steps of interior points; ten to twenty are the rule."""
 OUTER = 2**15
 """Numbers in the products of all pairs of rows of a matrix, up to which they are kept for all its points."""
-MANY, SMALL = 64, 64
-"""From so many matrices on, and up to so many rows, they are factored side by side on the host."""
+MANY = 64
+"""From so many small matrices on they are factored side by side on the host."""
 
 
 def project(M: Array, R: Array, d: Array, z: Array, steps: int) -> tuple[Array, Array, Array]:
@@ -174,6 +174,8 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
     """Return what solves (M diag(s) M' + room times its mean diagonal) f = r for each point, r (S, N, m)."""
     xp, (S, m, q), N = library(s), M.shape, s.shape[1]
     normal: Any
+    if xp is np and m > SMALL:
+        return _one_by_one(M, s, room)
     if xp is np and S == 1 and N > 1 and m * m * q <= OUTER:  # one matrix product for many points
         normal = product(s, (M[0, :, None] * M[0]).reshape(1, m * m, q).swapaxes(1, 2)).reshape(S, N, m, m)
     else:
@@ -188,10 +190,27 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
     return lambda r: solve(r.reshape(S * N, m)).reshape(S, N, m)
 
 
+def _one_by_one(M: np.ndarray, s: np.ndarray, room: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what `_solver` does for large matrices, each made and factored while it is in the processor's cache.
+
+    NumPy would multiply them on all threads, which on a machine with other work took seventy times as long as this.
+    """
+    from scipy.linalg.blas import dsyrk
+    from scipy.linalg.lapack import dpotrf, dpotrs
+
+    turned, factors = np.ascontiguousarray(M.swapaxes(1, 2)), []
+    for i, j in np.ndindex(s.shape[:2]):
+        normal = dsyrk(1.0, (turned[i] * np.sqrt(s[i, j])[:, None]).T)
+        normal.T.flat[:: len(normal) + 1] += room * normal.trace()
+        factors.append(dpotrf(normal, overwrite_a=True, clean=False)[0])
+    flat = lambda r: r.reshape(-1, r.shape[2])
+    return lambda r: np.array([dpotrs(L, v)[0] for L, v in zip(factors, flat(r), strict=True)]).reshape(r.shape)
+
+
 def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what solves N f = r for r (P, m), N (P, m, m) positive definite: many small ones side by side, others one by one."""
+    """Return what solves N f = r for r (P, m), N (P, m, m) positive definite: many side by side, few one by one."""
     P, m, _ = N.shape
-    if P < MANY or m > SMALL:
+    if P < MANY:
         from scipy.linalg.lapack import dpotrf, dpotrs
 
         factors = [dpotrf(A)[0] for A in N]

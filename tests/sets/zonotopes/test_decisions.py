@@ -37,6 +37,11 @@ def test_points_near_and_far_from_the_boundary_are_decided_as_by_linear_programs
     assert (wrong, left) == (0, 0)
 
 
+def test_points_of_sets_with_many_rows_are_decided_as_by_linear_programs(rng):
+    """Their equations are solved one by one, not side by side."""
+    assert wrong_and_open(rng, [(70, 90)], ["general", "repeated"], 2, 2) == (0, 0)
+
+
 @pytest.mark.long
 def test_ten_thousand_points_are_decided_as_by_linear_programs(rng):
     wrong, left = wrong_and_open(rng, [(1, 3), (2, 5), (3, 8), (5, 9), (12, 24), (20, 40), (50, 100)], KINDS, 40, 9)
