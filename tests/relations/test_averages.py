@@ -3,7 +3,7 @@
 import json
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 
 import check_certificate
 import highspy
@@ -102,6 +102,75 @@ def test_verdicts_and_margins_are_those_of_a_linear_program(kind):
     unproved = np.asarray(jb.margins(r, u, y))
     seen = ~np.isnan(unproved) & ~np.isnan(res.margin)
     np.testing.assert_allclose(unproved[seen], res.margin[seen], atol=1e-7)
+
+
+def drawn(rng):
+    """Return (a random model with averages, arguments of its windows): stable or not, of outputs, disturbances or both."""
+    n, p, g = (int(x) for x in (rng.integers(1, 4), rng.integers(1, 4), rng.integers(0, 3)))
+    A = rng.normal(size=(n, n))
+    A = (A * rng.choice([0.5, 0.9, 1.0, 1.05]) / abs(np.linalg.eigvals(A)).max()).round(3)
+    B, C, G = (rng.normal(size=shape).round(2) for shape in ((n, 1), (p, n), (n, g)))
+    s = int(rng.integers(n + 1, 9))
+    averages = {}
+    for _ in range(rng.integers(1, 4)):
+        signal = str(rng.choice([*(f"y{i + 1}" for i in range(p)), *(f"w{j + 1}" for j in range(g))]))
+        length = int(rng.integers(2, min(s + 1, 6) + 1))
+        weights = rng.integers(-3, 4, length)
+        weights[[0, -1]] = rng.choice([-2, -1, 1, 2], 2)
+        mean = bool(rng.random() < 0.6)
+        size = (0.3 if signal[0] == "y" else 0.1) * (1 if mean else abs(weights).sum())
+        f = [Fraction(1, length)] * length if mean else weights.tolist()
+        averages.setdefault(signal, []).append((f, round(rng.uniform(0.05, 0.8) * size, 3)))
+    walks = {"disturbance": (G, rng.uniform(0.02, 0.2, g).round(2))} if g else {}
+    model = jb.LinearSystem(A, B, C, noise=rng.uniform(0.1, 0.5, p).round(2), resolution=rng.choice([0, 0.02], p),
+                            offset={"y": rng.normal(size=p).round(1)}, averages=averages, **walks)  # fmt: skip
+    lags = sorted({0, s, *rng.integers(0, s + 1, s).tolist()}) if rng.random() < 0.3 else None
+    return model, {"horizon": s} if lags is None else {"lags": lags}
+
+
+def compared(rng, models, each=12):
+    """Return (windows of random models judged by a linear program too, how many have a missing sample, how many a FAULT)."""
+    windows = broken = faults = 0
+    for _ in range(models):
+        model, how = drawn(rng)
+        try:
+            r = jb.parity_relations(model, **how)
+        except ValueError as e:
+            assert "relation" in str(e)
+            continue
+        s, T = r.horizon, r.horizon + 40
+        lags = r.lags or range(s + 1)
+        u = rng.uniform(-1, 1, (T, 1))
+        y = np.array(jb.simulate(model, u, int(rng.integers(2**31))).y)
+        y += rng.normal(size=y.shape) * np.geomspace(0.01, 3, T)[:, None] * [float(x) for x in model.noise]
+        y[rng.random(y.shape) < 0.02] = np.nan
+        found = jb.detect(r, u, y)
+        seen = np.flatnonzero(found.status != jb.Status.MISSING)
+        for k in rng.permutation(seen)[:each]:
+            part = slice(k - s, k + 1)
+            say = partial(consistent, model, s, lags, u[part], y[part])
+            gauge = 1 - float(found.margin[k])
+            assert found.status[k] != jb.Status.UNDECIDED or abs(gauge - 1) < 1e-9
+            if abs(gauge - 1) > 1e-5:
+                assert say(1.0) == (found.status[k] == jb.Status.CONSISTENT)
+            if gauge > 1e-2:
+                assert [say(gauge * f) for f in (1 - 1e-4, 1 + 1e-4)] == [False, True]
+            windows, faults = windows + 1, faults + int(found.status[k] == jb.Status.FAULT)
+            broken += int(np.isnan(y[part]).any())
+    print(f"{windows} windows of random models, all as a linear program says; {faults} FAULT, {broken} with a missing sample")
+    return windows, broken, faults
+
+
+@pytest.mark.slow
+def test_random_models_agree_with_linear_programs(rng):
+    windows, broken, faults = compared(rng, 6, 20)
+    assert windows >= 60 and broken and 0.1 * windows < faults < 0.95 * windows
+
+
+@pytest.mark.long
+def test_many_random_models_agree_with_linear_programs(rng):
+    windows, broken, faults = compared(rng, 150, 20)
+    assert windows >= 2000 and broken > 100 and 0.1 * windows < faults < 0.95 * windows
 
 
 @pytest.mark.parametrize("kind", ["short", "lags"])
