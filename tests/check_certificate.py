@@ -6,6 +6,8 @@ one sensor).
 
 "averages" bound weighted sums of consecutive deltas of one output, or of one disturbance, in every run of samples that is listed.
 
+"first_state" bounds the state of the first sample, as one who gives it to an observer says; without it, it is any.
+
 A document with "constant" has one theta for all samples of an output: one gain 1 / (1 + theta).
 
 With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i. FAULT
@@ -66,6 +68,8 @@ def factor(c, r, error=None):
     for x, ends in zip(r.get("a", []), averaged(c, error), strict=True):
         insist(not x or ends is not None, "an average needs a reading that is missing")
         residual, width = (residual + x * sum(ends) / 2, width + abs(x) * (ends[1] - ends[0]) / 2) if x else (residual, width)
+    for x, (lo, hi) in zip(r.get("x", []), c.get("first_state", []), strict=True):
+        residual, width = residual + x * (lo + hi) / 2, width + abs(x) * (hi - lo) / 2
     insist([residual, width, abs(residual) / width] == [r["residual"], r["width"], r["factor"]], "residual, width or factor is wrong")
     return r["factor"]
 
@@ -73,6 +77,7 @@ def factor(c, r, error=None):
 def single(c, r):
     """Return a relation with its averages written out as the samples that they combine."""
     out = {"h": [list(row) for row in r["h"]], "g": [list(row) for row in r["g"]], "k": r["k"]}
+    out |= {"x": r["x"]} if "x" in r else {}
     for x, run in zip(r.get("a", []), c.get("runs", []), strict=True):
         a = c["averages"][int(run["average"])]
         for j, f in enumerate(a["weights"] if x else []):
@@ -137,7 +142,7 @@ def follow(c, r, v):
         insist(not any(dots(turned([*c["D_v"], *c["F"]]), h + q)), "the relation leaves an unknown input over")
         insist(dots(turned([*D, *B]), h + q) == k, "the relation does not fit the inputs")
         q = dots(turned([*C, *A]), h + q)
-    insist(not any(q), "the relation leaves the unknown state over")
+    insist(not any(add(q, r.get("x", [F(0)] * len(q)))), "the relation leaves the unknown state over")
 
 
 def now(c, letter, j, v):

@@ -23,7 +23,7 @@ from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 
-__all__ = ["ExactWindow", "Explanation", "dot", "exact_window", "stretched"]
+__all__ = ["ExactWindow", "Explanation", "dot", "exact_samples", "exact_window", "stretched"]
 
 ZERO = Fraction(0)
 
@@ -213,6 +213,13 @@ def stretched(v: Fraction, sigma: Fraction) -> Fraction:
 
 def exact_window(relations: Any, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     """Return the ExactWindow of samples u (s+1, m), y (s+1, p). The bounds are those that the kernel takes, to the last bit."""
+    model, fields = relations.model, exact_samples(relations, u, y)
+    known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(fields["u"])]
+    return ExactWindow(**fields, drive=tuple(dot(row, known) for row in _forms(model, relations.horizon)[1]))
+
+
+def exact_samples(relations: Any, u: np.ndarray, y: np.ndarray) -> dict[str, Any]:
+    """Return the fields of an ExactWindow, all but what inputs make of each row."""
     model, s = relations.model, relations.horizon
     dtype = y.dtype
     exactly = lambda values: tuple(None if np.isnan(v) else Fraction(float(v)) for v in np.ravel(values))
@@ -221,15 +228,15 @@ def exact_window(relations: Any, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     pairs = np.reshape(bounds.get("disturbance", np.zeros((0, 2))), (-1, 2))
     down = rounding.round_down(pairs[:, 0], dtype)
     inputs = exactly(u[: window.input_lags(model, s)])
-    known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(inputs)]
     whole = exactly(y)
     if relations.lags is not None:
         y = np.where(np.isin(s - np.arange(s + 1), relations.lags)[:, None], y, np.nan).astype(dtype)
-    return ExactWindow(
-        model, s, inputs, exactly(y), upward(bounds["tolerance"]), upward(bounds["noise"]), upward(list(model.resolution)),
-        tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)), Fraction(float(np.finfo(dtype).eps)) / 2,
-        Fraction(float(np.finfo(dtype).tiny)), tuple(dot(row, known) for row in _forms(model, s)[1]),
-        average=upward(bounds.get("average", ())), whole=whole, lags=relations.lags)  # fmt: skip
+    return {
+        "model": model, "horizon": s, "u": inputs, "y": exactly(y), "tolerance": upward(bounds["tolerance"]),
+        "noise": upward(bounds["noise"]), "resolution": upward(list(model.resolution)),
+        "disturbance": tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)), "unit": Fraction(float(np.finfo(dtype).eps)) / 2,
+        "floor": Fraction(float(np.finfo(dtype).tiny)), "average": upward(bounds.get("average", ())), "whole": whole,
+        "lags": relations.lags}  # fmt: skip
 
 
 @lru_cache(maxsize=16)

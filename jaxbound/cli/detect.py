@@ -18,7 +18,7 @@ import numpy as np
 from jaxbound.cli.share import merged, opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated
-from jaxbound.cli.window import window_relations
+from jaxbound.cli.window import OBSERVER, observer_options, window_relations
 from jaxbound.consistency.interface import METHODS
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
@@ -59,8 +59,8 @@ def run_detect(args: argparse.Namespace) -> int:
         raise Refused("the following arguments are required: --out; see jaxbound detect --help")
     if args.state is not None:
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
-    if args.method not in (*METHODS, VALIDATION):
-        raise Refused(f"--method must be one of {', '.join((*METHODS, VALIDATION))}, not {args.method!r}")
+    if args.method not in (*METHODS, OBSERVER, VALIDATION):
+        raise Refused(f"--method must be one of {', '.join((*METHODS, OBSERVER, VALIDATION))}, not {args.method!r}")
     with door(OSError):
         kind = kind_of(args.data)
     refuse_shares(args, kind)
@@ -113,7 +113,7 @@ def _stream(args, folder, step):
             hints = (*found.hints, *ending_hints(found, found.alarms, sizes), *bound_hints(source.model))
             res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes)
             about = relations.model, args.data, source.content, args.method, relations.horizon
-            write_all(work, Outcome(found, None, found.alarms, res, *about))
+            write_all(work, Outcome(found, None, found.alarms, res, *about, observer_options(args)))
             write_report(work, found, found, found.alarms, res, seconds=seconds,
                          progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
     except KeyboardInterrupt:
@@ -147,7 +147,7 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     hints = (*recording.hints, *unit_hints(res), *ending_hints(res, alarms, sizes), *bound_hints(model))
     found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes)
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
-        outcome = Outcome(res, recording, alarms, found, model, args.data, held, args.method, relations.horizon)
+        outcome = Outcome(res, recording, alarms, found, model, args.data, held, args.method, relations.horizon, observer_options(args))
         tables = beside.submit(write_all, work, outcome)
         step("report", 0.1)
         write_report(work, res, recording, alarms, found, seconds=seconds, extra=extra(res),
@@ -206,8 +206,15 @@ def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, se
         write(json.dumps(plain, indent=2, allow_nan=False) + "\n")
         return summary.exit_code
     found, counts = cast(Evidence, summary.found), summary.counts  # a recording was tested
-    rows = [("windows", ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]))]
-    if found.faulty is None:
+    rows = [
+        (
+            "samples" if found.remembers else "windows",
+            ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]),
+        )
+    ]
+    if found.remembers:
+        rows.append(("tested", f"{percent(found.tested)} of {found.windows} samples, by an observer of all samples before them"))
+    elif found.faulty is None:
         by = f"by the {found.method} test over {found.horizon + 1} samples each"
         rows.append(("decided", f"{percent(found.decided)} of {found.windows} windows, {by}"))
     else:
@@ -221,7 +228,9 @@ def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, se
     if np.isfinite(summary.margin):
         at, margin = cast(Window, summary.worst).time, summary.margin
         what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
-        rows.append(("worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
+        if found.remembers:
+            what = f"beyond what the samples before allow by {times(1 - margin)}" if margin < 0 else f"{percent(1 - margin)} of it is used"
+        rows.append(("worst" if found.remembers else "worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
     if proved:
         rows.append(("proof", f"{command}{found.at}"))
     rows += [("hint", h) for h in summary.hints]
@@ -252,7 +261,7 @@ def run_demo(args: argparse.Namespace) -> int:
         demo.write_run(work / "run.csv", run)
 
         detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, lags=None, method="joint",
-                                       alarm=(1, 1),
+                                       alarm=(1, 1), order=None, latched=False,
                                        min_coverage=0.5)  # fmt: skip
         extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
         found, *_ = _evaluate(detecting, work, step, extra)

@@ -15,6 +15,9 @@ import numpy as np
 from jaxbound.certificates.interface import certify
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.cli.terminal import LOUDNESS, VERBOSE, door, show, write
+from jaxbound.cli.window import OBSERVER
+from jaxbound.diagnosis.detection import detect
+from jaxbound.estimation.observer import observer
 from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.plaintext import times as factor_text
 from jaxbound.recordings.read import open_source
@@ -25,6 +28,9 @@ from jaxbound.runs.runfile import VALIDATION, load_run
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["certificate_of", "readable", "run"]
+
+REACHES = (2**12, 2**16)
+"""So many samples before a sample that an observer refuted are read, before all of them are."""
 
 
 def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]:
@@ -41,23 +47,40 @@ def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]
 
 def _certified(directory, at):
     """Return what `certificate_of` does, and a sentence, or "", where the number that was asked for could be meant as a time."""
-    model, data, method, horizon = load_run(Path(directory))
+    model, data, method, horizon, options = load_run(Path(directory))
     if method == VALIDATION:
         raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
                          "only by the other methods of jaxbound detect")  # fmt: skip
-    relations = parity_relations(model, horizon if model.lags is None else None)
     source = open_source(data, model)
     axis = _Axis(source)
     k = axis.find(at)
     if k < horizon:
         raise ValueError(f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}")
-    part = source.read(k - horizon, k + 1)
     try:
-        if part.across(horizon)[horizon]:
-            raise ValueError("a window across a gap in time is MISSING")
-        return certify(relations, part.u, part.y, method), k, [part.label(j) for j in range(horizon + 1)], axis.also_a_time(at)
+        if method == OBSERVER:
+            found, part = _contradicted(observer(model, **options), source, k)
+        else:
+            relations, part = parity_relations(model, horizon if model.lags is None else None), source.read(k - horizon, k + 1)
+            if part.across(horizon)[horizon]:
+                raise ValueError("a window across a gap in time is MISSING")
+            found = certify(relations, part.u, part.y, method)
     except ValueError as e:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
+    labels = [part.label(j) for j in range(part.samples - found.window.horizon - 1, part.samples)]
+    return found, k, labels, axis.also_a_time(at)
+
+
+def _contradicted(watch, source, k):
+    """Return (certificate of the sample k that an observer refuted, the Recording up to it).
+
+    Read are as many samples before it as are needed: an observer that begins later knows less, but nothing that is wrong.
+    """
+    for reach in (*REACHES, k + 1):
+        part = source.read(max(k + 1 - reach, 0), k + 1)
+        res = detect(watch, part)
+        if res.status[-1] == Status.FAULT or reach > k:
+            break
+    return res.explain(len(res.status) - 1), part
 
 
 class _Axis:

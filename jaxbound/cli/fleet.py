@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
+from jaxbound.cli.window import OBSERVER
 from jaxbound.consistency.interface import METHODS
 from jaxbound.recordings.plaintext import cell, percent
 from jaxbound.reports.detection import write_report
@@ -52,8 +53,8 @@ def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str
 
 def run(args: argparse.Namespace) -> int:
     """Run `jaxbound fleet`; return the exit code."""
-    if args.method not in METHODS:
-        raise Refused(f"--method must be one of {', '.join(METHODS)}, not {args.method!r}")
+    if args.method not in (*METHODS, OBSERVER):
+        raise Refused(f"--method must be one of {', '.join((*METHODS, OBSERVER))}, not {args.method!r}")
     with door():
         units = read_manifest(args.manifest)
         usable_device()

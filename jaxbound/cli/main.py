@@ -169,8 +169,10 @@ def _parsers():
                    "n, and write its verdicts into DIR, beside shares made at the same time or on other machines; exit code 0")  # fmt: skip
     c.add_argument("--merge", action="store_true", help="Parquet: judge nothing and report on the shares in DIR: the verdicts, the "
                    "report and the exit code of one command without --part")  # fmt: skip
-    more = "; validation bounds states and outputs, names the faulty sensor and says what it should have shown"
+    carries = "; observer carries everything since it began on"
+    more = f"{carries}; validation bounds states and outputs, names the faulty sensor and says what it should have shown"
     _testing(c, more)
+    _observer(c)
     c.set_defaults(module="detect", function="run_detect")
     c = choices.add_parser("explain", help="print the certificate of one window")
     c.add_argument("report", type=_path, metavar="DIR", help="folder that jaxbound detect wrote")
@@ -186,7 +188,8 @@ def _parsers():
     c = choices.add_parser("fleet", help="test many units listed in a table")
     c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
     c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
-    _testing(c)
+    _testing(c, carries)
+    _observer(c)
     c.set_defaults(module="fleet")
     c = choices.add_parser("fit", help="find a model and its bounds from healthy recordings")
     c.add_argument("data", type=_path, nargs="+", metavar="DATA", help="healthy recordings: CSV files, Parquet files or folders")
@@ -268,6 +271,13 @@ def _testing(c, more=""):
     c.add_argument("--alarm", type=_of_n("k", "3/5"), default=(1, 1), metavar="k/n", help=alarm)
     c.add_argument("--min-coverage", type=_share, default=0.5, metavar="F", help="least share of decided windows (default: 0.5)")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
+
+
+def _observer(c):
+    """Add the options of a set observer."""
+    c.add_argument("--order", type=_whole(1, 1000), metavar="N", help="observer: directions of its set for each state; more is sharper and "
+                   "slower (default: 20)")  # fmt: skip
+    c.add_argument("--latched", action="store_true", help="observer: FAULT stays until a gap; else it begins anew behind a contradiction")
 
 
 def _window(c, about="a window has S + 1 samples (default: that of the model, or the least useful S)", least=0):

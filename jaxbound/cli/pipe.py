@@ -22,11 +22,12 @@ import jax
 import numpy as np
 
 from jaxbound.cli.terminal import ENDS, door, nobody_reads, say, system_trouble, usable_device
-from jaxbound.cli.window import window_relations
-from jaxbound.consistency.monitor import Monitor, MonitorState
-from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings
+from jaxbound.cli.window import observer_options, window_relations
+from jaxbound.consistency.monitor import Monitor
+from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings, forgets_after
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.modelfile import load_model
+from jaxbound.recordings.checkpoint import as_texts, from_texts
 from jaxbound.recordings.columns import is_plain, to_arrow, words, write_rows
 from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.pipetext import PipeText
@@ -84,8 +85,9 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
                 folder.claim(VERDICTS, STATE)
             found = _Run(args, monitor, journal).to_the_end(chunks, whole)
         if folder is not None:
+            about = model, Path(args.data), None, args.method, relations.horizon, observer_options(args)
             with folder.work() as work:
-                write_all(work, Outcome(None, None, [], found, model, Path(args.data), None, args.method, relations.horizon))
+                write_all(work, Outcome(None, None, [], found, *about))
     return found.exit_code
 
 
@@ -116,8 +118,8 @@ class _Run:
         self.header = b"" if args.json else b"time,status,margin\n"
         self.text = PipeText(monitor.relations.model, self.complain, before.get("text"))
         empty = monitor.init()
-        read = lambda old, text: np.frombuffer(bytes.fromhex(text), old.dtype).reshape(old.shape)
-        self.state = MonitorState._make(map(read, empty, before["state"])) if before else empty
+        self.state = from_texts(empty, before["state"]) if before else empty
+        self.horizon = forgets_after(monitor.relations)
         counts = dict.fromkeys(NAMES, 0)
         nothing = {"counts": counts, "aside": 0, "recent": [], "left out": 0, "first": None, "worst": None, "last": None}
         self.found = before.get("found", nothing | {"on": 0, "on before": 0, "endings": {}})
@@ -159,7 +161,7 @@ class _Run:
 
     def memory(self):
         """Return what another process needs to go on, fit for JSON."""
-        return {"text": self.text.memory(), "state": [x.tobytes().hex() for x in self.state], "found": self.found}
+        return {"text": self.text.memory(), "state": as_texts(self.state), "found": self.found}
 
     def _count(self, piece, verdict):
         found, status, s = self.found, verdict.status, self.monitor.relations.horizon
@@ -176,11 +178,11 @@ class _Run:
         found["last"] = when(len(status) - 1)
         found["on before"] = found["on"]
         for code in status.tolist() if found["on"] or (status == FAULT).any() else ():
-            found["on"], ended = _followed(found["on"], code, s)
+            found["on"], ended = _followed(found["on"], code, self.horizon)
             found["endings"] |= {ended: found["endings"].get(ended, 0) + 1} if ended else {}
         fault = np.flatnonzero(status == FAULT)
         if len(fault):
-            worst = int(fault[np.argmin(verdict.margin[fault])])
+            worst = int(fault[np.argmin(np.nan_to_num(verdict.margin[fault], nan=0.0))])
             found["first"] = when(int(fault[0])) if found["first"] is None else found["first"]
             if found["worst"] is None or verdict.margin[worst] < found["worst"][1]:
                 found["worst"] = [when(worst), float(verdict.margin[worst]), self.text.clock.samples - len(status) + worst]
@@ -193,7 +195,7 @@ class _Run:
         when = str if self.text.reader.is_text else number
         on, out = self.found["on before"], []
         for t, status, margin, _ in csv.reader(io.StringIO(rows.decode())):
-            on, ended = _followed(on, Status[status], self.monitor.relations.horizon)
+            on, ended = _followed(on, Status[status], self.horizon)
             out.append(json.dumps({"time": when(t), "status": status, "margin": number(margin), "ended": ended}) + "\n")
         return "".join(out).encode()
 
@@ -243,7 +245,7 @@ class _Run:
         counts = found["counts"]
         at, margin, sample = found["worst"] or (None, np.nan, -1)
         numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, None, alarms,
-                           found["endings"])  # fmt: skip
+                           found["endings"], remembers=self.horizon is None)  # fmt: skip
         verdict, sentence = said(numbers, self._label, self.args.min_coverage)
         say(f"{sentence} {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
         worst = None if at is None else Window(sample, self._label(at), margin)
@@ -271,7 +273,7 @@ def _rows(written, verdict):
         ).encode()
     columns = {"time": written if texts else to_arrow(written), "status": words(NAMES, verdict.status), "margin": to_arrow(verdict.margin)}
     sink = pa.BufferOutputStream()
-    write_rows(sink, columns | {"suspect": to_arrow(suspected(*verdict))})
+    write_rows(sink, columns | {"suspect": to_arrow(suspected(verdict.status, verdict.margin))})
     return sink.getvalue().to_pybytes()
 
 

@@ -41,6 +41,7 @@ EXAMPLES = {
         ("jaxbound detect plant.toml run.csv --out report/", "verdicts, alarms, pictures and one page; exit code 1 if a fault is proved"),
         ("jaxbound detect plant.toml run.csv --out report/ --alarm 3/5 -q", "one sentence; an alarm needs 3 FAULT among 5 windows"),
         ("jaxbound detect plant.toml recordings/ --out report/", "a folder of Parquet files, larger than memory"),
+        ("jaxbound detect plant.toml run.csv --out report/ --method observer", "against all samples since it began: slow faults"),
         ("jaxbound detect plant.toml run.csv --out report/ --method validation", "which sensor is wrong, and what it should have shown"),
         ("logger | jaxbound detect plant.toml - --out live/", "line by line, each verdict at once"),
     ],

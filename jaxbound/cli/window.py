@@ -1,14 +1,27 @@
-"""Which windows a command tests: those of the model, or those that --horizon or --lags ask for."""
+"""What a command tests by: windows of the model, those that --horizon or --lags ask for, or a set observer."""
 
 import argparse
 from collections.abc import Callable
 from typing import Any
 
+from jaxbound.estimation.observer import observer
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.relations.parity import parity_relations
 
-__all__ = ["windowed", "window_relations"]
+__all__ = ["OBSERVER", "observer_options", "windowed", "window_relations"]
+
+OBSERVER = "observer"
+
+
+def observer_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what the arguments of a command say of an observer, as `jb.observer` takes it: only what differs from its defaults.
+
+    Args:
+        args: .horizon, .order (None: the default), .latched.
+    """
+    given = {"order": args.order, "horizon": args.horizon, "restart": False if args.latched else None}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:
@@ -25,14 +38,21 @@ def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | N
 def window_relations(
     model: LinearSystem, args: argparse.Namespace, source: object, samples: int | None, step: Callable[[str, float], object]
 ) -> tuple[LinearSystem, Any]:
-    """Return (model, relations) of the windows that a command asks for.
+    """Return (model, relations) of the windows that a command asks for, or (model, observer) with --method observer.
 
     Args:
-        args: .horizon, .lags. source, samples: name and length of the recording, None where nobody knows. step: told how far relations are.
+        args: .horizon, .lags, and where the command has them .method, .order, .latched. source, samples: name and length of the
+            recording, None where nobody knows. step: told how far relations are.
 
     Raises:
-        ValueError: a recording without a whole window, windows without a relation.
+        ValueError: a recording without a whole window, windows without a relation; no observer.
     """
+    if getattr(args, "method", None) == OBSERVER:
+        if args.lags is not None:
+            raise ValueError("--lags is for windows: an observer looks at every sample")
+        return model, observer(model, **observer_options(args))
+    if given := [option for option in ("order", "latched") if getattr(args, option, None)]:
+        raise ValueError(f"--{given[0]} is for --method {OBSERVER}")
     model = windowed(model, args.horizon, args.lags)
     refuse_short(source, samples, model.horizon if args.horizon is None else args.horizon)
     return model, parity_relations(model, args.horizon, progress=lambda share: step("relations", share))

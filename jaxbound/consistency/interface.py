@@ -143,7 +143,12 @@ class Observer:
     """What carries something from sample to sample of one recording: a state that never forgets, where a WindowTest has a window.
 
     `Monitor` and `drive` take one in place of a test; a gap ends what is carried.
+
+    remembers: of the relations that a Result names, tells these from windows: verdicts rest on all samples since it began, UNDECIDED is
+    what healthy samples are, and what is carried goes with a recording that comes in parts.
     """
+
+    remembers: ClassVar[bool] = True
 
     signals: Any  # of what model: names of inputs and outputs, dt
 

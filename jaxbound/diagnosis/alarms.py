@@ -13,6 +13,7 @@ from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats.status import Status
 
 __all__ = [
+    "BEGAN_ANEW",
     "ENDINGS",
     "NO_DATA",
     "NO_LONGER",
@@ -21,6 +22,7 @@ __all__ = [
     "Alarm",
     "check_rule",
     "endings",
+    "forgets_after",
     "follows",
     "group_alarms",
     "stretches",
@@ -31,8 +33,9 @@ ENDINGS = (
     "no data after it",
     "its onset may have left the window: repaired or lasting",
     "seen beyond its onset and no longer: repaired or hidden",
+    "the observer began anew behind it: repaired or lasting",
 )
-ONSET_LEFT, NO_LONGER = ENDINGS[2:]
+ONSET_LEFT, NO_LONGER, BEGAN_ANEW = ENDINGS[2:]
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 
 
@@ -49,7 +52,9 @@ class Alarm:
     - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first one, so a fault that lasts
       would look the same. From which size on a lasting one is sure to be seen: `detectable`;
     - "seen beyond its onset and no longer: repaired or hidden": a window without the onset is FAULT too, so the fault was seen while it
-      lasted; now it is gone, or noise within the bounds hides it.
+      lasted; now it is gone, or noise within the bounds hides it;
+    - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and may take what lasts for the
+      state.
     """
 
     start: int
@@ -93,11 +98,11 @@ def check_rule(k: int, n: int, hold: int = 0, clear: int = 1) -> None:
         raise ValueError(f"k of n needs k <= n: {k} of {n}")
 
 
-def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: int) -> list[Alarm]:
+def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: int | None) -> list[Alarm]:
     """See `Result.alarms`. Array operations over time; the loop is over alarms.
 
     Args:
-        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no window.
+        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no window; None: of an observer.
     """
     check_rule(k, n, hold, clear)
     shape = result.status.shape
@@ -117,18 +122,26 @@ def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: in
     return alarms
 
 
+def forgets_after(relations: Any) -> int | None:
+    """Return how many samples after an onset no window of relations holds it any more: their horizon; None of an observer."""
+    return None if getattr(relations, "remembers", False) else relations.horizon
+
+
 def follows(missing: np.ndarray, end: ArrayLike) -> np.ndarray:
     """Return what comes after the alarms that end at samples `end`; missing: (T,) bool, windows without data."""
     return np.append(np.where(missing, NO_DATA, OTHER), NO_SAMPLE)[np.asarray(end, int) + 1]
 
 
-def endings(first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, horizon: int) -> np.ndarray:
+def endings(first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, horizon: int | None) -> np.ndarray:
     """Return for each alarm the number of its entry in ENDINGS.
 
     Args:
         first, last: its first and last FAULT window. after: NO_SAMPLE, NO_DATA or OTHER. horizon: of the windows. The onset is no later
-            than `first`, and a window that ends at `first + horizon` or later has no sample before that.
+            than `first`, and a window that ends at `first + horizon` or later has no sample before that. None: of an observer, which
+            leaves what it contradicts only to begin anew.
     """
+    if horizon is None:
+        return np.where(after == NO_SAMPLE, 0, 4)
     return np.where(after == OTHER, np.where(last - first < horizon, 2, 3), after)
 
 

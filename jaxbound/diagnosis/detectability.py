@@ -146,6 +146,8 @@ def always_seen(relations: Any, method: str = "joint", readings: ArrayLike | Non
         >>> {signal: round(size, 6) for signal, size in sizes.items()}
         {'y1': 0.4, 'y2': 0.4}
     """
+    if getattr(relations, "remembers", False):
+        return None
     model, s = relations.model, relations.horizon
     signals, rows = model.outputs + model.inputs, (s + 1) * model.p + s * model.g
     if method != "joint" or model.uncertainties or rows**3 * (1 + model.d) * len(signals) > EFFORT:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
-from jaxbound.diagnosis import isolation  # noqa: F401 (the Result of a bank)
+from jaxbound.diagnosis import isolation, observed  # noqa: F401 (the Results of a bank and of an observer)
 from jaxbound.diagnosis.result import Result, result_of
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status

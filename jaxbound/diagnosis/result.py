@@ -8,11 +8,12 @@ import numpy as np
 
 from jaxbound.certificates.interface import explain
 from jaxbound.consistency.interface import Judged
-from jaxbound.diagnosis.alarms import Alarm, group_alarms
+from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.timestamps import row_label
+from jaxbound.relations.sentence import looked_at
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Result", "result_of", "suspected"]
@@ -108,7 +109,7 @@ class Result:
         Raises:
             ValueError: numbers outside these ranges.
         """
-        horizon = 0 if self.relations is None else self.relations.horizon  # of residuals that a user worked out nothing is known
+        horizon = 0 if self.relations is None else forgets_after(self.relations)  # of residuals that a user worked out nothing is known
         return group_alarms(self, k, n, hold, clear, horizon)
 
     def explain(self, at: int | tuple[int, ...]) -> Any:
@@ -149,9 +150,7 @@ def _tested(res):
     """Return what was tested, as text."""
     if res.relations is None:
         return res.method
-    if res.method == "observer":
-        return "observer, by everything since it began"
-    return f"{res.method}, windows of {res.relations.horizon + 1} samples"
+    return f"{res.method}, {looked_at(res.relations)}"
 
 
 @singledispatch

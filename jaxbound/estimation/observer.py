@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.certificates.interface import evidence
+from jaxbound.certificates.long_window import exceeds, stretch
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
@@ -41,6 +42,8 @@ BLOCK = 128
 """Recordings side by side in one kernel: their sets should stay in the cache."""
 WEIGHTS = (1.0, 30.0, 1000.0)
 """Sets side by side where nothing else is asked for: one for what is sudden, two for what lasts and what is slow."""
+LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
+"""Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the factor it must be beyond."""
 PIECES = (16, 1024)
 """Samples that a kernel is compiled for."""
 
@@ -184,6 +187,25 @@ class SetObserver(Observer):
         self.horizon = 0 if x0 is not None else self._past
 
     @property
+    def first_box(self) -> np.ndarray | None:
+        """(n, 2) lowest and highest of each first state that x0 allows, rounded outward; None without x0."""
+        if self._x0 is None:
+            return None
+        c, G, r = (np.asarray(x, np.float64) for x in self._x0)
+        reach = (np.abs(G).sum(1) + r) * ROUNDED
+        return np.stack([np.nextafter(c - reach, -np.inf), np.nextafter(c + reach, np.inf)], 1)
+
+    @cached_property
+    def bounds(self) -> dict:
+        """{"tolerance", "noise"} (p,): of the sensors, as of relations."""
+        return {"tolerance": self._system.tolerance, "noise": self._system.noise}
+
+    @property
+    def made(self) -> tuple:
+        """What verdicts depend on beside the model: by it what is kept of them is known again."""
+        return "observer", self.order, self.weights, self.restart, self._x0, self.horizon
+
+    @property
     def relations(self) -> "SetObserver":
         """What a Result calls relations: this observer."""
         return self
@@ -196,9 +218,9 @@ class SetObserver(Observer):
         """Return the observer that gives verdicts alone; an observer knows one method.
 
         Raises:
-            ValueError: another method than "joint", a budget or a compensation.
+            ValueError: another method than "observer" (or "joint", the default), a budget or a compensation.
         """
-        if method != "joint" or budget is not None or np.any(np.asarray(compensation) != 0):
+        if method not in ("joint", self.method) or budget is not None or np.any(np.asarray(compensation) != 0):
             raise ValueError("an observer takes neither method nor budget nor compensation: they belong to windows")
         return self.telling(enclosures=False)
 
@@ -326,10 +348,10 @@ def _known(carry, c, G, r):
 
 @evidence.register
 def _window(observer: SetObserver, result: Any, at: tuple, status: Status) -> tuple[Any, str, np.ndarray, np.ndarray]:
-    """Return (relations, method, u, y) of the shortest of some windows that end at a sample and prove its FAULT alone.
+    """Return (relations, method, u, y) of the shortest of some windows that end at a sample and prove its FAULT.
 
-    A chain of sets is long and nobody reads it; most contradictions show in a window of the last samples, whose certificate is one
-    relation. Tried are windows of 3, 5, 9, .. samples, no more than 65 and none before the observer began.
+    A chain of sets is long and nobody reads it; most contradictions show in the last samples. Tried are 2, 3, 5, 9, .. of them, up to
+    all since the observer began. A few are a window of parity relations, more are a `Stretch`: one relation among all of them.
 
     Raises:
         NotImplementedError: a verdict other than FAULT, no such window.
@@ -338,16 +360,33 @@ def _window(observer: SetObserver, result: Any, at: tuple, status: Status) -> tu
     if status != Status.FAULT:
         raise NotImplementedError(f"an observer exhibits no behaviour: {status.name} at sample {k} has no certificate, FAULT has")
     u, y = (np.asarray(x)[at[:-1]][: k + 1] for x in (result.u, result.y))
-    given = Recording.of(observer.signals, u, y, [s for s in result.starts if s <= k])
-    since = int(drive(observer.telling(enclosures=True), given).since[k])
-    for h in (2**i for i in range(1, 7)):
-        if k - h < since:
+    since = int(result.observation.since[at])
+    if not hasattr(observer.model, "uncertainties"):
+        raise NotImplementedError("certificates are given for a LinearSystem, whose numbers are exact: an interval_system has none")
+    for h in sorted({*(2**i for i in range(LONGEST.bit_length())), k - since}):
+        if h > min(k - since, LONGEST):
             break
-        try:
-            relations = parity_relations(observer.model, h)
-        except ValueError:  # without a relation yet
-            continue
-        relations, given = relations.recording(u[k - h :], y[k - h :], ())
-        if drive(relations.test("joint", given.y.dtype), given).status[-1] == Status.FAULT:
-            return relations, "joint", np.asarray(given.u), np.asarray(given.y)
-    raise NotImplementedError(f"no window of up to 65 samples proves this alone: the FAULT at sample {k} rests on all since {since}")
+        last = u[k - h :], y[k - h :]
+        if observer.model.uncertainties:
+            found = _shown(observer.model, h, *last) if h <= SHORT else None
+        else:
+            first = observer.first_box if h == k - since and since == 0 else None
+            about = stretch(observer.model, h, first)
+            found = (about, *last) if exceeds(about, *last) > CLEARLY else None
+            found = found and ((_shown(observer.model, h, *last) if h <= SHORT and first is None else None) or found)
+        if found is not None:
+            relations, u, y = found
+            return relations, "joint", np.asarray(u), np.asarray(y)
+    many = f"no window of up to {min(LONGEST, k - since) + 1} samples proves this alone"
+    raise NotImplementedError(f"{many}: the FAULT at sample {k} rests on all since {since}")
+
+
+def _shown(model, h, u, y):
+    """Return (relations, u, y) where the window of these samples is FAULT by its relations, else None."""
+    try:
+        relations = parity_relations(model, h)
+    except ValueError:  # without a relation yet
+        return None
+    relations, given = relations.recording(u, y, ())
+    wrong = drive(relations.test("joint", given.y.dtype), given).status[-1] == Status.FAULT
+    return (relations, given.u, given.y) if wrong else None

@@ -5,16 +5,17 @@ With whatever is kept stands its identity: {what it depends on: text}, from `rel
 
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxbound.recordings.whole import whole
 
-__all__ = ["Checkpoint", "differences", "refuse_other"]
+__all__ = ["Checkpoint", "as_texts", "differences", "from_texts", "refuse_other"]
 
 IDENTITY = "identity"
 
@@ -51,6 +52,18 @@ class Checkpoint:
         """Write arrays, completely or not at all, in the place of those from before."""
         with whole(self.path) as f:
             np.savez(f, **(arrays | {IDENTITY: np.array(json.dumps(self.identity))}))
+
+
+def as_texts(state: Any) -> list[str]:
+    """Return the arrays of a PyTree as texts, fit for JSON."""
+    return [np.asarray(x).tobytes().hex() for x in jax.tree.leaves(state)]
+
+
+def from_texts(empty: Any, texts: Sequence[str]) -> Any:
+    """Return the PyTree that `as_texts` wrote. empty: one of the same shapes and types."""
+    leaves, tree = jax.tree.flatten(empty)
+    read = lambda old, text: np.frombuffer(bytes.fromhex(text), np.asarray(old).dtype).reshape(np.shape(old))
+    return jax.tree.unflatten(tree, list(map(read, leaves, texts)))
 
 
 def refuse_other(path: str | PathLike, before: Any, now: Mapping[str, str]) -> None:

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from jaxbound.consistency.interface import Observer
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -12,20 +13,20 @@ from jaxbound.relations.uncertain import UncertainRelations
 __all__ = ["identity"]
 
 
-def identity(relations: ParityRelation | UncertainRelations | Redundancy | Residual, **also: object) -> dict[str, str]:
+def identity(relations: ParityRelation | UncertainRelations | Redundancy | Residual | Observer, **also: object) -> dict[str, str]:
     """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for JSON.
 
     Args:
-        relations: of a model, which say by .made how they came from it. also: {what: value} more, as `fingerprint` takes it; texts and
-            whole numbers are kept as they are.
+        relations: of a model, or an observer, which say by .made how they came from it. also: {what: value} more, as `fingerprint`
+            takes it; texts and whole numbers are kept as they are.
 
     Raises:
-        TypeError: a user's own residual.
+        TypeError: a user's own residual, or observer.
     """
     from jaxbound import __version__
 
-    if isinstance(relations, Residual):
-        raise TypeError("nothing tells the function of one residual from another's: what is found with it cannot be kept and taken up")
+    if not hasattr(relations, "made"):
+        raise TypeError(f"nothing tells one {type(relations).__name__} from another: what is found with it cannot be kept and taken up")
     plain = lambda x: str(x) if isinstance(x, str | int) else fingerprint(x)
     return {
         "version of jaxbound": __version__,

@@ -6,10 +6,17 @@ from jaxbound.exact.linalg import Vector
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["few_lines", "relation_text"]
+__all__ = ["few_lines", "looked_at", "relation_text"]
 
 FEW = 8
 """Relations that are shown at a prompt."""
+
+
+def looked_at(relations: Any) -> str:
+    """Say what a verdict of relations, or of an observer, rests on."""
+    if getattr(relations, "remembers", False):
+        return "everything since it began"
+    return f"windows of {relations.horizon + 1} samples"
 
 
 def few_lines(relations: Any) -> dict[str, str]:

@@ -100,6 +100,26 @@
     for (let n = Math.ceil(bottom / step); n * step <= top; n++) out.push([n * step, String(Number((n * step).toPrecision(6)))]);
     return out;
   };
+  const usual = (ends) => { // without the widest of a band, as it begins
+    const seen = ends.filter(Number.isFinite).sort((a, b) => a - b), cut = 0.02 * (seen.length - 1);
+    return seen.slice(Math.ceil(cut), Math.floor(seen.length - 1 - cut) + 1);
+  };
+  const areas = (across, low, high, gap) => {
+    let out = "";
+    for (let a = 0; a < low.length; a++) {
+      if (Number.isNaN(low[a]) || Number.isNaN(high[a])) continue;
+      let b = a;
+      while (b + 1 < low.length && !Number.isNaN(low[b + 1]) && !Number.isNaN(high[b + 1]) && across[b + 1] - across[b] <= gap) b++;
+      const upper = [], lower = [];
+      for (let k = a; k <= b; k++) {
+        upper.push(`${across[k].toFixed(1)} ${high[k].toFixed(1)}`);
+        lower.unshift(`${across[k].toFixed(1)} ${low[k].toFixed(1)}`);
+      }
+      out += `M${upper.concat(lower).join("L")}Z`;
+      a = b;
+    }
+    return out;
+  };
   const spans = (across, on) => {
     const half = across.length > 1 ? (across[across.length - 1] - across[0]) / (across.length - 1) / 2 : 500;
     let out = "";
@@ -124,11 +144,13 @@
     const fault = worst.map((s) => s === 3);
     for (const panel of zoom.querySelectorAll("[data-key]")) {
       const key = panel.dataset.key, kind = panel.classList[1];
-      panel.hidden = !(key in piece.low);
+      const around = `${key}:band`, nothing = { low: Array(bins).fill(NaN), high: Array(bins).fill(NaN) };
+      panel.hidden = !(key in piece.low || around in piece.low);
       if (panel.hidden) continue;
-      let { low, high } = extremes(piece, i, j, key);
+      let { low, high } = key in piece.low ? extremes(piece, i, j, key) : nothing;
+      const held = around in piece.low ? extremes(piece, i, j, around) : nothing;
       if (kind === "margin") { low = low.map(squeezed); high = high.map(squeezed); }
-      const [bottom, top] = limits(kind, low, high), down = (v) => 100 * Math.min(Math.max((top - v) / (top - bottom), 0), 1);
+      const [bottom, top] = limits(kind, low.concat(usual(held.low)), high.concat(usual(held.high))), down = (v) => 100 * Math.min(Math.max((top - v) / (top - bottom), 0), 1);
       const beyond = low.map((v, b) => Math.abs(v) > 1 || Math.abs(high[b]) > 1), shaded = kind === "combination" ? beyond : fault;
       let line = "", out = "", pen = false;
       low.forEach((v, b) => {
@@ -139,6 +161,7 @@
         if (kind !== "signal" && shaded[b]) out += `M${x} ${down(peak).toFixed(1)}h0`;
         pen = true;
       });
+      if (panel.querySelector(".hull")) panel.querySelector(".hull").setAttribute("d", areas(across, held.low.map(down), held.high.map(down), gap));
       panel.querySelector(".line").setAttribute("d", line);
       panel.querySelector(".out").setAttribute("d", out);
       panel.querySelector(".shade").setAttribute("d", spans(across, shaded));

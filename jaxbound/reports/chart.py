@@ -14,8 +14,9 @@ import numpy as np
 
 from jaxbound.reports.clock import Clock, ticks
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["Piece", "Row", "coded", "drawn", "even_marks", "pieces_of", "plain"]
+__all__ = ["Piece", "Row", "band_key", "coded", "drawn", "even_marks", "piece_of", "pieces_of", "plain"]
 
 VALUES = 80_000  # numbers of the whole recording in a page
 POINTS = 1000  # of a line that is drawn
@@ -23,6 +24,7 @@ WIDTH, HEIGHT = 1000, 100  # of a chart, in its own units
 FAR = 10.0  # how far a chart of a combination reaches, in what the bounds allow
 ENCLOSED = ("band", "faulty", "instead")
 HUGE = 1e150  # a number that is drawn
+SPREAD = 0.02  # share of the ends of a band that its chart need not show, at either side
 GAP = 2.5  # usual steps between two points that are not joined
 
 
@@ -64,10 +66,23 @@ class Piece:
         return Piece(self.x[first:stop], self.status[first:stop], take(self.low), take(self.high))
 
 
-def pieces_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray]) -> Piece:
-    """Return the Piece of a whole recording, in no more numbers than a page takes. series: {key: (T,)}."""
-    exact = Piece(np.asarray(x, float), np.asarray(status), dict(series), dict(series))
-    return exact if len(x) * len(series) <= VALUES else exact.reduced(VALUES // (2 * len(series)))
+def pieces_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray], bands: Mapping[str, Interval] | None = None) -> Piece:
+    """Return the Piece of a whole recording, in no more numbers than a page takes. series: {key: (T,)}; bands: of `band_key`s."""
+    exact = piece_of(x, status, series, bands)
+    numbers = len(series) + 2 * len(bands or {})
+    return exact if len(x) * numbers <= VALUES else exact.reduced(VALUES // (2 * numbers))
+
+
+def piece_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray], bands: Mapping[str, Interval] | None = None) -> Piece:
+    """Return a stretch sample by sample; series, bands as of `pieces_of`."""
+    finite = lambda end: np.where(np.isfinite(end), end, np.nan)
+    low, high = ({key: finite(np.asarray(getattr(band, end))) for key, band in (bands or {}).items()} for end in ("lo", "hi"))
+    return Piece(np.asarray(x, float), np.asarray(status), {**series, **low}, {**series, **high})
+
+
+def band_key(key: str) -> str:
+    """Return the key of the band that is drawn behind the row with a key."""
+    return f"{key}:{ENCLOSED[0]}"
 
 
 def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[float] = ()) -> dict[str, Any]:
@@ -77,7 +92,7 @@ def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[floa
     across = (points.x - first) / ((last - first) or 1.0) * WIDTH
     joined = np.diff(across, prepend=across[:1]) <= GAP * np.median(np.diff(across)) if len(across) > 2 else np.ones(len(across), bool)
     fault = points.status == Status.FAULT
-    panels = [_panel(row, points, across, joined, fault) for row in rows if row.key in points.low]
+    panels = [_panel(row, points, across, joined, fault) for row in rows if row.key in points.low or band_key(row.key) in points.low]
     at = [{"left": 100 * (x - first) / ((last - first) or 1.0), "text": text} for x, text in ticks(clock, first, last)]
     ribbon = {status.name: _spans(across, points.status == status) for status in Status}
     marks = sorted({round(100 * (x - first) / ((last - first) or 1.0), 2) for x in marked})
@@ -85,21 +100,24 @@ def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[floa
 
 
 def _panel(row, points, across, joined, fault):
-    ends_of = lambda key: (np.clip(np.asarray(z[key], float), -HUGE, HUGE) for z in (points.low, points.high))
+    nothing = np.full(len(points.x), np.nan)
+    ends_of = lambda key: (np.clip(np.asarray(z.get(key, nothing), float), -HUGE, HUGE) for z in (points.low, points.high))
     if row.kind == "enclosed":
         return _enclosed(row, across, joined, *map(list, map(ends_of, (row.key, *(f"{row.key}:{what}" for what in ENCLOSED)))))
     low, high = ends_of(row.key)
+    least, most = ends_of(band_key(row.key))
     if row.kind == "margin":
         low, high = squeezed(low), squeezed(high)
-    bottom, top = _limits(row, low, high)
+    bottom, top = _limits(row, np.concatenate([low, _usual(least)]), np.concatenate([high, _usual(most)]))
     beyond = (abs(low) > 1) | (abs(high) > 1)  # windows that this combination proves, not all that are FAULT
     shaded = {"combination": beyond, "margin": fault, "signal": fault}[row.kind]
     peak = np.where(abs(high) > abs(low), high, low) if row.kind == "combination" else low
     out = shaded & np.isfinite(low) & (row.kind != "signal")
     band = [float(_down(v, bottom, top)) for v in (1.0, -1.0)] if row.kind == "combination" else None
+    hull = _hull(across, _down(least, bottom, top), _down(most, bottom, top), joined) if band_key(row.key) in points.low else None
     return {"row": row, "line": _line(across, _down(low, bottom, top), _down(high, bottom, top), joined), "band": band,
-            "shade": _spans(across, shaded), "out": _dots(across[out], _down(peak[out], bottom, top)), "hull": "", "instead": "",
-            "marks": _places(row, bottom, top), "empty": not np.isfinite(low).any()}  # fmt: skip
+            "shade": _spans(across, shaded), "out": _dots(across[out], _down(peak[out], bottom, top)), "hull": hull, "instead": "",
+            "marks": _places(row, bottom, top), "empty": not (np.isfinite(low).any() or hull)}  # fmt: skip
 
 
 def _places(row, bottom, top):
@@ -204,6 +222,12 @@ def _line(across, low, high, joined):
         )
         pen = True
     return "".join(out)
+
+
+def _usual(ends):
+    """Return the ends of a band without its widest, as it begins."""
+    seen = ends[np.isfinite(ends)]
+    return seen[(np.quantile(seen, SPREAD) <= seen) & (seen <= np.quantile(seen, 1 - SPREAD))] if len(seen) else seen
 
 
 def _dots(across, down):

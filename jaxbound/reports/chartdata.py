@@ -3,23 +3,26 @@
 import contextlib
 import time as clock_time
 from collections.abc import Mapping, Sequence
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.plots.combination import combination
 from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.reports.chart import Piece, Row, coded, drawn, pieces_of, plain
+from jaxbound.reports.chart import Piece, Row, band_key, coded, drawn, piece_of, pieces_of, plain
 from jaxbound.reports.clock import axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["charts"]
 
-SIGNALS = 12  # charts of signals
+SIGNALS, STATES = 12, 6  # charts of signals, and of states that an observer encloses
 RELATIONS = 6  # charts of relations that no certificate combines
 NEAR, SPAN, ASIDE = 60, 160, 10  # stretches around alarms, their samples, and how close to an end an alarm may be
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
@@ -59,7 +62,8 @@ def charts(
         over.combine(first, near[0].certificates.get(first))
     piece, relation = near[0].complete(first), near[0].relation(first)
     margin = Row("margin", "margin", kind="margin")
-    rows = [*_combinations(res.relations), margin, *signals]
+    states = bands_of(res)[0]
+    rows = [*_combinations(res.relations), margin, *signals, *states]
     numbers = {
         "clock": clock.plain() | {"tokens": list(map(printable, clock.tokens)), "before": printable(clock.before)},
         "samples": res.samples if part else len(res.status),
@@ -73,7 +77,7 @@ def charts(
     }
     what = f"around alarm {first + 1}" if first >= 0 else "around the tightest window"
     return {
-        "overview": drawn([margin, *signals], whole, clock, [float(x(alarms[i].worst)) for i in chosen]),
+        "overview": drawn([margin, *signals, *states], whole, clock, [float(x(alarms[i].worst)) for i in chosen]),
         "zoom": drawn(rows, piece, clock),
         "numbers": numbers,
         "about": {"shown": what, "relation": relation, "deepest": first >= 0},
@@ -84,7 +88,8 @@ def charts(
 def _whole(res, recording, signals):
     """Return (Piece, time of a sample, Clock) of a Result."""
     time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
-    return pieces_of(time, res.status, {"margin": res.margin, **_signals(res.u, res.y, signals)}), time.__getitem__, clock
+    series = {"margin": res.margin, **_signals(res.u, res.y, signals)}
+    return pieces_of(time, res.status, series, bands_of(res)[1]), time.__getitem__, clock
 
 
 def _digested(res):
@@ -112,7 +117,7 @@ class _Near:
     def combine(self, i, certificate):
         """Add the combination of samples that a certificate of alarm i states, if it states one."""
         if isinstance(certificate, Certificate) and any(certificate.h) and not certificate.window.constant:
-            s, stop = self.res.relations.horizon, self.begin + len(self.piece.x)
+            s, stop = certificate.window.horizon, self.begin + len(self.piece.x)
             before = max(self.begin - s, 0)
             with np.errstate(over="ignore", invalid="ignore"):  # samples near the largest numbers
                 value, width = combination(certificate, self.res.u[before:stop], self.res.y[before:stop])
@@ -145,7 +150,25 @@ def _near(res, x, at, signals):
         time = np.array([x(k) for k in range(first, stop)])
     ends = slice(begin, begin + stop - first)
     series = {"margin": res.margin[ends], **_signals(res.u[ends], res.y[ends], signals), **_uncertain(res, ends)}
-    return _Near(res, first, stop, Piece(np.asarray(time, float), res.status[ends], series, series), begin)
+    bands = {key: Interval(band.lo[ends], band.hi[ends]) for key, band in bands_of(res)[1].items()}
+    return _Near(res, first, stop, piece_of(time, res.status[ends], series, bands), begin)
+
+
+@singledispatch
+def bands_of(res: Any) -> tuple[list[Row], dict[str, Interval]]:
+    """Return (Rows of what is enclosed and not measured, {key: band (T,)} of what is drawn behind rows): none of windows."""
+    return [], {}
+
+
+@bands_of.register
+def _(res: ObserverResult):
+    """Return what an observer encloses: each output as the samples before allow, and each state."""
+    model, states = res.relations.model, res.observation.state
+    shown = min(SIGNALS, model.p), min(STATES, model.n)
+    one = lambda band, i: Interval(np.asarray(band.lo)[:, i], np.asarray(band.hi)[:, i])
+    rows = [Row(f"x{i}", f"state {name}", model.unit(name)) for i, name in enumerate(model.states[: shown[1]])]
+    bands = {band_key(f"s{i}"): one(res.readings, i) for i in range(shown[0])}
+    return rows, bands | {band_key(row.key): one(states, i) for i, row in enumerate(rows)}
 
 
 def _uncertain(res, ends):

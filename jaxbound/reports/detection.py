@@ -3,12 +3,16 @@
 import contextlib
 import time
 from collections.abc import Callable, Sequence
+from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
 
 from jaxbound.diagnosis.alarms import Alarm
+from jaxbound.diagnosis.observed import ObserverResult
+from jaxbound.estimation.observer import SetObserver
 from jaxbound.plots.residuals import distinct_relations
 from jaxbound.recordings.plaintext import duration, factor
+from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.chartdata import charts
 from jaxbound.reports.page import TITLE, render
@@ -56,7 +60,7 @@ def write_report(
     if progress:
         progress(0.5)
     page = render(
-        "detection.html",
+        template(relations),
         name=model.name,
         verdict=summary.verdict,
         title=TITLE[summary.verdict],
@@ -76,8 +80,8 @@ def write_report(
         part=part,
         method=res.method,
         model=model_values(model, relations.bounds),
-        **_relations(relations),
-        computed=computed(res.method, relations.horizon, dtype, seconds or {}),
+        **about(relations),
+        computed=computed(res.method, looked_at(relations), dtype, seconds or {}),
     )
     (Path(directory) / file).write_text(page, encoding="utf-8")
     if progress:
@@ -98,7 +102,8 @@ def _alarm_rows(res, recording, alarms, chosen, why):
         needed = "" if a.depth != a.depth else f"× {factor(1 - a.depth)}"
         begun, ended = recording.label(a.start), recording.label(a.end)
         wrong, violated = (_sensor_errors(why[i]), why[i].relation) if i in why else ("", "")
-        rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended))
+        since = recording.label(int(res.observation.since[a.worst])) if isinstance(res, ObserverResult) else ""
+        rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended, since))
     return rows
 
 
@@ -125,8 +130,20 @@ def _sensor_errors(certificate):
     return ", ".join(wrong) or "none alone"
 
 
-def _relations(relations):
-    """Return what the page says of them: how many, those that differ, how they are tested."""
+@singledispatch
+def template(relations: Any) -> str:
+    """Return the name of the template of a page, chosen by what was tested."""
+    return "detection.html"
+
+
+@template.register
+def _(observer: SetObserver):
+    return "observation.html"
+
+
+@singledispatch
+def about(relations: Any) -> dict[str, object]:
+    """Return what the page says of what was tested: of relations how many, those that differ, how they are tested."""
     lines, distinct = relations.text().splitlines(), distinct_relations(relations)
     shown = [lines[j] for j in distinct[:LINES]]
     if len(distinct) > LINES:
@@ -137,6 +154,12 @@ def _relations(relations):
         "lines": shown,
         "tested_how": _tested(relations),
     }
+
+
+@about.register
+def _(observer: SetObserver):
+    """Return what the page says of an observer."""
+    return {"order": f"{observer.order:g}", "weights": ", ".join(f"{w:g}" for w in observer.weights), "restart": observer.restart}
 
 
 def _tested(relations):

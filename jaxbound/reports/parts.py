@@ -81,8 +81,8 @@ def _short(x):
     return text if len(text) <= DIGITS else f"{float(x):.6g}"
 
 
-def computed(method: str, horizon: int, dtype: np.dtype, seconds: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Return rows of what a report was computed with. seconds: {stage: seconds}."""
+def computed(method: str, rests_on: str, dtype: np.dtype, seconds: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Return rows of what a report was computed with. rests_on: what a verdict looks at. seconds: {stage: seconds}."""
     import jax
 
     from jaxbound import __version__
@@ -91,7 +91,7 @@ def computed(method: str, horizon: int, dtype: np.dtype, seconds: Mapping[str, f
     versions = (f"jaxbound {__version__}", f"jax {jax.__version__}", f"numpy {np.__version__}")
     kind = " ".join(dict.fromkeys((device.platform, device.device_kind)))
     return [
-        ("method", f"{method}, windows of {horizon + 1} samples"),
+        ("method", f"{method}, {rests_on}"),
         ("versions", f"{', '.join(versions)}, Python {platform.python_version()}"),
         ("device and numbers", f"{kind}, {dtype.name}"),
         ("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items()) or "not measured"),

@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from jaxbound.recordings.plaintext import duration
+from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import POINTS, Piece, Row, drawn
 from jaxbound.reports.clock import axis_of
 from jaxbound.reports.page import TITLE, render
@@ -57,7 +58,7 @@ def write_page(
         charts=drawings,
         others=model.p - len(shown),
         model=model_values(model, {"tolerance": model.tolerance, "noise": model.noise}),
-        computed=computed(res.method, res.horizon, np.asarray(res.found.state.lo).dtype, seconds or {}),
+        computed=computed(res.method, looked_at(res), np.asarray(res.found.state.lo).dtype, seconds or {}),
     )
     (Path(directory) / "report.html").write_text(page, encoding="utf-8")
     if progress:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follows, stretches
+from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follows, forgets_after, stretches
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.units import unit_hints
@@ -27,6 +27,7 @@ from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
+from jaxbound.relations.sentence import looked_at
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.shares import check_share, numbers_of
@@ -89,7 +90,7 @@ class Digest:
         return f"Digest ({self.samples},) of {self.source}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
 
     def _rows(self):
-        rows = {"method": f"{self.method}, windows of {self.relations.horizon + 1} samples", "model": repr(self.relations.model)}
+        rows = {"method": f"{self.method}, {looked_at(self.relations)}", "model": repr(self.relations.model)}
         if self.worst is not None:
             rows["worst"] = f"margin {self.worst[1]:.4g} at {self.label(self.worst[0])}"
         return rows | {"alarms": str(self.alarm_count)}
@@ -127,7 +128,8 @@ def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
 @evidence.register(Digest)
 def _(res, alarms):
     at, margin = res.worst or (None, np.nan)
-    return Evidence(res.method, res.relations.horizon, res.samples, res.counts, res.aside, at, margin, None, res.alarm_count, res.ended)
+    return Evidence(res.method, res.relations.horizon, res.samples, res.counts, res.aside, at, margin, None, res.alarm_count, res.ended,
+                    remembers=getattr(res.relations, "remembers", False))  # fmt: skip
 
 
 def detect_dataset(
@@ -311,7 +313,7 @@ class _AlarmBook:
     """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next shows how it goes on."""
 
     def __init__(self, rule, relations, path):
-        self.rule, self.dt, self.horizon, self.path = rule, relations.model.dt, relations.horizon, path
+        self.rule, self.dt, self.horizon, self.path = rule, relations.model.dt, forgets_after(relations), path
         self.ended: dict[str, int] = {}
         self.before, self.held, self.count, self.kept, self.first = np.zeros(0, bool), None, 0, [], []
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 from jaxbound.models.modelfile import load_model, model_text
@@ -24,26 +25,28 @@ class RunRecord(Sink):
 
     def write(self, folder: Path, outcome: Outcome) -> None:
         """Write both."""
-        save_run(folder, outcome.model, outcome.data, outcome.content, outcome.method, outcome.horizon)
+        save_run(folder, outcome.model, outcome.data, outcome.content, outcome.method, outcome.horizon, outcome.options)
 
 
-def save_run(directory: Path, model: LinearSystem, data: Path, digest: str | None, method: str, horizon: int) -> None:
+def save_run(
+    directory: Path, model: LinearSystem, data: Path, digest: str | None, method: str, horizon: int, options: Mapping | None = None
+) -> None:
     """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
 
     Args:
         directory: of the report. model: that was tested. data: path of the recording. digest: its `content`, taken before it was read for
-        the test: what was written in between can then not pass for it. method, horizon: of the test.
+        the test: what was written in between can then not pass for it. method, horizon: of the test; options: of an observer.
     """
     data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
     named = data.name if data.parent == directory else str(data)  # a report that holds its recording may be moved
     found = {"data": named, "bytes": data.stat().st_size if data.is_file() else None, "method": method, "horizon": horizon,
-             "content": digest, "model": hashlib.sha256(text).hexdigest()}  # fmt: skip
+             "content": digest, "model": hashlib.sha256(text).hexdigest(), "options": dict(options or {})}  # fmt: skip
     (directory / MODEL).write_bytes(text)
     (directory / RUN).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
-def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int]:
-    """Return (model, path of the recording, method, horizon) of a report; the recording may have moved into its folder.
+def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict]:
+    """Return (model, path of the recording, method, horizon, options) of a report; the recording may have moved into its folder.
 
     Raises:
         OSError: no report, or its recording is gone. ValueError: a damaged one, another model, or a recording with another content.
@@ -54,7 +57,7 @@ def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int]:
     try:
         tested = json.loads((directory / RUN).read_text(encoding="utf-8"))
         data, size, method, horizon = directory / tested["data"], tested["bytes"], tested["method"], tested["horizon"]
-        digest, model = tested.get("content"), tested.get("model")
+        digest, model, options = tested.get("content"), tested.get("model"), dict(tested.get("options", {}))
     except (ValueError, KeyError, TypeError) as e:
         raise ValueError(f"{directory / RUN} is damaged ({type(e).__name__}: {e}): run jaxbound detect again") from None
     if digest is None:
@@ -69,4 +72,4 @@ def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int]:
         raise FileNotFoundError(f"the recording of this report, {data}, is no longer there: put it back, or run jaxbound detect again")
     if (data.is_file() and data.stat().st_size != size) or kind_of(data).digest(data) != digest:
         raise ValueError(f"the recording of this report, {data}, has changed since: run jaxbound detect again")
-    return load_model(directory / MODEL), data, method, horizon
+    return load_model(directory / MODEL), data, method, horizon, options

@@ -1,6 +1,6 @@
 """Where what was found goes: one file a kind of output, which every command that tests a recording writes once it is registered."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,7 +17,8 @@ class Outcome:
 
     Fields: result: a Result, or what else a test returns, a Digest where the recording did not fit into memory, None where verdicts were
     written as samples came; recording: the Recording, or None then; alarms: those that are kept; summary; model: that was tested; data: the
-    path of the recording; content: its digest, None where it is gone; method, horizon: of the test.
+    path of the recording; content: its digest, None where it is gone; method, horizon: of the test;
+    options: of an observer.
     """
 
     result: Any
@@ -29,6 +30,7 @@ class Outcome:
     content: str | None
     method: str
     horizon: int
+    options: dict = field(default_factory=dict)
 
 
 class Sink:

@@ -38,6 +38,7 @@ class Evidence:
             None, NaN: there is none.
         first: sample of the first FAULT window, None where it is not known. alarms: how many. ended: {why an alarm is over: how many}.
         faulty: {output: number of its faulty samples}, of a validation; else None.
+        remembers: whether verdicts rest on all samples since the start (an observer): UNDECIDED then is what healthy samples are.
     """
 
     method: str
@@ -51,6 +52,7 @@ class Evidence:
     alarms: int = 0
     ended: dict | None = None
     faulty: dict | None = None
+    remembers: bool = False
 
     @property
     def windows(self) -> int:
@@ -150,7 +152,9 @@ def evidence(res: Any, alarms: Sequence) -> Evidence:
     at = first if np.isnan(margin).all() else int(np.nanargmin(margin))
     ended = dict(Counter(a.ended for a in alarms))
     smallest = np.nan if at is None else float(margin[at])
-    return Evidence(res.method, res.relations.horizon, len(res.status), res.counts, res.aside, at, smallest, first, len(alarms), ended)
+    remembers = getattr(res.relations, "remembers", False)
+    return Evidence(res.method, res.relations.horizon, len(res.status), res.counts, res.aside, at, smallest, first, len(alarms), ended,
+                    remembers=remembers)  # fmt: skip
 
 
 def summarised(
@@ -171,11 +175,14 @@ def summarised(
 def said(found: Evidence, label: Callable, min_coverage: float = 0.5) -> tuple[str, str]:
     """Return (verdict, sentence). Args: as for `summarised`."""
     if found.counts["FAULT"]:
+        if found.remembers:
+            return "fault", _contradicted(found, label)
         return "fault", _unfit(found) or (_fault(found, label) if found.faulty is None else _faulty(found, label))
-    share, known = (found.decided, "could be decided") if found.faulty is None else (found.tested, "have data")
+    windows = found.faulty is None and not found.remembers
+    share, known = (found.decided, "could be decided") if windows else (found.tested, "have data")
     if share < min_coverage:
         number = round(share * found.windows)
-        some = f"{number} of {found.windows} windows ({percent(share)})"
+        some = f"{number} of {found.windows} {'samples' if found.remembers else 'windows'} ({percent(share)})"
         return "too little evidence", f"Too little evidence: only {some} {known}, at least {percent(min_coverage)} are asked for."
     return "no fault", _healthy(found, label)
 
@@ -214,8 +221,19 @@ def _faulty(found, label):
     return f"Fault proved: {many}{_grouped(found)}; the first is at {label(found.first)}{whom}."
 
 
+def _contradicted(found, label):
+    """Return the sentence on what an observer found."""
+    faults, count = found.counts["FAULT"], found.windows
+    many = f"{faults} of {count} samples ({percent(faults / count)}) contradict the model and the samples before them"
+    first = f"first is at {label(found.first)}" if found.first is not None else f"worst is at {label(found.at)}"
+    return f"Fault proved: {many}{_grouped(found)}; the {first}."
+
+
 def _healthy(found, label):
     """Return the sentence on a recording without a fault."""
+    if found.remembers:
+        tested = round(found.tested * found.windows)
+        return f"No fault found: none of {tested} samples is proved to contradict the model and the samples before it."
     if found.faulty is not None:
         return f"No fault found: every sample of {round(found.tested * found.windows)} windows fits what the samples before it allow."
     decided, count = found.counts["CONSISTENT"], found.windows

@@ -1,0 +1,228 @@
+"""Certificates of long windows: what contradicts all samples since an observer began, as one relation among them.
+
+An observer moves a set through time and meets it with each sample by multipliers of its own. Followed backward, these say how much each
+sample and each disturbance counts: one relation h Y + g w = k U that holds for every behaviour, whatever the first state, and that the
+samples violate. The multipliers that violate it most are the dual of a linear program over the same samples, sparse in all states; it is
+solved in floats. Rounded to short numbers, and corrected where the first state would be left over, they are exact, and what they prove is
+checked in fractions: nothing rests on the program.
+
+    q = h_j C + q A backward,   g_j = -(q after j) G,   k_j = h_j D + (q after j) B,   0 = q + x,   x: of bounds of the first state
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, dot, exact_samples
+from jaxbound.certificates.interface import certify
+from jaxbound.exact import linalg
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.objecttext import readable
+from jaxbound.relations.bounds import model_bounds
+from jaxbound.relations.sentence import relation_text
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["LongCertificate", "LongWindow", "Stretch", "exceeds", "stretch"]
+
+ZERO = Fraction(0)
+DIGITS = 30
+"""Bits of a multiplier, beside the largest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """What is proved of horizon + 1 samples in a row, in the place of relations: bounds of a model, and perhaps of the first state.
+
+    Fields: model, without averages or uncertainties; horizon; bounds: as of `parity_relations`; first: ((lo, hi), ..) of the first state,
+    or None; lags: None.
+    """
+
+    model: LinearSystem
+    horizon: int
+    bounds: Any
+    first: tuple | None = None
+    lags: tuple | None = None
+
+
+def stretch(model: LinearSystem, horizon: int, first: Sequence | None = None) -> Stretch:
+    """Return the Stretch of a model. first: (n, 2) floats or Fractions, bounds of the state of its first sample, or None."""
+    plain = model.replace(averages=()) if model.averages else model
+    ends = None if first is None else tuple((Fraction(lo), Fraction(hi)) for lo, hi in first)
+    return Stretch(plain, horizon, model_bounds(plain), ends)
+
+
+@dataclass(frozen=True, eq=False)
+class LongWindow(ExactWindow):
+    """An ExactWindow that is never written out as one matrix. first: bounds of the first state, or None."""
+
+    first: tuple | None = None
+
+    def backward(self, h: Sequence[Fraction]) -> tuple[tuple, tuple, tuple]:
+        """Return (x (n,), g (s g,), k (l,)): what multipliers h ((s+1) p,) of the outputs leave of the first state, the disturbances and
+        the inputs.
+        """
+        m, p, inputs = self.model, self.model.p, len(self.u) // max(self.model.m, 1)
+        q: tuple = (ZERO,) * m.n
+        g: list = []
+        k: list = []
+        turned = {name: linalg.transpose(getattr(m, name)) if m.n else () for name in "ABCDG"}
+        for j in range(self.horizon, -1, -1):
+            row = h[j * p : (j + 1) * p]
+            if j < self.horizon:
+                g[:0] = [-dot(column, q) for column in turned["G"]]
+            if j < inputs:
+                k[:0] = [dot(d, row) + dot(b, q) for d, b in zip(turned["D"], turned["B"], strict=True)]
+            q = tuple(dot(c, row) + dot(a, q) for c, a in zip(turned["C"], turned["A"], strict=True))
+        return q, tuple(g), tuple(k)
+
+    def relation(self, h: Sequence[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, Fraction]:
+        """Return (k, residual, width) of a relation h of outputs and disturbances, with what it leaves of a first state that has bounds."""
+        left, _, k = self.backward(h[: len(self.y)])
+        if self.first is None and any(left):
+            raise ValueError("the relation leaves the first state over")
+        used = [(x, *ends) for x, ends in zip(h, self.limits, strict=True) if x]
+        used += [(-x, *ends) for x, ends in zip(left, self.first or (), strict=False) if x]
+        known = [ZERO if v is None else v - self.model.offset["u"][j % self.model.m] for j, v in enumerate(self.u)]
+        ends = [x * (lo + hi) / 2 for x, lo, hi in used], [abs(x) * (hi - lo) / 2 for x, lo, hi in used]
+        total = lambda terms: dot(terms, [Fraction(1)] * len(terms))
+        return k, total(ends[0]) - dot(k, known), total(ends[1])
+
+    def multipliers(self) -> tuple[Fraction, ...]:
+        """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing of a free first state."""
+        _, floats = _program(self)
+        largest = max(np.abs(floats).max(initial=0), 1e-300)
+        h = [Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats]
+        if self.first is None:
+            h = self._corrected(h)
+        return tuple(h)
+
+    def _corrected(self, h):
+        """Return multipliers changed in as many places as there are states, so that the first state does not count."""
+        m, p, seen = self.model, self.model.p, []
+        rows = [c for c in m.C]
+        wanted: list[tuple[int, tuple]] = []
+        for j in range(self.horizon + 1):
+            for i in range(p):
+                if self.y[j * p + i] is not None and linalg.rank([*seen, rows[i]]) > len(seen):
+                    seen.append(rows[i])
+                    wanted.append((j * p + i, rows[i]))
+            if len(seen) == m.n:
+                break
+            rows = linalg.matmul(rows, m.A)
+        left = self.backward(h)[0]
+        basis = linalg.transpose([row for _, row in wanted])
+        change = linalg.matmul(linalg.inverse(basis), [[x] for x in left]) if len(wanted) == m.n else []
+        for (at, _), (x,) in zip(wanted, change, strict=True):
+            h[at] -= x
+        return h
+
+
+def exceeds(about: Stretch, u: np.ndarray, y: np.ndarray) -> float:
+    """Return about the factor on all bounds at which samples u (s+1, m), y (s+1, p) can just be explained: > 1 where they contradict."""
+    return _program(_long_window(about, u, y))[0]
+
+
+def _long_window(about: Stretch, u: np.ndarray, y: np.ndarray) -> LongWindow:
+    samples = exact_samples(about, u, y)
+    return LongWindow(**samples, drive=(), first=about.first)
+
+
+def _program(window: LongWindow) -> tuple[float, np.ndarray]:
+    """Return (factor, multipliers of the outputs ((s+1) p,)) in floats, from a linear program in all states and disturbances."""
+    from scipy.optimize import linprog
+    from scipy.sparse import csr_array, eye_array, hstack, kron, vstack
+
+    m, s = window.model, window.horizon
+    A, B, C, D, G = (np.array([[float(x) for x in row] for row in getattr(m, name)]).reshape(len(getattr(m, name)), -1) for name in "ABCDG")
+    n, g, p = m.n, m.g, m.p
+    inputs = np.zeros((s + 1, m.m))
+    offset = [float(x) for x in m.offset["u"]]
+    for j, v in enumerate(window.u):
+        inputs[j // m.m, j % m.m] = 0 if v is None else float(v) - offset[j % m.m]
+    there = [i for i, ends in enumerate(window.limits[: (s + 1) * p]) if ends is not None]
+    ends = np.array([[float(v) for v in window.limits[i]] for i in there]).reshape(-1, 2)
+    w_ends = np.array([[float(v) for v in pair] for pair in window.disturbance] * s).reshape(-1, 2)
+    w_mid, w_rad = w_ends.mean(1), np.diff(w_ends, axis=1)[:, 0] / 2
+    # scaled: states by nothing, disturbances by their half-widths; variables (states, disturbances, factor)
+    moves = pushed = None
+    if s:
+        steps = kron(eye_array(s, s + 1), A) - kron(eye_array(s, s + 1, k=1), np.eye(n))
+        noise = kron(eye_array(s), G) @ _diagonal(w_rad) if g else csr_array((s * n, 0))
+        moves = hstack([steps, noise, csr_array((s * n, 1))])
+        pushed = -(inputs[:s] @ B.T + (w_mid.reshape(s, g) @ G.T if g else 0)).ravel()
+    mid, rad = ends.mean(1), np.diff(ends, axis=1)[:, 0] / 2
+    through = (inputs @ D.T).ravel()[there] if D.size else np.zeros(len(there))
+    seen = _diagonal(1 / rad) @ csr_array(kron(eye_array(s + 1), C))[there]
+    ones = lambda count: -np.ones((count, 1))
+    sides = [hstack([sign * seen, csr_array((len(there), s * g)), ones(len(there))]) for sign in (1, -1)]
+    right = [sign * (mid - through) / rad for sign in (1, -1)]
+    if g:
+        sides += [hstack([csr_array((s * g, (s + 1) * n)), sign * eye_array(s * g), ones(s * g)]) for sign in (1, -1)]
+        right += [np.zeros(s * g)] * 2
+    if window.first is not None:
+        x = np.array([[float(v) for v in pair] for pair in window.first])
+        middle, half = x.mean(1), np.diff(x, axis=1)[:, 0] / 2
+        sides += [hstack([sign * eye_array(n, (s + 1) * n), csr_array((n, s * g)), -half[:, None]]) for sign in (1, -1)]
+        right += [sign * middle for sign in (1, -1)]
+    cost = np.append(np.zeros((s + 1) * n + s * g), 1.0)
+    free = [(None, None)] * ((s + 1) * n + s * g) + [(0, None)]
+    found = linprog(cost, vstack(sides), np.concatenate(right), moves, pushed, bounds=free, method="highs")
+    if found.status != 0:
+        return 0.0, np.zeros((s + 1) * p)
+    marks, count = found.ineqlin.marginals, len(there)
+    h = np.zeros((s + 1) * p)
+    h[there] = (marks[:count] - marks[count : 2 * count]) / rad
+    return float(found.fun), h
+
+
+def _diagonal(x):
+    from scipy.sparse import diags_array
+
+    return diags_array(x)
+
+
+@readable
+@dataclass(frozen=True, eq=False)
+class LongCertificate(Certificate):
+    """A Certificate of many samples: one relation among all since an observer began, or among the last of them.
+
+    Fields: as of a Certificate. Which sensor alone could be wrong is not worked out: errors and candidates are empty.
+    """
+
+    @property
+    def sensor_errors(self) -> tuple:  # type: ignore[override]
+        """Empty: not worked out."""
+        return ()
+
+    @property
+    def candidates(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Empty: not worked out."""
+        return ()
+
+    def _relation_dict(self, h, output=0, error=None):
+        w = self.window
+        x = {} if w.first is None else {"x": tuple(-v for v in w.backward(h)[0])}
+        return super()._relation_dict(h, output, error) | x
+
+    def _document(self, verdict, numbers, times, sample):
+        w = self.window
+        return super()._document(verdict, numbers if w.first is None else {"first_state": w.first, **numbers}, times, sample)
+
+
+@certify.register
+def _(relations: Stretch, u, y, method="joint", status=None, at=None):
+    at = (relations.horizon,) if at is None else at
+    window = _long_window(relations, u, y)
+    rows = window.multipliers()
+    h = (*rows, *window.backward(rows)[1])
+    k, residual, width = window.relation(h)
+    if not any(h) or not width or abs(residual) <= width:
+        raise NotImplementedError(f"no relation of these {relations.horizon + 1} samples is found that proves the FAULT at {at[-1]} alone")
+    factor = abs(residual) / width
+    found = Explanation(factor, h, k, residual, width, (), ())
+    text = relation_text(window.model, window.horizon, h, k)
+    return LongCertificate(Status.FAULT, at, text, h, k, residual, width, factor, window, found, None)
