@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
-from jaxbound.cli.window import window_relations
+from jaxbound.cli.window import OBSERVER, window_relations
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.read import open_source
 from jaxbound.runs.outputs import shared_folder
@@ -28,6 +28,8 @@ def refuse_shares(args: argparse.Namespace, kind: Any) -> None:
         raise Refused("--merge reports on what --part makes: give one of the two")
     if given and args.method == VALIDATION:
         raise Refused(f"{given[0]} is for other methods: {VALIDATION} reads {args.data} as a whole")
+    if given and args.method == OBSERVER:
+        raise Refused(f"{given[0]} is for windows: an observer carries what it knows from sample to sample, its work cannot be shared")
     if given and not kind.parts:
         raise Refused(f"{given[0]} is for Parquet: {args.data} is read as a whole")
 

@@ -18,8 +18,10 @@ def observer_options(args: argparse.Namespace) -> dict[str, Any]:
     """Return what the arguments of a command say of an observer, as `jb.observer` takes it: only what differs from its defaults.
 
     Args:
-        args: .horizon, .order (None: the default), .latched.
+        args: .method, and of an observer .horizon, .order (None: the default), .latched; of another method there are none.
     """
+    if args.method != OBSERVER:
+        return {}
     given = {"order": args.order, "horizon": args.horizon, "restart": False if args.latched else None}
     return {name: value for name, value in given.items() if value is not None}
 

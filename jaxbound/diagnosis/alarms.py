@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.objecttext import readable
+from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 
 __all__ = [
@@ -124,7 +125,7 @@ def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: in
 
 def forgets_after(relations: Any) -> int | None:
     """Return how many samples after an onset no window of relations holds it any more: their horizon; None of an observer."""
-    return None if getattr(relations, "remembers", False) else relations.horizon
+    return None if remembers(relations) else relations.horizon
 
 
 def follows(missing: np.ndarray, end: ArrayLike) -> np.ndarray:

@@ -32,7 +32,7 @@ from jaxbound.recordings.naming import listed
 from jaxbound.relations.cost import SECONDS, affordable, relation_cost
 from jaxbound.relations.lags import over_all_rows
 from jaxbound.relations.parity import parity_relations
-from jaxbound.relations.sentence import relation_text
+from jaxbound.relations.sentence import relation_text, remembers
 
 __all__ = ["GuaranteedSize", "always_seen", "detectable", "operating_reach", "visible_sizes", "window_shift"]
 
@@ -146,7 +146,7 @@ def always_seen(relations: Any, method: str = "joint", readings: ArrayLike | Non
         >>> {signal: round(size, 6) for signal, size in sizes.items()}
         {'y1': 0.4, 'y2': 0.4}
     """
-    if getattr(relations, "remembers", False):
+    if remembers(relations):
         return None
     model, s = relations.model, relations.horizon
     signals, rows = model.outputs + model.inputs, (s + 1) * model.p + s * model.g

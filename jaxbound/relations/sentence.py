@@ -6,15 +6,20 @@ from jaxbound.exact.linalg import Vector
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["few_lines", "looked_at", "relation_text"]
+__all__ = ["few_lines", "looked_at", "relation_text", "remembers"]
 
 FEW = 8
 """Relations that are shown at a prompt."""
 
 
+def remembers(relations: Any) -> bool:
+    """Return whether verdicts rest on all samples before, as those of an observer, and not on windows."""
+    return getattr(relations, "remembers", False)
+
+
 def looked_at(relations: Any) -> str:
     """Say what a verdict of relations, or of an observer, rests on."""
-    if getattr(relations, "remembers", False):
+    if remembers(relations):
         return "everything since it began"
     return f"windows of {relations.horizon + 1} samples"
 

@@ -27,7 +27,7 @@ from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
-from jaxbound.relations.sentence import looked_at
+from jaxbound.relations.sentence import looked_at, remembers
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.shares import check_share, numbers_of
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 __all__ = ["Digest", "detect_dataset", "digest"]
 
 DEEPEST = 200  # alarms kept in memory
+BEFORE = 4096  # samples that an observer is given before those of interest
 FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at", "ended")  # of an Alarm, and their seconds
 
 
@@ -100,21 +101,27 @@ class Digest:
         return time_label(self.time[k], self.data.stamp(self.time[k]), self.relations.model.dt)
 
     @property
+    def _before(self) -> int:
+        """How many samples before those of interest are read and tested with them."""
+        return BEFORE if remembers(self.relations) else self.relations.horizon
+
+    @property
     def source(self) -> str:
         """The name of the file or folder that was tested."""
         return self.data.path.name
 
     def around(self, k: int, samples: int = 600) -> tuple[Result, Recording]:
-        """Return (Result, Recording) of so many samples around sample k, read and tested anew."""
-        s = self.relations.horizon
+        """Return (Result, Recording) of so many samples around sample k, read and tested anew.
+
+        An observer begins anew 4096 samples earlier: it knows less than at the first time, and may leave UNDECIDED what was FAULT.
+        """
         first = max(min(k - samples // 2, self.samples - samples), 0)
-        r = self.data.read(max(first - s, 0), min(first + samples, self.samples))
+        r = self.data.read(max(first - self._before, 0), min(first + samples, self.samples))
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts), r
 
     def explain(self, k: int) -> Any:
         """Return the Certificate of the window that ends at sample k. See `Result.explain`."""
-        s = self.relations.horizon
-        first = max(k - s, 0)
+        first = max(k - self._before, 0)
         r = self.data.read(first, k + 1)
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
 
@@ -129,7 +136,7 @@ def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
 def _(res, alarms):
     at, margin = res.worst or (None, np.nan)
     return Evidence(res.method, res.relations.horizon, res.samples, res.counts, res.aside, at, margin, None, res.alarm_count, res.ended,
-                    remembers=getattr(res.relations, "remembers", False))  # fmt: skip
+                    remembers=remembers(res.relations))  # fmt: skip
 
 
 def detect_dataset(
@@ -146,7 +153,7 @@ def detect_dataset(
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
     Args:
-        relations: from `parity_relations` or `structured_relations`.
+        relations: from `parity_relations` or `structured_relations`, or an `observer`.
         path: a Parquet file, or a folder of them that follow each other by name.
         out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
             A call that was stopped is continued by the same call.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, NO_LONGER, ONSET_LEFT, Alarm
 from jaxbound.diagnosis.detectability import always_seen
 from jaxbound.diagnosis.memory import slowest
-from jaxbound.relations.sentence import looked_at
+from jaxbound.relations.sentence import looked_at, remembers
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
 
@@ -60,7 +60,7 @@ def endings_said(counts: Mapping[str, int], total: int) -> list[str]:
 
 def sizes_text(res: Any, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
-    if getattr(res.relations, "remembers", False):
+    if remembers(res.relations):
         return "an observer is sure of no size that lasts; --latched keeps FAULT on behind what was contradicted"
     these = looked_at(res.relations)
     if sizes is None:

@@ -3,9 +3,11 @@
 Chunks overlap by the horizon, so every window is tested once, by the same compiled kernel, whatever the size of a chunk. Verdicts are
 written in parts of a fixed number of samples, each completely or not at all. A part says nothing of those before it; what was tested, and
 where it belongs, stands in the part itself. So the parts are all the state there is: the same call makes those that are not there, and any
-number of calls may share them that know nothing of each other.
+number of calls may share them that know nothing of each other. What an observer carries stands in the part behind which it is needed: its
+parts follow each other, and nobody shares them.
 """
 
+import itertools
 import json
 import os
 import re
@@ -24,12 +26,13 @@ import numpy as np
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.recordings.checkpoint import refuse_other
+from jaxbound.recordings.checkpoint import as_texts, from_texts, refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.recordings.stillness import Run, Runs, follow, joined
 from jaxbound.recordings.whole import UNFINISHED, whole
 from jaxbound.relations.identity import identity
+from jaxbound.relations.sentence import remembers
 from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.shares import Incomplete, listed, numbers_of, shares_that_make
 from jaxbound.sets.floats.status import Status
@@ -40,7 +43,7 @@ __all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
-RUNS, IDENTITY = b"runs", b"identity"  # in the metadata of a part
+RUNS, IDENTITY, CARRY = b"runs", b"identity", b"carry"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 
 
@@ -71,7 +74,8 @@ def write_parts(
     try:
         for parts in _stretches(_missing(folder, mine)):
             pending = _Pending(folder, {i: note(i) for i in parts}, parts.start * PART)
-            _test(relations, source, pending, method, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts)
+            judge = _judge(relations, method, folder, parts.start)
+            _test(judge, source, pending, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts)
         source.unchanged()
         report(1.0)
     except ValueError:  # data that must be changed first: what was found in them is of no use then
@@ -128,23 +132,68 @@ def _number(part):
     return int(part.stem.removeprefix("part-"))
 
 
-def _test(relations, source, pending, method, size, report, lap, parts):
-    s, done, end = relations.horizon, parts.start * PART, min(parts.stop * PART, source.samples)
+def _test(judge, source, pending, size, report, lap, parts):
+    done, end = parts.start * PART, min(parts.stop * PART, source.samples)
     report(done)
-    for first, piece in source.pieces(size, s, max(done - s, 0), end):
+    for first, piece in source.pieces(size, judge.overlap, max(done - judge.overlap, 0), end):
         lap("read")
         u, y = jax.block_until_ready(jax.device_put((piece.u, piece.y)))
         lap("transfer")
-        found = detect(relations, replace(piece, u=u, y=y), method=method)
-        lap("compute")
-        stop = first + piece.samples
-        fresh = slice(done - first, None)
         part_of_it = [] if piece.excluded is None else [np.where(piece.excluded, np.nan, 1)[:, None]]
         signals = np.concatenate([piece.u, piece.y, *part_of_it], 1)
-        pending.add(piece.column[fresh], found.status[fresh], found.margin[fresh], signals[fresh], stop == end)
-        lap("write")
-        done = stop
+        stop = first + piece.samples
+        for fresh, status, margin, carry in judge(replace(piece, u=u, y=y), first, done):
+            lap("compute")
+            done = first + fresh.stop
+            pending.add(piece.column[fresh], status, margin, signals[fresh], done == end, carry)
+            lap("write")
+        assert done == stop
         report(done)
+
+
+def _judge(relations, method, folder, part):
+    """Return the _Windows or the _Carried of relations, before the part with this number."""
+    if not remembers(relations):
+        return _Windows(relations, method)
+    import pyarrow.parquet as pq
+
+    watch = relations.test(method)
+    carry = watch.init()
+    if part:
+        before = pq.read_schema(folder / _name(part - 1)).metadata
+        carry = from_texts(carry, json.loads(before[CARRY]))
+    return _Carried(watch, carry)
+
+
+class _Windows:
+    """Judges the samples of a piece by windows, which reach back into the piece before. overlap: so many samples of it are needed."""
+
+    def __init__(self, relations, method):
+        self.relations, self.method, self.overlap = relations, method, relations.horizon
+
+    def __call__(self, piece, first, done):
+        """Yield (samples of the piece, their status and margin, what is carried on) of what is new in it: from sample `done` on."""
+        found, fresh = detect(self.relations, piece, method=self.method), slice(done - first, piece.samples)
+        yield fresh, found.status[fresh], found.margin[fresh], None
+
+
+class _Carried:
+    """Judges the samples of a piece by an observer, part by part. overlap: the sample before says whether the first one follows it."""
+
+    overlap = 1
+
+    def __init__(self, watch, carry):
+        self.watch, self.carry = watch, carry
+
+    def __call__(self, piece, first, done):
+        """As of _Windows, and what is carried behind them."""
+        _, piece = self.watch.recording(piece)
+        stop = first + piece.samples
+        edges = [done, *range((done // PART + 1) * PART, stop, PART), stop]
+        for begin, end in itertools.pairwise(edges):
+            fresh = slice(begin - first, end - first)
+            self.carry, found = self.watch.fold(self.carry, piece.cut(fresh.start, fresh.stop))
+            yield fresh, found.status, found.margin, as_texts(self.carry)
 
 
 def part_files(folder: str | PathLike, numbers: Any = None) -> list[Path]:
@@ -209,18 +258,21 @@ class _Pending:
     def __init__(self, folder, notes, done):
         self.folder, self.notes, self.done, self.held = folder, notes, done, []
 
-    def add(self, written, status, margin, signals, last):
-        """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last."""
+    def add(self, written, status, margin, signals, last, carry=None):
+        """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last.
+
+        carry: what goes with the last of them; verdicts with a carry end where a part does.
+        """
         import pyarrow as pa
 
         self.held.append((written, status, margin, signals))
         while (rows := sum(len(x[1]) for x in self.held)) >= PART or (last and rows):
             written, *rest = zip(*self.held, strict=True)
             whole = (pa.concat_arrays(written), *map(np.concatenate, rest))
-            self._write(*(x[:PART] for x in whole))
+            self._write(*(x[:PART] for x in whole), carry)
             self.held = [tuple(x[PART:] for x in whole)]
 
-    def _write(self, written, status, margin, signals):
+    def _write(self, written, status, margin, signals, carry):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -234,6 +286,7 @@ class _Pending:
         number = self.done // PART
         about = {RUNS: json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist),
                  IDENTITY: json.dumps(self.notes[number])}  # fmt: skip
+        about |= {} if carry is None else {CARRY: json.dumps(carry)}
         path = self.folder / _name(number)
         self.folder.mkdir(parents=True, exist_ok=True)
         if path.exists():  # another share has made it meanwhile
@@ -249,13 +302,16 @@ def _begun(relations, source, out, method, part=None):
     A share looks at the content of its own parts only: where many are made at once, each reads what it judges and not all of the recording.
     """
     relations.test(method, source.dtype)  # refuses what these relations cannot be tested by
+    if part is not None and remembers(relations):
+        raise ValueError("an observer carries what it knows from each part to the next: they cannot be shared, test the whole recording")
     if source.samples <= relations.horizon:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
     folder, common = out / PARTIAL, identity(relations, method=method, recording=fingerprint(source.layout))
 
     def note(number):
         """Return what the verdicts in a part depend on, before any of it is read."""
-        first, stop = max(number * PART - relations.horizon, 0), min((number + 1) * PART, source.samples)
+        before = number * PART if remembers(relations) else relations.horizon
+        first, stop = max(number * PART - before, 0), min((number + 1) * PART, source.samples)
         place = f"part {number} of {PART} samples each"
         return common | {"place in the recording": place, "content of the recording": source.content_of(first, stop)}
 

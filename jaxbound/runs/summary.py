@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.plaintext import percent, times
+from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["CODES", "LAYOUT", "Evidence", "Summary", "Window", "bound_hints", "evidence", "said", "summarised"]
@@ -152,9 +153,8 @@ def evidence(res: Any, alarms: Sequence) -> Evidence:
     at = first if np.isnan(margin).all() else int(np.nanargmin(margin))
     ended = dict(Counter(a.ended for a in alarms))
     smallest = np.nan if at is None else float(margin[at])
-    remembers = getattr(res.relations, "remembers", False)
     return Evidence(res.method, res.relations.horizon, len(res.status), res.counts, res.aside, at, smallest, first, len(alarms), ended,
-                    remembers=remembers)  # fmt: skip
+                    remembers=remembers(res.relations))  # fmt: skip
 
 
 def summarised(

@@ -1,0 +1,87 @@
+"""What contradicts all samples since an observer began, as one relation: fractions replay it, a linear program agrees how clear it is."""
+
+import json
+from fractions import Fraction
+
+import jax
+import numpy as np
+import pytest
+from check_certificate import confirm
+from scipy.optimize import linprog
+
+import jaxbound as jb
+from jaxbound.certificates.interface import certify
+from jaxbound.certificates.long_window import LongCertificate, exceeds, stretch
+
+PLANT = jb.LinearSystem([["0.98", "0.05"], ["-0.02", "0.97"]], [[0], ["0.1"]], [[1, 0]], [["0.2"]], noise="0.1", tolerance="0.01",
+                        disturbance=([[1], ["0.5"]], [["-0.002", "0.003"]]), offset={"u": 1, "y": 20})  # fmt: skip
+
+
+def recorded(T, bias, seed=0):
+    """Return u, y of a plant whose sensor goes wrong slowly from the middle on."""
+    u = 1 + np.random.default_rng(seed).normal(size=(T, 1))
+    y = np.array(jb.simulate(PLANT, u, jax.random.key(seed), at="uniform").y)
+    y[T // 2 :, 0] += bias * np.arange(T - T // 2) / (T - T // 2)
+    y[3] = np.nan
+    return u, y
+
+
+def needed(u, y, first=None):
+    """Return the least factor on all bounds, by a linear program with all unknowns written out as a first state and disturbances."""
+    A, B, C, D, G = (np.array(getattr(PLANT, name), float) for name in "ABCDG")
+    s, (lo, hi) = len(y) - 1, map(float, PLANT.disturbance[0])
+    X, f, rows, right, widths = np.eye(2, 2 + s), np.zeros(2), [], [], []
+    for k in range(s + 1):
+        if not np.isnan(y[k, 0]):
+            ends = [(y[k, 0] - 20 + e) / (1 + t) for e in (-0.1, 0.1) for t in (-0.01, 0.01)]
+            rows, widths = [*rows, C[0] @ X], [*widths, (max(ends) - min(ends)) / 2]
+            right.append((max(ends) + min(ends)) / 2 - C[0] @ f - D[0, 0] * (u[k, 0] - 1))
+        X, f = A @ X, A @ f + B[:, 0] * (u[k, 0] - 1)
+        if k < s:
+            X[:, 2 + k] += G[:, 0]
+    for i, ends in enumerate([*(first if first is not None else []), *[(lo, hi)] * s], 0 if first is not None else 2):
+        rows, right, widths = [*rows, np.eye(2 + s)[i]], [*right, sum(ends) / 2], [*widths, (ends[1] - ends[0]) / 2]
+    rows, right, widths = map(np.array, (rows, right, widths))
+    sides = np.concatenate([np.column_stack([sign * rows, -widths]) for sign in (1, -1)])
+    return linprog(np.eye(3 + s)[-1], sides, np.concatenate([right, -right]), bounds=[(None, None)] * (3 + s), method="highs").fun
+
+
+@pytest.mark.parametrize("first", [None, [(-3.0, 3.0), (-0.5, 0.5)]])
+def test_one_relation_among_all_samples_proves_a_slow_fault(first):
+    u, y = recorded(90, 1.5)
+    about, t = stretch(PLANT, 89, first), needed(u, y, first)
+    assert exceeds(about, u, y) == pytest.approx(t, rel=1e-6)
+    found = certify(about, u, y)
+    assert type(found) is LongCertificate and found.proves == jb.Status.FAULT and found.errors == {} and found.candidates == ()
+    assert 1 < found.factor < t * (1 + 1e-9) and float(found.factor) > t - 1e-4, "short multipliers cost little"
+    document = json.loads(found.to_json())
+    confirm(document)
+    assert ("first_state" in document["numbers"]) == (first is not None)
+    numbers = document["numbers"]
+    old, numbers["relation"]["h"][0][0] = Fraction(numbers["relation"]["h"][0][0]), "0.5"
+    numbers["sum"] = str(Fraction(numbers["sum"]) + Fraction("0.5") - old)
+    with pytest.raises(ValueError, match="the relation leaves the unknown state over|does not fit|leaves a disturbance over|is wrong"):
+        confirm(document)
+
+
+def test_what_can_be_explained_has_no_such_certificate():
+    u, y = recorded(60, 0.0)
+    about = stretch(PLANT, 59)
+    assert exceeds(about, u, y) < 1
+    with pytest.raises(NotImplementedError, match="no relation of these 60 samples is found that proves the FAULT at 59 alone"):
+        certify(about, u, y)
+
+
+def test_every_contradiction_of_an_observer_is_proved_by_samples_since_it_began():
+    u, y = recorded(200, 4.0, seed=2)
+    for options in ({}, {"restart": False}, {"x0": jb.interval([-20, -20], [20, 20])}):
+        res = jb.detect(jb.observer(PLANT, order=10, weight=(1, 100), **options), u, y)
+        wrong = np.flatnonzero(res.status == jb.Status.FAULT)
+        assert len(wrong)
+        for k in wrong[:: max(len(wrong) // 3, 1)]:
+            found = res.explain(int(k))
+            confirm(json.loads(found.to_json()))
+            assert found.at == (k,) and found.window.horizon <= k - res.observation.since[k]
+    short = jb.LinearSystem([["0.9"]], None, [[1]], noise="0.1", uncertainties=[jb.Uncertainty("a", A=[["0.01"]])])
+    res = jb.detect(jb.observer(short), None, [[1.0], [0.9], [3.0]])
+    assert res.status[2] == jb.Status.FAULT and type(res.explain(2)).__name__ == "UncertainCertificate"

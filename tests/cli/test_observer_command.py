@@ -1,0 +1,139 @@
+"""--method observer: the same verdicts in memory, in parts and through a pipe; a report with bands, proofs that fractions replay."""
+
+import argparse
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from check_certificate import confirm
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.cli import pipe as piped
+from jaxbound.diagnosis.alarms import BEGAN_ANEW, ENDINGS
+from jaxbound.recordings.read import open_source
+from jaxbound.runs import streaming
+
+T, ONSET = 160, 90
+
+
+@pytest.fixture(scope="module")
+def signals():
+    """Return u, y of a slow plant whose first sensor drifts from sample 90 on; some samples are missing, there is a gap behind 40."""
+    rng, x, u = np.random.default_rng(3), np.zeros(2), np.repeat(np.random.default_rng(4).uniform(0, 2, 16), 10).round(3)
+    y = np.zeros((T, 2))
+    for k in range(T):
+        y[k], x = x, np.array([0.9 * x[0] + 0.05 * x[1], 0.9 * x[1] + 0.1 * u[k]]) + rng.uniform(-0.004, 0.004, 2)
+    y = (y + rng.uniform(-0.09, 0.09, y.shape)).round(6)
+    y[ONSET:, 0] += 0.02 * np.arange(T - ONSET)
+    y[[20, 60], [0, 1]] = np.nan
+    return u, y
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch, signals):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    plant = jb.LinearSystem([["0.9", "0.05"], [0, "0.9"]], [[0], ["0.1"]], [[1, 0], [0, 1]], noise="0.1",
+                            disturbance=([[1, 0], [0, 1]], "0.005"), inputs="heat", outputs=["T1", "T2"])  # fmt: skip
+    jb.save_model(plant, "plant.toml")
+    u, y = signals
+    t = np.arange(T) + 5.0 * (np.arange(T) >= 40)
+    table = pd.DataFrame({"time": t, "heat": u, "T1": y[:, 0], "T2": y[:, 1]})
+    table.to_csv("run.csv", index=False)
+    table.to_parquet("run.parquet")
+    return tmp_path
+
+
+def told(folder):
+    """Return {time: (status, margin)} of a folder's verdicts."""
+    if (folder / "verdicts.csv").exists():
+        table = pd.read_csv(folder / "verdicts.csv")
+    else:
+        table = pd.read_parquet(folder / "verdicts.parquet")
+    return list(zip(table["time"].astype(float), table["status"].astype(str), table["margin"].round(12).fillna(9), strict=True))
+
+
+def detect(*more, out, data="run.csv"):
+    return main.main(["detect", "plant.toml", data, "--out", out, "--method", "observer", *more])
+
+
+def test_a_report_shows_bands_and_says_when_the_observer_began_anew(place, capsys):
+    assert detect("--json", out="out") == 1
+    found, page = json.loads(capsys.readouterr().out), (place / "out/report.html").read_text()
+    assert found["method"] == "observer" and found["exit_code"] == 1 and set(found["ended"]) <= {BEGAN_ANEW, ENDINGS[0]}
+    assert "contradict the model and the samples before them" in found["summary"] and found["counts"]["CONSISTENT"] == 0
+    model = jb.load_model("plant.toml")
+    res = jb.detect(jb.observer(model), jb.read("run.csv", model))
+    assert res.counts == found["counts"] and res.status[:ONSET].max() == jb.Status.UNDECIDED and res.status[40] == jb.Status.MISSING
+    bands = json.loads(page.split('id="numbers">')[1].split("</script>")[0])["whole"]["series"]
+    assert {"bs0", "bs1", "bx0", "bx1"} <= set(bands) and "x0" not in bands and page.count('class="enclosure" d="M') == 8
+    outside = (res.y < res.readings.lo) | (res.y > res.readings.hi)
+    assert not outside[res.status == jb.Status.UNDECIDED].any(), "what leaves the band of healthy readings is FAULT"
+    assert "contradicts all samples since" in page and "behind a contradiction it begins anew" in page
+    assert detect("--json", "--latched", "--order", "8", out="latched") == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["alarms"] == 1 and found["last_ended"] == ENDINGS[0] and found["counts"]["FAULT"] > 20
+
+
+def test_a_healthy_recording_is_no_fault_though_nothing_is_proved_consistent(place, capsys):
+    pd.read_csv("run.csv").iloc[:ONSET].to_csv("healthy.csv", index=False)
+    assert detect("-q", out="out", data="healthy.csv") == 0
+    assert capsys.readouterr().out.startswith("No fault found: none of 88 samples is proved to contradict the model and the samples before")
+
+
+def test_explain_proves_a_contradiction_by_the_shortest_window_that_shows_it(place, capsys):
+    detect("-q", out="out")
+    first = next(i for i, row in enumerate(told(place / "out")) if row[1] == "FAULT")
+    capsys.readouterr()
+    assert main.main(["explain", "out", "--at", str(first), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    confirm(document)
+    assert document["certificate"] == "FAULT" and document["names"]["sample"] == first
+    assert len(document["names"]["times"]) == len(document["numbers"]["y"]) >= 3
+    assert main.main(["explain", "out", "--at", "10"]) == 2 and "an observer exhibits no behaviour" in capsys.readouterr().err
+
+
+def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysbinary):
+    detect("-q", out="out")
+    lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
+    args = lambda **more: argparse.Namespace(**{"model": "plant.toml", "data": "-", "out": place / "pipe", "state": None, "horizon": None,
+                                                "lags": None, "method": "observer", "order": None, "latched": False, "min_coverage": 0.5,
+                                                "json": False} | more)  # fmt: skip
+    assert piped.follow(args(), [b"".join(lines[:70]), None]) == 0
+    note = (place / "pipe/monitor.jsonl").read_text().splitlines()[-1]
+    assert piped.follow(args(), [b"".join(lines[70:100]), *lines[100:]]) == 1
+    assert told(place / "pipe") == told(place / "out"), "the carry is in the state"
+    assert len(json.loads(note)["memory"]["state"]) > 5
+    assert b"contradict the model and the samples before them" in capsysbinary.readouterr().err
+
+
+@pytest.mark.parametrize("method", [("--latched",), ()])
+def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, monkeypatch, method):
+    detect("-q", *method, out="out")
+    monkeypatch.setattr(streaming, "PART", 50)
+    monkeypatch.setattr(streaming, "LEAST", 1)
+    assert detect("-q", *method, "--chunk", "33", out="parts", data="run.parquet") == 1
+    assert told(place / "parts") == told(place / "out")
+    observer = jb.observer(jb.load_model("plant.toml"), restart=not method)
+    source = open_source(place / "run.parquet", observer.model)
+    folder, _ = streaming.write_parts(observer, source, place / "again", "observer")
+    read = lambda: [pd.read_parquet(p).to_csv() for p in streaming.part_files(folder)]
+    before = read()
+    streaming.part_files(folder)[2].unlink()
+    streaming.write_parts(observer, source, place / "again", "observer")
+    assert len(before) == 4 and read() == before
+    with pytest.raises(ValueError, match="carries what it knows from each part to the next"):
+        streaming.write_parts(observer, source, place / "shared", "observer", part=(1, 2))
+
+
+@pytest.mark.parametrize("more, says", [
+    (("--lags", "0,1"), "--lags is for windows: an observer looks at every sample"),
+    (("--method", "joint", "--order", "3"), "--order is for --method observer"),
+    (("--method", "box", "--latched"), "--latched is for --method observer"),
+    (("--part", "1/2"), "--part is for windows: an observer carries what it knows from sample to sample"),
+])  # fmt: skip
+def test_what_does_not_go_together_is_said_in_a_sentence(place, capsys, more, says):
+    assert detect(*more, out="out", data="run.parquet") == 2
+    assert says in capsys.readouterr().err
