@@ -7,6 +7,7 @@ keeps all of them, by the one factor that is needed. Runs that begin before the 
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -28,6 +29,7 @@ def places_of(model: LinearSystem, dtype: np.dtype) -> tuple[Places, tuple]:
     return places, numbers
 
 
+@partial(jax.jit, static_argnums=0)
 def kept_averages(
     places: Places, averages: Sequence, noise: jax.Array, w: jax.Array, bounds: tuple[Any, Any, Any]
 ) -> tuple[jax.Array, jax.Array]:

@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 
 from jaxbound.models.averaging import kept_averages, places_of
 from jaxbound.models.conversion import ModelLike, as_model
+from jaxbound.models.draws import normal_draws, uniform_draws
 from jaxbound.models.faults import Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
@@ -107,12 +108,13 @@ def simulate(
         raise ValueError(f"unknown_input must have shape {(*batch, T, model.d)}: its shape is {v.shape}")
     lo, hi = zip(*model.disturbance, strict=True) if model.g else ((), ())
     numbers = {
-        "matrix": tuple(part.T[..., None] for part in _double(_blocks(model, model), dtype)),
-        "parts": _columns([_double(_blocks(model, p), dtype) for p in model.uncertainties]),
+        "matrices": _columns([_double(_blocks(model, of), dtype) for of in (model, *model.uncertainties)]),
+        "offset_u": _double([model.offset["u"]], dtype), "offset_y": _double([model.offset["y"]], dtype)}  # fmt: skip
+    bounds = {
         "varying": np.array([p.varying for p in model.uncertainties], bool),
         "lo": rounding.round_up(list(lo), dtype), "hi": rounding.round_down(list(hi), dtype),
-        "tolerance": rounding.round_down(list(model.tolerance), dtype), "noise": rounding.round_down(list(model.noise), dtype),
-        "offset_u": _double([model.offset["u"]], dtype), "offset_y": _double([model.offset["y"]], dtype)}  # fmt: skip
+        "tolerance": rounding.round_down(list(model.tolerance), dtype), "noise": rounding.round_down(list(model.noise), dtype)}  # fmt: skip
+    places, bounds["averages"] = places_of(model, dtype)
     sizes = np.array([f.size for f in faults], dtype)
     kinds = tuple((f.kind, model.outputs.index(f.signal) if f.signal in model.outputs else None,
                    model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
@@ -123,21 +125,20 @@ def simulate(
     active = np.pad(_switches(model, faults, T), ((0, 0), (0, longer)))
     start = _library(start).broadcast_to(start, (*batch, model.n)).reshape(count, model.n)
     start = _library(start).pad(start, ((0, more), (0, 0)))
-    widths = {0: model.p, 1: model.p, 2: len(kinds) if "noise" in [f.kind for f in faults] else 0, 3: model.g, 5: len(numbers["varying"])}
-    streams = [stream for stream, width in widths.items() if width]
-    size = (T + longer) * max(widths.values())
+    widths = {0: model.p, 1: model.p, 2: len(kinds) if "noise" in [f.kind for f in faults] else 0, 3: model.g, 5: len(model.uncertainties)}
+    streams = tuple(stream for stream, width in widths.items() if width)
     key = key_of(key)
-    draws = _draws(key, np.array(streams), count + more, size, dtype)
-    v = _normal(key, count + more, (T + longer, model.d), dtype) if v is None else padded(v)
-    how = np.array([at == "vertices", model.constant_tolerance])
-    places, numbers["averages"] = places_of(model, dtype)
-    out = _simulate(kinds, tuple(streams), places, how, numbers, sizes, active, draws, padded(given), start, v)
+    draws = uniform_draws(key, streams, count + more, (T + longer) * max(widths.values()), dtype)
+    v = normal_draws(key, count + more, (T + longer, model.d), dtype) if v is None else padded(v)
+    arrays = draws, padded(given), start, v
+    run = _recorded if _library(*arrays) is np else _recorded_within
+    out = run(kinds, streams, places, at == "vertices", model.constant_tolerance, numbers, bounds, sizes, active, *arrays)
     return Trajectory(*_cut(out, batch, T))
 
 
-def _library(x: object) -> Any:
+def _library(*arrays: object) -> Any:
     """Return NumPy for what is on the host, where nothing is compiled, jax.numpy for what is inside jit."""
-    return jnp if isinstance(x, jax.core.Tracer) else np
+    return jnp if any(isinstance(x, jax.core.Tracer) for x in arrays) else np
 
 
 def _host(x: ArrayLike) -> Any:
@@ -196,7 +197,7 @@ def _double(a, dtype):
 
 def _columns(pairs):
     """Return double-word matrices (r, c) side by side, turned: (c, matrices, r, 1)."""
-    return tuple(np.stack(part).transpose(2, 0, 1)[..., None] for part in zip(*pairs, strict=True)) if pairs else None
+    return tuple(np.stack(part).transpose(2, 0, 1)[..., None] for part in zip(*pairs, strict=True))
 
 
 def _total(terms):
@@ -209,101 +210,98 @@ def _total(terms):
     return rounding.dd_add(total, tuple(v[-1] for v in terms)) if count % 2 else total
 
 
-def _apply(matrix, vectors):
-    """Multiply double-word matrices, turned, (c, ..., 1) with double-word vectors (c, N)."""
-    between = (1,) * (matrix[0].ndim - 2)
-    return _total(rounding.dd_mul(matrix, tuple(v.reshape(len(v), *between, v.shape[1]) for v in vectors)))
+def _apply(matrices, vectors):
+    """Multiply double-word matrices, turned, (c, matrices, r, 1) with double-word vectors (c, N)."""
+    return _total(rounding.dd_mul(matrices, tuple(v[:, None, None] for v in vectors)))
 
 
-@partial(jax.jit, static_argnums=(2, 3, 4))
-def _draws(key, streams, recordings, size, dtype):
-    """Return uniform draws (streams, recordings, size) in [-1, 1): one program for every model, and longer ones begin with the shorter."""
-    keys = jax.random.split(key, recordings)
-    keys = jax.vmap(lambda stream: jax.vmap(lambda k: jax.random.fold_in(k, stream))(keys))(streams)
-    return jax.vmap(jax.vmap(lambda k: jax.random.uniform(k, (size,), dtype, -1, 1)))(keys)
-
-
-def _normal(key, recordings, shape, dtype):
-    """Return unknown inputs (recordings, *shape) that nobody gave."""
-    if not shape[1]:
-        return np.zeros((recordings, *shape), dtype)
-    return _normal_draws(key, recordings, shape, dtype)
-
-
-@partial(jax.jit, static_argnums=(1, 2, 3))
-def _normal_draws(key, recordings, shape, dtype):
-    return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(k, 4), shape, dtype))(jax.random.split(key, recordings))
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _simulate(kinds, streams, places, how, numbers, sizes, active, draws, u, x0, v):
-    n = x0.shape[1]
-    theta, noise, w, parameters, extra = _unknowns(kinds, dict(zip(streams, draws, strict=True)), how, numbers, sizes, active, u)
+def _recorded(kinds, streams, places, vertices, constant, numbers, bounds, sizes, active, draws, u, x0, v):
+    """Return (x, u, y, theta, noise, w, v, parameters) of recordings (N, T, .): by NumPy but for the trajectory, or inside jit."""
+    each = dict(zip(streams, draws, strict=True))
+    theta, noise, w, parameters, extra = _unknowns(kinds, each, vertices, constant, bounds, sizes, active, u)
     if places:
-        noise, w = kept_averages(places, numbers["averages"], noise, w, (numbers["noise"], numbers["lo"], numbers["hi"]))
-    faulty = lambda signals, side, dropped: jax.vmap(lambda s, e: _faulty(kinds, sizes, active, s, e, side, dropped))(signals, extra)
-    applied = faulty(u, 2, 0.0)
+        noise, w = kept_averages(places, bounds["averages"], noise, w, (bounds["noise"], bounds["lo"], bounds["hi"]))
+    applied = _faulty(kinds, sizes, active, u, extra, 2, 0.0)
+    last = lambda x: _library(x).moveaxis(x, 0, 2)  # recordings: they fill a vector
+    x, y = _trajectory(numbers, x0.T, tuple(map(last, (applied, w, v, theta, noise, parameters))))
+    first = lambda x: jnp.moveaxis(x, 2, 0) if isinstance(x, jax.core.Tracer) else np.moveaxis(np.asarray(x), 2, 0)
+    return first(x), u, _faulty(kinds, sizes, active, first(y), extra, 1, np.nan), theta, noise, w, v, parameters
 
+
+_recorded_within = partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))(_recorded)
+
+
+@jax.jit
+def _trajectory(numbers, x0, along):
+    """Return states (T, n, N) and outputs (T, p, N) from first states (n, N) and what acts (T, ., N): one program for every fault."""
     single = lambda v: (v, jnp.zeros_like(v))
     offset_u, offset_y = (tuple(part[0, :, None] for part in numbers[name]) for name in ("offset_u", "offset_y"))
+    n = len(x0)
 
     def step(x, now):
         inputs, w, v, theta, noise, parameters = now
         deviation = rounding.dd_add(rounding.two_sum(inputs, -offset_u[0]), single(-offset_u[1]))
         signals = tuple(jnp.concatenate(part) for part in zip(x, deviation, single(w), single(v), strict=True))
-        both = _apply(numbers["matrix"], signals)
+        both = _apply(numbers["matrices"], signals)  # of the model, and of what each parameter moves
         if len(parameters):
-            moved = rounding.dd_mul(single(parameters[:, None]), _apply(numbers["parts"], signals))
-            both = rounding.dd_add(both, _total(moved))
+            moved = rounding.dd_mul(single(parameters[:, None]), tuple(part[1:] for part in both))
+            both = rounding.dd_add(tuple(part[0] for part in both), _total(moved))
+        else:
+            both = tuple(part[0] for part in both)
         after, true = (tuple(part[rows] for part in both) for rows in (slice(n), slice(n, None)))
         y = rounding.dd_add(true, rounding.dd_mul(single(theta), true))  # not (1 + theta) t: XLA turns (theta + 1) - 1 into theta
         y = rounding.dd_add(rounding.dd_add(y, single(noise)), offset_y)
         return after, (x[0], y[0])
 
-    along = [jnp.moveaxis(signal, 0, 2) for signal in (applied, w, v, theta, noise, parameters)]  # recordings last: they fill a vector
-    x, y = (jnp.moveaxis(signal, 2, 0) for signal in jax.lax.scan(step, single(x0.T), along)[1])
-    return x, u, faulty(y, 1, jnp.nan), theta, noise, w, v, parameters
+    return jax.lax.scan(step, single(x0), along)[1]
 
 
-def _unknowns(kinds, draws, how, numbers, sizes, active, u):
+def _unknowns(kinds, draws, vertices, constant, bounds, sizes, active, u):
     """Return what recordings draw, from `draws` by stream: theta, noise, disturbances, parameters, and the noise of faults."""
-    count, T, p = u.shape[0], u.shape[1], len(numbers["noise"])
-    vertices, constant = how
+    count, T, p = u.shape[0], u.shape[1], len(bounds["noise"])
+    xp = _library(u, *draws.values())
 
     def drawn(stream, width, anywhere=False):
-        x = draws[stream][:, : T * width].reshape(count, T, width) if stream in draws else jnp.zeros((count, T, width), u.dtype)
-        return x if anywhere else jnp.where(vertices, jnp.where(x < 0, -1, 1).astype(x.dtype), x)
+        x = draws[stream][:, : T * width].reshape(count, T, width) if stream in draws else xp.zeros((count, T, width), u.dtype)
+        return xp.where(x < 0, -1, 1).astype(x.dtype) if vertices and not anywhere else x
 
     signs = drawn(0, p)
-    signs = jnp.where(constant, signs[:, :1], signs)
-    tolerance = jnp.broadcast_to(numbers["tolerance"], (T, p))
+    signs = signs[:, :1] if constant else signs
+    tolerance = xp.broadcast_to(bounds["tolerance"], (T, p))
     for (kind, output, _), size, on in zip(kinds, sizes, active, strict=True):
         if kind == "tolerance":
-            tolerance = tolerance.at[:, output].set(jnp.where(on, size, tolerance[:, output]))
-    lo, hi = numbers["lo"][None, None], jnp.maximum(numbers["lo"], numbers["hi"])[None, None]
+            tolerance = xp.where(on[:, None] & (np.arange(p) == output)[None], size, tolerance)
+    lo, hi = bounds["lo"][None, None], xp.maximum(bounds["lo"], bounds["hi"])[None, None]
     share = drawn(3, lo.shape[2])
-    w = jnp.where(share == 1, hi, jnp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
-    each = drawn(5, len(numbers["varying"]))
-    parameters = jnp.where(numbers["varying"][None, None], each, each[:, :1])
-    extra = jnp.moveaxis(drawn(2, len(kinds), anywhere=True), 1, 2)
-    return tolerance[None] * signs, numbers["noise"][None, None] * drawn(1, p), w, parameters, extra
+    w = xp.where(share == 1, hi, xp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
+    each = drawn(5, len(bounds["varying"]))
+    parameters = xp.where(bounds["varying"][None, None], each, each[:, :1])
+    extra = drawn(2, len(kinds), anywhere=True)
+    return tolerance[None] * signs, bounds["noise"][None, None] * drawn(1, p), w, parameters, extra
 
 
 def _faulty(kinds, sizes, active, signals, extra, side, dropped):
-    """Apply the faults of one side, in order, to (T, c) signals: 1 outputs, 2 inputs."""
+    """Apply the faults of one side, in order, to signals (N, T, c): 1 outputs, 2 inputs. extra (N, T, faults): the noise of faults."""
+    xp = _library(signals, extra)
     for i, fault in enumerate(kinds):
         c = fault[side]
         if c is None or fault[0] == "tolerance":
             continue
-        x, size, on = signals[:, c], sizes[i], active[i]
-        since = jnp.cumsum(on) - 1
-        changed = {
-            "bias": x + size,
-            "drift": x + size * since,
-            "gain": x * (1 + size),
-            "noise": x + size * extra[i],
-            "stuck": jnp.broadcast_to(x[jnp.argmax(on)], x.shape),
-            "dropout": jnp.full_like(x, dropped),
-        }[fault[0]]  # what is not chosen is never compiled
-        signals = signals.at[:, c].set(jnp.where(on, changed, x))
+        x, size, on = signals[:, :, c], sizes[i], active[i]
+        with np.errstate(over="ignore", invalid="ignore"):
+            changed = _changed(xp, fault[0], x, size, on, extra[:, :, i], dropped)
+        here = on[:, None] & (np.arange(signals.shape[2]) == c)[None]
+        signals = xp.where(here[None], changed[:, :, None], signals)
     return signals
+
+
+def _changed(xp, kind, x, size, on, extra, dropped):
+    """Return what a fault makes of one signal (N, T)."""
+    if kind == "stuck":
+        return xp.broadcast_to(xp.take(x, xp.argmax(on), 1)[:, None], x.shape)
+    if kind == "dropout":
+        return xp.full_like(x, dropped)
+    if kind == "gain":
+        return x * (1 + size)
+    since = (xp.cumsum(on) - 1).astype(x.dtype)[None]
+    return x + {"bias": size, "drift": size * since, "noise": size * extra}[kind]

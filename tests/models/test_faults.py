@@ -115,9 +115,9 @@ def test_a_fault_lasts_until_its_stop_or_to_the_end(three):
 
 def test_size_and_time_of_a_fault_do_not_trace_again(three):
     three((0, 0, 0))
-    traced = module._simulate._cache_size()
+    traced = module._trajectory._cache_size()
     three((1, 2, 3), ((12, 20), (1, 3), (9,)))
-    assert module._simulate._cache_size() == traced
+    assert module._trajectory._cache_size() == traced
 
 
 @pytest.mark.parametrize("given, message", [

@@ -174,9 +174,9 @@ def test_lists_integers_and_half_floats_become_the_default_float(u, rng):
 def test_a_second_simulation_of_another_plant_of_the_shape_does_not_trace(rng):
     u = inputs("paper", BATCH, rng)
     jb.simulate(paper(), u, key(rng))
-    traced = module._simulate._cache_size()
+    traced = module._trajectory._cache_size()
     jb.simulate(paper(A=[[0.5, 0.1], [0, 0.3]], noise=0.7, offset={"y": [1, 2]}), u + 1, key(rng), x0=[1.0, 1.0])
-    assert module._simulate._cache_size() == traced
+    assert module._trajectory._cache_size() == traced
 
 
 @pytest.mark.parametrize("change, message", [
@@ -200,10 +200,10 @@ def test_something_that_is_no_model_is_refused():
 
 def test_recordings_of_many_lengths_are_compiled_once_and_begin_alike(rng):
     u, k = inputs("paper", (64,), rng), key(rng)
-    whole, traced = jb.simulate(paper(), u, k), module._simulate._cache_size()
+    whole, traced = jb.simulate(paper(), u, k), module._trajectory._cache_size()
     for T in (1, 7, 63):
         part = jb.simulate(paper(), u[:T], k)
         for name in ("x", "u", "y", "theta", "noise"):
             np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[:T])
-    assert module._simulate._cache_size() == traced
+    assert module._trajectory._cache_size() == traced
     assert [module._length(T, 1) for T in (0, 64, 65, 70_000)] == [0, 64, 128, 73_728]
