@@ -86,6 +86,7 @@ CODAC = {
 def test_a_peer_that_leaves_the_processor_rounding_upward_leaves_it_so_for_itself_only(benchmark, monkeypatch):
     peer = RoundsUpward()
     monkeypatch.setitem(sys.modules, "codac", peer)
+    monkeypatch.setattr(sweeps.jax, "clear_caches", lambda: None)  # the other tests' too, ten seconds' work
     monkeypatch.setattr(intervals, "seconds", lambda f, a, b: f(a, b))
     monkeypatch.setattr(importlib, "import_module", lambda name: peer())
     try:

@@ -45,7 +45,8 @@ WEIGHTS = (1.0, 30.0, 1000.0)
 LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
 """Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the factor it must be beyond."""
 PIECES = (16, 1024)
-"""Samples that a kernel is compiled for."""
+"""Samples that a kernel is compiled for: the few up to `SHORT` share the one of a monitor."""
+SHORT = 64
 
 
 @readable
@@ -288,7 +289,7 @@ class SetObserver(Observer):
         T, first = len(fresh), 0
         parts: list[steps.Found] = []
         while first < T or not parts:
-            length = PIECES[0] if T - first <= PIECES[0] else PIECES[1]
+            length = PIECES[0] if T - first <= SHORT else PIECES[1]
             stop = min(first + length, T)
             filled = lambda x, a=first, b=stop, more=first + length - stop: np.pad(x[a:b], [(0, more)] + [(0, 0)] * (x.ndim - 1))
             known = steps.read(self._numbers, *map(filled, samples), filled(fresh), np.asarray(rounded, self._dtype))
