@@ -173,7 +173,7 @@ def bias_state(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 SETS: dict[str, Beyond] = {"windows, 16 samples": window(horizon=15), "windows, 11 of 49": window(lags=LAGS)}
-for one in getattr(observers, "METHODS", ("zonotope",)):
+for one in ("zonotope", *getattr(observers, "METHODS", ())):
     how = {"method": one} if "method" in inspect.signature(jb.observe).parameters else {}
     SETS[f"observer, {one}"] = observed(**how)
     SETS[f"with_faults, {one}"] = enclosed(**how)

@@ -14,7 +14,7 @@ from jaxbound.estimation.observer import SetObserver
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets import zonotope
 
-METHODS = getattr(observer, "METHODS", ("zonotope",))
+METHODS = ("zonotope", *(("strips", *observer.METHODS) if hasattr(observer, "METHODS") else ()))
 """How an observer may carry its set."""
 
 
