@@ -4,8 +4,9 @@ python -m benchmarks.first_call [--only "joint1;validate"] [--out NAME] [--again
 
 For every case: seconds and CPU seconds of the first call after the imports, once with an empty folder of compiled kernels and once with a
 full one; compilations; instructions of the optimised programs, which do not depend on what else the machine does. Cases that end in a
-number are windows of so many samples and one: how a kernel grows with the horizon. --out: the figures go to benchmarks/NAME.json.
---against: and are printed beside those of an earlier run. --counts: only what can be counted, one process a case. Commands of the shell
+number are windows of so many samples and one: how a kernel grows with the horizon. --out: the figures go to benchmarks/NAME.json; of
+--only, beside those of the other cases that are there. --against: they are printed beside those of an earlier run, and of the usual NAME
+the table in docs/benchmarks.md is written anew. --counts: only what can be counted, one process a case. Commands of the shell
 are measured whole, from start to exit.
 """
 
@@ -31,6 +32,9 @@ import jaxbound as jb
 from benchmarks import timing
 
 HERE = Path(__file__).parent
+PAGE = HERE.parent / "docs" / "benchmarks.md"
+NAME = "first_call"
+BEGIN, END = "<!-- first calls -->\n", "<!-- end of first calls -->\n"
 HORIZONS = (1, 2, 5, 10, 20, 40)
 LARGE = 600  # instructions of a program that takes more than half a second to compile
 
@@ -312,11 +316,37 @@ def comparison(before, now):
     return rows
 
 
+def table(before, now):
+    """Return the same as Markdown, with the seconds that a first call takes now."""
+    rows = [
+        "| first call | seconds, nothing compiled | CPU s before | now | compilations | now | instructions | now | CPU s, all kept | now |"
+    ]
+    rows.append("| --- " * 10 + "|")
+    for name, figures in now.items():
+        old = before.get(name, {})
+        shown = [figures["s"], old.get("CPU s"), figures["CPU s"]]
+        shown += [x.get(key) for key in ("compilations", "instructions") for x in (old, figures)]
+        shown += [x.get("warm", {}).get("CPU s") for x in (old, figures)]
+        rows.append(
+            f"| {f'`{name}`' if name.startswith('jaxbound') else name} | {' | '.join('' if x is None else str(x) for x in shown)} |"
+        )
+    return rows
+
+
+def written(page, lines):
+    """Return the text of a page with other lines between its marks."""
+    first, _, rest = page.partition(BEGIN)
+    _, mark, last = rest.partition(END)
+    if not mark:
+        raise ValueError(f"the page has no lines {BEGIN.strip()} and {END.strip()}")
+    return f"{first}{BEGIN}" + "".join(f"{line}\n" for line in lines) + f"{END}{last}"
+
+
 def main():
     parser = argparse.ArgumentParser("python -m benchmarks.first_call", description=__doc__.split("\n")[0])
     every = [*CASES, *(f"jaxbound {name}" for name in COMMANDS)]
     parser.add_argument("--only", default=";".join(every), metavar="NAME;NAME", help="; ".join(every))
-    parser.add_argument("--out", default="first_call", metavar="NAME", help="benchmarks/NAME.json is written (default: first_call)")
+    parser.add_argument("--out", default=NAME, metavar="NAME", help="benchmarks/NAME.json is written (default: first_call)")
     parser.add_argument("--against", metavar="NAME", help="benchmarks/NAME.json of an earlier run, to compare with")
     parser.add_argument("--counts", action="store_true", help="only instructions and compilations, no second process, no commands")
     parser.add_argument("--lowered", metavar="FILE", help="count what is handed to the compiler instead, as tests/test_first_call.py does")
@@ -338,10 +368,16 @@ def main():
         print(name, json.dumps(found[name]), file=sys.stderr, flush=True)
     if not args.counts:
         found |= commands([name.removeprefix("jaxbound ") for name in wanted if name not in CASES])
-    load = round(os.getloadavg()[0], 1)
+    load, kept = round(os.getloadavg()[0], 1), HERE / f"{args.out}.json"
+    if len(wanted) < len(every) and kept.exists():
+        found = json.loads(kept.read_text())["cases"] | found
+        found = {name: found[name] for name in every if name in found}
     timing.save(args.out, {"load of the machine": load, "cases": found})
     if args.against:
-        print("\n".join(comparison(json.loads((HERE / f"{args.against}.json").read_text())["cases"], found)))
+        before = json.loads((HERE / f"{args.against}.json").read_text())["cases"]
+        print("\n".join(comparison(before, found)))
+        if args.out == NAME and not args.counts:
+            PAGE.write_text(written(PAGE.read_text(), table(before, found)))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
+from jaxbound.sets.strips.polynomials import multiaffine
 
 __all__ = ["BUDGET", "ParametricTest"]
 
@@ -31,6 +32,7 @@ class ParametricTest(WindowTest):
 
     Args:
         budget: boxes a window that "paving" may evaluate; None: `BUDGET`. allowance: what each relation may be off by, for "linearized".
+        whole: for windows that lack samples, the test of those that lack none.
 
     Raises:
         ValueError: a budget that is no whole number >= 1, an allowance that is none.
@@ -39,7 +41,9 @@ class ParametricTest(WindowTest):
     sharded = False
     constants = None
 
-    def __init__(self, relations: Any, method: str, dtype: Any, budget: Any = None, allowance: Any = 0.0) -> None:
+    def __init__(
+        self, relations: Any, method: str, dtype: Any, budget: Any = None, allowance: Any = 0.0, whole: "ParametricTest | None" = None
+    ) -> None:
         super().__init__(relations, method, dtype)
         self.budget = BUDGET if budget is None else whole_budget(budget)
         self.allowance = np.asarray(allowance, float)
@@ -48,7 +52,7 @@ class ParametricTest(WindowTest):
             raise ValueError(
                 f"compensation must be one finite number >= 0, or one for each of {relations.count} relations, not {allowance}"
             )
-        self.kind, self.proved = judged_by(relations, method), relations.complete == "proved"
+        self.kind, self.proved, self.whole = judged_by(relations, method), relations.complete == "proved", whole
 
     @property
     def block(self) -> int:
@@ -63,6 +67,16 @@ class ParametricTest(WindowTest):
         return self.reading.window.lags
 
     @cached_property
+    def reading(self) -> Any:
+        """How kernels read a window: where samples are missing, in the shape of others that lack some, if it fits."""
+        read, whole = self.relations.reading(self.dtype, self.method), self.whole
+        if whole is None:
+            return read
+        exponents, count = whole.relations.exponents_of_losses, 1 if self.kind == "vertices" else whole.relations.count
+        fits = read.count <= count and set(read.exponents) <= set(exponents) and (self.kind != "vertices" or multiaffine(exponents))
+        return read.filled(count, exponents, whole.reading.noisy) if fits else read
+
+    @cached_property
     def _on_device(self):
         return jax.device_put(self.reading)
 
@@ -75,8 +89,9 @@ class ParametricTest(WindowTest):
             if case is None:
                 found.append((Open(self, 0.0), starts[chosen]))
             else:
+                whole = None if case is self.relations else self
                 allowance = self.allowance if case.count == self.relations.count else self.allowance.max()
-                found.append((ParametricTest(case, self.method, self.dtype, self.budget, allowance), starts[chosen]))
+                found.append((ParametricTest(case, self.method, self.dtype, self.budget, allowance, whole), starts[chosen]))
         return found
 
     def judge(self, run: Callable, blocks: list) -> list:

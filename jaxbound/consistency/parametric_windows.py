@@ -7,7 +7,8 @@ range of a single multi-affine relation. CONSISTENT: a zero of p is proved to ex
 single relation has both signs; both need relations that are proved to say all. What is neither is UNDECIDED; `paving` cuts the box of
 parameters until one of the two proofs holds on every part.
 
-A window that lacks samples is tested by relations made for it: those without the lost rows, the lost inputs being unknown.
+A window that lacks samples is tested by relations made for it: those without the lost rows, the lost inputs being unknown. All that are
+no more than those of a whole window, in monomials that the loss of one sample brings about, share one compiled shape.
 
 Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
@@ -105,7 +106,8 @@ def judged_whole(test: Any, samples: Any, kind: str, proved: bool, allowance: An
 
 def _noise_part(test, z):
     """Return the noises among the columns of an image."""
-    m, lumps = len(test.noisy), len(test.N) if test.noisy and len(test.exponents) > 1 else 0
+    m = len(test.noisy) + (0 if test.spare is None else len(test.spare))
+    lumps = len(test.N) if m and len(test.exponents) > 1 else 0
     return z[len(z) - lumps - m : len(z) - lumps]
 
 

@@ -7,8 +7,9 @@ With the true outputs and disturbances z_j = mid_j + rad_j xi_j, |xi_j| <= 1, a 
 Source: Ploix, Adrot 2006, (6), (14).
 """
 
+import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +29,8 @@ class PolynomialReading:
 
     Fields: window, how rows z are read; N (count, K, R) and K (count, K, l), nearest to the exact coefficients; size (nv,), the bounds
     |v_i| <= size_i; exponents, K tuples of which the first is all zeros; noisy, the rows whose xi_j is kept as a variable: the others
-    are known to a few units roundoff, which count as rounding.
+    are known to a few units roundoff, which count as rounding. spare (count,): 1 for a row that says nothing, its own e within [-1, 1]
+    being 0; None: there is none.
     """
 
     window: Reading
@@ -37,6 +39,7 @@ class PolynomialReading:
     size: jax.Array
     exponents: tuple = field(metadata={"static": True})
     noisy: tuple = field(metadata={"static": True})
+    spare: jax.Array | None = None
 
     @property
     def horizon(self) -> int:
@@ -47,6 +50,19 @@ class PolynomialReading:
     def count(self) -> int:
         """Number of relations."""
         return self.N.shape[0]
+
+    def filled(self, count: int, exponents: tuple, noisy: tuple) -> Self:
+        """Return the same relations in a larger shape, which others share with them: what is compiled for one is compiled for all.
+
+        Monomials that do not occur have the coefficient 0; a row beyond the relations says that a number of its own is 0.
+        """
+        place, more = [exponents.index(a) for a in self.exponents], count - self.count
+        wide = lambda x: np.zeros((x.shape[0], len(exponents), x.shape[2]), x.dtype)
+        N, K = wide(self.N), wide(self.K)
+        N[:, place], K[:, place] = self.N, self.K
+        rows = lambda x: np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)])
+        spare = np.append(np.zeros(self.count, N.dtype), np.ones(more, N.dtype))
+        return dataclasses.replace(self, N=rows(N), K=rows(K), exponents=exponents, noisy=noisy, spare=spare)
 
     def polynomials(self, u: jax.Array, y: jax.Array) -> Any:
         """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within [-1, 1].
@@ -60,7 +76,7 @@ class PolynomialReading:
 
         Returns:
             value (count, K, N), where value[k, 0] is NaN if relation k needs a missing sample (what else is said of k then means nothing);
-            error (count, K, N); spread (count, K, R') and rad (R', N) for the noisy rows.
+            error (count, K, N); spread (count, K, R') and rad (R', N) for the noisy rows, and behind them for what is spare.
 
         Encloses: with coefficients and bounds as exact as the model's, in real arithmetic, the value of relation k at v and xi is within
         sum_a error[k, a] |v^exponents[a]| of the above. With an infinite sample all errors are infinite.
@@ -88,7 +104,12 @@ class PolynomialReading:
             rest = jnp.sum(jnp.sum(abs(N[:, :, np.array(quiet)]), 1)[..., None] * rad[np.array(quiet)][None], 1)
             error = error.at[:, 0].add((1 + gamma) * rest)
         noisy = np.array(self.noisy, int)
-        return value.at[:, 0].set(jnp.where(absent, jnp.nan, value[:, 0])), error, N[:, :, noisy], rad[noisy]
+        value = value.at[:, 0].set(jnp.where(absent, jnp.nan, value[:, 0]))
+        spread, rad = N[:, :, noisy], rad[noisy]
+        if self.spare is not None:
+            own = jnp.where(np.arange(N.shape[1])[:, None] == 0, jnp.diag(self.spare)[:, None], 0)
+            spread, rad = jnp.concatenate([spread, own], 2), jnp.concatenate([rad, jnp.ones_like(value[:, 0])])
+        return value, error, spread, rad
 
     def _scaled(self, coefficients):
         """Return coefficients for v in [-1, 1]: times size^alpha."""

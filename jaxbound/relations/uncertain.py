@@ -6,6 +6,7 @@ Source: Ploix, Adrot 2006, (4)-(6).
 """
 
 import dataclasses
+import functools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
@@ -33,6 +34,9 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.polynomials import closure
 
 __all__ = ["UncertainRelations", "uncertain_relations"]
+
+LOSSES = 64
+"""Samples of a window up to which all relations without one of them are made."""
 
 
 @readable
@@ -132,17 +136,18 @@ class UncertainRelations:
         Args:
             rows: a set of numbers of samples (s+1)p, time-major. inputs: a set of numbers of the l inputs; they may be anything.
         """
-        _, E, H, V = uncertain_window(self.model, self.horizon)
-        left = [i for i in range(E.rows) if i not in rows]
-        reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
-        omega, steps, complete = annihilator(reduced)
-        if not omega.rows:
-            return None
-        if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
-            complete = "sampled"
-        whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
-        omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
-        return dataclasses.replace(self, N=_on_rows(omega, V), K=omega @ H, steps=steps, complete=complete)
+        found = _without(self.model, self.horizon, frozenset(rows), frozenset(inputs))
+        return None if found is None else dataclasses.replace(self, **found)
+
+    @property
+    def exponents_of_losses(self) -> tuple[Exponents, ...]:
+        """The monomials of these relations and of those that are left where a window lacks one sample: see `without`."""
+        rows = (self.horizon + 1) * self.model.p
+        if rows + self.K.columns > LOSSES:
+            return self.exponents
+        lost = [_without(self.model, self.horizon, frozenset([i]), frozenset()) for i in range(rows)]
+        lost += [_without(self.model, self.horizon, frozenset(), frozenset([j])) for j in range(self.K.columns)]
+        return closure((*self.exponents, *(a for found in lost if found for part in (found["N"], found["K"]) for a in part.terms)))
 
     def polynomials(self, u: ArrayLike, y: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Return (value, error, spread, rad), the relations of N windows as polynomials: see `PolynomialReading.polynomials`.
@@ -250,6 +255,22 @@ def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations
     if complete == "partial":
         notes += (f"the search for relations gave up at order {steps[-1].order}: there may be more, of higher orders",)
     return UncertainRelations(model_bounds(model), model, horizon, variables, _on_rows(omega, V), omega @ H, steps, complete, notes)
+
+
+@functools.lru_cache(512)
+def _without(model, horizon, rows, inputs):
+    """Return {field: value} of the UncertainRelations that need neither these rows nor these inputs, or None: see `without`."""
+    _, E, H, V = uncertain_window(model, horizon)
+    left = [i for i in range(E.rows) if i not in rows]
+    reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
+    omega, steps, complete = annihilator(reduced)
+    if not omega.rows:
+        return None
+    if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
+        complete = "sampled"
+    whole = {a: {(i, left[j]): x for (i, j), x in entries.items()} for a, entries in omega.terms.items()}
+    omega = dataclasses.replace(omega, columns=E.rows, terms=whole)
+    return {"N": _on_rows(omega, V), "K": omega @ H, "steps": steps, "complete": complete}
 
 
 def _on_rows(omega, V):

@@ -133,12 +133,12 @@ def _enclosed(row, across, joined, shown, band, faulty, instead):
         wide = max(hi - lo, 1e-9 * max(abs(lo), abs(hi)), 1e-300)
         lowest, highest = (np.fmin.reduce(shown[0], initial=lo), np.fmax.reduce(shown[1], initial=hi))
         least, most = max(lowest, lo - 2 * wide) - 0.06 * wide, min(highest, hi + 2 * wide) + 0.06 * wide
-    down = lambda ends: [_down(end, least, most) for end in ends]
+    down = lambda ends: (_down(ends[0], least, most), _down(ends[1], least, most))
     wrong = np.isfinite(faulty[0])
     least_out, most_out = (end[wrong] for end in down(faulty))
     out = _dots(across[wrong], least_out) + _dots(across[wrong][most_out != least_out], most_out[most_out != least_out])
-    return {"row": row, "line": _line(across, *down(shown), joined=joined), "band": None, "shade": _spans(across, wrong), "out": out,
-            "hull": _hull(across, *down(band), joined=joined), "instead": _line(across, *down(instead), joined=joined),
+    return {"row": row, "line": _line(across, *down(shown), joined), "band": None, "shade": _spans(across, wrong), "out": out,
+            "hull": _hull(across, *down(band), joined), "instead": _line(across, *down(instead), joined),
             "marks": _places(row, least, most), "empty": not (known.any() or np.isfinite(shown[0]).any())}  # fmt: skip
 
 

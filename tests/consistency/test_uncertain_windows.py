@@ -8,7 +8,9 @@ from ploix_experiment import in_fault, record
 from uncertain_systems import SYSTEMS, TWO, relations
 
 import jaxbound as jb
+from benchmarks.first_call import compilations
 from jaxbound.consistency import parametric_windows
+from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.sets.floats.status import Status
 
 GOLDEN = ("n2p1_paper_h3", "n2p1_Btwo_h3", "n3p1_inv2_h4", "n3p1_var2_h4", "n3p2_var3_h2", "n3p2_inv3_h3", "n3p2_mixed3_h3")
@@ -181,6 +183,38 @@ ROWS = [(20, 0), (41, 1), (90, 0), (110, 1), (60, 0), (60, 1), (61, 0), (61, 1),
 def test_windows_with_gaps_have_the_verdict_of_the_program_without_the_row(rng, plant, s, T, rows, inputs):
     clear, faults = against_programs(rng, plant, s, T, rows, inputs)
     assert clear > 100 * T / 150 and faults > T / 15
+
+
+def lossy(rng, T, share):
+    """Return (relations, u, y): three relations in one parameter, half of the recording explained by them, samples of that share lost."""
+    m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[[0.05]], varying=False)])
+    u = rng.normal(size=(T, 1))
+    y = np.asarray(jb.simulate(m, u, jax.random.key(int(rng.integers(2**31)))).y) + np.where(np.arange(T) < T // 2, 0, 0.25)[:, None]
+    y += rng.normal(size=y.shape) * 0.05
+    u[rng.random(u.shape) < share / 4], y[rng.random(y.shape) < share] = np.nan, np.nan
+    return jb.parity_relations(m, 3), u, y
+
+
+def test_another_pattern_of_missing_samples_compiles_nothing(rng):
+    r, u, y = lossy(rng, 60, 0)
+    first, other = y.copy(), y.copy()
+    first[0], other[20], other[31] = np.nan, np.nan, np.nan
+    res = jb.detect(r, u, first)
+    assert res.status[3] != Status.MISSING
+    u[40] = np.nan  # a window from which an input is lost lacks a relation too
+    with compilations() as found:
+        more = jb.detect(r, u, other)
+    assert found == [] and (more.status[3:] != Status.MISSING).all()
+
+
+@pytest.mark.slow
+def test_patterns_in_one_shape_have_the_verdicts_that_each_has_in_its_own(rng, monkeypatch):
+    r, u, y = lossy(rng, 200, 0.1)
+    together = jb.detect(r, u, y)
+    monkeypatch.setattr(ParametricTest, "reading", property(lambda test: test.relations.reading(test.dtype, test.method)))
+    alone = jb.detect(r, u, y)
+    assert min(together.counts.values()) > 2 and (together.status == alone.status).all()
+    np.testing.assert_allclose(together.margin, alone.margin, rtol=0, atol=1e-6)
 
 
 NOISY = dict(noise=[0.02, 0.05], tolerance=[0.01, 0], disturbance=([[0.1], [0], [0.2]], [[-0.05, 0.1]]))
