@@ -15,6 +15,7 @@ from typing import cast
 import jax
 import numpy as np
 
+from jaxbound.cli.engine import engine_of, refuse_engine
 from jaxbound.cli.share import merged, opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated
@@ -52,6 +53,7 @@ COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": 
 def run_detect(args: argparse.Namespace) -> int:
     """Run `jaxbound detect`; return the exit code."""
     if args.data == "-":
+        refuse_engine(args, "is for Parquet: samples through a pipe are judged as they come")
         from jaxbound.cli import pipe
 
         return pipe.run(args)
@@ -64,6 +66,10 @@ def run_detect(args: argparse.Namespace) -> int:
     with door(OSError):
         kind = kind_of(args.data)
     refuse_shares(args, kind)
+    if args.method == VALIDATION or not kind.parts:
+        refuse_engine(args, f"is for Parquet and other methods: {args.data} is read as a whole")
+    if args.part is not None or args.merge:
+        refuse_engine(args, "spreads the work itself: leave out --part and --merge")
     if args.part is not None:
         return run_share(args)
     if args.method == VALIDATION:
@@ -104,7 +110,8 @@ def _stream(args, folder, step):
             parts = merged(args, source, relations)
         else:
             chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
-            parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress)
+            with engine_of(args) as client:
+                parts, seconds = write_parts(relations, source, args.out, args.method, chunk, progress, client=client)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)

@@ -169,6 +169,7 @@ def _parsers():
                    "n, and write its verdicts into DIR, beside shares made at the same time or on other machines; exit code 0")  # fmt: skip
     c.add_argument("--merge", action="store_true", help="Parquet: judge nothing and report on the shares in DIR: the verdicts, the "
                    "report and the exit code of one command without --part")  # fmt: skip
+    _engine(c)
     carries = "; observer carries everything since it began on"
     more = f"{carries}; validation bounds states and outputs, names the faulty sensor and says what it should have shown"
     _testing(c, more)
@@ -188,6 +189,7 @@ def _parsers():
     c = choices.add_parser("fleet", help="test many units listed in a table")
     c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
     c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
+    _engine(c)
     _testing(c, carries)
     _observer(c)
     c.set_defaults(module="fleet")
@@ -243,6 +245,7 @@ def _parsers():
     c.add_argument("--input-range", metavar="LO:HI", help="levels of the inputs, one pair for all or one each with commas (default: the "
                    "ranges that the model file states, which fit writes, else from 1 below the operating point to 1 above)")  # fmt: skip
     c.add_argument("--hold", type=_whole(1), default=20, metavar="H", help="samples that a level lasts (default: 20)")
+    _engine(c)
     c.add_argument("--rows", action="store_true", help="keep a row for each scenario in DIR/scenarios/")
     c.add_argument("--json", action="store_true", help="a machine-readable summary on stdout, nothing else")
     c.set_defaults(module="study")
@@ -278,6 +281,14 @@ def _observer(c):
     c.add_argument("--order", type=_whole(1, 1000), metavar="N", help="observer: directions of its set for each state; more is sharper and "
                    "slower (default: 20)")  # fmt: skip
     c.add_argument("--latched", action="store_true", help="observer: FAULT stays until a gap; else it begins anew behind a contradiction")
+
+
+def _engine(c):
+    """Add the options that say who does the work."""
+    one = c.add_mutually_exclusive_group()
+    one.add_argument("--workers", type=_whole(1, 10**4), metavar="N", help="let N processes of this machine do the work (needs dask)")
+    one.add_argument("--scheduler", type=_named, metavar="ADDRESS", help="let the workers of a dask scheduler do the work, like "
+                     "tcp://host:8786; they see all files by the same paths")  # fmt: skip
 
 
 def _window(c, about="a window has S + 1 samples (default: that of the model, or the least useful S)", least=0):

@@ -7,6 +7,7 @@ import time
 import jax
 import numpy as np
 
+from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
 from jaxbound.cli.window import window_relations
 from jaxbound.models.modelfile import load_model
@@ -35,7 +36,8 @@ def run(args: argparse.Namespace) -> int:
     if onset is not None and (len(onset) > 1 or not all(x.is_integer() for x in onset[0])):
         raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
     faults = [f.strip() for f in args.faults.split(",") if f.strip()]
-    with door(), output_folder(args.out, NAMES, (args.model,)) as folder, progress_bars(("relations", "study", "report")) as step:
+    stages = progress_bars(("relations", "study", "report"))
+    with door(), output_folder(args.out, NAMES, (args.model,)) as folder, stages as step, engine_of(args) as client:
         model = load_model(args.model)
         usable_device()
         model, relations = window_relations(model, args, "--samples", args.samples, step)
@@ -43,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
         onset = None if onset is None else tuple(map(int, onset[0]))
         res = study(
             model, faults, args.n, args.seed, relations, samples=args.samples, sizes=sizes, onset=onset, at=args.at, input_range=span,
-            hold=args.hold, progress=_Announced(args, lambda share: step("study", share)), out=args.out, rows=args.rows)  # fmt: skip
+            hold=args.hold, progress=_Announced(args, lambda share: step("study", share)),
+            out=args.out, rows=args.rows, client=client)  # fmt: skip
         counted = time.perf_counter() - start
         step("report", 0.2)
         with folder.work() as work:

@@ -49,6 +49,7 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
+    from distributed import Client
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -149,6 +150,7 @@ def detect_dataset(
     progress: Callable | None = None,
     part: tuple[int, int] | None = None,
     merge: bool = False,
+    client: "Client | None" = None,
 ) -> "Digest | list[Path]":
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
@@ -162,6 +164,7 @@ def detect_dataset(
         alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
         part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time, on other machines too, where
             `out` is one folder for all or their files are brought together. merge: test nothing, report on the shares.
+        client: of dask.distributed; its workers make the verdicts, and see the recording and `out` by the same paths as this process.
 
     Returns:
         A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in time are MISSING.
@@ -192,14 +195,14 @@ def detect_dataset(
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source(path, relations.model)
-            folder, _ = write_parts(relations, source, out, method, chunk, report, part)
+            folder, _ = write_parts(relations, source, out, method, chunk, report, part, client)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = _source(path, relations.model)
         if merge:
             folder = all_parts(relations, source, out, method)
         else:
-            folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share))
+            folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share), client=client)
         found = digest(relations, source, folder, method, alarm)
         publish(place)
     report(1.0)

@@ -14,15 +14,16 @@ import re
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
+from jaxbound.consistency.engine import spread, stretches_for
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.fingerprint import fingerprint
@@ -37,12 +38,16 @@ from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.shares import Incomplete, listed, numbers_of, shares_that_make
 from jaxbound.sets.floats.status import Status
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 __all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", "part_count", "part_files", "publish", "read_runs",
            "samples_of", "write_parts"]  # fmt: skip
 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
+STAGES = "read", "transfer", "compute", "write"
 RUNS, IDENTITY, CARRY = b"runs", b"identity", b"carry"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 
@@ -55,6 +60,7 @@ def write_parts(
     chunk: int = CHUNK,
     progress: Callable | None = None,
     part: tuple[int, int] | None = None,
+    client: "Client | None" = None,
 ) -> tuple[Path, dict[str, float]]:
     """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those that are not there yet.
 
@@ -63,19 +69,14 @@ def write_parts(
 
     Returns:
         (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the copying of columns into the
-        arrays that the kernel reads.
+        arrays that the kernel reads. Where workers do it, their seconds are added.
     """
-    folder, note = _begun(relations, source, Path(out), method, part)
-    s, report = relations.horizon, progress or (lambda share: None)
-    seconds = dict.fromkeys(("read", "transfer", "compute", "write"), 0.0)
+    folder, job = _begun(relations, source, Path(out), method, part, chunk)
+    report, seconds = progress or (lambda share: None), dict.fromkeys(STAGES, 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
-    first, end = mine.start * PART, min(mine.stop * PART, source.samples)
-    share = lambda done: report((done - first) / (end - first))
     try:
-        for parts in _stretches(_missing(folder, mine)):
-            pending = _Pending(folder, {i: note(i) for i in parts}, parts.start * PART)
-            judge = _judge(relations, method, folder, parts.start)
-            _test(judge, source, pending, max(chunk, LEAST, s + 1), share, _Lap(seconds), parts)
+        for taken in _done(client, job, _missing(folder, mine), mine, report):
+            seconds = {name: seconds[name] + more for name, more in taken.items()}
         source.unchanged()
         report(1.0)
     except ValueError:  # data that must be changed first: what was found in them is of no use then
@@ -87,6 +88,22 @@ def write_parts(
             forget_parts(folder)
         raise
     return folder, seconds
+
+
+def _done(client, job, missing, mine, report):
+    """Let a job write the parts that are missing, of the numbers in `mine`; yield the seconds of each task."""
+    stretches, left = _stretches(missing), len(missing)
+    if client is not None:
+        tasks = stretches if remembers(job.relations) else stretches_for(client, stretches)
+        report(1 - left / max(len(mine), 1))
+        for number, seconds in spread(client, job, tasks) if tasks else ():
+            left -= len(tasks[number])
+            report(1 - left / len(mine))
+            yield seconds
+        return
+    first, end = mine.start * PART, min(mine.stop * PART, job.source.samples)
+    for parts in stretches:
+        yield job.run(parts, lambda done: report((done - first) / (end - first)))
 
 
 def all_parts(relations: Any, source: ParquetSource, out: str | PathLike, method: str = "joint") -> Path:
@@ -132,26 +149,62 @@ def _number(part):
     return int(part.stem.removeprefix("part-"))
 
 
-def _test(judge, source, pending, size, report, lap, parts):
-    done, end = parts.start * PART, min(parts.stop * PART, source.samples)
-    report(done)
-    for first, piece in source.pieces(size, judge.overlap, max(done - judge.overlap, 0), end):
-        lap("read")
-        u, y = jax.block_until_ready(jax.device_put((piece.u, piece.y)))
-        lap("transfer")
-        part_of_it = [] if piece.excluded is None else [np.where(piece.excluded, np.nan, 1)[:, None]]
-        signals = np.concatenate([piece.u, piece.y, *part_of_it], 1)
-        stop = first + piece.samples
-        for fresh, status, margin, carry in judge(replace(piece, u=u, y=y), first, done):
-            lap("compute")
-            done = first + fresh.stop
-            pending.add(piece.column[fresh], status, margin, signals[fresh], done == end, carry)
-            lap("write")
-        assert done == stop
+@dataclass(frozen=True, eq=False)
+class _Judging:
+    """The test of a recording as a `Job`: a task is a range of parts, each of which it writes completely or not at all.
+
+    Fields: relations, source, method: as for `write_parts`. folder: of the parts. chunk: samples in memory at once. size: of a part, in
+    samples. common: what all parts depend on.
+    """
+
+    relations: Any
+    source: ParquetSource
+    folder: Path
+    method: str
+    chunk: int
+    size: int
+    common: dict
+
+    def note(self, number):
+        """Return what the verdicts in a part depend on, before any of it is read."""
+        before = number * self.size if remembers(self.relations) else self.relations.horizon
+        first, stop = max(number * self.size - before, 0), min((number + 1) * self.size, self.source.samples)
+        place = f"part {number} of {self.size} samples each"
+        return self.common | {"place in the recording": place, "content of the recording": self.source.content_of(first, stop)}
+
+    def run(self, parts, report=lambda done: None):
+        """Write the parts of a range that are not there; return the seconds that each stage took.
+
+        Args:
+            report: called with the number of the sample that is done.
+        """
+        seconds = dict.fromkeys(STAGES, 0.0)
+        for missing in _stretches(_missing(self.folder, parts)):  # some are there if a worker died with this task
+            self._write(missing, report, _Lap(seconds))
+        return seconds
+
+    def _write(self, parts, report, lap):
+        judge = _judge(self.relations, self.method, self.folder, parts.start, self.size)
+        pending = _Pending(self.folder, {i: self.note(i) for i in parts}, parts.start * self.size, self.size)
+        done, end = parts.start * self.size, min(parts.stop * self.size, self.source.samples)
         report(done)
+        for first, piece in self.source.pieces(self.chunk, judge.overlap, max(done - judge.overlap, 0), end):
+            lap("read")
+            u, y = jax.block_until_ready(jax.device_put((piece.u, piece.y)))
+            lap("transfer")
+            part_of_it = [] if piece.excluded is None else [np.where(piece.excluded, np.nan, 1)[:, None]]
+            signals = np.concatenate([piece.u, piece.y, *part_of_it], 1)
+            stop = first + piece.samples
+            for fresh, status, margin, carry in judge(replace(piece, u=u, y=y), first, done):
+                lap("compute")
+                done = first + fresh.stop
+                pending.add(piece.column[fresh], status, margin, signals[fresh], done == end, carry)
+                lap("write")
+            assert done == stop
+            report(done)
 
 
-def _judge(relations, method, folder, part):
+def _judge(relations, method, folder, part, size):
     """Return the _Windows or the _Carried of relations, before the part with this number."""
     if not remembers(relations):
         return _Windows(relations, method)
@@ -162,7 +215,7 @@ def _judge(relations, method, folder, part):
     if part:
         before = pq.read_schema(folder / _name(part - 1)).metadata
         carry = from_texts(carry, json.loads(before[CARRY]))
-    return _Carried(watch, carry)
+    return _Carried(watch, carry, size)
 
 
 class _Windows:
@@ -182,14 +235,14 @@ class _Carried:
 
     overlap = 1
 
-    def __init__(self, watch, carry):
-        self.watch, self.carry = watch, carry
+    def __init__(self, watch, carry, size):
+        self.watch, self.carry, self.size = watch, carry, size
 
     def __call__(self, piece, first, done):
         """As of _Windows, and what is carried behind them."""
         _, piece = self.watch.recording(piece)
         stop = first + piece.samples
-        edges = [done, *range((done // PART + 1) * PART, stop, PART), stop]
+        edges = [done, *range((done // self.size + 1) * self.size, stop, self.size), stop]
         for begin, end in itertools.pairwise(edges):
             fresh = slice(begin - first, end - first)
             self.carry, found = self.watch.fold(self.carry, piece.cut(fresh.start, fresh.stop))
@@ -253,10 +306,10 @@ class _Lap:
 
 
 class _Pending:
-    """Verdicts on their way into parts of PART samples."""
+    """Verdicts on their way into parts of `size` samples."""
 
-    def __init__(self, folder, notes, done):
-        self.folder, self.notes, self.done, self.held = folder, notes, done, []
+    def __init__(self, folder, notes, done, size):
+        self.folder, self.notes, self.done, self.size, self.held = folder, notes, done, size, []
 
     def add(self, written, status, margin, signals, last, carry=None):
         """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last.
@@ -266,11 +319,11 @@ class _Pending:
         import pyarrow as pa
 
         self.held.append((written, status, margin, signals))
-        while (rows := sum(len(x[1]) for x in self.held)) >= PART or (last and rows):
+        while (rows := sum(len(x[1]) for x in self.held)) >= self.size or (last and rows):
             written, *rest = zip(*self.held, strict=True)
             whole = (pa.concat_arrays(written), *map(np.concatenate, rest))
-            self._write(*(x[:PART] for x in whole), carry)
-            self.held = [tuple(x[PART:] for x in whole)]
+            self._write(*(x[: self.size] for x in whole), carry=carry)
+            self.held = [tuple(x[self.size :] for x in whole)]
 
     def _write(self, written, status, margin, signals, carry):
         import pyarrow as pa
@@ -283,7 +336,7 @@ class _Pending:
             "suspect": to_arrow(suspected(status, margin)),
         }
         runs = [follow(Runs(self.done), np.ascontiguousarray(x)) for x in signals.T]
-        number = self.done // PART
+        number = self.done // self.size
         about = {RUNS: json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist),
                  IDENTITY: json.dumps(self.notes[number])}  # fmt: skip
         about |= {} if carry is None else {CARRY: json.dumps(carry)}
@@ -296,8 +349,8 @@ class _Pending:
         self.done += len(status)
 
 
-def _begun(relations, source, out, method, part=None):
-    """Return (folder for the parts, function of a part's number: its identity); refuse what is of another run, or not ours at all.
+def _begun(relations, source, out, method, part=None, chunk=CHUNK):
+    """Return (folder for the parts, _Judging that makes them); refuse what is of another run, or not ours at all.
 
     A share looks at the content of its own parts only: where many are made at once, each reads what it judges and not all of the recording.
     """
@@ -307,23 +360,16 @@ def _begun(relations, source, out, method, part=None):
     if source.samples <= relations.horizon:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
     folder, common = out / PARTIAL, identity(relations, method=method, recording=fingerprint(source.layout))
-
-    def note(number):
-        """Return what the verdicts in a part depend on, before any of it is read."""
-        before = number * PART if remembers(relations) else relations.horizon
-        first, stop = max(number * PART - before, 0), min((number + 1) * PART, source.samples)
-        place = f"part {number} of {PART} samples each"
-        return common | {"place in the recording": place, "content of the recording": source.content_of(first, stop)}
-
+    job = _Judging(relations, source, folder, method, max(chunk, LEAST, relations.horizon + 1), PART, common)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
     strangers = set(os.listdir(folder)) - {p.name for p in _ours(folder)} if folder.is_dir() else ()
     mine = numbers_of(part or (1, 1), part_count(source))
     for file in part_files(folder):
-        _refuse_other(file, note(_number(file)) if _number(file) in mine else common)
+        _refuse_other(file, job.note(_number(file)) if _number(file) in mine else common)
     if strangers:
         raise ValueError(f"{folder} holds {min(strangers)}, which was not written by jaxbound: move it, or choose another folder")
-    return folder, note
+    return folder, job
 
 
 def _refuse_other(part, note):

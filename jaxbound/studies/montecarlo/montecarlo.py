@@ -9,14 +9,17 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property, lru_cache
+from itertools import islice
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
+from jaxbound.consistency.engine import spread
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.models.conversion import ModelLike, as_model
@@ -36,6 +39,9 @@ from jaxbound.studies.montecarlo.scenarios import Relations
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import Tally
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 __all__ = ["study"]
 
 AT = ("uniform", "vertices", "adversarial")
@@ -48,7 +54,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
           relations: Relations | None = None, *, samples: int = 200, sizes: Sequence[float] | dict[str, Sequence[float]] | None = None,
           onset: int | tuple[int, int] | None = None, at: str = "uniform", inputs: object = None, input_range: ArrayLike | None = None,
           hold: int = 20, method: str = "joint", confidence: float = 0.95, progress: Callable[[float], object] | None = None,
-          out: str | os.PathLike | None = None, rows: bool = False) -> StudyResult:  # fmt: skip
+          out: str | os.PathLike | None = None, rows: bool = False, client: "Client | None" = None) -> StudyResult:  # fmt: skip
     """Simulate n scenarios with faults, count what the proved test finds, and say how sure the shares are.
 
     A scenario is a recording of `samples` samples from x = 0: inputs, unknowns within the model's bounds, and a fault of one size from its
@@ -76,6 +82,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
             same counts.
         rows: True keeps a row for each scenario there too, in Parquet files: fault, size, scenario, onset, fault_windows,
             false_alarms, delay.
+        client: of dask.distributed, whose workers simulate and test; the counts are the same.
 
     Returns:
         A StudyResult.
@@ -112,7 +119,8 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
     room = np.max([recursion.rounding_room(model, relations.horizon, scenarios.largest_input(model, t, highest, samples), samples, dtype)
                    for t in trials], 0)  # fmt: skip
     course = kernel.Course(samples, hold, at == "vertices")
-    run, block = _engine(model, relations, course, at, method, room, u, limits, dtype)
+    made = model, relations, course, at, method, room, u, limits, dtype
+    run, block = _engine(*made)
     settings = {"method": method, "at": at, "samples": samples, "hold": hold, "n": n, "horizon": relations.horizon,
                 "dtype": np.dtype(dtype).name, "input range": limits.tolist(), "inputs": None if u is None else fingerprint(u),
                 "key": [w.tolist() for w in words], "engine": run.__name__,
@@ -120,11 +128,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
     tallies = [Tally(len(t.sizes), samples) for t in trials]
     keeper = None if out is None else Keeper(out, identity(relations, plant=model, rows=rows, **settings), tallies, rows)
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
-    acts = [scenarios.act_of(t, model, dtype) for t in trials]
-
-    def work(task):
-        i, first = task
-        return run(acts[i], words[i], np.arange(first, first + block, dtype=np.uint32))
+    job = _Scenarios(made, [scenarios.act_of(t, model, dtype) for t in trials], words, block)
 
     def collect(number, found):
         i, first = tasks[number]
@@ -136,8 +140,32 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         if keeper is not None:
             keeper.add_rows(trials[i].label, trials[i].sizes[which], np.arange(first, first + take), begun, hits, false, delay)
 
-    _work_off(tasks, work, collect, keeper, progress)
+    _work_off(client, job, tasks, collect, keeper, progress)
     return StudyResult(model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Scenarios:
+    """The scenarios of a study as a `Job`: a task is (number of a fault, first scenario), a block from there on.
+
+    Fields: made: what `_engine` takes. acts, words: of each fault. block: scenarios in a task.
+    """
+
+    made: tuple
+    acts: list
+    words: list
+    block: int
+
+    @cached_property
+    def counted(self):
+        """The function that counts a block; made where the work is done."""
+        return _engine(*self.made)[0]
+
+    def run(self, task):
+        """Return what is found in each scenario of a block: hits, false, delay, onset."""
+        i, first = task
+        found = self.counted(self.acts[i], self.words[i], np.arange(first, first + self.block, dtype=np.uint32))
+        return tuple(map(np.asarray, found))
 
 
 @jax.jit
@@ -246,38 +274,55 @@ def _counter(course):
     return lambda constants, numbers: kernel.count_block(course, *constants, numbers)
 
 
-def _work_off(tasks, work, collect, keeper, progress):
-    """Run the tasks that are left, one on each core at a time; collect them in order, and keep the state now and then."""
-    done = sent = 0 if keeper is None else keeper.done
+def _work_off(client, job, tasks, collect, keeper, progress):
+    """Do the tasks that are left; collect them in order, and keep the state now and then."""
+    done, saved = 0 if keeper is None else keeper.done, time.monotonic()
+    try:
+        for found in _here(job, tasks[done:]) if client is None else _there(client, job, tasks[done:]):
+            collect(done, found)
+            done += 1
+            due = done % PART == 0 if keeper is not None and keeper.rows else time.monotonic() - saved > EVERY
+            if keeper is not None and (due or done == len(tasks)):
+                keeper.save(done)
+                saved = time.monotonic()
+            if progress is not None:
+                progress(done / len(tasks))
+    except KeyboardInterrupt:  # what was collected since the last state may be half counted: it is drawn again
+        if keeper is None:
+            raise
+        kept = f"{keeper.done} of {len(tasks)} blocks of scenarios are kept in {keeper.folder}"
+        raise KeyboardInterrupt(f"interrupted: {kept}, the same command goes on from there") from None
+
+
+def _here(job, tasks):
+    """Yield what tasks return, in order; one runs on each core at a time."""
     cpu, *others = jax.local_devices(backend="cpu")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    waiting: deque[Future] = deque()
-    saved, threads = time.monotonic(), max(1, cores // (1 + len(others)))
-
+    threads = max(1, cores // (1 + len(others)))
     wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64  # in a context of the caller's thread, perhaps
+    left, waiting = iter(tasks), deque()  # type: ignore[var-annotated]
 
     def placed(task):
         with jax.default_device(cpu), jax.enable_x64(wide):
-            return jax.block_until_ready(work(task))
+            return job.run(task)
 
     with ThreadPoolExecutor(threads) as pool:
         try:
-            while done < len(tasks):
-                while sent < min(len(tasks), done + threads + 2):
-                    waiting.append(pool.submit(placed, tasks[sent]))
-                    sent += 1
-                collect(done, waiting.popleft().result())
-                done += 1
-                due = done % PART == 0 if keeper is not None and keeper.rows else time.monotonic() - saved > EVERY
-                if keeper is not None and (due or done == len(tasks)):
-                    keeper.save(done)
-                    saved = time.monotonic()
-                if progress is not None:
-                    progress(done / len(tasks))
-        except KeyboardInterrupt:  # what was collected since the last state may be half counted: it is drawn again
+            waiting.extend(pool.submit(placed, task) for task in islice(left, threads + 2))
+            while waiting:
+                found = waiting.popleft().result()
+                waiting.extend(pool.submit(placed, task) for task in islice(left, 1))
+                yield found
+        finally:
             for one in waiting:
                 one.cancel()
-            if keeper is None:
-                raise
-            kept = f"{keeper.done} of {len(tasks)} blocks of scenarios are kept in {keeper.folder}"
-            raise KeyboardInterrupt(f"interrupted: {kept}, the same command goes on from there") from None
+
+
+def _there(client, job, tasks):
+    """Yield what tasks return, in order; the workers of a dask client run them."""
+    done, held = 0, {}
+    for number, found in spread(client, job, tasks):
+        held[number] = found
+        while done in held:
+            yield held.pop(done)
+            done += 1

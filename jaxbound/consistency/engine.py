@@ -1,0 +1,211 @@
+"""Tasks on the workers of an engine that exists: dask.distributed sends them out, and again where a worker died.
+
+A job is a value that can be pickled, with a method `run(task)` that is a pure function: what it returns, or the file that it writes whole,
+depends on the job and the task alone. So it does not matter who runs a task, how often and in which order. Which tasks are left is known to
+whoever asks, from the files that are there or from a checkpoint: the engine remembers nothing.
+
+A worker is a process that was started afresh, with one thread: jax is not to be forked. Where workers have the resource GPU, a task takes
+one: start a process for each card, with `--nthreads 1 --resources GPU=1`.
+"""
+
+import logging
+import os
+import pickle
+import platform
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager, suppress
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import jax
+import numpy as np
+
+from jaxbound.sets.floats.probe import Unverified
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["Job", "connected", "processor", "spread", "stretches_for"]
+
+DEATHS = 100  # workers of our own that may die of one task: what kills them may have nothing to do with it
+RETRIES = 3  # of a task that fails by more than what it says of its data
+AHEAD = 4  # tasks a thread that are sent out at once: results must not pile up
+WAIT = 60  # seconds until a scheduler answers
+TASKS = 16  # a worker, at least, where a task may be of any length: the last ones end together, and little is lost with a worker
+HERE = ("processor", "devices")  # of a kind, what workers have in common but need not share with this process
+ALIKE = "for the same bytes everywhere, workers need the same kind of processor and the same versions"
+GOES_ON = "what is done is kept, the same call goes on from there"
+
+
+class Job(Protocol):
+    """What the tasks of one piece of work have in common; it can be pickled."""
+
+    def run(self, task: Any) -> Any:
+        """Do one task."""
+
+
+@contextmanager
+def connected(scheduler: str | None = None, workers: int | None = None) -> Iterator["Client"]:
+    """Give a dask.distributed Client, and let go of it at the end.
+
+    Args:
+        scheduler: address of one that runs, like tcp://host:8786. workers: or processes of this machine to start, one thread each.
+
+    Raises:
+        ValueError: distributed is not installed, or nobody answers.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise ValueError("workers need dask.distributed, which is not installed: pip install 'jaxbound[dask]'") from None
+    with ExitStack() as open_things:
+        place: Any = scheduler
+        if scheduler is None:
+            given = {"distributed.worker.multiprocessing-method": "spawn", "distributed.scheduler.allowed-failures": DEATHS}
+            open_things.enter_context(dask.config.set(given))
+            quiet = {"silence_logs": logging.CRITICAL, "dashboard_address": None}
+            place = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, env=_environment(), **quiet)
+            open_things.enter_context(place)
+        try:
+            client = Client(place, timeout=WAIT, set_as_default=False)
+        except (OSError, ValueError) as e:
+            raise ValueError(f"no dask scheduler answers at {scheduler}: {e}") from None
+        yield open_things.enter_context(client)
+
+
+def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, Any]]:
+    """Let workers do the tasks of a job; yield (number of a task, what it returned) as they are done, in any order.
+
+    Args:
+        client: of dask.distributed. job: see `Job`. tasks: any sequence of what can be pickled.
+
+    Raises:
+        ValueError: workers of several kinds, or none; a task that no worker survives. What a task says of its data is raised as it is.
+    """
+    from distributed import KilledWorker, as_completed
+    from distributed.comm import CommClosedError
+
+    kind, threads, gpus = _alike(client)
+    wide, needs = jax.dtypes.canonicalize_dtype(np.float64) == np.float64, {"resources": {"GPU": 1}} if gpus else {}
+    # sent once, and a task itself: what is scattered is lost with the worker that holds it
+    given = client.submit(_kept, pickle.dumps((job, kind, wide)), pure=False)
+    ready, left = as_completed(loop=client.loop), deque(enumerate(tasks))
+    numbers: dict[Any, int] = {}
+    try:
+        while left or numbers:
+            while left and len(numbers) < AHEAD * threads:
+                number, task = left.popleft()
+                future = client.submit(_attempt, given, task, pure=False, retries=RETRIES, **needs)
+                numbers[future] = number
+                ready.add(future)
+            future = next(ready)
+            refused, found = future.result()
+            if refused is not None:
+                raise refused
+            yield numbers.pop(future), found
+    except KilledWorker:
+        raise ValueError(f"workers died with one of {len(tasks)} tasks again and again, too little memory perhaps: {GOES_ON}") from None
+    except (CancelledError, CommClosedError):
+        raise ValueError(f"the scheduler {client.scheduler.address} is gone: {GOES_ON}") from None
+    finally:
+        with suppress(Exception):  # whoever is gone need not be told
+            client.cancel(list(numbers))
+
+
+def stretches_for(client: "Client | None", stretches: Sequence[range]) -> list[range]:
+    """Return ranges cut into tasks, so many that all workers are done at about the same time; uncut where there is no client."""
+    if client is None:
+        return list(stretches)
+    count = sum(map(len, stretches))
+    size = max(1, count // (TASKS * max(sum(client.nthreads().values()), 1)))
+    return [x[i : i + size] for x in stretches for i in range(0, len(x), size)]
+
+
+def processor() -> str:
+    """Return the kind of processor that rounds the last bits of this process: its maker's name, and what the compiler may use of it."""
+    names = [platform.machine()]
+    told = Path("/proc/cpuinfo")
+    if told.exists():
+        names += [line.split(":", 1)[1].strip() for line in told.read_text().splitlines() if line.startswith("model name")][:1]
+    flags = os.environ.get("XLA_FLAGS", "")
+    return " ".join([*names, *(["with", flags] if flags else [])])
+
+
+@lru_cache
+def _kind():
+    """Return what the bits that this process computes depend on."""
+    from jaxbound import __version__
+
+    devices = ",".join(sorted({f"{d.platform} {d.device_kind}" for d in jax.local_devices()}))
+    packages = {name: version(name) for name in ("jax", "jaxlib", "numpy")}
+    return {"jaxbound": __version__, **packages, "processor": processor(), "devices": devices}
+
+
+def _about(dask_worker):
+    """Return (kind, threads, whether it has a GPU to give) of a worker."""
+    return _kind(), dask_worker.state.nthreads, bool(dask_worker.state.total_resources.get("GPU"))
+
+
+def _alike(client):
+    """Return (the kind of all workers, their threads, whether they have GPUs to give); refuse workers that write other bytes."""
+    from jaxbound import __version__
+
+    answers: dict[str, Any] = {}
+    while not answers:
+        try:
+            client.wait_for_workers(1, timeout=WAIT)
+        except TimeoutError:
+            raise ValueError(f"the scheduler {client.scheduler.address} has no workers") from None
+        found = client.run(_about, on_error="return")
+        answers = {address: x for address, x in found.items() if not isinstance(x, OSError)}  # those died meanwhile
+    for address, found in answers.items():
+        if isinstance(found, ModuleNotFoundError):
+            raise ValueError(f"the worker {address} cannot import {found.name}: it needs jaxbound {__version__}, as this process has it")
+        if isinstance(found, BaseException):
+            raise ValueError(f"the worker {address} is of no use: {type(found).__name__}: {found}")
+    mine = {name: text for name, text in _kind().items() if name not in HERE}
+    (kind, _, _), *_ = answers.values()
+    for address, (found, _, _) in answers.items():
+        if said := _difference(found, kind | mine):
+            raise ValueError(f"the worker {address} has {said}: {ALIKE}")
+    threads, gpus = zip(*(answer[1:] for answer in answers.values()), strict=True)
+    return kind, sum(threads), any(gpus)
+
+
+def _difference(kind, wanted):
+    """Return what a kind has that is not what is wanted, as text; empty where nothing is."""
+    return " and ".join(f"{name} {text}, not {wanted[name]}" for name, text in kind.items() if text != wanted[name])
+
+
+def _kept(data):
+    return data
+
+
+@lru_cache(maxsize=4)
+def _unpacked(data):
+    """Return what was packed; once in a worker, for a job may keep what it computes."""
+    return pickle.loads(data)
+
+
+def _attempt(given, task):
+    """Return (what the task refuses or None, what it returns): what is wrong with data is as wrong at the next attempt."""
+    job, kind, wide = _unpacked(given)
+    if said := _difference(_kind(), kind):  # one that came later
+        return ValueError(f"a worker that joined has {said}: {ALIKE}; {GOES_ON}"), None
+    try:
+        with jax.enable_x64(wide):  # of this thread alone: the worker may be of use to others
+            return None, job.run(task)
+    except (ValueError, TypeError, NotImplementedError, Unverified) as e:
+        return e, None
+
+
+def _environment():
+    """Return what a process of our own needs to know of this one: where kernels are kept, and on what it computes."""
+    found = {"JAX_PLATFORMS": jax.config.jax_platforms, "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir}  # type: ignore[attr-defined]
+    keeps = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
+    return {name: text for name, text in found.items() if text} | keeps
