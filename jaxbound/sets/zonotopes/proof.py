@@ -39,7 +39,7 @@ Array = TypeVar("Array", np.ndarray, jax.Array)
 SINGLE = 2**18
 """Products of numbers for which OpenBLAS stays on one thread; with two, 1000 points of 20 coordinates took five times as long."""
 
-SMALL = 64
+SMALL = 24
 """Rows up to which equations are solved many at a time on the host; larger ones one by one, while they are in the processor's cache."""
 
 
