@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
-from jaxbound.cli.window import OBSERVER
+from jaxbound.cli.window import OBSERVER, observer_options, refuse_options
 from jaxbound.consistency.interface import METHODS
 from jaxbound.recordings.plaintext import cell, percent
 from jaxbound.reports.detection import write_report
@@ -56,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if args.method not in (*METHODS, OBSERVER):
         raise Refused(f"--method must be one of {', '.join((*METHODS, OBSERVER))}, not {args.method!r}")
     with door():
+        refuse_options(args)
         units = read_manifest(args.manifest)
         usable_device()
     results = []
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             with progress_bars(("units",)) as step:
                 testing = detect_fleet(units, args.method, args.horizon, args.alarm, args.min_coverage, lambda share: step("units", share),
-                                       args.lags, _pages(work))  # fmt: skip
+                                       args.lags, _pages(work), _options(args))  # fmt: skip
                 for result in testing:
                     results.append(result)
         except KeyboardInterrupt:
@@ -79,6 +80,11 @@ def run(args: argparse.Namespace) -> int:
     if stopped is not None:
         raise stopped
     return _conclude(args, results)
+
+
+def _options(args):
+    """Return what is said of an observer beside its horizon."""
+    return {name: value for name, value in observer_options(args).items() if name != "horizon"}
 
 
 def _pages(work):

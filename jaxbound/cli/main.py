@@ -241,6 +241,8 @@ def _parsers():
     c.add_argument("--onset", metavar="LO:HI", help="the fault starts at a sample LO <= k < HI (default: the second quarter)")
     c.add_argument("--at", default="uniform", help="unknowns: uniform (default), vertices of their bounds, or adversarial")
     _window(c)
+    c.add_argument("--method", default="joint", help=f"of the monitor: {METHODS} (default: joint), or observer")
+    _observer(c)
     c.add_argument("--seed", type=_whole(0), default=0, metavar="K", help="of the scenarios (default: 0)")
     c.add_argument("--input-range", metavar="LO:HI", help="levels of the inputs, one pair for all or one each with commas (default: the "
                    "ranges that the model file states, which fit writes, else from 1 below the operating point to 1 above)")  # fmt: skip

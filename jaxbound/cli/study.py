@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
-from jaxbound.cli.window import window_relations
+from jaxbound.cli.window import OBSERVER, window_relations
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.recordings.plaintext import cell
@@ -43,10 +43,10 @@ def run(args: argparse.Namespace) -> int:
         model, relations = window_relations(model, args, "--samples", args.samples, step)
         span = span[0] if span is not None and len(span) == 1 else span
         onset = None if onset is None else tuple(map(int, onset[0]))
+        by, progress = "joint" if args.method == OBSERVER else args.method, _Announced(args, lambda share: step("study", share))
         res = study(
             model, faults, args.n, args.seed, relations, samples=args.samples, sizes=sizes, onset=onset, at=args.at, input_range=span,
-            hold=args.hold, progress=_Announced(args, lambda share: step("study", share)),
-            out=args.out, rows=args.rows, client=client)  # fmt: skip
+            hold=args.hold, method=by, progress=progress, out=args.out, rows=args.rows, client=client)  # fmt: skip
         counted = time.perf_counter() - start
         step("report", 0.2)
         with folder.work() as work:

@@ -9,7 +9,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.relations.parity import parity_relations
 
-__all__ = ["OBSERVER", "observer_options", "windowed", "window_relations"]
+__all__ = ["OBSERVER", "observer_options", "refuse_options", "windowed", "window_relations"]
 
 OBSERVER = "observer"
 
@@ -24,6 +24,15 @@ def observer_options(args: argparse.Namespace) -> dict[str, Any]:
         return {}
     given = {"order": args.order, "horizon": args.horizon, "restart": False if args.latched else None}
     return {name: value for name, value in given.items() if value is not None}
+
+
+def refuse_options(args: argparse.Namespace) -> None:
+    """Raise ValueError for an option that the method of a command does not take."""
+    if getattr(args, "method", None) == OBSERVER:
+        if args.lags is not None:
+            raise ValueError("--lags is for windows: an observer looks at every sample")
+    elif given := [option for option in ("order", "latched") if getattr(args, option, None)]:
+        raise ValueError(f"--{given[0]} is for --method {OBSERVER}")
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:
@@ -49,12 +58,9 @@ def window_relations(
     Raises:
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
+    refuse_options(args)
     if getattr(args, "method", None) == OBSERVER:
-        if args.lags is not None:
-            raise ValueError("--lags is for windows: an observer looks at every sample")
         return model, observer(model, **observer_options(args))
-    if given := [option for option in ("order", "latched") if getattr(args, option, None)]:
-        raise ValueError(f"--{given[0]} is for --method {OBSERVER}")
     model = windowed(model, args.horizon, args.lags)
     refuse_short(source, samples, model.horizon if args.horizon is None else args.horizon)
     return model, parity_relations(model, args.horizon, progress=lambda share: step("relations", share))

@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.certificates.exact_window import dot
+from jaxbound.diagnosis.observer_sizes import least_seen
+from jaxbound.estimation.observer import SetObserver, observer
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
 from jaxbound.models import window
@@ -64,11 +66,12 @@ def detectable(
     horizon: int | None = None,
     operating_range: Any = None,
     lags: Sequence[int] | None = None,
+    method: str = "joint",
 ) -> GuaranteedSize:
     """Return the smallest size of a constant fault that is guaranteed to be detected.
 
     Args:
-        model: a LinearSystem.
+        model: a LinearSystem; with method "observer" also an `observer`, whose settings then count.
         fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
         horizon: of the window, which the fault must fill; None: that of the model, or its lags, or up to where longer windows see no
             smaller faults.
@@ -76,15 +79,19 @@ def detectable(
         operating_range: largest |reading - offset| of the outputs, one number, one per output or {output: number}, with the fault.
             Needed with a tolerance;
             without one, readings are assumed below a million times the bounds, so that the rounding of the recording does not matter.
+        method: "joint": of windows. "observer": of a set observer that has settled when the fault begins, a bias or a drift (its size is a
+            sample's), on a certain model without tolerances; no horizon, operating_range or lags.
 
     Returns:
         A GuaranteedSize, a float: `detect` with method "joint", in float64, calls every complete window FAULT throughout which a bias of
         this size or more, of either sign, acts on the signal, whatever the state, noise, disturbances and unknown inputs. Without
-        tolerances no smaller number has this property (but for rounding); with them a smaller one may.
+        tolerances no smaller number has this property (but for rounding); with them a smaller one may. With "observer" a size from
+        which on the observer finds FAULT within .horizon samples of the onset, whatever the errors: worked out in floats from one
+        recording (`observer_sizes`), so a number to plan by, while each FAULT is a proof; .sizes: {samples since the onset: size}.
 
     Raises:
         ValueError: a signal that the model does not have, an operating range that is missing or not positive.
-        NotImplementedError: another kind of fault, an uncertain model.
+        NotImplementedError: another kind of fault, an uncertain model; with "observer" one with tolerances.
 
     Example:
         >>> from jaxbound import LinearSystem
@@ -93,6 +100,10 @@ def detectable(
         >>> round(size, 6), size.horizon, size.relation
         (0.4, 0, 'y1[k] - y2[k] = 0')
     """
+    if method == SetObserver.method or isinstance(model, SetObserver):
+        return _observed(model, fault, (horizon, operating_range, lags))
+    if method != "joint":
+        raise ValueError(f"method must be joint or {SetObserver.method}, not {method!r}: sizes of others are counted by jb.study")
     model = as_model(model)
     signal, kind = (fault.signal, fault.kind) if isinstance(fault, Fault) else (fault, "bias")
     if signal not in model.outputs + model.inputs:
@@ -127,6 +138,23 @@ def detectable(
     out.horizon = first if best is None else best[1]
     out.sizes = {s: math.inf if x is None else float(x) for s, x in tried.items()}
     out.relation = "" if best is None else _text(model, *best[1:])
+    return out
+
+
+def _observed(model, fault, windows):
+    """Return the GuaranteedSize of a set observer."""
+    if any(x is not None for x in windows):
+        raise ValueError("horizon, operating_range and lags are for windows: an observer looks at every sample")
+    watch = model if isinstance(model, SetObserver) else observer(as_model(model))
+    fault = fault if isinstance(fault, Fault) else Fault(fault)
+    names = watch.model.outputs + watch.model.inputs
+    if fault.signal not in names:
+        raise ValueError(f"the model has no signal {fault.signal!r}: it has {listed(names, str)}")
+    size, delay, phi = least_seen(watch, fault)
+    out = GuaranteedSize(size)
+    best = np.maximum.accumulate(phi)
+    out.horizon, out.relation = delay, ""
+    out.sizes = {k: 2 / float(best[k]) for k in range(delay + 1) if best[k] > 0 and (k == 0 or best[k] > best[k - 1])}
     return out
 
 

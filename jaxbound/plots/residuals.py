@@ -24,6 +24,7 @@ from jaxbound.plots.canvas import (
 )
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.residual import Residual
+from jaxbound.relations.sentence import remembers
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 
@@ -50,6 +51,10 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
         ValueError: as `plot`. TypeError: the Result of a user's own residual.
     """
     relations = res.relations
+    if remembers(relations):
+        raise TypeError(
+            "only parity relations have an interval for each residual: plot(res.observation, y=res.y) draws an observer's bands"
+        )
     if isinstance(relations, Residual):
         raise TypeError("only parity relations have an interval for each residual: plot draws the verdicts of a residual of your own")
     x, label, dates = time_axis(time_of(res, time))

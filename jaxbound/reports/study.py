@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 
 from jaxbound.recordings.plaintext import percent
+from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import even_marks
 from jaxbound.reports.curves import Curve, share_chart
 from jaxbound.reports.page import render
@@ -39,6 +40,7 @@ NOT_SHOWN = ("method", "key", "faults", "engine", "dtype")  # settings that are 
 def study_page(res: StudyResult, seed: int, seconds: float) -> str:
     """Return the HTML text. res: of the study. seed: of it. seconds: that it took."""
     bounds = {"tolerance": res.model.tolerance, "noise": res.model.noise}
+    method, dtype = cast(str, res.settings["method"]), np.dtype(cast(str, res.settings["dtype"]))
     return render(
         "study.html",
         name=res.model.name,
@@ -52,7 +54,7 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
         rows=study_rows(res),
         settings=list(_settings(res, seed)),
         model=model_values(res.model, bounds),
-        computed=computed(cast(str, res.settings["method"]), res.horizon, np.dtype(cast(str, res.settings["dtype"])), {"study": seconds}),
+        computed=computed(method, looked_at(res), dtype, {"study": seconds}),
     )
 
 

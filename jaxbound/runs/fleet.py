@@ -1,25 +1,32 @@
 """Many units in one command: a manifest in, a table with a row a unit out, the worst first.
 
-Units of one shape share one compiled kernel, whatever their numbers. What is wrong with a unit (no such file, a bad model) becomes the
+Units of one shape share one compiled kernel, whatever their numbers. An observer follows units of one model side by side, whose recordings
+have one length and the same gaps: one step of time for all of them. What is wrong with a unit (no such file, a bad model) becomes the
 sentence of its row, and the others are tested. While one unit is tested, the next ones are read.
 """
 
 import csv
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.estimation.observer import SetObserver, observer
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.read import read
+from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.summary import CODES, Summary, bound_hints, summarised
@@ -28,6 +35,7 @@ __all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest
 
 COLUMNS = ("unit", "model", "recording")
 AHEAD = 4  # units that are read while another is tested
+SIDE = 32  # units that an observer follows side by side, which are in memory at once
 ORDER = ("fault", "not tested", "too little evidence", "no fault")
 
 
@@ -181,11 +189,13 @@ def detect_fleet(
     progress: Callable | None = None,
     lags: Sequence[int] | None = None,
     page: Callable[..., str] | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
     Args:
-        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`. horizon, lags: as for `parity_relations`.
+        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`, or "observer". horizon, lags: as for
+            `parity_relations`, or `observer`, which takes no lags. options: more for `observer`.
         alarm: (k, n), an alarm needs k FAULT among n windows.
         min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
         progress: called with the share of the units done.
@@ -196,12 +206,15 @@ def detect_fleet(
     """
     report, shared = progress or (lambda share: None), Counter(unit.model for unit in units)
     models: dict[Path, tuple[Any, Any]] = {}
+    ahead = SIDE if method == SetObserver.method else AHEAD
 
     def prepare(unit):
         model, relations = models.get(unit.model) or (load_model(unit.model), None)
         recording = read(unit.recording, model)
         longest = max(lags) if lags else model.horizon if horizon is None else horizon
-        refuse_short(unit.recording, recording.samples, longest)
+        refuse_short(unit.recording, recording.samples, longest if ahead == AHEAD else None)
+        if relations is None and method == SetObserver.method:
+            relations = observer(model, horizon=horizon, **options or {})
         relations = relations or parity_relations(model, horizon, lags=lags)
         if shared[unit.model] > 1:
             models[unit.model] = model, relations
@@ -210,33 +223,73 @@ def detect_fleet(
     with ThreadPoolExecutor(1) as beside:
         waiting: deque[Future] = deque()
         try:
-            for i, unit in enumerate(units):
-                while len(waiting) < AHEAD and i + len(waiting) < len(units):
-                    waiting.append(beside.submit(prepare, units[i + len(waiting)]))
-                found, about = _tested(unit, waiting.popleft(), method, alarm, min_coverage)
-                yield found._replace(report=page(unit, *about, found.summary)) if page and about else found
-                report((i + 1) / len(units))
+            done = 0
+            while done < len(units):
+                while len(waiting) < ahead and done + len(waiting) < len(units):
+                    waiting.append(beside.submit(prepare, units[done + len(waiting)]))
+                count = next(
+                    (i for i in range(1, len(waiting)) if ahead == AHEAD or units[done + i].model != units[done].model), len(waiting)
+                )
+                together, jobs = units[done : done + count], [waiting.popleft() for _ in range(count)]
+                for found, about in _tested(together, jobs, method, alarm, min_coverage):
+                    yield found._replace(report=page(found.unit, *about, found.summary)) if page and about else found
+                    done += 1
+                    report(done / len(units))
         finally:
             for job in waiting:
                 job.cancel()
 
 
-def _tested(unit, job, method, alarm, min_coverage):
-    """Return (UnitResult, (Result, Recording, alarms) or None)."""
+def _tested(units, jobs, method, alarm, min_coverage):
+    """Yield (UnitResult, (Result, Recording, alarms) or None) of units of one model."""
+    read = [_tried(unit, job.result) for unit, job in zip(units, jobs, strict=True)]
+    given = [x for x in read if not isinstance(x, UnitResult)]
+    alike = _side_by_side(given) if len(given) > 1 else {}
+    for unit, x in zip(units, read, strict=True):
+        if not isinstance(x, UnitResult):
+            x = _tried(unit, lambda unit=unit, x=x: _judged(unit, *x, method, alarm, min_coverage, alike.get(id(x[-1]))))
+        yield (x, None) if isinstance(x, UnitResult) else x
+
+
+def _tried(unit, work):
+    """Return what work() returns, or the UnitResult that says why it could not be done."""
     try:
-        model, relations, recording = job.result()
-        s = relations.horizon
-        refuse_short(unit.recording, recording.samples, s)
-        res = detect(relations, recording, method=method)
-        alarms = res.alarms(*alarm)
-        hints = (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms))
-        return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints)), (res, recording, alarms)
+        return work()
     except (OSError, ValueError, NotImplementedError, TypeError) as e:
         if isinstance(e, OSError) and e.filename and e.strerror:
-            return UnitResult.untested(unit, f"{e.filename}: {e.strerror.lower()}"), None
-        return UnitResult.untested(unit, str(e)), None
+            return UnitResult.untested(unit, f"{e.filename}: {e.strerror.lower()}")
+        return UnitResult.untested(unit, str(e))
     except Exception as e:  # one unit's trouble must not cost the others their answer
-        return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}"), None
+        return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}")
+
+
+def _judged(unit, model, relations, recording, method, alarm, min_coverage, res):
+    """Return (UnitResult, (Result, Recording, alarms)); res: the Result where it is there."""
+    refuse_short(unit.recording, recording.samples, relations.horizon)
+    res = detect(relations, recording, method=method) if res is None else res
+    alarms = res.alarms(*alarm)
+    hints = (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms))
+    return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints)), (res, recording, alarms)
+
+
+def _side_by_side(given):
+    """Return {id of a recording: Result} of those that an observer can follow side by side; given: (model, observer, recording)."""
+    groups: dict[Any, list] = {}
+    for _, relations, recording in given:
+        kind = recording.samples, tuple(recording.starts.tolist()), str(recording.y.dtype), str(recording.u.dtype)
+        groups.setdefault(kind, []).append((relations, recording))
+    found = {}
+    for group in groups.values():
+        relations, one = group[0]
+        if len(group) == 1 or one.samples <= relations.horizon:
+            continue
+        stack = lambda name, group=group: np.stack([np.asarray(getattr(recording, name)) for _, recording in group])
+        with suppress(ValueError):  # of one of them: each is told alone what is wrong
+            together = detect(relations, Recording(stack("u"), stack("y"), one.starts, one.inputs, one.outputs), method=relations.method)
+            for i, (_, recording) in enumerate(group):
+                parts = {name: getattr(together, name)[i] for name in ("status", "margin", "u", "y")}
+                found[id(recording)] = replace(together, **parts, index=recording.index, aside=recording.aside(relations.horizon))
+    return found
 
 
 def worst_first(results: Iterable[UnitResult]) -> list[UnitResult]:

@@ -137,3 +137,25 @@ def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, mo
 def test_what_does_not_go_together_is_said_in_a_sentence(place, capsys, more, says):
     assert detect(*more, out="out", data="run.parquet") == 2
     assert says in capsys.readouterr().err
+
+
+def test_a_fleet_is_followed_side_by_side_and_says_what_each_unit_says_alone(place, capsys, monkeypatch):
+    detect("-q", out="out")
+    table = pd.read_csv("run.csv")
+    table.assign(T1=table["T1"] - 0.02 * np.maximum(np.arange(T) - ONSET, 0)).to_csv("healthy.csv", index=False)
+    table.iloc[:100].to_csv("short.csv", index=False)
+    (place / "text.csv").write_text("time,heat,T1,T2\n0,a,b,c\n")
+    names = {"drifts": "run.csv", "healthy": "healthy.csv", "short": "short.csv", "text": "text.csv", "gone": "gone.csv", "too": "run.csv"}
+    (place / "units.csv").write_text("unit,model,recording\n" + "".join(f"{unit},plant.toml,{file}\n" for unit, file in names.items()))
+    capsys.readouterr()
+    batches, fold = [], jb.estimation.observer.SetObserver.fold
+    monkeypatch.setattr("jaxbound.estimation.observer.SetObserver.fold",
+                        lambda self, carry, piece: batches.append(np.shape(piece.y)) or fold(self, carry, piece))  # fmt: skip
+    assert main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", "--json"]) == 1
+    found = {unit["unit"]: unit for unit in json.loads(capsys.readouterr().out)["units"]}
+    assert (3, T, 2) in batches, "units of one length are one batch"
+    alone = [row[1] for row in told(place / "out")]
+    assert found["drifts"]["counts"] == found["too"]["counts"] == {s.name: alone.count(s.name) for s in jb.Status}
+    assert found["healthy"]["verdict"] == "no fault" and found["text"]["verdict"] == found["gone"]["verdict"] == "not tested"
+    assert found["short"]["samples"] == 100 and (place / "fleet/units").is_dir()
+    assert main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", "--lags", "0,1"]) == 2

@@ -22,6 +22,7 @@ from jaxbound.consistency.devices import everywhere, on_devices
 from jaxbound.consistency.engine import spread
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.strips import StripsTest
+from jaxbound.estimation.observer import SetObserver
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
@@ -31,6 +32,7 @@ from jaxbound.recordings.seeds import key_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual
+from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.strips.strips import UNROLLED
 from jaxbound.studies.montecarlo import adversary, kernel, records, recursion, scenarios
@@ -65,7 +67,8 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         faults: texts "signal:kind" (kinds as in `Fault`), Fault objects, or one of these; () for healthy scenarios only.
         n: scenarios, spread evenly over the faults.
         key: a jax.random key, or a whole number.
-        relations: of the monitor, whatever `detect` takes, a bank or a residual too; None: `parity_relations(model)`. Those of
+        relations: of the monitor, whatever `detect` takes, a bank, a residual or an `observer` too (then windows are samples, those behind
+            the onset faulty); None: `parity_relations(model)`. Those of
             another model with the same signals show what happens when its bounds are not the plant's.
         samples: of a scenario. sizes: of the faults, in the unit of the signal (relative for gain and tolerance): a sequence for all,
             or {"signal:kind": sequence}; None: a Fault's own, else twelve around the guaranteed size.
@@ -103,6 +106,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
     """
     model = as_model(model)
     relations = parity_relations(model) if relations is None else _named(relations, model)
+    method = SetObserver.method if isinstance(relations, SetObserver) and method == "joint" else method
     _check(model, relations, n, samples, hold, at, method, confidence)
     refuse_unverified()
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
@@ -116,7 +120,8 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         raise ValueError(f"n must be at least the number of faults, {len(trials)}, not {n}")
     key = key_of(key)
     words = [np.asarray(_words(key, i)) for i in range(len(trials))]
-    room = np.max([recursion.rounding_room(model, relations.horizon, scenarios.largest_input(model, t, highest, samples), samples, dtype)
+    reach = samples if remembers(relations) else relations.horizon
+    room = np.max([recursion.rounding_room(model, reach, scenarios.largest_input(model, t, highest, samples), samples, dtype)
                    for t in trials], 0)  # fmt: skip
     course = kernel.Course(samples, hold, at == "vertices")
     made = model, relations, course, at, method, room, u, limits, dtype
@@ -135,7 +140,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         take = min(block, counts[i] - first)
         hits, false, delay, begun = (np.asarray(x)[:take] for x in found)
         which = np.arange(first, first + take) % len(trials[i].sizes)
-        windows, clean = trials[i].spans(begun, samples, relations.horizon)
+        windows, clean = trials[i].spans(begun, samples, relations)
         tallies[i].add(which, hits, false, delay, windows, clean)
         if keeper is not None:
             keeper.add_rows(trials[i].label, trials[i].sizes[which], np.arange(first, first + take), begun, hits, false, delay)

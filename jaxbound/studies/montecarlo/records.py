@@ -11,6 +11,7 @@ import numpy as np
 from jaxbound.diagnosis.detection import detect
 from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
+from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import kernel, scenarios
 from jaxbound.studies.montecarlo.scenarios import Relations
@@ -30,7 +31,10 @@ def count_recordings(
     s, end = relations.horizon, np.arange(y.shape[1])[None]
     fault = detect(relations, u, y, method).status == Status.FAULT
     start, length = np.asarray(onset)[:, None], int(act.length)
-    touched = (end >= start) & (end - s < start + length)
+    if remembers(relations):  # each sample behind the onset rests on faulty ones
+        s, touched = 0, end >= start
+    else:
+        touched = (end >= start) & (end - s < start + length)
     hits = (fault & (end - s >= start) & (end < start + length)).sum(1)
     seen = fault & touched
     delay = np.where(seen.any(1), seen.argmax(1) - start[:, 0], -1)

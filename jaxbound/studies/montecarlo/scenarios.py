@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,19 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.diagnosis.detectability import detectable
+from jaxbound.estimation.observer import SetObserver
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.residual import Residual
+from jaxbound.relations.sentence import remembers
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.studies.montecarlo import recursion
 from jaxbound.studies.montecarlo.draws import Array
 
 __all__ = ["Act", "Relations", "Trial", "act_of", "changed", "largest_input", "trials"]
 
-Relations = ParityRelation | UncertainRelations | Redundancy | Residual
+Relations = ParityRelation | UncertainRelations | Redundancy | Residual | SetObserver
 """Of a monitor: whatever `detect` takes."""
 
 SIZELESS = ("stuck", "dropout")
@@ -50,9 +53,14 @@ class Trial:
         """Its name, like y1:bias."""
         return "no fault" if self.fault is None else f"{self.fault.signal}:{self.fault.kind}"
 
-    def spans(self, onset: np.ndarray, samples: int, horizon: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return (windows wholly inside the fault, windows without a faulty sample) of scenarios with such onsets."""
-        stop = np.minimum(onset + self.length, samples)
+    def spans(self, onset: np.ndarray, samples: int, relations: Relations) -> tuple[np.ndarray, np.ndarray]:
+        """Return (windows wholly inside the fault, windows without a faulty sample) of scenarios with such onsets.
+
+        Of an observer: samples of the fault, and those before it.
+        """
+        stop, horizon = np.minimum(onset + self.length, samples), relations.horizon
+        if remembers(relations):
+            return stop - onset, np.maximum(onset - horizon, 0)
         inside = np.maximum(stop - onset - horizon, 0)
         return inside, np.maximum(onset - horizon, 0) + np.maximum(samples - stop - horizon, 0)
 
@@ -210,6 +218,9 @@ def guaranteed_size(model: Any, fault: Any, relations: Any, highest: Any, sample
 def _usual_sizes(model, fault, relations, highest, samples):
     """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds allow."""
     base = guaranteed_size(model, Fault(fault.signal), relations, highest, samples, 0.0)
+    if isinstance(relations, SetObserver):
+        with suppress(NotImplementedError):
+            base = float(detectable(relations, Fault(fault.signal)))
     _, readings = recursion.reach(model, np.asarray(highest, float), samples)
     inside = fault.signal in model.outputs
     i = (model.outputs if inside else model.inputs).index(fault.signal)

@@ -39,6 +39,11 @@ class StudyResult:
     settings: dict[str, object]
 
     @property
+    def remembers(self) -> bool:
+        """Whether an observer was studied: windows are samples then, and horizon those that it takes to begin."""
+        return self.settings["method"] == "observer"
+
+    @property
     def scenarios(self) -> int:
         """Number of scenarios counted."""
         return int(sum(t.scenarios.sum() for t in self.tallies))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.diagnosis.detection import detect
+from jaxbound.estimation.observer import SetObserver
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.checkpoint import Checkpoint
 from jaxbound.recordings.objecttext import readable
@@ -36,6 +37,7 @@ CAPACITY, SEARCHED, NEW = 1024, 256, 32  # worst windows that steps look at (by 
 UNTUNED = {
     Redundancy: ", whose relations explain alone whatever the joint test explains: tune that, and build the bank of the tuned .model",
     Residual: ", whose verdict comes from bisection, with no margin to scale or to derive: try boxes by with_bounds and detect",
+    SetObserver: ", whose margin has no derivative: tune long windows, with lags, and build the observer of the tuned .model",
 }
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
