@@ -6,7 +6,7 @@ For every case: seconds and CPU seconds of the first call after the imports, onc
 full one; compilations; instructions of the optimised programs, which do not depend on what else the machine does. Cases that end in a
 number are windows of so many samples and one: how a kernel grows with the horizon. --out: the figures go to benchmarks/NAME.json; of
 --only, beside those of the other cases that are there. --against: they are printed beside those of an earlier run, and of the usual NAME
-the table in docs/benchmarks.md is written anew. --counts: only what can be counted, one process a case. Commands of the shell
+the table in docs/benchmarks.md is written anew. --counts: only what can be counted, in one process. Commands of the shell
 are measured whole, from start to exit.
 """
 
@@ -194,6 +194,7 @@ def compilations():
 
 def measured(name, dumped):
     """Return the figures of the first call of a case in this process; dumped: the folder that XLA writes its programs to, or None."""
+    jax.clear_caches()
     jax.device_put(np.zeros(3)).block_until_ready()
     run = CASES[name]()
     earlier = set(programs(dumped))
@@ -256,7 +257,7 @@ def programs(dumped):
     return list(Path(dumped).glob("*after_optimizations.txt")) if dumped else []
 
 
-def case(name, warm):
+def case(name):
     """Return the figures of a case, each first call in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         kept, dumped = Path(folder) / "kernels", Path(folder) / "programs"
@@ -264,8 +265,17 @@ def case(name, warm):
         settings["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
         dump = {"XLA_FLAGS": f"--xla_dump_to={dumped} --xla_dump_hlo_as_text --xla_dump_hlo_pass_re=none"}
         command = [sys.executable, "-m", "benchmarks.first_call", "--case", name]
-        figures = _asked([*command, "--dumped", str(dumped)], settings | dump)
-        return figures | ({"warm": _asked(command, settings)} if warm else {})
+        return _asked([*command, "--dumped", str(dumped)], settings | dump)[name] | {"warm": _asked(command, settings)[name]}
+
+
+def counted(names):
+    """Return the figures of cases of which only counts are wanted: one after the other in a process that forgets what it compiled.
+
+    The first of them counts the probe of the device too, some 50 instructions.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        dump = {"XLA_FLAGS": f"--xla_dump_to={folder} --xla_dump_hlo_as_text --xla_dump_hlo_pass_re=none", "JAX_COMPILATION_CACHE_DIR": ""}
+        return _asked([sys.executable, "-m", "benchmarks.first_call", "--case", ";".join(names), "--dumped", folder], dump)
 
 
 def _asked(command, settings):
@@ -348,13 +358,13 @@ def main():
     parser.add_argument("--only", default=";".join(every), metavar="NAME;NAME", help="; ".join(every))
     parser.add_argument("--out", default=NAME, metavar="NAME", help="benchmarks/NAME.json is written (default: first_call)")
     parser.add_argument("--against", metavar="NAME", help="benchmarks/NAME.json of an earlier run, to compare with")
-    parser.add_argument("--counts", action="store_true", help="only instructions and compilations, no second process, no commands")
+    parser.add_argument("--counts", action="store_true", help="only instructions and compilations, all in one process, no commands")
     parser.add_argument("--lowered", metavar="FILE", help="count what is handed to the compiler instead, as tests/test_first_call.py does")
-    parser.add_argument("--case", help="what the process of a single case is asked")
+    parser.add_argument("--case", metavar="NAME;NAME", help="what the process of a case, or of several, is asked")
     parser.add_argument("--dumped", help="and where XLA writes its programs")
     args = parser.parse_args()
     if args.case:
-        print(json.dumps(measured(args.case, args.dumped)))
+        print(json.dumps({name: measured(name, args.dumped) for name in args.case.split(";")}))
         return
     if args.lowered:
         found = {name: lowered(name) for name in CASES if name not in ALIKE}
@@ -363,10 +373,13 @@ def main():
     wanted, found = [name.strip() for name in args.only.split(";") if name.strip()], {}
     if unknown := [name for name in wanted if name not in every]:
         parser.error(f"--only does not know {', '.join(unknown)}")
-    for name in (n for n in wanted if n in CASES):
-        found[name] = case(name, not args.counts)
-        print(name, json.dumps(found[name]), file=sys.stderr, flush=True)
-    if not args.counts:
+    cases = [name for name in wanted if name in CASES]
+    if args.counts:
+        found = counted(cases)
+    else:
+        for name in cases:
+            found[name] = case(name)
+            print(name, json.dumps(found[name]), file=sys.stderr, flush=True)
         found |= commands([name.removeprefix("jaxbound ") for name in wanted if name not in CASES])
     load, kept = round(os.getloadavg()[0], 1), HERE / f"{args.out}.json"
     if len(wanted) < len(every) and kept.exists():

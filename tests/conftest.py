@@ -29,6 +29,14 @@ def pytest_configure(config):
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # small ones too: eager code is made of them
 
 
+@pytest.fixture
+def kernels(monkeypatch):
+    """Have processes that a test starts share the compiled kernels of this one."""
+    if folder := jax.config.jax_compilation_cache_dir:
+        monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", folder)
+        monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+
 @pytest.fixture(scope="session")
 def shared():
     """Return a function that finds a file of the shared folder and skips the test, saying so, where it is absent."""

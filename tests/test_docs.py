@@ -7,6 +7,7 @@ import io
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import types
@@ -196,17 +197,40 @@ def follow(page, place, blocks_run=None):
             return
 
 
-@pytest.fixture
-def empty(tmp_path, monkeypatch):
-    """Return an empty folder to which commands are typed; nothing of them reaches other tests."""
+def at_a_prompt(folder, monkeypatch):
+    """Type commands in a folder; nothing of them reaches other tests."""
     from jaxbound.cli import main
     from jaxbound.runs import cache
 
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(folder)
     monkeypatch.setattr(main, "_configure", lambda: None)
     monkeypatch.setattr(cache, "use_cache", lambda *args: None)
     monkeypatch.setattr(jb, "use_cache", lambda *args: None, raising=False)
-    return tmp_path
+    return folder
+
+
+@pytest.fixture
+def empty(tmp_path, monkeypatch):
+    """Return an empty folder to which commands are typed."""
+    return at_a_prompt(tmp_path, monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """Return the folder that the first page leaves: the example, its fitted model, two recordings in a folder."""
+    import pandas as pd
+
+    fitted = next(text for _, text, *_ in blocks(ROOT / "docs" / "start.md") if text.startswith("jaxbound fit"))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        at_a_prompt(tmp_path_factory.mktemp("laboratory"), monkeypatch)
+        for command in ("jaxbound example heater", "cd heater", fitted.replace("\\\n", " ").strip()):
+            _, place, _ = typed(command, Path.cwd())
+    (place / "recordings").mkdir()
+    for i in (1, 2):
+        table = pd.read_csv(place / f"healthy_{i}.csv")
+        table["Time (s)"] += 6000.0 * (i - 1)  # another day
+        table.to_parquet(place / "recordings" / f"{i}.parquet")
+    return place
 
 
 def test_the_first_page_runs_as_it_stands_until_the_proof(empty):
@@ -221,18 +245,8 @@ def test_every_command_of_the_first_pages_runs_in_an_empty_folder(page, empty):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [p.name for p in PAGES if p.name not in ("start.md",) and any(run for *_, run in blocks(p))])
-def test_every_command_of_the_other_pages_runs_beside_the_laboratory(page, empty):
-    import pandas as pd
-
-    fitted = next(text for _, text, *_ in blocks(ROOT / "docs" / "start.md") if text.startswith("jaxbound fit"))
-    for command in ("jaxbound example heater", "cd heater", fitted.replace("\\\n", " ").strip()):
-        _, place, _ = typed(command, Path.cwd())
-    (place / "recordings").mkdir()
-    for i in (1, 2):
-        table = pd.read_csv(place / f"healthy_{i}.csv")
-        table["Time (s)"] += 6000.0 * (i - 1)  # another day
-        table.to_parquet(place / "recordings" / f"{i}.parquet")
-    follow(next(p for p in PAGES if p.name == page), place)
+def test_every_command_of_the_other_pages_runs_beside_the_laboratory(page, laboratory, empty):
+    follow(next(p for p in PAGES if p.name == page), shutil.copytree(laboratory, empty / laboratory.name))
 
 
 def test_every_block_of_commands_is_run_or_says_why_not():

@@ -14,6 +14,8 @@ from pathlib import Path
 import jax
 import pytest
 
+from benchmarks import first_call
+
 ROOT = Path(__file__).parents[1]
 TABLE = json.loads((ROOT / "tests/first_call.json").read_text())
 MEASURED = (ROOT / "benchmarks/first_call.json", ROOT / "benchmarks/first_call_before.json")  # the latest that there is
@@ -67,9 +69,15 @@ def test_the_table_of_first_calls_stands_between_its_marks():
         written("no marks", found)
 
 
-@pytest.mark.slow
-def test_no_optimised_program_grows_by_half(tmp_path):
-    counted(tmp_path, "--counts", "--out", str(tmp_path / "now"))
+LARGE = [name for name in first_call.CASES if name.endswith(("20", "40"))]
+
+
+@pytest.mark.parametrize("cases", [
+    pytest.param([name for name in first_call.CASES if name not in LARGE], id="all", marks=pytest.mark.slow),
+    pytest.param(LARGE, id="20 samples and more", marks=pytest.mark.long),
+])  # fmt: skip
+def test_no_optimised_program_grows_by_half(cases, tmp_path):
+    counted(tmp_path, "--counts", "--out", str(tmp_path / "now"), "--only", ";".join(cases))
     now = json.loads((tmp_path / "now.json").read_text())["cases"]
     pair = lambda figures: [figures["instructions"], figures["compilations"]]
     latest = json.loads(next(path for path in MEASURED if path.exists()).read_text())["cases"]

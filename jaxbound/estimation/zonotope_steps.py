@@ -156,9 +156,9 @@ class Found(NamedTuple):
     outputs: Any
 
 
-@partial(jax.jit, static_argnames=("lanes", "enclosures", "restart"))
+@partial(jax.jit, static_argnames=("lanes", "enclosures"))
 def follow(
-    plant: Numbers, start: Start | None, carry: Carry, known: Read, stop: int, lanes: int, enclosures: bool, restart: bool
+    plant: Numbers, start: Start | None, carry: Carry, known: Read, stop: int, lanes: int, enclosures: bool, restart: jax.Array | bool
 ) -> tuple[Carry, Found]:
     """Follow N recordings over the first `stop` of these samples.
 
@@ -178,8 +178,7 @@ def follow(
         carry, found = state
         now = Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
         carry, out = _sample(plant, start, _begun_anew(carry, now.fresh), now, enclosures)
-        if restart:
-            carry = _begun_anew(carry, jnp.tile(jnp.any(carry.empty.reshape(lanes, -1), 0), lanes))
+        carry = _begun_anew(carry, restart & jnp.tile(jnp.any(carry.empty.reshape(lanes, -1), 0), lanes))
         carry = _step_of_time(plant, carry, now)
         put = lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0)
         return carry, Found(*(put(old, new) for old, new in zip(found, out, strict=True)))

@@ -206,7 +206,7 @@ def test_the_adversary_hides_whatever_a_linear_program_can_hide():
 
 @pytest.mark.parametrize("devices", [pytest.param(8, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.long),
                                      pytest.param(4, marks=pytest.mark.long)])  # fmt: skip
-def test_counts_are_the_same_on_many_devices(devices):
+def test_counts_are_the_same_on_many_devices(devices, kernels):
     """Blocks sharded over virtual devices of a process of its own, and one block after the other in this one."""
     code = (
         "import jax; jax.config.update('jax_enable_x64', True); import jaxbound as jb;"
