@@ -18,7 +18,7 @@ from jaxbound.models.window import input_lags
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval, interval, matmul, sub
-from jaxbound.sets.paving.paving import pave
+from jaxbound.sets.paving.paving import reaches
 
 __all__ = ["PavingTest", "internal_form", "whole_windows"]
 
@@ -112,8 +112,7 @@ def _pave(relations, U, Y, q, boxes):
     edge = np.ones(len(tolerance) + flat.shape[1] + len(w_lo), dtype)
     filler = (np.arange(count) >= windows)[:, None]  # an empty target is excluded by the first box
     target = Interval(np.where(filler, np.inf, external.lo), np.where(filler, -np.inf, external.hi))
-    found = pave(internal_form, Interval(-edge, edge), target, q=q, max_boxes=boxes, args=args)
-    return np.asarray(found.status)[:windows]
+    return reaches(internal_form, Interval(-edge, edge), target, q, boxes, tuple(map(np.asarray, args)))[:windows]
 
 
 @jax.jit

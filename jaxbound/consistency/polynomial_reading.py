@@ -57,12 +57,14 @@ class PolynomialReading:
         Monomials that do not occur have the coefficient 0; a row beyond the relations says that a number of its own is 0.
         """
         place, more = [exponents.index(a) for a in self.exponents], count - self.count
-        wide = lambda x: np.zeros((x.shape[0], len(exponents), x.shape[2]), x.dtype)
-        N, K = wide(self.N), wide(self.K)
-        N[:, place], K[:, place] = self.N, self.K
-        rows = lambda x: np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)])
-        spare = np.append(np.zeros(self.count, N.dtype), np.ones(more, N.dtype))
-        return dataclasses.replace(self, N=rows(N), K=rows(K), exponents=exponents, noisy=noisy, spare=spare)
+
+        def wide(x):
+            out = np.zeros((count, len(exponents), x.shape[2]), x.dtype)
+            out[: self.count, place] = x
+            return out
+
+        spare: Any = np.append(np.zeros(self.count, self.N.dtype), np.ones(more, self.N.dtype))
+        return dataclasses.replace(self, N=wide(self.N), K=wide(self.K), exponents=exponents, noisy=noisy, spare=spare)
 
     def polynomials(self, u: jax.Array, y: jax.Array) -> Any:
         """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within [-1, 1].

@@ -63,6 +63,7 @@ def explore(
     first: bool = False,
     progress: Callable[[float], object] | None = None,
     sizes: Sequence[int] = BLOCKS,
+    followed: int | None = None,
 ) -> Cover:
     """Judge and cut boxes until none is left or the budget is spent.
 
@@ -73,6 +74,7 @@ def explore(
         axis: "alternate", "widest" (the first if equal) or "kernel": where boxes are cut.
         first: drop all boxes of a target once one solution is proved.
         progress: called with the share of levels done. sizes: of blocks, the smaller for levels that fit into one.
+        followed: so many boxes of each target, evenly picked, are cut at most; the others are forgotten.
 
     Returns:
         A Cover. A box too narrow to be cut in floats stays as it is.
@@ -99,7 +101,7 @@ def explore(
             known[owner[which]] = True
             keep = keep & ~known[owner] if first else keep
         lo, hi = (lo, hi) if said.rest is None else said.rest
-        kept = np.flatnonzero(keep)
+        kept = np.flatnonzero(keep) if followed is None else _picked(np.flatnonzero(keep), owner, count, followed)
         lo, hi, owner = lo[:, kept], hi[:, kept], owner[kept]
         if axis == "alternate":
             along = np.full(len(kept), level % n)
@@ -118,6 +120,15 @@ def explore(
         open_ = ~known[owner]
         lo, hi, owner = lo[:, open_], hi[:, open_], owner[open_]
     return Cover(lo, hi, owner, _join(proofs or [(lo[:, :0], hi[:, :0], owner[:0])]), evaluated, level)
+
+
+def _picked(kept: np.ndarray, owner: np.ndarray, count: int, most: int) -> np.ndarray:
+    """Return at most so many of the boxes `kept` of each owner, evenly spread over them; owners ascend."""
+    own = owner[kept]
+    many = np.bincount(own, minlength=count)
+    rank = np.arange(len(kept)) - (np.cumsum(many) - many)[own]
+    at = np.minimum(many, most)[own]
+    return kept[(rank + 1) * at // many[own] > rank * at // many[own]]
 
 
 def in_blocks(kernel: Kernel, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, sizes: Sequence[int] = BLOCKS) -> tuple[Any, ...]:
