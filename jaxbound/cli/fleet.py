@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.window import OBSERVER, observer_options, refuse_options
 from jaxbound.consistency.interface import METHODS
@@ -65,11 +66,17 @@ def run(args: argparse.Namespace) -> int:
     with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html", UNITS), inputs) as folder, folder.work() as work:
         folder.remove(UNITS)  # pages of an earlier run
         try:
-            with progress_bars(("units",)) as step:
-                testing = detect_fleet(units, args.method, args.horizon, args.alarm, args.min_coverage, lambda share: step("units", share),
-                                       args.lags, _pages(work), _options(args))  # fmt: skip
-                for result in testing:
+            with progress_bars(("units",)) as step, engine_of(args) as client:
+                how = args.method, args.horizon, args.alarm, args.min_coverage
+                report, pages = lambda share: step("units", share), _Pages(work)
+                for result in detect_fleet(units, *how, report, args.lags, pages if client is None else None, _options(args), client):
                     results.append(result)
+                if client is not None:  # which units get a page is known once all are tested
+                    faulty = [r.unit for r in results if r.verdict == "fault"][:PAGES]
+                    pages.number(faulty)
+                    again = detect_fleet(faulty, *how, None, args.lags, pages, _options(args), client) if faulty else ()
+                    told = {r.unit.name: r for r in again}
+                    results = [told.get(r.unit.name, r) for r in results]
         except KeyboardInterrupt:
             done = len(results)
             results += [UnitResult.untested(unit, "interrupted before its turn") for unit in units[done:]]
@@ -87,19 +94,29 @@ def _options(args):
     return {name: value for name, value in observer_options(args).items() if name != "horizon"}
 
 
-def _pages(work):
-    """Return a function that writes the page of a unit with a fault and returns its name; of as many units as have room."""
-    written: list[str] = []
+class _Pages:
+    """Writes the pages of units with a fault, as many as have room, into a folder; a call returns the name of a page.
 
-    def page(unit, res, recording, alarms, summary):
-        if summary.verdict != "fault" or len(written) == PAGES:
+    Args:
+        work: the folder of the run, in which they get one of their own.
+    """
+
+    def __init__(self, work):
+        self.work, self.numbers = work, {}
+
+    def number(self, units):
+        """Give units their numbers, and no others, before several processes write their pages."""
+        (self.work / UNITS).mkdir(exist_ok=True)
+        self.numbers = {unit.name: i for i, unit in enumerate(units, 1)}
+
+    def __call__(self, unit, res, recording, alarms, summary):
+        if summary.verdict != "fault" or (unit.name not in self.numbers and len(self.numbers) == PAGES):
             return ""
-        (work / UNITS).mkdir(exist_ok=True)
-        name = f"{len(written) + 1}-{re.sub(r'[^A-Za-z0-9._-]+', '_', unit.name)[:60]}.html"
-        written.extend(write_report(work / UNITS, res, recording, alarms, summary, file=name))
+        number = self.numbers.setdefault(unit.name, len(self.numbers) + 1)
+        (self.work / UNITS).mkdir(exist_ok=True)
+        name = f"{number}-{re.sub(r'[^A-Za-z0-9._-]+', '_', unit.name)[:60]}.html"
+        write_report(self.work / UNITS, res, recording, alarms, summary, file=name)
         return f"{UNITS}/{name}"
-
-    return page
 
 
 def _conclude(args, results):

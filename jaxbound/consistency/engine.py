@@ -29,7 +29,7 @@ from jaxbound.sets.floats.probe import Unverified
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Job", "connected", "processor", "spread", "stretches_for"]
+__all__ = ["Job", "connected", "in_order", "processor", "spread", "stretches_for"]
 
 DEATHS = 100  # workers of our own that may die of one task: what kills them may have nothing to do with it
 RETRIES = 3  # of a task that fails by more than what it says of its data
@@ -68,7 +68,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         if scheduler is None:
             given = {"distributed.worker.multiprocessing-method": "spawn", "distributed.scheduler.allowed-failures": DEATHS}
             open_things.enter_context(dask.config.set(given))
-            quiet = {"silence_logs": logging.CRITICAL, "dashboard_address": None}
+            quiet = {"silence_logs": logging.CRITICAL, "dashboard_address": "127.0.0.1:0"}
             place = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, env=_environment(), **quiet)
             open_things.enter_context(place)
         try:
@@ -115,6 +115,16 @@ def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, A
     finally:
         with suppress(Exception):  # whoever is gone need not be told
             client.cancel(list(numbers))
+
+
+def in_order(client: "Client", job: Job, tasks: Sequence) -> Iterator[Any]:
+    """Yield what the tasks of a job return in their order. Args: as for `spread`."""
+    done, held = 0, {}
+    for number, found in spread(client, job, tasks):
+        held[number] = found
+        while done in held:
+            yield held.pop(done)
+            done += 1
 
 
 def stretches_for(client: "Client | None", stretches: Sequence[range]) -> list[range]:

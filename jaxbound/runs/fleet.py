@@ -11,13 +11,14 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.consistency.engine import in_order, stretches_for
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.observer import SetObserver, observer
@@ -30,6 +31,9 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.summary import CODES, Summary, bound_hints, summarised
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "worst_first"]
 
@@ -190,6 +194,7 @@ def detect_fleet(
     lags: Sequence[int] | None = None,
     page: Callable[..., str] | None = None,
     options: Mapping[str, Any] | None = None,
+    client: "Client | None" = None,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
@@ -200,10 +205,15 @@ def detect_fleet(
         min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
         progress: called with the share of the units done.
         page: called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`.
+        client: of dask.distributed; its workers test the units, see their files by the same paths and call `page`, which can be pickled.
 
     Yields:
         UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
     """
+    if client is not None:
+        how = {"method": method, "horizon": horizon, "alarm": alarm, "min_coverage": min_coverage, "lags": lags, "options": options}
+        yield from _spread_out(client, _Fleet(how | {"page": page}), units, progress)
+        return
     report, shared = progress or (lambda share: None), Counter(unit.model for unit in units)
     models: dict[Path, tuple[Any, Any]] = {}
     ahead = SIDE if method == SetObserver.method else AHEAD
@@ -238,6 +248,26 @@ def detect_fleet(
         finally:
             for job in waiting:
                 job.cancel()
+
+
+@dataclass(frozen=True, eq=False)
+class _Fleet:
+    """The test of units as a `Job`: a task is a list of units. Fields: options: as `detect_fleet` takes them."""
+
+    options: dict
+
+    def run(self, units):
+        """Return the UnitResult of each."""
+        return list(detect_fleet(units, **self.options))
+
+
+def _spread_out(client, fleet, units, progress):
+    done, tasks = 0, [[units[i] for i in numbers] for numbers in stretches_for(client, [range(len(units))])]
+    for results in in_order(client, fleet, tasks):
+        yield from results
+        done += len(results)
+        if progress is not None:
+            progress(done / len(units))
 
 
 def _tested(units, jobs, method, alarm, min_coverage):

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from streaming_case import recording, shrink, write
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.cli import fleet as fleet_command
 from jaxbound.cli import main
 from jaxbound.consistency import engine
 from jaxbound.consistency.engine import connected, spread
@@ -26,6 +27,7 @@ from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.streaming import part_files
 
 pytestmark = pytest.mark.usefixtures("small")
+WRITTEN = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000")  # when a page was written
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +92,25 @@ class TestSameBytes:
                 np.testing.assert_array_equal(counts, b.arrays()[name], name)
         rows = lambda name: [p.read_bytes() for p in sorted((tmp_path / name / "scenarios").iterdir())]
         assert rows("alone") == rows("spread") != []
+
+    def test_a_fleet_with_its_pages(self, client, tmp_path, monkeypatch):
+        monkeypatch.setattr(main, "_configure", lambda: None)
+        monkeypatch.setattr(fleet_command, "PAGES", 2)
+        rng, lines = np.random.default_rng(3), ["unit,model,recording"]
+        jb.save_model(paper(dt=1), tmp_path / "m.toml")
+        for i in range(12):
+            y = rng.uniform(-0.01, 0.01, (50, 2)) + (3.0 * (np.arange(50) > 20)[:, None] if i % 3 == 0 else 0)
+            rows = [f"{k},0,{a!r},{b!r}" for k, (a, b) in enumerate(y.tolist())]
+            (tmp_path / f"{i}.csv").write_text("\n".join(["t,u1,y1,y2", *rows][: 1 if i == 5 else None]) + "\n")
+            lines.append(f"unit {i},m.toml,{i}.csv")
+        (tmp_path / "fleet.csv").write_text("\n".join(lines) + "\n")
+        argv = ["fleet", str(tmp_path / "fleet.csv"), "--out"]
+        assert main.main([*argv, str(tmp_path / "alone")]) == 1
+        monkeypatch.setattr(fleet_command, "engine_of", lambda args: nullcontext(client))
+        assert main.main([*argv, str(tmp_path / "spread")]) == 1
+        files = lambda name: {str(p.relative_to(tmp_path / name)): WRITTEN.sub("", p.read_text()) for p in (tmp_path / name).rglob("*.*ml")}
+        assert files("alone") == files("spread") and sorted(files("alone")) == ["fleet.html", "units/1-unit_0.html", "units/2-unit_3.html"]
+        assert (tmp_path / "alone/fleet.csv").read_bytes() == (tmp_path / "spread/fleet.csv").read_bytes()
 
     def test_the_precision_of_the_caller_holds_on_workers(self, client):
         import jax

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.consistency.engine import spread
+from jaxbound.consistency.engine import in_order
 from jaxbound.consistency.exchange import ExchangeTest
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.estimation.observer import SetObserver
@@ -283,7 +283,7 @@ def _work_off(client, job, tasks, collect, keeper, progress):
     """Do the tasks that are left; collect them in order, and keep the state now and then."""
     done, saved = 0 if keeper is None else keeper.done, time.monotonic()
     try:
-        for found in _here(job, tasks[done:]) if client is None else _there(client, job, tasks[done:]):
+        for found in _here(job, tasks[done:]) if client is None else in_order(client, job, tasks[done:]):
             collect(done, found)
             done += 1
             due = done % PART == 0 if keeper is not None and keeper.rows else time.monotonic() - saved > EVERY
@@ -321,13 +321,3 @@ def _here(job, tasks):
         finally:
             for one in waiting:
                 one.cancel()
-
-
-def _there(client, job, tasks):
-    """Yield what tasks return, in order; the workers of a dask client run them."""
-    done, held = 0, {}
-    for number, found in spread(client, job, tasks):
-        held[number] = found
-        while done in held:
-            yield held.pop(done)
-            done += 1
