@@ -6,7 +6,7 @@ the samples since it began: a FAULT.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, NoReturn
@@ -16,8 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.certificates.interface import evidence
-from jaxbound.certificates.long_window import exceeds, stretch
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
@@ -27,11 +25,9 @@ from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
-from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.zonotopes.reduction import reduce_order
 from jaxbound.sets.zonotopes.zonotope import Zonotope
@@ -42,8 +38,6 @@ BLOCK = 128
 """Recordings side by side in one kernel: their sets should stay in the cache."""
 WEIGHTS = (1.0, 30.0, 1000.0)
 """Sets side by side where nothing else is asked for: one for what is sudden, two for what lasts and what is slow."""
-LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
-"""Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the factor it must be beyond."""
 PIECES = (16, 1024)
 """Samples that a kernel is compiled for: the few up to `SHORT` share the one of a monitor."""
 SHORT = 64
@@ -85,7 +79,7 @@ class ObserverState(NamedTuple):
 
 def observer(
     model: Any, order: float = 20, weight: float | Sequence[float] = WEIGHTS, restart: bool = True, x0: Interval | Zonotope | None = None,
-    horizon: int | None = None,
+    horizon: int | None = None, method: str = "zonotope", window: int = 32,
 ) -> "SetObserver":  # fmt: skip
     """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
 
@@ -101,6 +95,10 @@ def observer(
         x0: Interval (n,) or Zonotope that holds the state at the very first sample; it need not be narrow. None: it can be anything, and is
             found from the first horizon + 1 samples in a row that are whole.
         horizon: of these; None: the least that shows all states.
+        method: "zonotope", fast. "strips": one set, least after every sample, whatever weight is. "joint": with the zonotopes, every window
+            of up to `window` samples is tested exactly, its first state within what the samples before it allow: sees what lasts and
+            what is slow almost as well as all samples together could, and costs some milliseconds a sample.
+        window: samples, even; of "joint" alone.
 
     Raises:
         ValueError: states that the outputs do not show and no x0, an x0 that is not bounded or does not fit, an order below 1, a weight
@@ -118,17 +116,18 @@ def observer(
         >>> [jb.Status(s).name for s in found.status]
         ['MISSING', 'UNDECIDED', 'UNDECIDED', 'FAULT']
     """
-    return SetObserver(model, order, weight, restart, x0, horizon)
+    return _made(method, window, model, order, weight, restart, x0, horizon)
 
 
 def observe(
     model: Any, u: Any, y: Any = None, order: float = 20, weight: float | Sequence[float] = WEIGHTS, restart: bool = True,
-    x0: Interval | Zonotope | None = None, horizon: int | None = None, starts: ArrayLike = (),
+    x0: Interval | Zonotope | None = None, horizon: int | None = None, starts: ArrayLike = (), method: str = "zonotope",
+    window: int = 32,
 ) -> Observation:  # fmt: skip
     """Enclose the state at every sample by what all samples since the start allow, and prove where nothing is left.
 
     Args:
-        model, order, weight, restart, x0, horizon: as for `observer`.
+        model, order, weight, restart, x0, horizon, method, window: as for `observer`.
         u: (..., T, m) or None.
         y: (..., T, p), tables as for `detect`; recordings on leading axes run side by side. A missing output says nothing; a missing
             input begins anew.
@@ -148,9 +147,23 @@ def observe(
         >>> jb.observe(m, [[1.0]] * 4, [[0.0], [1.0], [1.9], [5.0]]).predicted.hi[3].round(2)
         array([2.81])
     """
-    watch = SetObserver(model, order, weight, restart, x0, horizon, enclosures=True)
+    watch = _made(method, window, model, order, weight, restart, x0, horizon, True)
     _, given = watch.recording(u, y, starts)
     return drive(watch, given)
+
+
+METHODS: dict[str, Callable[..., "SetObserver"]] = {}
+"""What `method` may be beside "zonotope" and "strips": classes, each from a file of its own."""
+
+
+def _made(method, window, *given):
+    """Return the observer of a method."""
+    if method in METHODS:
+        return METHODS[method](*given, window=window)
+    if method not in ("zonotope", "strips"):
+        raise ValueError(f"method must be one of zonotope, strips, {', '.join(METHODS)}, not {method!r}")
+    model, order, weight, *more = given
+    return SetObserver(model, order, 1.0 if method == "strips" else weight, *more)
 
 
 @readable
@@ -162,6 +175,7 @@ class SetObserver(Observer):
     """
 
     method = "observer"
+    hulls = False  # whether it needs the enclosures itself
 
     def __init__(
         self, model: Any, order: float, weight: Any, restart: bool, x0: Any, horizon: int | None, enclosures: bool = False
@@ -257,44 +271,53 @@ class SetObserver(Observer):
 
     def fold(self, carry: ObserverState, piece: Recording) -> tuple[ObserverState, Any]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
+        lead, count, given = self._given(carry, piece)
+        past, found = self._followed(carry.carry, count, *given)
+        T = len(found.status)
+        return ObserverState(past, carry.samples + T), self._told(found, lead, T, int(carry.samples))
+
+    def _given(self, carry, piece):
+        """Return (leading shape, how many recordings, (u, y, slip of u, all (T, ., N), fresh (T, N), unit roundoff of y)) of a piece."""
         piece.finite()
         u, y = np.asarray(piece.u), np.asarray(piece.y)
         *lead, T, p = y.shape
         count = int(np.prod(lead))
-        lanes, past = len(self.weights), carry.carry
-        followed = past.c.shape[-1] // lanes
+        followed = carry.carry.c.shape[-1] // len(self.weights)
         if followed not in (1, count):
             raise ValueError(f"this observer follows {followed} recordings, y holds {count}")
-        past = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], lanes, followed), past)
-        past = jax.tree.map(lambda x: np.repeat(x, count // followed, -1), past)
         last = lambda x: np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1).astype(self._dtype)
-        fresh = np.zeros(T, bool)
+        fresh = np.zeros((T, count), bool)
         fresh[np.asarray(piece.starts, np.int64)] = True
         if piece.excluded is not None:
-            fresh |= piece.excluded
-        given = last(u), last(y), last(input_slip(u))
+            fresh |= piece.excluded[:, None]
         rounded = max(float(rounding.unit(y.dtype)), float(rounding.unit(self._dtype)))
+        return lead, count, (last(u), last(y), last(input_slip(u)), fresh, np.asarray(rounded, self._dtype))
+
+    def _followed(self, past, count, u, y, slip, fresh, rounded):
+        """Return (Carry, Found (T, .., N)) of samples as of `_given`; a carry of one recording is that of all."""
+        lanes = len(self.weights)
+        past = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes), past)
+        past = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), past)
         beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
         cut = lambda block: jax.tree.map(lambda x: beside(x[..., block]), past)
-        job = lambda block: self._block(cut(block), [np.tile(x[..., block], lanes) for x in given], fresh, rounded)
+        job = lambda block: self._block(cut(block), [np.tile(x[..., block], lanes) for x in (u, y, slip, fresh)], rounded)
         done = in_blocks(job, count, min(max(BLOCK // lanes, 1), power(count)))
         split = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
         together = lambda *parts: np.concatenate([split(x) for x in parts], -1)[..., :count]
         past = jax.tree.map(lambda *parts: beside(together(*parts)), *(a for a, _ in done))
-        found = jax.tree.map(together, *(b for _, b in done))
-        return ObserverState(past, carry.samples + T), self._told(_joined(found), lead, T, int(carry.samples))
+        return past, _joined(jax.tree.map(together, *(b for _, b in done)))
 
-    def _block(self, carry, samples, fresh, rounded):
+    def _block(self, carry, samples, rounded):
         """Follow some recordings side by side, piece by piece."""
-        T, first = len(fresh), 0
+        T, first = len(samples[0]), 0
         parts: list[steps.Found] = []
         while first < T or not parts:
             length = PIECES[0] if T - first <= SHORT else PIECES[1]
             stop = min(first + length, T)
             filled = lambda x, a=first, b=stop, more=first + length - stop: np.pad(x[a:b], [(0, more)] + [(0, 0)] * (x.ndim - 1))
-            known = steps.read(self._numbers, *map(filled, samples), filled(fresh), np.asarray(rounded, self._dtype))
+            known = steps.read(self._numbers, *map(filled, samples), rounded)
             carry, found = steps.follow(
-                self._numbers, self._start, carry, known, stop - first, len(self.weights), self.enclosures, self.restart
+                self._numbers, self._start, carry, known, stop - first, len(self.weights), self.enclosures or self.hulls, self.restart
             )
             parts.append(jax.tree.map(lambda x, count=stop - first: np.asarray(x)[:count], found))
             first = stop
@@ -345,49 +368,3 @@ def _known(carry, c, G, r):
     each = lambda x: np.repeat(x[..., None], len(carry.age), -1)
     full = np.pad(G, ((0, 0), (0, carry.G.shape[1] - G.shape[1])))
     return carry._replace(c=each(c), G=each(full), r=each(r), age=np.zeros_like(carry.age))
-
-
-@evidence.register
-def _window(observer: SetObserver, result: Any, at: tuple, status: Status) -> tuple[Any, str, np.ndarray, np.ndarray]:
-    """Return (relations, method, u, y) of the shortest of some windows that end at a sample and prove its FAULT.
-
-    A chain of sets is long and nobody reads it; most contradictions show in the last samples. Tried are 2, 3, 5, 9, .. of them, up to
-    all since the observer began. A few are a window of parity relations, more are a `Stretch`: one relation among all of them.
-
-    Raises:
-        NotImplementedError: a verdict other than FAULT, no such window.
-    """
-    k = at[-1]
-    if status != Status.FAULT:
-        raise NotImplementedError(f"an observer exhibits no behaviour: {status.name} at sample {k} has no certificate, FAULT has")
-    u, y = (np.asarray(x)[at[:-1]][: k + 1] for x in (result.u, result.y))
-    since = int(result.observation.since[at])
-    if not hasattr(observer.model, "uncertainties"):
-        raise NotImplementedError("certificates are given for a LinearSystem, whose numbers are exact: an interval_system has none")
-    for h in sorted({*(2**i for i in range(LONGEST.bit_length())), k - since}):
-        if h > min(k - since, LONGEST):
-            break
-        last = u[k - h :], y[k - h :]
-        if observer.model.uncertainties:
-            found = _shown(observer.model, h, *last) if h <= SHORT else None
-        else:
-            first = observer.first_box if h == k - since and since == 0 else None
-            about = stretch(observer.model, h, first)
-            found = (about, *last) if exceeds(about, *last) > CLEARLY else None
-            found = found and ((_shown(observer.model, h, *last) if h <= SHORT and first is None else None) or found)
-        if found is not None:
-            relations, u, y = found
-            return relations, "joint", np.asarray(u), np.asarray(y)
-    many = f"no window of up to {min(LONGEST, k - since) + 1} samples proves this alone"
-    raise NotImplementedError(f"{many}: the FAULT at sample {k} rests on all since {since}")
-
-
-def _shown(model, h, u, y):
-    """Return (relations, u, y) where the window of these samples is FAULT by its relations, else None."""
-    try:
-        relations = parity_relations(model, h)
-    except ValueError:  # without a relation yet
-        return None
-    relations, given = relations.recording(u, y, ())
-    wrong = drive(relations.test("joint", given.y.dtype), given).status[-1] == Status.FAULT
-    return (relations, given.u, given.y) if wrong else None

@@ -1,0 +1,324 @@
+"""The observer that tests windows exactly, each with a first state that lies in what the samples before it allow.
+
+Samples come in blocks of half a window. The window of a sample begins with the block before its own; its first state lies in a
+parallelotope {x : lo <= D x <= hi}, which the window that ended with its own block found by linear programs, with a first state in the one
+before that, and so on: nothing is forgotten but what a parallelotope cannot say. Its directions are the principal ones of a Kalman filter.
+A zonotope goes with it (`SetObserver`): it begins, and bounds what rounding and uncertain parameters act on.
+
+Sources: Scott, Raimondo, Marseglia, Braatz 2016 (the exact set of a window is a linear program); Rao, Rawlings, Mayne 2003 (a window that
+knows what came before it). Programs are searched for in floats (`window_search`) and what they found is proved (`window_proof`).
+"""
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxbound.estimation import zonotope_steps as steps
+from jaxbound.estimation.blocks import in_blocks
+from jaxbound.estimation.observer import METHODS, SetObserver
+from jaxbound.estimation.window_proof import Prior, Samples, enclosed, window_of
+from jaxbound.estimation.window_search import searched
+from jaxbound.recordings.objecttext import readable
+from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["JointObserver", "JointState"]
+
+ROUNDED, OFF = 1 + 1e-9, 1e-12
+"""Above what rounding does to the sums of a few hundred numbers >= 0 in float64; share of magnitudes above what it does to any."""
+SIZES = (16, 128)
+"""Windows side by side in one kernel."""
+SETTLED = 8
+"""Blocks after which the directions stay as they are."""
+
+
+@readable
+class JointState(NamedTuple):
+    """What the observer carries on, recordings on the last axis.
+
+    Fields: carry, samples: as of `ObserverState`. window: the last two blocks, so far; prior, held (N,): the set of the first state of the
+    window, and where there is one; mark, marked: of the state in the middle of it, from the zonotope.
+    """
+
+    carry: steps.Carry
+    samples: np.int64
+    window: Samples
+    prior: Prior
+    held: np.ndarray
+    mark: Prior
+    marked: np.ndarray
+
+
+@readable
+class JointObserver(SetObserver):
+    """Tests windows whose first state lies in an enclosure. Build it with `observer(model, method="joint")`.
+
+    Fields: as of SetObserver; window: most samples of a window, even.
+    """
+
+    hulls = True
+
+    def __init__(self, *given: Any, window: int = 32, **more: Any) -> None:
+        super().__init__(*given, **more)
+        if isinstance(window, bool) or not isinstance(window, (int, np.integer)) or window < 4 or window % 2:
+            raise ValueError(f"window must be an even number of samples >= 4, not {window!r}")
+        self.window = int(window)
+
+    @property
+    def made(self) -> tuple:
+        """What verdicts depend on beside the model: by it what is kept of them is known again."""
+        return *super().made, "joint", self.window
+
+    def init(self) -> JointState:  # type: ignore[override]
+        """Return the state before the first sample."""
+        m, dtype, begun = self._system, self._dtype, super().init()
+        zero = lambda *shape: np.zeros((*shape, 1), dtype)
+        L, nothing = self.window, np.zeros(1, bool)
+        samples = Samples(zero(L, m.p), zero(L, m.p) + np.inf, zero(L, m.m), zero(L, m.m), zero(L, m.n) + np.inf)
+        prior = Prior(zero(m.n), zero(m.n, m.n), zero(m.n))
+        return JointState(begun.carry, begun.samples, samples, prior, nothing, prior, nothing)
+
+    def fold(self, carry: JointState, piece: Recording) -> tuple[JointState, Any]:  # type: ignore[override]
+        """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
+        lead, count, (*given, rounded) = self._given(carry, piece)
+        state = JointState(carry.carry, carry.samples, *jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), tuple(carry[2:])))
+        T, first, half = len(given[0]), 0, self.window // 2
+        parts: list[steps.Found] = []
+        while first < T or not parts:
+            at = int(state.samples) % half
+            if at == 0 and T:
+                state = self._next_block(state)
+            stop = min(first + half - at, T)
+            state, found = self._tested(state, count, [x[first:stop] for x in given], rounded)
+            parts.append(found)
+            first = stop
+        found = jax.tree.map(lambda *x: np.concatenate(x), *parts)
+        return state, self._told(found, lead, T, int(carry.samples))
+
+    def _next_block(self, state):
+        """Move the window on by a block, and enclose what will be the first state of windows."""
+        half, number = self.window // 2, int(state.samples) // (self.window // 2)
+        prior, carry, lanes = state.mark, state.carry, len(self.weights)
+        if state.held.any():
+            D, back = self._directions(number - 1)
+            lanes_held = np.flatnonzero(state.held)
+            cut = lambda tree: jax.tree.map(lambda x: x[..., lanes_held], tree)
+            old = cut(prior)
+            lo, hi = _template(D, old.c[None], old.S[None], old.r[None])
+            low, high = self._supports(cut(state.prior), cut(state.window), D, hi - lo, np.full(len(lanes_held), half))
+            better = _parallelotope(
+                D, back, np.maximum(lo, low), np.minimum(hi, high), state.window.reach[half][:, lanes_held], self._dtype
+            )
+            prior, bounded = jax.tree.map(np.array, prior), _bounded(better)
+            for x, new in zip(prior, better, strict=True):
+                x[..., lanes_held] = np.where(bounded, new, x[..., lanes_held])
+        if number == 0 and self._first is not None:
+            mark = Prior(*(np.repeat(x[..., None], len(state.held), -1) for x in self._first))
+            marked = np.ones(len(state.held), bool)
+        else:
+            split = lambda x: np.moveaxis(x.reshape(*x.shape[:-1], lanes, -1), -2, 0)
+            D, back = self._directions(number)
+            c, G, r = map(split, carry[:3])
+            marked = (split(carry.age) >= 0).all(0)
+            lo, hi = _template(D, c, G, r)
+            mark = _parallelotope(D, back, lo, hi, (abs(c) + abs(G).sum(2) + r).min(0) * ROUNDED, self._dtype)
+            marked &= _bounded(mark)
+            mark = Prior(*(np.where(marked, x, 0) for x in mark))
+        later = lambda x, nothing: np.concatenate([x[half:], np.full_like(x[half:], nothing)])
+        nothing = Samples(0, np.inf, 0, 0, np.inf)
+        window = Samples(*(later(x, value) for x, value in zip(state.window, nothing, strict=True)))
+        return state._replace(window=window, prior=prior, held=state.marked, mark=mark, marked=marked)
+
+    def _tested(self, state, count, given, rounded):
+        """Return (state, Found) of samples of one block."""
+        u, y, slip, fresh = given
+        T, half, t, before = len(fresh), self.window // 2, int(state.samples), state.carry
+        begin = half + t % half
+        after, found = self._followed(before, count, u, y, slip, fresh, rounded)
+        filled = [np.pad(x, [(0, half - T)] + [(0, 0)] * (x.ndim - 1)) for x in given]
+        known = jax.tree.map(lambda x: np.asarray(x)[:T], steps.read(self._numbers, *filled, rounded))
+        direct = (np.abs(self._numbers.D) + self._numbers.wide_D).sum(1) > 0
+        rad = np.where(~known.known[:, None] & direct[:, None], np.inf, known.rad).astype(self._dtype)
+        n = self._system.n
+        reach = np.maximum(found.states[:, :n], found.states[:, n:])
+        window = jax.tree.map(np.array, state.window)
+        for to, x in zip(window, (known.mid, rad, known.v, known.slip, reach), strict=True):
+            to[begin : begin + T] = x
+        since = t + np.arange(T)[:, None] - found.age + 1
+        asked = (found.age > 0) & (since <= t // half * half - half) & state.held & (found.status == Status.UNDECIDED)
+        state = state._replace(window=window)
+        wrong, margin, states = self._windows(state, begin, asked, found.states)
+        if wrong.any():
+            first = wrong & (np.cumsum(wrong, 0) == 1)
+            after, found = self._contradicted(before, count, given, rounded, first, after, found)
+            wrong = first
+        held = after.age.reshape(len(self.weights), -1)
+        since = np.where((held >= 0).all(0), t + T - held.max(0), t + T)
+        status = np.where(wrong, np.int8(Status.FAULT), found.status)
+        lower = np.where(asked & (margin < found.margin) & ((found.status != Status.FAULT) | wrong), margin, found.margin)
+        found = found._replace(status=status, margin=lower.astype(self._dtype))
+        if self.enclosures:
+            found = found._replace(
+                states=np.where(asked[:, None] & (found.age > 0)[:, None], np.minimum(states, found.states), found.states)
+            )
+        block = t // half * half
+        return state._replace(carry=after, samples=state.samples + T, held=state.held & (since <= block - half),
+                              marked=state.marked & (since <= block)), found  # fmt: skip
+
+    def _contradicted(self, before, count, given, rounded, first, after, found):
+        """Return (carry, Found) of samples again, where windows are refuted at `first` (T, N)."""
+        u, y, slip, fresh = given
+        if self.restart:
+            again = fresh.copy()
+            again[1:] |= first[:-1]
+            after, found = self._followed(before, count, u, y, slip, again, rounded)
+            gone = np.tile(first[-1], len(self.weights))
+            return after._replace(age=np.where(gone, -1, after.age).astype(np.int32), ready=np.where(gone, 0, after.ready)), found
+        lasting = np.zeros_like(first[0])
+        status = found.status.copy()
+        for k in range(len(first)):
+            lasting = (lasting & ~fresh[k]) | first[k]
+            status[k] = np.where(lasting, Status.FAULT, status[k])
+        return after._replace(empty=after.empty | np.tile(lasting, len(self.weights))), found._replace(status=status)
+
+    def _windows(self, state, begin, asked, states):
+        """Return (refuted, margin (T, N), ends of states (T, 2 n, N)) of the windows that end at samples of one block, where asked."""
+        T, N = asked.shape
+        wrong, margin, ends = np.zeros((T, N), bool), np.full((T, N), np.inf), states.copy()
+        ks, lanes = np.nonzero(asked)
+        if not len(ks):
+            return wrong, margin, ends
+        later = np.arange(self.window)[:, None] > begin + ks
+        cut = lambda tree, chosen: jax.tree.map(lambda x: x[..., lanes[chosen]], tree)
+
+        def samples(chosen):
+            one = cut(state.window, chosen)
+            return one._replace(rad=np.where(later[:, None, chosen], np.inf, one.rad).astype(self._dtype))
+
+        def job(chosen):
+            return self._gauges(cut(state.prior, chosen), samples(chosen))[:3]
+
+        size = SIZES[len(ks) > SIZES[0]]
+        value, bound, t = (np.concatenate(x)[: len(ks)] for x in zip(*in_blocks(job, len(ks), size), strict=True))
+        refuted = np.abs(value) > bound
+        wrong[ks, lanes] = refuted
+        with np.errstate(divide="ignore", invalid="ignore"):
+            margin[ks, lanes] = np.where(refuted, 1 - np.abs(value) / bound, np.maximum(1 - t, 0))
+        if self.enclosures:
+            every, n = np.arange(len(ks)), self._system.n
+            width = np.maximum(ends[ks, :n, lanes] + ends[ks, n:, lanes], 0).T
+            low, high = self._supports(cut(state.prior, every), samples(every), np.eye(n), width, begin + ks)
+            shown = ~refuted[:, None] & np.isfinite(low + high).T & (low <= high).T
+            for part, end in ((slice(0, n), -low), (slice(n, 2 * n), high)):
+                ends[ks, part, lanes] = np.where(shown, np.minimum(ends[ks, part, lanes], rounding.round_up(end.T, self._dtype)),
+                                                 ends[ks, part, lanes])  # fmt: skip
+        return wrong, margin, ends
+
+    def _gauges(self, prior, samples):
+        """Return (value, bound, t, xi, w) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats."""
+        (n, N), g, dtype = prior.c.shape, self._numbers.W.shape[1], self._dtype
+        zero = lambda *shape: np.zeros((*shape, N), dtype)
+        d, J, window = zero(n), np.zeros(N, np.int32), window_of(self._numbers, prior, samples)
+        weight, t, xi, w = searched(window, d, J, np.ones(N, bool), zero(n), zero(self.window - 1, g), np.asarray(0.02, dtype))
+        value, bound = enclosed(self._numbers, prior, samples, weight, d, J)
+        return tuple(map(np.asarray, (value, bound, t, xi, w)))
+
+    def _supports(self, prior, samples, D, width, J):
+        """Return (lo, hi), each (r, N), of D x_J over all that explains windows, D (r, n), J (N,); width (r, N): about theirs."""
+        rows, N = len(D), prior.c.shape[-1]
+        scale = 2.0 ** np.round(np.log2(1 / np.where((width > 0) & np.isfinite(width), width, 1)))
+        out = np.full((2, rows, N), np.inf)
+
+        def job(chosen):
+            some, seen = (jax.tree.map(lambda x: x[..., chosen], tree) for tree in (prior, samples))
+            _, _, t, xi, w = self._gauges(some, seen)
+            window = window_of(self._numbers, some, seen)
+            found = []
+            for sign in (-1, 1):
+                for i in range(rows):
+                    d = (sign * D[i][:, None] * scale[i, chosen]).astype(self._dtype)
+                    weight, *_ = searched(window, d, J[chosen].astype(np.int32), np.zeros(len(chosen), bool), xi, w, _close(self._dtype))
+                    value, bound = map(np.asarray, enclosed(self._numbers, some, seen, weight, d, J[chosen].astype(np.int32)))
+                    found.append(np.where(np.isfinite(bound), _sum_up(value, bound) / scale[i, chosen], np.inf))
+            return np.stack(found, -1)
+
+        size = SIZES[N > SIZES[0]]
+        out = np.concatenate(in_blocks(job, N, size))[:N].T.reshape(2, rows, N)
+        return -out[0], out[1]
+
+    @property
+    def _first(self):
+        """(c, S, r) of x0 where it has no more generators than states, else of its box."""
+        if self._x0 is None:
+            return None
+        c, G, r = self._x0
+        n = len(c)
+        G = G[:, np.abs(G).any(0)]
+        if G.shape[1] <= n:
+            return c, np.pad(G, ((0, 0), (0, n - G.shape[1]))), r
+        return c, np.diag(rounding.round_up(np.abs(G.astype(np.float64)).sum(1) * ROUNDED, self._dtype)), r
+
+    def _directions(self, number):
+        """Return (D, back), (n, n) each, back about the inverse of D, of the blocks so far."""
+        return self._principal[min(number, SETTLED)]
+
+    @cached_property
+    def _principal(self):
+        """Principal directions of a Kalman filter after 0, 1, .. blocks. Any would do; these are rounded as they come."""
+        x = steps.Numbers(*(np.asarray(v, np.float64) for v in self._numbers))
+        size = max(float(np.max(x.noise, initial=0)), float(np.abs(x.W).max(initial=0)), 1e-6)
+        R, Q = (x.noise + x.tolerance * size) ** 2 / 3 + (1e-9 * size) ** 2, x.W @ x.W.T / 3
+        P, out = np.eye(len(x.A)) * (1e4 * size) ** 2, []
+        for _ in range(SETTLED + 1):
+            values, V = np.linalg.eigh(P)
+            root = np.sqrt(np.maximum(values, 1e-14 * values.max()))
+            out.append(((V / root).T.astype(self._dtype).astype(np.float64), V * root))
+            for _ in range(self.window // 2):
+                K = np.linalg.solve(x.C @ P @ x.C.T + np.diag(R), x.C @ P).T
+                P = P - K @ x.C @ P
+                P = x.A @ (P + P.T) @ x.A.T / 2 + Q
+        return out
+
+
+METHODS["joint"] = JointObserver
+
+
+def _close(dtype):
+    return np.asarray(1e-9 if dtype == np.float64 else 1e-4, dtype)
+
+
+def _bounded(prior):
+    """Say which sets are bounded, (N,) bool."""
+    return np.isfinite(prior.c).all(0) & np.isfinite(prior.S).all((0, 1)) & np.isfinite(prior.r).all(0)
+
+
+def _sum_up(a, b):
+    """Return at least a + b."""
+    return np.nextafter(a.astype(np.float64) + b.astype(np.float64), np.inf)
+
+
+def _template(D, c, G, r):
+    """Return (lo, hi), each (r, N), of D x over the sets c (k, n, N), G (k, n, q, N), r (k, n, N), all of which hold x, rounded outward."""
+    c, G, r = (x.astype(np.float64) for x in (c, G, r))
+    mid = np.einsum("ij,kjN->kiN", D, c)
+    reach = np.abs(np.einsum("ij,kjqN->kiqN", D, G)).sum(2) + np.einsum("ij,kjN->kiN", np.abs(D), r)
+    size = np.einsum("ij,kjN->kiN", np.abs(D), np.abs(c) + np.abs(G).sum(2) + r)
+    reach = (reach + OFF * size) * ROUNDED + 2.0**-500
+    return (mid - reach).max(0), (mid + reach).min(0)
+
+
+def _parallelotope(D, back, lo, hi, reach, dtype):
+    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach: x = back (D x) + (I - back D) x."""
+    mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
+    rad = (rad + OFF * np.abs(mid)) * ROUNDED
+    c, S = back @ mid, back[:, :, None] * rad[None]
+    rest = np.abs(np.eye(len(D)) - back @ D) + OFF * np.abs(back) @ np.abs(D)
+    off = rest @ np.where(np.isfinite(reach), reach.astype(np.float64), 1e300) + OFF * np.abs(back) @ (np.abs(mid) + rad)
+    with np.errstate(over="ignore"):
+        near = Prior(c.astype(dtype), S.astype(dtype), off)
+    off = off + np.abs(c - near.c) + np.abs(S - near.S).sum(1)
+    off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
+    return near._replace(r=rounding.round_up(off, dtype))

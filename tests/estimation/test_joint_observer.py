@@ -1,0 +1,110 @@
+"""Windows whose first state lies in what came before: proofs are those of linear programs over all samples, rounding included."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from test_observer import PLANT, inside, program, recorded, systems
+
+import jaxbound as jb
+from jaxbound.recordings.recording import Recording
+from jaxbound.sets import zonotope
+
+JOINT = {"method": "joint", "window": 8, "order": 6}
+
+
+def test_without_anything_forgotten_it_encloses_the_exact_hull(shared):
+    """CORA's linearSysDT example, 20 samples in one window: the hull of the linear program over all of them."""
+    case = json.loads(shared("external/observer_2dim.json").read_text())[0]
+    model = jb.LinearSystem(case["A"], None, case["C"], noise=case["V_radius"][0], disturbance=(case["W_generators"], 1))
+    y, x0 = np.array(case["y"]).T, zonotope([0.0, 0.0], case["R0_generators"])
+    state = jb.observe(model, None, y, x0=x0, method="joint", window=20).state
+    exact = np.array(case["exact_hull_lp_here"]["x_19"]).T
+    lo, hi = np.asarray(state.lo)[-1], np.asarray(state.hi)[-1]
+    print(exact[0] - lo, hi - exact[1])
+    assert (lo <= exact[0] + 1e-12).all() and (exact[1] - 1e-12 <= hi).all()
+    np.testing.assert_allclose([lo, hi], exact, atol=1e-8)
+
+
+def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else(rng):
+    """Near the boundary: jumps of a sensor from far below to far above what can be proved."""
+    u, _, y = recorded(PLANT, 14, 3, N=24, at="uniform")
+    y[:, 8:, 0] += np.linspace(0, 0.6, 24)[:, None]
+    found = jb.observe(PLANT, u, y, restart=False, **JOINT)
+    alone = jb.observe(PLANT, u, y, restart=False, order=6)
+    proved = possible = 0
+    for j in range(24):
+        wrong = np.asarray(found.status[j] == jb.Status.FAULT)
+        exact = program(PLANT, u[j], y[j])
+        possible += exact is None
+        if wrong.any():
+            k = int(wrong.argmax())
+            assert wrong[k:].all() and program(PLANT, u[j, : k + 1], y[j, : k + 1]) is None
+            proved += 1
+        elif exact is not None:
+            lo, hi = exact
+            assert (found.state.lo[j, -1] <= lo + 1e-9).all() and (hi - 1e-9 <= found.state.hi[j, -1]).all()
+    print(f"{proved} of {possible} contradictions proved; zonotopes alone: {(alone.status == jb.Status.FAULT).any(1).sum()}")
+    assert possible >= 10 and proved >= 0.9 * possible
+
+
+def fault_free(rng, seeds, N, T):
+    """Return how many fault-free samples were observed: the state inside all, no FAULT."""
+    samples = 0
+    for seed in seeds:
+        dtype, kind = (np.float64, np.float32)[seed % 2], ("stable", "integrating", "unstable")[seed % 3]
+        model = systems(rng, kind)
+        with jax.enable_x64(seed % 4 != 3):
+            u, x, y = recorded(model, T, seed, N, ("vertices", "uniform")[seed // 2 % 2], dtype)
+            y[rng.random(y.shape) < 0.03] = np.nan
+            found = jb.observe(model, u, y, x0=jb.interval([-50.0] * 3, [50.0] * 3), starts=[T // 2], **JOINT)
+            assert inside(found, x, dtype).all() and not (found.status == jb.Status.FAULT).any()
+            samples += y[..., 0].size
+    print(f"{samples} fault-free samples: the state inside all, 0 FAULT")
+    return samples
+
+
+def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng):
+    assert fault_free(rng, range(4), 16, 30) == 4 * 16 * 30
+
+
+@pytest.mark.long
+def test_a_hundred_thousand_fault_free_samples(rng):
+    assert fault_free(rng, range(48), 64, 40) > 100_000
+
+
+def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
+    u, _, y = recorded(PLANT, 40, 5, N=2, at="uniform")
+    y[1, 20:] += 3
+    whole = jb.observe(PLANT, u, y, **JOINT)
+    watch = jb.observer(PLANT, **JOINT).telling(enclosures=True)
+    for j in range(2):
+        carry, pieces = watch.init(), []
+        for a, b in ((0, 7), (7, 8), (8, 23), (23, 40)):
+            carry, told = watch.fold(carry, Recording.of(PLANT, u[j, a:b], y[j, a:b]))
+            pieces.append(told)
+        pieces = jax.tree.map(lambda *x: np.concatenate(x), *pieces)
+        for a, b in zip(jax.tree.leaves(pieces), jax.tree.leaves(whole), strict=True):
+            np.testing.assert_allclose(a, b[j], rtol=1e-6, atol=1e-6)  # other blocks, other last digits of the search
+    assert (whole.status[1] == jb.Status.FAULT).any() and not (whole.status[0] == jb.Status.FAULT).any()
+
+
+def test_what_is_slow_is_seen_that_zonotopes_and_windows_miss():
+    """A disturbed, slow plant and a sensor that drifts."""
+    slow = jb.LinearSystem(
+        [["0.99", "0.005"], ["0.005", "0.98"]], [["0.01"], [0]], [[1, 0], [0, 1]], noise="0.5", disturbance=([[1, 0], [0, 1]], "0.01")
+    )
+    u, _, y = recorded(slow, 240, 1, at="uniform")
+    y[:, 0] += 0.012 * np.maximum(np.arange(240) - 60, 0)
+    fault = lambda **more: np.asarray(jb.detect(jb.observer(slow, restart=False, **more), u, y).status == jb.Status.FAULT)
+    joint = fault(method="joint", window=16)
+    print(joint.argmax(), fault().argmax(), fault().any())
+    assert joint.any() and not fault()[: joint.argmax() + 1].any()
+
+
+def test_what_it_cannot_take_is_said():
+    for match, more in (("even number", {"window": 5}), ("even number", {"window": True}), ("method must be one of", {"method": "kalman"})):
+        with pytest.raises(ValueError, match=match):
+            jb.observer(PLANT, **{"method": "joint", **more})
+    assert jb.observer(PLANT, method="strips").weights.tolist() == [1.0]
