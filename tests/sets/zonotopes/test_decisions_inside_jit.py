@@ -1,11 +1,12 @@
 """Decisions inside jit and vmap: never another answer than outside, where linear programs and exact numbers judge them; else UNDECIDED."""
 
+import json
 from fractions import Fraction
 
 import jax
 import numpy as np
 import pytest
-from zonotope_cases import each_dtype, program
+from zonotope_cases import each_dtype, padded, program
 
 from jaxbound import sets
 from jaxbound.sets import Zonotope, constrained_zonotope, contains, intersects, is_empty, separate, zonotope
@@ -161,6 +162,57 @@ def test_what_needs_concrete_numbers_says_so_inside_jit():
     for call in (sets.vertices, sets.volume, sets.strips):
         with pytest.raises(TypeError, match="outside jit, grad and vmap"):
             jax.jit(call)(Z)
+
+
+# published cases
+
+
+@pytest.fixture(scope="module")
+def cases(shared):
+    return json.loads(shared("external/zonotope_cases.json").read_text())
+
+
+def fill(rows):
+    """Return a batch of COUNT, the rows over and over again."""
+    return jax.tree.map(lambda *x: np.resize(np.stack(x), (COUNT, *x[0].shape)), *rows)
+
+
+def published_points(cases):
+    """Return (sets, points, gauges): published points, and published corners a hair inside and outside."""
+    found = []
+    for case in cases:
+        if case["kind"] == "point_in":
+            found.append((case, case["point"], case["min_inf_norm"]))
+        if case["kind"] == "vertices" and "A" not in case and np.linalg.matrix_rank(case["G"]) == len(case["G"]):
+            c = np.array(case["c"], float)
+            found += [(case, c + t * (np.array(v) - c), t) for v in case["vertices"] for t in (1 - 1e-8, 1 + 1e-8)]
+    Z = [padded(case, N, Q, 1.0) for case, _, _ in found]
+    return Z, np.array([np.resize(np.append(p, 0.0), N) if len(p) < N else p for _, p, _ in found]), np.array([t for *_, t in found])
+
+
+def test_published_points_and_corners_are_decided_under_jit_and_vmap(cases):
+    Z, points, t = published_points(cases)
+    expected = np.where(t == 1, 0, np.where(t < 1, 1, -1))  # the boundary stays open
+    assert len(t) == 39 and (t == 1).sum() == 1
+    assert (np.asarray(one_of_each(fill(Z), fill(points[:, None])).answer)[: len(t), 0] == expected).all()
+    for i in (0, 3, len(t) - 1):  # all points, on one set
+        mine = [j for j in range(len(t)) if np.array_equal(Z[j].generators, Z[i].generators)]
+        assert (points_of_one_set(Z[i], points[mine]).answer == expected[mine]).all()
+
+
+def test_published_inclusions_are_decided_under_vmap(cases):
+    """The one that holds touches the boundary, which stays open: a thousandth smaller, it is decided."""
+    asked = [(padded(c["outer"], N, Q, 1.0), padded(c["inner"], N, 4), c["inside"]) for c in cases if c["kind"] == "zonotope_in"]
+    outer, inner, inside = zip(*asked, strict=True)
+    smaller = Zonotope(inner[0].center, 0.999 * inner[0].generators)
+    answer = np.asarray(one_of_each(fill([*outer, outer[0]]), fill([*inner, smaller])).answer)
+    assert inside == (True, False, False) and answer[:4].tolist() == [0, -1, -1, 1]
+
+
+def test_published_pairs_meet_or_not_under_vmap(cases):
+    asked = [(padded(c["Z1"], 2, 2), padded(c["Z2"], 2, 3), c["meet"]) for c in cases if c["kind"] == "intersects"]
+    X, Y, meet = zip(*asked, strict=True)
+    assert np.asarray(jax.jit(jax.vmap(intersects))(fill(X), fill(Y)).answer)[:4].tolist() == [1 if x else -1 for x in meet]
 
 
 def test_an_observer_may_ask_in_a_scan():

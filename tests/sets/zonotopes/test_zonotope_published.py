@@ -1,12 +1,14 @@
-"""Zonotope facts that others published."""
+"""Zonotope facts that others published; what can be compiled eagerly, under jit and under vmap, decisions in test_decisions_inside_jit."""
 
 import json
+from fractions import Fraction
 
 import jax
 import numpy as np
 import pytest
+from corners import MODES
 from scipy.spatial import ConvexHull
-from zonotope_cases import build, margin, polytope, widths_along
+from zonotope_cases import build, margin, padded, polytope, widths_along
 
 from jaxbound import sets
 from jaxbound.sets import zonotope as factory
@@ -24,7 +26,27 @@ def cases(shared):
     return by_kind
 
 
-support = jax.jit(sets.support)
+each_mode = pytest.mark.parametrize("mode", MODES)
+
+
+def run(mode, f, *cases):
+    """Return what f gives for each of the cases, tuples of trees of NumPy arrays, all of one shape."""
+    stacked = jax.tree.map(lambda *rows: np.stack(rows), *cases)
+    one = lambda tree, i: jax.tree.map(lambda x: x[i], tree)
+    if mode == "vmap":
+        found = MODES[mode](f)(*stacked)
+        return [one(found, i) for i in range(len(cases))]
+    return [MODES[mode](f)(*one(stacked, i)) for i in range(len(cases))]
+
+
+def reaches_as_far(found, center, G, n):
+    """Assert that the set's first n coordinates reach as far as those of another, and no farther than rounding asks."""
+    exact = lambda v: [Fraction(float(x)) for x in v]
+    dot = lambda v, w: sum(a * b for a, b in zip(v, w, strict=True))
+    far = lambda d, c, G: dot(d, exact(c)) + sum(abs(dot(d, exact(g))) for g in np.transpose(G))
+    for d in np.random.default_rng(0).integers(-5, 6, (8, n)).tolist():
+        more = far(d, found.center[:n], found.generators[:n]) - far(d, center, G)
+        assert 0 <= more < 1e-12
 
 
 # published cases
@@ -41,9 +63,11 @@ def test_published_points_are_in_or_out_with_the_published_gauge(cases):
         assert abs(1 - m - case["min_inf_norm"]) < 1e-12
 
 
-def test_published_interval_hulls_are_enclosed_tightly(cases):
-    for case in cases["interval_hull"]:
-        box = build(case).hull()
+@each_mode
+def test_published_interval_hulls_are_enclosed_tightly(mode, cases):
+    for case, box in zip(
+        cases["interval_hull"], run(mode, sets.interval_hull, *((build(c),) for c in cases["interval_hull"])), strict=True
+    ):
         assert (box.lo <= np.array(case["lo"])).all() and (np.array(case["hi"]) <= box.hi).all()
         assert (box.lo >= np.array(case["lo"]) - 1e-14).all() and (box.hi <= np.array(case["hi"]) + 1e-14).all()
 
@@ -65,9 +89,20 @@ def test_published_vertices_are_on_the_boundary_and_a_hair_decides(cases):
             assert flat or margin(Z, center + (v - center) * (1 - 1e-9)) > 0
 
 
-def test_published_supports_are_bounded_tightly(cases):
-    for case in cases["support"]:
-        assert case["value"] <= float(sets.support(build(case), case["direction"])) <= case["value"] + 1e-13
+@each_mode
+def test_published_supports_are_bounded_tightly(mode, cases):
+    asked = [(build(case), np.array(case["direction"], float)) for case in cases["support"]]
+    for case, found in zip(cases["support"], run(mode, sets.support, *asked), strict=True):
+        assert case["value"] <= float(found) <= case["value"] + 1e-13
+
+
+@each_mode
+def test_published_corners_of_a_set_with_constraints_are_as_far_as_it_reaches(mode, cases):
+    (case,) = (c for c in cases["vertices"] if "A" in c)
+    Z = sets.constrained_zonotope(*(np.array(case[k], float) for k in ("c", "G", "A", "b")))
+    directions = np.array([[1, 0], [0, -1], [2, 1], [-3, 2]], float)
+    for d, found in zip(directions, run(mode, sets.support, *((Z, d) for d in directions)), strict=True):
+        assert 0 <= float(found) - (np.array(case["vertices"]) @ d).max() <= 1e-9
 
 
 def test_published_norms_are_those_of_the_vertices_of_the_strips(cases):
@@ -87,18 +122,26 @@ def test_parallel_generators_merge_into_the_same_strips(cases):
         assert rows[0] == rows[1]
 
 
-def test_the_support_of_a_published_linear_map_is_that_of_its_result(rng, cases):
-    for case in cases["linear_map"]:
-        Z, out = build(case), factory(np.array(case["c_out"], float), np.array(case["G_out"], float))
-        for d in rng.integers(-5, 6, (5, len(case["c_out"]))):
-            assert abs(support(Z, np.array(case["M"]).T @ d * 1.0) - support(out, d * 1.0)) < 1e-12
+@each_mode
+def test_parallel_generators_merge_into_sets_that_reach_as_far(mode, cases):
+    asked = [padded({"G": c[k]}, 3, 8) for c in cases["merge_parallel"] for k in ("G", "G_merged")]
+    directions = np.array([[1, 2, -3], [-2, 1, 1]], float)
+    found = [[float(x) for x in run(mode, sets.support, *((Z, d) for Z in asked))] for d in directions]
+    assert np.abs(np.subtract(*np.reshape(found, (2, -1, 2)).transpose(2, 0, 1))).max() < 1e-12
 
 
-def test_the_supports_of_a_published_minkowski_sum_add(rng, cases):
-    for case in cases["minkowski_sum"]:
-        Z1, Z2, out = (build(case[k]) for k in ("Z1", "Z2", "result"))
-        for d in rng.integers(-5, 6, (5, 2)) * 1.0:
-            assert abs(support(Z1, d) + support(Z2, d) - support(out, d)) < 1e-12
+@each_mode
+def test_published_linear_maps_are_enclosed_tightly(mode, cases):
+    asked = [(np.eye(2)[:, : len(c["M"])] @ np.array(c["M"], float), build(c)) for c in cases["linear_map"]]
+    for case, found in zip(cases["linear_map"], run(mode, sets.linear_map, *asked), strict=True):
+        reaches_as_far(found, case["c_out"], case["G_out"], len(case["c_out"]))
+
+
+@each_mode
+def test_published_minkowski_sums_are_enclosed_tightly(mode, cases):
+    asked = [(build(c["Z1"]), build(c["Z2"])) for c in cases["minkowski_sum"]]
+    for case, found in zip(cases["minkowski_sum"], run(mode, sets.minkowski_sum, *asked), strict=True):
+        reaches_as_far(found, case["result"]["c"], case["result"]["G"], 2)
 
 
 def test_published_pairs_meet_when_one_center_is_in_the_sum_of_the_other(cases):

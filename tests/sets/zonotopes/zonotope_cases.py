@@ -17,6 +17,16 @@ def build(case):
     return factory(np.array(case.get("c", np.zeros(len(case["G"]))), float), np.array(case["G"], float))
 
 
+def padded(case, n, q, thick=0.0):
+    """Return the set of a case in n coordinates and of q generators: new coordinates are within `thick` of 0, new generators are 0."""
+    G = np.array(case["G"], float)
+    c, out = np.zeros(n), np.zeros((n, q))
+    c[: len(G)] = case.get("c", 0)
+    out[: len(G), : G.shape[1]] = G
+    out[range(len(G), n), range(q - n + len(G), q)] = thick
+    return factory(c, out)
+
+
 def margin(Z, point):
     return float(sets.membership(Z, np.array([point], float))[0])
 
