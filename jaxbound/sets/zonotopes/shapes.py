@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
 from itertools import combinations
-from math import comb
+from math import comb, prod
 
 import jax
 import jax.numpy as jnp
@@ -138,7 +138,7 @@ def volume(Z: Zonotope) -> float:
     columns = [linalg.primitive_scale([Fraction(float(x)) for x in g]) for g in np.asarray(Z.generators).T]
     total = Fraction(0)
     for chosen in combinations(columns, n):
-        total += abs(Fraction(linalg.determinant([g for g, _ in chosen]), np.prod([s for _, s in chosen], dtype=object)))
+        total += abs(Fraction(linalg.determinant([g for g, _ in chosen]), prod(s for _, s in chosen)))
     return float(2**n * total)
 
 

@@ -47,6 +47,7 @@ def test_volumes_are_the_published_ones_and_grow_with_the_cube_of_the_size(share
     G = rng.normal(size=(3, 6))
     assert sets.volume(sets.zonotope(np.zeros(3), 2 * G)) == 8 * sets.volume(sets.zonotope(np.zeros(3), G))
     assert sets.volume(sets.zonotope(np.zeros(3), G[:, :2])) == 0
+    assert sets.volume(sets.zonotope([0.0, 0.0], [[2.0**-43, 0.0], [0.0, 2.0**-63]])) == 2.0**-104  # whole numbers of 64 bits without sign
     with pytest.raises(ValueError, match="determinants"):
         sets.volume(sets.zonotope(np.zeros(10), np.ones((10, 30))))
 
