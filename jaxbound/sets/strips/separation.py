@@ -91,10 +91,12 @@ def separation_margin(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.A
     (mid, rad), present, complete = _ordered(frame, jnp.stack([mid, rad]), jnp.isnan(mid), jnp.isnan(known))
     c, k = frame.R.shape
     rad, one = jnp.where(present, rad, 1), jnp.ones_like(mid[0])
-    z = jnp.where(present[:c], mid[:c] - _product(_matrix(frame), jnp.concatenate([mid[c:], jnp.where(jnp.isnan(known), 0, known)])), 0)
+    times = partial(jnp.matmul, precision="highest")  # nothing is proved here: one kernel each, where sums in order are a loop
+    z = jnp.where(present[:c], mid[:c] - times(_matrix(frame), jnp.concatenate([mid[c:], jnp.where(jnp.isnan(known), 0, known)])), 0)
     stop = jax.lax.stop_gradient  # the best h stays the best for a small change: envelope theorem
     h, _, _ = exchange_search(stop(frame.R), stop(z), stop(rad), present, stop(one), steps)
-    return jnp.where(complete & present[:c].any(0), 1 - _factor(_dot(h, z), _width(frame.R, h, rad)), jnp.nan)
+    width = jnp.sum(jnp.abs(jnp.concatenate([h, times(jnp.swapaxes(frame.R, 0, 1), h)])) * rad, 0)
+    return jnp.where(complete & present[:c].any(0), 1 - _factor(jnp.sum(h * z, 0), width), jnp.nan)
 
 
 class Image(NamedTuple):
