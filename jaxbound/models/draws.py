@@ -49,10 +49,10 @@ def _is_threefry(key):
 def _drawn(key, streams, recordings, size, dtype):
     """Return what `_compiled` does."""
     count = np.arange(max(recordings, size), dtype=np.uint32)
-    keys = _threefry(key[:1], key[1:], count[:1] * 0, count[:recordings])
+    k0, k1 = _threefry(key[:1], key[1:], count[:1] * 0, count[:recordings])
     stream = np.array(streams, np.uint32)[:, None]
-    keys = tuple(part[..., None] for part in _threefry(*keys, stream * 0, stream))
-    high, low = _threefry(*keys, count[:1] * 0, count[:size])
+    k0, k1 = _threefry(k0, k1, stream * 0, stream)
+    high, low = _threefry(k0[..., None], k1[..., None], count[:1] * 0, count[:size])
     if dtype == np.float64:
         bits = (high.astype(np.uint64) << np.uint64(32) | low) >> np.uint64(12) | np.uint64(0x3FF) << np.uint64(52)
     else:

@@ -110,7 +110,7 @@ def simulate(
     numbers = {
         "matrices": _columns([_double(_blocks(model, of), dtype) for of in (model, *model.uncertainties)]),
         "offset_u": _double([model.offset["u"]], dtype), "offset_y": _double([model.offset["y"]], dtype)}  # fmt: skip
-    bounds = {
+    bounds: dict[str, Any] = {
         "varying": np.array([p.varying for p in model.uncertainties], bool),
         "lo": rounding.round_up(list(lo), dtype), "hi": rounding.round_down(list(hi), dtype),
         "tolerance": rounding.round_down(list(model.tolerance), dtype), "noise": rounding.round_down(list(model.noise), dtype)}  # fmt: skip
