@@ -6,7 +6,8 @@ For process noise rho and a room that drifts, in shares of the sensors' bound b:
 the share of it that the unseen half of a recording needs; and for each sensor the sizes of a jump that is seen within 30 samples, of a bias
 that was always there, and what a ramp of 0.05 degC a sample has reached when it is seen first. The definitions are those of the file.
 
-Observers rest on everything since the start, with the bound of the ideal that does; nothing of theirs is found by steps.
+Observers rest on everything since the start, with the bound of the ideal that does; nothing of theirs is found by steps. "joint" tests
+windows exactly, its first state within what the samples before allow.
 
 A method to compare is one function `need(rho, drift)` that returns `least(u, y)`: u (T, 2), y (..., T, 2) to (..., T), the smallest b with
 which the method would not call sample k a FAULT, NaN where it says nothing. One that only gives verdicts is made so by `by_steps`.
@@ -31,6 +32,14 @@ SHARED = Path(os.environ.get("JAXBOUND_SHARED", Path(__file__).resolve().parents
 SETTINGS = (0, 0), (0.05, 0.02), (0.1, 0.02), (0.3, 0)
 SIZES = np.array([0.3, 0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 9, 14])
 LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 14, 18, 23, 29, 36, 43, 51, 60)
+
+OBSERVERS = {
+    "strips, order 60": {"method": "strips", "order": 60},
+    "zonotopes, order 20": {},
+    "zonotopes, order 60": {"order": 60},
+    "joint, 16 samples": {"method": "joint", "window": 16},
+    "joint, 32 samples": {"method": "joint", "window": 32},
+}
 
 Least = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -151,8 +160,7 @@ def main() -> None:
             spent = (time.process_time() - start) / (len(runs[0][1]) - samples + 1)
             print(f"{text(name, row(least, tuple(runs), samples), ideal[61])}  {1e6 * spent:.0f} us a window", flush=True)
         bound = ideal["past"]["bound"]
-        for name, options in (("observer, order 20", {}), ("observer, order 60", {"order": 60}),
-                              ("observer, weight 1", {"order": 60, "weight": 1})):  # fmt: skip
+        for name, options in OBSERVERS.items():
             beyond = observed(golden, rho, drift, bound, **options)
             false = int(beyond(*runs[0]).sum())
             start = time.process_time()

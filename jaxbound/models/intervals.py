@@ -162,9 +162,11 @@ def as_intervals(model: LinearSystem | IntervalSystem) -> IntervalSystem:
     if isinstance(model, IntervalSystem):
         return model
     if not hasattr(model, "uncertainties"):
-        raise TypeError(f"validate needs a LinearSystem or an interval_system, not {type(model).__name__}")
+        raise TypeError(f"observers and validate need a LinearSystem or an interval_system, not {type(model).__name__}")
     if model.d or not model.n:
-        raise ValueError("validate takes models with states and without unknown inputs: use jb.unknown_inputs or jb.detect for others")
+        raise ValueError(
+            "observers and validate take models with states and without unknown inputs: use jb.unknown_inputs or jb.detect for others"
+        )
 
     def hull(letter, left=None):
         """Return the hull of a matrix, or of left times it."""

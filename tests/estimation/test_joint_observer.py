@@ -74,6 +74,34 @@ def test_a_hundred_thousand_fault_free_samples(rng):
     assert fault_free(rng, range(48), 64, 40) > 100_000
 
 
+def near_the_boundary(rng, N, T, seed):
+    """Return (proved, refuted, tried): recordings whose errors are up to a few hundredths beyond what programs over all samples explain."""
+    x0 = [-5.0, -5.0], [5.0, 5.0]
+    u, _, y = recorded(PLANT, T, seed, N, at="vertices")
+    y[:, T // 2 :, 0] += rng.uniform(-0.05, 0.1, (N, 1)) * rng.choice([-1, 1], (N, 1))
+    found = jb.observe(PLANT, u, y, x0=jb.interval(*x0), restart=False, method="joint", window=T)
+    proved = refuted = 0
+    for j in range(N):
+        wrong = bool(found.status[j, -1] == jb.Status.FAULT)
+        exact = program(PLANT, u[j], y[j], x0)
+        assert not (wrong and exact is not None), f"recording {j} of seed {seed} is explained"
+        proved, refuted = proved + wrong, refuted + (exact is None)
+    return proved, refuted, N
+
+
+def test_what_is_proved_near_the_boundary_is_refuted_by_programs(rng):
+    proved, refuted, tried = near_the_boundary(rng, 40, 12, 21)
+    print(f"{proved} of {refuted} contradictions proved, of {tried} recordings")
+    assert 8 < refuted < 32 and proved >= 0.95 * refuted
+
+
+@pytest.mark.long
+def test_five_thousand_cases_near_the_boundary(rng):
+    proved, refuted, tried = np.sum([near_the_boundary(rng, 250, 12, seed) for seed in range(20)], 0)
+    print(f"{proved} of {refuted} contradictions proved, of {tried} recordings")
+    assert refuted > 1000 and proved >= 0.97 * refuted
+
+
 def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
     u, _, y = recorded(PLANT, 40, 5, N=2, at="uniform")
     y[1, 20:] += 3
