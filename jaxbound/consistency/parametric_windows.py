@@ -135,7 +135,7 @@ def linear_image(test: Any, terms: Any, allowance: Any) -> tuple[jax.Array, jax.
 def _linear(test, terms, allowance):
     """Return (c, G, error, h) of the linearized test: see `linear_image`."""
     c, G, error = linear_image(test, terms, allowance)
-    return c, G, error, None if varying.strip_count(*G.shape[:2]) else farthest(c, G)[0]
+    return c, G, error, None if varying.strip_count(*G.shape[:2], alone=True) else farthest(c, G)[0]
 
 
 @jax.jit
@@ -172,8 +172,9 @@ def _box(test, terms, proved):
 
 
 def _outside(c, G, error, h):
-    """Return the margin, < 0 is a proof: by all strips where they are few, else by the direction h, an array."""
-    return varying.strip_margins(c, G, error) if varying.strip_count(*G.shape[:2]) else varying.refutes(c, G, error, h)
+    """Return the margin, < 0 is a proof: by all strips where they are few or h is None, else by the direction h, an array."""
+    few = h is None or varying.strip_count(*G.shape[:2])
+    return varying.strip_margins(c, G, error) if few else varying.refutes(c, G, error, h)
 
 
 def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:

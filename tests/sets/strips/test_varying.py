@@ -152,6 +152,20 @@ def test_naive_strips_miss_what_rank_aware_ones_see(rng):
     assert ((margin < 0) == (wanted < -1e-9)).all()
 
 
+def test_many_strips_of_three_rows_tell_what_is_outside_and_how_far(rng):
+    """Nine generators, in some sets parallel, zero or in a plane; then sets whose boundary goes through 0, in integers."""
+    c, G = draw(rng, 3, 9, 300)
+    G[::7, :, 3:] = 0
+    G[1::7, 2] = 0
+    margin, wanted = np.asarray(varying.strip_margins(*map(jnp.asarray, columns_first(c, G)), jnp.zeros((3, 300)))), 1 - gauges(c, G)
+    assert ((margin < 0) == (wanted < 0))[abs(wanted) > 1e-9].all() and 20 < (margin < 0).sum() < 280
+    sized = np.isfinite(wanted) & (wanted > -1e3)
+    np.testing.assert_allclose(margin[sized], wanted[sized], rtol=1e-6, atol=1e-6)
+    G, h = rng.integers(-9, 10, (300, 3, 9)).astype(float), rng.integers(-9, 10, (300, 3)).astype(float)
+    c = -np.einsum("nij,nj->ni", G, np.where(np.einsum("ni,nij->nj", h, G) >= 0, 1, -1))
+    assert not (np.asarray(varying.strip_margins(*map(jnp.asarray, columns_first(c, G)), jnp.zeros((3, 300)))) < 0).any()
+
+
 def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
     c, G = np.array([[1.0, np.nan, 0.5]]), np.ones((1, COLUMNS[1], 3)) / 4
     assert np.isnan(varying.zonotope_margins(c, G)).tolist() == [False, True, False]
