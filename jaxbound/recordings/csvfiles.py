@@ -11,7 +11,7 @@ from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.csvtext import above_header, is_number, parse_columns, sniff
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
-from jaxbound.recordings.selection import wanted
+from jaxbound.recordings.selection import NO_TIME, TELLING, wanted
 from jaxbound.recordings.source import Source, register, told
 from jaxbound.recordings.timestamps import parse_stamps, read_numbers
 
@@ -41,7 +41,7 @@ class CsvFile(Source):
 def _read(path, model, report):
     layout = sniff(path)
     try:
-        plan = wanted(layout.names, model)
+        plan = wanted(layout.names, model, layout.dated)
     except ValueError as e:
         raise ValueError(f"{e}{above_header(layout)}") from None
     if plan.time is None and layout.names[0] == "" and layout.first[0] and not is_number(layout.first[0], layout.decimal):
@@ -63,9 +63,9 @@ def _read(path, model, report):
     columns |= {c: np.array(table[c].to_pylist(), object) for c in plan.texts}
     if written is None:
         if model.dt is None:
-            raise ValueError("the file has no time column: say how many seconds its rows are apart, with dt (--dt)")
+            raise ValueError(f"the file has no time column: {NO_TIME}")
         time, stamps = np.arange(count) * model.dt, None
-        hints.append(f"the file has no time column: the rows are taken to be dt = {model.dt:g} s apart")
+        hints.append(f"the file has no time column: the rows are taken to be dt = {model.dt:g} s apart, and none to be missing")
     elif text_time:
         time, stamps, hint = parse_stamps(written, model.dt, layout.row)
         hints += [hint] if hint else []
@@ -75,8 +75,13 @@ def _read(path, model, report):
     columns.setdefault(plan.time, time if stamps is None else stamps)
     u, y, excluded = plan.samples(columns, count)
     recording = Recording.filed(model, (u, y, excluded), (time, stamps, written), path.name)
-    dt = usual_period(time) if model.dt is None else model.dt
-    check_period(time, dt, getattr(model, "stated", "the model has"))
+    try:
+        dt = usual_period(time) if model.dt is None else model.dt
+        check_period(time, dt, getattr(model, "stated", "the model has"))
+    except ValueError as e:
+        others = [name for name in layout.names if name != plan.time and layout.dated(name)]
+        which = f"; the time is taken from column {plan.time!r}, another is {others[0]!r}: say which it is, {TELLING}" if others else ""
+        raise ValueError(f"{e}{which}") from None
     report(0.9)
     return told(model, replace(recording, dt=dt), layout.row, plan.where.text if plan.where else "", tuple(hints))
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.recordings.naming import listed
+from jaxbound.recordings.timestamps import is_stamp
 
 __all__ = ["Layout", "cells_of", "is_number", "parse_columns", "sniff"]
 
@@ -45,6 +46,11 @@ class Layout:
     def row(self, k: int) -> str:
         """Return how the user finds sample k."""
         return f"row {k + self.skip + 1}"
+
+    def dated(self, name: str) -> bool:
+        """Return whether a column begins with a time stamp."""
+        cell = dict(zip(self.names, self.first, strict=False)).get(name)
+        return bool(cell) and not is_number(cell, self.decimal) and is_stamp(cell)
 
 
 def sniff(path: Path, head: bytes | None = None) -> Layout:

@@ -18,8 +18,9 @@ from jaxbound.recordings.naming import listed, shown
 
 __all__ = ["TIMES", "Expression", "expression", "fails", "find_column", "is_expression", "likely", "missing_column"]
 
-TIMES = (r"(date[ _-]?time|time[ _-]?stamp|time|zeit)\b.*", r"t(\s*[\[(/,].*)?", r"(date|datum)\b.*")
-"""What a column of times is called, the likeliest first."""
+TIMES = (r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha y hora|hora|tiempo|tijd|tijdstip|tid|czas)\b.*",
+         r"t(\s*[\[(/,].*)?", r"(date|datum|fecha|data)\b.*")  # fmt: skip
+"""What a column of times is called, the likeliest first; in a language that is not here, dates are known by what they are."""
 
 FUNCTIONS = {name: getattr(np, name) for name in (
     "abs", "sqrt", "exp", "expm1", "log", "log1p", "log10", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh",

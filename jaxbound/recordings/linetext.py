@@ -40,7 +40,7 @@ class LineReader:
 
         try:
             layout = sniff(Path(SOURCE), b"\n".join(head) + b"\n")
-            plan = wanted(layout.names, model)
+            plan = wanted(layout.names, model, layout.dated)
         except ValueError as e:
             raise ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}") from None
         self.layout = layout

@@ -15,10 +15,22 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.contents import Contents
 from jaxbound.recordings.expressions import Expression
-from jaxbound.recordings.parquetfiles import PARTIAL, SUFFIXES, VERDICTS, Damage, checked, files_of, groups_of, opened, plan_of, spans_of
+from jaxbound.recordings.parquetfiles import (
+    PARTIAL,
+    SUFFIXES,
+    VERDICTS,
+    Damage,
+    checked,
+    dated_columns,
+    files_of,
+    groups_of,
+    opened,
+    plan_of,
+    spans_of,
+)
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
-from jaxbound.recordings.selection import Wanted
+from jaxbound.recordings.selection import NO_TIME, Wanted
 from jaxbound.recordings.source import Source, overlapping, register, told
 from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, time_label
 
@@ -290,12 +302,14 @@ def open_parquet(path: str | PathLike, model: Any) -> ParquetSource:
     source = ParquetSource(path, files, np.zeros(len(files) + 1, np.int64), model, Wanted((), (), None, None), np.dtype(float))
     counts: list[int] = []
     first: dict[str, Any] = {}
+    dated: frozenset[str] = frozenset()
     for file in files:
         name = source.name(file) if path.is_dir() else str(path)
         with opened(file, name) as f:
             counts.append(f.metadata.num_rows)
             try:
-                schema = checked(f.schema_arrow, model, name)
+                dated = dated or dated_columns(f)
+                schema = checked(f.schema_arrow, model, name, dated)
             except ValueError as e:
                 mixed = f", as the files before it have (first {source.name(files[0])})" if first else ""
                 raise ValueError(f"{path}{'/' + name if path.is_dir() else ''}: {e}{mixed}") from None
@@ -308,7 +322,7 @@ def open_parquet(path: str | PathLike, model: Any) -> ParquetSource:
     rows = np.cumsum([0, *counts])
     if rows[-1] < 2:
         raise ValueError(f"{path}: {'no row' if not rows[-1] else 'one row'} of data: a recording has at least two")
-    plan = plan_of(list(first), first, model)
+    plan = plan_of(list(first), first, model, dated)
     stored = [c for s in plan.outputs for c in (s.columns if isinstance(s, Expression) else (s,))]
     single = pa.float32() in {first.get(c) for c in stored}
     zone = getattr(first.get(plan.time), "tz", None)
@@ -349,9 +363,11 @@ def _clocked(source):
     """Return the source with its time understood; refuse files in the wrong order and another period than the model's."""
     dt = source.model.dt
     if source.time_name is None and dt is None:
-        raise ValueError(f"{source.path}: there is no time column: say how many seconds its rows are apart, with dt (--dt)")
+        raise ValueError(f"{source.path}: there is no time column: {NO_TIME}")
     if source.time_name is None:
-        return replace(source, hints=(f"the recording has no time column: the rows are taken to be dt = {dt:g} s apart",))
+        return replace(
+            source, hints=(f"the recording has no time column: the rows are taken to be dt = {dt:g} s apart, and none to be missing",)
+        )
     probe = source.probe()
     if probe.stamps is not None:
         source = replace(source, origin=probe.stamps[0])

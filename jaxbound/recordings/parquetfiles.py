@@ -7,7 +7,7 @@ Names are sorted as people do, part-9 before part-10. Names that begin with a do
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
@@ -15,8 +15,22 @@ from types import TracebackType
 from typing import Any
 
 from jaxbound.recordings.selection import Wanted, wanted
+from jaxbound.recordings.timestamps import is_stamp
 
-__all__ = ["INDEX", "PARTIAL", "SUFFIXES", "VERDICTS", "Damage", "checked", "files_of", "groups_of", "opened", "plan_of", "spans_of"]
+__all__ = [
+    "INDEX",
+    "PARTIAL",
+    "SUFFIXES",
+    "VERDICTS",
+    "Damage",
+    "checked",
+    "dated_columns",
+    "files_of",
+    "groups_of",
+    "opened",
+    "plan_of",
+    "spans_of",
+]
 
 SUFFIXES = (".parquet", ".pq")
 VERDICTS, PARTIAL = "verdicts.parquet", "verdicts.partial"  # folders that we write, complete and not
@@ -90,12 +104,28 @@ def spans_of(file: Path, name: str, first: int, stop: int) -> list[tuple[int, in
         return spans
 
 
-def checked(schema: Any, model: Any, name: str) -> dict[str, Any]:
-    """Return {column: type} of the wanted columns of a file, the signals first; refuse types that are not numbers or time."""
+def dated_columns(file: Any) -> frozenset[str]:
+    """Return the columns of an open file that hold time stamps: by their type, or texts by the first of them."""
+    import pyarrow as pa
+
+    fields = {f.name: f.type for f in file.schema_arrow}
+    texts = [c for c, kind in fields.items() if pa.types.is_string(kind) or pa.types.is_large_string(kind)]
+    first = next(file.iter_batches(batch_size=1, columns=texts), None) if texts else None
+    row = first.to_pylist()[0] if first is not None and first.num_rows else {}
+    stamps = {c for c, kind in fields.items() if pa.types.is_timestamp(kind) or pa.types.is_date(kind)}
+    return frozenset(stamps | {c for c in texts if is_stamp(row.get(c))})
+
+
+def checked(schema: Any, model: Any, name: str, dated: Container[str] = ()) -> dict[str, Any]:
+    """Return {column: type} of the wanted columns of a file, the signals first; refuse types that are not numbers or time.
+
+    Args:
+        name: of the file. dated: columns with time stamps, from `dated_columns`.
+    """
     import pyarrow as pa
 
     kinds = pa.types
-    plan = plan_of(schema.names, {f.name: f.type for f in schema}, model)
+    plan = plan_of(schema.names, {f.name: f.type for f in schema}, model, dated)
     time = plan.time
     for column in plan.numbers:
         kind = schema.field(column).type
@@ -114,11 +144,11 @@ def checked(schema: Any, model: Any, name: str) -> dict[str, Any]:
     return found
 
 
-def plan_of(names: Sequence[str], types: Mapping[str, Any], model: Any) -> Wanted:
+def plan_of(names: Sequence[str], types: Mapping[str, Any], model: Any, dated: Container[str] = ()) -> Wanted:
     """Return the Wanted of a file with these columns; the time may be an index without a name."""
     import pyarrow as pa
 
-    plan = wanted(names, model)
+    plan = wanted(names, model, lambda name: name != INDEX and name in dated)
     return replace(plan, time=INDEX) if plan.time is None and INDEX in types and pa.types.is_temporal(types[INDEX]) else plan
 
 

@@ -18,6 +18,7 @@ __all__ = [
 TOLERATED_DT = 0.05  # median step against the model's dt
 DISORDER = 0.1  # share of steps back in time from which on the rows are out of order
 TOLERATED_STEP = 0.20  # one step against the model's dt: logger jitter is far below, a missing row far above
+REPEATED = ": more than half of the rows repeat the time of the row before"
 KINDS = ("gap", "early", "repeated", "backward")
 UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns"}
 
@@ -161,9 +162,19 @@ def usual_period(time: np.ndarray) -> float:
     """
     median = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if not median > 0:
-        check_period(time, 1.0)
+        refuse_backward(time)
+        if len(time) > 1:
+            raise ValueError(f"the rows of the recording are 0 s apart{REPEATED}")
         raise ValueError("one row has no sampling period: a recording has at least two")
     return next(float(x) for digits in range(1, 18) if abs(float(x := f"{median:.{digits}g}") - median) <= 0.002 * median)
+
+
+def refuse_backward(time: np.ndarray) -> int:
+    """Return how many rows go back in time; refuse a recording where nearly all do."""
+    back = int(np.count_nonzero(np.diff(time) < 0))
+    if back > (1 - DISORDER) * max(len(time) - 1, 1):
+        raise ValueError("the rows run backwards in time, the newest first: sort them by time")
+    return back
 
 
 def check_period(time: np.ndarray, dt: float, whose: str = "the model has") -> None:
@@ -177,14 +188,12 @@ def check_period(time: np.ndarray, dt: float, whose: str = "the model has") -> N
     """
     if len(time) < 2:
         return
-    median, back = float(np.median(np.diff(time))), int(np.count_nonzero(np.diff(time) < 0))
-    if back > (1 - DISORDER) * (len(time) - 1):
-        raise ValueError("the rows run backwards in time, the newest first: sort them by time")
+    median, back = float(np.median(np.diff(time))), refuse_backward(time)
     if abs(median - dt) > TOLERATED_DT * dt and back > DISORDER * len(time):
         raise ValueError(f"{back} of {len(time)} rows go back in time: sort them by time")
     if abs(median - dt) > TOLERATED_DT * dt:
         near = next((f": is its time in {unit}?" for f, unit in UNITS.items() if abs(median / f - dt) <= TOLERATED_DT * dt), "")
-        same = ": more than half of the rows repeat the time of the row before" if median == 0 else ""
+        same = REPEATED if median == 0 else ""
         fold = round(dt / median) if median else 0
         if not near and fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
             near = f": keep one of every {fold} rows, or take a model with dt = {median:.3g}"

@@ -1,14 +1,18 @@
 """Which columns of a recording a model needs, and how its signals come out of them: as they are, or by an expression."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from jaxbound.recordings.expressions import TIMES, Expression, expression, fails, find_column, is_expression, likely
+from jaxbound.recordings.naming import listed
 
-__all__ = ["Wanted", "wanted", "where_hints"]
+__all__ = ["NO_TIME", "TELLING", "Wanted", "only_dated", "wanted", "where_hints"]
+
+TELLING = "with `time` among the columns of the model (fit: --time)"
+NO_TIME = f"no column is called like time or holds time stamps: name it, {TELLING}, or, if no row is missing, give dt (--dt)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,27 +70,35 @@ class Wanted:
         return u, y, excluded
 
 
-def wanted(names: Sequence[str], model: Any) -> Wanted:
+def wanted(names: Sequence[str], model: Any, dated: Callable[[str], bool] = lambda name: False) -> Wanted:
     """Find the columns of a model among those of a recording.
 
     Args:
         names: of the columns that there are. model: with .inputs, .outputs, .columns and .column(signal).
+        dated: called with a name: whether that column begins with a time stamp.
 
     Returns:
         A Wanted. A signal whose column is not there is taken from the one called like the signal. Time: the column that the model names, or
-        one that looks like it.
+        one that is called like it, or else the one that holds time stamps.
 
     Raises:
-        ValueError: a column is not there, or there twice.
+        ValueError: a column is not there, or there twice; several hold time stamps and none is called like time.
     """
     inputs, outputs = (tuple(_source(s, names, model) for s in side) for side in (model.inputs, model.outputs))
     found = Wanted(inputs, outputs, None, None)
     where = model.columns.get("where")
     named, here = model.columns.get("time"), "the recording"
     free = [name for name in names if name not in found.signals]
-    called = likely(free, TIMES)
+    called = [] if named is not None else likely(free, TIMES) or only_dated(list(filter(dated, free)))
     time = find_column(named, names, here) if named is not None else find_column(called[0], names, here) if called else None
     return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time)
+
+
+def only_dated(columns: list) -> list:
+    """Return the columns with time stamps where there is one at most; refuse several."""
+    if len(columns) > 1:
+        raise ValueError(f"the columns {listed(list(map(str, columns)))} hold time stamps: say which is the time, {TELLING}")
+    return columns
 
 
 def _source(signal, names, model):

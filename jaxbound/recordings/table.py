@@ -13,6 +13,8 @@ import numpy as np
 
 from jaxbound.recordings.expressions import TIMES, find_column, likely
 from jaxbound.recordings.seams import TOLERATED_STEP
+from jaxbound.recordings.selection import only_dated
+from jaxbound.recordings.timestamps import is_stamp
 
 __all__ = ["as_table", "is_date", "is_table", "one_row", "paired", "time_like", "unlabelled", "usual_step"]
 
@@ -156,10 +158,10 @@ def _dated(frame, model):
     """Return a table whose rows are only numbered with the times of its time column for an index; any other as it is.
 
     The time column is the one that the model names; else the one column of dates, of several one that is called like a time; else one of
-    numbers that is called so, which shows gaps but, its unit not being known, no period.
+    numbers that is called so, which shows gaps but, its unit not being known, no period; else one of texts that are time stamps.
 
     Raises:
-        ValueError: the time column holds text.
+        ValueError: the time column holds text; several hold time stamps, and none is called like a time.
     """
     if not is_table(frame) or not unlabelled(frame.index) or not len(frame) or not frame.columns.is_unique:
         return frame
@@ -173,7 +175,8 @@ def _dated(frame, model):
     dates = [c for c in free if kind(c) in ("m", "M") or is_date(frame[c].iloc[0])]
     counts = lambda c: kind(c) in ("i", "u", "f") and usual_step(frame[c].to_numpy(np.float64, na_value=np.nan)) is not None
     called = likely(dates, TIMES) if dates else [c for c in likely(free, TIMES) if counts(c) or time_like(frame[c].iloc[0])]
-    column = dates[0] if len(dates) == 1 else called[0] if called else None
+    stamps = dates or [c for c in free if is_text_stamp(frame[c].iloc[0])]
+    column = next(iter(dates if len(dates) == 1 else called or only_dated(stamps)), None)
     return frame if column is None else frame.set_axis(_time_index(frame[column], column))
 
 
@@ -209,6 +212,11 @@ def is_date(label: Any) -> bool:
 def time_like(label: Any) -> bool:
     """Return whether a label is text that looks like a time."""
     return isinstance(label, str) and re.search(r"\d[-/.:]\d+[-/.: T]", label + " ") is not None
+
+
+def is_text_stamp(label: Any) -> bool:
+    """Return whether a label is text that holds a time stamp."""
+    return isinstance(label, str) and is_stamp(label)
 
 
 def _jumps(places, index):

@@ -10,12 +10,13 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
 
-__all__ = ["epoch_scale", "parse_stamps", "read_numbers", "row_label", "time_label"]
+__all__ = ["epoch_scale", "is_stamp", "parse_stamps", "read_numbers", "row_label", "time_label"]
 
 DATES = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
          "%m/%d/%y", "%d/%m/%y", "%d.%m.%y", "%Y%m%d")  # fmt: skip
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
 FORMATS = [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS] + list(DATES[:-1]) + list(CLOCKS[:4])
+LONGEST = 64  # letters of a time stamp
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 
 
@@ -58,6 +59,19 @@ def parse_stamps(cells: Any, dt: float | None, where: Callable[[int], str]) -> t
     if len(smoothest) > 1 and "%d" in form and stamps[0] != smoothest[1][1][0]:
         hint = f"time stamps like {cells[0].as_py()!r} are read as {_words(form)}; they could also be {_words(smoothest[1][0])}"
     return _since_first(stamps, hint, dated="%d" in form)
+
+
+def is_stamp(cell: str | None) -> bool:
+    """Return whether a cell, known not to be a number, holds a time stamp of any usual format."""
+    import pyarrow as pa
+
+    if not cell or not any(c.isdigit() for c in cell) or len(cell) > LONGEST:
+        return False
+    try:
+        parse_stamps(pa.array([cell]), None, str)
+    except ValueError:
+        return False
+    return True
 
 
 def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:

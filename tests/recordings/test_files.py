@@ -154,7 +154,26 @@ class TestTime:
     def test_no_time_column(self, read):
         r = read("u1,y1\n1,2\n3,4\n5,6\n")
         np.testing.assert_array_equal(r.time, [0, 0.5, 1])
-        assert r.hints == ("the file has no time column: the rows are taken to be dt = 0.5 s apart",) and r.written is None
+        assert (
+            r.hints == ("the file has no time column: the rows are taken to be dt = 0.5 s apart, and none to be missing",)
+            and r.written is None
+        )
+
+    @pytest.mark.parametrize("header", ["Zeitstempel", "Horodatage", "Fecha y hora", "Tidspunkt", "час", "时间", "when"])
+    def test_a_column_of_time_stamps_is_the_time_in_any_language(self, read, header):
+        """Before, such a file with a gap was taken to be one without: windows across it were proved to be faulty."""
+        rows = [(f"05.03.2024 08:{k:02d}:00", "shift 2", "1,5", 2, 3) for k in (0, 1, 2, 40, 41, 42, 43)]
+        r = read(text_of(rows, f"{header};remark;pump;level;flow", ";"), TWO)
+        assert list(r.starts) == [3] and r.time[3] == 2400 and r.label(3) == "05.03.2024 08:40:00"
+
+    def test_two_columns_of_time_stamps_are_refused_where_none_is_called_like_time(self, read):
+        with pytest.raises(ValueError, match="the columns 'a', 'b' hold time stamps: say which is the time, with `time` among the columns"):
+            read("a,b,u1,y1\n10:00:00,11:00:00,1,2\n10:00:01,11:00:01,1,2\n")
+
+    def test_a_day_apart_from_its_clock_names_both_columns(self, read):
+        text = "Datum;Uhrzeit;u1;y1\n05.03.2024;08:00:00;1;2\n05.03.2024;08:00:01;1;2\n05.03.2024;08:00:02;1;2\n"
+        with pytest.raises(ValueError, match="repeat the time .*taken from column 'Datum', another is 'Uhrzeit': say which it is"):
+            read(text)
 
     def test_the_time_column_that_the_model_names(self, read):
         model = jb.LinearSystem([[0.5]], None, [[1]], dt=2, noise=0.1, columns={"time": "seconds"})

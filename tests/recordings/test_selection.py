@@ -239,7 +239,7 @@ class TestSignals:
             read_signals([slow, quick], [], ["y1"], dt=3)
 
     @pytest.mark.parametrize("text, options, sentence", [
-        ("a,b\n1,2\n3,4\n", {}, "no time column: say how many seconds its rows are apart"),
+        ("a,b\n1,2\n3,4\n", {}, "no column is called like time or holds time stamps: name it, .* or, if no row is missing, give dt"),
         ("t,a,b\n0,1,2\n1,3,4\n", {"columns": {"where": "b > 5"}}, "the condition 'b > 5' holds for none of its 2 samples"),
         ("t,a,b\n0,1,2\n0,3,4\n", {}, "more than half of the rows repeat the time"),
         ("t,a,b\n1,1,2\n0,3,4\n", {}, "the rows run backwards in time"),

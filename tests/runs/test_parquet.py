@@ -147,10 +147,17 @@ class TestTime:
             model = ONE if name is None else jb.LinearSystem([["0.5"]], None, [[1]], dt=60, noise=0.1, columns={"time": "when"})
             np.testing.assert_array_equal(read(tmp_path / "a.parquet", model).stamps, STAMPS)
 
+    @pytest.mark.parametrize("write", [lambda t: t, lambda t: t.astype(str)], ids=["stamps", "texts"])
+    def test_a_column_of_time_stamps_is_the_time_whatever_it_is_called(self, folder, write):
+        stamps = STAMPS[:4] + np.array([0, 0, 60, 60], "timedelta64[m]")
+        r = read(folder(a=pa.table({"remark": ["x"] * 4, "Zeitpunkt der Messung": write(stamps), "y1": [1.0, 2, 3, 4]})), ONE)
+        np.testing.assert_array_equal(r.stamps, stamps)
+        assert r.starts == (2,)
+
     def test_without_time_the_rows_are_dt_apart(self, folder):
         r = read(folder(a=pa.table({"y1": [1.0, 2.0]}), b=pa.table({"y1": [3.0]})), ONE)
         np.testing.assert_array_equal(r.time, [0, 60, 120])
-        assert r.hints[:1] == ("the recording has no time column: the rows are taken to be dt = 60 s apart",)
+        assert r.hints[:1] == ("the recording has no time column: the rows are taken to be dt = 60 s apart, and none to be missing",)
 
     def test_a_gap_between_files_splits_the_recording(self, folder):
         r = read(folder(a=table(5), b=table(7, 8)), MODEL)
