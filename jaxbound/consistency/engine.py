@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Job", "connected", "in_order", "processor", "spread", "stretches_for"]
 
 DEATHS = 100  # workers of our own that may die of one task: what kills them may have nothing to do with it
+COMES_BACK = "600s"  # until a worker that died is given up: to start one may take long where the machine is busy
 RETRIES = 3  # of a task that fails by more than what it says of its data
 AHEAD = 4  # tasks a thread that are sent out at once: results must not pile up
 WAIT = 60  # seconds until a scheduler answers
@@ -66,10 +67,14 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     with ExitStack() as open_things:
         place: Any = scheduler
         if scheduler is None:
-            given = {"distributed.worker.multiprocessing-method": "spawn", "distributed.scheduler.allowed-failures": DEATHS}
+            given = {"distributed.worker.multiprocessing-method": "spawn", "distributed.scheduler.allowed-failures": DEATHS,
+                     "distributed.deploy.lost-worker-timeout": COMES_BACK}  # fmt: skip
             open_things.enter_context(dask.config.set(given))
             quiet = {"silence_logs": logging.CRITICAL, "dashboard_address": "127.0.0.1:0"}
-            place = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, env=_environment(), **quiet)
+            try:
+                place = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, env=_environment(), **quiet)
+            except RuntimeError as e:
+                raise ValueError(f"{workers} workers could not be started here: {e}") from None
             open_things.enter_context(place)
         try:
             client = Client(place, timeout=WAIT, set_as_default=False)

@@ -1,8 +1,11 @@
 """May this process prove anything? What `rounding` assumes of processor, device and compiler, asked before every proof.
 
 **The rounding mode** of the processor is asked at every call: it takes a microsecond, and an import can change it at any time.
-**The device** has to be of a kind whose arithmetic was examined: CPU, so far.
-**Flags of XLA** that give arithmetic up are refused by name: what they allow, a compiler need not do to the kernels of a probe.
+**The device** has to be of a kind whose arithmetic was examined: CPU, so far. An accelerator of NVIDIA is known by its compute capability,
+its driver and the version of jaxlib (`kind_of_device`); none is in `EXAMINED` before `examination` has run on one, with every test of this
+house, and before what no probe can show (`PREMISES`) holds for what is computed there.
+**Flags of XLA, and switches of the environment,** that give arithmetic up are refused by name: what they allow, a compiler need not do to
+the kernels of a probe.
 **The probe** (`measure`), one small kernel, catches what names do not. It runs once a process for each device and setting, with the flags
 in force.
 
@@ -13,6 +16,7 @@ asks for the highest precision; the others round nothing.
 import os
 from fractions import Fraction
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +27,34 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Unverified", "default_device", "measure", "refuse_other_modes", "refuse_unverified", "usable_devices", "verified"]
+__all__ = [
+    "EXAMINED",
+    "PREMISES",
+    "SWITCHES",
+    "Unverified",
+    "default_device",
+    "kind_of_device",
+    "measure",
+    "refuse_other_modes",
+    "refuse_unverified",
+    "usable_devices",
+    "verified",
+]
 
-EXAMINED = ("cpu",)
+EXAMINED = frozenset({"cpu"})
+"""Kinds of devices, as `kind_of_device` names them without the driver, on which this house's tests were run."""
+
+PREMISES = {
+    "cpu": (),
+    "NVIDIA": (
+        "float32: a quotient may be off by 2 ulp, 4 units (PTX ISA, div.full.f32); `outward` must widen it by 6 units, and widens by 4",
+        "float32: a root may be off by 1 ulp, 2 units (PTX ISA, sqrt.approx.f32), within the 2.84 that are assumed",
+        "float64: + - * / fma and sqrt are rounded correctly (PTX ISA, .rn)",
+        "a * b + c may be contracted; subnormals are kept in float64, and in float32 unless xla_gpu_ftz is set: both are allowed for",
+        "dots of libraries may compute in TF32 or emulate float64: what is proved computes none there",
+    ),
+}
+"""What the makers' manuals say of the arithmetic of a kind of device, and no probe can show."""
 GIVES_UP = {
     "xla_cpu_enable_fast_math": ("false", "0"),
     "xla_cpu_fast_math_honor_nans": ("", "true", "1"),
@@ -36,9 +65,19 @@ GIVES_UP = {
     "xla_cpu_experimental_xnn_fusion_type": ("",),
     "xla_cpu_experimental_ynn_fusion_type": ("",),
     "xla_cpu_experimental_xnn_graph_fusion_mode": ("", "XNN_GRAPH_FUSION_MODE_DISABLED"),
+    "xla_gpu_enable_fast_min_max": ("false", "0"),
 }
 """Flags of XLA after which nothing is known of a rounding, and the values that leave it alone. fusion_type and graph_fusion_mode hand
 operations to libraries whose exp, for one, is another."""
+SWITCHES = {
+    "NVIDIA_TF32_OVERRIDE": ("", "0"),
+    "CUBLAS_EMULATE_SINGLE_PRECISION": ("", "0"),
+    "CUBLAS_EMULATE_DOUBLE_PRECISION": ("", "0"),
+    "CUBLAS_EMULATION_STRATEGY": ("",),
+    "CUBLAS_FIXEDPOINT_EMULATION_MANTISSA_BIT_COUNT": ("",),
+}
+"""Switches of the environment by which libraries of NVIDIA compute otherwise, and the values that leave them alone. No dot of a library is
+proved, but whoever sets one of these means to change arithmetic."""
 
 
 class Unverified(RuntimeError):
@@ -92,21 +131,45 @@ def verified(device: jax.Device) -> bool:
     return not _doubt(device)
 
 
+def kind_of_device(device: jax.Device) -> dict[str, str]:
+    """Return what tells one kind of device from another: {"platform", "capability", "driver", "jaxlib"}.
+
+    Args:
+        device: of jax. capability: of an NVIDIA device its compute capability, like "9.0", else ""; driver: what its plug-in says.
+
+    Example:
+        >>> import jax
+        >>> kind_of_device(jax.devices("cpu")[0])["platform"]
+        'cpu'
+    """
+    capability = str(getattr(device, "compute_capability", "") or "")
+    nvidia = capability and "nvidia" in str(getattr(device, "device_kind", "")).lower()
+    driver = "" if device.platform == "cpu" else str(getattr(getattr(device, "client", None), "platform_version", ""))
+    return {"platform": "NVIDIA" if nvidia else device.platform, "capability": capability, "driver": driver, "jaxlib": version("jaxlib")}
+
+
 def _doubt(device: jax.Device) -> str:
     """Return why a device proves nothing, in a sentence; empty where it may."""
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]  # made at run time
-    return _found(device, os.environ.get("XLA_FLAGS", ""), x64)
+    switches = tuple(f"{name}={value}" for name in SWITCHES if (value := os.environ.get(name, "")) not in SWITCHES[name])
+    return _found(device, os.environ.get("XLA_FLAGS", ""), x64, switches if device.platform != "cpu" else ())
 
 
 @lru_cache
-def _found(device: jax.Device, flags: str, x64: bool) -> str:
-    if device.platform not in EXAMINED:
+def _found(device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] = ()) -> str:
+    kind = kind_of_device(device)
+    named = " ".join(x for x in (kind["platform"], kind["capability"]) if x)
+    if switches:
+        return f"the environment has {' and '.join(switches)}, by which libraries of {named} compute otherwise: start without"
+    if named not in EXAMINED:
         return (
-            f"proofs need a device whose rounding was verified, so far only CPU, not {device.platform}: set JAX_PLATFORMS=cpu, or give "
+            f"proofs need a device whose rounding was verified, so far only CPU, not {named}: set JAX_PLATFORMS=cpu, or give "
             'NumPy arrays under `with jax.default_device("cpu")`; margins gives unproved values anywhere'
         )
     if loose := _loose(flags):
         return f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start without, nothing can be proved so"
+    if kind["platform"] == "NVIDIA" and not x64:
+        return f"on {named} a quotient in float32 may be off by 4 units, more than proofs allow for: switch on jax_enable_x64"
     measured = measure(device, jnp.result_type(float))
     if broken := [f"{name}: {value:.3g}, at most {most:g} assumed" for name, (value, most) in measured.items() if not value <= most]:
         return (

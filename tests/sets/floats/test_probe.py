@@ -16,6 +16,7 @@ from corners import DTYPES, corners, floats
 
 import jaxbound as jb
 from jaxbound.sets.floats import probe, rounding
+from jaxbound.sets.floats.examination import examination
 from jaxbound.sets.intervals import angles
 
 COUNT = 2000
@@ -248,6 +249,22 @@ def test_the_probe_measures_what_is_assumed(dtype):
     assert len(measured) == 9 and all(value <= most for value, most in measured.values()), measured
 
 
+@each_dtype
+def test_the_examination_of_a_device_finds_what_is_assumed(dtype):
+    found = examination(jax.devices()[0], dtype)
+    assert len(found) > 30 and not {name: pair for name, pair in found.items() if not pair[0] <= pair[1]}
+
+
+def test_the_examination_finds_fast_math():
+    code = """
+import jax, numpy as np
+from jaxbound.sets.floats.examination import examination
+print([name for name, (found, most) in examination(jax.devices()[0], np.float32, 200).items() if not found <= most])
+"""
+    said = in_a_process_with(FAST, "-c", code)
+    assert "sums that two_sum loses digits of" in said
+
+
 def test_every_public_name_is_known_to_prove_or_not():
     proving_names = {name.split(".")[0].split(",")[0] for name in proving.doors()} - {"sets"}
     assert not proving_names & proving.EXACT_OR_UNPROVED
@@ -259,6 +276,40 @@ def test_every_door_that_proves_refuses_other_devices_in_one_sentence(monkeypatc
     for name, said in proving.answers().items():
         assert said is not None, f"{name} answered"
         assert "so far only CPU, not gpu: set JAX_PLATFORMS=cpu" in said and "\n" not in said, name
+
+
+class Card:
+    """A device of NVIDIA, as jax shows one."""
+
+    platform, device_kind, compute_capability = "gpu", "NVIDIA H100 80GB HBM3", "9.0"
+
+
+def test_a_card_is_known_by_its_capability_and_refused_until_it_was_examined(monkeypatch):
+    assert probe.kind_of_device(Card())["platform"] == "NVIDIA" and probe.kind_of_device(Card())["capability"] == "9.0"
+    assert not probe.verified(Card()) and "so far only CPU, not NVIDIA 9.0: set JAX_PLATFORMS=cpu" in probe._doubt(Card())
+    monkeypatch.setattr(probe, "EXAMINED", probe.EXAMINED | {"NVIDIA 9.0"})
+    monkeypatch.setattr(probe, "measure", lambda device, dtype: {"error of a quotient": (4.1, 2.84)})
+    assert not probe.verified(Card()) and "error of a quotient: 4.1, at most 2.84 assumed" in probe._doubt(Card())
+    monkeypatch.setattr(probe, "measure", lambda device, dtype: {"error of a quotient": (1.0, 2.84)})
+    assert probe.verified(Card())
+    with jax.enable_x64(False):
+        assert "a quotient in float32 may be off by 4 units" in probe._doubt(Card())
+
+
+@pytest.mark.parametrize("name, value", [
+    ("NVIDIA_TF32_OVERRIDE", "1"), ("CUBLAS_EMULATE_DOUBLE_PRECISION", "1"), ("CUBLAS_EMULATE_SINGLE_PRECISION", "1"),
+    ("CUBLAS_EMULATION_STRATEGY", "eager"), ("XLA_FLAGS", "--xla_gpu_enable_fast_min_max=true"),
+])  # fmt: skip
+def test_switches_that_change_arithmetic_are_refused_by_name_on_a_card_that_was_examined(monkeypatch, name, value):
+    monkeypatch.setattr(probe, "EXAMINED", probe.EXAMINED | {"NVIDIA 9.0"})
+    monkeypatch.setattr(probe, "measure", lambda device, dtype: {})
+    assert probe.verified(Card())
+    monkeypatch.setenv(name, value)
+    assert not probe.verified(Card()) and (f"{name}={value}" in probe._doubt(Card()) or value in probe._doubt(Card()))
+    if name != "XLA_FLAGS":
+        assert probe.verified(jax.devices()[0])  # no CPU knows them
+        monkeypatch.setenv(name, "" if name.endswith("STRATEGY") else "0")
+        assert probe.verified(Card())
 
 
 def in_a_process_with(flags, *command):

@@ -1,0 +1,95 @@
+"""All that `rounding` assumes, asked of a device with thousands of numbers: what a new kind of device has to pass before it may prove.
+
+`probe.measure` asks a little of it before every first verdict; this takes seconds, for each form in which a compiler meets an operation.
+"""
+
+import operator
+from collections.abc import Callable
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+
+from jaxbound.sets.floats import rounding
+
+__all__ = ["examination"]
+
+EXACTLY = {"sum": operator.add, "difference": operator.sub, "product": operator.mul, "quotient": operator.truediv}
+ONE, SQUARE = 2.84, 5.7  # units that one operation, and the square of a root, may be off
+CHAINS: dict[str, Callable] = {
+    "(a b) c": lambda a, b, c: (a * b) * c, "(a / b) / c": lambda a, b, c: (a / b) / c, "a b + c": lambda a, b, c: a * b + c,
+    "(a + b) c": lambda a, b, c: (a + b) * c, "a / (b + c)": lambda a, b, c: a / (b + c)}  # fmt: skip
+
+
+def examination(device: jax.Device, dtype: DTypeLike, count: int = 600, seed: int = 0) -> dict[str, tuple[float, float]]:
+    """Return {claim: (what compiled kernels did on a device, the most that is assumed)}, errors in units u.
+
+    Args:
+        device: of jax; kernels run on it with the flags in force. dtype: np.float32 or np.float64. count: numbers of each kind.
+        seed: of the numbers.
+
+    Example:
+        >>> import jax, numpy as np
+        >>> found = examination(jax.devices("cpu")[0], np.float32, 50)
+        >>> all(value <= most for value, most in found.values())
+        True
+    """
+    rng, info, found = np.random.default_rng(seed), np.finfo(dtype), {}
+    u, smallest = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny))
+    numbers = lambda low, high: (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(dtype)
+    run = lambda f, *x: jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
+    error = lambda got, want: max(float(abs(f - w) / abs(f) / u) if f else float(w != 0) * np.inf for f, w in zip(got, want, strict=True))
+
+    with jax.ensure_compile_time_eval(), jax.default_device(device), jax.debug_nans(False), jax.debug_infs(False), jax.disable_jit(False):
+        a, b = numbers(-40, 40), numbers(-40, 40)
+        forms: dict[str, tuple[Callable, np.ndarray]] = {
+            "": (lambda f: run(f, a, b), b),
+            " by one number": (lambda f: run(f, a, b[:1]), b[:1]),
+            " by a scalar": (lambda f: run(f, a, b[0]), b[:1]),
+            " by a constant": (lambda f: run(lambda a: f(a, b[0]), a), b[:1]),
+        }
+        for form, (go, other) in forms.items():
+            pairs = list(zip(_exact(a), _exact(np.broadcast_to(other, a.shape)), strict=True))
+            for name, f in EXACTLY.items():
+                found[f"error of a {name}{form}"] = error(_exact(go(f)), [f(x, y) for x, y in pairs]), ONE
+        positive = [abs(numbers(-8, 8)) for _ in range(3)]
+        for name, f in CHAINS.items():
+            want = [f(*x) for x in zip(*map(_exact, positive), strict=True)]
+            found[f"error of {name}"] = error(_exact(run(f, *positive)), want), 2 * ONE
+        roots = _exact(run(jnp.sqrt, x := abs(numbers(info.minexp + 1, info.maxexp - 1))))
+        found["error of the square of a root"] = error([r * r for r in roots], _exact(x)), SQUARE
+        c, d = numbers(-12, 12), numbers(-12, 12)
+        kept = run(lambda c, d: (rounding.two_sum(c, d), rounding.two_prod(c, d), rounding.two_sum(c * d + c, d), c * d + c), c, d)
+        lost = lambda pair, want: float(sum(s + e != w for s, e, w in zip(*map(_exact, pair), want, strict=True)))
+        C, D, inexact = _exact(c), _exact(d), _exact(kept[3])
+        found["sums that two_sum loses digits of"] = lost(kept[0], map(operator.add, C, D)), 0.0
+        found["products that two_prod loses digits of"] = lost(kept[1], map(operator.mul, C, D)), 0.0
+        found["sums of inexact numbers that two_sum loses digits of"] = lost(kept[2], map(operator.add, inexact, D)), 0.0
+        small, half = numbers(info.minexp + 1, info.minexp + 4), numbers(-6, -1)
+        for name, other in {"difference": numbers(info.minexp + 1, info.minexp + 4), "product": half, "quotient": 1 / half}.items():
+            got, want = _exact(run(EXACTLY[name], small, other)), map(EXACTLY[name], _exact(small), _exact(other))
+            over = [abs(f - w) - Fraction(float(info.eps)) * abs(f) for f, w in zip(got, want, strict=True)]
+            found[f"error of a {name} that underflows, in smallest numbers"] = float(max(over) / smallest), 1.0
+        signed = run(operator.truediv, small, np.full(count, 2.0 ** (info.maxexp // 2), dtype))
+        found["underflows that lose their sign"] = float((np.signbit(signed) != np.signbit(small)).sum()), 0.0
+        top = run(lambda x: x + x, np.array([info.max, -info.max], dtype))
+        found["overflows that are finite"] = float((top != [np.inf, -np.inf]).sum()), 0.0
+        many = numbers(-4, 4)
+        total, terms = _exact([run(jnp.sum, many)])[0], _exact(many)
+        found["error of a sum of many, in units a term"] = float(abs(total - sum(terms)) / (count * u * sum(map(abs, terms)))), 1.01
+        whole = np.concatenate([rng.uniform(-2000, 2000, count), [0.5, 1.5, -0.5, 0.49, -2.51]]).astype(dtype)
+        found["distance of a rounded number"] = float(abs(run(jnp.round, whole).astype(float) - whole.astype(float)).max()), 0.5
+        odd = np.where(np.arange(count) % 2, np.nan, np.inf).astype(dtype)
+        found["NaN that are lost"] = float((~np.isnan(run(lambda x: (x - x) + 1, odd))).sum()), 0.0
+        found["comparisons with NaN that are true"] = float(sum(map(np.sum, run(_comparisons, np.full(count, np.nan, dtype))))), 0.0
+    return found
+
+
+def _comparisons(x):
+    return [x >= x, x == x, x <= jnp.inf, jnp.abs(x) < jnp.inf, x >= 0, x <= 0, x - 1 >= 0, jnp.isfinite(x)]
+
+
+def _exact(x):
+    return list(map(Fraction, np.asarray(x, float).tolist()))
