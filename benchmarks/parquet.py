@@ -1,6 +1,8 @@
 """`jaxbound detect` on Parquet larger than one would hold in memory: peak memory, seconds apart, a kill at half, two sizes of a chunk.
 
-python -m benchmarks.parquet [--rows 20000000] [--file 1000000]
+python -m benchmarks.parquet [--rows 20000000] [--file 1000000] [--observer]
+
+With --observer the same of a set observer, which carries on from part to part.
 """
 
 import json
@@ -23,6 +25,7 @@ from benchmarks import timing
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from systems import paper  # noqa: E402
 
+OBSERVER = "--observer" in sys.argv
 START = np.datetime64("2020-01-01T00:00:00", "us")
 
 
@@ -44,7 +47,8 @@ def generate(folder, rows, size):
 def command(out, *options):
     """Return the command line of one run."""
     jaxbound = shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound"
-    return [jaxbound, "detect", "model.toml", "run", "--out", out, "--json", *options]
+    method = ("--method", "observer") if OBSERVER else ()
+    return [jaxbound, "detect", "model.toml", "run", "--out", out, "--json", *method, *options]
 
 
 def run(folder, out, *options):
@@ -102,7 +106,7 @@ def main():
         killed = kill_at_half(folder, "resumed", parts)
         resumed = run(folder, "resumed")
         verdicts = [folder / out / "verdicts.parquet" for out in ("large", "small", "resumed")]
-        timing.save("parquet", {
+        timing.save("parquet_observer" if OBSERVER else "parquet", {
             "rows": rows, "files": -(-rows // size), "stored MB": round(stored / 1e6),
             "chunk 1000000": whole, "chunk 1000": small, "same verdicts": same(*verdicts[:2]),
             "killed after parts": [killed, parts], "resumed": resumed, "same verdicts resumed": same(verdicts[0], verdicts[2]),

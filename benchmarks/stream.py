@@ -1,8 +1,9 @@
 """Verdicts as the samples come: the same as of the file, how late, how fast, in how much memory, and after a kill.
 
-python -m benchmarks.stream [--rows 1000000] [--long 100000] [--live 10000] [--realtime]
+python -m benchmarks.stream [--rows 1000000] [--long 100000] [--live 10000] [--realtime] [--observer]
 
 On a busy machine latency is that of the other processes. With --realtime (for root, on Linux) what measures it comes before them.
+With --observer the same of a set observer, on the first model alone.
 """
 
 import json
@@ -27,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 from systems import paper  # noqa: E402
 
+OBSERVER = "--observer" in sys.argv
 SHARED = Path(os.environ.get("JAXBOUND_SHARED", ROOT.parent / "shared"))
 
 
@@ -58,7 +60,8 @@ def write(path, model, rows):
 def command(data, horizon, *options):
     program = shutil.which("jaxbound", path=Path(sys.executable).parent)
     program = [program] if program else [sys.executable, "-m", "jaxbound.cli"]
-    return [*program, "detect", "model.toml", data, *(() if horizon is None else ("--horizon", str(horizon))), *options]
+    windows = () if horizon is None else ("--horizon", str(horizon))
+    return [*program, "detect", "model.toml", data, *(("--method", "observer") if OBSERVER else windows), *options]
 
 
 def start(folder, horizon, *options, stdout=subprocess.DEVNULL):
@@ -201,7 +204,7 @@ def measured(model, horizon, rows, count):
         folder = Path(folder)
         jb.save_model(model, folder / "model.toml")
         write(folder / "run.csv", model, rows)
-        data, relations = (folder / "run.csv").read_bytes(), jb.parity_relations(model, horizon)
+        data, relations = (folder / "run.csv").read_bytes(), jb.observer(model) if OBSERVER else jb.parity_relations(model, horizon)
         begun = time.perf_counter()
         subprocess.run(command("run.csv", horizon, "--out", "batch"), cwd=folder, stdout=subprocess.DEVNULL)
         batch = time.perf_counter() - begun
@@ -228,8 +231,11 @@ def main():
     figures = {
         "realtime": "--realtime" in sys.argv,
         "load": [round(x, 1) for x in os.getloadavg()],
-        "section 5, s = 1": measured(paper(dt=0.001), None, rows, count),
+        "section 5, observer" if OBSERVER else "section 5, s = 1": measured(paper(dt=0.001), None, rows, count),
     }
+    if OBSERVER:
+        timing.save("stream_observer", figures)
+        return
     model = fitted()
     if model is None:
         figures["2 inputs, 2 outputs, s = 15"] = f"not measured: {SHARED} is absent"

@@ -2,7 +2,8 @@
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.interface import WindowCertificate, certify
+from jaxbound.certificates.long_window import LongCertificate
 from jaxbound.certificates.residual_certificate import ResidualCertificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 
-__all__ = ["Certificate", "ResidualCertificate", "UncertainCertificate", "WindowCertificate", "certify"]
+__all__ = ["Certificate", "LongCertificate", "ResidualCertificate", "UncertainCertificate", "WindowCertificate", "certify"]

@@ -4,6 +4,7 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detectability import GuaranteedSize
 from jaxbound.diagnosis.isolation import BankResult
 from jaxbound.diagnosis.memory import SuggestedLags
+from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.diagnosis.result import Result
 
-__all__ = ["Alarm", "BankResult", "GuaranteedSize", "Result", "SuggestedLags"]
+__all__ = ["Alarm", "BankResult", "GuaranteedSize", "ObserverResult", "Result", "SuggestedLags"]
