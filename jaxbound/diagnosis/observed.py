@@ -9,7 +9,6 @@ import numpy as np
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.estimation import contradiction  # noqa: F401 (what proves a FAULT)
 from jaxbound.estimation.observer import Observation, SetObserver
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording

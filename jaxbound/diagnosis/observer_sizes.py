@@ -35,6 +35,8 @@ def shifts(watch: SetObserver, fault: Fault) -> np.ndarray:
     model = watch.model
     if fault.kind not in ("bias", "drift"):
         raise NotImplementedError(f"what an observer sees of a fault of kind {fault.kind!r} is counted by jb.study, not worked out")
+    if type(watch) is not SetObserver:
+        raise NotImplementedError(f"what a {type(watch).__name__} sees is counted by jb.study, not worked out: its sets move with the data")
     if not hasattr(model, "uncertainties") or model.uncertainties or any(model.tolerance):
         raise NotImplementedError("sizes that an observer sees are worked out for certain models without tolerances: others by jb.study")
     A, B, C, D, G = (np.array(getattr(model, name), float).reshape(len(getattr(model, name)), -1) for name in "ABCDG")

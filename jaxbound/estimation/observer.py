@@ -258,6 +258,14 @@ class SetObserver(Observer):
         return numbers(self.model, self._system, self._dtype)
 
     @cached_property
+    def _placed(self):
+        """What kernels take of the model, where they run: it is not copied for each sample."""
+        return jax.device_put((self._numbers, self._start))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: x for name, x in vars(self).items() if name != "_placed"}  # to another process, with other devices
+
+    @cached_property
     def _generators(self):
         return int(self.order * self._system.n)
 
@@ -285,7 +293,7 @@ class SetObserver(Observer):
         followed = carry.carry.c.shape[-1] // len(self.weights)
         if followed not in (1, count):
             raise ValueError(f"this observer follows {followed} recordings, y holds {count}")
-        last = lambda x: np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1).astype(self._dtype)
+        last = lambda x: (np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1) if count > 1 else x.reshape(T, -1, 1)).astype(self._dtype)
         fresh = np.zeros((T, count), bool)
         fresh[np.asarray(piece.starts, np.int64)] = True
         if piece.excluded is not None:
@@ -296,6 +304,9 @@ class SetObserver(Observer):
     def _followed(self, past, count, u, y, slip, fresh, rounded):
         """Return (Carry, Found (T, .., N)) of samples as of `_given`; a carry of one recording is that of all."""
         lanes = len(self.weights)
+        if count == 1:  # nothing to cut or to copy: who follows a recording sample by sample is in a hurry
+            past, found = self._block(past, [np.broadcast_to(x, (*x.shape[:-1], lanes)) for x in (u, y, slip, fresh)], rounded)
+            return past, _joined(steps.Found(*(x[..., None] for x in found)))
         past = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes), past)
         past = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), past)
         beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
@@ -309,23 +320,23 @@ class SetObserver(Observer):
 
     def _block(self, carry, samples, rounded):
         """Follow some recordings side by side, piece by piece."""
-        T, first = len(samples[0]), 0
+        T, first, (numbers, start) = len(samples[0]), 0, self._placed
         parts: list[steps.Found] = []
         while first < T or not parts:
             length = PIECES[0] if T - first <= SHORT else PIECES[1]
             stop = min(first + length, T)
-            filled = lambda x, a=first, b=stop, more=first + length - stop: np.pad(x[a:b], [(0, more)] + [(0, 0)] * (x.ndim - 1))
-            known = steps.read(self._numbers, *map(filled, samples), rounded)
+            known = steps.read(numbers, *(_filled(x[first:stop], length) for x in samples), rounded)
             carry, found = steps.follow(
-                self._numbers, self._start, carry, known, stop - first, len(self.weights), self.enclosures or self.hulls, self.restart
+                numbers, start, carry, known, stop - first, len(self.weights), self.enclosures or self.hulls, self.restart
             )
-            parts.append(jax.tree.map(lambda x, count=stop - first: np.asarray(x)[:count], found))
+            parts.append(steps.Found(*(np.asarray(x)[: stop - first] for x in found)))
             first = stop
-        return jax.tree.map(np.asarray, carry), jax.tree.map(lambda *x: np.concatenate(x), *parts)
+        found = parts[0] if len(parts) == 1 else steps.Found(*map(np.concatenate, zip(*parts, strict=True)))
+        return steps.Carry(*map(np.asarray, carry)), found
 
     def _told(self, found, lead, T, before):
         """Return the Observation, or the verdicts, of arrays with time first and recordings last."""
-        shaped = lambda x: np.moveaxis(x, -1, 0).reshape(*lead, T, *x.shape[1:-1])
+        shaped = lambda x: (np.moveaxis(x, -1, 0) if x.shape[-1] > 1 else x).reshape(*lead, T, *x.shape[1:-1])
         status, margin, age = (shaped(x) for x in found[:3])
         if not self.enclosures:
             return Judged(status, margin)
@@ -334,6 +345,13 @@ class SetObserver(Observer):
         ends = lambda x, width: Interval(-x[..., :width], x[..., width:])
         states, outputs = shaped(found.states), shaped(found.outputs)
         return Observation(status, margin, since, ends(states, n), ends(outputs[..., : 2 * p], p), ends(outputs[..., 2 * p :], p))
+
+
+def _filled(x, length):
+    """Return x with zeros behind, up to a length."""
+    out = np.zeros((length, *x.shape[1:]), x.dtype)
+    out[: len(x)] = x
+    return out
 
 
 def _joined(found):
