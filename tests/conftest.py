@@ -1,5 +1,6 @@
 """One place for what every test needs: float64, strict promotion, the shared golden values and recordings."""
 
+import gc
 import json
 import os
 import zlib
@@ -21,6 +22,7 @@ def pytest_configure(config):
 
     Hypothesis draws from the test's name too, but for JAXBOUND_SEED=fresh.
     """
+    gc.set_threshold(20_000, 20, 20)  # a twelfth of all time went into looking for garbage among what jax keeps
     hypothesis.settings.register_profile("named", derandomize=os.environ.get("JAXBOUND_SEED") != "fresh", deadline=None)
     hypothesis.settings.load_profile("named")
     if not hasattr(config, "cache"):  # pytest was told to keep none
