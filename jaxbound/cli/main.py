@@ -161,7 +161,7 @@ def _parsers():
     c.add_argument("data", type=_named, metavar="DATA", help="a CSV file, a Parquet file, a folder of Parquet files, which follow each "
                    "other by name, or -: lines of CSV from standard input, each judged as it comes, its verdict on standard "
                    "output")  # fmt: skip
-    c.add_argument("--out", type=_path, metavar="DIR", help="folder for verdicts, alarms.csv, report.html and pictures; with -, if given, "
+    c.add_argument("--out", type=_path, metavar="DIR", help="folder for verdicts, alarms.csv and report.html; with -, if given, "
                    "for verdicts.csv and monitor.jsonl")  # fmt: skip
     c.add_argument("--state", type=_path, metavar="FILE", help="with -: where to remember how to go on (default: DIR/monitor.jsonl)")
     c.add_argument("--chunk", type=_whole(1), metavar="N", help="Parquet: samples in memory at once, 65536 at least (default: 1000000)")

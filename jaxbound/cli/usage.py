@@ -38,7 +38,7 @@ EXAMPLES = {
     "demo": [("jaxbound demo --out demo-report", "the example of a paper, with false alarms and detection rates counted")],
     "example": [("jaxbound example", "which examples there are"), ("jaxbound example heater", "writes heater/healthy_1.csv and others")],
     "detect": [
-        ("jaxbound detect plant.toml run.csv --out report/", "verdicts, alarms, pictures and one page; exit code 1 if a fault is proved"),
+        ("jaxbound detect plant.toml run.csv --out report/", "verdicts, alarms and one page with charts; exit code 1 if a fault is proved"),
         ("jaxbound detect plant.toml run.csv --out report/ --alarm 3/5 -q", "one sentence; an alarm needs 3 FAULT among 5 windows"),
         ("jaxbound detect plant.toml recordings/ --out report/", "a folder of Parquet files, larger than memory"),
         ("jaxbound detect plant.toml run.csv --out report/ --method observer", "against all samples since it began: slow faults"),

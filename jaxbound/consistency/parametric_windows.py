@@ -135,7 +135,8 @@ def linear_image(test: Any, terms: Any, allowance: Any) -> tuple[jax.Array, jax.
 def _linear(test, terms, allowance):
     """Return (c, G, error, h) of the linearized test: see `linear_image`."""
     c, G, error = linear_image(test, terms, allowance)
-    return c, G, error, None if varying.strip_count(*G.shape[:2], alone=True) else farthest(c, G)[0]
+    r, q, _ = G.shape
+    return c, G, error, None if varying.strip_count(r, q, alone=True) else farthest(c, G)[0]
 
 
 @jax.jit
