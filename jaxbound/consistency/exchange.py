@@ -27,6 +27,8 @@ __all__ = ["PATIENCE", "ExchangeTest", "candidates", "exchange_margins", "rounde
 CONSISTENT, UNDECIDED, FAULT = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
 PATIENCE = 10
 """Exchanges per inner row after which a search is given up; it takes 2 to 4."""
+LARGE = 2048
+"""Numbers of a window that an exchange changes, above which fewer stand side by side."""
 FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
 """Searches after which a window stays undecided, see `separation_search`: one in some thousands needs more than the first."""
 
@@ -173,7 +175,11 @@ def verdicts(given: Any, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.A
 
 
 def _block_of(frame):
-    return 1024 if len(frame.inner) <= 8 else 64
+    """Return how many windows stand side by side: what their exchanges change should stay in the cache."""
+    c, k = frame.R.shape
+    if k <= 8:
+        return 1024
+    return 64 if min(c, k) * k <= LARGE else 16
 
 
 def rounded_frame(relations: Any, frame: linalg.Frame, dtype: Any) -> separation.Frame:

@@ -23,7 +23,6 @@ Everything is written for a block of N windows, the last axis, and elementwise o
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple, TypeAlias, cast
 
 import jax
@@ -33,7 +32,9 @@ from jax.typing import DTypeLike
 
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import FEW, foremost, highest, summed
+from jaxbound.sets.floats.unrolled import FEW, foremost, summed
+from jaxbound.sets.strips.exchange import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
+from jaxbound.sets.strips.tableau import tableau_search
 
 __all__ = [
     "Frame",
@@ -48,10 +49,6 @@ __all__ = [
 
 
 Numbers: TypeAlias = jax.Array | np.ndarray
-
-WRITTEN_OUT = 24
-"""Rows up to which what every exchange adds up, and what blocks of few windows do, is written out: loops take a sixth longer there, and
-as long to compile."""
 
 
 @jax.tree_util.register_dataclass
@@ -239,9 +236,11 @@ def exchange_search(
     """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where done.
 
     radius, present: (c + k, N), as of an `Image`. `/ one` in here is nothing but a sign to the compiler: it does not work out a quotient
-    again for each of its uses.
+    again for each of its uses. Where inner rows are the more, a tableau of the others takes the place of the inverse: `tableau`.
     """
     c, k = R.shape
+    if k > c:
+        return tableau_search(R, z, radius, present, one, steps, finer)
     N, dtype = z.shape[1], z.dtype
     rows = jnp.concatenate([R, jnp.eye(k, dtype=dtype)])
     r_inner = radius[c:]
@@ -251,58 +250,30 @@ def exchange_search(
     counts = present | (jnp.arange(c + k)[:, None] >= c)  # an inner row without a sample has the window given up elsewhere
     weight = jnp.where(counts, 1 / radius, 0) / one[None]
     slots = jnp.arange(k, dtype=jnp.int32)[:, None]
-    close = 10 * rounding.unit(dtype) ** 0.75  # 1e-11 in float64
-    alike = 64 * rounding.unit(dtype)
-    added = partial(summed, few=WRITTEN_OUT)
-    dot = lambda x, y: added(lambda a, b: a * b, x, y)
-    through = lambda P, x: added(lambda column, a: column * a[None], P, x, axes=(1, 0))
-
-    def reference(basis, T, leader):
-        """Return the error of e, the factor t, the multipliers on S, the signs there, the values where all errors are t times radii."""
-        signs, S_value, S_radius, _ = basis
-        _, value_e, radius_e, _ = leader
-        beyond, reach = dot(T, S_value) / one, added(lambda a, row: jnp.abs(a) * row, T, S_radius) / one
-        own, t = value_e - beyond, jnp.abs(value_e - beyond) / (radius_e + reach)
-        shares = jnp.abs(T) * S_radius / radius_e[None]
-        signs = jnp.where(shares > close, -jnp.sign(own)[None] * jnp.sign(T), signs)  # a row whose multiplier is 0 keeps its sign
-        return own, t, shares, signs, (S_value - signs * t[None] * S_radius) / ones
+    close = closeness(dtype)
+    through = lambda P, x: summed(lambda column, a: column * a[None], P, x, axes=(1, 0), few=WRITTEN_OUT)
 
     def exchange(carry):
         P, row, column, basis, T, leader, done, count = carry
         P = P - column[:, None] * row[None]  # of the exchange before: P is then read from memory by all its uses
-        S_radius, (_, value_e, radius_e, e) = basis[2], leader
-        own, t, shares, signs, on_S = reference(basis, T, leader)
-        d = through(P, on_S) / ones
+        _, value_e, radius_e, e = leader
+        now = reference(basis, T, value_e, radius_e, one, ones)
+        d = through(P, now.on_S) / ones
         error = jnp.concatenate([z - _product(R, d, WRITTEN_OUT), d])
         worst, w = foremost(jnp.abs(error) * weight / one[None])
-        done = done | (worst <= t + close * (1 + t))
+        done = done | (worst <= now.t + close * (1 + now.t))
         enters = jnp.take(rows, w, 0, mode="clip").T / ones
-        T_w = added(lambda a, row: a[None] * row, enters, P) / ones
-        value_w, radius_w = (_pick(x, w) / one for x in table)
-        sign_w = jnp.sign(value_w - dot(enters, d)) / one
-        change = sign_w[None] * T_w * signs * S_radius / radius_w[None]
-        worth = finer * close**0.5 * highest(jnp.abs(change)) / one  # a smaller pivot would ruin P; such a row may as well change its sign
-        rate = jnp.where(change > worth[None], change, 0) / ones
-        step = shares / jnp.where(rate > 0, rate, 1) / ones  # of the multiplier of w, up to where that of a row of S is 0
-        after = 1 + step + added(lambda share, way: jnp.abs(share[None] - step * way[None]), shares, change)
-        held, changed, moved = (added(size, x) / one for size, x in ((jnp.asarray, shares), (jnp.asarray, change), (jnp.abs, change)))
-        slope = (worst - t * changed) / one
-        gained = (t * (1 + held))[None] + step * slope[None]
-        factor = jnp.where(rate > 0, gained / after, -1) / ones  # t once that row has left: rises up to its maximum, then falls
-        best = highest(factor) / one
-        _, q = foremost(jnp.where(factor >= (best * (1 - alike))[None], jnp.abs(T_w), -1) / ones)
-        swap = (best >= slope / (1 + moved)) & ~done  # else e itself leaves
-        T_q, T_wq = (_pick(x, q) / one for x in (T, T_w))
-        by_w = jnp.abs(T_wq) * radius_e >= jnp.abs(T_q) * radius_w  # w and e stay, q leaves; the one with the larger pivot joins S
-        joins, stays = jnp.where(by_w[None], T_w, T), jnp.where(by_w[None], T, T_w)
-        pivot, rest = jnp.where(by_w, T_wq, T_q), jnp.where(by_w, T_q, T_wq)
+        T_w = summed(lambda a, row: a[None] * row, enters, P, few=WRITTEN_OUT) / ones
+        value_w, radius_w = (picked(x, w) / one for x in table)
+        sign_w = jnp.sign(value_w - summed(lambda a, b: a * b, enters, d, few=WRITTEN_OUT)) / one
+        q, swap, by_w, row, stays, rest = long_step(
+            now, (T, radius_e), (T_w, radius_w, sign_w, worst), basis[2], done, one, ones, finer)  # fmt: skip
         at_q = slots == q[None]
-        row = (joins - at_q) * jnp.where(swap, 1 / jnp.where(pivot == 0, 1, pivot), 0)[None] / ones
-        column = _pick(P, q) / ones
+        column = picked(P, q) / ones
         entering = jnp.stack([sign_w, value_w, radius_w, w.astype(dtype)])
-        leading = jnp.stack([jnp.sign(own), value_e, radius_e, e])
+        leading = jnp.stack([jnp.sign(now.own), value_e, radius_e, e])
         new = jnp.where(by_w[None], entering, leading)
-        basis = jnp.stack([signs, *basis[1:]])
+        basis = jnp.stack([now.signs, *basis[1:]])
         basis = jnp.where((at_q & swap[None])[None], new[:, None], basis)
         kept = jnp.where((swap & by_w)[None], leading, entering)
         leader = jnp.where(done[None], leading, kept)
@@ -313,28 +284,19 @@ def exchange_search(
     _, e = foremost(jnp.where(present[:c], jnp.abs(alone), -1) / one[None])
     P = jnp.broadcast_to(jnp.eye(k, dtype=dtype)[:, :, None], (k, k, N))
     basis = jnp.stack([jnp.ones_like(r_inner), nothing, r_inner, jnp.broadcast_to((c + slots).astype(dtype), (k, N))])
-    leader = jnp.stack([jnp.zeros_like(one), *_pick(table, e), e.astype(dtype)])
+    leader = jnp.stack([jnp.zeros_like(one), *picked(table, e), e.astype(dtype)])
     start = P, nothing, nothing, basis, jnp.take(R, e, 0, mode="clip").T, leader, jnp.zeros(N, bool), 0
     going = lambda carry: (carry[-1] < steps) & ~jnp.all(carry[-2])
     P, row, column, basis, T, leader, done, _ = jax.lax.while_loop(going, exchange, start)
     P, e = P - column[:, None] * row[None], leader[3]
-    *_, on_S = reference(basis, T, leader)
-    d = through(P, on_S)
+    d = through(P, reference(basis, T, leader[1], leader[2], one, ones).on_S)
     outer = jnp.arange(c)[:, None]
     on_S = summed(lambda number, a: jnp.where(number[None] == outer, a[None], 0), basis[3], T)
     h = jnp.where(present[:c], jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]  # multipliers: 1 on e, -T on S
-    top = highest(jnp.abs(h))
-    h = h / jnp.where(top > 0, top, 1)[None]
-    return jnp.where(jnp.abs(h) > rounding.unit(dtype) ** 2, h, 0), d, done
+    return scaled(h), d, done
 
 
 def _product(R: Numbers, x: Numbers, few: int = FEW) -> jax.Array:
     """Return R x of a matrix (c, k) and rows (k, N), k > 0; few: as of `summed`."""
     term = lambda column, row: column[:, None] * row[None]
     return summed(term, cast(jax.Array, R), cast(jax.Array, x), axes=(1, 0), few=few)
-
-
-def _pick(rows: jax.Array, number: jax.Array) -> jax.Array:
-    """Return for each window one of its rows (..., rows, N)."""
-    places = jnp.expand_dims(number.astype(jnp.uint32), range(rows.ndim - 1))
-    return jnp.take_along_axis(rows, places, -2, mode="promise_in_bounds")[..., 0, :]
