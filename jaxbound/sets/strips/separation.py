@@ -23,6 +23,7 @@ Everything is written for a block of N windows, the last axis, and elementwise o
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, TypeAlias, cast
 
 import jax

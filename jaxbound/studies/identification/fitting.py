@@ -154,12 +154,13 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
         _, i, spec, bound, unseen = min(found, key=lambda f: f[:2])
         if average is not None:
             head = LinearSystem(**spec)
-            means = smallest_means(head, bound, average, explained(heads), lambda share: report(0.55 + 0.2 * share))
-            averages = {name: {average: x} for name, x in zip(outputs, means, strict=True)}
+            first_means = smallest_means(head, bound, average, explained(heads), lambda share: report(0.55 + 0.2 * share))
+            averages = {name: {average: x} for name, x in zip(outputs, first_means, strict=True)}
             unseen = _needs(parity_relations(head.replace(noise=bound, averages=averages)), tails)
         kind, first = kinds[i], tuple(x / safety for x in unseen)
     spec, relations, spread = candidate(records, kind)
-    smallest, means = spread * _most(_needs(relations, records)), None
+    smallest = spread * _most(_needs(relations, records))
+    means: np.ndarray | None = None
     report(0.8)
     if average is not None:
         means = smallest_means(LinearSystem(**spec), smallest, average, explained(records), lambda share: report(0.8 + 0.1 * share))

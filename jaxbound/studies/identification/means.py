@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import ParityRelation, parity_relations
+from jaxbound.relations.uncertain import UncertainRelations
 
 __all__ = ["smallest_means"]
 
@@ -20,7 +21,11 @@ LOOSE = 1 + 1e-6
 
 
 def smallest_means(
-    model: LinearSystem, noise: np.ndarray, samples: int, explained: Callable[[ParityRelation], bool], step: Callable[[float], object]
+    model: LinearSystem,
+    noise: np.ndarray,
+    samples: int,
+    explained: Callable[[ParityRelation | UncertainRelations], bool],
+    step: Callable[[float], object],
 ) -> np.ndarray:
     """Return the smallest bound of the mean of so many consecutive errors of each output (p,), that of a sample where it says nothing.
 
@@ -32,7 +37,7 @@ def smallest_means(
     means = {name: {samples: float(b)} for name, b in zip(model.outputs, noise, strict=True)}
     relations = parity_relations(model.replace(noise=noise.tolist(), averages=means))
     share = np.ones(p)
-    groups = [np.arange(p), *([i] for i in range(p) if p > 1)]
+    groups = [list(range(p)), *([i] for i in range(p) if p > 1)]
     for number, group in enumerate(groups):
         low, high = np.log(LEAST), np.log(share[group[0]])
         for _ in range(STEPS if low < high else 0):
