@@ -83,9 +83,9 @@ def rate(x):
     return f"{x:.3g}"
 
 
-def rewritten(text, lines):
+def rewritten(text, lines, markers=MARKERS):
     """Return a text with the lines between the markers replaced; raises ValueError where it has no markers."""
-    start, end = MARKERS
+    start, end = markers
     if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
         raise ValueError(f"the text needs the two lines {start} and {end}, once each, in this order")
     before, after = text.split(start)[0], text.split(end)[1]

@@ -1,16 +1,21 @@
-"""Operations on many zonotopes a second: jaxbound, rounded outward, beside plain NumPy, zonoopt and the limit.
+"""Operations on many zonotopes a second: jaxbound, rounded outward, beside plain NumPy, zonoopt, codac and the limit.
 
 python -m benchmarks.zonotope_algebra [--sets 100000]
+(pip install zonoopt codac for the others; python -m benchmarks.zonotope_tables puts the figures into README.md and docs/benchmarks.md)
+
+The limit of an operation is the time in which memory moves what it reads and what it writes, at the speed of one pass that doubles all
+generators. NumPy works on the whole batch and is not rounded; zonoopt takes one set at a time and is not rounded; codac maps and adds
+boxes, one at a time, rounded outward.
 """
 
-import importlib
 import time
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks import timing
+from benchmarks import peers, timing
 from jaxbound import sets
 from jaxbound.sets import Interval, Zonotope
 
@@ -52,51 +57,63 @@ def work(n, q, rng):
     }  # fmt: skip
 
 
+def boxes(n, rng):
+    """Return {operation: codac's of one box}, rounded outward."""
+    codac, M = peers.load("codac"), rng.normal(size=(n, n))
+    if codac is None:
+        return {}
+    with timing.own_rounding():
+        matrix, box = codac.IntervalMatrix(np.stack([M, M], 2).tolist()), codac.IntervalVector([[-1.0, 1.0]] * n)
+    return {"linear_map": lambda: matrix * box, "minkowski_sum": lambda: box + box}
+
+
+def size(tree):
+    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(tree))
+
+
 def figures(count, n, q):
     rng = np.random.default_rng(0)
     c, G = rng.normal(size=(count, n)), rng.normal(size=(count, n, q))
     Z = Zonotope(jnp.asarray(c), jnp.asarray(G))
     _, limit, *_ = timing.clock(lambda: one_pass(Z.generators))
-    peer, table = zonoopt(), {"one pass over the generators, million sets/s": round(count / limit / 1e6, 2)}
+    speed = 2 * size(Z.generators) / limit
+    table, zonoopt, codac = {"memory, GB/s": round(speed / 1e9, 1)}, peers.load("zonoopt"), boxes(n, rng)
     for name, (ours, numpy, theirs) in work(n, q, rng).items():
         run = jax.jit(jax.vmap(ours))
         first, median, *_ = timing.clock(lambda run=run: run(Z))
         row = {
             "million sets/s": round(count / median / 1e6, 3),
             "first call s": round(first - median, 2),
-            "share of one pass": round(limit / median, 2),
+            "share of the limit": round((size(Z) + size(jax.eval_shape(run, Z))) / speed / median, 2),
         }
         if numpy is not None:
             _, slow, *_ = timing.clock(lambda f=numpy: f(c, G), 3)
             row["ratio to NumPy"] = round(slow / median, 2)
-        if theirs is not None and peer is not None:
-            row["ratio to zonoopt"] = against(peer, theirs, c, G, median / count)
+        if theirs is not None and zonoopt is not None:
+            made = [zonoopt.Zono(G[i], c[i]) for i in range(min(FEW, count))]
+            row["ratio to zonoopt"] = against([partial(theirs, zonoopt, one) for one in made], median / count)
+        if name in codac:
+            row["ratio to codac, boxes"] = against([codac[name]] * FEW, median / count)
         table[name] = row
     return table
 
 
-def zonoopt():
-    """Return the module of a peer, if it is installed."""
-    try:
-        return importlib.import_module("zonoopt")
-    except ImportError:
-        return None
-
-
-def against(peer, theirs, c, G, ours):
-    """Return how many times as long one call of the peer takes, or what it says."""
-    made = [peer.Zono(G[i], c[i]) for i in range(min(FEW, len(c)))]
+@timing.own_rounding()
+def against(calls, ours):
+    """Return how many times as long one call of a peer takes, or what it says."""
     start = time.perf_counter()
     try:
-        for Z in made:
-            theirs(peer, Z)
+        for call in calls:
+            call()
     except (AttributeError, TypeError, RuntimeError, ValueError) as e:
         return str(e)[:80]
-    return round((time.perf_counter() - start) / len(made) / ours, 1)
+    return round((time.perf_counter() - start) / len(calls) / ours, 1)
 
 
 if __name__ == "__main__":
     count = timing.option("--sets", 100_000)
-    timing.save(
-        "zonotope_algebra", {f"{n} x {q}": figures(max(count // size, 100), n, q) for n, q, size in ((2, 8, 1), (4, 20, 2), (20, 60, 40))}
-    )
+    here, absent = peers.present()
+    timing.save("zonotope_algebra", {
+        "peers": {name: here.get(name, "not installed") for name in ("zonoopt", "codac")},
+        **{f"{n} x {q}": figures(max(count // less, 100), n, q) for n, q, less in ((2, 8, 1), (4, 20, 2), (20, 60, 40))},
+    })  # fmt: skip
