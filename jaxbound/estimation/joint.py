@@ -50,6 +50,8 @@ class JointState(NamedTuple):
     held: np.ndarray
     mark: Prior
     marked: np.ndarray
+    path: Prior
+    told: np.ndarray
 
 
 @readable
@@ -79,7 +81,7 @@ class JointObserver(SetObserver):
         L, nothing = self.window, np.zeros(1, bool)
         samples = Samples(zero(L, m.p), zero(L, m.p) + np.inf, zero(L, m.m), zero(L, m.m), zero(L, m.n) + np.inf)
         prior = Prior(zero(m.n), zero(m.n, m.n), zero(m.n))
-        return JointState(begun.carry, begun.samples, samples, prior, nothing, prior, nothing)
+        return JointState(begun.carry, begun.samples, samples, prior, nothing, prior, nothing, prior, nothing)
 
     def fold(self, carry: JointState, piece: Recording) -> tuple[JointState, Any]:  # type: ignore[override]
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
@@ -127,10 +129,63 @@ class JointObserver(SetObserver):
             mark = _parallelotope(D, back, lo, hi, (abs(c) + abs(G).sum(2) + r).min(0) * ROUNDED, self._dtype)
             marked &= _bounded(mark)
             mark = Prior(*(np.where(marked, x, 0) for x in mark))
+        path, told = self._path_on(state, number)
         later = lambda x, nothing: np.concatenate([x[half:], np.full_like(x[half:], nothing)])
         nothing = Samples(0, np.inf, 0, 0, np.inf)
         window = Samples(*(later(x, value) for x, value in zip(state.window, nothing, strict=True)))
-        return state._replace(window=window, prior=prior, held=state.marked, mark=mark, marked=marked)
+        return state._replace(window=window, prior=prior, held=state.marked, mark=mark, marked=marked, path=path, told=told)
+
+    def _path_on(self, state, number):
+        """Return (path, told) of the next block: the state in the middle of the window on a trajectory through all of it."""
+        if number == 1 and self._first is not None:
+            more = getattr(self.model, "averages", ()) or getattr(self.model, "constant_tolerance", False)
+            if more:  # bounds that enclosures may leave out; a trajectory must not
+                return state.path, state.told
+            c, S, r = state.mark
+            apart = (S == 0) | np.eye(len(S), dtype=bool)[:, :, None]  # sides of a box: a state is compared with each
+            return Prior(c, S, np.zeros_like(r)), state.marked & apart.all((0, 1))
+        lanes = np.flatnonzero(state.told)
+        if not len(lanes):
+            return state.path, state.told
+        cut = lambda tree: jax.tree.map(lambda x: x[..., lanes], tree)
+
+        def job(chosen):
+            some, seen = (jax.tree.map(lambda x: x[..., chosen], cut(tree)) for tree in (state.path, state.window))
+            *_, xi, w = self._gauges(some, seen)
+            return self._explained(some, seen, xi, w)
+
+        found = zip(*in_blocks(job, len(lanes), SIZES[len(lanes) > SIZES[0]]), strict=True)
+        ok, x, off = (np.concatenate(parts, -1)[..., : len(lanes)] for parts in found)
+        path, told = Prior(*(np.zeros_like(v) for v in state.path)), np.zeros_like(state.told)
+        path.c[:, lanes], path.r[:, lanes] = x, rounding.round_up(off + np.abs(x - x.astype(self._dtype)), self._dtype)
+        told[lanes] = ok
+        return path, told
+
+    def _explained(self, path, samples, xi, w):
+        """Return (ok (N,), x (n, N), off (n, N)): whether a trajectory is proved to keep all bounds, its middle state, how far off.
+
+        The trajectory is the exact one of these xi and w, made a little smaller than 1; floats follow it to within `off`. What rounds an
+        enclosure outward acts against it here.
+        """
+        x64 = lambda tree: jax.tree.map(lambda v: np.asarray(v, np.float64), tree)
+        m, path, samples, xi, w = (x64(v) for v in (self._numbers, path, samples, xi, w))
+        less, size = 1 - 1e-9, lambda M: np.abs(M)
+        xi, w = np.clip(np.nan_to_num(xi), -less, less), np.clip(np.nan_to_num(w), -less, less)
+        x, off = path.c + (path.S * xi[None]).sum(1), path.r.copy()
+        ok = ((path.S == 0) | (1e-9 * size(path.S) > 1e-14 * size(path.c)[:, None])).all((0, 1))
+        for j in range(self.window):
+            mid, s, v, slip, _ = (part[j] for part in samples)
+            if j == self.window // 2:
+                middle = x, off
+            seen = np.isfinite(s)
+            away = size(mid - m.C @ x - m.D @ v) + size(m.C) @ off + m.wide_C @ (size(x) + off) + m.wide_D @ size(v) + size(m.D) @ slip
+            away = away + OFF * (size(mid) + size(m.C) @ size(x) + size(m.D) @ size(v))
+            ok &= (~seen | (away <= less * np.where(seen, s, 1))).all(0)
+            if j + 1 < self.window:
+                off = size(m.A) @ off + m.wide_A @ (size(x) + off) + m.wide_B @ size(v) + size(m.B) @ slip + m.wide_w[:, None]
+                off = off + OFF * (size(m.A) @ size(x) + size(m.B) @ size(v) + (size(m.w) + size(m.W).sum(1))[:, None])
+                x = m.A @ x + m.B @ v + m.w[:, None] + m.W @ w[j]
+        return ok, *middle
 
     def _tested(self, state, count, given, rounded):
         """Return (state, Found) of samples of one block."""
@@ -151,13 +206,14 @@ class JointObserver(SetObserver):
         asked = (found.age > 0) & (since <= t // half * half - half) & state.held & (found.status == Status.UNDECIDED)
         state = state._replace(window=window)
         wrong, margin, states = self._windows(state, begin, asked, found.states)
+        right = self._consistent(state, begin, asked & ~wrong & state.told & (since == 0))
         if wrong.any():
             first = wrong & (np.cumsum(wrong, 0) == 1)
             after, found = self._contradicted(before, count, given, rounded, first, after, found)
             wrong = first
         held = after.age.reshape(len(self.weights), -1)
         since = np.where((held >= 0).all(0), t + T - held.max(0), t + T)
-        status = np.where(wrong, np.int8(Status.FAULT), found.status)
+        status = np.where(wrong, np.int8(Status.FAULT), np.where(right, np.int8(Status.CONSISTENT), found.status))
         lower = np.where(asked & (margin < found.margin) & ((found.status != Status.FAULT) | wrong), margin, found.margin)
         found = found._replace(status=status, margin=lower.astype(self._dtype))
         if self.enclosures:
@@ -166,7 +222,7 @@ class JointObserver(SetObserver):
             )
         block = t // half * half
         return state._replace(carry=after, samples=state.samples + T, held=state.held & (since <= block - half),
-                              marked=state.marked & (since <= block)), found  # fmt: skip
+                              marked=state.marked & (since <= block), told=state.told & (since == 0)), found  # fmt: skip
 
     def _contradicted(self, before, count, given, rounded, first, after, found):
         """Return (carry, Found) of samples again, where windows are refuted at `first` (T, N)."""
@@ -216,6 +272,23 @@ class JointObserver(SetObserver):
                 ends[ks, part, lanes] = np.where(shown, np.minimum(ends[ks, part, lanes], rounding.round_up(end.T, self._dtype)),
                                                  ends[ks, part, lanes])  # fmt: skip
         return wrong, margin, ends
+
+    def _consistent(self, state, begin, asked):
+        """Return (T, N) bool: where a trajectory through all samples so far is exhibited, of windows that end in one block."""
+        out = np.zeros(asked.shape, bool)
+        ks, lanes = np.nonzero(asked)
+        if not len(ks):
+            return out
+
+        def job(chosen):
+            cut = lambda tree: jax.tree.map(lambda x: x[..., lanes[chosen]], tree)
+            later, seen, path = np.arange(self.window)[:, None] > begin + ks[chosen], cut(state.window), cut(state.path)
+            seen = seen._replace(rad=np.where(later[:, None], np.inf, seen.rad).astype(self._dtype))
+            *_, xi, w = self._gauges(path, seen)
+            return self._explained(path, seen, xi, w)[0]
+
+        out[ks, lanes] = np.concatenate(in_blocks(job, len(ks), SIZES[len(ks) > SIZES[0]]))[: len(ks)]
+        return out
 
     def _gauges(self, prior, samples):
         """Return (value, bound, t, xi, w) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats."""

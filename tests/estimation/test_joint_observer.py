@@ -102,6 +102,25 @@ def test_five_thousand_cases_near_the_boundary(rng):
     assert refuted > 1000 and proved >= 0.97 * refuted
 
 
+def test_consistent_is_a_trajectory_through_all_samples(rng):
+    """Where it is said a program over all samples has a solution; healthy recordings mostly have it, also beyond the first window."""
+    x0 = [-5.0, -5.0], [5.0, 5.0]
+    u = rng.normal(size=(24, 30, 1))
+    found = jb.simulate(PLANT, u, jax.random.key(8), x0=rng.uniform(-3, 3, (24, 2)), at="uniform")
+    y = np.array(found.y)
+    y[12:, 15:, 0] += np.linspace(0, 0.3, 12)[:, None]
+    status = jb.observe(PLANT, u, y, x0=jb.interval(*x0), restart=False, method="joint", window=8).status
+    said = np.asarray(status) == jb.Status.CONSISTENT
+    print(f"CONSISTENT: {said[:12, 4:].mean():.2f} of healthy samples, {said[12:, -1].sum()} of 12 faulty recordings at their end")
+    assert said[:12, 4:].mean() > 0.5 and not said[:, :4].any()
+    bounded = jb.observe(PLANT.replace(tolerance=0, averages={"y1": {4: 0.01}}), u, y, x0=jb.interval(*x0), method="joint", window=8).status
+    assert not (bounded == jb.Status.CONSISTENT).any(), "means of errors are bounds that an observer does not look at"
+    for j in range(24):
+        if said[j].any():
+            k = int(np.flatnonzero(said[j])[-1])
+            assert program(PLANT, u[j, : k + 1], y[j, : k + 1], x0) is not None
+
+
 def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
     u, _, y = recorded(PLANT, 40, 5, N=2, at="uniform")
     y[1, 20:] += 3
