@@ -169,7 +169,7 @@ def fault_free(rng, seeds, N, T, method, dtype=np.float64):
     return samples
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [METHODS[0], *(pytest.param(one, marks=pytest.mark.slow) for one in METHODS[1:])])
 def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng, method):
     assert fault_free(rng, range(6), 64, 60, method) > 30_000
 

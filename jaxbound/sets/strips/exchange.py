@@ -22,7 +22,7 @@ as long to compile."""
 
 def closeness(dtype: DTypeLike) -> float:
     """Return how much the largest error may exceed t where a search is done: 1e-11 in float64."""
-    return 10 * rounding.unit(dtype) ** 0.75
+    return float(10 * rounding.unit(dtype) ** 0.75)
 
 
 class Reference(NamedTuple):

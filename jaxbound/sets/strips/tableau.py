@@ -12,7 +12,7 @@ in place of three.
 
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
+import numpy as np
 
 from jaxbound.sets.floats.unrolled import foremost, summed
 from jaxbound.sets.strips.exchange import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
@@ -21,7 +21,13 @@ __all__ = ["tableau_search"]
 
 
 def tableau_search(
-    R: ArrayLike, z: jax.Array, radius: jax.Array, present: ArrayLike, one: jax.Array, steps: int, finer: jax.Array | float
+    R: jax.Array | np.ndarray,
+    z: jax.Array,
+    radius: jax.Array,
+    present: jax.Array | np.ndarray,
+    one: jax.Array,
+    steps: int,
+    finer: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h (c, N), d (k, N), done (N,)): see `separation.exchange_search`, whose arguments these are."""
     R = jnp.asarray(R)
