@@ -21,6 +21,7 @@ from jaxbound.cli.terminal import door, progress_bars, show, usable_device, writ
 from jaxbound.cli.validate import Validated
 from jaxbound.cli.window import OBSERVER, observer_options, window_relations
 from jaxbound.consistency.interface import METHODS
+from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.validation import least_horizon, validate
@@ -151,7 +152,7 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     sizes = sizes_seen(res, alarms)
-    hints = (*recording.hints, *unit_hints(res), *ending_hints(res, alarms, sizes), *bound_hints(model))
+    hints = (*recording.hints, *unit_hints(res), *again_hints(res), *ending_hints(res, alarms, sizes), *bound_hints(model))
     found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes)
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
         outcome = Outcome(res, recording, alarms, found, model, args.data, held, args.method, relations.horizon, observer_options(args))

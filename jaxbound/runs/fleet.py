@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.consistency.engine import in_order, stretches_for
+from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.observer import SetObserver, observer
@@ -298,7 +299,7 @@ def _judged(unit, model, relations, recording, method, alarm, min_coverage, res)
     refuse_short(unit.recording, recording.samples, relations.horizon)
     res = detect(relations, recording, method=method) if res is None else res
     alarms = res.alarms(*alarm)
-    hints = (*recording.hints, *unit_hints(res), *bound_hints(model), *ending_hints(res, alarms))
+    hints = (*recording.hints, *unit_hints(res), *again_hints(res), *bound_hints(model), *ending_hints(res, alarms))
     return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints)), (res, recording, alarms)
 
 
