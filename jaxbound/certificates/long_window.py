@@ -102,8 +102,9 @@ class LongWindow(ExactWindow):
 
     def _corrected(self, h):
         """Return multipliers changed in as many places as there are states, so that the first state does not count."""
-        m, p, seen = self.model, self.model.p, []
-        rows = [c for c in m.C]
+        m, p = self.model, self.model.p
+        seen: list[tuple] = []
+        rows: Any = m.C
         wanted: list[tuple[int, tuple]] = []
         for j in range(self.horizon + 1):
             for i in range(p):
@@ -192,6 +193,8 @@ class LongCertificate(Certificate):
 
     Fields: as of a Certificate. Which sensor alone could be wrong is not worked out: errors and candidates are empty.
     """
+
+    window: LongWindow
 
     @property
     def sensor_errors(self) -> tuple:  # type: ignore[override]

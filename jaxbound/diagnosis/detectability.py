@@ -61,7 +61,7 @@ class GuaranteedSize(float):
 
 
 def detectable(
-    model: ModelLike,
+    model: ModelLike | SetObserver,
     fault: str | Fault,
     horizon: int | None = None,
     operating_range: Any = None,

@@ -91,11 +91,13 @@ def draw_band(
     """Draw a band and the samples y of one signal, the bins that start at the samples `edges`, one sample each or the extremes of many.
 
     Args:
-        band: (T,), infinite where nothing is known. y, faulty: (T,) samples, and which of them are marked. x: (T,) time. stop: the sample
-            behind the last bin. middle: (T,), whose middle stands in where a sample is faulty or missing, or None. name: of the band.
+        band: (T,), infinite where nothing is known, lo > hi where nothing is left. y, faulty: (T,) samples, and which of them are marked.
+        x: (T,) time. stop: the sample behind the last bin. middle: (T,), whose middle stands in where a sample is faulty or missing, or
+            None. name: of the band.
     """
     finite = lambda end: np.where(np.isfinite(end), end, np.nan)[:stop]
     lo, hi = (finite(np.asarray(end)) for end in (band.lo, band.hi))
+    lo, hi = (np.where(lo > hi, np.nan, end) for end in (lo, hi))  # nothing is left
     y, faulty = y[:stop], faulty[:stop]
     least, most = (lambda a: np.fmin.reduceat(a, edges)), (lambda a: np.fmax.reduceat(a, edges))
     at, lo, hi = x[edges], least(lo), most(hi)

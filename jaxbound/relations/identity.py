@@ -1,9 +1,10 @@
 """What verdicts depend on besides the recording: the note beside everything that is kept, by which it is known again."""
 
+from typing import Any
+
 import jax
 import numpy as np
 
-from jaxbound.consistency.interface import Observer
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
@@ -13,7 +14,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 __all__ = ["identity"]
 
 
-def identity(relations: ParityRelation | UncertainRelations | Redundancy | Residual | Observer, **also: object) -> dict[str, str]:
+def identity(relations: ParityRelation | UncertainRelations | Redundancy | Residual | Any, **also: object) -> dict[str, str]:
     """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for JSON.
 
     Args:

@@ -74,9 +74,9 @@ def pieces_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray
 
 
 def piece_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray], bands: Mapping[str, Interval] | None = None) -> Piece:
-    """Return a stretch sample by sample; series, bands as of `pieces_of`."""
-    finite = lambda end: np.where(np.isfinite(end), end, np.nan)
-    low, high = ({key: finite(np.asarray(getattr(band, end))) for key, band in (bands or {}).items()} for end in ("lo", "hi"))
+    """Return a stretch sample by sample; series, bands as of `pieces_of`: none where nothing is known, or nothing left (lo > hi)."""
+    there = lambda band: np.isfinite(band.lo) & np.isfinite(band.hi) & (np.asarray(band.lo) <= np.asarray(band.hi))
+    low, high = ({key: np.where(there(band), getattr(band, end), np.nan) for key, band in (bands or {}).items()} for end in ("lo", "hi"))
     return Piece(np.asarray(x, float), np.asarray(status), {**series, **low}, {**series, **high})
 
 

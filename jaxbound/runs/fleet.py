@@ -278,7 +278,7 @@ def _tested(units, jobs, method, alarm, min_coverage):
     alike = _side_by_side(given) if len(given) > 1 else {}
     for unit, x in zip(units, read, strict=True):
         if not isinstance(x, UnitResult):
-            x = _tried(unit, lambda unit=unit, x=x: _judged(unit, *x, method, alarm, min_coverage, alike.get(id(x[-1]))))
+            x = _tried(unit, lambda unit=unit, x=x: _judged(unit, x, method, alarm, min_coverage, alike.get(id(x[-1]))))
         yield (x, None) if isinstance(x, UnitResult) else x
 
 
@@ -294,8 +294,9 @@ def _tried(unit, work):
         return UnitResult.untested(unit, f"internal error, please report it: {type(e).__name__}: {e}")
 
 
-def _judged(unit, model, relations, recording, method, alarm, min_coverage, res):
-    """Return (UnitResult, (Result, Recording, alarms)); res: the Result where it is there."""
+def _judged(unit, given, method, alarm, min_coverage, res):
+    """Return (UnitResult, (Result, Recording, alarms)); given: (model, relations, Recording); res: the Result where it is there."""
+    model, relations, recording = given
     refuse_short(unit.recording, recording.samples, relations.horizon)
     res = detect(relations, recording, method=method) if res is None else res
     alarms = res.alarms(*alarm)

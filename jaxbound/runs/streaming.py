@@ -322,10 +322,10 @@ class _Pending:
         while (rows := sum(len(x[1]) for x in self.held)) >= self.size or (last and rows):
             written, *rest = zip(*self.held, strict=True)
             whole = (pa.concat_arrays(written), *map(np.concatenate, rest))
-            self._write(*(x[: self.size] for x in whole), carry=carry)
+            self._write(carry, *(x[: self.size] for x in whole))
             self.held = [tuple(x[self.size :] for x in whole)]
 
-    def _write(self, written, status, margin, signals, carry):
+    def _write(self, carry, written, status, margin, signals):
         import pyarrow as pa
         import pyarrow.parquet as pq
 

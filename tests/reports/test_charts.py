@@ -15,7 +15,7 @@ from jaxbound import reports
 from jaxbound.certificates.exact_window import exact_window
 from jaxbound.plots.combination import combination
 from jaxbound.recordings.recording import Recording
-from jaxbound.reports.chart import VALUES, Row, drawn, pieces_of
+from jaxbound.reports.chart import VALUES, Row, band_key, drawn, piece_of, pieces_of
 from jaxbound.reports.clock import Clock, clock_of, ticks
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.summary import summarised
@@ -260,3 +260,9 @@ def test_without_its_script_a_page_shows_the_whole_and_the_worst(page, run):
     worst = min(run[0].alarms(), key=lambda a: a.depth)
     assert f"around alarm {run[0].alarms().index(worst) + 1}: " in plain and 'class="moves" hidden' in plain
     assert len(re.findall('class="line" d="M[^"]', plain)) == 4 + 5
+
+
+def test_a_band_of_which_nothing_is_left_is_not_drawn():
+    band = jb.Interval(np.array([0.0, 2.0, -np.inf, 0.0]), np.array([1.0, 1.0, np.inf, 1.0]))
+    piece = piece_of(np.arange(4), np.zeros(4, np.int8), {"s0": np.zeros(4)}, {band_key("s0"): band})
+    assert np.isnan(piece.low["s0:band"]).tolist() == np.isnan(piece.high["s0:band"]).tolist() == [False, True, True, False]
