@@ -267,7 +267,7 @@ class JointObserver(SetObserver):
             every, n = np.arange(len(ks)), self._system.n
             width = np.maximum(ends[ks, :n, lanes] + ends[ks, n:, lanes], 0).T
             low, high = self._supports(cut(state.prior, every), samples(every), np.eye(n), width, begin + ks)
-            shown = ~refuted[:, None] & np.isfinite(low + high).T & (low <= high).T
+            shown = ~refuted[:, None] & (np.isfinite(low) & np.isfinite(high)).T & (low <= high).T
             for part, end in ((slice(0, n), -low), (slice(n, 2 * n), high)):
                 ends[ks, part, lanes] = np.where(shown, np.minimum(ends[ks, part, lanes], rounding.round_up(end.T, self._dtype)),
                                                  ends[ks, part, lanes])  # fmt: skip

@@ -74,6 +74,23 @@ def test_a_hundred_thousand_fault_free_samples(rng):
     assert fault_free(rng, range(48), 64, 40) > 100_000
 
 
+@pytest.mark.slow
+def test_widths_of_a_published_demonstration_are_the_exact_ones(shared, rng):
+    """ZETA's demo_linear_estimation, drawn anew: windows of 8 samples beside linear programs over all 31."""
+    case = json.loads(shared("external/set_estimation.json").read_text())["zeta_linear_estimation"]
+    w, v = case["w_radius"][0], case["v_radius"][0]
+    model = jb.LinearSystem(case["A"], None, case["C"], noise=str(v), disturbance=([[1, 0], [0, 1]], str(w)))
+    u, first = np.zeros((31, 0)), zonotope(case["x0_center"], case["x0_generators"])
+    y = np.array(jb.simulate(model, u, jax.random.key(30), x0=np.array(case["true_x0"], float), at="uniform").y)
+    state = jb.observe(model, None, y, x0=first, order=10, method="joint", window=8).state
+    corner = np.abs(case["x0_generators"]).sum(1)
+    box = case["x0_center"] - corner, case["x0_center"] + corner
+    for k in (20, 30):
+        lo, hi = program(model, u, y[: k + 1], box)
+        assert (state.lo[k] <= lo + 1e-9).all() and (hi - 1e-9 <= state.hi[k]).all()
+        np.testing.assert_allclose([state.lo[k], state.hi[k]], [lo, hi], rtol=1e-5)
+
+
 def near_the_boundary(rng, N, T, seed):
     """Return (proved, refuted, tried): recordings whose errors are up to a few hundredths beyond what programs over all samples explain."""
     x0 = [-5.0, -5.0], [5.0, 5.0]

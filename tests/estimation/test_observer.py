@@ -43,7 +43,7 @@ def program(model, u, y, x0=None):
     rows, right = [], []
     for k in range(T):
         if k:
-            X, f = A @ X, A @ f + B @ u[k - 1]
+            X, f = A @ X, A @ f + (B @ u[k - 1] if B.size else 0)
             X[:, n + g * (k - 1) : n + g * k] += G
         for i in range(model.p):
             if not np.isnan(y[k, i]):
