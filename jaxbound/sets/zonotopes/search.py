@@ -13,7 +13,7 @@ Ten to twenty steps, whatever the size. At the end s is large where |x_j| < t: t
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -175,7 +175,7 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
     xp, (S, m, q), N = library(s), M.shape, s.shape[1]
     normal: Any
     if xp is np and m > SMALL:
-        return _one_by_one(M, s, room)
+        return _one_by_one(cast(np.ndarray, M), cast(np.ndarray, s), room)
     if xp is np and S == 1 and N > 1 and m * m * q <= OUTER:  # one matrix product for many points
         normal = product(s, (M[0, :, None] * M[0]).reshape(1, m * m, q).swapaxes(1, 2)).reshape(S, N, m, m)
     else:
