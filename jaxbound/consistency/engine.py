@@ -36,7 +36,7 @@ COMES_BACK = "600s"  # until a worker that died is given up: to start one may ta
 RETRIES = 3  # of a task that fails by more than what it says of its data
 AHEAD = 4  # tasks a thread that are sent out at once: results must not pile up
 WAIT = 60  # seconds until a scheduler answers
-TASKS = 16  # a worker, at least, where a task may be of any length: the last ones end together, and little is lost with a worker
+TASKS = 4  # a worker, where a task may be of any length: a few, for each reads again what comes before it; parts of a task are kept
 HERE = ("processor", "devices")  # of a kind, what workers have in common but need not share with this process
 ALIKE = "for the same bytes everywhere, workers need the same kind of processor and the same versions"
 GOES_ON = "what is done is kept, the same call goes on from there"
@@ -68,7 +68,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         place: Any = scheduler
         if scheduler is None:
             given = {"distributed.worker.multiprocessing-method": "spawn", "distributed.scheduler.allowed-failures": DEATHS,
-                     "distributed.deploy.lost-worker-timeout": COMES_BACK}  # fmt: skip
+                     "distributed.deploy.lost-worker-timeout": COMES_BACK, "distributed.worker.profile.enabled": False}  # fmt: skip
             open_things.enter_context(dask.config.set(given))
             quiet = {"silence_logs": logging.CRITICAL, "dashboard_address": "127.0.0.1:0"}
             try:

@@ -262,7 +262,7 @@ class _scheduler:
         dask = [sys.executable, "-m", "dask"]
         told = {"cwd": self.folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self.processes = [subprocess.Popen([*dask, "scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)], **told)]
-        worker = [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard", "--death-timeout", "5"]
+        worker = [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard", "--death-timeout", "60"]
         self.processes += [subprocess.Popen(worker, **told) for _ in range(2)]
         for _ in range(600):
             if file.exists() and (text := file.read_text()):
