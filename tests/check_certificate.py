@@ -350,6 +350,9 @@ def insist(true, reason):
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        print("usage: python check_certificate.py FILE.json...", file=sys.stderr)
+        sys.exit(2)
     for name in sys.argv[1:]:
         with open(name, encoding="utf-8") as file:
             document = json.load(file)

@@ -118,7 +118,7 @@ def _stream(args, folder, step):
             progress = lambda share: step("report", 0.4 * share)
             found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
             sizes = sizes_seen(found, found.alarms)
-            hints = (*found.hints, *ending_hints(found, found.alarms, sizes), *bound_hints(source.model))
+            hints = (*found.hints, *bound_hints(source.model, relations), *ending_hints(found, found.alarms, sizes))
             res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes)
             about = relations.model, args.data, source.content, args.method, relations.horizon
             write_all(work, Outcome(found, None, found.alarms, res, *about, observer_options(args)))
@@ -140,10 +140,10 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     """Read, test and write everything into the folder `work`; return what the conclusion needs."""
     seconds, start = {}, time.perf_counter()
     with door():
-        model = load_model(args.model)
-        source = open_source(args.data, model)
+        stated = load_model(args.model)
+        source = open_source(args.data, stated)
         held, recording = source.content, source.read(progress=lambda share: step("read", share))
-        model, relations = window_relations(model, args, args.data, recording.samples, step)
+        model, relations = window_relations(stated, args, args.data, recording.samples, step)
         refuse_short(args.data, recording.samples, relations.horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
@@ -152,7 +152,7 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     sizes = sizes_seen(res, alarms)
-    hints = (*recording.hints, *unit_hints(res), *again_hints(res), *ending_hints(res, alarms, sizes), *bound_hints(model))
+    hints = (*recording.hints, *bound_hints(stated, relations), *unit_hints(res), *again_hints(res), *ending_hints(res, alarms, sizes))
     found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes)
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
         outcome = Outcome(res, recording, alarms, found, model, args.data, held, args.method, relations.horizon, observer_options(args))
@@ -185,8 +185,10 @@ def _validate(args, work, step):
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     first = f"the first {horizon + 1} {'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
-    assumed = f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
-    summary = summarised(res, alarms, recording.label, args.min_coverage, (*recording.hints, *bound_hints(model), assumed))
+    assumed = [f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"]
+    if model.m:
+        assumed.append("inputs are taken as recorded: where an actuator did something else, a healthy sensor is named")
+    summary = summarised(res, alarms, recording.label, args.min_coverage, (*recording.hints, *bound_hints(model), *assumed))
     write_all(work, Outcome(res, recording, alarms, summary, model, args.data, held, args.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start

@@ -50,7 +50,7 @@ def _certified(directory, at):
     model, data, method, horizon, options = load_run(Path(directory))
     if method == VALIDATION:
         raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
-                         "only by the other methods of jaxbound detect")  # fmt: skip
+                         "only by other methods: jaxbound detect --method joint, to another folder")  # fmt: skip
     source = open_source(data, model)
     axis = _Axis(source)
     k = axis.find(at)

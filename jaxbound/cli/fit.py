@@ -104,8 +104,8 @@ def _memory(model):
     except ValueError:  # none of them would help
         return []
     sizes = ", ".join(f"{name} {found.sizes[found][name]:.3g} {model.unit(name)}".rstrip() for name in model.outputs)
-    said = f"the plant remembers longer than a window: --lags {','.join(map(str, found))} would see lasting errors from about {sizes} on"
-    return [("memory", f"{said}, if these bounds held so long")]
+    again = f"fitted again with --lags {','.join(map(str, found))} it would see lasting errors from about {sizes} on"
+    return [("memory", f"the plant remembers longer than a window: {again}, if its bounds hardly grew")]
 
 
 def _tell(model, args, hints):

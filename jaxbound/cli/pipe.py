@@ -75,7 +75,8 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a Monitor.
     """
     with door(), _place(args) as folder:
-        model, relations = window_relations(load_model(args.model), args, args.model, None, lambda stage, share: None)
+        stated = load_model(args.model)
+        model, relations = window_relations(stated, args, args.model, None, lambda stage, share: None)
         if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()
@@ -83,7 +84,7 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
         with Journal(args.out, args.state, identity(relations, method=args.method)) as journal:
             if folder is not None:
                 folder.claim(VERDICTS, STATE)
-            found = _Run(args, monitor, journal).to_the_end(chunks, whole)
+            found = _Run(args, monitor, journal, bound_hints(stated, relations)).to_the_end(chunks, whole)
         if folder is not None:
             about = model, Path(args.data), None, args.method, relations.horizon, observer_options(args)
             with folder.work() as work:
@@ -112,7 +113,8 @@ def _place(args):
 class _Run:
     """One run: what it counts, says and remembers."""
 
-    def __init__(self, args, monitor, journal):
+    def __init__(self, args, monitor, journal, hints):
+        self.hints = hints
         before = journal.before or {}
         self.args, self.monitor, self.journal, self.spoken = args, monitor, journal, {}
         self.header = b"" if args.json else b"time,status,margin\n"
@@ -235,7 +237,7 @@ class _Run:
         if self.text.reader is not None:
             self.journal.finish(self.memory())
         where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
-        hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *bound_hints(relations.model)]
+        hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *self.hints]
         lost = found["left out"]
         hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
         alarms = sum(found["endings"].values()) + bool(found["on"])

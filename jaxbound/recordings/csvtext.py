@@ -49,8 +49,8 @@ class Layout:
 
     def dated(self, name: str) -> bool:
         """Return whether a column begins with a time stamp."""
-        cell = dict(zip(self.names, self.first, strict=False)).get(name)
-        return bool(cell) and not is_number(cell, self.decimal) and is_stamp(cell)
+        cell = dict(zip(self.names, self.first, strict=False)).get(name) or ""
+        return not is_number(cell, self.decimal) and is_stamp(cell)
 
 
 def sniff(path: Path, head: bytes | None = None) -> Layout:

@@ -26,6 +26,7 @@ __all__ = ["write_report"]
 ROWS = 200  # alarms in the table
 LINES = 20  # relations in words
 PATIENCE = 1.0  # seconds for the exact certificates of the table
+LARGE = 64  # readings in a window from which on the errors of single sensors are left to `explain`: 122 take a minute each
 
 
 def write_report(
@@ -120,6 +121,8 @@ def _certified(res, alarms, chosen):
 
 def _sensor_errors(certificate):
     """Return the smallest single-sensor errors as text, the most plausible first, where they are known."""
+    if len(certificate.window.y) > LARGE:
+        return ""
     errors, unit = certificate.errors, certificate.window.model.unit
     if not errors:
         return ""

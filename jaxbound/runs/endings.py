@@ -42,7 +42,8 @@ def _longer(res, sizes):
     relations = res.relations
     if sizes is None or getattr(relations, "lags", None) is not None or slowest(relations.model) <= relations.horizon + 1:
         return ""
-    return "; smaller ones may show in a longer --horizon, or with the lags of jb.suggest_lags(model), if the bounds hold so long"
+    longer = "; smaller ones may show in a longer --horizon, or with the lags of jb.suggest_lags(model)"
+    return f"{longer}; bounds from data must be fitted for these again"
 
 
 def endings_said(counts: Mapping[str, int], total: int) -> list[str]:

@@ -300,7 +300,7 @@ def _judged(unit, given, method, alarm, min_coverage, res):
     refuse_short(unit.recording, recording.samples, relations.horizon)
     res = detect(relations, recording, method=method) if res is None else res
     alarms = res.alarms(*alarm)
-    hints = (*recording.hints, *unit_hints(res), *again_hints(res), *bound_hints(model), *ending_hints(res, alarms))
+    hints = (*recording.hints, *unit_hints(res), *again_hints(res), *bound_hints(model, relations), *ending_hints(res, alarms))
     return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints)), (res, recording, alarms)
 
 

@@ -15,6 +15,8 @@ from jaxbound.sets.floats.status import Status
 
 __all__ = ["CODES", "LAYOUT", "Evidence", "Summary", "Window", "bound_hints", "evidence", "said", "summarised"]
 
+FOR, MAY = "the bounds were found from data for windows of {} samples,", "a FAULT may be no more than an error that lasts longer than those"
+
 LAYOUT = 1  # of the JSON; it grows where a key goes or changes its meaning, not where one is added
 CODES = {"no fault": 0, "fault": 1, "not tested": 2, "too little evidence": 3}  # at which a command ends
 
@@ -235,7 +237,9 @@ def _healthy(found, label):
         tested = round(found.tested * found.windows)
         return f"No fault found: none of {tested} samples is proved to contradict the model and the samples before it."
     if found.faulty is not None:
-        return f"No fault found: every sample of {round(found.tested * found.windows)} windows fits what the samples before it allow."
+        every = f"every sample of {round(found.tested * found.windows)} windows fits what the samples before it allow"
+        slow = "" if found.counts["CONSISTENT"] else "; a fault that grows slowly may hide, which windows (no --method) may show"
+        return f"No fault proved: {every}{slow}."
     decided, count = found.counts["CONSISTENT"], found.windows
     every = f"all {count} windows" if decided == count else f"{decided} of {count} windows ({percent(found.decided)})"
     used = ""
@@ -244,8 +248,13 @@ def _healthy(found, label):
     return f"No fault found: the model explains {every} within its bounds{used}."
 
 
-def bound_hints(model: Any) -> list[str]:
-    """Return sentences on bounds that nobody can mean."""
+def bound_hints(model: Any, relations: Any = None) -> list[str]:
+    """Return sentences on bounds that nobody can mean, and on those that were found for shorter windows than they are asked to hold for.
+
+    Args:
+        model: as it was read: with the horizon or lags that its bounds were found for. relations: or an observer, what it is tested by;
+            None: windows of the model.
+    """
     bare = [s for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True) if not any(b)]
     none = f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error there is a FAULT"
     rows = zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True)
@@ -253,4 +262,16 @@ def bound_hints(model: Any) -> list[str]:
     only = (
         f"{', '.join(rounded)} {'have' if len(rounded) > 1 else 'has'} only a resolution: state noise or tolerance, what the sensor errs by"
     )
-    return [none] * bool(bare) + [only] * bool(rounded)
+    return _outgrown(model, relations) + [none] * bool(bare) + [only] * bool(rounded)
+
+
+def _outgrown(model, relations):
+    """Return a sentence, or none, on bounds from data that windows reach beyond: none that they were found for was so long."""
+    known, found = model.lags[-1] if model.lags else model.horizon, " ".join(map(str, model.provenance.values()))
+    if relations is None or known is None or not ("fitted" in found or "tuned" in found):
+        return []
+    if remembers(relations):
+        return [f"{FOR.format(known + 1)} and an observer looks back on all samples: {MAY}"]
+    again = f"--lags {','.join(map(str, relations.lags))}" if getattr(relations, "lags", None) else f"--horizon {relations.horizon}"
+    longer = f"{FOR.format(known + 1)} and these windows reach over {relations.horizon + 1}: {MAY}; fit again with {again}"
+    return [longer] if relations.horizon > known else []

@@ -115,7 +115,10 @@ def test_the_shell_validates_across_a_gap_and_an_excluded_stretch_as_python_does
     rows = (tmp_path / "out" / "verdicts.csv").read_text().splitlines()[1:]
     assert [row.split(",")[1] for row in rows] == [Status(s).name for s in status]
     assert any("gap of 3 s" in h for h in found["hints"]) and any("behind each gap" in h for h in found["hints"])
-    assert found["summary"] == "No fault found: every sample of 31 windows fits what the samples before it allow."
+    assert found["summary"] == (
+        "No fault proved: every sample of 31 windows fits what the samples before it allow; a fault that grows slowly may hide, which "
+        "windows (no --method) may show."
+    )
 
 
 def test_other_commands_name_what_they_can_do(place, capsys, tmp_path):
@@ -129,7 +132,7 @@ def test_other_commands_name_what_they_can_do(place, capsys, tmp_path):
 def test_a_recording_from_the_shell(place, capsys, tmp_path):
     """One compiled shape for all: no fault is 0, a fault is 1, the columns are those of the library, no certificate is invented."""
     assert main.main(["detect", *place(), "--method", "validation"]) == 0
-    assert capsys.readouterr().out.startswith("No fault found: every sample of 39 windows")
+    assert capsys.readouterr().out.startswith("No fault proved: every sample of 39 windows")
     assert main.main(["detect", *place(faulty=range(20, 25)), "--method", "validation", "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["verdict"] == "fault" and found["faulty"] == {"y1": 5} and found["horizon"] == 1 and found["counts"]["FAULT"] == 5

@@ -79,3 +79,15 @@ class TestSummary:
         only = bound_hints(paper(noise=[0.1, 0], tolerance=0, resolution=0.01))
         assert only == ["y2 has only a resolution: state noise or tolerance, what the sensor errs by"]
         assert "y1, y2 have only a resolution" in bound_hints(paper(noise=0, tolerance=0, resolution=0.01))[0]
+
+
+def test_bounds_from_data_are_asked_whether_they_hold_so_long():
+    """They were found for windows of four samples: longer ones, and an observer, may contradict what is healthy."""
+    fitted = jb.LinearSystem([["0.9"]], None, [[1]], noise=1, horizon=3, provenance={"noise": "fitted to 2 recordings"})
+    stated = fitted.replace(provenance={"noise": "data sheet"})
+    longer, lags = jb.parity_relations(fitted, 8), jb.parity_relations(fitted.replace(horizon=None), lags=(0, 3, 9))
+    assert bound_hints(fitted, jb.parity_relations(fitted, 3)) == bound_hints(fitted) == bound_hints(stated, longer) == []
+    (said,) = bound_hints(fitted, longer)
+    assert said.startswith("the bounds were found from data for windows of 4 samples, and these windows reach over 9: ")
+    assert said.endswith("fit again with --horizon 8") and bound_hints(fitted, lags)[0].endswith("fit again with --lags 0,3,9")
+    assert "an observer looks back on all samples" in bound_hints(fitted, jb.observer(fitted))[0]
