@@ -24,7 +24,7 @@ def engine_of(args: argparse.Namespace) -> Iterator["Client | None"]:
         client = connected(args.scheduler, args.workers)
         with client as found:
             yield found
-    except ValueError as e:
+    except (ValueError, ConnectionError) as e:
         raise Refused(str(e)) from e
 
 

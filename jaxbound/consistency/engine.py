@@ -57,7 +57,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         scheduler: address of one that runs, like tcp://host:8786. workers: or processes of this machine to start, one thread each.
 
     Raises:
-        ValueError: distributed is not installed, or nobody answers.
+        ValueError: distributed is not installed. ConnectionError: nobody answers.
     """
     try:
         import dask
@@ -74,12 +74,12 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
             try:
                 place = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, env=_environment(), **quiet)
             except RuntimeError as e:
-                raise ValueError(f"{workers} workers could not be started here: {e}") from None
+                raise ConnectionError(f"{workers} workers could not be started here: {e}") from None
             open_things.enter_context(place)
         try:
             client = Client(place, timeout=WAIT, set_as_default=False)
         except (OSError, ValueError) as e:
-            raise ValueError(f"no dask scheduler answers at {scheduler}: {e}") from None
+            raise ConnectionError(f"no dask scheduler answers at {scheduler}: {e}") from None
         yield open_things.enter_context(client)
 
 
@@ -90,7 +90,8 @@ def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, A
         client: of dask.distributed. job: see `Job`. tasks: any sequence of what can be pickled.
 
     Raises:
-        ValueError: workers of several kinds, or none; a task that no worker survives. What a task says of its data is raised as it is.
+        ConnectionError: workers of several kinds, or none; a scheduler that is gone; a task that no worker survives: what is done stays.
+        Exception: what a task says of its data, as it is.
     """
     from distributed import KilledWorker, as_completed
     from distributed.comm import CommClosedError
@@ -114,9 +115,11 @@ def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, A
                 raise refused
             yield numbers.pop(future), found
     except KilledWorker:
-        raise ValueError(f"workers died with one of {len(tasks)} tasks again and again, too little memory perhaps: {GOES_ON}") from None
+        raise ConnectionError(
+            f"workers died with one of {len(tasks)} tasks again and again, too little memory perhaps: {GOES_ON}"
+        ) from None
     except (CancelledError, CommClosedError):
-        raise ValueError(f"the scheduler {client.scheduler.address} is gone: {GOES_ON}") from None
+        raise ConnectionError(f"the scheduler {client.scheduler.address} is gone: {GOES_ON}") from None
     finally:
         with suppress(Exception):  # whoever is gone need not be told
             client.cancel(list(numbers))
@@ -175,19 +178,21 @@ def _alike(client):
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError:
-            raise ValueError(f"the scheduler {client.scheduler.address} has no workers") from None
+            raise ConnectionError(f"the scheduler {client.scheduler.address} has no workers") from None
         found = client.run(_about, on_error="return")
         answers = {address: x for address, x in found.items() if not isinstance(x, OSError)}  # those died meanwhile
     for address, found in answers.items():
         if isinstance(found, ModuleNotFoundError):
-            raise ValueError(f"the worker {address} cannot import {found.name}: it needs jaxbound {__version__}, as this process has it")
+            raise ConnectionError(
+                f"the worker {address} cannot import {found.name}: it needs jaxbound {__version__}, as this process has it"
+            )
         if isinstance(found, BaseException):
-            raise ValueError(f"the worker {address} is of no use: {type(found).__name__}: {found}")
+            raise ConnectionError(f"the worker {address} is of no use: {type(found).__name__}: {found}")
     mine = {name: text for name, text in _kind().items() if name not in HERE}
     (kind, _, _), *_ = answers.values()
     for address, (found, _, _) in answers.items():
         if said := _difference(found, kind | mine):
-            raise ValueError(f"the worker {address} has {said}: {ALIKE}")
+            raise ConnectionError(f"the worker {address} has {said}: {ALIKE}")
     threads, gpus = zip(*(answer[1:] for answer in answers.values()), strict=True)
     return kind, sum(threads), any(gpus)
 
@@ -211,7 +216,7 @@ def _attempt(given, task):
     """Return (what the task refuses or None, what it returns): what is wrong with data is as wrong at the next attempt."""
     job, kind, wide = _unpacked(given)
     if said := _difference(_kind(), kind):  # one that came later
-        return ValueError(f"a worker that joined has {said}: {ALIKE}; {GOES_ON}"), None
+        return ConnectionError(f"a worker that joined has {said}: {ALIKE}; {GOES_ON}"), None
     try:
         with jax.enable_x64(wide):  # of this thread alone: the worker may be of use to others
             return None, job.run(task)

@@ -167,8 +167,24 @@ class TestTrouble:
             def run(self, function, on_error):
                 return {a: x if isinstance(x, Exception) else (engine._kind() | x, 1, False) for a, x in answers.items()}
 
-        with pytest.raises(ValueError, match=sentence):
+        with pytest.raises(ConnectionError, match=sentence):
             engine._alike(Scheduler())
+
+    def test_what_is_done_stays_where_the_engine_fails(self, case, tmp_path):
+        """Unlike what was found in data that must be changed."""
+
+        class Gone:
+            def wait_for_workers(self, n, timeout):
+                raise ConnectionError("nobody is there")
+
+            def nthreads(self):
+                return {}
+
+        r, folder, _, _ = case("section 5")
+        made = {p.name: p.read_bytes() for p in detect_dataset(r, folder, tmp_path, part=(2, 3))}
+        with pytest.raises(ConnectionError, match="nobody is there"):
+            detect_dataset(r, folder, tmp_path, client=Gone())
+        assert parts_of(tmp_path / "verdicts.partial") == made
 
     def test_one_that_joins_later_is_refused_too(self):
         other = engine._kind() | {"processor": "another"}
@@ -183,7 +199,7 @@ class TestTrouble:
     def test_a_scheduler_that_is_not_there(self, monkeypatch):
         pytest.importorskip("distributed", reason="dask.distributed is not installed")
         monkeypatch.setattr(engine, "WAIT", 1)
-        with pytest.raises(ValueError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"), connected("tcp://127.0.0.1:9"):
+        with pytest.raises(ConnectionError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"), connected("tcp://127.0.0.1:9"):
             pass
 
 
@@ -239,7 +255,7 @@ class TestMany:
                 if share > 0.3:
                     process.kill()
 
-            with pytest.raises(ValueError, match=f"the scheduler {address} is gone: what is done is kept"):
+            with pytest.raises(ConnectionError, match=f"the scheduler {address} is gone: what is done is kept"):
                 detect_dataset(r, folder, tmp_path / "out", client=first, progress=kill)
         made = {p.name: p.stat().st_mtime_ns for p in part_files(tmp_path / "out/verdicts.partial")}
         assert 0.3 * len(whole) <= len(made) < len(whole)

@@ -69,8 +69,8 @@ def examination(device: jax.Device, dtype: DTypeLike, count: int = 600, seed: in
         found["sums of inexact numbers that two_sum loses digits of"] = lost(kept[2], map(operator.add, inexact, D)), 0.0
         small, half = numbers(info.minexp + 1, info.minexp + 4), numbers(-6, -1)
         for name, other in {"difference": numbers(info.minexp + 1, info.minexp + 4), "product": half, "quotient": 1 / half}.items():
-            got, want = _exact(run(EXACTLY[name], small, other)), map(EXACTLY[name], _exact(small), _exact(other))
-            over = [abs(f - w) - Fraction(float(info.eps)) * abs(f) for f, w in zip(got, want, strict=True)]
+            got, exact = _exact(run(EXACTLY[name], small, other)), map(EXACTLY[name], _exact(small), _exact(other))
+            over = [abs(f - w) - Fraction(float(info.eps)) * abs(f) for f, w in zip(got, exact, strict=True)]
             found[f"error of a {name} that underflows, in smallest numbers"] = float(max(over) / smallest), 1.0
         signed = run(operator.truediv, small, np.full(count, 2.0 ** (info.maxexp // 2), dtype))
         found["underflows that lose their sign"] = float((np.signbit(signed) != np.signbit(small)).sum()), 0.0
