@@ -131,7 +131,7 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
                 "key": [w.tolist() for w in words], "engine": run.__name__,
                 "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials]}  # fmt: skip
     tallies = [Tally(len(t.sizes), samples) for t in trials]
-    keeper = None if out is None else Keeper(out, identity(relations, plant=model, rows=rows, **settings), tallies, rows)
+    keeper = None if out is None else Keeper(out, identity(relations, plant=model, rows=rows, block=block, **settings), tallies, rows)
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
     job = _Scenarios(made, [scenarios.act_of(t, model, dtype) for t in trials], words, block)
 

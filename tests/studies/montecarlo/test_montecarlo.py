@@ -118,6 +118,10 @@ def test_an_interrupted_study_goes_on_and_ends_with_the_same_counts(found, tmp_p
     with monkeypatch.context() as patch, pytest.raises(ValueError, match="study.npz is of another version of jaxbound: choose"):
         patch.setattr(jb, "__version__", "0.0.1")
         run()
+    engine = montecarlo._engine  # a block is larger where there are more devices: counts of another machine cannot be gone on with
+    with monkeypatch.context() as patch, pytest.raises(ValueError, match="study.npz is of another block: choose"):
+        patch.setattr(montecarlo, "_engine", lambda *made: (engine(*made)[0], 64))
+        run()
     (tmp_path / "kept" / "study.npz").write_bytes(b"PK")
     with pytest.raises(ValueError, match="is damaged"):
         run()
