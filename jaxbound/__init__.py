@@ -54,7 +54,7 @@ __all__ = [
     "save_model", "sets", "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "suggest_lags", "tune",
     "unknown_inputs", "use_cache", "validate", "with_faults", "zonotope",
 ]  # fmt: skip
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES = {  # where a name is imported from when it is first asked for; types of results live in rooms, and answer at the top too
     "consistency.monitor": "Monitor",
