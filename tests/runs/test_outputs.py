@@ -398,6 +398,13 @@ sys.exit(cli.main(["detect", "model.toml", "run.csv", "--out", "out"]))
 
 
 class TestSignals:
+    @pytest.fixture(autouse=True)
+    def heard(self):
+        """Signals are as a terminal has them, also where the tests themselves run under nohup."""
+        before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        yield
+        signal.signal(signal.SIGHUP, before)
+
     def stopped_by(self, number, monkeypatch):
         monkeypatch.setattr(detecting, "write_report", lambda *a, **k: (os.kill(os.getpid(), number), time.sleep(5)))
         return main.main(DETECT)
