@@ -97,6 +97,7 @@ def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, A
     from distributed.comm import CommClosedError
 
     kind, threads, gpus = _alike(client)
+    address = getattr(client.scheduler, "address", "")  # a client that lost its scheduler does not know it any more
     wide, needs = jax.dtypes.canonicalize_dtype(np.float64) == np.float64, {"resources": {"GPU": 1}} if gpus else {}
     # sent once, and a task itself: what is scattered is lost with the worker that holds it
     given = client.submit(_kept, pickle.dumps((job, kind, wide)), pure=False)
@@ -119,7 +120,7 @@ def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, A
             f"workers died with one of {len(tasks)} tasks again and again, too little memory perhaps: {GOES_ON}"
         ) from None
     except (CancelledError, CommClosedError):
-        raise ConnectionError(f"the scheduler {client.scheduler.address} is gone: {GOES_ON}") from None
+        raise ConnectionError(f"the scheduler {address} is gone: {GOES_ON}") from None
     finally:
         with suppress(Exception):  # whoever is gone need not be told
             client.cancel(list(numbers))
