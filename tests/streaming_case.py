@@ -60,6 +60,11 @@ def verdicts(out):
     return status, table["margin"].to_numpy()
 
 
+def parts_of(folder):
+    """Return {name: bytes} of the parts in a folder."""
+    return {p.name: p.read_bytes() for p in streaming.part_files(folder)}
+
+
 def shrink(monkeypatch):
     """Make parts of 1024 samples and let chunks be of any size."""
     monkeypatch.setattr(streaming, "PART", 1024)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from streaming_case import recording, shrink, write
+from streaming_case import parts_of, recording, write
 from systems import paper
 
 import jaxbound as jb
@@ -35,20 +35,6 @@ def client():
     pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install 'jaxbound[dask]'")
     with connected(workers=2) as found:
         yield found
-
-
-@pytest.fixture(scope="module")
-def one(case, tmp_path_factory):
-    """Return (folder, Digest) of one process that does it all."""
-    r, folder, _, _ = case("section 5")
-    out = tmp_path_factory.mktemp("one")
-    with pytest.MonkeyPatch.context() as patch:
-        shrink(patch)
-        return out, detect_dataset(r, folder, out)
-
-
-def parts_of(folder):
-    return {p.name: p.read_bytes() for p in part_files(folder)}
 
 
 class Slow:

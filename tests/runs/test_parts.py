@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from streaming_case import N, Stop, recording, shrink, stopped_after, verdicts, write
+from streaming_case import N, Stop, parts_of, recording, stopped_after, verdicts, write
 from systems import paper
 
 import jaxbound as jb
@@ -24,20 +24,6 @@ COUNT = 6  # parts of the recording
 
 
 pytestmark = pytest.mark.usefixtures("small")
-
-
-@pytest.fixture(scope="module")
-def one(case, tmp_path_factory):
-    """Return (folder, Digest) of one process that does it all."""
-    r, folder, whole, _ = case("section 5")
-    out = tmp_path_factory.mktemp("one")
-    with pytest.MonkeyPatch.context() as patch:
-        shrink(patch)
-        return out, detect_dataset(r, folder, out)
-
-
-def parts_of(folder):
-    return {p.name: p.read_bytes() for p in part_files(folder)}
 
 
 def shares(case, out, n, order=None, **options):
