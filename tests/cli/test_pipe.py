@@ -439,5 +439,5 @@ def test_live_in_another_process_killed_and_stopped(samples, place):
 
 def test_a_column_of_time_stamps_is_the_time_whatever_it_is_called():
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
-    reader = LineReader([b"remark;Zeitpunkt der Messung;u1;y1", b"shift 2;05.03.2024 08:00:00;1,5;2"], model)
-    assert reader.plan.time == "Zeitpunkt der Messung" and reader.is_text
+    reader = LineReader([b"remark;Messbeginn;u1;y1", b"shift 2;05.03.2024 08:00:00;1,5;2"], model)
+    assert reader.plan.time == "Messbeginn" and reader.is_text

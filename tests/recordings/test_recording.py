@@ -211,7 +211,7 @@ class TestTime:
     @pytest.mark.parametrize("name, convert, sentence", [
         ("time", lambda t: t, None), ("when", lambda t: t, None), ("time", lambda t: (t - t[0]) / pd.Timedelta("1s"), None),
         ("time", lambda t: t.strftime("%d.%m.%Y %H:%M:%S"), "the time column 'time' holds text: turn it into times with pandas"),
-        ("Zeitpunkt", lambda t: t.strftime("%d.%m.%Y %H:%M:%S"), "the time column 'Zeitpunkt' holds text: turn it into times with pandas"),
+        ("Beginn", lambda t: t.strftime("%d.%m.%Y %H:%M:%S"), "the time column 'Beginn' holds text: turn it into times with pandas"),
     ])  # fmt: skip
     def test_a_time_column_serves_a_table_without_an_index(self, name, convert, sentence):
         late = SECONDS + pd.to_timedelta([0, 0, 0, 60, 60, 60], "s")

@@ -150,7 +150,7 @@ class TestTime:
     @pytest.mark.parametrize("write", [lambda t: t, lambda t: t.astype(str)], ids=["stamps", "texts"])
     def test_a_column_of_time_stamps_is_the_time_whatever_it_is_called(self, folder, write):
         stamps = STAMPS[:4] + np.array([0, 0, 60, 60], "timedelta64[m]")
-        r = read(folder(a=pa.table({"remark": ["x"] * 4, "Zeitpunkt der Messung": write(stamps), "y1": [1.0, 2, 3, 4]})), ONE)
+        r = read(folder(a=pa.table({"remark": ["x"] * 4, "Messbeginn": write(stamps), "y1": [1.0, 2, 3, 4]})), ONE)
         np.testing.assert_array_equal(r.stamps, stamps)
         assert r.starts == (2,)
 
