@@ -66,10 +66,10 @@ def test_every_parameter_has_an_entry(docstrings):
 
 
 def test_a_line_that_tells_of_several_parameters_becomes_several_entries(docstrings):
-    text = "Args:\n    u (T, m), y (T, p): samples; see u.\n        None: no n. n: so many,\n        most. at: once; *more: rest\n\nReturns: x"
+    text = "Args:\n    u (T, m), y (T, p): samples; see u.\n        None: no n. n: few,\n        most. at: once; *more: rest\n\nReturns: x"
     found = docstrings.entries(docstrings.arguments(text), ["u", "y", "n", "at", "more"])
     seen = [("u", "(T, m) samples; see u. None: no n."), ("y", "(T, p) samples; see u. None: no n.")]
-    assert found == [*seen, ("n", "so many, most."), ("at", "once"), ("more", "rest")]
+    assert found == [*seen, ("n", "few, most."), ("at", "once"), ("more", "rest")]
 
 
 def test_nothing_is_documented_twice():

@@ -2,6 +2,7 @@
 
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -10,6 +11,7 @@ from result_case import CONSISTENT, FAULT, MISSING, UNDECIDED, biased, recording
 
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
+from jaxbound.reports import detection
 from jaxbound.reports.detection import write_report
 from jaxbound.runs.summary import summarised
 
@@ -132,3 +134,13 @@ class TestReport:
         write(tmp_path, res, recording_of(res), [])
         text = " ".join(Reader((tmp_path / "report.html").read_text()).text.split())
         assert "yk = D uk, one sample every 1 s; numbers" in text and "D = 1 2" in text and "A =" not in text
+
+
+def test_long_windows_leave_the_errors_of_single_sensors_to_explain():
+    """122 readings take a minute each: a report is not to wait for them."""
+
+    class Long:
+        window = SimpleNamespace(y=[0] * 65)
+        errors = property(lambda self: pytest.fail("this takes minutes"))
+
+    assert detection._sensor_errors(Long()) == ""
