@@ -1,8 +1,8 @@
-"""All peers on the same work in one process: python -m benchmarks [--quick] [--only horizon,boxes,strips,...] [--readme].
+"""All peers on the same work in one process: python -m benchmarks [--quick] [--only horizon,boxes,strips,...] [--table].
 
-Writes benchmarks/results.json and benchmarks/figures, prints the table; --readme puts it into README.md between its markers. Sweeps are
-limits, horizon, residuals and boxes; every other module of this folder that measures can be named with --only, and writes its own json.
-On a GPU margins alone are measured: verdicts are proved on CPU.
+Writes benchmarks/results.json and benchmarks/figures, prints the table; --table puts it into docs/benchmarks.md between its markers.
+Sweeps are limits, horizon, residuals and boxes; every other module of this folder that measures can be named with --only, and writes its
+own json. On a GPU margins alone are measured: verdicts are proved on CPU.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def main(argv=None):
     parser = argparse.ArgumentParser("python -m benchmarks", description=__doc__.split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="small sizes: does it run, and are the orders right")
     parser.add_argument("--only", default=",".join(SWEEPS), help=f"{', '.join([*SWEEPS, *modules])} (default: the sweeps)")
-    parser.add_argument("--readme", action="store_true", help="put the table into README.md")
+    parser.add_argument("--table", action="store_true", help="put the table into docs/benchmarks.md")
     args = parser.parse_args(argv)
     wanted = [name.strip() for name in args.only.split(",")]
     unknown = [name for name in wanted if name not in SWEEPS and name not in modules]
@@ -57,9 +57,9 @@ def main(argv=None):
     (HERE / "results.json").write_text(json.dumps(results, indent=1) + "\n")
     figures, lines = drawing.draw(results), drawing.table(results)
     print("\n".join(["", *lines, "", f"benchmarks/results.json, benchmarks/figures: {', '.join(figures)}"]))
-    if args.readme:
-        readme = HERE.parent / "README.md"
-        readme.write_text(drawing.rewritten(readme.read_text(), lines))
+    if args.table:
+        page = HERE.parent / "docs" / "benchmarks.md"
+        page.write_text(drawing.rewritten(page.read_text(), lines))
     return 0
 
 

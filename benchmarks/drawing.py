@@ -1,4 +1,4 @@
-"""Figures and the table of the README from the results of the sweeps."""
+"""Figures and the table of docs/benchmarks.md from the results of the sweeps."""
 
 from pathlib import Path
 

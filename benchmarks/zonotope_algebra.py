@@ -1,7 +1,7 @@
 """Operations on many zonotopes a second: jaxbound, rounded outward, beside plain NumPy, zonoopt, codac and the limit.
 
 python -m benchmarks.zonotope_algebra [--sets 100000]
-(pip install zonoopt codac for the others; python -m benchmarks.zonotope_tables puts the figures into README.md and docs/benchmarks.md)
+(pip install zonoopt codac for the others; python -m benchmarks.zonotope_tables puts the figures into docs/benchmarks.md)
 
 The limit of an operation is the time in which memory moves what it reads and what it writes, at the speed of one pass that doubles all
 generators. NumPy works on the whole batch and is not rounded; zonoopt takes one set at a time and is not rounded; codac maps and adds

@@ -1,6 +1,6 @@
-"""Put the figures of benchmarks.zonotopes and benchmarks.zonotope_algebra into docs/benchmarks.md and README.md.
+"""Put the figures of benchmarks.zonotopes and benchmarks.zonotope_algebra into docs/benchmarks.md.
 
-python -m benchmarks.zonotope_tables, after both of them; rows of README.md are found by their first cell.
+python -m benchmarks.zonotope_tables, after both of them; rows of the first table are found by their first cell.
 """
 
 import json
@@ -59,20 +59,20 @@ def replaced(text, first, row):
 
 
 def main():
-    """Rewrite both files."""
+    """Rewrite the page."""
     points, sums = (json.loads((HERE / f"{name}.json").read_text()) for name in ("zonotopes", "zonotope_algebra"))
     about, here = points["machine"], ", ".join(f"{k} {v}" for k, v in (points["peers"] | sums["peers"]).items())
-    page, readme = HERE.parent / "docs" / "benchmarks.md", HERE.parent / "README.md"
+    page = HERE.parent / "docs" / "benchmarks.md"
     busy = ", on a machine that did other work too" if "processor" in points["seconds"] else ""
     told = f"{about['cpu']}, {about['cores']} cores, seconds {points['seconds']}{busy}, jax {about['jax']}; {here}."
-    page.write_text(drawing.rewritten(page.read_text(), [*decisions(points), "", *algebra(sums), "", told], MARKERS))
+    text = drawing.rewritten(page.read_text(), [*decisions(points), "", *algebra(sums), "", told], MARKERS)
     rows = lambda where, what: [points[f"{n} dimensions, one set, {where}"][what] for n in (2, 10, 50)]
     each = lambda values: " / ".join(f"{v:,.3g}" for v in values)
     near, far = "within 1e-6", "far"
     ratios = lambda where: each(row["ratio"] for row in rows(where, "HiGHS"))
     wrong = " / ".join(f"{100 * row['wrong'] / row['of']:.2g}" for row in rows(near, "HiGHS"))
     text = replaced(
-        readme.read_text(),
+        text,
         POINTS,
         [
             f"{each(rows(far, 'us a test'))} µs a point 5 % or more from the boundary, {each(rows(near, 'us a test'))} within 1e-6 of it",
@@ -81,7 +81,7 @@ def main():
     )
     four = sums["4 x 20"]
     chosen = [four[name] for name in ("linear_map", "minkowski_sum", "strip_intersection", "reduce_order last")]
-    readme.write_text(
+    page.write_text(
         replaced(
             text,
             SUMS,
