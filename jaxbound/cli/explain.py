@@ -16,21 +16,18 @@ from jaxbound.certificates.interface import certify
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.cli.terminal import LOUDNESS, VERBOSE, door, show, write
 from jaxbound.cli.window import OBSERVER
-from jaxbound.diagnosis.detection import detect
 from jaxbound.estimation.observer import observer
 from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.plaintext import times as factor_text
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
+from jaxbound.runs.digest import refuted_again
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.runfile import VALIDATION, load_run
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["certificate_of", "readable", "run"]
-
-REACHES = (2**12, 2**16)
-"""So many samples before a sample that an observer refuted are read, before all of them are."""
 
 
 def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]:
@@ -58,7 +55,7 @@ def _certified(directory, at):
         raise ValueError(f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}")
     try:
         if method == OBSERVER:
-            found, part = _contradicted(observer(model, **options), source, k)
+            found, part = refuted_again(observer(model, **options), source, k)
         else:
             relations, part = parity_relations(model, horizon if model.lags is None else None), source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
@@ -68,19 +65,6 @@ def _certified(directory, at):
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
     labels = [part.label(j) for j in range(part.samples - found.window.horizon - 1, part.samples)]
     return found, k, labels, axis.also_a_time(at)
-
-
-def _contradicted(watch, source, k):
-    """Return (certificate of the sample k that an observer refuted, the Recording up to it).
-
-    Read are as many samples before it as are needed: an observer that begins later knows less, but nothing that is wrong.
-    """
-    for reach in (*REACHES, k + 1):
-        part = source.read(max(k + 1 - reach, 0), k + 1)
-        res = detect(watch, part)
-        if res.status[-1] == Status.FAULT or reach > k:
-            break
-    return res.explain(len(res.status) - 1), part
 
 
 class _Axis:

@@ -169,6 +169,8 @@ def _parsers():
                    "n, and write its verdicts into DIR, beside shares made at the same time or on other machines; exit code 0")  # fmt: skip
     c.add_argument("--merge", action="store_true", help="Parquet: judge nothing and report on the shares in DIR: the verdicts, the "
                    "report and the exit code of one command without --part")  # fmt: skip
+    c.add_argument("--overlap", type=_whole(0), metavar="N", help="Parquet and observer: judge each million samples by an observer of its "
+                   "own that begins N samples earlier, which can be shared but remembers less (default: one observer)")  # fmt: skip
     _engine(c)
     carries = "; observer carries everything since it began on"
     more = f"{carries}; validation bounds states and outputs, names the faulty sensor and says what it should have shown"

@@ -54,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
     """Run `jaxbound detect MODEL.toml -`; return the exit code."""
     if args.method == VALIDATION:
         raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
-    options = {"--chunk": args.chunk is not None, "--alarm": args.alarm != (1, 1), "--part": args.part is not None, "--merge": args.merge}
+    options = {"--chunk": args.chunk is not None, "--alarm": args.alarm != (1, 1), "--part": args.part is not None, "--merge": args.merge,
+               "--overlap": args.overlap is not None}  # fmt: skip
     for option, given in options.items():
         if given:
             raise Refused(f"{option} is for recordings: give a file instead of -")

@@ -28,8 +28,13 @@ def refuse_shares(args: argparse.Namespace, kind: Any) -> None:
         raise Refused("--merge reports on what --part makes: give one of the two")
     if given and args.method == VALIDATION:
         raise Refused(f"{given[0]} is for other methods: {VALIDATION} reads {args.data} as a whole")
-    if given and args.method == OBSERVER:
-        raise Refused(f"{given[0]} is for windows: an observer carries what it knows from sample to sample, its work cannot be shared")
+    if given and args.method == OBSERVER and args.overlap is None:
+        raise Refused(f"{given[0]} is for windows: an observer carries what it knows from sample to sample, its work can be shared only "
+                      "where --overlap N lets one begin anew N samples before each part")  # fmt: skip
+    if args.overlap is not None and args.method != OBSERVER:
+        raise Refused(f"--overlap is for --method {OBSERVER}: windows know how far they reach back")
+    if args.overlap is not None:
+        given.append("--overlap")
     if given and not kind.parts:
         raise Refused(f"{given[0]} is for Parquet: {args.data} is read as a whole")
 
@@ -43,7 +48,9 @@ def run_share(args: argparse.Namespace) -> int:
         mine = numbers_of(args.part, count)
         try:
             progress = lambda share: step("test", share)
-            _, seconds = write_parts(relations, source, args.out, args.method, args.chunk or CHUNK, progress, args.part)
+            _, seconds = write_parts(
+                relations, source, args.out, args.method, args.chunk or CHUNK, progress, args.part, overlap=args.overlap
+            )
         except KeyboardInterrupt:
             if part_files(where, mine):
                 said = f"interrupted: what part {name} has done is kept in {where}; the same command goes on from there"
@@ -78,7 +85,7 @@ def opened(args: argparse.Namespace, step: Callable[[str, float], object]) -> tu
 def merged(args: argparse.Namespace, source: Any, relations: Any) -> Path:
     """Return the folder of all parts; refuse if one is missing, with the command that makes it."""
     try:
-        return all_parts(relations, source, args.out, args.method)
+        return all_parts(relations, source, args.out, args.method, args.overlap)
     except Incomplete as e:
         raise Refused(e.says(_again(args, "--part") + " ", "{}/{}")) from None
 
@@ -88,4 +95,6 @@ def _again(args, *more):
     horizon = () if args.horizon is None else ("--horizon", args.horizon)
     lags = () if args.lags is None else ("--lags", ",".join(map(str, args.lags)))
     method = () if args.method == "joint" else ("--method", args.method)
+    observes = [("--order", args.order), ("--overlap", args.overlap)]
+    method += tuple(x for option in observes if option[1] is not None for x in option) + ("--latched",) * bool(args.latched)
     return shlex.join(map(str, ("jaxbound", "detect", args.model, args.data, "--out", args.out, *method, *horizon, *lags, *more)))

@@ -53,10 +53,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Digest", "detect_dataset", "digest"]
+__all__ = ["Digest", "detect_dataset", "digest", "refuted_again"]
 
 DEEPEST = 200  # alarms kept in memory
-BEFORE = 4096  # samples that an observer is given before those of interest
+REACHES = (2**6, 2**12, 2**16)
+"""So many samples before a sample that an observer refuted are read to see it refuted again, before all of them are."""
 FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at", "ended")  # of an Alarm, and their seconds
 
 
@@ -104,7 +105,7 @@ class Digest:
     @property
     def _before(self) -> int:
         """How many samples before those of interest are read and tested with them."""
-        return BEFORE if remembers(self.relations) else self.relations.horizon
+        return REACHES[1] if remembers(self.relations) else self.relations.horizon
 
     @property
     def source(self) -> str:
@@ -116,15 +117,40 @@ class Digest:
 
         An observer begins anew 4096 samples earlier: it knows less than at the first time, and may leave UNDECIDED what was FAULT.
         """
-        first = max(min(k - samples // 2, self.samples - samples), 0)
-        r = self.data.read(max(first - self._before, 0), min(first + samples, self.samples))
+        r = self.near(k, samples)
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts), r
 
+    def near(self, k: int, samples: int = 600) -> Recording:
+        """Return so many samples around sample k, and those before them that `around` needs."""
+        first = max(min(k - samples // 2, self.samples - samples), 0)
+        return self.data.read(max(first - self._before, 0), min(first + samples, self.samples))
+
     def explain(self, k: int) -> Any:
-        """Return the Certificate of the window that ends at sample k. See `Result.explain`."""
+        """Return the Certificate of the window that ends at sample k. See `Result.explain`, of an observer `refuted_again`."""
+        if remembers(self.relations):
+            return refuted_again(self.relations, self.data, k)[0]
         first = max(k - self._before, 0)
         r = self.data.read(first, k + 1)
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
+
+
+def refuted_again(observer: Any, source: Any, k: int) -> tuple[Any, Recording]:
+    """Return (Certificate of sample k, which an observer refuted, the Recording up to it).
+
+    Read are as many samples before it as are needed: an observer that begins later knows less, but nothing that is wrong.
+
+    Args:
+        source: of the recording, see `open_source`.
+
+    Raises:
+        NotImplementedError: as `Result.explain` of an observer.
+    """
+    for reach in (*REACHES, k + 1):
+        part = source.read(max(k + 1 - reach, 0), k + 1)
+        res = detect(observer, part)
+        if res.status[-1] == Status.FAULT or reach > k:
+            break
+    return res.explain(len(res.status) - 1), part
 
 
 @plot.register(Digest)
@@ -151,6 +177,7 @@ def detect_dataset(
     part: tuple[int, int] | None = None,
     merge: bool = False,
     client: "Client | None" = None,
+    overlap: int | None = None,
 ) -> "Digest | list[Path]":
     """Test a Parquet recording of any size and write its verdicts as Parquet.
 
@@ -165,6 +192,9 @@ def detect_dataset(
         part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time, on other machines too, where
             `out` is one folder for all or their files are brought together. merge: test nothing, report on the shares.
         client: of dask.distributed; its workers make the verdicts, and see the recording and `out` by the same paths as this process.
+        overlap: of an observer, which otherwise is one from the first sample to the last: each part of a million samples gets one of its
+            own that begins so many samples earlier, so that parts can be shared. It knows less: FAULT is a proof as ever, and may be missed
+            where it rests on samples further back. Verdicts do not depend on how the parts are shared.
 
     Returns:
         A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in time are MISSING.
@@ -195,14 +225,15 @@ def detect_dataset(
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source(path, relations.model)
-            folder, _ = write_parts(relations, source, out, method, chunk, report, part, client)
+            folder, _ = write_parts(relations, source, out, method, chunk, report, part, client, overlap)
             return part_files(folder, numbers_of(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = _source(path, relations.model)
         if merge:
-            folder = all_parts(relations, source, out, method)
+            folder = all_parts(relations, source, out, method, overlap)
         else:
-            folder, _ = write_parts(relations, source, out, method, chunk, lambda share: report(0.95 * share), client=client)
+            most = lambda share: report(0.95 * share)
+            folder, _ = write_parts(relations, source, out, method, chunk, most, client=client, overlap=overlap)
         found = digest(relations, source, folder, method, alarm)
         publish(place)
     report(1.0)
@@ -262,7 +293,7 @@ def digest(
         raise ValueError(f"{source.path}: {sentence}")
     hints, aside = _signal_hints(found, folder)
     found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)
-    if worst and found.counts["FAULT"] and (units := unit_hints(found.around(worst[2])[0])):
+    if worst and found.counts["FAULT"] and not remembers(relations) and (units := unit_hints(found.around(worst[2])[0])):
         found = replace(found, hints=(*found.hints, *units))
     found.alarms[:] = [replace(a, result=found) for a in found.alarms]
     return found

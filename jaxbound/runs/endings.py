@@ -24,7 +24,7 @@ def sizes_seen(res: Any, alarms: Sequence[Alarm]) -> dict[str, float] | None:
     """
     if not alarms:
         return None
-    return always_seen(res.relations, res.method, res.around(alarms[0].worst)[1].y if isinstance(res, Digest) else res.y)
+    return always_seen(res.relations, res.method, res.near(alarms[0].worst).y if isinstance(res, Digest) else res.y)
 
 
 def ending_hints(res: Any, alarms: Sequence[Alarm], sizes: Mapping[str, float] | None = None) -> list[str]:

@@ -4,7 +4,7 @@ Chunks overlap by the horizon, so every window is tested once, by the same compi
 written in parts of a fixed number of samples, each completely or not at all. A part says nothing of those before it; what was tested, and
 where it belongs, stands in the part itself. So the parts are all the state there is: the same call makes those that are not there, and any
 number of calls may share them that know nothing of each other. What an observer carries stands in the part behind which it is needed: its
-parts follow each other, and nobody shares them.
+parts follow each other, and nobody shares them; unless each part is judged by an observer of its own, which begins some samples earlier.
 """
 
 import itertools
@@ -14,8 +14,9 @@ import re
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
+from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,6 +62,7 @@ def write_parts(
     progress: Callable | None = None,
     part: tuple[int, int] | None = None,
     client: "Client | None" = None,
+    overlap: int | None = None,
 ) -> tuple[Path, dict[str, float]]:
     """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those that are not there yet.
 
@@ -71,7 +73,7 @@ def write_parts(
         (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the copying of columns into the
         arrays that the kernel reads. Where workers do it, their seconds are added.
     """
-    folder, job = _begun(relations, source, Path(out), method, part, chunk)
+    folder, job = _begun(relations, source, Path(out), method, part, chunk, overlap)
     report, seconds = progress or (lambda share: None), dict.fromkeys(STAGES, 0.0)
     mine = numbers_of(part or (1, 1), part_count(source))
     try:
@@ -94,7 +96,7 @@ def _done(client, job, missing, mine, report):
     """Let a job write the parts that are missing, of the numbers in `mine`; yield the seconds of each task."""
     stretches, left = _stretches(missing), len(missing)
     if client is not None:
-        tasks = stretches if remembers(job.relations) else stretches_for(client, stretches)
+        tasks = stretches if job.follows else stretches_for(client, stretches)
         report(1 - left / max(len(mine), 1))
         for number, seconds in spread(client, job, tasks) if tasks else ():
             left -= len(tasks[number])
@@ -106,13 +108,13 @@ def _done(client, job, missing, mine, report):
         yield job.run(parts, lambda done: report((done - first) / (end - first)))
 
 
-def all_parts(relations: Any, source: ParquetSource, out: str | PathLike, method: str = "joint") -> Path:
-    """Return the folder of the parts that `write_parts` made.
+def all_parts(relations: Any, source: ParquetSource, out: str | PathLike, method: str = "joint", overlap: int | None = None) -> Path:
+    """Return the folder of the parts that `write_parts` made of the same.
 
     Raises:
         Incomplete: some are not there. ValueError: some are of another model, recording, version or method.
     """
-    folder, _ = _begun(relations, source, Path(out), method)
+    folder, _ = _begun(relations, source, Path(out), method, overlap=overlap)
     count = part_count(source)
     if missing := _missing(folder, range(count)):
         lacking = f"{folder} lacks {listed(missing, _name)}, {len(missing)} of {count} parts"
@@ -154,7 +156,7 @@ class _Judging:
     """The test of a recording as a `Job`: a task is a range of parts, each of which it writes completely or not at all.
 
     Fields: relations, source, method: as for `write_parts`. folder: of the parts. chunk: samples in memory at once. size: of a part, in
-    samples. common: what all parts depend on.
+    samples. common: what all parts depend on. overlap: samples that an observer of its own is given before each part; None: one for all.
     """
 
     relations: Any
@@ -164,13 +166,31 @@ class _Judging:
     chunk: int
     size: int
     common: dict
+    overlap: int | None = None
+    chain: list = field(default_factory=list)  # of what follows: digests of the recording up to the end of each part
+
+    @property
+    def follows(self):
+        """Whether a part needs what was carried through all those before it."""
+        return remembers(self.relations) and self.overlap is None
 
     def note(self, number):
         """Return what the verdicts in a part depend on, before any of it is read."""
-        before = number * self.size if remembers(self.relations) else self.relations.horizon
-        first, stop = max(number * self.size - before, 0), min((number + 1) * self.size, self.source.samples)
+        before = self.relations.horizon if self.overlap is None else self.overlap
+        content = self._content_up_to(number) if self.follows else self._content(number, before)
         place = f"part {number} of {self.size} samples each"
-        return self.common | {"place in the recording": place, "content of the recording": self.source.content_of(first, stop)}
+        return self.common | {"place in the recording": place, "content of the recording": content}
+
+    def _content(self, number, before):
+        first, stop = max(number * self.size - before, 0), min((number + 1) * self.size, self.source.samples)
+        return self.source.content_of(first, stop)
+
+    def _content_up_to(self, number):
+        """Return a digest of all samples up to the end of a part: of that of the part before, and its own."""
+        while len(self.chain) <= number:
+            so_far = [*self.chain[-1:], self._content(len(self.chain), 0)]
+            self.chain.append(blake2b(" ".join(so_far).encode(), digest_size=32).hexdigest())
+        return self.chain[number]
 
     def run(self, parts, report=lambda done: None):
         """Write the parts of a range that are not there; return the seconds that each stage took.
@@ -180,15 +200,16 @@ class _Judging:
         """
         seconds = dict.fromkeys(STAGES, 0.0)
         for missing in _stretches(_missing(self.folder, parts)):  # some are there if a worker died with this task
-            self._write(missing, report, _Lap(seconds))
+            for together in [missing] if self.overlap is None else [range(i, i + 1) for i in missing]:
+                self._write(together, report, _Lap(seconds))
         return seconds
 
     def _write(self, parts, report, lap):
-        judge = _judge(self.relations, self.method, self.folder, parts.start, self.size)
+        judge = _judge(self, parts.start)
         pending = _Pending(self.folder, {i: self.note(i) for i in parts}, parts.start * self.size, self.size)
         done, end = parts.start * self.size, min(parts.stop * self.size, self.source.samples)
         report(done)
-        for first, piece in self.source.pieces(self.chunk, judge.overlap, max(done - judge.overlap, 0), end):
+        for first, piece in self.source.pieces(self.chunk, judge.overlap, max(done - judge.begins, 0), end):
             lap("read")
             u, y = jax.block_until_ready(jax.device_put((piece.u, piece.y)))
             lap("transfer")
@@ -204,25 +225,28 @@ class _Judging:
             report(done)
 
 
-def _judge(relations, method, folder, part, size):
-    """Return the _Windows or the _Carried of relations, before the part with this number."""
-    if not remembers(relations):
-        return _Windows(relations, method)
+def _judge(job, part):
+    """Return the _Windows or the _Carried of a _Judging, before the part with this number."""
+    if not remembers(job.relations):
+        return _Windows(job.relations, job.method)
     import pyarrow.parquet as pq
 
-    watch = relations.test(method)
+    watch = job.relations.test(job.method)
     carry = watch.init()
-    if part:
-        before = pq.read_schema(folder / _name(part - 1)).metadata
+    if part and job.follows:
+        before = pq.read_schema(job.folder / _name(part - 1)).metadata
         carry = from_texts(carry, json.loads(before[CARRY]))
-    return _Carried(watch, carry, size)
+    return _Carried(watch, carry, job.size, job.overlap)
 
 
 class _Windows:
-    """Judges the samples of a piece by windows, which reach back into the piece before. overlap: so many samples of it are needed."""
+    """Judges the samples of a piece by windows, which reach back into the piece before.
+
+    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece.
+    """
 
     def __init__(self, relations, method):
-        self.relations, self.method, self.overlap = relations, method, relations.horizon
+        self.relations, self.method, self.overlap, self.begins = relations, method, relations.horizon, relations.horizon
 
     def __call__(self, piece, first, done):
         """Yield (samples of the piece, their status and margin, what is carried on) of what is new in it: from sample `done` on."""
@@ -231,17 +255,25 @@ class _Windows:
 
 
 class _Carried:
-    """Judges the samples of a piece by an observer, part by part. overlap: the sample before says whether the first one follows it."""
+    """Judges the samples of a piece by an observer, part by part. overlap: the sample before says whether the first one follows it.
+
+    Args:
+        warm: samples before the first part that it is given, in the first piece; None: it goes on with the carry.
+    """
 
     overlap = 1
 
-    def __init__(self, watch, carry, size):
-        self.watch, self.carry, self.size = watch, carry, size
+    def __init__(self, watch, carry, size, warm=None):
+        self.watch, self.carry, self.size, self.warm = watch, carry, size, warm
+        self.begins = max(warm or 0, self.overlap)
 
     def __call__(self, piece, first, done):
         """As of _Windows, and what is carried behind them."""
         _, piece = self.watch.recording(piece)
         stop = first + piece.samples
+        if self.warm and done > first:
+            self.carry, _ = self.watch.fold(self.carry, piece.cut(max(done - self.warm - first, 0), done - first))
+        self.warm = None
         edges = [done, *range((done // self.size + 1) * self.size, stop, self.size), stop]
         for begin, end in itertools.pairwise(edges):
             fresh = slice(begin - first, end - first)
@@ -349,18 +381,26 @@ class _Pending:
         self.done += len(status)
 
 
-def _begun(relations, source, out, method, part=None, chunk=CHUNK):
+def _begun(relations, source, out, method, part=None, chunk=CHUNK, overlap=None):
     """Return (folder for the parts, _Judging that makes them); refuse what is of another run, or not ours at all.
 
     A share looks at the content of its own parts only: where many are made at once, each reads what it judges and not all of the recording.
     """
     relations.test(method, source.dtype)  # refuses what these relations cannot be tested by
-    if part is not None and remembers(relations):
-        raise ValueError("an observer carries what it knows from each part to the next: they cannot be shared, test the whole recording")
+    if overlap is not None and not remembers(relations):
+        raise ValueError("overlap is for observers: windows know how far they reach back")
+    if overlap is not None and (isinstance(overlap, bool) or not isinstance(overlap, int | np.integer) or overlap < 0):
+        raise ValueError(f"overlap is a whole number of samples >= 0, not {overlap!r}")
+    if part is not None and remembers(relations) and overlap is None:
+        raise ValueError(
+            "an observer carries what it knows from each part to the next: they cannot be shared, unless each part has an observer of its "
+            "own that begins so many samples earlier: give an overlap"
+        )
     if source.samples <= relations.horizon:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
-    folder, common = out / PARTIAL, identity(relations, method=method, recording=fingerprint(source.layout))
-    job = _Judging(relations, source, folder, method, max(chunk, LEAST, relations.horizon + 1), PART, common)
+    also = {"overlap": "none" if overlap is None else int(overlap)} if remembers(relations) else {}
+    folder, common = out / PARTIAL, identity(relations, method=method, recording=fingerprint(source.layout), **also)
+    job = _Judging(relations, source, folder, method, max(chunk, LEAST, relations.horizon + 1, (overlap or 0) + 1), PART, common, overlap)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
     strangers = set(os.listdir(folder)) - {p.name for p in _ours(folder)} if folder.is_dir() else ()

@@ -12,6 +12,7 @@ import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli import pipe as piped
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, ENDINGS
+from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.read import open_source
 from jaxbound.runs import streaming
 
@@ -128,14 +129,53 @@ def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, mo
         streaming.write_parts(observer, source, place / "shared", "observer", part=(1, 2))
 
 
+def test_parts_with_an_observer_of_their_own_can_be_shared_and_say_what_one_says_that_begins_there(place, capsys, monkeypatch):
+    monkeypatch.setattr(streaming, "PART", 50)
+    monkeypatch.setattr(streaming, "LEAST", 1)
+    more = ("-q", "--overlap", "20")
+    for i in (4, 2, 1, 3):
+        assert detect(*more, "--part", f"{i}/4", out="shared", data="run.parquet") == 0
+    assert (
+        detect("-q", "--merge", "--overlap", "21", out="shared", data="run.parquet") == 2
+        and "of another overlap" in capsys.readouterr().err
+    )
+    assert detect(*more, "--merge", out="shared", data="run.parquet") == 1
+    assert detect(*more, "--chunk", "21", out="one", data="run.parquet") == 1
+    assert told(place / "shared") == told(place / "one")
+    model = jb.load_model("plant.toml")
+    r = open_source(place / "run.parquet", model).read()
+    found = [jb.detect(jb.observer(model), r.cut(max(i - 20, 0), min(i + 50, T))) for i in range(0, T, 50)]
+    each = [jb.Status(s).name for i, part in zip(range(0, T, 50), found, strict=True) for s in part.status[min(i, 20) :]]
+    assert [row[1] for row in told(place / "one")] == each and "FAULT" in each
+
+
+def test_what_a_part_of_an_observer_depends_on_is_read_once(place, monkeypatch):
+    monkeypatch.setattr(streaming, "PART", 8)
+    read, content_of = [], ParquetSource.content_of
+    monkeypatch.setattr(ParquetSource, "content_of", lambda self, a, b: read.append(b - a) or content_of(self, a, b))
+    observer = jb.observer(jb.load_model("plant.toml"))
+    streaming.write_parts(observer, open_source(place / "run.parquet", observer.model), place / "out", "observer")
+    assert sum(read) == T
+
+
+def test_a_digest_proves_a_contradiction_from_few_samples(place, monkeypatch):
+    model, read, chunk = jb.load_model("plant.toml"), [], ParquetSource.read
+    found = jb.detect_dataset(jb.observer(model), "run.parquet", "out", "observer")
+    monkeypatch.setattr(ParquetSource, "read", lambda self, a, b: read.append(b - a) or chunk(self, a, b))
+    certificate = found.explain(found.alarms[0].start)
+    assert certificate.proves == jb.Status.FAULT and read == [64]
+
+
 @pytest.mark.parametrize("more, says", [
+    (("--overlap", "3"), "--overlap is for Parquet: run.csv is read as a whole"),
+    (("--method", "joint", "--overlap", "3"), "--overlap is for --method observer"),
     (("--lags", "0,1"), "--lags is for windows: an observer looks at every sample"),
     (("--method", "joint", "--order", "3"), "--order is for --method observer"),
     (("--method", "box", "--latched"), "--latched is for --method observer"),
     (("--part", "1/2"), "--part is for windows: an observer carries what it knows from sample to sample"),
 ])  # fmt: skip
 def test_what_does_not_go_together_is_said_in_a_sentence(place, capsys, more, says):
-    assert detect(*more, out="out", data="run.parquet") == 2
+    assert detect(*more, out="out", data="run.csv" if more == ("--overlap", "3") else "run.parquet") == 2
     assert says in capsys.readouterr().err
 
 
