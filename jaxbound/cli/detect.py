@@ -112,8 +112,8 @@ def _stream(args, folder, step):
         else:
             chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
             with engine_of(args) as client:
-                about = relations, source, args.out, args.method, chunk, progress
-                parts, seconds = write_parts(*about, client=client, overlap=args.overlap)
+                wanted = relations, source, args.out, args.method, chunk, progress
+                parts, seconds = write_parts(*wanted, client=client, overlap=args.overlap)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)

@@ -21,7 +21,7 @@ from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.plaintext import times as factor_text
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
-from jaxbound.runs.digest import refuted_again
+from jaxbound.runs.contradiction import refuted_again
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.runfile import VALIDATION, load_run

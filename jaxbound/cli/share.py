@@ -94,7 +94,7 @@ def _again(args, *more):
     """Return the command that makes the same test, as the shell reads it."""
     horizon = () if args.horizon is None else ("--horizon", args.horizon)
     lags = () if args.lags is None else ("--lags", ",".join(map(str, args.lags)))
-    method = () if args.method == "joint" else ("--method", args.method)
+    method: tuple = () if args.method == "joint" else ("--method", args.method)
     observes = [("--order", args.order), ("--overlap", args.overlap)]
     method += tuple(x for option in observes if option[1] is not None for x in option) + ("--latched",) * bool(args.latched)
     return shlex.join(map(str, ("jaxbound", "detect", args.model, args.data, "--out", args.out, *method, *horizon, *lags, *more)))

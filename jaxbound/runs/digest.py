@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import ENDINGS, Alarm, check_rule, endings, follows, forgets_after, stretches
+from jaxbound.diagnosis.alarms import check_rule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
-from jaxbound.recordings.columns import from_arrow, to_arrow, write_columns
+from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.parquet import ParquetSource
@@ -29,6 +29,8 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import looked_at, remembers
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.runs.alarmbook import AlarmBook
+from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.streaming import (
@@ -44,7 +46,6 @@ from jaxbound.runs.streaming import (
     write_parts,
 )
 from jaxbound.runs.summary import Evidence, evidence
-from jaxbound.runs.verdictfiles import alarm_columns
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 
@@ -53,12 +54,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Digest", "detect_dataset", "digest", "refuted_again"]
-
-DEEPEST = 200  # alarms kept in memory
-REACHES = (2**6, 2**12, 2**16)
-"""So many samples before a sample that an observer refuted are read to see it refuted again, before all of them are."""
-FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at", "ended")  # of an Alarm, and their seconds
+__all__ = ["Digest", "detect_dataset", "digest"]
 
 
 @readable
@@ -132,25 +128,6 @@ class Digest:
         first = max(k - self._before, 0)
         r = self.data.read(first, k + 1)
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts).explain(k - first)
-
-
-def refuted_again(observer: Any, source: Any, k: int) -> tuple[Any, Recording]:
-    """Return (Certificate of sample k, which an observer refuted, the Recording up to it).
-
-    Read are as many samples before it as are needed: an observer that begins later knows less, but nothing that is wrong.
-
-    Args:
-        source: of the recording, see `open_source`.
-
-    Raises:
-        NotImplementedError: as `Result.explain` of an observer.
-    """
-    for reach in (*REACHES, k + 1):
-        part = source.read(max(k + 1 - reach, 0), k + 1)
-        res = detect(observer, part)
-        if res.status[-1] == Status.FAULT or reach > k:
-            break
-    return res.explain(len(res.status) - 1), part
 
 
 @plot.register(Digest)
@@ -269,7 +246,7 @@ def digest(
     """
     report, first = progress or (lambda share: None), 0
     counts, times, worst = np.zeros(len(Status), np.int64), _Times(source), None
-    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), _AlarmBook(alarm, relations, alarms_csv)
+    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), AlarmBook(alarm, relations, alarms_csv)
     for part in part_files(folder):
         written, status, margin = _read(part)
         time, stamps = source.times(first, written)
@@ -284,8 +261,8 @@ def digest(
         first += len(status)
         report(first / source.samples)
     line.mark(book.close())
-    alarms, named = book.alarms()
-    times |= named
+    alarms, when = book.alarms()
+    times |= when
     found = Digest(relations, method, source, first, {s.name: int(counts[s]) for s in Status}, worst and worst[2:], alarms, book.count, (),
                    line, times, ended=book.ended)  # fmt: skip
     if sentence := irregular(clock, found.label, source.row):
@@ -348,76 +325,3 @@ def _worst(status, margin, first):
         k = int(np.nanargmin(among))
         return bool(fault.any()), -float(margin[k]), first + k, float(margin[k])
     return (True, -np.inf, first + int(np.argmax(fault)), np.nan) if fault.any() else None
-
-
-class _AlarmBook:
-    """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next shows how it goes on."""
-
-    def __init__(self, rule, relations, path):
-        self.rule, self.dt, self.horizon, self.path = rule, relations.model.dt, forgets_after(relations), path
-        self.ended: dict[str, int] = {}
-        self.before, self.held, self.count, self.kept, self.first = np.zeros(0, bool), None, 0, [], []
-
-    def add(self, first, written, time, status, margin):
-        """Take the next part, which begins at sample `first`; return the samples at which alarms that ended are deepest."""
-        (k, n), fault, missing = self.rule, status == Status.FAULT, status == Status.MISSING
-        start, end, windows, depth, worst, begun, last = stretches(fault, margin, k, n, 0, 1, self.before)
-        self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
-        take = lambda at: written.take(to_arrow(at))
-        found = {"start": take(start), "end": take(end), "worst": take(worst), "from": time[start], "to": time[end], "at": time[worst],
-                 "first_sample": start + first, "last_sample": end + first, "worst_sample": worst + first, "windows": windows,
-                 "depth": depth, "begun": begun + first, "last": last + first, "after": follows(missing, end)}  # fmt: skip
-        closed = []
-        if self.held is not None:
-            if len(start) and start[0] == 0:
-                found = _joined(self.held, found)
-            else:
-                closed = [self.held | {"after": follows(missing[:1], [-1])}]
-            self.held = None
-        if len(end) and end[-1] == len(fault) - 1:
-            found, self.held = ({name: x[part] for name, x in found.items()} for part in (slice(0, -1), slice(-1, None)))
-        return np.concatenate([self._close(x) for x in (*closed, found)])
-
-    def close(self):
-        """Close what is open; return the sample at which it is deepest, if any."""
-        return self._close(self.held) if self.held is not None else np.zeros(0, int)
-
-    def _close(self, alarms):
-        alarms["ended"] = endings(alarms["begun"], alarms["last"], alarms["after"], self.horizon)
-        for code, n in enumerate(np.bincount(alarms["ended"], minlength=len(ENDINGS)).tolist()):
-            self.ended |= {ENDINGS[code]: self.ended.get(ENDINGS[code], 0) + n} if n else {}
-        if self.path is not None:
-            write_columns(self.path, alarm_columns(alarms, self.dt), append=self.count > 0)
-        self.count += len(alarms["windows"])
-        deepest = np.argsort(alarms["depth"])[:DEEPEST]
-        picked = np.unique([*deepest, *range(min(1, len(alarms["windows"])))]).astype(int)
-        rows = zip(*(alarms[f][picked].tolist() for f in FIELDS), strict=True)
-        fresh = [(Alarm(start, end, n, depth, worst, ended=ENDINGS[why]), times) for start, end, n, depth, worst, *times, why in rows]
-        self.first = self.first or fresh[:1]
-        self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
-        return alarms["worst_sample"]
-
-    def alarms(self):
-        """Return ([Alarm], {sample: seconds}) of the first and the deepest in order of time."""
-        pairs = {alarm.start: (alarm, times) for alarm, times in (*self.first, *self.kept)}
-        named: dict[int, float] = {}
-        for a, times in pairs.values():
-            named |= dict(zip((a.start, a.end, a.worst), times, strict=True))
-        return [pairs[start][0] for start in sorted(pairs)], named
-
-
-def _joined(held, found):
-    """Return alarms, the first of them joined with the one that was held."""
-    import pyarrow as pa
-
-    deeper = not held["windows"][0] or (found["windows"][0] and found["depth"][0] < held["depth"][0])
-    keep = ("start", "from", "first_sample", "begun", *(() if deeper else ("worst", "at", "worst_sample", "depth")))
-    out = {}
-    for name, x in found.items():
-        if name == "windows":
-            out[name] = np.concatenate([held[name] + x[:1], x[1:]])
-        elif name in keep:
-            out[name] = (np.concatenate if isinstance(x, np.ndarray) else pa.concat_arrays)([held[name], x[1:]])
-        else:
-            out[name] = x
-    return out

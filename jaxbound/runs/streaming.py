@@ -7,7 +7,6 @@ number of calls may share them that know nothing of each other. What an observer
 parts follow each other, and nobody shares them; unless each part is judged by an observer of its own, which begins some samples earlier.
 """
 
-import itertools
 import json
 import os
 import re
@@ -25,16 +24,16 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.engine import spread, stretches_for
-from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.fingerprint import fingerprint
-from jaxbound.recordings.checkpoint import as_texts, from_texts, refuse_other
+from jaxbound.recordings.checkpoint import from_texts, refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
 from jaxbound.recordings.stillness import Run, Runs, follow, joined
 from jaxbound.recordings.whole import UNFINISHED, whole
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import remembers
+from jaxbound.runs.judges import Carried, Windows
 from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.shares import Incomplete, listed, numbers_of, shares_that_make
 from jaxbound.sets.floats.status import Status
@@ -226,9 +225,9 @@ class _Judging:
 
 
 def _judge(job, part):
-    """Return the _Windows or the _Carried of a _Judging, before the part with this number."""
+    """Return the Windows or the Carried of a _Judging, before the part with this number."""
     if not remembers(job.relations):
-        return _Windows(job.relations, job.method)
+        return Windows(job.relations, job.method)
     import pyarrow.parquet as pq
 
     watch = job.relations.test(job.method)
@@ -236,49 +235,7 @@ def _judge(job, part):
     if part and job.follows:
         before = pq.read_schema(job.folder / _name(part - 1)).metadata
         carry = from_texts(carry, json.loads(before[CARRY]))
-    return _Carried(watch, carry, job.size, job.overlap)
-
-
-class _Windows:
-    """Judges the samples of a piece by windows, which reach back into the piece before.
-
-    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece.
-    """
-
-    def __init__(self, relations, method):
-        self.relations, self.method, self.overlap, self.begins = relations, method, relations.horizon, relations.horizon
-
-    def __call__(self, piece, first, done):
-        """Yield (samples of the piece, their status and margin, what is carried on) of what is new in it: from sample `done` on."""
-        found, fresh = detect(self.relations, piece, method=self.method), slice(done - first, piece.samples)
-        yield fresh, found.status[fresh], found.margin[fresh], None
-
-
-class _Carried:
-    """Judges the samples of a piece by an observer, part by part. overlap: the sample before says whether the first one follows it.
-
-    Args:
-        warm: samples before the first part that it is given, in the first piece; None: it goes on with the carry.
-    """
-
-    overlap = 1
-
-    def __init__(self, watch, carry, size, warm=None):
-        self.watch, self.carry, self.size, self.warm = watch, carry, size, warm
-        self.begins = max(warm or 0, self.overlap)
-
-    def __call__(self, piece, first, done):
-        """As of _Windows, and what is carried behind them."""
-        _, piece = self.watch.recording(piece)
-        stop = first + piece.samples
-        if self.warm and done > first:
-            self.carry, _ = self.watch.fold(self.carry, piece.cut(max(done - self.warm - first, 0), done - first))
-        self.warm = None
-        edges = [done, *range((done // self.size + 1) * self.size, stop, self.size), stop]
-        for begin, end in itertools.pairwise(edges):
-            fresh = slice(begin - first, end - first)
-            self.carry, found = self.watch.fold(self.carry, piece.cut(fresh.start, fresh.stop))
-            yield fresh, found.status, found.margin, as_texts(self.carry)
+    return Carried(watch, carry, job.size, job.overlap)
 
 
 def part_files(folder: str | PathLike, numbers: Any = None) -> list[Path]:
@@ -398,9 +355,11 @@ def _begun(relations, source, out, method, part=None, chunk=CHUNK, overlap=None)
         )
     if source.samples <= relations.horizon:
         raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
-    also = {"overlap": "none" if overlap is None else int(overlap)} if remembers(relations) else {}
+    begins = None if overlap is None else int(overlap)
+    also = {"overlap": "none" if begins is None else begins} if remembers(relations) else {}
     folder, common = out / PARTIAL, identity(relations, method=method, recording=fingerprint(source.layout), **also)
-    job = _Judging(relations, source, folder, method, max(chunk, LEAST, relations.horizon + 1, (overlap or 0) + 1), PART, common, overlap)
+    chunk = max(chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
+    job = _Judging(relations, source, folder, method, chunk, PART, common, begins)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
     strangers = set(os.listdir(folder)) - {p.name for p in _ours(folder)} if folder.is_dir() else ()

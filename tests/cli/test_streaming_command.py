@@ -19,7 +19,7 @@ import jaxbound as jb
 from jaxbound.cli import detect as detecting
 from jaxbound.cli import main
 from jaxbound.recordings.parquet import open_parquet
-from jaxbound.runs import streaming
+from jaxbound.runs import judges
 from jaxbound.runs.streaming import part_files, write_parts
 
 
@@ -85,7 +85,7 @@ class TestCommand:
                 raise KeyboardInterrupt
             return jb.detect(*args, **options)
 
-        monkeypatch.setattr(streaming, "detect", detect)
+        monkeypatch.setattr(judges, "detect", detect)
         assert main.main([*DETECT, "--chunk", "500"]) == 130
         out, err = capsys.readouterr()
         assert out == "" and err == (
@@ -100,7 +100,7 @@ class TestCommand:
         def stop(*args, **options):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(streaming, "detect", stop)
+        monkeypatch.setattr(judges, "detect", stop)
         assert main.main(DETECT) == 130
         assert capsys.readouterr().err == "jaxbound: interrupted: nothing was written\n" and not (place / "out").exists()
 
@@ -144,7 +144,7 @@ class TestCommand:
             patch.setattr(detecting, "write_report", stop)
             assert main.main(DETECT) == 130
         assert "interrupted: 100 % of the verdicts are kept in out/verdicts.partial" in capsys.readouterr().err
-        monkeypatch.setattr(streaming, "detect", None)  # nothing is tested again
+        monkeypatch.setattr(judges, "detect", None)  # nothing is tested again
         assert main.main(DETECT) == 1 and [p.name for p in (place / "out").glob("verdicts*")] == ["verdicts.parquet"]
 
     def test_another_model_is_refused_and_nothing_is_lost(self, place, small, capsys, monkeypatch):

@@ -21,7 +21,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import detect as detecting
 from jaxbound.cli import main, pipe
-from jaxbound.runs import fleet, streaming
+from jaxbound.runs import fleet, judges
 
 MODEL = "# bounds measured by hand\n"  # a comment that no program would write again
 
@@ -463,7 +463,7 @@ class TestSignals:
                 time.sleep(5)
             return detect(*args, **options)
 
-        monkeypatch.setattr(streaming, "detect", stop)
+        monkeypatch.setattr(judges, "detect", stop)
         assert main.main([*PARQUET, "--chunk", "1000"]) == 143
         assert "the same command goes on from there" in capsys.readouterr().err
         assert main.main([*PARQUET, "--chunk", "1000"]) == 1 and len(calls) < 4 + 7

@@ -16,7 +16,7 @@ from jaxbound.cli import detect as detecting
 from jaxbound.cli import main
 from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
-from jaxbound.runs import streaming
+from jaxbound.runs import judges
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.streaming import part_files, write_parts
 
@@ -55,7 +55,7 @@ class TestSameBytes:
         detect_dataset(r, folder, tmp_path, part=(1, 3))
         detect_dataset(r, folder, tmp_path, part=(4, 4))
         tested = []
-        monkeypatch.setattr(streaming, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
+        monkeypatch.setattr(judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
         assert detect_dataset(r, folder, tmp_path).counts == whole.counts
         assert sum(tested) == 2 * 1024 + r.horizon  # parts 2 and 3, and the window before them
         assert parts_of(tmp_path / "verdicts.parquet") == parts_of(one[0] / "verdicts.parquet")
@@ -134,7 +134,7 @@ class TestMissing:
         assert [p.name for p in kept] == ["part-00003.parquet"]
         (tmp_path / "verdicts.partial/.part-00004.parquet.jaxbound-part").write_bytes(b"PAR1 and half of the rest")  # kill -9
         tested = []
-        monkeypatch.setattr(streaming, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
+        monkeypatch.setattr(judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
         shares(case, tmp_path, 2, chunk=N)
         assert sum(tested) == N - 1024 + r.horizon and {p: p.stat().st_mtime_ns for p in kept} == kept
         detect_dataset(r, folder, tmp_path, merge=True)
@@ -296,7 +296,7 @@ class TestCommand:
                 raise KeyboardInterrupt
             return jb.detect(*args, **options)
 
-        monkeypatch.setattr(streaming, "detect", detect)
+        monkeypatch.setattr(judges, "detect", detect)
         assert main.main([*DETECT, "out", "--part", "1/2", "--chunk", "500"]) == 130
         assert capsys.readouterr().err == (
             "jaxbound: interrupted: what part 1/2 has done is kept in out/verdicts.partial; the same command goes on from there\n"

@@ -16,7 +16,7 @@ from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read
 from jaxbound.recordings.stillness import Runs, follow
 from jaxbound.relations import identity
-from jaxbound.runs import streaming
+from jaxbound.runs import judges, streaming
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.streaming import part_files, publish, read_runs, write_parts
@@ -143,7 +143,7 @@ class TestResume:
     def test_stopped_anywhere_it_goes_on_without_losing_or_repeating_a_window(self, case, small, tmp_path, rng, monkeypatch):
         r, folder, whole, _ = case("section 5")
         tested = []
-        monkeypatch.setattr(streaming, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
+        monkeypatch.setattr(judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
         source, out = open_parquet(folder, r.model), tmp_path / "out"
         for share in np.sort(rng.uniform(0.1, 0.95, 3)):
             before = len(part_files(out / "verdicts.partial"))
