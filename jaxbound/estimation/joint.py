@@ -19,7 +19,7 @@ from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.observer import METHODS, SetObserver
 from jaxbound.estimation.window_proof import Prior, Samples, enclosed, window_of
-from jaxbound.estimation.window_search import searched
+from jaxbound.estimation.window_search import searched, split
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -151,8 +151,8 @@ class JointObserver(SetObserver):
 
         def job(chosen):
             some, seen = (jax.tree.map(lambda x: x[..., chosen], cut(tree)) for tree in (state.path, state.window))
-            *_, xi, w = self._gauges(some, seen)
-            return self._explained(some, seen, xi, w)
+            *_, z, window = self._gauges(some, seen)
+            return self._explained(some, seen, *split(z, window)[:2])
 
         found = zip(*in_blocks(job, len(lanes), SIZES[len(lanes) > SIZES[0]]), strict=True)
         ok, x, off = (np.concatenate(parts, -1)[..., : len(lanes)] for parts in found)
@@ -168,7 +168,7 @@ class JointObserver(SetObserver):
         enclosure outward acts against it here.
         """
         x64 = lambda tree: jax.tree.map(lambda v: np.asarray(v, np.float64), tree)
-        m, path, samples, xi, w = (x64(v) for v in (self._numbers, path, samples, xi, w))
+        m, (path, samples, xi, w) = self._exact, map(x64, (path, samples, xi, w))
         less, size = 1 - 1e-9, lambda M: np.abs(M)
         xi, w = np.clip(np.nan_to_num(xi), -less, less), np.clip(np.nan_to_num(w), -less, less)
         x, off = path.c + (path.S * xi[None]).sum(1), path.r.copy()
@@ -192,9 +192,8 @@ class JointObserver(SetObserver):
         u, y, slip, fresh = given
         T, half, t, before = len(fresh), self.window // 2, int(state.samples), state.carry
         begin = half + t % half
-        after, found = self._followed(before, count, u, y, slip, fresh, rounded)
-        filled = [np.pad(x, [(0, half - T)] + [(0, 0)] * (x.ndim - 1)) for x in given]
-        known = jax.tree.map(lambda x: np.asarray(x)[:T], steps.read(self._numbers, *filled, rounded))
+        after, found, known = self._followed(before, count, u, y, slip, fresh, rounded)
+        known = steps.Read(*known)
         direct = (np.abs(self._numbers.D) + self._numbers.wide_D).sum(1) > 0
         rad = np.where(~known.known[:, None] & direct[:, None], np.inf, known.rad).astype(self._dtype)
         n = self._system.n
@@ -230,7 +229,7 @@ class JointObserver(SetObserver):
         if self.restart:
             again = fresh.copy()
             again[1:] |= first[:-1]
-            after, found = self._followed(before, count, u, y, slip, again, rounded)
+            after, found, _ = self._followed(before, count, u, y, slip, again, rounded)
             gone = np.tile(first[-1], len(self.weights))
             return after._replace(age=np.where(gone, -1, after.age).astype(np.int32), ready=np.where(gone, 0, after.ready)), found
         lasting = np.zeros_like(first[0])
@@ -284,20 +283,19 @@ class JointObserver(SetObserver):
             cut = lambda tree: jax.tree.map(lambda x: x[..., lanes[chosen]], tree)
             later, seen, path = np.arange(self.window)[:, None] > begin + ks[chosen], cut(state.window), cut(state.path)
             seen = seen._replace(rad=np.where(later[:, None], np.inf, seen.rad).astype(self._dtype))
-            *_, xi, w = self._gauges(path, seen)
-            return self._explained(path, seen, xi, w)[0]
+            *_, z, window = self._gauges(path, seen)
+            return self._explained(path, seen, *split(z, window)[:2])[0]
 
         out[ks, lanes] = np.concatenate(in_blocks(job, len(ks), SIZES[len(ks) > SIZES[0]]))[: len(ks)]
         return out
 
     def _gauges(self, prior, samples):
         """Return (value, bound, t, xi, w) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats."""
-        (n, N), g, dtype = prior.c.shape, self._numbers.W.shape[1], self._dtype
-        zero = lambda *shape: np.zeros((*shape, N), dtype)
-        d, J, window = zero(n), np.zeros(N, np.int32), window_of(self._numbers, prior, samples)
-        weight, t, xi, w = searched(window, d, J, np.ones(N, bool), zero(n), zero(self.window - 1, g), np.asarray(0.02, dtype))
-        value, bound = enclosed(self._numbers, prior, samples, weight, d, J)
-        return tuple(map(np.asarray, (value, bound, t, xi, w)))
+        window, N = window_of(self._exact, prior, samples), prior.c.shape[-1]
+        n, g = window.W.shape
+        begin = np.concatenate([np.zeros((n + self.window * g, N)), window.e / window.s])
+        weight, t, z = searched(window, begin, 0.02)
+        return *enclosed(self._exact, prior, samples, weight, np.zeros((n, N)), np.zeros(N)), t, z, window
 
     def _supports(self, prior, samples, D, width, J):
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows, D (r, n), J (N,); width (r, N): about theirs."""
@@ -307,20 +305,24 @@ class JointObserver(SetObserver):
 
         def job(chosen):
             some, seen = (jax.tree.map(lambda x: x[..., chosen], tree) for tree in (prior, samples))
-            _, _, t, xi, w = self._gauges(some, seen)
-            window = window_of(self._numbers, some, seen)
+            *_, z, window = self._gauges(some, seen)
             found = []
             for sign in (-1, 1):
                 for i in range(rows):
                     d = (sign * D[i][:, None] * scale[i, chosen]).astype(self._dtype)
-                    weight, *_ = searched(window, d, J[chosen].astype(np.int32), np.zeros(len(chosen), bool), xi, w, _close(self._dtype))
-                    value, bound = map(np.asarray, enclosed(self._numbers, some, seen, weight, d, J[chosen].astype(np.int32)))
+                    weight, *_ = searched(window, z, _close(self._dtype), d, J[chosen])
+                    value, bound = enclosed(self._exact, some, seen, weight, d, J[chosen])
                     found.append(np.where(np.isfinite(bound), _sum_up(value, bound) / scale[i, chosen], np.inf))
             return np.stack(found, -1)
 
         size = SIZES[N > SIZES[0]]
         out = np.concatenate(in_blocks(job, N, size))[:N].T.reshape(2, rows, N)
         return -out[0], out[1]
+
+    @cached_property
+    def _exact(self):
+        """The numbers, as exact as floats of the dtype are, in float64."""
+        return steps.Numbers(*(np.asarray(x, np.float64) for x in self._numbers))
 
     @property
     def _first(self):
@@ -341,7 +343,7 @@ class JointObserver(SetObserver):
     @cached_property
     def _principal(self):
         """Principal directions of a Kalman filter after 0, 1, .. blocks. Any would do; these are rounded as they come."""
-        x = steps.Numbers(*(np.asarray(v, np.float64) for v in self._numbers))
+        x = self._exact
         size = max(float(np.max(x.noise, initial=0)), float(np.abs(x.W).max(initial=0)), 1e-6)
         R, Q = (x.noise + x.tolerance * size) ** 2 / 3 + (1e-9 * size) ** 2, x.W @ x.W.T / 3
         P, out = np.eye(len(x.A)) * (1e4 * size) ** 2, []

@@ -177,7 +177,7 @@ class SetObserver(Observer):
     """
 
     method = "observer"
-    hulls = False  # whether it needs the enclosures itself
+    hulls = False  # whether it needs the enclosures of states, and what is read, itself
 
     def __init__(
         self, model: Any, order: float, weight: Any, restart: bool, x0: Any, horizon: int | None, enclosures: bool = False
@@ -282,7 +282,7 @@ class SetObserver(Observer):
     def fold(self, carry: ObserverState, piece: Recording) -> tuple[ObserverState, Any]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
         lead, count, given = self._given(carry, piece)
-        past, found = self._followed(carry.carry, count, *given)
+        past, found, _ = self._followed(carry.carry, count, *given)
         T = len(found.status)
         return ObserverState(past, carry.samples + T), self._told(found, lead, T, int(carry.samples))
 
@@ -304,11 +304,11 @@ class SetObserver(Observer):
         return lead, count, (last(u), last(y), last(input_slip(u)), fresh, np.asarray(rounded, self._dtype))
 
     def _followed(self, past, count, u, y, slip, fresh, rounded):
-        """Return (Carry, Found (T, .., N)) of samples as of `_given`; a carry of one recording is that of all."""
+        """Return (Carry, Found (T, .., N), Read (T, .., N) or nothing) of samples as of `_given`; a carry of one recording is that of all."""
         lanes = len(self.weights)
         if count == 1:  # nothing to cut or to copy: who follows a recording sample by sample is in a hurry
-            past, found = self._block(past, [np.broadcast_to(x, (*x.shape[:-1], lanes)) for x in (u, y, slip, fresh)], rounded)
-            return past, _joined(steps.Found(*(x[..., None] for x in found)))
+            past, found, known = self._block(past, [np.broadcast_to(x, (*x.shape[:-1], lanes)) for x in (u, y, slip, fresh)], rounded)
+            return past, _joined(steps.Found(*(x[..., None] for x in found))), [x[..., :1] for x in known]
         past = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes), past)
         past = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), past)
         beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
@@ -317,8 +317,8 @@ class SetObserver(Observer):
         done = in_blocks(job, count, min(max(BLOCK // lanes, 1), power(count)))
         split = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
         together = lambda *parts: np.concatenate([split(x) for x in parts], -1)[..., :count]
-        past = jax.tree.map(lambda *parts: beside(together(*parts)), *(a for a, _ in done))
-        return past, _joined(jax.tree.map(together, *(b for _, b in done)))
+        past, found, known = (jax.tree.map(together, *parts) for parts in zip(*done, strict=True))
+        return jax.tree.map(beside, past), _joined(found), [x[..., 0, :] for x in known]
 
     def _block(self, carry, samples, rounded):
         """Follow some recordings side by side, piece by piece."""
@@ -329,12 +329,13 @@ class SetObserver(Observer):
             stop = min(first + length, T)
             known = steps.read(numbers, *(_filled(x[first:stop], length) for x in samples), rounded)
             carry, found = steps.follow(
-                numbers, start, carry, known, stop - first, len(self.weights), self.enclosures or self.hulls, self.restart
+                numbers, start, carry, known, stop - first, len(self.weights), 2 if self.enclosures else int(self.hulls), self.restart
             )
-            parts.append(steps.Found(*(np.asarray(x)[: stop - first] for x in found)))
+            kept = found, tuple(known) if self.hulls else ()
+            parts.append(jax.tree.map(lambda x: np.asarray(x)[: stop - first], kept))  # noqa: B023
             first = stop
-        found = parts[0] if len(parts) == 1 else steps.Found(*map(np.concatenate, zip(*parts, strict=True)))
-        return steps.Carry(*map(np.asarray, carry)), found
+        found, known = parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: np.concatenate(x), *parts)
+        return steps.Carry(*map(np.asarray, carry)), found, known
 
     def _told(self, found, lead, T, before):
         """Return the Observation, or the verdicts, of arrays with time first and recordings last."""

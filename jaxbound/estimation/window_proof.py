@@ -12,7 +12,6 @@ a contradiction. Where p_j is rounded, or A and C are intervals, the difference 
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.estimation.window_search import Window
@@ -40,68 +39,57 @@ class Samples(NamedTuple):
     reach: Any
 
 
-@jax.jit
 def window_of(plant: Numbers, prior: Prior, samples: Samples) -> Window:
-    """Return the Window that a search takes, rounded to nearest."""
-    dot = lambda M, x: jnp.sum(M[..., None] * x[None], 1)
+    """Return the Window that a search takes, rounded to nearest; plant in float64."""
+    L, dtype, x = len(samples.mid), samples.mid.dtype, np.asarray(prior.c, np.float64)
+    e = np.empty(samples.mid.shape)
+    for j in range(L):
+        e[j] = samples.mid[j] - plant.C @ x - plant.D @ samples.v[j]
+        x = plant.A @ x + plant.B @ samples.v[j] + plant.w[:, None]
+    seen = np.isfinite(samples.rad)
+    least = 1e-9 * np.max(np.where(seen, samples.rad, 0), (0, 1), keepdims=True) + 1e-30  # a search divides by it
+    S = prior.S + np.eye(len(prior.r))[:, :, None] * prior.r[None]
+    s = np.where(seen, np.maximum(samples.rad, least), np.inf)
+    p, rows = len(plant.C), np.arange(L * len(plant.C))
+    flat = lambda x: x.reshape(len(rows), -1)
+    given = plant.A, plant.W, S, np.tile(plant.C, (L, 1)), flat(np.where(seen, e, 0)), flat(s)
+    return Window(*(np.asarray(x, dtype) for x in given), (rows // p).astype(np.int32), rows % p == p - 1, np.arange(p - 1, len(rows), p))
 
-    def step(x, now):
-        mid, v = now
-        e = mid - dot(plant.C, x) - dot(plant.D, v)
-        return dot(plant.A, x) + dot(plant.B, v) + plant.w[:, None], e
 
-    _, e = jax.lax.scan(step, prior.c, (samples.mid, samples.v))
-    seen = jnp.isfinite(samples.rad)
-    least = 1e-9 * jnp.max(jnp.where(seen, samples.rad, 0), (0, 1), keepdims=True) + 1e-30  # a search divides by it
-    S = prior.S + jnp.eye(len(prior.r), dtype=prior.r.dtype)[:, :, None] * prior.r[None]
-    return Window(plant.A, plant.C, plant.W, S, jnp.where(seen, e, 0), jnp.where(seen, jnp.maximum(samples.rad, least), jnp.inf))
+def enclosed(plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any, J: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return (value, bound), each (N,) in float64: d x_J lies in value +- bound for all that explains the samples.
 
-
-@jax.jit
-def enclosed(plant: Numbers, prior: Prior, samples: Samples, weight: jax.Array, d: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (value, bound), each (N,): d x_J lies in value +- bound for all that explains the samples; infinite where nothing is shown.
+    An infinite bound shows nothing. Worked out on the host: a program would be compiled for longer than most recordings take.
 
     Args:
-        weight (L, p, N): multipliers, any. d (n, N), J (N,).
+        plant: in float64. weight (L p, N): multipliers, any. d (n, N), J (N,).
     """
     (L, p, N), (n, m), g = samples.mid.shape, plant.B.shape, plant.W.shape[1]
-    dtype = d.dtype
-    gamma = rounding.product_error(L * (n + m + p + g + 8) + n, dtype)[0]
-    up = np.asarray(1 + 8 * (L * (n + m + p + g + 8) + n) * float(rounding.unit(dtype)), dtype)
-    least = np.asarray(2.0**-500 if dtype == np.float64 else 2.0**-46, dtype)
-    most = np.asarray(2.0**60 if dtype == np.float64 else 2.0**20, dtype)
-    seen = jnp.isfinite(samples.rad)
-    weight = jnp.where(seen & (jnp.abs(weight) < most), weight, 0)
-    mid, rad = jnp.where(seen, samples.mid, 0), jnp.where(seen, samples.rad, 0)
-    sizes = Numbers(*(jnp.abs(jnp.asarray(x)) for x in plant))
-    into = lambda M, x: jnp.sum(M[..., None] * x[:, None], 0)  # M' x
+    terms = L * (n + m + p + g + 8) + n
+    gamma, up = float(rounding.product_error(terms, np.float64)[0]), 1 + 8 * terms * float(rounding.unit(np.float64))
+    prior, samples, weight, d = jax.tree.map(lambda x: np.asarray(x, np.float64), (prior, samples, weight, d))
+    seen = np.isfinite(samples.rad)
+    l = np.where(seen & (np.abs(weight := weight.reshape(seen.shape)) < 2.0**60), weight, 0)
+    mid, s, V = np.where(seen, samples.mid, 0), np.where(seen, samples.rad, 0), np.abs(samples.v)
+    pull = np.where(np.arange(L)[:, None, None] == J, d, 0)
+    q = np.zeros((L + 1, n, N))  # of the state after each sample; the last one has none
+    for j in reversed(range(L)):
+        q[j] = plant.C.T @ l[j] + plant.A.T @ q[j + 1] - pull[j]
+    first, q = q[0], q[1:]
+    a, b, size = np.abs(q), np.abs(l), Numbers(*map(np.abs, plant))
+    into, sums = lambda M, x: np.einsum("ij,ljN->liN", M, x), lambda x: x.sum((0, 1))
     column = lambda x: x[:, None]
-    spread = jnp.sum(sizes.W, 1)
-
-    def step(j, state):
-        q, value, bound, size = state
-        i = L - 1 - j
-        take = lambda x: jax.lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
-        l, middle, s, v, slip, reach = (take(x) for x in (weight, mid, rad, samples.v, samples.slip, samples.reach))
-        a, b, V = jnp.abs(q), jnp.abs(l), jnp.abs(v)  # q is 0 after the last sample
-        value = value - jnp.sum(q * (into(plant.B.T, v) + column(plant.w)), 0) + jnp.sum(l * (middle - into(plant.D.T, v)), 0)
-        bound = bound + jnp.sum(jnp.abs(into(plant.W, q)), 0)
-        bound = bound + jnp.sum(a * (column(sizes.wide_w) + into(sizes.wide_B.T, V) + into(sizes.B.T, slip)), 0)
-        bound = bound + jnp.sum(b * (s + into(sizes.wide_D.T, V) + into(sizes.D.T, slip)), 0)
-        size = size + jnp.sum(a * (into(sizes.B.T, V) + column(sizes.w + spread)), 0)
-        size = size + jnp.sum(b * (jnp.abs(middle) + s + into(sizes.D.T, V)), 0)
-        pull = jnp.where((i == J)[None], d, 0)
-        off = into(sizes.wide_C + gamma * sizes.C, b) + into(sizes.wide_A + gamma * sizes.A, a) + gamma * jnp.abs(pull)
-        acts = jnp.where(off > 0, off, 0) * jnp.where(off > 0, reach, 0)
-        bound = bound + jnp.sum(acts, 0)
-        return into(plant.C, l) + into(plant.A, q) - pull, value, bound, size
-
-    zero = jnp.zeros(N, dtype)
-    q, value, bound, size = jax.lax.fori_loop(0, L, step, (jnp.zeros((n, N), dtype), zero, zero, zero))
-    a = jnp.abs(q)
-    value = value - jnp.sum(q * prior.c, 0)
-    bound = bound + jnp.sum(jnp.abs(jnp.sum(prior.S * q[:, None], 0)), 0) + jnp.sum(a * prior.r, 0)
-    size = size + jnp.sum(a * (jnp.abs(prior.c) + jnp.sum(jnp.abs(prior.S), 1) + prior.r), 0)
-    bound = up * (bound + gamma * size) + least
-    shown = (bound < np.inf) & (jnp.abs(value) < np.inf)
-    return jnp.where(shown, value, 0), jnp.where(shown, bound, np.inf)
+    value = sums(l * (mid - into(plant.D, samples.v))) - sums(q * (into(plant.B, samples.v) + column(plant.w))) - sums((first * prior.c)[None])
+    bound = sums(np.abs(into(plant.W.T, q)))
+    bound += sums(a * (column(size.wide_w) + into(size.wide_B, V) + into(size.B, samples.slip)))
+    bound += sums(b * (s + into(size.wide_D, V) + into(size.D, samples.slip)))
+    whole = sums(a * (into(size.B, V) + column(size.w + size.W.sum(1)))) + sums(b * (np.abs(mid) + s + into(size.D, V)))
+    off = into((size.wide_C + gamma * size.C).T, b) + into((size.wide_A + gamma * size.A).T, a) + gamma * np.abs(pull)
+    with np.errstate(invalid="ignore", over="ignore"):
+        bound += sums(np.where(off > 0, off * samples.reach, 0))
+        a = np.abs(first)
+        bound += np.abs((prior.S * first[:, None]).sum(0)).sum(0) + (a * prior.r).sum(0)
+        whole += (a * (np.abs(prior.c) + np.abs(prior.S).sum(1) + prior.r)).sum(0)
+        bound = up * (bound + gamma * whole) + 2.0**-500
+    shown = (bound < np.inf) & (np.abs(value) < np.inf)
+    return np.where(shown, value, 0), np.where(shown, bound, np.inf)

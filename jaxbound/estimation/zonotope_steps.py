@@ -145,8 +145,8 @@ class Found(NamedTuple):
     """What is found of T samples.
 
     Fields: status (T, N) int8; margin (T, N); age (T, N) int32, samples that the set rests on, 0 without one; states (T, 2 n, N), ends -lo,
-    hi of the states; outputs (T, 4 p, N), of what perfect sensors would show: as the samples before allow, then with this one. Without
-    enclosures these two are empty.
+    hi of the states; outputs (T, 4 p, N), of what perfect sensors would show: as the samples before allow, then with this one. Those that
+    were not asked for are empty.
     """
 
     status: Any
@@ -158,13 +158,13 @@ class Found(NamedTuple):
 
 @partial(jax.jit, static_argnames=("lanes", "enclosures"))
 def follow(
-    plant: Numbers, start: Start | None, carry: Carry, known: Read, stop: int, lanes: int, enclosures: bool, restart: jax.Array | bool
+    plant: Numbers, start: Start | None, carry: Carry, known: Read, stop: int, lanes: int, enclosures: int, restart: jax.Array | bool
 ) -> tuple[Carry, Found]:
     """Follow N recordings over the first `stop` of these samples.
 
     Args:
         start: how the state is found from samples alone, or None: where it is lost it stays so.
-        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: whether to return them.
+        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: 0 none, 1 of states, 2 of outputs too.
         restart: whether the sample after a contradiction begins anew; else FAULT stays.
 
     Returns:
@@ -172,7 +172,7 @@ def follow(
     """
     (n, _, N), (T, p, _), dtype = carry.G.shape, known.mid.shape, known.mid.dtype
     room = lambda *width, dtype=dtype: jnp.zeros((T, *width, N), dtype)
-    empty = Found(room(dtype=jnp.int8), room(), room(dtype=jnp.int32), room(2 * n * enclosures), room(4 * p * enclosures))
+    empty = Found(room(dtype=jnp.int8), room(), room(dtype=jnp.int32), room(2 * n * min(enclosures, 1)), room(4 * p * (enclosures // 2)))
 
     def step(k, state):
         carry, found = state
@@ -253,7 +253,7 @@ def _sample(plant, start, carry, now, enclosures):
         c, G, r, age = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age))
         carry = carry._replace(age=age)
     if enclosures:
-        ends = _enclosures(plant, says, sized, before, (c, G, r), wrong, alive, age >= 0, g, p)
+        ends = _enclosures(plant, says, sized, before, (c, G, r), wrong, alive, age >= 0, g, p * (enclosures // 2))
     later = lambda past, x: jnp.concatenate([past, x[None]])[1:]
     past = {name: later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
     ready = jnp.minimum(ready, len(carry.mid))
@@ -336,12 +336,14 @@ def _reduced(G, r, q, g):
 
 
 def _enclosures(plant, says, sized, before, after, wrong, tested, there, g, p):
-    """Return the ends (2 n, N) of the states and (4 p, N) of the outputs."""
+    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs."""
     hull = lambda c, G, r, *_: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
     inf = lambda x, where: jnp.where(where[None], x, jnp.inf)
     prior, now = inf(hull(*before), tested), inf(hull(*after), there)
     refuted = (wrong & tested)[None]
     states = jnp.where(refuted, prior, jnp.minimum(prior, now))
+    if not p:
+        return states, states[:0]
 
     def shown(values, where):
         value, reach = values
