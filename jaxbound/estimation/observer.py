@@ -304,7 +304,7 @@ class SetObserver(Observer):
         return lead, count, (last(u), last(y), last(input_slip(u)), fresh, np.asarray(rounded, self._dtype))
 
     def _followed(self, past, count, u, y, slip, fresh, rounded):
-        """Return (Carry, Found (T, .., N), Read (T, .., N) or nothing) of samples as of `_given`; a carry of one recording is that of all."""
+        """Return (Carry, Found (T, .., N), the Read or nothing) of samples as of `_given`; a carry of one recording is that of all."""
         lanes = len(self.weights)
         if count == 1:  # nothing to cut or to copy: who follows a recording sample by sample is in a hurry
             past, found, known = self._block(past, [np.broadcast_to(x, (*x.shape[:-1], lanes)) for x in (u, y, slip, fresh)], rounded)

@@ -79,7 +79,9 @@ def enclosed(plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any
     a, b, size = np.abs(q), np.abs(l), Numbers(*map(np.abs, plant))
     into, sums = lambda M, x: np.einsum("ij,ljN->liN", M, x), lambda x: x.sum((0, 1))
     column = lambda x: x[:, None]
-    value = sums(l * (mid - into(plant.D, samples.v))) - sums(q * (into(plant.B, samples.v) + column(plant.w))) - sums((first * prior.c)[None])
+    value = (
+        sums(l * (mid - into(plant.D, samples.v))) - sums(q * (into(plant.B, samples.v) + column(plant.w))) - sums((first * prior.c)[None])
+    )
     bound = sums(np.abs(into(plant.W.T, q)))
     bound += sums(a * (column(size.wide_w) + into(size.wide_B, V) + into(size.B, samples.slip)))
     bound += sums(b * (s + into(size.wide_D, V) + into(size.D, samples.slip)))
