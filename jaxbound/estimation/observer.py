@@ -20,9 +20,10 @@ from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
-from jaxbound.estimation.zonotope_numbers import ROUNDED, least_horizon, middle, numbers, start
+from jaxbound.estimation.zonotope_numbers import ROUNDED, free_numbers, least_horizon, middle, numbers, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
+from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.sets.floats import rounding
@@ -85,8 +86,9 @@ def observer(
     """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
 
     Args:
-        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no unknown inputs; bounds of averages are not used) or
-            an `interval_system`.
+        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance, unknown inputs; bounds of averages are not used) or an
+            `interval_system`. Unknown inputs are taken out of each sample by as many outputs as show them, what is left is tested. States
+            that they move unseen are entire. A sample where too few outputs are there to do so ends the enclosure.
         order: generators of the zonotope for each state, >= 1: more is sharper and slower.
         weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its generators; above 1 the
             observer believes a sample less and remembers longer, so that lasting and slow faults show. Several numbers: as many sets side
@@ -104,12 +106,12 @@ def observer(
 
     Raises:
         ValueError: states that the outputs do not show and no x0, an x0 that is not bounded or does not fit, an order below 1, a weight
-            that is not positive.
+            that is not positive; unknown inputs that explain whatever the outputs show, or with parameters that act on C.
         TypeError: no model.
 
     Encloses: every state of every behaviour within the bounds that explains all samples since it began.
 
-    Source: Alamo, Bravo, Camacho 2005; Combastel 2015; Girard 2005. See `zonotope_steps`.
+    Source: Alamo, Bravo, Camacho 2005; Combastel 2015; Girard 2005; see `zonotope_steps`. Unknown inputs: `models.unknown_directions`.
 
     Example:
         >>> import jaxbound as jb
@@ -184,18 +186,21 @@ class SetObserver(Observer):
     ) -> None:
         refuse_unverified()
         self.model, self.order, self.restart, self.enclosures = model, float(order), bool(restart), enclosures
-        self._system = system = as_intervals(model)
+        free = bool(getattr(model, "d", 0))
+        self._plant = with_direct_states(model) if free else model
+        self._system = system = as_intervals(self._plant, unknown_inputs=True)
+        self._unknown = unknown_directions(self._plant) if free else None
         self.signals = model if hasattr(model, "column") else Signals(system.inputs, system.outputs, {})
         if not order >= 1:
             raise ValueError(f"the order of an observer must be at least 1: it is {order!r}")
         self.weights = np.atleast_1d(np.asarray(weight, np.float64))
         if self.weights.ndim > 1 or not len(self.weights) or not ((self.weights > 0) & np.isfinite(self.weights)).all():
             raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
-        self._x0 = None if x0 is None else _first_set(x0, system.n, self.order, self._dtype)
+        self._x0 = None if x0 is None else _first_set(x0, getattr(model, "n", 0), self.order, self._dtype)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
-        h = least_horizon(system) if horizon is None else int(horizon)
-        self._start = None if h is None else start(model, system, h, self._dtype)
+        h = least_horizon(self._plant, system, self._unknown) if horizon is None else int(horizon)
+        self._start = None if h is None else start(self._plant, system, h, self._dtype, self._unknown)
         if self._start is None and x0 is None:
             if h is None:
                 raise ValueError("the outputs do not show all states, however long one looks: give x0, bounds of the first state")
@@ -257,7 +262,8 @@ class SetObserver(Observer):
 
     @cached_property
     def _numbers(self):
-        return numbers(self.model, self._system, self._dtype)
+        free = free_numbers(self._unknown, self._plant, self._system.n == self.model.n, self._dtype)
+        return numbers(self._plant, self._system, self._dtype, free)
 
     @cached_property
     def _placed(self):
@@ -276,7 +282,7 @@ class SetObserver(Observer):
         m = self._system
         carry = steps.unknown((m.n, self._generators, m.p, m.m, self._past), self.weights.astype(self._dtype))
         if self._x0 is not None:
-            carry = _known(carry, *self._x0)
+            carry = _known(carry, *(np.pad(x, ((0, m.n - self.model.n), *[(0, 0)] * (x.ndim - 1))) for x in self._x0))
         return ObserverState(carry, np.int64(0))
 
     def fold(self, carry: ObserverState, piece: Recording) -> tuple[ObserverState, Any]:
@@ -347,7 +353,8 @@ class SetObserver(Observer):
         n, p = self._system.n, self._system.p
         ends = lambda x, width: Interval(-x[..., :width], x[..., width:])
         states, outputs = shaped(found.states), shaped(found.outputs)
-        return Observation(status, margin, since, ends(states, n), ends(outputs[..., : 2 * p], p), ends(outputs[..., 2 * p :], p))
+        state = jax.tree.map(lambda x: x[..., : self.model.n], ends(states, n))
+        return Observation(status, margin, since, state, ends(outputs[..., : 2 * p], p), ends(outputs[..., 2 * p :], p))
 
 
 def _filled(x, length):

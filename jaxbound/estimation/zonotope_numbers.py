@@ -1,18 +1,21 @@
 """What a set observer computes with: a model in floats, and how its state follows from a few samples alone."""
 
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
+from jaxbound.estimation.free_inputs import Free
 from jaxbound.estimation.zonotope_steps import Numbers, Start
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix
 from jaxbound.models.intervals import IntervalSystem
+from jaxbound.models.unknown_directions import Directions
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["ROUNDED", "least_horizon", "middle", "numbers", "start"]
+__all__ = ["ROUNDED", "free_numbers", "least_horizon", "middle", "numbers", "start"]
 
 ROUNDED = 1 + 1e-9
 """Above what rounding does to a few thousand sums and products of numbers >= 0 in float64."""
@@ -25,8 +28,8 @@ def middle(x: Interval) -> tuple[np.ndarray, np.ndarray]:
     return mid, np.where(lo == hi, 0, np.nextafter(np.maximum(hi - mid, mid - lo), np.inf))
 
 
-def numbers(model: Any, system: IntervalSystem, dtype: np.dtype) -> Numbers:
-    """Return the Numbers of a model, whose IntervalSystem is given, in floats of a dtype."""
+def numbers(model: Any, system: IntervalSystem, dtype: np.dtype, free: Free | None = None) -> Numbers:
+    """Return the Numbers of a model, whose IntervalSystem is given, in floats of a dtype. free: see `free_numbers`."""
     both = {}
     for name in "ABCD":
         both[name], both["wide_" + name] = _narrowed(*middle(getattr(system, name)), dtype)
@@ -42,23 +45,58 @@ def numbers(model: Any, system: IntervalSystem, dtype: np.dtype) -> Numbers:
     u0, wide_u0 = _narrowed(*middle(system.offset["u"]), dtype)
     tolerance, noise = (rounding.round_up(x, dtype) for x in (system.tolerance, system.noise))
     y0 = middle(system.offset["y"])[0].astype(dtype)  # rounded once: `sensor.true_value` counts it
-    return Numbers(**both, W=columns, w=w, wide_w=wide_w, u0=u0, wide_u0=wide_u0, tolerance=tolerance, noise=noise, y0=y0)
+    return Numbers(**both, W=columns, w=w, wide_w=wide_w, u0=u0, wide_u0=wide_u0, tolerance=tolerance, noise=noise, y0=y0, free=free)
 
 
-def least_horizon(system: IntervalSystem) -> int | None:
-    """Return the smallest h with which h + 1 samples show all states, at the middle of the model; None if none does."""
-    A, C = _exact(middle(system.A)[0]), _exact(middle(system.C)[0])
-    rows, newest, found = [], C, 0
+def free_numbers(directions: Directions | None, model: Any, first: bool, dtype: np.dtype) -> Free | None:
+    """Return what kernels know of unknown inputs. first: whether the bounds of a first state speak of all that moves it."""
+    if directions is None:
+        return None
+    M, H = (zip(*(_floats(x, dtype) for x in some), strict=True) for some in zip(*((w.M, w.H) for w in directions.ways), strict=True))
+    (M, wide_M), (H, wide_H) = ((np.stack(a, -1), rounding.round_up(np.stack(b, -1), dtype)) for a, b in (M, H))
+    used = np.array([[i in w.outputs for w in directions.ways] for i in range(model.p)])
+    shown = np.array([any(row) for row in linalg.matmul(model.C, linalg.transpose(directions.rows))])
+    return Free(M, wide_M, H, wide_H, used, np.array(directions.before), np.array(directions.after), shown, np.array(first))
+
+
+def least_horizon(model: Any, system: IntervalSystem, directions: Directions | None = None) -> int | None:
+    """Return the smallest h with which h + 1 samples show all states, at the middle of the model; None if none does.
+
+    directions: of unknown inputs; the states are then those that are ever shown.
+    """
+    (A, _), (C, _), M, _, places = _middle_parts(model, system, directions)
+    A = A if directions is None else linalg.matmul(M, A)
+    wanted, newest, found = system.n - len(places), C, 0
+    rows: list = []
     for h in range(system.n):
-        rows += newest
+        rows += _without(newest, places)
         before, found = found, linalg.rank(rows)
-        if found in (system.n, before):
-            return h if found == system.n else None
+        if found in (wanted, before):
+            return h if found == wanted else None
         newest = linalg.matmul(newest, A)
     return None
 
 
-def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype) -> Start | None:
+def _middle_parts(model, system, directions):
+    """Return ((A, away), (C, away), M, H, places): exact matrices, floats that those of the plant are within, and see `Way`."""
+    n = system.n
+    if directions is None:
+        parts = [middle(getattr(system, name)) for name in "AC"]
+        return *((_exact(mid), away) for mid, away in parts), _identity(n), _zeros(n, system.p), ()
+    spread = [
+        [sum((abs(x) for x in some), Fraction(0)) for some in zip(*rows, strict=True)]
+        for rows in zip(*([u.on("A") for u in model.uncertainties if u.A is not None] or [_zeros(n, n)]), strict=True)
+    ]
+    way = directions.ways[0]
+    return (model.A, rounding.round_up(np.array(spread, object))), (model.C, np.zeros((system.p, n))), way.M, way.H, directions.places
+
+
+def _without(rows, places):
+    """Return rows without some columns."""
+    return [tuple(x for j, x in enumerate(row) if j not in places) for row in rows]
+
+
+def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype, directions: Directions | None = None) -> Start | None:
     """Return how the newest state follows from h + 1 samples alone; None if they do not show it, or parameters are too uncertain.
 
     With all of these samples one above the other, x the first state and q = B v + w of all steps,
@@ -71,37 +109,51 @@ def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype) -> Start 
 
     Within the bounds of the model A^j is off by at most W_j, W_(j+1) = (|A| + wide) W_j + wide |A^j|, which bounds what O, T, S are off by;
     that acts on |x| <= (I - |K0| wide_O)^-1 |K0| (|m| + s + |D v| + |T q|), and on q.
+
+    With unknown inputs all of this is said of the plant x+ = M (A x + B v + w) + H (m - D v - delta of the next sample), see
+    `models.unknown_directions`: M A takes the place of A, and q holds samples, too.
     """
     n, p = system.n, system.p
-    (A, ra), (B, rb), (C, rc), (D, rd) = (middle(getattr(system, name)) for name in "ABCD")
+    (A, ra), (C, rc), M, H, places = _middle_parts(model, system, directions)
+    (B, rb), (D, rd) = (middle(getattr(system, name)) for name in "BD")
     float64 = numbers(model, system, np.dtype(np.float64))
+    size = lambda rows, *shape: np.abs(np.array([[float(x) for x in row] for row in rows])).reshape(shape)
+    most_M, most_H = size(M, n, n) * ROUNDED, size(H, n, p) * ROUNDED
+    if directions is not None:
+        A, ra = linalg.matmul(M, A), most_M @ ra * ROUNDED
     powers = [_identity(n)]
     for _ in range(h):
-        powers.append(linalg.matmul(_exact(A), powers[-1]))
-    seen = [linalg.matmul(_exact(C), P) for P in powers]
+        powers.append(linalg.matmul(A, powers[-1]))
+    seen = [linalg.matmul(C, P) for P in powers]
     O = tuple(row for rows in seen for row in rows)
-    if linalg.rank(O) < n:
+    if linalg.rank(_without(O, places)) < n - len(places):
         return None
-    K0 = _left_inverse(O, np.tile(system.noise, h + 1))
+    K0 = _left_inverse(O, np.tile(system.noise, h + 1), places)
     K = linalg.matmul(powers[h], K0)
+    K_first = size(K, n, (h + 1) * p)
     # R_j, how what happens at step j of h acts: A^(h-1-j) less what the samples behind it say of it
     parts = [[row[i * p : (i + 1) * p] for row in K] for i in range(h + 1)]
     R = [_less(powers[h - 1 - j], *(linalg.matmul(parts[i], seen[i - 1 - j]) for i in range(j + 1, h + 1))) for j in range(h)]
-    of_inputs = [linalg.matmul(x, _exact(B)) if B.size else [()] * n for x in R] + [_zeros(n, system.m)]
+    if directions is not None:  # samples are steps, too
+        parts = [parts[0], *(_more(parts[j + 1], linalg.matmul(R[j], H)) for j in range(h))]
+        K = _beside(parts, n)
+    RM = R if directions is None else [linalg.matmul(x, M) for x in R]
+    of_inputs = [linalg.matmul(x, _exact(B)) if B.size else [()] * n for x in RM] + [_zeros(n, system.m)]
     through = [linalg.matmul(x, _exact(D)) if D.size else [()] * n for x in parts]
     K_float, off_K = _floats(K, dtype)
     U, off_U = _floats(_beside([_less(a, b) for a, b in zip(of_inputs, through, strict=True)], n), dtype)
-    W, off_W = _floats(_beside([linalg.matmul(x, _exact(float64.W)) if float64.W.size else [()] * n for x in R], n), dtype)
-    w, off_w = _floats([[sum(v)] for v in zip(*(_times(x, float64.w) for x in R), strict=True)] if R else _zeros(n, 1), dtype)
+    W, off_W = _floats(_beside([linalg.matmul(x, _exact(float64.W)) if float64.W.size else [()] * n for x in RM], n), dtype)
+    w, off_w = _floats([[sum(v)] for v in zip(*(_times(x, float64.w) for x in RM), strict=True)] if R else _zeros(n, 1), dtype)
 
-    size = lambda rows, *shape: np.abs(np.array([[float(x) for x in row] for row in rows])).reshape(shape)
     P, K0s, Ks = [size(x, n, n) for x in powers], size(K0, n, (h + 1) * p), size(K, n, (h + 1) * p)
-    most, Bs, Cs, Ds = (np.abs(x) + r for x, r in ((A, ra), (B, rb), (C, rc), (D, rd)))
+    most, Bs, Ds = size(A, n, n) + ra, most_M @ (np.abs(B) + rb), np.abs(D) + rd
+    middle_C = size(C, p, n)
+    Cs = middle_C + rc
     away = [np.zeros((n, n))]
     for j in range(h):
         away.append(most @ away[j] + ra @ P[j])
     rows_off = [Cs @ x + rc @ y for x, y in zip(away, P, strict=True)]
-    rows = [np.abs(C) @ y + x for x, y in zip(rows_off, P, strict=True)]
+    rows = [middle_C @ y + x for x, y in zip(rows_off, P, strict=True)]
     staircase = lambda blocks: np.block([[blocks[i - 1 - j] if i > j else np.zeros((p, n)) for j in range(h)] for i in range(h + 1)])
     T, T_off = (staircase(x) if h else np.zeros((p, 0)) for x in (rows, rows_off))
     O_off = np.concatenate(rows_off)
@@ -111,22 +163,26 @@ def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype) -> Start 
     S_off = np.concatenate([away[h - 1 - j] for j in range(h)], 1) if h else np.zeros((n, 0))
     each = lambda M, last: np.concatenate([np.kron(np.eye(h), M), np.zeros((h * len(M), last))], 1)
     B_all, rb_all, D_all, rd_all = each(Bs, system.m), each(rb, system.m), np.kron(np.eye(h + 1), Ds), np.kron(np.eye(h + 1), rd)
-    pushed = np.tile(np.abs(float64.w) + np.abs(float64.W).sum(1) + float64.wide_w, h)
-    R_size = size(_beside(R, n), n, h * n)
-    on_x, on_q = away[h] + Ks @ O_off, S_off + Ks @ T_off
+    H_all = np.concatenate([np.zeros((h * n, p)), np.kron(np.eye(h), most_H)], 1)
+    pushed = np.tile(most_M @ (np.abs(float64.w) + np.abs(float64.W).sum(1) + float64.wide_w), h)
+    RM_size = size(_beside(RM, n), n, h * n)
+    on_x, on_q = away[h] + K_first @ O_off, S_off + K_first @ T_off
     of_x = on_x @ bound @ K0s
-    wide_U = on_q @ B_all + R_size @ rb_all + Ks @ rd_all + of_x @ (T @ B_all + D_all)
-    wide = on_q @ pushed + R_size @ np.tile(float64.wide_w, h) + of_x @ T @ pushed
+    of_q = on_q + of_x @ T
+    wide_U = of_q @ (B_all + H_all @ D_all) + RM_size @ rb_all + Ks @ rd_all + of_x @ D_all
+    wide = of_q @ pushed + RM_size @ np.tile(float64.wide_w, h)
     up = lambda x: rounding.round_up(x * ROUNDED, dtype)
-    return Start(K_float, U, w[:, 0], W, up(of_x + off_K), up(wide_U + off_U), up(wide + off_w[:, 0] + off_W.sum(1)))
+    return Start(K_float, U, w[:, 0], W, up(of_x + of_q @ H_all + off_K), up(wide_U + off_U), up(wide + off_w[:, 0] + off_W.sum(1)))
 
 
-def _left_inverse(O: Matrix, noise: np.ndarray) -> Matrix:
-    """Return K0 with K0 O = I exactly, of least squares weighted by the noise of the rows."""
+def _left_inverse(O: Matrix, noise: np.ndarray, places: Sequence[int] = ()) -> Matrix:
+    """Return K0 with K0 O x = x exactly, of least squares weighted by the noise of the rows, for x with 0 at some places."""
     least = noise.max() * 1e-6
     weight = [Fraction(float(x)) for x in (1 / np.maximum(noise / noise.max(), 1e-6) ** 2 if least else np.ones(len(noise)))]
-    across = linalg.transpose([[x * v for x in row] for row, v in zip(O, weight, strict=True)])
-    return linalg.matmul(linalg.inverse(linalg.matmul(across, O)), across)
+    thin = _without(O, places)
+    across = linalg.transpose([[x * v for x in row] for row, v in zip(thin, weight, strict=True)])
+    found = iter(linalg.matmul(linalg.inverse(linalg.matmul(across, thin)), across))
+    return tuple((Fraction(0),) * len(O) if j in places else next(found) for j in range(len(O[0])))
 
 
 def _inverse_above(X):
@@ -175,6 +231,11 @@ def _zeros(n, m):
 def _less(first, *others):
     """Return a matrix less others."""
     return [[a - sum(rest, Fraction(0)) for a, *rest in zip(*rows, strict=True)] for rows in zip(first, *others, strict=True)]
+
+
+def _more(a, b):
+    """Return a matrix plus another."""
+    return [[x + y for x, y in zip(*rows, strict=True)] for rows in zip(a, b, strict=True)]
 
 
 def _beside(blocks, n):

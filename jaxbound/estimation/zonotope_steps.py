@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.estimation.free_inputs import known_again
 from jaxbound.models.sensor import RECORDER_ULPS, lift, true_value
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.sizes import power
@@ -38,7 +39,7 @@ class Numbers(NamedTuple):
     """A model in floats.
 
     Fields: A (n, n), B (n, m), C (p, n), D (p, m) and wide_A, .., what entries may be more or less; W (n, g) columns of disturbances,
-    w (n,) their middle, wide_w (n,) what these may be off by; u0 (m,), wide_u0; tolerance, noise, y0 (p,).
+    w (n,) their middle, wide_w (n,) what these may be off by; u0 (m,), wide_u0; tolerance, noise, y0 (p,). free: unknown inputs, or None.
     """
 
     A: Any
@@ -57,6 +58,7 @@ class Numbers(NamedTuple):
     tolerance: Any
     noise: Any
     y0: Any
+    free: Any = None
 
 
 class Start(NamedTuple):
@@ -213,7 +215,13 @@ def _sample(plant, start, carry, now, enclosures):
         return P, value, g.up * (jnp.sum(jnp.abs(P), 0) + summed(lambda a, x: abs(a) * x, row, r)) + slack, slack, whole
 
     sized = lambda c, G, r: jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r
-    before = carry.c, carry.G, carry.r, sized(carry.c, carry.G, carry.r)
+    first = before = (carry.c, carry.G, carry.r, sized(carry.c, carry.G, carry.r))
+    known = carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r
+    there, lost, whole = seen, jnp.zeros(N, bool), jnp.zeros(N, bool)
+    if plant.free is not None:
+        whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
+        known, there, lost = known_again(plant.free, _Bounds(plant, carry, p), known, first[3], (mid, rad, through, loose), seen, whole)
+        before = (*known, sized(*known))
 
     def output(i, state):
         """Test output i against the set before this sample and as it is by now, then meet its strip."""
@@ -221,29 +229,32 @@ def _sample(plant, start, carry, now, enclosures):
         size = sized(c, G, r)
         P, value, reach, slack, whole = says(i, c, G, r, size)
         _, alone, reach_alone, *_ = says(i, *before)
-        there, s = one(seen, i), one(rad, i)
+        tested, s = one(there, i), one(rad, i)
         e = one(mid, i) - value
         for far, bound in ((e, reach + s), (one(mid, i) - alone, reach_alone + s)):
-            ratio = jnp.where(there, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
-            wrong |= there & (jnp.abs(far) > g.up * bound)
+            ratio = jnp.where(tested, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
+            wrong |= tested & (jnp.abs(far) > g.up * bound)
         L = jnp.sum(G * P[None], 1) / (jnp.sum(P * P, 0) + carry.weight * s * s + g.least)[None]
-        L = stored(jnp.where(there[None] & (jnp.abs(L) < g.steepest), L, 0))  # one number for all its uses: then any will do
+        L = stored(jnp.where(tested[None] & (jnp.abs(L) < g.steepest), L, 0))  # one number for all its uses: then any will do
         far = jnp.abs(L)
         added = summed(lambda a, x: abs(a) * x, one(plant.C, i), r) + slack + g.gamma * whole
         r = g.up * (r + far * added[None] + g.gamma * size) + g.least
         G = G - L[:, None] * P[None]
-        G = jax.lax.dynamic_update_index_in_dim(G, L * s[None], q + i, 1)
+        column = L * s[None]
+        if plant.free is not None:  # of an output that is used up already: its error, L being 0
+            column = column + jax.lax.dynamic_index_in_dim(G, q + i, 1, keepdims=False)
+        G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
         return (c + L * e[None], G, r), ratio, wrong
 
-    room = jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1)
-    nothing = (carry.c, room, carry.r), jnp.zeros(N, dtype), jnp.zeros(N, bool)
+    nothing = known, jnp.zeros(N, dtype), jnp.zeros(N, bool)
     (c, G, r), ratio, wrong = jax.lax.fori_loop(0, p, output, nothing)
     bounded = jnp.all(sized(c, G, r) <= g.most, 0)
-    looked = alive & jnp.any(seen, 0)
+    looked = alive & jnp.any(there, 0)
     empty = carry.empty | (looked & wrong)
     status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING)).astype(jnp.int8)
     margin = jnp.where(looked, 1 - ratio, jnp.nan)
-    age = jnp.where(alive & bounded, carry.age + 1, -1)
+    age = jnp.where(alive & bounded & ~lost, carry.age + 1, -1)
+    whole &= age == 1
     ends = jnp.zeros((0, N), dtype), jnp.zeros((0, N), dtype)
     ready = jnp.where(now.whole, carry.ready + 1, 0)
     carry = carry._replace(age=age, empty=empty)
@@ -253,7 +264,7 @@ def _sample(plant, start, carry, now, enclosures):
         c, G, r, age = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age))
         carry = carry._replace(age=age)
     if enclosures:
-        ends = _enclosures(plant, says, sized, before, (c, G, r), wrong, alive, age >= 0, g, p * (enclosures // 2))
+        ends = _enclosures(plant, says, sized, (first, before), (c, G, r), wrong, alive, age >= 0, whole, g, p * (enclosures // 2))
     later = lambda past, x: jnp.concatenate([past, x[None]])[1:]
     past = {name: later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
     ready = jnp.minimum(ready, len(carry.mid))
@@ -335,11 +346,15 @@ def _reduced(G, r, q, g):
     return jnp.concatenate([jnp.where(enough[None, None], some, diagonal), kept], 1), jnp.where(enough[None], r, 0)
 
 
-def _enclosures(plant, says, sized, before, after, wrong, tested, there, g, p):
-    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs."""
+def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, g, p):
+    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs. before: the set, and that of what unknown inputs leave of it."""
+    free, (state, before) = plant.free, before
     hull = lambda c, G, r, *_: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
     inf = lambda x, where: jnp.where(where[None], x, jnp.inf)
-    prior, now = inf(hull(*before), tested), inf(hull(*after), there)
+    prior, now = inf(hull(*state), tested), inf(hull(*after), there)
+    if free is not None:
+        blind = lambda x, some: jnp.where(jnp.tile(some, len(x) // len(some))[:, None] & ~whole[None], jnp.inf, x)
+        prior, now = blind(prior, free.before), blind(now, free.after)
     refuted = (wrong & tested)[None]
     states = jnp.where(refuted, prior, jnp.minimum(prior, now))
     if not p:
@@ -353,6 +368,8 @@ def _enclosures(plant, says, sized, before, after, wrong, tested, there, g, p):
     rows = jnp.arange(p)
     of = lambda sets: jax.lax.map(lambda i: says(i, *sets)[1:3], rows)
     first = shown(of(before), tested)
+    if free is not None:
+        first = blind(first, free.shown)
     second = shown(of((*after, sized(*after))), there)
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 

@@ -153,20 +153,23 @@ def _outward(lo, hi):
     return interval(rounding.round_down(np.array(lo, object)), rounding.round_up(np.array(hi, object)))
 
 
-def as_intervals(model: LinearSystem | IntervalSystem) -> IntervalSystem:
+def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = False) -> IntervalSystem:
     """Return a model as an IntervalSystem: uncertain parameters become the interval hulls of the matrices they act on.
 
+    Args:
+        unknown_inputs: whether there may be some; they are left out.
+
     Raises:
-        ValueError: unknown inputs (see `unknown_inputs`), a model without states. TypeError: no model.
+        ValueError: unknown inputs, a model without states. TypeError: no model.
     """
     if isinstance(model, IntervalSystem):
         return model
     if not hasattr(model, "uncertainties"):
         raise TypeError(f"observers and validate need a LinearSystem or an interval_system, not {type(model).__name__}")
-    if model.d or not model.n:
-        raise ValueError(
-            "observers and validate take models with states and without unknown inputs: use jb.unknown_inputs or jb.detect for others"
-        )
+    if not model.n:
+        raise ValueError("observers and validate take models with states: use jb.detect for others")
+    if model.d and not unknown_inputs:
+        raise ValueError("validate takes no unknown inputs: use jb.observe, jb.unknown_inputs or jb.detect")
 
     def hull(letter, left=None):
         """Return the hull of a matrix, or of left times it."""

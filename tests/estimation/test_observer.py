@@ -255,7 +255,7 @@ def test_what_an_observer_cannot_take_is_said():
         ("must be bounded", (PLANT,), {"x0": jb.interval([0.0, -np.inf], [1.0, 1.0])}),
         ("1 samples do not show all states", (PLANT,), {"horizon": 0}),
         ("whole number", (PLANT,), {"horizon": -1}),
-        ("unknown inputs", (PLANT.replace(unknown_inputs=[[1], [0]]),), {}),
+        ("unknown input 1 alone explains", (PLANT.replace(unknown_inputs=[[1], [0]]),), {}),
     ):
         with pytest.raises(ValueError, match=match):
             jb.observer(*args, **more)

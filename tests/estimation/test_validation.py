@@ -71,7 +71,7 @@ def test_intervals_of_a_linear_system_hold_its_parameters():
         (lambda: jb.validate(paper(), np.ones((9, 1)), np.full((9, 2), np.nan)), "must be complete"),
         (lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), horizon=1, method="sequential"), "horizon of at least"),
         (lambda: jb.validate(paper(), np.full((9, 1), np.nan), np.ones((9, 2))), "needs every input"),
-        (lambda: jb.validate(jb.LinearSystem([[1]], None, [[1]], unknown_inputs=[[1]]), None, np.ones((5, 1))), "without unknown inputs"),
+        (lambda: jb.validate(jb.LinearSystem([[1]], None, [[1]], unknown_inputs=[[1]]), None, np.ones((5, 1))), "no unknown inputs"),
     ],
 )
 def test_bad_input_gets_a_sentence(call, says):

@@ -1,0 +1,189 @@
+"""Where unknown inputs may carry the state, whatever they do, and how the outputs of one sample take that out again.
+
+Inputs without a bound, x+ = A x + F v + .., move a state that is known into a subspace of which nothing is known. Outputs y = C x + .. show
+a part of it, the rest goes on through A. The smallest subspace S that holds all of this, from any start on,
+
+    S  >=  range F + A N,      N = the part of S that no output shows = S & ker C,
+
+does not depend on time. So with x_0 = the state less anything of S, before a sample, and m = C x, for every such x
+
+    x  =  M x_0 + H m + (anything of N),      M = (I - Y)(I - H C),   M S = 0,   C M + C H C = C,
+
+H working S out of as many outputs as show it, Y taking the part N away, C Y = 0. What M x_0 + H m follows is a plant without unknown
+inputs, and no less is known of its outputs. All numbers are exact; A may be uncertain, C may not.
+
+Source: Basile, Marro 1992, 4.1 (the least conditioned invariant that holds range F); Kitanidis 1987 (filters that unknown inputs do not
+disturb, for N = 0: rank C F = rank F).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import combinations, islice
+from typing import Any
+
+from jaxbound.exact import linalg
+from jaxbound.exact.linalg import Matrix
+from jaxbound.models.system import LinearSystem
+from jaxbound.models.uncertainty import Uncertainty, centred
+
+__all__ = ["Directions", "Way", "unknown_directions", "with_direct_states"]
+
+WAYS, TRIED = 16, 200
+"""Sets of outputs that S is worked out of, at most: where one of them is missing, another is taken. And how many are tried."""
+ZERO = Fraction(0)
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to take S out of a sample. Fields: outputs: those that are used up; M (n, n), H (n, p): see the module, exact."""
+
+    outputs: tuple[int, ...]
+    M: Matrix
+    H: Matrix
+
+
+@dataclass(frozen=True)
+class Directions:
+    """The subspaces S and N of a model.
+
+    Fields: rows: a basis of S in reduced echelon form; hidden: of N; ways: the first one where all outputs are there.
+    """
+
+    rows: Matrix
+    hidden: Matrix
+    ways: tuple[Way, ...]
+
+    @property
+    def before(self) -> tuple[bool, ...]:
+        """Of which states nothing is known before a sample, (n,)."""
+        return tuple(any(column) for column in zip(*self.rows, strict=True))
+
+    @property
+    def after(self) -> tuple[bool, ...]:
+        """Of which states nothing is known after a sample, (n,)."""
+        return tuple(any(column) for column in zip(*self.hidden, strict=True)) or (False,) * len(self.rows[0])
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The states that M x_0 + H m has 0 at, as many as N has dimensions."""
+        return tuple(next(i for i, x in enumerate(row) if x) for row in self.hidden)
+
+
+def unknown_directions(model: LinearSystem) -> Directions:
+    """Return the Directions of a model with unknown inputs, D_v = 0 (see `with_direct_states`).
+
+    Raises:
+        ValueError: uncertain parameters that act on the outputs, unknown inputs that explain whatever the outputs show.
+    """
+    moves = [model.A, *(rows for u in model.uncertainties if (rows := u.on("A")))]
+    for u in model.uncertainties:
+        if u.C is not None and any(x for row in u.C for x in row):
+            raise ValueError(
+                f"an observer of unknown inputs needs certain outputs, and {u.name!r} acts on C: decouple it, or make C certain"
+            )
+    columns = [c for c in linalg.transpose(model.F) if any(c)]
+    rows, hidden = _smallest(model, moves, columns)
+    if linalg.rank(_seen(model.C, rows)) == model.p:
+        raise ValueError(_nothing_left(model, moves))
+    return Directions(rows, hidden, _ways(model, rows, hidden))
+
+
+def _smallest(model: LinearSystem, moves: Sequence[Matrix], columns: Sequence[tuple]) -> tuple[Matrix, Matrix]:
+    """Return bases (S, N), rows in reduced echelon form."""
+    rows = linalg.row_reduce(columns)[0]
+    while True:
+        hidden = linalg.row_reduce(linalg.matmul(linalg.left_null_space(_seen(model.C, rows)), rows))[0] if rows else ()
+        more = [row for A in moves for row in linalg.matmul(hidden, linalg.transpose(A))] if hidden else []
+        grown = linalg.row_reduce([*rows, *more])[0]
+        if len(grown) == len(rows):
+            return rows, hidden
+        rows = grown
+
+
+def _seen(C: Matrix, rows: Matrix) -> Matrix:
+    """Return what outputs show of directions, one row each."""
+    return linalg.matmul(rows, linalg.transpose(C))
+
+
+def _ways(model: LinearSystem, rows: Matrix, hidden: Matrix) -> tuple[Way, ...]:
+    n, p = model.n, model.p
+    seen = _seen(model.C, rows)
+    kept = linalg.row_reduce(linalg.transpose(seen))[1]  # directions that outputs show, and differently
+    S = linalg.transpose([rows[j] for j in kept])
+    loud = [float(a + b + t) for a, b, t in zip(model.noise, model.resolution, model.tolerance, strict=True)]
+    quiet = sorted(range(p), key=lambda i: loud[i])
+    identity = [tuple(Fraction(i == j) for j in range(n)) for i in range(n)]
+    places = [next(i for i, x in enumerate(row) if x) for row in hidden]
+    spread = [[sum((row[i] for row, place in zip(hidden, places, strict=True) if place == j), ZERO) for j in range(n)] for i in range(n)]
+    found: list[Way] = []
+    for outputs in islice(combinations(quiet, len(kept)), TRIED):
+        chosen = [[seen[j][i] for j in kept] for i in outputs]
+        if linalg.rank(chosen) < len(kept):
+            continue
+        narrow = linalg.matmul(S, linalg.inverse(chosen))
+        H = [[row[outputs.index(i)] if i in outputs else ZERO for i in range(p)] for row in narrow]
+        rest = _less(identity, linalg.matmul(H, model.C))
+        found.append(Way(tuple(sorted(outputs)), *(_tuple(_less(X, linalg.matmul(spread, X))) for X in (rest, H))))
+    found.sort(key=lambda way: sum(abs(float(x)) * size for row in way.H for x, size in zip(row, loud, strict=True)))
+    return tuple(found[:WAYS])
+
+
+def _nothing_left(model, moves):
+    """Return the sentence that says which unknown inputs explain everything, as few of them as do."""
+    columns = dict(enumerate(linalg.transpose(model.F), 1))
+    for j in [*columns][::-1]:
+        fewer = [c for i, c in columns.items() if i != j and any(c)]
+        if fewer and linalg.rank(_seen(model.C, _smallest(model, moves, fewer)[0])) == model.p:
+            del columns[j]
+    named = ", ".join(map(str, columns))
+    which = f"unknown input {named} alone explains" if len(columns) == 1 else f"unknown inputs {named} together explain"
+    return (
+        f"{which} whatever the {model.p} outputs show, in an observer as in windows of any horizon: "
+        "measure one more signal, or give bounds (disturbance=...)"
+    )
+
+
+def with_direct_states(model: LinearSystem) -> LinearSystem:
+    """Return the model with one more state for each unknown input that acts on an output at once: it is what the next step brings."""
+    direct = [j for j, column in enumerate(linalg.transpose(model.D_v)) if any(column)]
+    if not direct:
+        return model
+    k = len(direct)
+    wider = lambda rows, right: [[*row, *more] for row, more in zip(rows, right, strict=True)]
+    pick = lambda rows: [[row[j] for j in direct] for row in rows]
+    zero = lambda rows, columns: [[ZERO] * columns for _ in range(rows)]
+
+    def grown(part: dict[str, Any], F: Any, D_v: Any) -> dict[str, Any]:
+        out = dict(part)
+        if part["A"]:
+            out["A"] = [*wider(part["A"], F), *zero(k, model.n + k)]
+        if part["B"] and part["B"][0]:
+            out["B"] = [*part["B"], *zero(k, model.m)]
+        if part["C"]:
+            out["C"] = wider(part["C"], D_v)
+        return out
+
+    own = {x: centred(getattr(model, x), model.uncertainties, x, sign=-1) for x in "ABCD"}
+    parameters = []
+    for u in model.uncertainties:
+        parts = grown({x: getattr(u, x) for x in "ABCD"}, zero(model.n, k), zero(model.p, k))
+        parameters.append(Uncertainty(u.name, **parts, varying=u.varying, between=u.between))
+    F = [[ZERO if j in direct else x for j, x in enumerate(row)] for row in model.F]
+    F += [[Fraction(j == own_column) for j in range(model.d)] for own_column in direct]
+    changes: dict[str, Any] = dict(
+        grown(own, pick(model.F), pick(model.D_v)),
+        uncertainties=parameters,
+        states=(*model.states, *(f"unknown input {j + 1}" for j in direct)),
+        disturbance=([*model.G, *zero(k, model.g)], model.disturbance) if model.g else None,
+        unknown_inputs=F,
+    )
+    return model.replace(**changes)
+
+
+def _less(a, b):
+    return [[x - y for x, y in zip(row, other, strict=True)] for row, other in zip(a, b, strict=True)]
+
+
+def _tuple(rows):
+    return tuple(map(tuple, rows))
