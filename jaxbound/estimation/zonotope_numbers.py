@@ -52,11 +52,12 @@ def free_numbers(directions: Directions | None, model: Any, first: bool, dtype: 
     """Return what kernels know of unknown inputs. first: whether the bounds of a first state speak of all that moves it."""
     if directions is None:
         return None
-    M, H = (zip(*(_floats(x, dtype) for x in some), strict=True) for some in zip(*((w.M, w.H) for w in directions.ways), strict=True))
-    (M, wide_M), (H, wide_H) = ((np.stack(a, -1), rounding.round_up(np.stack(b, -1), dtype)) for a, b in (M, H))
+    M, H = ([_floats(x, dtype) for x in some] for some in zip(*((w.M, w.H) for w in directions.ways), strict=True))
+    (near_M, off_M), (near_H, off_H) = (map(lambda parts: np.stack(parts, -1), zip(*x, strict=True)) for x in (M, H))
+    wide_M, wide_H = (rounding.round_up(x, dtype) for x in (off_M, off_H))
     used = np.array([[i in w.outputs for w in directions.ways] for i in range(model.p)])
     shown = np.array([any(row) for row in linalg.matmul(model.C, linalg.transpose(directions.rows))])
-    return Free(M, wide_M, H, wide_H, used, np.array(directions.before), np.array(directions.after), shown, np.array(first))
+    return Free(near_M, wide_M, near_H, wide_H, used, np.array(directions.before), np.array(directions.after), shown, np.array(first))
 
 
 def least_horizon(model: Any, system: IntervalSystem, directions: Directions | None = None) -> int | None:
