@@ -68,8 +68,6 @@ class JointObserver(SetObserver):
         if isinstance(window, bool) or not isinstance(window, (int, np.integer)) or window < 4 or window % 2:
             raise ValueError(f"window must be an even number of samples >= 4, not {window!r}")
         self.window = int(window)
-        if self._unknown is not None:
-            raise ValueError('method "joint" takes no unknown inputs: use "zonotope" or "strips"')
 
     @property
     def made(self) -> tuple:

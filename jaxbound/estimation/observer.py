@@ -163,6 +163,8 @@ METHODS: dict[str, Callable[..., "SetObserver"]] = {}
 def _made(method, window, *given):
     """Return the observer of a method."""
     if method in METHODS:
+        if getattr(given[0], "d", 0):
+            raise ValueError(f"method {method!r} takes no unknown inputs: use zonotope or strips")
         return METHODS[method](*given, window=window)
     if method not in ("zonotope", "strips"):
         raise ValueError(f"method must be one of zonotope, strips, {', '.join(METHODS)}, not {method!r}")

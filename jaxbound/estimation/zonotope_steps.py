@@ -347,7 +347,7 @@ def _reduced(G, r, q, g):
 
 
 def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, g, p):
-    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs. before: the set, and that of what unknown inputs leave of it."""
+    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs. before: the set, and what unknown inputs leave of it."""
     free, (state, before) = plant.free, before
     hull = lambda c, G, r, *_: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
     inf = lambda x, where: jnp.where(where[None], x, jnp.inf)

@@ -249,3 +249,5 @@ def test_what_an_observer_of_unknown_inputs_cannot_take_is_said():
     ):
         with pytest.raises(ValueError, match=match):
             jb.observer(model)
+    with pytest.raises(ValueError, match="'joint' takes no unknown inputs"):
+        jb.observer(TANK, method="joint")
