@@ -11,18 +11,19 @@ from jaxbound.relations.parity import parity_relations
 
 __all__ = ["OBSERVER", "observer_options", "refuse_options", "windowed", "window_relations"]
 
-OBSERVER = "observer"
+OBSERVER, JOINT = "observer", "joint"
 
 
 def observer_options(args: argparse.Namespace) -> dict[str, Any]:
     """Return what the arguments of a command say of an observer, as `jb.observer` takes it: only what differs from its defaults.
 
     Args:
-        args: .method, and of an observer .horizon, .order (None: the default), .latched; of another method there are none.
+        args: .method, and of an observer .horizon, .order, .observer, .span (None: the default), .latched; other methods have none.
     """
     if args.method != OBSERVER:
         return {}
     given = {"order": args.order, "horizon": args.horizon, "restart": False if args.latched else None}
+    given |= {"method": args.observer, "window": args.span}
     return {name: value for name, value in given.items() if value is not None}
 
 
@@ -31,7 +32,11 @@ def refuse_options(args: argparse.Namespace) -> None:
     if getattr(args, "method", None) == OBSERVER:
         if args.lags is not None:
             raise ValueError("--lags is for windows: an observer looks at every sample")
-    elif given := [option for option in ("order", "latched") if getattr(args, option, None)]:
+        if args.span is not None and args.observer != JOINT:
+            raise ValueError(f"--span is for --observer {JOINT}")
+        if args.span is not None and args.span % 2:
+            raise ValueError(f"--span needs an even number of samples, not {args.span}")
+    elif given := [option for option in ("order", "latched", "observer", "span") if getattr(args, option, None)]:
         raise ValueError(f"--{given[0]} is for --method {OBSERVER}")
 
 
@@ -52,8 +57,8 @@ def window_relations(
     """Return (model, relations) of the windows that a command asks for, or (model, observer) with --method observer.
 
     Args:
-        args: .horizon, .lags, and where the command has them .method, .order, .latched. source, samples: name and length of the
-            recording, None where nobody knows. step: told how far relations are.
+        args: .horizon, .lags, and where the command has them .method, .order, .latched, .observer, .span. source, samples: name and length
+            of the recording, None where nobody knows. step: told how far relations are.
 
     Raises:
         ValueError: a recording without a whole window, windows without a relation; no observer.

@@ -101,7 +101,7 @@ def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysb
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
     args = lambda **more: argparse.Namespace(**{"model": "plant.toml", "data": "-", "out": place / "pipe", "state": None, "horizon": None,
                                                 "lags": None, "method": "observer", "order": None, "latched": False, "min_coverage": 0.5,
-                                                "json": False} | more)  # fmt: skip
+                                                "observer": None, "span": None, "json": False} | more)  # fmt: skip
     assert piped.follow(args(), [b"".join(lines[:70]), None]) == 0
     note = (place / "pipe/monitor.jsonl").read_text().splitlines()[-1]
     assert piped.follow(args(), [b"".join(lines[70:100]), *lines[100:]]) == 1
@@ -149,6 +149,43 @@ def test_parts_with_an_observer_of_their_own_can_be_shared_and_say_what_one_says
     assert [row[1] for row in told(place / "one")] == each and "FAULT" in each
 
 
+JOINT = "--observer", "joint", "--span", "8"
+
+
+def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_and_in_a_fleet(place, capsysbinary, monkeypatch):
+    assert detect("--json", *JOINT, out="out") == 1
+    found = json.loads(capsysbinary.readouterr().out)
+    model = jb.load_model("plant.toml")
+    res = jb.detect(jb.observer(model, method="joint", window=8), jb.read("run.csv", model))
+    assert res.counts == found["counts"] and [row[1] for row in told(place / "out")] == [jb.Status(s).name for s in res.status]
+    assert (res.margin < jb.detect(jb.observer(model), jb.read("run.csv", model)).margin).any(), "sharper than without --observer"
+    first = int((res.status == jb.Status.FAULT).argmax())
+    assert main.main(["explain", "out", "--at", str(first), "--json"]) == 0
+    confirm(json.loads(capsysbinary.readouterr().out))
+    monkeypatch.setattr(streaming, "PART", 50)
+    monkeypatch.setattr(streaming, "LEAST", 1)
+    assert detect("-q", *JOINT, "--chunk", "33", out="parts", data="run.parquet") == 1
+    lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
+    pipe = argparse.Namespace(model="plant.toml", data="-", out=place / "pipe", state=None, horizon=None, lags=None, method="observer",
+                              order=None, latched=False, observer="joint", span=8, min_coverage=0.5, json=False)  # fmt: skip
+    assert piped.follow(pipe, [b"".join(lines[:70]), None]) == 0
+    assert piped.follow(pipe, [b"".join(lines[70:100]), *lines[100:]]) == 1
+    assert told(place / "pipe") == told(place / "parts") == told(place / "out")
+    (place / "units.csv").write_text("unit,model,recording\na,plant.toml,run.csv\nb,plant.toml,run.csv\n")
+    capsysbinary.readouterr()
+    assert main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", *JOINT, "--json"]) == 1
+    assert [unit["counts"] for unit in json.loads(capsysbinary.readouterr().out)["units"]] == [found["counts"]] * 2
+
+
+def test_a_study_is_given_the_observer_that_is_asked_for(place, capsys, monkeypatch):
+    def study(model, faults, n, seed, relations, **more):
+        raise ValueError(f"{type(relations).__name__} of {relations.window}, {relations.restart}")
+
+    monkeypatch.setattr("jaxbound.cli.study.study", study)
+    assert main.main(["study", "plant.toml", "--faults", "T1:bias", "--out", "study", "--method", "observer", *JOINT, "--latched"]) == 2
+    assert "JointObserver of 8, False" in capsys.readouterr().err
+
+
 def test_what_a_part_of_an_observer_depends_on_is_read_once(place, monkeypatch):
     monkeypatch.setattr(streaming, "PART", 8)
     read, content_of = [], ParquetSource.content_of
@@ -172,6 +209,10 @@ def test_a_digest_proves_a_contradiction_from_few_samples(place, monkeypatch):
     (("--lags", "0,1"), "--lags is for windows: an observer looks at every sample"),
     (("--method", "joint", "--order", "3"), "--order is for --method observer"),
     (("--method", "box", "--latched"), "--latched is for --method observer"),
+    (("--method", "box", "--observer", "joint"), "--observer is for --method observer"),
+    (("--span", "8"), "--span is for --observer joint"),
+    (("--observer", "strips", "--span", "8"), "--span is for --observer joint"),
+    (("--observer", "joint", "--span", "9"), "--span needs an even number of samples, not 9"),
     (("--part", "1/2"), "--part is for windows: an observer carries what it knows from sample to sample"),
 ])  # fmt: skip
 def test_what_does_not_go_together_is_said_in_a_sentence(place, capsys, more, says):
