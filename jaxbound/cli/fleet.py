@@ -69,12 +69,13 @@ def run(args: argparse.Namespace) -> int:
             with progress_bars(("units",)) as step, engine_of(args) as client:
                 how = args.method, args.horizon, args.alarm, args.min_coverage
                 report, pages = lambda share: step("units", share), _Pages(work)
-                for result in detect_fleet(units, *how, report, args.lags, pages if client is None else None, _options(args), client):
+                more = _options(args), client, args.state
+                for result in detect_fleet(units, *how, report, args.lags, pages if client is None else None, *more):
                     results.append(result)
                 if client is not None:  # which units get a page is known once all are tested
                     faulty = [r.unit for r in results if r.verdict == "fault"][:PAGES]
                     pages.number(faulty)
-                    again = detect_fleet(faulty, *how, None, args.lags, pages, _options(args), client) if faulty else ()
+                    again = detect_fleet(faulty, *how, None, args.lags, pages, *more) if faulty else ()
                     told = {r.unit.name: r for r in again}
                     results = [told.get(r.unit.name, r) for r in results]
         except KeyboardInterrupt:

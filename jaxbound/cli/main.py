@@ -192,6 +192,8 @@ def _parsers():
     c = choices.add_parser("fleet", help="test many units listed in a table")
     c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
     c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")
+    c.add_argument("--state", type=_path, metavar="DIR", help="folder in which it is kept how each unit goes on: its next recording, in a "
+                   "later run, is judged as if it followed in one file")  # fmt: skip
     _engine(c)
     _testing(c, carries)
     _observer(c)

@@ -74,9 +74,8 @@ class JointObserver(SetObserver):
         """What verdicts depend on beside the model: by it what is kept of them is known again."""
         return *super().made, "joint", self.window
 
-    def init(self) -> JointState:  # type: ignore[override]
-        """Return the state before the first sample."""
-        m, dtype, begun = self._system, self._dtype, super().init()
+    def _fresh(self):
+        m, dtype, begun = self._system, self._dtype, super()._fresh()
         zero = lambda *shape: np.zeros((*shape, 1), dtype)
         L, nothing = self.window, np.zeros(1, bool)
         samples = Samples(zero(L, m.p), zero(L, m.p) + np.inf, zero(L, m.m), zero(L, m.m), zero(L, m.n) + np.inf)

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any, NamedTuple, NoReturn
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -20,7 +19,7 @@ from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
-from jaxbound.estimation.zonotope_numbers import ROUNDED, free_numbers, least_horizon, middle, numbers, start
+from jaxbound.estimation.zonotope_numbers import ROUNDED, first_set, free_numbers, least_horizon, numbers, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
@@ -29,8 +28,7 @@ from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
-from jaxbound.sets.intervals.interval import Interval, interval
-from jaxbound.sets.zonotopes.reduction import reduce_order
+from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["Observation", "ObserverState", "SetObserver", "observe", "observer"]
@@ -182,6 +180,7 @@ class SetObserver(Observer):
 
     method = "observer"
     hulls = False  # whether it needs the enclosures of states, and what is read, itself
+    _carried: Any = None  # what it begins with where it goes on
 
     def __init__(
         self, model: Any, order: float, weight: Any, restart: bool, x0: Any, horizon: int | None, enclosures: bool = False
@@ -198,7 +197,7 @@ class SetObserver(Observer):
         self.weights = np.atleast_1d(np.asarray(weight, np.float64))
         if self.weights.ndim > 1 or not len(self.weights) or not ((self.weights > 0) & np.isfinite(self.weights)).all():
             raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
-        self._x0 = None if x0 is None else _first_set(x0, getattr(model, "n", 0), self.order, self._dtype)
+        self._x0 = None if x0 is None else first_set(x0, getattr(model, "n", 0), self.order, self._dtype)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
         h = least_horizon(self._plant, system, self._unknown) if horizon is None else int(horizon)
@@ -279,13 +278,22 @@ class SetObserver(Observer):
     def _generators(self):
         return int(self.order * self._system.n)
 
-    def init(self) -> ObserverState:
+    def init(self) -> Any:
         """Return the state before the first sample."""
+        return self._fresh() if self._carried is None else self._carried
+
+    def _fresh(self):
         m = self._system
         carry = steps.unknown((m.n, self._generators, m.p, m.m, self._past), self.weights.astype(self._dtype))
         if self._x0 is not None:
             carry = _known(carry, *(np.pad(x, ((0, m.n - self.model.n), *[(0, 0)] * (x.ndim - 1))) for x in self._x0))
         return ObserverState(carry, np.int64(0))
+
+    def continued(self, carry: Any) -> "SetObserver":
+        """Return the same observer, which begins with what was carried, as `fold` returns it."""
+        watch = copy.copy(self)
+        watch._carried = carry
+        return watch
 
     def fold(self, carry: ObserverState, piece: Recording) -> tuple[ObserverState, Any]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
@@ -372,25 +380,6 @@ def _joined(found):
         return steps.Found(*(x[..., 0, :] for x in found))
     age = np.where((found.age > 0).all(-2), found.age.max(-2), 0)
     return steps.Found(found.status.max(-2), found.margin.min(-2), age, found.states.min(-2), found.outputs.min(-2))
-
-
-def _first_set(x0, n, order, dtype):
-    """Return (centre (n,), generators (n, q), box (n,)) in a dtype, at most so many generators a state, of what holds the first state."""
-    if isinstance(x0, Zonotope):
-        c, G = np.asarray(x0.center, np.float64), np.asarray(x0.generators, np.float64)
-    else:
-        x0 = interval(x0)
-        bounded = np.isfinite(x0.lo) & np.isfinite(x0.hi)
-        c, r = (np.where(bounded, part, np.inf) for part in middle(jax.tree.map(lambda end: np.where(bounded, end, 0), x0)))
-        G = np.diag(r) if r.ndim == 1 else r
-    if c.shape != (n,):
-        raise ValueError(f"x0 needs one interval for each of {n} states: its shape is {c.shape}")
-    if not (np.isfinite(c).all() and np.isfinite(G).all()):
-        raise ValueError("x0 must be bounded: give each state an interval, it need not be narrow; or no x0")
-    near = c.astype(dtype), G.astype(dtype)
-    off = np.abs(c - near[0]) + np.abs(G - near[1]).sum(1)
-    fewer = reduce_order(Zonotope(*map(jnp.asarray, near)), order)
-    return np.asarray(fewer.center), np.asarray(fewer.generators), rounding.round_up(off * ROUNDED, dtype)
 
 
 def _known(carry, c, G, r):

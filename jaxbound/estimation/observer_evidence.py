@@ -31,25 +31,26 @@ def _window(observer: SetObserver, result: Any, at: tuple, status: Status) -> tu
     if status != Status.FAULT:
         raise NotImplementedError(f"an observer exhibits no behaviour: {status.name} at sample {k} has no certificate, FAULT has")
     u, y = (np.asarray(x)[at[:-1]][: k + 1] for x in (result.u, result.y))
-    since = int(result.observation.since[at])
+    absolute = int(result.observation.since[at])
+    since = absolute - int(result.relations.init().samples)  # of an observer that goes on, before this recording
     if not hasattr(observer.model, "uncertainties"):
         raise NotImplementedError("certificates are given for a LinearSystem, whose numbers are exact: an interval_system has none")
     for h in sorted({*(2**i for i in range(LONGEST.bit_length())), k - since}):
-        if h > min(k - since, LONGEST):
+        if h > min(k - since, k, LONGEST):
             break
         last = u[k - h :], y[k - h :]
         if observer.model.uncertainties:
             found = _shown(observer.model, h, *last) if h <= SHORT else None
         else:
-            first = observer.first_box if h == k - since and since == 0 else None
+            first = observer.first_box if h == k - since and absolute == 0 else None
             about = stretch(observer.model, h, None if first is None else list(first))
             found = (about, *last) if exceeds(about, *last) > CLEARLY else None
             found = found and ((_shown(observer.model, h, *last) if h <= SHORT and first is None else None) or found)
         if found is not None:
             relations, u, y = found
             return relations, "joint", np.asarray(u), np.asarray(y)
-    many = f"no window of up to {min(LONGEST, k - since) + 1} samples proves this alone"
-    raise NotImplementedError(f"{many}: the FAULT at sample {k} rests on all since {since}")
+    many = f"no window of up to {min(LONGEST, k - since, k) + 1} samples proves this alone"
+    raise NotImplementedError(f"{many}: the FAULT at sample {k} rests on all since {since if since >= 0 else 'a recording before'}")
 
 
 def _shown(model, h, u, y):

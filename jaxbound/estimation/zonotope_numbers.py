@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.estimation.free_inputs import Free
@@ -13,9 +15,11 @@ from jaxbound.exact.linalg import Matrix
 from jaxbound.models.intervals import IntervalSystem
 from jaxbound.models.unknown_directions import Directions
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.interval import Interval
+from jaxbound.sets.intervals.interval import Interval, interval
+from jaxbound.sets.zonotopes.reduction import reduce_order
+from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["ROUNDED", "free_numbers", "least_horizon", "middle", "numbers", "start"]
+__all__ = ["ROUNDED", "first_set", "free_numbers", "least_horizon", "middle", "numbers", "start"]
 
 ROUNDED = 1 + 1e-9
 """Above what rounding does to a few thousand sums and products of numbers >= 0 in float64."""
@@ -58,6 +62,25 @@ def free_numbers(directions: Directions | None, model: Any, first: bool, dtype: 
     used = np.array([[i in w.outputs for w in directions.ways] for i in range(model.p)])
     shown = np.array([any(row) for row in linalg.matmul(model.C, linalg.transpose(directions.rows))])
     return Free(near_M, wide_M, near_H, wide_H, used, np.array(directions.before), np.array(directions.after), shown, np.array(first))
+
+
+def first_set(x0: Any, n: int, order: float, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (centre (n,), generators (n, q), box (n,)) in a dtype, at most so many generators a state, of what holds the first state."""
+    if isinstance(x0, Zonotope):
+        c, G = np.asarray(x0.center, np.float64), np.asarray(x0.generators, np.float64)
+    else:
+        x0 = interval(x0)
+        bounded = np.isfinite(x0.lo) & np.isfinite(x0.hi)
+        c, r = (np.where(bounded, part, np.inf) for part in middle(jax.tree.map(lambda end: np.where(bounded, end, 0), x0)))
+        G = np.diag(r) if r.ndim == 1 else r
+    if c.shape != (n,):
+        raise ValueError(f"x0 needs one interval for each of {n} states: its shape is {c.shape}")
+    if not (np.isfinite(c).all() and np.isfinite(G).all()):
+        raise ValueError("x0 must be bounded: give each state an interval, it need not be narrow; or no x0")
+    near = c.astype(dtype), G.astype(dtype)
+    off = np.abs(c - near[0]) + np.abs(G - near[1]).sum(1)
+    fewer = reduce_order(Zonotope(*map(jnp.asarray, near)), order)
+    return np.asarray(fewer.center), np.asarray(fewer.generators), rounding.round_up(off * ROUNDED, dtype)
 
 
 def least_horizon(model: Any, system: IntervalSystem, directions: Directions | None = None) -> int | None:

@@ -103,9 +103,15 @@ def _alarm_rows(res, recording, alarms, chosen, why):
         needed = "" if a.depth != a.depth else f"× {factor(1 - a.depth)}"
         begun, ended = recording.label(a.start), recording.label(a.end)
         wrong, violated = (_sensor_errors(why[i]), why[i].relation) if i in why else ("", "")
-        since = recording.label(int(res.observation.since[a.worst])) if isinstance(res, ObserverResult) else ""
+        since = _since(res, recording, a.worst) if isinstance(res, ObserverResult) else ""
         rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended, since))
     return rows
+
+
+def _since(res, recording, k):
+    """Return the time of the sample that what an observer says of sample k rests on."""
+    first = int(res.observation.since[k]) - int(res.relations.init().samples)
+    return recording.label(first) if first >= 0 else "a recording before"
 
 
 def _certified(res, alarms, chosen):

@@ -27,9 +27,11 @@ from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.objecttext import readable
-from jaxbound.recordings.read import read
+from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import parity_relations
+from jaxbound.relations.sentence import remembers
+from jaxbound.runs.continuation import Continuation, alone, beside, followed
 from jaxbound.runs.endings import ending_hints
 from jaxbound.runs.summary import CODES, Summary, bound_hints, summarised
 
@@ -196,6 +198,7 @@ def detect_fleet(
     page: Callable[..., str] | None = None,
     options: Mapping[str, Any] | None = None,
     client: "Client | None" = None,
+    state: str | PathLike | None = None,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
@@ -207,12 +210,16 @@ def detect_fleet(
         progress: called with the share of the units done.
         page: called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`.
         client: of dask.distributed; its workers test the units, see their files by the same paths and call `page`, which can be pickled.
+        state: folder in which it is kept how each unit goes on; None: nowhere. The next recording of a unit, in a run with the same folder,
+            is then judged as if it followed in one file: windows look back into the one before, an observer carries on. Where it begins
+            more than a step later, or earlier, it begins anew, and its hints say so. The same recording again is judged as it was.
 
     Yields:
         UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
     """
     if client is not None:
-        how = {"method": method, "horizon": horizon, "alarm": alarm, "min_coverage": min_coverage, "lags": lags, "options": options}
+        how = {"method": method, "horizon": horizon, "alarm": alarm, "min_coverage": min_coverage, "lags": lags, "options": options,
+               "state": state}  # fmt: skip
         yield from _spread_out(client, _Fleet(how | {"page": page}), units, progress)
         return
     report, shared = progress or (lambda share: None), Counter(unit.model for unit in units)
@@ -221,15 +228,21 @@ def detect_fleet(
 
     def prepare(unit):
         model, relations = models.get(unit.model) or (load_model(unit.model), None)
-        recording = read(unit.recording, model)
+        source = open_source(unit.recording, model)
+        held, recording = None if state is None else source.content, source.read()
         longest = max(lags) if lags else model.horizon if horizon is None else horizon
-        refuse_short(unit.recording, recording.samples, longest if ahead == AHEAD else None)
+        if state is None:
+            refuse_short(unit.recording, recording.samples, longest if ahead == AHEAD else None)
         if relations is None and method == SetObserver.method:
             relations = observer(model, horizon=horizon, **options or {})
         relations = relations or parity_relations(model, horizon, lags=lags)
         if shared[unit.model] > 1:
             models[unit.model] = model, relations
-        return model, relations, recording
+        if state is None:
+            return _Given(model, relations, recording)
+        kept = Continuation(state, unit.name, relations, method, held)
+        recording, carry, known = kept.joined(recording)
+        return _Given(model, relations, recording, kept, carry, known)
 
     with ThreadPoolExecutor(1) as beside:
         waiting: deque[Future] = deque()
@@ -249,6 +262,17 @@ def detect_fleet(
         finally:
             for job in waiting:
                 job.cancel()
+
+
+class _Given(NamedTuple):
+    """One unit, read. Fields: model, relations, recording; kept: its Continuation, or None; carry, known: as of `Continuation.joined`."""
+
+    model: Any
+    relations: Any
+    recording: Recording
+    kept: Continuation | None = None
+    carry: Any = None
+    known: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +302,7 @@ def _tested(units, jobs, method, alarm, min_coverage):
     alike = _side_by_side(given) if len(given) > 1 else {}
     for unit, x in zip(units, read, strict=True):
         if not isinstance(x, UnitResult):
-            x = _tried(unit, lambda unit=unit, x=x: _judged(unit, x, method, alarm, min_coverage, alike.get(id(x[-1]))))
+            x = _tried(unit, lambda unit=unit, x=x: _judged(unit, x, method, alarm, min_coverage, alike.get(id(x.recording))))
         yield (x, None) if isinstance(x, UnitResult) else x
 
 
@@ -295,32 +319,45 @@ def _tried(unit, work):
 
 
 def _judged(unit, given, method, alarm, min_coverage, res):
-    """Return (UnitResult, (Result, Recording, alarms)); given: (model, relations, Recording); res: the Result where it is there."""
-    model, relations, recording = given
+    """Return (UnitResult, (Result, Recording, alarms)); given: a _Given; res: (Result, carry) where it is there."""
+    model, relations, recording, kept, carry, known = given
     refuse_short(unit.recording, recording.samples, relations.horizon)
-    res = detect(relations, recording, method=method) if res is None else res
+    if res is None and kept is not None and remembers(relations):
+        res = followed(relations, recording, carry, known)
+    res, between = (detect(relations, recording, method=method), None) if res is None else res
+    if kept is not None:
+        kept.save(recording, between)
     alarms = res.alarms(*alarm)
     hints = (*recording.hints, *unit_hints(res), *again_hints(res), *bound_hints(model, relations), *ending_hints(res, alarms))
     return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints)), (res, recording, alarms)
 
 
 def _side_by_side(given):
-    """Return {id of a recording: Result} of those that an observer can follow side by side; given: (model, observer, recording)."""
+    """Return {id of a recording: (Result, carry)} of those that an observer can follow side by side; given: of _Given."""
     groups: dict[Any, list] = {}
-    for _, relations, recording in given:
-        kind = recording.samples, tuple(recording.starts.tolist()), str(recording.y.dtype), str(recording.u.dtype)
-        groups.setdefault(kind, []).append((relations, recording))
+    for one in given:
+        recording, before = one.recording, 0 if one.carry is None else int(one.carry.samples)
+        kind = recording.samples, tuple(recording.starts.tolist()), str(recording.y.dtype), str(recording.u.dtype), one.known, before
+        groups.setdefault(kind, []).append(one)
     found = {}
     for group in groups.values():
-        relations, one = group[0]
+        _, relations, one, kept, carry, known = group[0]
         if len(group) == 1 or one.samples <= relations.horizon:
             continue
-        stack = lambda name, group=group: np.stack([np.asarray(getattr(recording, name)) for _, recording in group])
+        stack = lambda name, group=group: np.stack([np.asarray(getattr(x.recording, name)) for x in group])
         with suppress(ValueError):  # of one of them: each is told alone what is wrong
-            together = detect(relations, Recording(stack("u"), stack("y"), one.starts, one.inputs, one.outputs), method=relations.method)
-            for i, (_, recording) in enumerate(group):
+            many, between = Recording(stack("u"), stack("y"), one.starts, one.inputs, one.outputs), None
+            if kept is None:
+                together = detect(relations, many, method=relations.method)
+            else:
+                together, between = followed(relations, many, carry and beside(relations, [x.carry for x in group]), known)
+            for i, x in enumerate(group):
                 parts = {name: getattr(together, name)[i] for name in ("status", "margin", "u", "y")}
-                found[id(recording)] = replace(together, **parts, index=recording.index, aside=recording.aside(relations.horizon))
+                of_it = relations if x.carry is None else relations.continued(x.carry)
+                one_of_them = replace(
+                    together, **parts, relations=of_it, index=x.recording.index, aside=x.recording.aside(relations.horizon)
+                )
+                found[id(x.recording)] = one_of_them, between and alone(relations, between, i)
     return found
 
 

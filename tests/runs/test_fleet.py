@@ -147,8 +147,8 @@ class TestCommand:
         assert "1 of 9 units were tested" in capsys.readouterr().err
 
     def test_trouble_of_our_own_costs_one_unit_only(self, plant, monkeypatch):
-        read = fleet.read
-        monkeypatch.setattr(fleet, "read", lambda path, m: {}["oops"] if "no-data" in m.name else read(path, m))
+        opened = fleet.open_source
+        monkeypatch.setattr(fleet, "open_source", lambda path, m: {}["oops"] if "no-data" in m.name else opened(path, m))
         save_model(paper(name="no-data"), plant / "no-data.toml")
         manifest(plant, ["good", "no-data", "small"])
         assert command(plant) == 1

@@ -1,0 +1,127 @@
+"""A fleet whose recordings come in several files, one after the other: what is said is what is said of one file."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxbound as jb
+from jaxbound.cli import main
+from jaxbound.recordings.read import read
+from jaxbound.runs.fleet import Unit, detect_fleet
+
+T, CUTS = 90, (0, 37, 40, 90)
+START = pd.Timestamp("2026-03-01")
+
+
+@pytest.fixture(scope="module")
+def plant():
+    """Return a model and T samples of it, of which y2 drifts from 45 on; with a missing sample at 38 and a gap behind 60."""
+    m = jb.LinearSystem([["0.9", "0.05"], [0, "0.9"]], [[0], ["0.1"]], [[1, 0], [0, 1]], noise="0.1",
+                        disturbance=([[1, 0], [0, 1]], "0.005"), dt=1, inputs="u1", outputs=["y1", "y2"])  # fmt: skip
+    rng, x, y = np.random.default_rng(5), np.zeros(2), np.zeros((T, 2))
+    u = rng.uniform(0, 2, (T, 1)).round(3)
+    for k in range(T):
+        y[k], x = x, np.array([0.9 * x[0] + 0.05 * x[1], 0.9 * x[1] + 0.1 * u[k, 0]]) + rng.uniform(-0.004, 0.004, 2)
+    y = (y + rng.uniform(-0.09, 0.09, y.shape)).round(6)
+    y[45:, 1] += 0.02 * np.arange(T - 45)
+    y[38, 0] = np.nan
+    seconds = np.arange(T) + 7 * (np.arange(T) >= 60)
+    return m, pd.DataFrame({"time": START + pd.to_timedelta(seconds, "s"), "u1": u[:, 0], "y1": y[:, 0], "y2": y[:, 1]})
+
+
+def fleet(folder, tables, **how):
+    """Write recordings, a file each, and return the UnitResults and Results of a fleet of them."""
+    units, kept = [], {}
+    for i, table in enumerate(tables):
+        table.to_csv(folder / f"{i}.csv", index=False)
+        units.append(Unit(f"unit {i}", folder / "plant.toml", folder / f"{i}.csv"))
+    page = lambda unit, res, *about: kept.update({unit.name: (res, *about)}) or ""
+    return list(detect_fleet(units, page=page, **how)), kept
+
+
+@pytest.mark.parametrize("how", [
+    {"horizon": 3}, {"method": "observer"}, {"method": "observer", "options": {"restart": False}},
+    {"method": "observer", "options": {"method": "joint", "window": 8}},
+])  # fmt: skip
+@pytest.mark.parametrize("units", [1, 3])
+def test_recordings_in_several_files_are_judged_as_one(plant, tmp_path, how, units):
+    model, table = plant
+    jb.save_model(model, tmp_path / "plant.toml")
+    tables = [table.assign(y1=table["y1"] + 0.001 * i) for i in range(units)]
+    found: dict = {}
+    for first, stop in zip(CUTS, CUTS[1:], strict=False):
+        results, kept = fleet(tmp_path, [one.iloc[first:stop] for one in tables], state=tmp_path / "state", **how)
+        assert not any(hint.startswith("the recording begins anew") for r in results for hint in r.summary.hints)
+        for result in results:
+            res, recording = kept[result.unit.name][:2]
+            known = len(res.status) - (stop - first)
+            assert (np.asarray(res.status)[:known] == jb.Status.MISSING).all() and result.summary.counts == res.counts
+            assert recording.label(known) == str(table["time"][first])
+            found.setdefault(result.unit.name, []).append((res.status[known:], res.margin[known:]))
+    jb.save_model(model, tmp_path / "plant.toml")
+    _, whole = fleet(tmp_path, tables, **how)
+    for name, parts in found.items():
+        status, margin = (np.concatenate(x) for x in zip(*parts, strict=True))
+        np.testing.assert_array_equal(status, whole[name][0].status)
+        np.testing.assert_allclose(margin, whole[name][0].margin, rtol=1e-9, atol=1e-12)
+        assert jb.Status.FAULT in status[45:]
+
+
+def test_the_same_recording_again_is_judged_as_it_was_and_what_does_not_follow_begins_anew(plant, tmp_path):
+    model, table = plant
+    jb.save_model(model, tmp_path / "plant.toml")
+    say = lambda first, stop: fleet(tmp_path, [table.iloc[first:stop]], method="observer", state=tmp_path / "state")
+    say(0, 30)
+    (once,), _ = say(30, 60)
+    (twice,), _ = say(30, 60)
+    assert once.summary.plain() == twice.summary.plain() and once.summary.counts["FAULT"]
+    (gap,), _ = say(60, 90)
+    assert any("which ended 8 s before its first sample" in hint for hint in gap.summary.hints) and gap.summary.found.samples == 30
+    (back,), _ = say(0, 30)
+    assert any("s after its first sample" in hint for hint in back.summary.hints)
+    jb.save_model(model.replace(noise="0.2"), tmp_path / "plant.toml")
+    (other,), _ = say(30, 60)
+    assert other.verdict == "not tested" and "is of another model" in other.summary.sentence
+
+
+def test_what_rests_on_a_recording_before_says_so(plant, tmp_path, capsys, monkeypatch):
+    model, table = plant
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(main, "_configure", lambda: None)
+    jb.save_model(model, "plant.toml")
+    (tmp_path / "units.csv").write_text("unit,model,recording\npump,plant.toml,run.csv\n")
+    for first, stop, code in ((0, 48, 0), (48, 60, 1)):
+        table.iloc[first:stop].to_csv("run.csv", index=False)
+        more = ("--method", "observer", "--state", "state", "--out", f"out{first}", "--json")
+        assert main.main(["fleet", "units.csv", *more]) == code
+    (unit,) = json.loads(capsys.readouterr().out.split("\n}\n")[1] + "\n}\n")["units"]
+    assert unit["verdict"] == "fault" and unit["first_alarm"].startswith("2026-03-01")
+    assert "a recording before" in next((tmp_path / "out48/units").iterdir()).read_text()
+
+
+def test_a_certificate_of_an_observer_that_goes_on_speaks_of_samples_that_are_there(plant, tmp_path):
+    model, table = plant
+    jb.save_model(model, tmp_path / "plant.toml")
+    fleet(tmp_path, [table.iloc[:48]], method="observer", state=tmp_path / "state")
+    _, kept = fleet(tmp_path, [table.iloc[48:60]], method="observer", state=tmp_path / "state")
+    res = kept["unit 0"][0]
+    at = int(np.flatnonzero(res.status == jb.Status.FAULT)[0])
+    assert (res.observation.status[3:] == res.status[3:]).all()
+    try:
+        assert res.explain(at).proves == jb.Status.FAULT
+    except NotImplementedError as e:
+        assert "rests on all since a recording before" in str(e)
+
+
+def test_recordings_without_a_time_column_follow_each_other(plant, tmp_path):
+    model, table = plant
+    jb.save_model(model, tmp_path / "plant.toml")
+    table = table.iloc[:60].drop(columns="time")
+    fleet(tmp_path, [table.iloc[:30]], horizon=3, state=tmp_path / "state")
+    (second,), kept = fleet(tmp_path, [table.iloc[30:]], horizon=3, state=tmp_path / "state")
+    table.to_csv(tmp_path / "all.csv", index=False)
+    whole = jb.detect(jb.parity_relations(model, 3), read(tmp_path / "all.csv", model))
+    np.testing.assert_array_equal(kept["unit 0"][0].status[3:], whole.status[30:])
+    assert second.summary.found.windows == 30
