@@ -13,7 +13,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
 from jaxbound.recordings.selection import NO_TIME, TELLING, wanted
 from jaxbound.recordings.source import Source, register, told
-from jaxbound.recordings.timestamps import parse_stamps, read_numbers
+from jaxbound.recordings.timestamps import parse_stamps, read_numbers, with_day
 
 __all__ = ["CsvFile"]
 
@@ -49,17 +49,19 @@ def _read(path, model, report):
     report(0.05)
     index = {name: layout.names.index(name) for name in plan.columns}
     text_time = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
-    table = parse_columns(layout, index, {*plan.texts, *([plan.time] if text_time else [])})
+    table = parse_columns(layout, index, {*plan.texts, *([plan.time, plan.day] if text_time else [])})
     report(0.7)
     count = len(table[plan.columns[0]])
     if count < 2:
         raise ValueError("the file has one row of data: a recording has at least two")
     hints = list(layout.hints)
     written = table[plan.time] if plan.time is not None else None
+    if plan.day is not None:
+        written = with_day(table[plan.day], written)
     if written is not None and written.null_count:
         first = layout.row(int(np.argmin(valid(written))))
         raise ValueError(f"{first} has no time: every row needs one, {written.null_count} do not have it")
-    columns = {c: _values(layout, c, table[c]) for c in plan.numbers if c != plan.time or not text_time}
+    columns = {c: _values(layout, c, table[c]) for c in plan.numbers if c not in (plan.time, plan.day) or not text_time}
     columns |= {c: np.array(table[c].to_pylist(), object) for c in plan.texts}
     if written is None:
         if model.dt is None:

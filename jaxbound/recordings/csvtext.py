@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.recordings.naming import listed
-from jaxbound.recordings.timestamps import is_stamp
+from jaxbound.recordings.timestamps import stamp_kind
 
 __all__ = ["Layout", "cells_of", "is_number", "parse_columns", "sniff"]
 
@@ -47,10 +47,9 @@ class Layout:
         """Return how the user finds sample k."""
         return f"row {k + self.skip + 1}"
 
-    def dated(self, name: str) -> bool:
-        """Return whether a column begins with a time stamp."""
-        cell = dict(zip(self.names, self.first, strict=False)).get(name) or ""
-        return not is_number(cell, self.decimal) and is_stamp(cell)
+    def dated(self, name: str) -> str:
+        """Return what the first cell of a column is, see `stamp_kind`."""
+        return stamp_kind(dict(zip(self.names, self.first, strict=False)).get(name))
 
 
 def sniff(path: Path, head: bytes | None = None) -> Layout:

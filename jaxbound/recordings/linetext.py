@@ -10,6 +10,7 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.csvtext import MISSING_CELLS, cells_of, is_number, sniff
 from jaxbound.recordings.selection import wanted
+from jaxbound.recordings.timestamps import with_day
 
 __all__ = ["FEW", "SOURCE", "LineReader", "WrongCells"]
 
@@ -50,7 +51,7 @@ class LineReader:
             plan = replace(plan, time="")
         index = {name: layout.names.index(name) for name in plan.columns}
         text = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
-        strings = {*plan.texts, *([plan.time] if text else [])}
+        strings = {*plan.texts, *([plan.time, plan.day] if text else [])}
         self.head, self.plan, self.is_text, self.index = head, plan, text, index
         names = [f"f{i}" for i in range(len(layout.names))]
         self.reading = pc.ReadOptions(column_names=names, encoding=layout.encoding, use_threads=False)
@@ -90,10 +91,22 @@ class LineReader:
             return f"has {len(cells)} cells, the header has {len(self.layout.names)} columns"
         for name, i in self.index.items():
             cell = cells[i].strip()
-            text = name in self.plan.texts or (name == self.plan.time and self.is_text)
+            text = name in self.plan.texts or (name in (self.plan.time, self.plan.day) and self.is_text)
             if not text and cell not in MISSING_CELLS and not is_number(cell, self.layout.decimal):
                 return f"of column {name!r} holds {cell[:60]!r}, which is not a number: leave a missing sample blank"
         return ""
+
+    def stamp(self, line: bytes) -> str:
+        """Return the time of a line as it is written, the day before the clock where they have columns of their own."""
+        cells = self.cells(line)
+        return " ".join(cells[self.index[name]].strip() for name in (self.plan.day, self.plan.time) if name is not None)
+
+    def _stamps(self, columns):
+        """Take the time out of columns of texts and return it, or None where it is a column of numbers or none."""
+        if not self.is_text:
+            return None
+        stamps = columns.pop(self.plan.time)
+        return stamps if self.plan.day is None else with_day(columns.pop(self.plan.day), stamps)
 
     def _few(self, lines):
         """Return what `_many` returns, of a few lines that are plain, sooner than pyarrow gets going; None where it must look at them."""
@@ -107,17 +120,17 @@ class LineReader:
             if len(cells) != len(self.layout.names) or b'"' in line:
                 return None
             rows.append([cells[i] for i in self.index.values()])
-        columns, stamps = {}, None
+        columns, texts = {}, {}
         for name, cells in zip(self.index, zip(*rows, strict=True), strict=True):
-            if name == self.plan.time and self.is_text:
-                stamps = pa.array([None if c in MISSING_CELLS else c for c in cells], pa.string())
+            if name in (self.plan.time, self.plan.day) and self.is_text:
+                texts[name] = pa.array([None if c in MISSING_CELLS else c for c in cells], pa.string())
                 continue
             if self.layout.decimal == ",":
                 cells = [c.replace(",", ".") for c in cells]
             if not all(PLAIN.fullmatch(c) or c in MISSING_CELLS for c in cells):
                 return None
             columns[name] = np.array([np.nan if c in MISSING_CELLS else float(c) for c in cells])
-        return columns, stamps
+        return columns, self._stamps(texts)
 
     def _many(self, lines):
         """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts or None)."""
@@ -136,6 +149,6 @@ class LineReader:
         if table.num_rows != len(lines):
             raise ValueError("has a quotation mark that is not closed")
         found = {name: table[f"f{i}"].combine_chunks() for name, i in self.index.items()}
-        stamps = found.pop(self.plan.time) if self.is_text else None
+        stamps = self._stamps(found)
         columns = {name: from_arrow(x) for name, x in found.items() if name not in self.plan.texts}
         return columns | {name: np.array(found[name].to_pylist(), object) for name in self.plan.texts}, stamps

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from jaxbound.recordings.selection import Wanted, wanted
-from jaxbound.recordings.timestamps import is_stamp
+from jaxbound.recordings.selection import STAMPS, Wanted, wanted
+from jaxbound.recordings.timestamps import stamp_kind
 
 __all__ = [
     "INDEX",
@@ -113,7 +113,7 @@ def dated_columns(file: Any) -> frozenset[str]:
     first = next(file.iter_batches(batch_size=1, columns=texts), None) if texts else None
     row = first.to_pylist()[0] if first is not None and first.num_rows else {}
     stamps = {c for c, kind in fields.items() if pa.types.is_timestamp(kind) or pa.types.is_date(kind)}
-    return frozenset(stamps | {c for c in texts if is_stamp(row.get(c))})
+    return frozenset(stamps | {c for c in texts if stamp_kind(row.get(c)) in STAMPS})
 
 
 def checked(schema: Any, model: Any, name: str, dated: Container[str] = ()) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def plan_of(names: Sequence[str], types: Mapping[str, Any], model: Any, dated: C
     """Return the Wanted of a file with these columns; the time may be an index without a name."""
     import pyarrow as pa
 
-    plan = wanted(names, model, lambda name: name != INDEX and name in dated)
+    plan = wanted(names, model, lambda name: "stamp" if name != INDEX and name in dated else "")
     return replace(plan, time=INDEX) if plan.time is None and INDEX in types and pa.types.is_temporal(types[INDEX]) else plan
 
 

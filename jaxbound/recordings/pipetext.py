@@ -159,7 +159,7 @@ class PipeText:
 
         if self.reader.plan.time is None or not self.clock.samples:
             return False
-        cell = self.reader.cells(line)[self.reader.index[self.reader.plan.time]].strip()
+        cell = self.reader.stamp(line)
         try:
             if self.reader.is_text:
                 step = np.diff(parse_stamps(pa.array([*self.texts, cell]), self.model.dt, str)[0])[-1]

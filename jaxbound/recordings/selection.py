@@ -9,8 +9,10 @@ import numpy as np
 from jaxbound.recordings.expressions import TIMES, Expression, expression, fails, find_column, is_expression, likely
 from jaxbound.recordings.naming import listed
 
-__all__ = ["NO_TIME", "TELLING", "Wanted", "only_dated", "wanted", "where_hints"]
+__all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "only_dated", "wanted", "where_hints"]
 
+STAMPS, DAYS = ("stamp", "day", "clock"), ("day", "digits")  # kinds of cells, see `stamp_kind`
+DAILY = 43200  # seconds: what is sampled less often needs no clock
 TELLING = "with `time` among the columns of the model (fit: --time)"
 NO_TIME = f"no column is called like time or holds time stamps: name it, {TELLING}, or, if no row is missing, give dt (--dt)"
 
@@ -20,13 +22,14 @@ class Wanted:
     """What is read of a recording. Build it with `wanted`.
 
     Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the condition, or None; time: the column of
-    the time, or None.
+    the time, or None; day: the column of the day where the time is only that of a day, or None.
     """
 
     inputs: tuple
     outputs: tuple
     where: Expression | None
     time: Any  # a name, or None
+    day: Any = None  # likewise
 
     @property
     def signals(self) -> list[str]:
@@ -43,12 +46,12 @@ class Wanted:
     def texts(self) -> list[str]:
         """Names of the columns that are compared with text, the time left out."""
         expressions = [s for s in (*self.inputs, *self.outputs, self.where) if isinstance(s, Expression)]
-        return list(dict.fromkeys(c for e in expressions for c in e.columns if c in e.texts and c != self.time))
+        return list(dict.fromkeys(c for e in expressions for c in e.columns if c in e.texts and c not in (self.time, self.day)))
 
     @property
     def columns(self) -> list[str]:
         """Names of all columns that are read, each once, the time last."""
-        return list(dict.fromkeys(self.numbers + self.texts + ([] if self.time is None else [self.time])))
+        return list(dict.fromkeys(self.numbers + self.texts + [c for c in (self.day, self.time) if c is not None]))
 
     def samples(
         self, columns: Mapping[str, np.ndarray], count: int, dtype: Any = np.float64
@@ -70,28 +73,56 @@ class Wanted:
         return u, y, excluded
 
 
-def wanted(names: Sequence[str], model: Any, dated: Callable[[str], bool] = lambda name: False) -> Wanted:
+def wanted(names: Sequence[str], model: Any, dated: Callable[[str], str] = lambda name: "") -> Wanted:
     """Find the columns of a model among those of a recording.
 
     Args:
         names: of the columns that there are. model: with .inputs, .outputs, .columns and .column(signal).
-        dated: called with a name: whether that column begins with a time stamp.
+        dated: called with a name: what that column begins with, see `stamp_kind`.
 
     Returns:
         A Wanted. A signal whose column is not there is taken from the one called like the signal. Time: the column that the model names, or
-        one that is called like it, or else the one that holds time stamps.
+        one that is called like it, or else the one that holds time stamps; the day beside it, where those are times of day.
 
     Raises:
-        ValueError: a column is not there, or there twice; several hold time stamps and none is called like time.
+        ValueError: a column is not there, or there twice; several hold time stamps and none is called like time; several hold days.
     """
     inputs, outputs = (tuple(_source(s, names, model) for s in side) for side in (model.inputs, model.outputs))
     found = Wanted(inputs, outputs, None, None)
     where = model.columns.get("where")
     named, here = model.columns.get("time"), "the recording"
     free = [name for name in names if name not in found.signals]
-    called = [] if named is not None else likely(free, TIMES) or only_dated(list(filter(dated, free)))
-    time = find_column(named, names, here) if named is not None else find_column(called[0], names, here) if called else None
-    return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time)
+    kinds = {name: dated(name) for name in free}
+    stamps = [name for name in free if kinds[name] in STAMPS]
+    if named is not None:
+        time = find_column(named, names, here)
+    else:
+        called = likely(free, TIMES) or (_halves(stamps, kinds) or only_dated(stamps))
+        time = find_column(called[0], names, here) if called else None
+    day, time = _day_and_clock(time, names, kinds, model)
+    return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time, day)
+
+
+def _halves(stamps, kinds):
+    """Return the clock of a day and a clock, if that is all there is."""
+    return [c for c in stamps if kinds[c] == "clock"] if sorted(kinds[c] for c in stamps) == ["clock", "day"] else []
+
+
+def _day_and_clock(time, names, kinds, model):
+    """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or is called like a time."""
+    kind = kinds.get(time, "")
+    if kind not in ("clock", *DAYS) or (getattr(model, "dt", None) or 0) >= DAILY:
+        return None, time
+    at, like = names.index(time), likely(list(kinds), TIMES)
+    others = DAYS if kind == "clock" else ("clock",)
+    halves = [c for c in kinds if kinds[c] in others and (abs(names.index(c) - at) == 1 or c in like)]
+    if len(halves) > 1:
+        what = "times without a day" if kind == "clock" else "days"
+        raise ValueError(f"column {time!r} holds {what}, and the columns {listed(halves)} hold {'days' if kind == 'clock' else 'times'}: "
+                         "keep one of them")  # fmt: skip
+    if not halves:
+        return None, time
+    return (halves[0], time) if kind == "clock" else (time, halves[0])
 
 
 def only_dated(columns: list) -> list:

@@ -4,6 +4,7 @@ Nothing is imported to find out: pandas is known by how it behaves, everything e
 Arrow protocol. What has names that are not understood is refused: taking its columns by position would be a guess.
 """
 
+import datetime
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,9 +13,10 @@ import jax
 import numpy as np
 
 from jaxbound.recordings.expressions import TIMES, find_column, likely
+from jaxbound.recordings.naming import listed
 from jaxbound.recordings.seams import TOLERATED_STEP
-from jaxbound.recordings.selection import only_dated
-from jaxbound.recordings.timestamps import is_stamp
+from jaxbound.recordings.selection import STAMPS, only_dated
+from jaxbound.recordings.timestamps import stamp_kind
 
 __all__ = ["as_table", "is_date", "is_table", "one_row", "paired", "time_like", "unlabelled", "usual_step"]
 
@@ -158,14 +160,20 @@ def _dated(frame, model):
     """Return a table whose rows are only numbered with the times of its time column for an index; any other as it is.
 
     The time column is the one that the model names; else the one column of dates, of several one that is called like a time; else one of
-    numbers that is called so, which shows gaps but, its unit not being known, no period; else one of texts that are time stamps.
+    numbers that is called so, which shows gaps but, its unit not being known, no period; else one of texts that are time stamps. Times of
+    day, of Python or as differences, are counted from the one column of days.
 
     Raises:
-        ValueError: the time column holds text; several hold time stamps, and none is called like a time.
+        ValueError: the time column holds text, or times of day without a day; several hold time stamps, and none is called like a time.
     """
     if not is_table(frame) or not unlabelled(frame.index) or not len(frame) or not frame.columns.is_unique:
         return frame
     named, kind = getattr(model, "columns", {}).get("time"), lambda c: getattr(frame.dtypes[c], "kind", None)
+    if (days := [c for c in frame.columns if _is_day(frame[c])]) and (clocks := [c for c in frame.columns if _is_clock(frame[c])]):
+        if len(days) + len(clocks) > 2:
+            raise ValueError(f"the columns {listed(list(map(str, days)))} hold days and {listed(list(map(str, clocks)))} times of day: "
+                             "keep one of each")  # fmt: skip
+        return frame.set_axis(_of_day_and_clock(frame[days[0]], frame[clocks[0]]))
     if named is not None and any(str(c).strip() == named.strip() for c in frame.columns):
         name = find_column(named, list(frame.columns), "the recording")
         return frame.set_axis(_time_index(frame[name], name, checked=True))
@@ -180,11 +188,34 @@ def _dated(frame, model):
     return frame if column is None else frame.set_axis(_time_index(frame[column], column))
 
 
+def _is_day(x):
+    """Return whether a column holds days without a time."""
+    if getattr(x.dtype, "kind", None) == "M":
+        return bool((x.dt.normalize() == x).all())
+    return isinstance(x.iloc[0], datetime.date) and not isinstance(x.iloc[0], datetime.datetime)
+
+
+def _is_clock(x):
+    """Return whether a column holds times of day: of Python, or differences below a day."""
+    if getattr(x.dtype, "kind", None) == "m":
+        return bool(((x >= np.timedelta64(0, "D")) & (x < np.timedelta64(1, "D"))).all())
+    return isinstance(x.iloc[0], datetime.time)
+
+
+def _of_day_and_clock(days, clocks):
+    import pandas as pd
+
+    since = clocks if getattr(clocks.dtype, "kind", None) == "m" else pd.to_timedelta([t.isoformat() for t in clocks])
+    return pd.DatetimeIndex(pd.DatetimeIndex(days) + pd.TimedeltaIndex(since), name=clocks.name)
+
+
 def _time_index(x, column, checked=False):
     import pandas as pd
 
     if getattr(x.dtype, "kind", None) in ("m", "M"):
         return pd.Index(x, name=column)
+    if isinstance(x.iloc[0], datetime.time):
+        raise ValueError(f"the time column {column!r} holds times without a day, and no column holds the days: add one, or index by times")
     if is_date(x.iloc[0]):
         return pd.DatetimeIndex(x, name=column)
     try:
@@ -216,7 +247,7 @@ def time_like(label: Any) -> bool:
 
 def is_text_stamp(label: Any) -> bool:
     """Return whether a label is text that holds a time stamp."""
-    return isinstance(label, str) and is_stamp(label)
+    return isinstance(label, str) and stamp_kind(label) in STAMPS
 
 
 def _jumps(places, index):

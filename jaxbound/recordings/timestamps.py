@@ -10,7 +10,7 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
 
-__all__ = ["epoch_scale", "is_stamp", "parse_stamps", "read_numbers", "row_label", "time_label"]
+__all__ = ["epoch_scale", "parse_stamps", "read_numbers", "row_label", "stamp_kind", "time_label", "with_day"]
 
 DATES = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
          "%m/%d/%y", "%d/%m/%y", "%d.%m.%y", "%Y%m%d")  # fmt: skip
@@ -61,17 +61,35 @@ def parse_stamps(cells: Any, dt: float | None, where: Callable[[int], str]) -> t
     return _since_first(stamps, hint, dated="%d" in form)
 
 
-def is_stamp(cell: str | None) -> bool:
-    """Return whether a cell, known not to be a number, holds a time stamp of any usual format."""
+def stamp_kind(cell: str | None) -> str:
+    """Return what a cell holds: a time stamp of any usual format, "day" or "clock" where it is half of one, "" where it is none.
+
+    A number is none, but eight digits may be a day beside a clock: "digits".
+
+    Example:
+        >>> [stamp_kind(x) for x in ("2017-09-12 08:00", "12.09.2017", "20170912", "8:00 PM", "shift 2", "17.5")]
+        ['stamp', 'day', 'digits', 'clock', '', '']
+    """
     import pyarrow as pa
 
     if not cell or not any(c.isdigit() for c in cell) or len(cell) > LONGEST:
-        return False
+        return ""
+    if not any(c in cell.strip() for c in " -/:") and cell.count(".") + cell.count(",") < 2:  # a number, of whatever decimal sign
+        return "digits" if len(cell.strip()) == 8 and _fits(cell.strip(), DATES[-1]) else ""
     try:
         parse_stamps(pa.array([cell]), None, str)
     except ValueError:
-        return False
-    return True
+        return ""
+    whole = _split_fraction(pa.array([cell]))[0][0].as_py()
+    fits = lambda formats: any(_fits(whole, f) for f in formats)
+    return "day" if fits(DATES) else "clock" if fits(CLOCKS) else "stamp"
+
+
+def with_day(days: Any, clocks: Any) -> Any:
+    """Return the time stamps of two pyarrow arrays of texts, days and times of day; null where one of them is."""
+    import pyarrow.compute as pc
+
+    return pc.binary_join_element_wise(pc.utf8_trim_whitespace(days), pc.utf8_trim_whitespace(clocks), " ")
 
 
 def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:

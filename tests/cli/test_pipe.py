@@ -107,11 +107,11 @@ class TestVerdicts:
         pipe(["\ufeff", *text], range(0, 900, 11), out=place / "pipe")
         assert (place / "pipe/verdicts.csv").read_bytes() == expected
 
-    @pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f", "%H:%M:%S.%f"])
+    @pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f", "%H:%M:%S.%f", "%d.%m.%Y,%H:%M:%S.%f"])
     def test_time_stamps(self, samples, place, pipe, form, capsysbinary):
         t, u, y = samples
         stamps = (np.datetime64("2024-05-01T23:59:59", "ms") + (1000 * t).round().astype("timedelta64[ms]")).astype(object)
-        text = ["time,u1,y1,y2\n", *(f"{s.strftime(form)[:-4]},{line.partition(',')[2]}"
+        text = [f"{'day,' * form.count(',')}time,u1,y1,y2\n", *(f"{s.strftime(form)[:-4]},{line.partition(',')[2]}"
                                      for s, line in zip(stamps[:100], lines(samples)[1:], strict=False))]  # fmt: skip
         expected = batch(place, text)
         pipe(text, range(0, len("".join(text)), 333), out=place / "pipe")

@@ -170,10 +170,31 @@ class TestTime:
         with pytest.raises(ValueError, match="the columns 'a', 'b' hold time stamps: say which is the time, with `time` among the columns"):
             read("a,b,u1,y1\n10:00:00,11:00:00,1,2\n10:00:01,11:00:01,1,2\n")
 
-    def test_a_day_apart_from_its_clock_names_both_columns(self, read):
-        text = "Datum;Uhrzeit;u1;y1\n05.03.2024;08:00:00;1;2\n05.03.2024;08:00:01;1;2\n05.03.2024;08:00:02;1;2\n"
-        with pytest.raises(ValueError, match="repeat the time .*taken from column 'Datum', another is 'Uhrzeit': say which it is"):
-            read(text)
+    @pytest.mark.parametrize("header, day", [("Datum;Uhrzeit", "05.03.2024"), ("Date;Time", "2024-03-05"), ("Kuupäev;Kell", "20240305")])
+    @pytest.mark.parametrize("named", [{}, {"time": 1}])
+    def test_a_day_in_a_column_of_its_own_shows_gaps_of_days(self, read, header, day, named):
+        """Before, `Date;Time` was read by the clock alone: windows across a gap of two days were tested as if there were none."""
+        days = [day] * 3 + [day.replace("05", "07")] * 3
+        text = f"{header};u1;y1\n" + "".join(f"{d};08:00:0{k};1;2\n" for k, d in enumerate(days))
+        columns = {key: header.split(";")[at] for key, at in named.items()}
+        r = read(text, jb.LinearSystem([[0.5]], [[1]], [[1]], dt=1, noise=0.1, columns=columns))
+        assert list(r.starts) == [3] and r.time[3] == 2 * 86400 + 3 and r.label(3) == f"{days[3]} 08:00:03"
+
+    def test_a_day_far_from_a_clock_is_not_taken_for_its_own(self, read):
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=1, noise=0.1)
+        text = "clock,u1,y1,installed\n23:59:59,1,2,2019-01-01\n00:00:00,1,2,2019-01-01\n00:00:01,1,2,2019-01-01\n"
+        assert list(read(text.replace("clock", "Time"), model).time) == [0, 1, 2]
+
+    def test_days_of_a_daily_recording_need_no_clock(self, read):
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=86400, noise=0.1)
+        text = "Date,sunrise,u1,y1\n" + "".join(f"2024-03-0{k},06:{k}0:00,1,2\n" for k in range(1, 6))
+        assert read(text, model).label(1) == "2024-03-02"
+
+    def test_two_days_beside_a_clock_are_refused(self, read):
+        with pytest.raises(
+            ValueError, match="'Time' holds times without a day, and the columns 'Date', 'datum' hold days: keep one of them"
+        ):
+            read("Date,Time,datum,u1,y1\n2024-03-05,10:00:00,2024-03-06,1,2\n2024-03-05,10:00:01,2024-03-06,1,2\n")
 
     def test_the_time_column_that_the_model_names(self, read):
         model = jb.LinearSystem([[0.5]], None, [[1]], dt=2, noise=0.1, columns={"time": "seconds"})

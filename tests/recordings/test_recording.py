@@ -222,6 +222,19 @@ class TestTime:
             with pytest.raises(ValueError, match=sentence):
                 Recording.of(MODEL, given)
 
+    @pytest.mark.parametrize("clock", [lambda t: t.time, lambda t: t - t.normalize()], ids=["of Python", "differences"])
+    @pytest.mark.parametrize("day", [lambda t: t.date, lambda t: t.normalize()], ids=["of Python", "times"])
+    def test_a_day_and_a_clock_are_one_time(self, day, clock):
+        late = SECONDS + pd.to_timedelta([0, 0, 0, 1, 1, 1], "D")
+        r = Recording.of(MODEL, frame().assign(day=day(late), clock=clock(late)))
+        assert r.starts.tolist() == [3] and r.index[3] == late[3]
+
+    def test_times_of_day_alone_are_refused(self):
+        with pytest.raises(ValueError, match="'clock' holds times without a day, and no column holds the days: add one, or index by times"):
+            Recording.of(MODEL, frame().assign(clock=SECONDS.time))
+        with pytest.raises(ValueError, match="'a', 'b' hold days and 'clock' times of day: keep one of each"):
+            Recording.of(MODEL, frame().assign(clock=SECONDS.time, a=SECONDS.date, b=SECONDS.date))
+
     def test_a_column_that_is_only_called_like_a_time_is_none(self):
         table = frame().assign(T=[20.0, 20.1, 20.1, 20.0, 19.9, 20.0])
         assert Recording.of(MODEL, table).index is table.index and Recording.of(MODEL, table, table.copy()).time is None
