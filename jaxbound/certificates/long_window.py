@@ -7,6 +7,9 @@ solved in floats. Rounded to short numbers, and corrected where the first state 
 checked in fractions: nothing rests on the program.
 
     q = h_j C + q A backward,   g_j = -(q after j) G,   k_j = h_j D + (q after j) B,   0 = q + x,   x: of bounds of the first state
+
+With unknown inputs also h_j D_v + (q after j) F = 0: the multipliers of the outputs that they are taken out by follow from the others, see
+`models.unknown_directions`.
 """
 
 from collections.abc import Sequence
@@ -21,6 +24,7 @@ from jaxbound.certificates.exact_window import ExactWindow, Explanation, dot, ex
 from jaxbound.certificates.interface import certify
 from jaxbound.exact import linalg
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.sentence import relation_text
@@ -84,6 +88,8 @@ class LongWindow(ExactWindow):
         left, _, k = self.backward(h[: len(self.y)])
         if self.first is None and any(left):
             raise ValueError("the relation leaves the first state over")
+        if self._unknown_left(h):
+            raise ValueError("the relation leaves an unknown input over")
         used = [(x, *ends) for x, ends in zip(h, self.limits, strict=True) if x]
         used += [(-x, *ends) for x, ends in zip(left, self.first or (), strict=False) if x]
         known = [ZERO if v is None else v - self.model.offset["u"][j % self.model.m] for j, v in enumerate(self.u)]
@@ -96,30 +102,81 @@ class LongWindow(ExactWindow):
         _, floats = _program(self)
         largest = max(np.abs(floats).max(initial=0), 1e-300)
         h = [Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats]
+        taken = self._taken_out()
+        if self.model.d and None in taken[2][1:]:  # outputs are missing that unknown inputs are taken out by
+            return (ZERO,) * len(h)
+        h, _ = self._without_unknown(h, taken)
         if self.first is None:
-            h = self._corrected(h)
+            h, _ = self._without_unknown(self._corrected(h, taken), taken)
         return tuple(h)
 
-    def _corrected(self, h):
+    def _corrected(self, h, taken):
         """Return multipliers changed in as many places as there are states, so that the first state does not count."""
-        m, p = self.model, self.model.p
-        seen: list[tuple] = []
-        rows: Any = m.C
-        wanted: list[tuple[int, tuple]] = []
+        p, seen, wanted = self.model.p, [], []
+        plant, hidden, _ = taken
         for j in range(self.horizon + 1):
+            rows = self._on_first(j, taken)
             for i in range(p):
                 if self.y[j * p + i] is not None and linalg.rank([*seen, rows[i]]) > len(seen):
                     seen.append(rows[i])
-                    wanted.append((j * p + i, rows[i]))
-            if len(seen) == m.n:
+                    wanted.append(j * p + i)
+            if len(seen) == plant.n - hidden:
                 break
-            rows = linalg.matmul(rows, m.A)
-        left = self.backward(h)[0]
-        basis = linalg.transpose([row for _, row in wanted])
-        change = linalg.matmul(linalg.inverse(basis), [[x] for x in left]) if len(wanted) == m.n else []
-        for (at, _), (x,) in zip(wanted, change, strict=True):
-            h[at] -= x
+        left = [[x] for x in self._without_unknown(h, taken)[1]]
+        if len(seen) == plant.n - hidden:
+            across = linalg.matmul(seen, linalg.transpose(seen))
+            for at, (x,) in zip(wanted, linalg.matmul(linalg.inverse(across), linalg.matmul(seen, left)), strict=True):
+                h[at] -= x
         return h
+
+    def _taken_out(self):
+        """Return (model with a state for what acts on outputs at once, dimensions that no output shows, H of each sample or None)."""
+        m, p, plant = self.model, self.model.p, with_direct_states(self.model)
+        found = unknown_directions(plant)
+        if found is None:
+            none: Any = [[ZERO] * p] * plant.n if m.d else None
+            return plant, 0, [none] * (self.horizon + 1)
+        there = lambda way, j: all(self.y[j * p + i] is not None for i in way.outputs)
+        H = [next((way.H for way in found.ways if there(way, j)), None) for j in range(self.horizon + 1)]
+        if self.first is None or plant.n == m.n:
+            H[0] = None  # no unknown input came before it
+        return plant, len(found.hidden), H
+
+    def _without_unknown(self, h, taken):
+        """Return (multipliers h with those changed that take unknown inputs out, what they leave of the first state)."""
+        (plant, _, H), p, h = taken, self.model.p, list(h)
+        A, C, q = linalg.transpose(plant.A), linalg.transpose(plant.C), (ZERO,) * plant.n
+        for j in range(self.horizon, -1, -1):
+            q = tuple(dot(c, h[j * p : (j + 1) * p]) + dot(a, q) for c, a in zip(C, A, strict=True))
+            if H[j] is not None:
+                change = [dot(column, q) for column in linalg.transpose(H[j])]
+                h[j * p : (j + 1) * p] = [x - y for x, y in zip(h[j * p : (j + 1) * p], change, strict=True)]
+                q = tuple(x - dot(c, change) for x, c in zip(q, C, strict=True))
+        return h, q
+
+    def _on_first(self, j, taken):
+        """Return how the multipliers of sample j act on the first state, others changed with them, (p, n)."""
+        plant, _, H = taken
+        rows = plant.C
+        for i in range(j, -1, -1):
+            if H[i] is not None:
+                through = linalg.matmul(linalg.matmul(rows, H[i]), plant.C)
+                rows = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(rows, through, strict=True)]
+            rows = linalg.matmul(rows, plant.A) if i else rows
+        return rows
+
+    def _unknown_left(self, h):
+        """Say whether an unknown input would count in a relation."""
+        m, p = self.model, self.model.p
+        if not m.d:
+            return False
+        A, C, F, D_v, q = *(linalg.transpose(x) for x in (m.A, m.C, m.F, m.D_v)), (ZERO,) * m.n
+        for j in range(self.horizon, -1, -1):
+            row = h[j * p : (j + 1) * p]
+            if any(dot(d, row) + dot(f, q) for d, f in zip(D_v, F, strict=True)):
+                return True
+            q = tuple(dot(c, row) + dot(a, q) for c, a in zip(C, A, strict=True))
+        return False
 
 
 def exceeds(about: Stretch, u: np.ndarray, y: np.ndarray) -> float:
@@ -138,8 +195,9 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     from scipy.sparse import csr_array, eye_array, hstack, kron, vstack
 
     m, s = window.model, window.horizon
-    A, B, C, D, G = (np.array([[float(x) for x in row] for row in getattr(m, name)]).reshape(len(getattr(m, name)), -1) for name in "ABCDG")
-    n, g, p = m.n, m.g, m.p
+    names = ("A", "B", "C", "D", "G", "F", "D_v")
+    A, B, C, D, G, F, D_v = (np.array([[float(x) for x in row] for row in getattr(m, a)]).reshape(len(getattr(m, a)), -1) for a in names)
+    n, g, p, free = m.n, m.g, m.p, (s + 1) * (m.n + m.d)
     inputs = np.zeros((s + 1, m.m))
     offset = [float(x) for x in m.offset["u"]]
     for j, v in enumerate(window.u):
@@ -148,30 +206,30 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     ends = np.array([[float(v) for v in window.limits[i]] for i in there]).reshape(-1, 2)
     w_ends = np.array([[float(v) for v in pair] for pair in window.disturbance] * s).reshape(-1, 2)
     w_mid, w_rad = w_ends.mean(1), np.diff(w_ends, axis=1)[:, 0] / 2
-    # scaled: states by nothing, disturbances by their half-widths; variables (states, disturbances, factor)
+    # scaled: states by nothing, disturbances by their half-widths; variables (states, unknown inputs, disturbances, factor)
     moves = pushed = None
     if s:
         steps = kron(eye_array(s, s + 1), A) - kron(eye_array(s, s + 1, k=1), np.eye(n))
         noise = kron(eye_array(s), G) @ _diagonal(w_rad) if g else csr_array((s * n, 0))
-        moves = hstack([steps, noise, csr_array((s * n, 1))])
+        moves = hstack([steps, kron(eye_array(s, s + 1), F), noise, csr_array((s * n, 1))])
         pushed = -(inputs[:s] @ B.T + (w_mid.reshape(s, g) @ G.T if g else 0)).ravel()
     mid, rad = ends.mean(1), np.diff(ends, axis=1)[:, 0] / 2
     through = (inputs @ D.T).ravel()[there] if D.size else np.zeros(len(there))
-    seen = _diagonal(1 / rad) @ csr_array(kron(eye_array(s + 1), C))[there]
+    seen = _diagonal(1 / rad) @ csr_array(hstack([kron(eye_array(s + 1), C), kron(eye_array(s + 1), D_v)]))[there]
     ones = lambda count: -np.ones((count, 1))
     sides = [hstack([sign * seen, csr_array((len(there), s * g)), ones(len(there))]) for sign in (1, -1)]
     right = [sign * (mid - through) / rad for sign in (1, -1)]
     if g:
-        sides += [hstack([csr_array((s * g, (s + 1) * n)), sign * eye_array(s * g), ones(s * g)]) for sign in (1, -1)]
+        sides += [hstack([csr_array((s * g, free)), sign * eye_array(s * g), ones(s * g)]) for sign in (1, -1)]
         right += [np.zeros(s * g)] * 2
     if window.first is not None:
         x = np.array([[float(v) for v in pair] for pair in window.first])
         middle, half = x.mean(1), np.diff(x, axis=1)[:, 0] / 2
-        sides += [hstack([sign * eye_array(n, (s + 1) * n), csr_array((n, s * g)), -half[:, None]]) for sign in (1, -1)]
+        sides += [hstack([sign * eye_array(n, free), csr_array((n, s * g)), -half[:, None]]) for sign in (1, -1)]
         right += [sign * middle for sign in (1, -1)]
-    cost = np.append(np.zeros((s + 1) * n + s * g), 1.0)
-    free = [(None, None)] * ((s + 1) * n + s * g) + [(0, None)]
-    found = linprog(cost, vstack(sides), np.concatenate(right), moves, pushed, bounds=free, method="highs")
+    cost = np.append(np.zeros(free + s * g), 1.0)
+    ends_of_all = [(None, None)] * (free + s * g) + [(0, None)]
+    found = linprog(cost, vstack(sides), np.concatenate(right), moves, pushed, bounds=ends_of_all, method="highs")
     if found.status != 0:
         return 0.0, np.zeros((s + 1) * p)
     marks, count = found.ineqlin.marginals, len(there)

@@ -187,10 +187,9 @@ class SetObserver(Observer):
     ) -> None:
         refuse_unverified()
         self.model, self.order, self.restart, self.enclosures = model, float(order), bool(restart), enclosures
-        free = bool(getattr(model, "d", 0))
-        self._plant = with_direct_states(model) if free else model
+        self._plant = with_direct_states(model) if getattr(model, "d", 0) else model
         self._system = system = as_intervals(self._plant, unknown_inputs=True)
-        self._unknown = unknown_directions(self._plant) if free else None
+        self._unknown = unknown_directions(self._plant) if getattr(model, "d", 0) else None
         self.signals = model if hasattr(model, "column") else Signals(system.inputs, system.outputs, {})
         if not order >= 1:
             raise ValueError(f"the order of an observer must be at least 1: it is {order!r}")

@@ -70,19 +70,21 @@ class Directions:
         return tuple(next(i for i, x in enumerate(row) if x) for row in self.hidden)
 
 
-def unknown_directions(model: LinearSystem) -> Directions:
-    """Return the Directions of a model with unknown inputs, D_v = 0 (see `with_direct_states`).
+def unknown_directions(model: LinearSystem) -> Directions | None:
+    """Return the Directions of a model with D_v = 0 (see `with_direct_states`); None if no unknown input moves a state.
 
     Raises:
         ValueError: uncertain parameters that act on the outputs, unknown inputs that explain whatever the outputs show.
     """
     moves = [model.A, *(rows for u in model.uncertainties if (rows := u.on("A")))]
     for u in model.uncertainties:
-        if u.C is not None and any(x for row in u.C for x in row):
+        if model.d and u.C is not None and any(x for row in u.C for x in row):
             raise ValueError(
                 f"an observer of unknown inputs needs certain outputs, and {u.name!r} acts on C: decouple it, or make C certain"
             )
     columns = [c for c in linalg.transpose(model.F) if any(c)]
+    if not columns:
+        return None
     rows, hidden = _smallest(model, moves, columns)
     if linalg.rank(_seen(model.C, rows)) == model.p:
         raise ValueError(_nothing_left(model, moves))
