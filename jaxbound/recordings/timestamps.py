@@ -58,7 +58,9 @@ def parse_stamps(cells: Any, dt: float | None, where: Callable[[int], str]) -> t
     hint = ""
     if len(smoothest) > 1 and "%d" in form and stamps[0] != smoothest[1][1][0]:
         hint = f"time stamps like {cells[0].as_py()!r} are read as {_words(form)}; they could also be {_words(smoothest[1][0])}"
-    return _since_first(stamps, hint, dated="%d" in form)
+    if not (dated := "%d" in form):
+        hint = f"time stamps like {cells[0].as_py()!r} have no day: a gap of whole days cannot be seen"
+    return _since_first(stamps, hint, dated)
 
 
 def stamp_kind(cell: str | None) -> str:
