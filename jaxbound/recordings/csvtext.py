@@ -20,6 +20,7 @@ WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "#N/A"
 MISSING_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
 ENOUGH, LINES, LONGEST = 1 << 18, 8, 1 << 26  # bytes and lines of a file that show how it is written; bytes looked at at most
 FURTHER = 20  # lines below the first row that show whether it is the header
+MANY = 10  # words that a sentence on cells that are no numbers repeats at most
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
 SIGNATURES = {
     b"PAR1": "a Parquet file",
@@ -145,22 +146,29 @@ def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str]
 
 
 def _bad_row(layout, index, texts):
-    """Return a sentence on the first row that cannot be read: the slow second pass."""
+    """Return a sentence on the first row that cannot be read, and on all cells like it: the slow second pass."""
+    first, others, words = "", 0, {}
     with open(layout.path, encoding="utf-8-sig" if layout.encoding == "utf-8" else layout.encoding, errors="replace", newline="") as f:
         reader = csv.reader(f, delimiter=layout.delimiter)
         while True:
             try:
                 row = next(reader, None)
             except csv.Error as e:
-                return f"row {reader.line_num} cannot be read: {e}"
+                return first or f"row {reader.line_num} cannot be read: {e}"
             if row is None:
-                return None
+                more = f"; {others} more cells hold {listed(list(words))}, too" if others else ""
+                return f"{first}{more}" or None
             if reader.line_num <= layout.skip or not row:
                 continue
             if len(row) != len(layout.names):
-                return f"row {reader.line_num} has {len(row)} cells, the header has {len(layout.names)} columns"
+                return first or f"row {reader.line_num} has {len(row)} cells, the header has {len(layout.names)} columns"
             for name, i in index.items():
                 cell = row[i]
-                if name not in texts and cell not in MISSING_CELLS and not is_number(cell, layout.decimal):
-                    what = "which is not a number: leave a missing sample blank"
-                    return f"row {reader.line_num} of column {name!r} holds {cell.strip()[:60]!r}, {what}"
+                if name in texts or cell in MISSING_CELLS or is_number(cell, layout.decimal):
+                    continue
+                word = cell.strip()[:60]
+                if first:
+                    others += 1
+                    words |= {word: None} if len(words) < MANY else {}
+                else:
+                    first = f"row {reader.line_num} of column {name!r} holds {word!r}, which is not a number: leave a missing sample blank"

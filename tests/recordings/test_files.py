@@ -207,6 +207,8 @@ class TestTime:
 BAD = {
     "missing column": ("t,u1,z1\n0,1,2\n0.5,1,2\n", r"the recording has no column 'y1'; did you mean 'u1'\?|no column 'y1'"),
     "text in a number column": (text_of([*ROWS, (2.0, "off", 3)]), "row 6 of column 'u1' holds 'off', which is not a number: leave"),
+    "several words": (text_of([*ROWS, (2.0, "off", 3), (2.5, 1, "No Data"), (3.0, "off", 3)]),
+                      "leave a missing sample blank; 2 more cells hold 'No Data', 'off', too"),
     "header below": ("Logger 7\n\nt;u1;y1\n0;1;2\n", "no column 'u1'.*; the header must be the first row: row 1 has 1 cell, row 3 has 3"),
     "decimal comma in a comma file": ('t,u1,y1\n0,1,"2,5"\n0.5,1,2\n', "row 2 of column 'y1' holds '2,5'"),
     "units below the header": ("t,u1,y1\ns,%,m\n0,1,2\n", "row 2 of"),
