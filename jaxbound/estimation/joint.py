@@ -97,7 +97,7 @@ class JointObserver(SetObserver):
             parts.append(found)
             first = stop
         found = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-        return state, self._told(found, lead, T, int(carry.samples))
+        return state, self._told(found, lead, T, carry)
 
     def _next_block(self, state):
         """Move the window on by a block, and enclose what will be the first state of windows."""

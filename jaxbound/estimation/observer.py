@@ -19,6 +19,7 @@ from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
+from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.zonotope_numbers import ROUNDED, first_set, free_numbers, least_horizon, numbers, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
@@ -57,7 +58,8 @@ class Observation:
             nothing was tested.
         since (..., T) int: the first sample that the enclosure rests on; -1: there is none.
         state Interval (..., T, n): holds the state of every behaviour that explains the samples from `since` on, this one included; entire
-            where there is none. Of a FAULT: what the samples before it allowed.
+            where there is none. Of a FAULT: what the samples before it allowed. NaN, like the others, where nothing is left: behind a FAULT
+            that stays (restart=False).
         predicted Interval (..., T, p): what a perfect sensor would show as far as the samples before this one tell. output: with it.
     """
 
@@ -299,7 +301,7 @@ class SetObserver(Observer):
         lead, count, given = self._given(carry, piece)
         past, found, _ = self._followed(carry.carry, count, *given)
         T = len(found.status)
-        return ObserverState(past, carry.samples + T), self._told(found, lead, T, int(carry.samples))
+        return ObserverState(past, carry.samples + T), self._told(found, lead, T, carry)
 
     def _given(self, carry, piece):
         """Return (leading shape, how many recordings, (u, y, slip of u, all (T, ., N), fresh (T, N), unit roundoff of y)) of a piece."""
@@ -323,7 +325,7 @@ class SetObserver(Observer):
         lanes = len(self.weights)
         if count == 1:  # nothing to cut or to copy: who follows a recording sample by sample is in a hurry
             past, found, known = self._block(past, [np.broadcast_to(x, (*x.shape[:-1], lanes)) for x in (u, y, slip, fresh)], rounded)
-            return past, _joined(steps.Found(*(x[..., None] for x in found))), [x[..., :1] for x in known]
+            return past, joined(steps.Found(*(x[..., None] for x in found))), [x[..., :1] for x in known]
         past = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes), past)
         past = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), past)
         beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
@@ -333,7 +335,7 @@ class SetObserver(Observer):
         split = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
         together = lambda *parts: np.concatenate([split(x) for x in parts], -1)[..., :count]
         past, found, known = (jax.tree.map(together, *parts) for parts in zip(*done, strict=True))
-        return jax.tree.map(beside, past), _joined(found), [x[..., 0, :] for x in known]
+        return jax.tree.map(beside, past), joined(found), [x[..., 0, :] for x in known]
 
     def _block(self, carry, samples, rounded):
         """Follow some recordings side by side, piece by piece."""
@@ -352,13 +354,15 @@ class SetObserver(Observer):
         found, known = parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: np.concatenate(x), *parts)
         return steps.Carry(*map(np.asarray, carry)), found, known
 
-    def _told(self, found, lead, T, before):
-        """Return the Observation, or the verdicts, of arrays with time first and recordings last."""
+    def _told(self, found, lead, T, carry):
+        """Return the Observation, or the verdicts, of arrays with time first and recordings last, behind what was carried."""
         shaped = lambda x: (np.moveaxis(x, -1, 0) if x.shape[-1] > 1 else x).reshape(*lead, T, *x.shape[1:-1])
         status, margin, age = (shaped(x) for x in found[:3])
         if not self.enclosures:
             return Judged(status, margin)
-        since = np.where(age > 0, before + np.arange(T) - age + 1, -1)
+        since = np.where(age > 0, int(carry.samples) + np.arange(T) - age + 1, -1)
+        before = None if self.restart else carry.carry.empty.reshape(len(self.weights), -1).any(0)
+        found = emptied(found, before)
         n, p = self._system.n, self._system.p
         ends = lambda x, width: Interval(-x[..., :width], x[..., width:])
         states, outputs = shaped(found.states), shaped(found.outputs)
@@ -371,14 +375,6 @@ def _filled(x, length):
     out = np.zeros((length, *x.shape[1:]), x.dtype)
     out[: len(x)] = x
     return out
-
-
-def _joined(found):
-    """Return what sets side by side (.., lanes, N) say together."""
-    if found.status.shape[-2] == 1:
-        return steps.Found(*(x[..., 0, :] for x in found))
-    age = np.where((found.age > 0).all(-2), found.age.max(-2), 0)
-    return steps.Found(found.status.max(-2), found.margin.min(-2), age, found.states.min(-2), found.outputs.min(-2))
 
 
 def _known(carry, c, G, r):

@@ -235,6 +235,22 @@ def test_gaps_missing_inputs_and_contradictions_begin_anew(rng):
     assert np.isinf(found.state.hi[13]).all() and np.isfinite(found.state.hi[14]).all()
 
 
+@pytest.mark.parametrize("more", [{}, {"method": "joint", "window": 8}])
+def test_nothing_is_enclosed_behind_a_contradiction_that_stays(more):
+    u, _, y = recorded(PLANT, 60, 5)
+    y[20:, 0] += 0.05 * np.arange(40)
+    watch = jb.observer(PLANT, restart=False, **more).telling(enclosures=True)
+    carry, first = watch.fold(watch.init(), Recording(u[:40], y[:40]))
+    _, second = watch.fold(carry, Recording(u[40:], y[40:], np.array([15])))
+    status = np.concatenate([first.status, second.status])
+    proved = int((status == jb.Status.FAULT).argmax())
+    assert 20 < proved < 40 and (status[proved:55] == jb.Status.FAULT).all()
+    for name in ("state", "predicted", "output"):
+        lo, hi = (np.concatenate([getattr(getattr(x, name), end) for x in (first, second)]) for end in ("lo", "hi"))
+        assert np.isnan(lo[proved + 1 : 55]).all() and np.isnan(hi[proved + 1 : 55]).all()
+        assert (lo[: proved + 1] <= hi[: proved + 1]).all() and (lo[55:] <= hi[55:]).all(), "no sooner, and not behind a gap"
+
+
 def test_what_a_window_of_sixteen_never_sees_an_observer_does():
     """A slow plant and a drifting sensor: a window with a free first state takes the drift for the plant's."""
     slow = jb.LinearSystem([["0.999"]], [["0.001"]], [[1]], noise="0.5", disturbance=([[1]], "0.0005"))
