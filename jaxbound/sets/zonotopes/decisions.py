@@ -254,7 +254,7 @@ def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: Arra
     (M, d), known = question.equations(), question.known()
     lay = lambda v: v.reshape((*shape, *v.shape[2:]))
     if traced(question):
-        lower, upper, direction, x = kernels.bounds(M, d, off)
+        lower, upper, direction, x = kernels.bounds(M, d, off, False)
         inside, outside = (upper <= 1) & known, (lower > 1) & known
         room = jnp.where(inside, 1 - upper, jnp.where(outside, 1 - lower, 0))
         said = jnp.where(inside, int(meets), jnp.where(outside, -int(meets), 0)).astype(jnp.int8)

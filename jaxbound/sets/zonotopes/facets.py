@@ -115,7 +115,7 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
 def _traced(Z: Zonotope, points: ArrayLike) -> jax.Array:
     ((c, G, _, _),) = numbers(Z, points=points)
     (points,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
-    lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], tight=True)
+    lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], 0.0, True)
     return jnp.where(lower > 1, 1 - lower, jnp.maximum(1 - upper, 0))[0]
 
 

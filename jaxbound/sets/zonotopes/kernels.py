@@ -4,8 +4,6 @@ The stages are those of `gauges`: projections for all points, interior points an
 numbers, the boundary and flat sets, stays open here; float32 proves nothing within some 1e-4 of the boundary.
 """
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,8 +50,8 @@ def _right_inverse(M: jax.Array) -> jax.Array:
     return jnp.where(jnp.abs(R) < 4 * rounding.tiny(M.dtype), 0, R)
 
 
-@partial(jax.jit, static_argnames="tight")
-def bounds(M: jax.Array, d: jax.Array, off: ArrayLike = 0.0, tight: bool = False) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+@jax.jit
+def bounds(M: jax.Array, d: jax.Array, off: ArrayLike, tight: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (lower, upper, l, x): proved bounds (S, N) of the gauges of d (S, N, m) in M [-1, 1]^q, and what proves them.
 
     Args:
@@ -74,18 +72,18 @@ def bounds(M: jax.Array, d: jax.Array, off: ArrayLike = 0.0, tight: bool = False
 
 
 def gauge_bounds(
-    body: proof.Image[jax.Array], d: jax.Array, off: jax.Array | float = 0.0, tight: bool = False
+    body: proof.Image[jax.Array], d: jax.Array, off: jax.Array | float = 0.0, tight: ArrayLike = False
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return (lower, upper, l, x) as `bounds` does, for an Image and points in its own scale."""
     l, x = settled(*map(_clean, _candidates(body, d, tight)))
     return proof.gauge_above(body, d, l, off), proof.gauge_below(body, d, x, off), l, x
 
 
-def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: bool) -> tuple[jax.Array, jax.Array]:
+def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) -> tuple[jax.Array, jax.Array]:
     """Return (l, x): the best directions and points found, in plain floats; no claim is made."""
     (S, m, q), N = body.M.shape, d.shape[1]
     turned, back = body.M.swapaxes(1, 2), body.R.swapaxes(1, 2)
-    enough = np.inf if tight else rounding.unit(d.dtype) ** 0.5
+    enough = jnp.where(tight, np.inf, rounding.unit(d.dtype) ** 0.5)
 
     def rated(l, x):
         l, x = proof.unit(l), x + (d - x @ turned) @ back

@@ -11,8 +11,9 @@ from zonotope_cases import each_dtype, padded, program
 from jaxbound import sets
 from jaxbound.sets import Zonotope, constrained_zonotope, contains, intersects, is_empty, separate, zonotope
 
-N, Q, COUNT, MANY = 3, 5, 64, 300
-one_of_each, together = jax.jit(jax.vmap(contains)), jax.jit(contains)
+N, Q, COUNT, MANY = 3, 6, 64, 300
+"""Every question of COUNT sets is put as N equations of Q unknowns, and with vmap alone: then one compiled search answers all of them."""
+of_points, of_sets, together = jax.vmap(contains), jax.jit(jax.vmap(contains)), jax.jit(contains)
 
 
 def points_of_one_set(Z, points):
@@ -41,7 +42,7 @@ def drawn(rng, dtype, count=COUNT):
 def test_points_are_decided_as_outside_of_jit(rng, dtype):
     center, G, points, t = drawn(rng, dtype)
     Z = zonotope(center, G)
-    answer = one_of_each(Z, points[:, None]).answer
+    answer = of_points(Z, points[:, None]).answer
     far = np.abs(t - 1) > 0.01
     assert agree(answer, contains(Z, points[:, None])) <= (0 if dtype == np.float64 else 0.5)
     assert (np.asarray(answer)[far, 0] == np.where(t < 1, 1, -1)[far]).all()
@@ -59,18 +60,18 @@ def test_points_of_one_set_are_decided_as_outside_of_jit(rng, dtype):
 
 def test_margins_inside_jit_do_not_overstate(rng):
     center, G, points, t = drawn(rng, np.float64)
-    found = one_of_each(zonotope(center, G), points[:, None])
+    found = of_points(zonotope(center, G), points[:, None])
     margin = np.asarray(found.margin)[:, 0]
     assert (np.sign(margin) == np.asarray(found.answer)[:, 0]).all() and (np.abs(margin) <= np.abs(1 - t) + 1e-9).all()
 
 
 @pytest.mark.parametrize("dtype", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64])
 def test_emptiness_inside_jit_is_that_outside(rng, dtype):
-    A, b = rng.normal(size=(COUNT, 2, Q)), rng.normal(size=(COUNT, 2))
+    A, b = rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N))
     t = 1 + rng.choice([-1, 1], COUNT) * 10.0 ** rng.uniform(-6, -1, COUNT)
     b = b * np.array([f / program(a, v) for f, a, v in zip(t, A, b, strict=True)])[:, None]
     C = constrained_zonotope(*(v.astype(dtype) for v in (np.zeros((COUNT, 1)), rng.normal(size=(COUNT, 1, Q)), A, b)))
-    assert agree(jax.jit(jax.vmap(is_empty))(C).answer, is_empty(C)) <= (0 if dtype == np.float64 else 0.5)
+    assert agree(jax.vmap(is_empty)(C).answer, is_empty(C)) <= (0 if dtype == np.float64 else 0.5)
 
 
 @pytest.mark.slow
@@ -94,7 +95,7 @@ def test_a_zonotope_in_a_set_is_decided_inside_jit_as_outside(rng):
     shape = rng.normal(size=(COUNT, Q, 4)) * rng.uniform(0.05, 0.4, (COUNT, 1, 1))
     outer, inner = zonotope(np.zeros((COUNT, N)), G), zonotope(0.1 * rng.normal(size=(COUNT, N)), G @ shape)
     outside = contains(outer, inner)
-    inside = one_of_each(outer, inner).answer
+    inside = of_sets(outer, inner).answer
     assert agree(inside, outside) <= 0.3 and {-1, 1} <= set(np.asarray(inside).tolist())
 
 
@@ -153,7 +154,7 @@ def test_decisions_are_trees_of_arrays():
 
 def test_margins_of_membership_inside_jit_are_those_outside(rng):
     center, G, points, t = drawn(rng, np.float64)
-    inside = jax.jit(jax.vmap(sets.membership))(zonotope(center, G), points[:, None])[:, 0]
+    inside = jax.vmap(sets.membership)(zonotope(center, G), points[:, None])[:, 0]
     assert np.abs(inside - (1 - t)).max() <= 1e-7 * np.abs(t).max()
 
 
@@ -194,7 +195,7 @@ def test_published_points_and_corners_are_decided_under_jit_and_vmap(cases):
     Z, points, t = published_points(cases)
     expected = np.where(t == 1, 0, np.where(t < 1, 1, -1))  # the boundary stays open
     assert len(t) == 39 and (t == 1).sum() == 1
-    assert (np.asarray(one_of_each(fill(Z), fill(points[:, None])).answer)[: len(t), 0] == expected).all()
+    assert (np.asarray(of_points(fill(Z), fill(points[:, None])).answer)[: len(t), 0] == expected).all()
     for i in (0, 3, len(t) - 1):  # all points, on one set
         mine = [j for j in range(len(t)) if np.array_equal(Z[j].generators, Z[i].generators)]
         assert (points_of_one_set(Z[i], points[mine]).answer == expected[mine]).all()
@@ -205,14 +206,14 @@ def test_published_inclusions_are_decided_under_vmap(cases):
     asked = [(padded(c["outer"], N, Q, 1.0), padded(c["inner"], N, 4), c["inside"]) for c in cases if c["kind"] == "zonotope_in"]
     outer, inner, inside = zip(*asked, strict=True)
     smaller = Zonotope(inner[0].center, 0.999 * inner[0].generators)
-    answer = np.asarray(one_of_each(fill([*outer, outer[0]]), fill([*inner, smaller])).answer)
+    answer = np.asarray(of_sets(fill([*outer, outer[0]]), fill([*inner, smaller])).answer)
     assert inside == (True, False, False) and answer[:4].tolist() == [0, -1, -1, 1]
 
 
 def test_published_pairs_meet_or_not_under_vmap(cases):
-    asked = [(padded(c["Z1"], 2, 2), padded(c["Z2"], 2, 3), c["meet"]) for c in cases if c["kind"] == "intersects"]
+    asked = [(padded(c["Z1"], N, 3, 1.0), padded(c["Z2"], N, 3), c["meet"]) for c in cases if c["kind"] == "intersects"]
     X, Y, meet = zip(*asked, strict=True)
-    assert np.asarray(jax.jit(jax.vmap(intersects))(fill(X), fill(Y)).answer)[:4].tolist() == [1 if x else -1 for x in meet]
+    assert np.asarray(jax.vmap(intersects)(fill(X), fill(Y)).answer)[:4].tolist() == [1 if x else -1 for x in meet]
 
 
 def test_an_observer_may_ask_in_a_scan():
