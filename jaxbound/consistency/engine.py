@@ -31,8 +31,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Job", "connected", "in_order", "processor", "spread", "stretches_for"]
 
-DEATHS = 100  # workers of our own that may die of one task: what kills them may have nothing to do with it
-COMES_BACK = "600s"  # until a worker that died is given up: to start one may take long where the machine is busy
+WORKERS = {  # how those are set that we start ourselves
+    "distributed.worker.multiprocessing-method": "spawn",
+    "distributed.scheduler.allowed-failures": 100,  # may die of one task: what kills them may have nothing to do with it
+    "distributed.deploy.lost-worker-timeout": "600s",  # until one is given up: to start it may take long where the machine is busy
+    # the memory of a chunk is kept for the next one, since to give it back and to ask again costs as much as to judge
+    "distributed.nanny.pre-spawn-environ": {
+        **{"MALLOC_ARENA_MAX": 1, "MALLOC_MMAP_THRESHOLD_": 1 << 30, "MALLOC_TRIM_THRESHOLD_": 1 << 30},
+        "OMP_NUM_THREADS": 1,  # what decodes columns asks for it, too
+    },
+    # what they would measure of themselves up to fifty times a second, and nobody reads
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.interval": "60s",
+    "distributed.admin.tick": {"interval": "10s", "limit": "600s", "cycle": "60s"},
+}
 RETRIES = 3  # of a task that fails by more than what it says of its data
 AHEAD = 4  # tasks a thread that are sent out at once: results must not pile up
 WAIT = 60  # seconds until a scheduler answers
@@ -67,10 +79,8 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     with ExitStack() as open_things:
         place: Any = scheduler
         if scheduler is None:
-            given = {"distributed.worker.multiprocessing-method": "spawn", "distributed.scheduler.allowed-failures": DEATHS,
-                     "distributed.deploy.lost-worker-timeout": COMES_BACK, "distributed.worker.profile.enabled": False}  # fmt: skip
-            open_things.enter_context(dask.config.set(given))
-            quiet = {"silence_logs": logging.CRITICAL, "dashboard_address": "127.0.0.1:0"}
+            open_things.enter_context(dask.config.set(WORKERS))
+            quiet = {"silence_logs": logging.CRITICAL, "dashboard_address": "127.0.0.1:0", "memory_limit": None}
             try:
                 place = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, env=_environment(), **quiet)
             except RuntimeError as e:

@@ -103,6 +103,11 @@ class ParquetSource(Source):
         return self._contents.of(spans)
 
     @property
+    def digests(self) -> dict:
+        """The digests of blocks that are known so far, to which those may be added that another process has read."""
+        return self._contents.known
+
+    @property
     def layout(self) -> str:
         """What is known of the recording before it is read, as text: files, their sizes and rows, how columns and time are understood."""
         files = [(self.name(file) if self.path.is_dir() else "", state[0]) for file, state in zip(self.files, self.states, strict=True)]

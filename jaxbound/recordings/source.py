@@ -102,6 +102,11 @@ class Source:
         return str(self.content)
 
     @property
+    def digests(self) -> dict:
+        """The digests of blocks that are known so far, to which those may be added that another process has read; none by default."""
+        return {}
+
+    @property
     def label(self) -> str:
         """The name of the recording for a reader."""
         return Path(str(self.data)).name

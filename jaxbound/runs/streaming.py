@@ -97,14 +97,15 @@ def _done(client, job, missing, mine, report):
     if client is not None:
         tasks = stretches if job.follows else stretches_for(client, stretches)
         report(1 - left / max(len(mine), 1))
-        for number, seconds in spread(client, job, tasks) if tasks else ():
+        for number, (seconds, digests) in spread(client, job, tasks) if tasks else ():
             left -= len(tasks[number])
             report(1 - left / len(mine))
+            job.source.digests.update(digests)  # the recording is not read again to know what it holds
             yield seconds
         return
     first, end = mine.start * PART, min(mine.stop * PART, job.source.samples)
     for parts in stretches:
-        yield job.run(parts, lambda done: report((done - first) / (end - first)))
+        yield job.run(parts, lambda done: report((done - first) / (end - first)))[0]
 
 
 def all_parts(relations: Any, source: ParquetSource, out: str | PathLike, method: str = "joint", overlap: int | None = None) -> Path:
@@ -192,7 +193,7 @@ class _Judging:
         return self.chain[number]
 
     def run(self, parts, report=lambda done: None):
-        """Write the parts of a range that are not there; return the seconds that each stage took.
+        """Write the parts of a range that are not there; return (seconds that each stage took, digests of what was read).
 
         Args:
             report: called with the number of the sample that is done.
@@ -201,7 +202,7 @@ class _Judging:
         for missing in _stretches(_missing(self.folder, parts)):  # some are there if a worker died with this task
             for together in [missing] if self.overlap is None else [range(i, i + 1) for i in missing]:
                 self._write(together, report, _Lap(seconds))
-        return seconds
+        return seconds, self.source.digests
 
     def _write(self, parts, report, lap):
         judge = _judge(self, parts.start)
