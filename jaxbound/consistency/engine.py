@@ -35,9 +35,9 @@ WORKERS = {  # how those are set that we start ourselves
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.scheduler.allowed-failures": 100,  # may die of one task: what kills them may have nothing to do with it
     "distributed.deploy.lost-worker-timeout": "600s",  # until one is given up: to start it may take long where the machine is busy
-    # the memory of a chunk is kept for the next one, since to give it back and to ask again costs as much as to judge
     "distributed.nanny.pre-spawn-environ": {
-        **{"MALLOC_ARENA_MAX": 1, "MALLOC_MMAP_THRESHOLD_": 1 << 30, "MALLOC_TRIM_THRESHOLD_": 1 << 30},
+        # the memory of a chunk is kept for the next one: to give it back and to ask again costs as much as to judge
+        **{"MALLOC_ARENA_MAX": 1, "MALLOC_MMAP_THRESHOLD_": 1 << 30, "MALLOC_TRIM_THRESHOLD_": 1 << 30, "NUMPY_MADVISE_HUGEPAGE": 0},
         "OMP_NUM_THREADS": 1,  # what decodes columns asks for it, too
     },
     # what they would measure of themselves up to fifty times a second, and nobody reads

@@ -33,12 +33,12 @@ class Contents:
     Blocks are digested side by side (`hashlib` lets go of the interpreter), so a large recording costs little more than to read it.
 
     Args:
-        path: of a file, or of a folder of Parquet files.
+        path: of a file, or of a folder of Parquet files. known: {(file, first byte of a block): its digest}, to which others are added.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, known: dict[tuple[Path, int], bytes] | None = None) -> None:
         self.path, self.files = path, files_of(path)
-        self.known: dict[tuple[Path, int], bytes] = {}
+        self.known = {} if known is None else known
 
     def all(self) -> str:
         """Return the digest of all bytes, and of the names and sizes of the files."""
@@ -61,7 +61,7 @@ class Contents:
         wanted = dict.fromkeys((file, at) for file, first, stop in spans for at in range(first // BLOCK * BLOCK, stop, BLOCK))
         new = [block for block in wanted if block not in self.known]
         with ThreadPoolExecutor(max(min(len(new), os.cpu_count() or 1), 1)) as threads:
-            self.known |= zip(new, threads.map(_digest, *zip(*new, strict=True)), strict=True) if new else ()
+            self.known.update(zip(new, threads.map(_digest, *zip(*new, strict=True)), strict=True) if new else ())
         return {block: self.known[block] for block in wanted}
 
 

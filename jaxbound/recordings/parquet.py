@@ -95,17 +95,12 @@ class ParquetSource(Source):
 
     @cached_property
     def _contents(self):
-        return Contents(self.path)
+        return Contents(self.path, self.digests)
 
     def content_of(self, first: int, stop: int) -> str:
         """Return the digest of what the samples first..stop are read from, without the rest of large files."""
         spans = [(file, *span) for file, low, high in self._in(first, stop) for span in spans_of(file, self.name(file), low, high)]
         return self._contents.of(spans)
-
-    @property
-    def digests(self) -> dict:
-        """The digests of blocks that are known so far, to which those may be added that another process has read."""
-        return self._contents.known
 
     @property
     def layout(self) -> str:

@@ -101,9 +101,9 @@ class Source:
         """Return a digest of what the samples first .. stop - 1 are read from; where that is not known, of all data."""
         return str(self.content)
 
-    @property
+    @cached_property
     def digests(self) -> dict:
-        """The digests of blocks that are known so far, to which those may be added that another process has read; none by default."""
+        """Digests of blocks that are known so far, as `contents` has them; those that another process has read may be added."""
         return {}
 
     @property

@@ -4,6 +4,7 @@ import json
 import os
 import random
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -21,7 +22,8 @@ from jaxbound.cli import fleet as fleet_command
 from jaxbound.cli import main
 from jaxbound.consistency import engine
 from jaxbound.consistency.engine import connected, spread
-from jaxbound.recordings.parquet import ParquetSource
+from jaxbound.recordings import contents
+from jaxbound.recordings.parquet import ParquetSource, open_parquet
 from jaxbound.runs import streaming
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.streaming import part_files
@@ -60,6 +62,13 @@ class TestSameBytes:
         for name in ("counts", "worst", "hints", "alarm_count", "alarms", "ended", "samples"):
             assert getattr(found, name) == getattr(one[1], name), name
         assert shares == sorted(shares) and shares[-1] == 1.0
+
+    def test_what_workers_read_is_not_read_again_to_know_what_was_tested(self, case, client, tmp_path, monkeypatch):
+        r, folder, _, _ = case("section 5")
+        held, source = open_parquet(folder, r.model).content, open_parquet(folder, r.model)
+        streaming.write_parts(r, source, tmp_path, client=client)
+        monkeypatch.setattr(contents, "_digest", None)
+        assert source.content == held
 
     def test_what_one_process_left_is_finished_by_workers(self, case, one, client, tmp_path, monkeypatch):
         r, folder, _, _ = case("section 5")
@@ -106,6 +115,20 @@ class TestSameBytes:
             narrow = jb.study(*asked, sizes=[0.5], samples=20, client=client)
             alone = jb.study(*asked, sizes=[0.5], samples=20)
         assert narrow.settings["dtype"] == "float32" and (narrow.tallies[0].delays == alone.tallies[0].delays).all()
+
+
+class TestCost:
+    def test_workers_keep_their_memory_for_the_next_chunk(self, client):
+        """Else the system clears the same pages again and again, which takes as long as the tests of windows."""
+        assert max(client.run(_pages_of_a_chunk_after_another).values()) < 1000
+
+
+def _pages_of_a_chunk_after_another():
+    """Return how many pages the system gives for an array as large as one that was there before."""
+    for _ in range(2):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        np.ones(2_000_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
 class TestTrouble:
