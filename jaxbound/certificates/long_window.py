@@ -112,8 +112,9 @@ class LongWindow(ExactWindow):
 
     def _corrected(self, h, taken):
         """Return multipliers changed in as many places as there are states, so that the first state does not count."""
-        p, seen, wanted = self.model.p, [], []
-        plant, hidden, _ = taken
+        (plant, hidden, _), p = taken, self.model.p
+        seen: list[Sequence[Fraction]] = []
+        wanted: list[int] = []
         for j in range(self.horizon + 1):
             rows = self._on_first(j, taken)
             for i in range(p):

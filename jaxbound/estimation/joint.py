@@ -9,6 +9,7 @@ Sources: Scott, Raimondo, Marseglia, Braatz 2016 (the exact set of a window is a
 knows what came before it). Programs are searched for in floats (`window_search`) and what they found is proved (`window_proof`).
 """
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -18,7 +19,8 @@ import numpy as np
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.observer import METHODS, SetObserver
-from jaxbound.estimation.window_proof import Prior, Samples, enclosed, window_of
+from jaxbound.estimation.parallelotope import OFF, ROUNDED, parallelotope, template
+from jaxbound.estimation.window_proof import Prior, Samples, enclosed, reach_before, window_of
 from jaxbound.estimation.window_search import searched, split
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
@@ -27,8 +29,6 @@ from jaxbound.sets.floats.status import Status
 
 __all__ = ["JointObserver", "JointState"]
 
-ROUNDED, OFF = 1 + 1e-9, 1e-12
-"""Above what rounding does to the sums of a few hundred numbers >= 0 in float64; share of magnitudes above what it does to any."""
 SIZES = (16, 128)
 """Windows side by side in one kernel."""
 SETTLED = 8
@@ -65,6 +65,10 @@ class JointObserver(SetObserver):
 
     def __init__(self, *given: Any, window: int = 32, **more: Any) -> None:
         super().__init__(*given, **more)
+        if self._unknown is not None:
+            if self._unknown.hidden:
+                raise ValueError('method "joint" needs outputs that show what unknown inputs do at once: use "zonotope" or "strips"')
+            self._unknown = replace(self._unknown, ways=self._unknown.ways[:1])
         if isinstance(window, bool) or not isinstance(window, (int, np.integer)) or window < 4 or window % 2:
             raise ValueError(f"window must be an even number of samples >= 4, not {window!r}")
         self.window = int(window)
@@ -108,11 +112,10 @@ class JointObserver(SetObserver):
             lanes_held = np.flatnonzero(state.held)
             cut = lambda tree: jax.tree.map(lambda x: x[..., lanes_held], tree)
             old = cut(prior)
-            lo, hi = _template(D, old.c[None], old.S[None], old.r[None])
-            low, high = self._supports(cut(state.prior), cut(state.window), D, hi - lo, np.full(len(lanes_held), half))
-            better = _parallelotope(
-                D, back, np.maximum(lo, low), np.minimum(hi, high), state.window.reach[half][:, lanes_held], self._dtype
-            )
+            lo, hi = template(D, old.c[None], old.S[None], old.r[None])
+            low, high = self._supports(cut(state.prior), cut(state.window), D, hi - lo, np.full(len(lanes_held), half), True)
+            reach = cut(state.window).reach if self._unknown is None else reach_before(self._exact, cut(state.prior), cut(state.window))
+            better = parallelotope(D, back, np.maximum(lo, low), np.minimum(hi, high), reach[half], self._dtype)
             prior, bounded = jax.tree.map(np.array, prior), _bounded(better)
             for x, new in zip(prior, better, strict=True):
                 x[..., lanes_held] = np.where(bounded, new, x[..., lanes_held])
@@ -124,8 +127,8 @@ class JointObserver(SetObserver):
             D, back = self._directions(number)
             c, G, r = map(split, carry[:3])
             marked = (split(carry.age) >= 0).all(0)
-            lo, hi = _template(D, c, G, r)
-            mark = _parallelotope(D, back, lo, hi, (abs(c) + abs(G).sum(2) + r).min(0) * ROUNDED, self._dtype)
+            lo, hi = template(D, c, G, r)
+            mark = parallelotope(D, back, lo, hi, (abs(c) + abs(G).sum(2) + r).min(0) * ROUNDED, self._dtype)
             marked &= _bounded(mark)
             mark = Prior(*(np.where(marked, x, 0) for x in mark))
         path, told = self._path_on(state, number)
@@ -138,7 +141,7 @@ class JointObserver(SetObserver):
         """Return (path, told) of the next block: the state in the middle of the window on a trajectory through all of it."""
         if number == 1 and self._first is not None:
             more = getattr(self.model, "averages", ()) or getattr(self.model, "constant_tolerance", False)
-            if more:  # bounds that enclosures may leave out; a trajectory must not
+            if more or self._unknown is not None:  # bounds that enclosures may leave out; a trajectory must not
                 return state.path, state.told
             c, S, r = state.mark
             apart = (S == 0) | np.eye(len(S), dtype=bool)[:, :, None]  # sides of a box: a state is compared with each
@@ -291,14 +294,14 @@ class JointObserver(SetObserver):
     def _gauges(self, prior, samples):
         """Return (value, bound, t, xi, w) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats."""
         window, N = window_of(self._exact, prior, samples), prior.c.shape[-1]
-        n, g = window.W.shape
-        begin = np.concatenate([np.zeros((n + self.window * g, N)), window.e / window.s])
+        (n, k, _), g = window.S.shape, window.W.shape[1]
+        begin = np.concatenate([np.zeros((k + self.window * g, N)), window.e / window.s])
         weight, t, z = searched(window, begin, 0.02)
         return *enclosed(self._exact, prior, samples, weight, np.zeros((n, N)), np.zeros(N)), t, z, window
 
-    def _supports(self, prior, samples, D, width, J):
+    def _supports(self, prior, samples, D, width, J, before=False):
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows, D (r, n), J (N,); width (r, N): about theirs."""
-        rows, N = len(D), prior.c.shape[-1]
+        rows, N, earlier = len(D), prior.c.shape[-1], before and self._unknown is not None  # than what unknown inputs add
         scale = 2.0 ** np.round(np.log2(1 / np.where((width > 0) & np.isfinite(width), width, 1)))
         out = np.full((2, rows, N), np.inf)
 
@@ -309,8 +312,9 @@ class JointObserver(SetObserver):
             for sign in (-1, 1):
                 for i in range(rows):
                     d = (sign * D[i][:, None] * scale[i, chosen]).astype(self._dtype)
-                    weight, *_ = searched(window, z, _close(self._dtype), d, J[chosen])
-                    value, bound = enclosed(self._exact, some, seen, weight, d, J[chosen])
+                    pulled = (self._exact.A.T @ d).astype(self._dtype) if earlier else d
+                    weight, *_ = searched(window, z, _close(self._dtype), pulled, J[chosen] - earlier)
+                    value, bound = enclosed(self._exact, some, seen, weight, d, J[chosen], before)
                     found.append(np.where(np.isfinite(bound), _sum_up(value, bound) / scale[i, chosen], np.inf))
             return np.stack(found, -1)
 
@@ -321,14 +325,14 @@ class JointObserver(SetObserver):
     @cached_property
     def _exact(self):
         """The numbers, as exact as floats of the dtype are, in float64."""
-        return steps.Numbers(*(np.asarray(x, np.float64) for x in self._numbers))
+        return jax.tree.map(lambda x: np.asarray(x, np.float64), self._numbers)
 
     @property
     def _first(self):
         """(c, S, r) of x0 where it has no more generators than states, else of its box."""
         if self._x0 is None:
             return None
-        c, G, r = self._x0
+        c, G, r = (np.pad(x, ((0, self._system.n - len(x)), *[(0, 0)] * (x.ndim - 1))) for x in self._x0)
         n = len(c)
         G = G[:, np.abs(G).any(0)]
         if G.shape[1] <= n:
@@ -351,6 +355,9 @@ class JointObserver(SetObserver):
             root = np.sqrt(np.maximum(values, 1e-14 * values.max()))
             out.append(((V / root).T.astype(self._dtype).astype(np.float64), V * root))
             for _ in range(self.window // 2):
+                if x.free is not None:
+                    M, H = x.free.M[..., 0], x.free.H[..., 0]
+                    P = M @ P @ M.T + (H * R) @ H.T + np.eye(len(M)) * (1e-6 * size) ** 2
                 K = np.linalg.solve(x.C @ P @ x.C.T + np.diag(R), x.C @ P).T
                 P = P - K @ x.C @ P
                 P = x.A @ (P + P.T) @ x.A.T / 2 + Q
@@ -372,27 +379,3 @@ def _bounded(prior):
 def _sum_up(a, b):
     """Return at least a + b."""
     return np.nextafter(a.astype(np.float64) + b.astype(np.float64), np.inf)
-
-
-def _template(D, c, G, r):
-    """Return (lo, hi), each (r, N), of D x over the sets c (k, n, N), G (k, n, q, N), r (k, n, N), all of which hold x, rounded outward."""
-    c, G, r = (x.astype(np.float64) for x in (c, G, r))
-    mid = np.einsum("ij,kjN->kiN", D, c)
-    reach = np.abs(np.einsum("ij,kjqN->kiqN", D, G)).sum(2) + np.einsum("ij,kjN->kiN", np.abs(D), r)
-    size = np.einsum("ij,kjN->kiN", np.abs(D), np.abs(c) + np.abs(G).sum(2) + r)
-    reach = (reach + OFF * size) * ROUNDED + 2.0**-500
-    return (mid - reach).max(0), (mid + reach).min(0)
-
-
-def _parallelotope(D, back, lo, hi, reach, dtype):
-    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach: x = back (D x) + (I - back D) x."""
-    mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
-    rad = (rad + OFF * np.abs(mid)) * ROUNDED
-    c, S = back @ mid, back[:, :, None] * rad[None]
-    rest = np.abs(np.eye(len(D)) - back @ D) + OFF * np.abs(back) @ np.abs(D)
-    off = rest @ np.where(np.isfinite(reach), reach.astype(np.float64), 1e300) + OFF * np.abs(back) @ (np.abs(mid) + rad)
-    with np.errstate(over="ignore"):
-        near = Prior(c.astype(dtype), S.astype(dtype), off)
-    off = off + np.abs(c - near.c) + np.abs(S - near.S).sum(1)
-    off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
-    return near._replace(r=rounding.round_up(off, dtype))

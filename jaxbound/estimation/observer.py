@@ -88,7 +88,7 @@ def observer(
     Args:
         model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance, unknown inputs; bounds of averages are not used) or an
             `interval_system`. Unknown inputs are taken out of each sample by as many outputs as show them, what is left is tested. States
-            that they move unseen are entire. A sample where too few outputs are there to do so ends the enclosure.
+            that they move unseen are entire ("joint" refuses these). A sample where too few outputs are there for it ends the enclosure.
         order: generators of the zonotope for each state, >= 1: more is sharper and slower.
         weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its generators; above 1 the
             observer believes a sample less and remembers longer, so that lasting and slow faults show. Several numbers: as many sets side
@@ -163,8 +163,6 @@ METHODS: dict[str, Callable[..., "SetObserver"]] = {}
 def _made(method, window, *given):
     """Return the observer of a method."""
     if method in METHODS:
-        if getattr(given[0], "d", 0):
-            raise ValueError(f"method {method!r} takes no unknown inputs: use zonotope or strips")
         return METHODS[method](*given, window=window)
     if method not in ("zonotope", "strips"):
         raise ValueError(f"method must be one of zonotope, strips, {', '.join(METHODS)}, not {method!r}")

@@ -7,6 +7,9 @@ States x_(j+1) = A x_j + B v_j + w_j, samples m_j = C x_j + D v_j + delta_j, |de
 
 in which only delta, x_0 and w are unknown, each within its bounds. So d x_J lies in value +- bound; with d = 0 a value beyond its bound is
 a contradiction. Where p_j is rounded, or A and C are intervals, the difference acts on x_j, of which bounds are known beforehand.
+
+With unknown inputs x_(j+1) is what A, B and w make of x_j only before the sample; behind it the state is M of that and H (m - D v - delta),
+see `models.unknown_directions`. The first state is that before its sample. So p_j goes on as M' p_j, and l_j - H' p_j replaces l_j.
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +21,7 @@ from jaxbound.estimation.window_search import Window
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Prior", "Samples", "enclosed", "window_of"]
+__all__ = ["Prior", "Samples", "enclosed", "reach_before", "window_of"]
 
 
 class Prior(NamedTuple):
@@ -42,42 +45,83 @@ class Samples(NamedTuple):
 def window_of(plant: Numbers, prior: Prior, samples: Samples) -> Window:
     """Return the Window that a search takes, rounded to nearest; plant in float64."""
     L, dtype, x = len(samples.mid), samples.mid.dtype, np.asarray(prior.c, np.float64)
+    M, H, tested = _taken_out(plant)
     e = np.empty(samples.mid.shape)
     for j in range(L):
-        e[j] = samples.mid[j] - plant.C @ x - plant.D @ samples.v[j]
+        known = samples.mid[j] - plant.D @ samples.v[j]
+        x = x if M is None else M @ x + H @ known
+        e[j] = known - plant.C @ x
         x = plant.A @ x + plant.B @ samples.v[j] + plant.w[:, None]
     seen = np.isfinite(samples.rad)
     least = 1e-9 * np.max(np.where(seen, samples.rad, 0), (0, 1), keepdims=True) + 1e-30  # a search divides by it
     S = prior.S + np.eye(len(prior.r))[:, :, None] * prior.r[None]
     s = np.where(seen, np.maximum(samples.rad, least), np.inf)
-    p, rows = len(plant.C), np.arange(L * len(plant.C))
-    flat = lambda x: x.reshape(len(rows), -1)
-    given = plant.A, plant.W, S, np.tile(plant.C, (L, 1)), flat(np.where(seen, e, 0)), flat(s)
-    return Window(*(np.asarray(x, dtype) for x in given), (rows // p).astype(np.int32), rows % p == p - 1, np.arange(p - 1, len(rows), p))
+    A, W, scale = plant.A, plant.W, None
+    if M is not None:  # the errors of outputs that are used up are disturbances, as large as their bounds
+        used = ~tested
+        size = np.where(seen, s, 1)[:, used]
+        S = np.concatenate([np.einsum("ij,jkN->ikN", M, S), -H[:, used, None] * size[0][None]], 1)
+        A, W = M @ A, np.concatenate([M @ W, -H[:, used]], 1)
+        later = np.concatenate([size[1:], size[-1:]])
+        scale = np.concatenate([np.ones((L, plant.W.shape[1], later.shape[-1])), later], 1).astype(dtype)
+    p, rows = int(tested.sum()), np.arange(L * int(tested.sum()))
+    flat = lambda x: x[:, tested].reshape(len(rows), -1)
+    given = A, W, S, np.tile(plant.C[tested], (L, 1)), flat(np.where(seen, e, 0)), flat(s)
+    A, W, S, c, e, s = (np.asarray(x, dtype) for x in given)
+    return Window(A, W, S, c, e, s, (rows // p).astype(np.int32), rows % p == p - 1, np.arange(p - 1, len(rows), p), scale)
 
 
-def enclosed(plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any, J: Any) -> tuple[np.ndarray, np.ndarray]:
+def _taken_out(plant):
+    """Return (M, H, the outputs (p,) that are left to test) of the one way to take unknown inputs out; None, None, all without any."""
+    if plant.free is None:
+        return None, None, np.ones(len(plant.C), bool)
+    return plant.free.M[..., 0], plant.free.H[..., 0], plant.free.used[:, 0] == 0
+
+
+def reach_before(plant: Numbers, prior: Prior, samples: Samples) -> np.ndarray:
+    """Return (L, n, N): at least the size of what A, B and w make of each state, before unknown inputs are added to it."""
+    size = jax.tree.map(np.abs, plant)
+    first = np.abs(prior.c) + np.abs(prior.S).sum(1) + prior.r
+    into = lambda X, wide, x: np.einsum("ij,ljN->liN", X + wide, x[:-1].astype(np.float64))
+    with np.errstate(invalid="ignore", over="ignore"):
+        moved = into(size.A, size.wide_A, np.where(np.isfinite(samples.reach), samples.reach, 1e300))
+    moved += into(size.B, size.wide_B, np.abs(samples.v)) + into(size.B, 0, samples.slip)
+    return np.concatenate([first[None], (moved + (size.w + size.W.sum(1) + size.wide_w)[:, None]) * (1 + 1e-9)])
+
+
+def enclosed(
+    plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any, J: Any, before: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (value, bound), each (N,) in float64: d x_J lies in value +- bound for all that explains the samples.
 
     An infinite bound shows nothing. Worked out on the host: a program would be compiled for longer than most recordings take.
 
     Args:
-        plant: in float64. weight (L p, N): multipliers, any. d (n, N), J (N,).
+        plant: in float64. weight (R, N): multipliers of the rows of its Window, any. d (n, N), J (N,). before: whether x_J is the state
+            before its sample is looked at; that is another one with unknown inputs alone.
     """
     (L, p, N), (n, m), g = samples.mid.shape, plant.B.shape, plant.W.shape[1]
-    terms = L * (n + m + p + g + 8) + n
+    terms = L * (2 * n + m + p + g + 8) + n
+    M, H, tested = _taken_out(plant)
     gamma, up = float(rounding.product_error(terms, np.float64)[0]), 1 + 8 * terms * float(rounding.unit(np.float64))
     prior, samples, weight, d = jax.tree.map(lambda x: np.asarray(x, np.float64), (prior, samples, weight, d))
     seen = np.isfinite(samples.rad)
-    l = np.where(seen & (np.abs(weight := weight.reshape(seen.shape)) < 2.0**60), weight, 0)
+    l = np.zeros(seen.shape)
+    l[:, tested] = weight.reshape(L, -1, N)
+    l = np.where(seen & (np.abs(l) < 2.0**60), l, 0)
     mid, s, V = np.where(seen, samples.mid, 0), np.where(seen, samples.rad, 0), np.abs(samples.v)
     pull = np.where(np.arange(L)[:, None, None] == J, d, 0)
-    q = np.zeros((L + 1, n, N))  # of the state after each sample; the last one has none
+    q, r = np.zeros((L + 1, n, N)), np.zeros((L, n, N))  # of the state after each sample; the last one has none
+    behind, ahead = (0 * pull, pull) if before and M is not None else (pull, 0 * pull)
     for j in reversed(range(L)):
-        q[j] = plant.C.T @ l[j] + plant.A.T @ q[j + 1] - pull[j]
-    first, q = q[0], q[1:]
-    a, b, size = np.abs(q), np.abs(l), Numbers(*map(np.abs, plant))
+        r[j] = plant.C.T @ l[j] + plant.A.T @ q[j + 1] - behind[j]
+        q[j] = r[j] if M is None else M.T @ r[j] - ahead[j]
+    first, q, size = q[0], q[1:], jax.tree.map(np.abs, plant)
     into, sums = lambda M, x: np.einsum("ij,ljN->liN", M, x), lambda x: x.sum((0, 1))
+    off = into((size.wide_C + gamma * size.C).T, np.abs(l)) + into((size.wide_A + gamma * size.A).T, np.abs(q)) + gamma * np.abs(pull)
+    if M is not None:
+        l = l - into(H.T, r)
+    a, b = np.abs(q), np.abs(l)
     column = lambda x: x[:, None]
     value = (
         sums(l * (mid - into(plant.D, samples.v))) - sums(q * (into(plant.B, samples.v) + column(plant.w))) - sums((first * prior.c)[None])
@@ -86,12 +130,26 @@ def enclosed(plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any
     bound += sums(a * (column(size.wide_w) + into(size.wide_B, V) + into(size.B, samples.slip)))
     bound += sums(b * (s + into(size.wide_D, V) + into(size.D, samples.slip)))
     whole = sums(a * (into(size.B, V) + column(size.w + size.W.sum(1)))) + sums(b * (np.abs(mid) + s + into(size.D, V)))
-    off = into((size.wide_C + gamma * size.C).T, b) + into((size.wide_A + gamma * size.A).T, a) + gamma * np.abs(pull)
     with np.errstate(invalid="ignore", over="ignore"):
         bound += sums(np.where(off > 0, off * samples.reach, 0))
+        if M is not None:
+            bound += _of_taking_out(plant, size, prior, samples, np.abs(r), gamma, pull)
         a = np.abs(first)
         bound += np.abs((prior.S * first[:, None]).sum(0)).sum(0) + (a * prior.r).sum(0)
         whole += (a * (np.abs(prior.c) + np.abs(prior.S).sum(1) + prior.r)).sum(0)
         bound = up * (bound + gamma * whole) + 2.0**-500
-    shown = (bound < np.inf) & (np.abs(value) < np.inf)
+    shown = (bound < np.inf) & (np.abs(value) < np.inf)  # not where it is NaN
     return np.where(shown, value, 0), np.where(shown, bound, np.inf)
+
+
+def _of_taking_out(plant, size, prior, samples, r, gamma, pull):
+    """Return (N,) what rounding of M' r and H' r costs; infinite where an output is missing that is to be used up."""
+    free, into = size.free, lambda X, x: np.einsum("ij,ljN->liN", X, x)
+    seen = np.isfinite(samples.rad)
+    of_sample = into((free.wide_H[..., 0] + gamma * free.H[..., 0]).T, r)
+    value = np.abs(np.where(seen, samples.mid, 0)) + into(size.D + size.wide_D, np.abs(samples.v)) + into(size.D, samples.slip)
+    value = np.where(seen, value + np.where(seen, samples.rad, 0), np.inf)
+    of_state = into((free.wide_M[..., 0] + gamma * free.M[..., 0]).T, r) + gamma * np.abs(pull)
+    reach = reach_before(plant, prior, samples)
+    acts = lambda x, on: np.where(x > 0, np.where(x > 0, x, 0) * np.where(x > 0, on, 0), 0).sum((0, 1))
+    return acts(of_sample, value) + acts(of_state, reach)

@@ -34,8 +34,9 @@ START = 0.3
 class Window(NamedTuple):
     """N windows of L steps, whose samples are R rows in order of time.
 
-    Fields: A (n, n); W (n, g); S (n, n, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s infinite where there is no
+    Fields: A (n, n); W (n, g); S (n, k, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s infinite where there is no
     sample; step (R,): its j; last (R,): whether it is the last row of a step, which each has; ends (L,): the numbers of these rows.
+    scale (L, g, N): factors of W after each step, or None.
     """
 
     A: Any
@@ -47,13 +48,14 @@ class Window(NamedTuple):
     step: Any
     last: Any
     ends: Any
+    scale: Any = None
 
 
 def split(z: Any, window: Window) -> tuple[Any, Any, Any]:
-    """Return xi (n, .., N), w (L, g, .., N), v (R, .., N) of all unknowns z (K, .., N); what the last w does is not looked at."""
-    (n, g), L = window.W.shape, len(window.ends)
-    after = n + L * g
-    return z[:n], z[n:after].reshape(L, g, *z.shape[1:]), z[after:]
+    """Return xi (k, .., N), w (L, g, .., N), v (R, .., N) of all unknowns z (K, .., N); what the last w does is not looked at."""
+    k, g, L = window.S.shape[1], window.W.shape[1], len(window.ends)
+    after = k + L * g
+    return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after:]
 
 
 def _dot(M, X):
@@ -68,7 +70,7 @@ def _solved(window, D, rho, d, J):
 
     D (K, N), zero where there is no sample; rho (K, k, N); d (n, k, N), J (N,) the step of the state that d speaks of.
     """
-    A, W, S, c, _, s, step, last, ends = window
+    A, W, S, c, _, s, step, last, ends, scale = window
     n = len(A)
     D_xi, D_w, D_v = split(D, window)
     rho_xi, rho_w, rho_v = split(rho, window)
@@ -79,6 +81,8 @@ def _solved(window, D, rho, d, J):
         pulled = jnp.sum(M[:, :n, None] * d[None], 1)  # a pull is like one more sample
         M = _dot(A, beside(M[:, :n], M[:, n:] + jnp.where((j == J)[None, None], pulled, 0)))
         w, more = D_w[j][:, None], rho_w[j]
+        if scale is not None:
+            w, more = w / scale[j][:, None] ** 2, more / scale[j][:, None]
         P = jnp.sum(M[:, None, :n] * A[None, :, :, None], 2) + jnp.sum(W[:, None, :, None] * W[None, :, :, None] / w[None, None, :, 0], 2)
         return beside(0.5 * (P + jnp.swapaxes(P, 0, 1)), M[:, n:] + _dot(W, more / w))
 
@@ -100,9 +104,10 @@ def _solved(window, D, rho, d, J):
         pull = gain[n:] + jnp.sum(gain[:n, None] * q, 0)
         return q + c[:, None, None] * pull[None], (into, pull)
 
-    q, (into, pulls) = jax.lax.scan(backward, jnp.zeros_like(rho_xi), (c, gains, step, last), reverse=True)
+    q, (into, pulls) = jax.lax.scan(backward, jnp.zeros((n, *rho_xi.shape[1:]), rho_xi.dtype), (c, gains, step, last), reverse=True)
     xi = rho_xi + jnp.sum(S[:, :, None] * q[:, None], 0)
-    w, v = rho_w + into[ends], rho_v + s * pulls
+    into = into[ends] if scale is None else into[ends] * scale[:, :, None]
+    w, v = rho_w + into, rho_v + s * pulls
     seen = jnp.where(D > 0, D, 1)[:, None]
     return jnp.concatenate([xi, w.reshape(-1, *xi.shape[1:]), v]) / seen, pulls
 

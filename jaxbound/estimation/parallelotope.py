@@ -1,0 +1,37 @@
+"""Parallelotopes {x : lo <= D x <= hi} that hold what sets of states do, rounded outward, recordings on the last axis."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxbound.estimation.window_proof import Prior
+from jaxbound.sets.floats import rounding
+
+__all__ = ["OFF", "ROUNDED", "parallelotope", "template"]
+
+ROUNDED, OFF = 1 + 1e-9, 1e-12
+"""Above what rounding does to the sums of a few hundred numbers >= 0 in float64; share of magnitudes above what it does to any."""
+
+
+def template(D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lo, hi), each (r, N), of D x over the sets c (k, n, N), G (k, n, q, N), r (k, n, N), all of which hold x, rounded outward."""
+    c, G, r = (x.astype(np.float64) for x in (c, G, r))
+    mid = np.einsum("ij,kjN->kiN", D, c)
+    reach = np.abs(np.einsum("ij,kjqN->kiqN", D, G)).sum(2) + np.einsum("ij,kjN->kiN", np.abs(D), r)
+    size = np.einsum("ij,kjN->kiN", np.abs(D), np.abs(c) + np.abs(G).sum(2) + r)
+    reach = (reach + OFF * size) * ROUNDED + 2.0**-500
+    return (mid - reach).max(0), (mid + reach).min(0)
+
+
+def parallelotope(D: np.ndarray, back: np.ndarray, lo: np.ndarray, hi: np.ndarray, reach: np.ndarray, dtype: Any) -> Prior:
+    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach: x = back (D x) + (I - back D) x."""
+    mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
+    rad = (rad + OFF * np.abs(mid)) * ROUNDED
+    c, S = back @ mid, back[:, :, None] * rad[None]
+    rest = np.abs(np.eye(len(D)) - back @ D) + OFF * np.abs(back) @ np.abs(D)
+    off = rest @ np.where(np.isfinite(reach), reach.astype(np.float64), 1e300) + OFF * np.abs(back) @ (np.abs(mid) + rad)
+    with np.errstate(over="ignore"):
+        near = Prior(c.astype(dtype), S.astype(dtype), off)
+    off = off + np.abs(c - near.c) + np.abs(S - near.S).sum(1)
+    off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
+    return near._replace(r=rounding.round_up(off, dtype))
