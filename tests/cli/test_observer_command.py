@@ -36,6 +36,7 @@ def signals():
 def place(tmp_path, monkeypatch, signals):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
+    monkeypatch.setattr("jaxbound.estimation.observer.SHORT", T)  # all of it by the kernels of short recordings: fewer are compiled
     plant = jb.LinearSystem([["0.9", "0.05"], [0, "0.9"]], [[0], ["0.1"]], [[1, 0], [0, 1]], noise="0.1",
                             disturbance=([[1, 0], [0, 1]], "0.005"), inputs="heat", outputs=["T1", "T2"])  # fmt: skip
     jb.save_model(plant, "plant.toml")
@@ -73,7 +74,7 @@ def test_a_report_shows_bands_and_says_when_the_observer_began_anew(place, capsy
     outside = (res.y < res.readings.lo) | (res.y > res.readings.hi)
     assert not outside[res.status == jb.Status.UNDECIDED].any(), "what leaves the band of healthy readings is FAULT"
     assert "contradicts all samples since" in page and "behind a contradiction it begins anew" in page
-    assert detect("--json", "--latched", "--order", "8", out="latched") == 1
+    assert detect("--json", "--latched", out="latched") == 1
     found = json.loads(capsys.readouterr().out)
     assert found["alarms"] == 1 and found["last_ended"] == ENDINGS[0] and found["counts"]["FAULT"] > 20
 
@@ -171,10 +172,19 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
     assert piped.follow(pipe, [b"".join(lines[:70]), None]) == 0
     assert piped.follow(pipe, [b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "parts") == told(place / "out")
-    (place / "units.csv").write_text("unit,model,recording\na,plant.toml,run.csv\nb,plant.toml,run.csv\n")
+    (place / "units.csv").write_text("unit,model,recording\n" + "".join(f"{unit},plant.toml,run.csv\n" for unit in "abc"))
     capsysbinary.readouterr()
     assert main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", *JOINT, "--json"]) == 1
-    assert [unit["counts"] for unit in json.loads(capsysbinary.readouterr().out)["units"]] == [found["counts"]] * 2
+    assert [unit["counts"] for unit in json.loads(capsysbinary.readouterr().out)["units"]] == [found["counts"]] * 3
+
+
+def test_an_observer_has_the_order_that_is_asked_for(place, capsys, monkeypatch):
+    def run(observer, *more, **options):
+        raise ValueError(f"an observer of order {observer.order}")
+
+    monkeypatch.setattr("jaxbound.cli.detect.detect", run)
+    assert detect("--order", "8", out="out") == 2
+    assert "an observer of order 8" in capsys.readouterr().err
 
 
 def test_a_study_is_given_the_observer_that_is_asked_for(place, capsys, monkeypatch):

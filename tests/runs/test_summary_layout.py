@@ -31,7 +31,7 @@ def place(tmp_path, monkeypatch):
     y = np.stack([x, 2 * x], 1)
     y[30, 0] += 5
     y[[8, 9], 1] = 1e3
-    time = np.arange(T) + np.where(np.arange(T) < 20, 0.0, 60.0)
+    time = np.arange(T) + np.where(np.arange(T) < 24, 0.0, 60.0)  # stretches of at most 16 samples: one compiled size
     frame = pd.DataFrame({"time": time, "u1": u, "y1": y[:, 0], "y2": y[:, 1]})
     frame.to_csv(tmp_path / "run.csv", index=False)
     frame.to_parquet(tmp_path / "run.parquet")
