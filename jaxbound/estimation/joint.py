@@ -195,7 +195,7 @@ class JointObserver(SetObserver):
         T, half, t, before = len(fresh), self.window // 2, int(state.samples), state.carry
         begin = half + t % half
         after, found, known = self._followed(before, count, u, y, slip, fresh, rounded)
-        known = steps.Read(*known)
+        after = steps.Carry(*map(np.asarray, after))
         direct = (np.abs(self._numbers.D) + self._numbers.wide_D).sum(1) > 0
         rad = np.where(~known.known[:, None] & direct[:, None], np.inf, known.rad).astype(self._dtype)
         n = self._system.n
@@ -232,6 +232,7 @@ class JointObserver(SetObserver):
             again = fresh.copy()
             again[1:] |= first[:-1]
             after, found, _ = self._followed(before, count, u, y, slip, again, rounded)
+            after = steps.Carry(*map(np.asarray, after))
             gone = np.tile(first[-1], len(self.weights))
             return after._replace(age=np.where(gone, -1, after.age).astype(np.int32), ready=np.where(gone, 0, after.ready)), found
         lasting = np.zeros_like(first[0])

@@ -322,35 +322,35 @@ class SetObserver(Observer):
         """Return (Carry, Found (T, .., N), the Read or nothing) of samples as of `_given`; a carry of one recording is that of all."""
         lanes = len(self.weights)
         if count == 1:  # nothing to cut or to copy: who follows a recording sample by sample is in a hurry
-            past, found, known = self._block(past, [np.broadcast_to(x, (*x.shape[:-1], lanes)) for x in (u, y, slip, fresh)], rounded)
-            return past, joined(steps.Found(*(x[..., None] for x in found))), [x[..., :1] for x in known]
-        past = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes), past)
+            past, found, known = self._block(past, (u, y, slip, fresh), rounded)
+            return past, joined(steps.Found(*(x[..., None] for x in found))), known
+        past = jax.tree.map(lambda x: np.asarray(x).reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes), past)
         past = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), past)
         beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
         cut = lambda block: jax.tree.map(lambda x: beside(x[..., block]), past)
-        job = lambda block: self._block(cut(block), [np.tile(x[..., block], lanes) for x in (u, y, slip, fresh)], rounded)
+        job = lambda block: self._block(cut(block), [x[..., block] for x in (u, y, slip, fresh)], rounded)
         done = in_blocks(job, count, min(max(BLOCK // lanes, 1), power(count)))
         split = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
         together = lambda *parts: np.concatenate([split(x) for x in parts], -1)[..., :count]
-        past, found, known = (jax.tree.map(together, *parts) for parts in zip(*done, strict=True))
-        return jax.tree.map(beside, past), joined(found), [x[..., 0, :] for x in known]
+        pasts, founds, reads = zip(*done, strict=True)
+        past, found = (jax.tree.map(together, *parts) for parts in (pasts, founds))
+        known = jax.tree.map(lambda *parts: np.concatenate(parts, -1)[..., :count], *reads)
+        return jax.tree.map(beside, past), joined(found), known
 
     def _block(self, carry, samples, rounded):
-        """Follow some recordings side by side, piece by piece."""
+        """Follow some recordings side by side, piece by piece; return (Carry, where it was worked out, Found, Read or None)."""
         T, first, (numbers, start) = len(samples[0]), 0, self._placed
-        parts: list[steps.Found] = []
+        parts: list = []
+        how = len(self.weights), 2 if self.enclosures else int(self.hulls), self.restart, self.hulls
         while first < T or not parts:
             length = PIECES[0] if T - first <= SHORT else PIECES[1]
             stop = min(first + length, T)
-            known = steps.read(numbers, *(_filled(x[first:stop], length) for x in samples), rounded)
-            carry, found = steps.follow(
-                numbers, start, carry, known, stop - first, len(self.weights), 2 if self.enclosures else int(self.hulls), self.restart
-            )
-            kept = found, tuple(known) if self.hulls else ()
-            parts.append(jax.tree.map(lambda x: np.asarray(x)[: stop - first], kept))  # noqa: B023
+            given = (*(_filled(x[first:stop], length) for x in samples), rounded)
+            carry, *found = steps.follow(numbers, start, carry, given, stop - first, *how)
+            parts.append(jax.tree.map(lambda x: np.asarray(x)[: stop - first], found))  # noqa: B023
             first = stop
         found, known = parts[0] if len(parts) == 1 else jax.tree.map(lambda *x: np.concatenate(x), *parts)
-        return steps.Carry(*map(np.asarray, carry)), found, known
+        return carry, found, known
 
     def _told(self, found, lead, T, carry):
         """Return the Observation, or the verdicts, of arrays with time first and recordings last, behind what was carried."""
@@ -359,7 +359,7 @@ class SetObserver(Observer):
         if not self.enclosures:
             return Judged(status, margin)
         since = np.where(age > 0, int(carry.samples) + np.arange(T) - age + 1, -1)
-        before = None if self.restart else carry.carry.empty.reshape(len(self.weights), -1).any(0)
+        before = None if self.restart else np.asarray(carry.carry.empty).reshape(len(self.weights), -1).any(0)
         found = emptied(found, before)
         n, p = self._system.n, self._system.p
         ends = lambda x, width: Interval(-x[..., :width], x[..., width:])

@@ -119,7 +119,6 @@ def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Carry:
     return Carry(zero(n), zero(n, q), zero(n), np.full(N, -1, np.int32), np.zeros(N, bool), *last, np.zeros(N, np.int32), weight)
 
 
-@jax.jit
 def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array) -> Read:
     """Return what samples u, slip (T, m, N), y (T, p, N) say. rounded: the unit roundoff of the type that y was recorded in."""
     mid, rad = [], []
@@ -158,20 +157,24 @@ class Found(NamedTuple):
     outputs: Any
 
 
-@partial(jax.jit, static_argnames=("lanes", "enclosures"))
+@partial(jax.jit, static_argnames=("lanes", "enclosures", "also"))
 def follow(
-    plant: Numbers, start: Start | None, carry: Carry, known: Read, stop: int, lanes: int, enclosures: int, restart: jax.Array | bool
-) -> tuple[Carry, Found]:
-    """Follow N recordings over the first `stop` of these samples.
+    plant: Numbers, start: Start | None, carry: Carry, samples: tuple, stop: int, lanes: int, enclosures: int, restart: jax.Array | bool,
+    also: bool = False,
+) -> tuple[Carry, Found, Read | None]:  # fmt: skip
+    """Follow N / lanes recordings over the first `stop` of these samples.
 
     Args:
         start: how the state is found from samples alone, or None: where it is lost it stays so.
+        samples: u, y, slip, fresh, rounded, as of `read`: one kernel with this, since a sample that comes alone pays for each call.
         lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: 0 none, 1 of states, 2 of outputs too.
-        restart: whether the sample after a contradiction begins anew; else FAULT stays.
+        restart: whether the sample after a contradiction begins anew; else FAULT stays. also: whether what is read is wanted.
 
     Returns:
-        (carry, Found); what it has of other samples means nothing.
+        (carry, Found, Read or None); what they have of other samples means nothing.
     """
+    alone = read(plant, *samples)
+    known = jax.tree.map(lambda x: jnp.tile(x, lanes), alone)
     (n, _, N), (T, p, _), dtype = carry.G.shape, known.mid.shape, known.mid.dtype
     room = lambda *width, dtype=dtype: jnp.zeros((T, *width, N), dtype)
     empty = Found(room(dtype=jnp.int8), room(), room(dtype=jnp.int32), room(2 * n * min(enclosures, 1)), room(4 * p * (enclosures // 2)))
@@ -185,7 +188,7 @@ def follow(
         put = lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0)
         return carry, Found(*(put(old, new) for old, new in zip(found, out, strict=True)))
 
-    return jax.lax.fori_loop(0, stop, step, (carry, empty))
+    return *jax.lax.fori_loop(0, stop, step, (carry, empty)), alone if also else None
 
 
 def _begun_anew(carry, where):

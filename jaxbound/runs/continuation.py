@@ -104,7 +104,7 @@ def followed(observer: Any, given: Recording, carry: Any, known: int) -> tuple[R
 def beside(observer: Any, carries: Sequence) -> Any:
     """Return what an observer carries of recordings side by side, from what it does of each alone, after as many samples."""
     lanes = len(observer.weights)
-    apart = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
+    apart = lambda x: np.asarray(x).reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
     join = lambda *x: np.concatenate(list(map(apart, x)), -1).reshape(*x[0].shape[:-1], -1)
     others = jax.tree.map(lambda *x: np.concatenate(x, -1), *(tuple(x[2:]) for x in carries))
     return type(carries[0])(jax.tree.map(join, *(x[0] for x in carries)), carries[0][1], *others)
@@ -113,7 +113,7 @@ def beside(observer: Any, carries: Sequence) -> Any:
 def alone(observer: Any, carry: Any, i: int) -> Any:
     """Return what an observer carries of recording i of those side by side: `beside` put the other way."""
     lanes = len(observer.weights)
-    one = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)[..., i]
+    one = lambda x: np.asarray(x).reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)[..., i]
     return type(carry)(jax.tree.map(one, carry[0]), carry[1], *jax.tree.map(lambda x: x[..., i : i + 1], tuple(carry[2:])))
 
 
