@@ -10,7 +10,7 @@ from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.probe import usable_devices
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["again_hints", "decided_again"]
+__all__ = ["COUNT", "again_hints", "again_said", "decided_again", "judged_elsewhere"]
 
 COUNT = 1000
 
@@ -58,7 +58,16 @@ def decided_again(res: Any, count: int = COUNT, seed: int = 0) -> int:
 
 def again_hints(res: Any) -> tuple[str, ...]:
     """Return the sentence of a report on windows that were decided again; none where the CPU judged all of them. See `decided_again`."""
+    devices = judged_elsewhere()
+    return again_said(devices, decided_again(res)) if devices else ()
+
+
+def judged_elsewhere() -> str:
+    """Return the kinds of devices that judge, as text; "" where these are CPUs alone."""
     devices = {device.platform for device in usable_devices()}
-    if devices == {"cpu"} or not (count := decided_again(res)):
-        return ()
-    return (f"judged on {', '.join(sorted(devices))}; {count} windows drawn at random were decided again on the CPU, and none differs",)
+    return "" if devices == {"cpu"} else ", ".join(sorted(devices))
+
+
+def again_said(devices: str, count: int) -> tuple[str, ...]:
+    """Return the sentence on so many windows that were judged on devices and decided again; none if there are no such."""
+    return (f"judged on {devices}; {count} windows drawn at random were decided again on the CPU, and none differs",) if count else ()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxbound.diagnosis.again import again_said
 from jaxbound.diagnosis.alarms import check_rule
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
@@ -42,6 +43,7 @@ from jaxbound.runs.streaming import (
     part_count,
     part_files,
     publish,
+    read_again,
     read_runs,
     write_parts,
 )
@@ -269,6 +271,7 @@ def digest(
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
     hints, aside = _signal_hints(found, folder)
+    hints += [said for devices, count in read_again(part_files(folder)).items() for said in again_said(devices, count)]
     found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)
     if worst and found.counts["FAULT"] and not remembers(relations) and (units := unit_hints(found.around(worst[2])[0])):
         found = replace(found, hints=(*found.hints, *units))

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
+from jaxbound.diagnosis.again import COUNT, decided_again, judged_elsewhere
 from jaxbound.diagnosis.detection import detect
 from jaxbound.recordings.checkpoint import as_texts
 from jaxbound.recordings.recording import Recording
@@ -14,15 +15,24 @@ __all__ = ["Carried", "Windows"]
 class Windows:
     """Judges the samples of a piece by windows, which reach back into the piece before.
 
-    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece.
+    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece. again: {devices: how many windows were
+    decided again on the CPU} since somebody took it; none where CPUs judge.
+
+    Args:
+        samples: of the whole recording, over which those that are decided again are spread.
     """
 
-    def __init__(self, relations: Any, method: str) -> None:
+    def __init__(self, relations: Any, method: str, samples: int) -> None:
         self.relations, self.method, self.overlap, self.begins = relations, method, relations.horizon, relations.horizon
+        self.samples = samples
+        self.again: dict[str, int] = {}
 
     def __call__(self, piece: Recording, first: int, done: int) -> Iterator[tuple]:
         """Yield (samples of the piece, their status and margin, what is carried on) of what is new in it: from sample `done` on."""
         found, fresh = detect(self.relations, piece, method=self.method), slice(done - first, piece.samples)
+        if devices := judged_elsewhere():
+            count = decided_again(found, -(-COUNT * piece.samples // self.samples), seed=first)
+            self.again[devices] = self.again.get(devices, 0) + count
         yield fresh, found.status[fresh], found.margin[fresh], None
 
 
@@ -35,6 +45,7 @@ class Carried:
     """
 
     overlap = 1
+    again: dict[str, int] = {}  # nobody decides again what rests on all samples before
 
     def __init__(self, watch: Any, carry: Any, size: int, warm: int | None = None) -> None:
         self.watch, self.carry, self.size, self.warm = watch, carry, size, warm

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -41,14 +42,14 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", "part_count", "part_files", "publish", "read_runs",
-           "samples_of", "write_parts"]  # fmt: skip
+__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", "part_count", "part_files", "publish", "read_again",
+           "read_runs", "samples_of", "write_parts"]  # fmt: skip
 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
 STAGES = "read", "transfer", "compute", "write"
-RUNS, IDENTITY, CARRY = b"runs", b"identity", b"carry"  # in the metadata of a part
+RUNS, IDENTITY, CARRY, AGAIN = b"runs", b"identity", b"carry", b"again"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 
 
@@ -219,7 +220,7 @@ class _Judging:
             for fresh, status, margin, carry in judge(replace(piece, u=u, y=y), first, done):
                 lap("compute")
                 done = first + fresh.stop
-                pending.add(piece.column[fresh], status, margin, signals[fresh], done == end, carry)
+                pending.add(piece.column[fresh], status, margin, signals[fresh], done == end, carry, judge.again)
                 lap("write")
             assert done == stop
             report(done)
@@ -228,7 +229,7 @@ class _Judging:
 def _judge(job, part):
     """Return the Windows or the Carried of a _Judging, before the part with this number."""
     if not remembers(job.relations):
-        return Windows(job.relations, job.method)
+        return Windows(job.relations, job.method, job.source.samples)
     import pyarrow.parquet as pq
 
     watch = job.relations.test(job.method)
@@ -262,6 +263,16 @@ def read_runs(parts: Iterable[Path]) -> list[Runs]:
 
     notes = (json.loads(pq.read_schema(part).metadata[RUNS]) for part in parts)
     return [reduce(joined, signal) for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)]
+
+
+def read_again(parts: Iterable[Path]) -> dict[str, int]:
+    """Return {devices that judged: how many of their windows were decided again on the CPU} of all parts; see `diagnosis.again`."""
+    import pyarrow.parquet as pq
+
+    found: Counter = Counter()
+    for part in parts:
+        found.update(json.loads(pq.read_schema(part).metadata.get(AGAIN, "{}")))
+    return dict(found)
 
 
 def publish(folder: OutputFolder) -> None:
@@ -301,10 +312,10 @@ class _Pending:
     def __init__(self, folder, notes, done, size):
         self.folder, self.notes, self.done, self.size, self.held = folder, notes, done, size, []
 
-    def add(self, written, status, margin, signals, last, carry=None):
+    def add(self, written, status, margin, signals, last, carry=None, again=None):
         """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last.
 
-        carry: what goes with the last of them; verdicts with a carry end where a part does.
+        carry: what goes with the last of them; verdicts with a carry end where a part does. again: see `Windows`, whose it is to take.
         """
         import pyarrow as pa
 
@@ -312,10 +323,10 @@ class _Pending:
         while (rows := sum(len(x[1]) for x in self.held)) >= self.size or (last and rows):
             written, *rest = zip(*self.held, strict=True)
             whole = (pa.concat_arrays(written), *map(np.concatenate, rest))
-            self._write(carry, *(x[: self.size] for x in whole))
+            self._write(carry, again or {}, *(x[: self.size] for x in whole))
             self.held = [tuple(x[self.size :] for x in whole)]
 
-    def _write(self, carry, written, status, margin, signals):
+    def _write(self, carry, again, written, status, margin, signals):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -330,6 +341,8 @@ class _Pending:
         about = {RUNS: json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist),
                  IDENTITY: json.dumps(self.notes[number])}  # fmt: skip
         about |= {} if carry is None else {CARRY: json.dumps(carry)}
+        about |= {AGAIN: json.dumps(again)} if again else {}
+        again.clear()
         path = self.folder / _name(number)
         self.folder.mkdir(parents=True, exist_ok=True)
         if path.exists():  # another share has made it meanwhile

@@ -139,6 +139,22 @@ class TestDigest:
             np.testing.assert_array_equal(runs.counts, once.counts)
 
 
+def test_windows_of_another_device_are_decided_again_chunk_by_chunk(case, small, tmp_path, monkeypatch):
+    r, folder, whole, _ = case("section 5")
+    monkeypatch.setattr(judges, "judged_elsewhere", lambda: "gpu")
+    monkeypatch.setattr(judges, "COUNT", 100)
+    for part in (1, 2):
+        detect_dataset(r, folder, tmp_path / "out", chunk=777, part=(part, 2))
+    found = detect_dataset(r, folder, tmp_path / "out", merge=True)
+    (said,) = (hint for hint in found.hints if "decided again" in hint)
+    count = int(said.split("; ")[1].split()[0])
+    assert said.startswith("judged on gpu; ") and 100 <= count < 130 and found.counts == whole.counts
+    detect = lambda *a, **k: (res := jb.detect(*a, **k), res.status.__setitem__(res.status == jb.Status.CONSISTENT, jb.Status.FAULT))[0]
+    monkeypatch.setattr(judges, "detect", detect)
+    with pytest.raises(RuntimeError, match="windows were decided otherwise on the CPU"):
+        detect_dataset(r, folder, tmp_path / "wrong")
+
+
 class TestResume:
     def test_stopped_anywhere_it_goes_on_without_losing_or_repeating_a_window(self, case, small, tmp_path, rng, monkeypatch):
         r, folder, whole, _ = case("section 5")

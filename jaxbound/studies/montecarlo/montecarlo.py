@@ -167,9 +167,10 @@ class _Scenarios:
         return _engine(*self.made)[0]
 
     def run(self, task):
-        """Return what is found in each scenario of a block: hits, false, delay, onset."""
+        """Return what is found in each scenario of a block: hits, false, delay, onset; judged on the CPU, whatever there is beside."""
         i, first = task
-        found = self.counted(self.acts[i], self.words[i], np.arange(first, first + self.block, dtype=np.uint32))
+        with jax.default_device(jax.local_devices(backend="cpu")[0]):
+            found = self.counted(self.acts[i], self.words[i], np.arange(first, first + self.block, dtype=np.uint32))
         return tuple(map(np.asarray, found))
 
 
@@ -301,14 +302,14 @@ def _work_off(client, job, tasks, collect, keeper, progress):
 
 def _here(job, tasks):
     """Yield what tasks return, in order; one runs on each core at a time."""
-    cpu, *others = jax.local_devices(backend="cpu")
+    _, *others = jax.local_devices(backend="cpu")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     threads = max(1, cores // (1 + len(others)))
     wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64  # in a context of the caller's thread, perhaps
     left, waiting = iter(tasks), deque()  # type: ignore[var-annotated]
 
     def placed(task):
-        with jax.default_device(cpu), jax.enable_x64(wide):
+        with jax.enable_x64(wide):
             return job.run(task)
 
     with ThreadPoolExecutor(threads) as pool:
