@@ -37,7 +37,7 @@ from jaxbound.recordings.plaintext import clipped
 
 __all__ = ["commands", "main"]
 
-OBSERVERS = "zonotope", "strips", "joint"
+OBSERVERS = "zonotope", "strips", "joint", "constrained"
 METHODS = "joint, box, paving, linearized"  # as `consistency.interface.METHODS`: a text, for what is asked here is not worth its imports
 
 
@@ -286,10 +286,11 @@ def _testing(c, more=""):
 def _observer(c):
     """Add the options of a set observer."""
     c.add_argument("--order", type=_whole(1, 1000), metavar="N", help="observer: directions of its set for each state; more is sharper and "
-                   "slower (default: 20)")  # fmt: skip
+                   "slower (default: 20; 5 of constrained)")  # fmt: skip
     c.add_argument("--latched", action="store_true", help="observer: FAULT stays until a gap; else it begins anew behind a contradiction")
     c.add_argument("--observer", choices=OBSERVERS, metavar="NAME", help="observer: zonotope (default, fast), strips (one set, least after "
-                   "every sample) or joint (exact tests of windows that remember: slow faults, some hundred times slower)")  # fmt: skip
+                   "every sample), joint (exact tests of windows that remember: slow faults, some hundred times slower) or constrained "
+                   "(between them)")  # fmt: skip
     c.add_argument("--span", type=_whole(4, 1000), metavar="N", help="observer joint: samples of such a window, even (default: 32)")
 
 

@@ -32,7 +32,7 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
-__all__ = ["Carry", "Numbers", "Read", "Start", "follow", "read", "unknown"]
+__all__ = ["Carry", "Found", "Numbers", "Read", "Start", "begun_anew", "follow", "read", "sample", "step_of_time", "unknown"]
 
 
 class Numbers(NamedTuple):
@@ -182,21 +182,21 @@ def follow(
     def step(k, state):
         carry, found = state
         now = Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
-        carry, out = _sample(plant, start, _begun_anew(carry, now.fresh), now, enclosures)
-        carry = _begun_anew(carry, restart & jnp.tile(jnp.any(carry.empty.reshape(lanes, -1), 0), lanes))
-        carry = _step_of_time(plant, carry, now)
+        carry, out = sample(plant, start, begun_anew(carry, now.fresh), now, enclosures)
+        carry = begun_anew(carry, restart & jnp.tile(jnp.any(carry.empty.reshape(lanes, -1), 0), lanes))
+        carry = step_of_time(plant, carry, now)
         put = lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0)
         return carry, Found(*(put(old, new) for old, new in zip(found, out, strict=True)))
 
     return *jax.lax.fori_loop(0, stop, step, (carry, empty)), alone if also else None
 
 
-def _begun_anew(carry, where):
+def begun_anew(carry: Carry, where: jax.Array) -> Carry:
     """Forget what was before."""
     return carry._replace(age=jnp.where(where, -1, carry.age), empty=carry.empty & ~where, ready=jnp.where(where, 0, carry.ready))
 
 
-def _sample(plant, start, carry, now, enclosures):
+def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosures: int) -> tuple[Carry, Found]:
     """Look at one sample: return (carry with the set after it, one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
     dtype, g = carry.c.dtype, _Bounds(plant, carry)
@@ -315,7 +315,7 @@ def _begun(plant, start, carry, now, begin, c, G, r, age):
     return pick(centre, c), pick(found, G), pick(off, r), jnp.where(begin, h + 1, age)
 
 
-def _step_of_time(plant, carry, now):
+def step_of_time(plant: Numbers, carry: Carry, now: Read) -> Carry:
     """Move the set on by one sample, and put its smallest generators into a box."""
     g, A, (c, G, r), v = _Bounds(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
     N, q = c.shape[-1], G.shape[1] - len(plant.C)
