@@ -5,21 +5,21 @@ import json
 import jax
 import numpy as np
 import pytest
-from test_observer import PLANT, inside, program, recorded, systems
+from test_observer import PLANT, inside, program, published, recorded, systems
 
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets import zonotope
 
 JOINT = {"method": "joint", "window": 8, "order": 6}
+"""Of one size, and 24 recordings side by side, or one: what these tests share is compiled once."""
 
 
 def test_without_anything_forgotten_it_encloses_the_exact_hull(shared):
     """CORA's linearSysDT example, 20 samples in one window: the hull of the linear program over all of them."""
     case = json.loads(shared("external/observer_2dim.json").read_text())[0]
-    model = jb.LinearSystem(case["A"], None, case["C"], noise=case["V_radius"][0], disturbance=(case["W_generators"], 1))
-    y, x0 = np.array(case["y"]).T, zonotope([0.0, 0.0], case["R0_generators"])
-    state = jb.observe(model, None, y, x0=x0, method="joint", window=20).state
+    model, u, y, x0 = published(case)
+    state = jb.observe(model, u, y, x0=x0, **JOINT | {"window": 20}).state
     exact = np.array(case["exact_hull_lp_here"]["x_19"]).T
     lo, hi = np.asarray(state.lo)[-1], np.asarray(state.hi)[-1]
     print(exact[0] - lo, hi - exact[1])
@@ -66,7 +66,7 @@ def fault_free(rng, seeds, N, T):
 
 
 def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng):
-    assert fault_free(rng, range(4), 16, 30) == 4 * 16 * 30
+    assert fault_free(rng, range(4), 24, 30) == 4 * 24 * 30
 
 
 @pytest.mark.long
@@ -96,7 +96,7 @@ def near_the_boundary(rng, N, T, seed):
     x0 = [-5.0, -5.0], [5.0, 5.0]
     u, _, y = recorded(PLANT, T, seed, N, at="vertices")
     y[:, T // 2 :, 0] += rng.uniform(-0.05, 0.1, (N, 1)) * rng.choice([-1, 1], (N, 1))
-    found = jb.observe(PLANT, u, y, x0=jb.interval(*x0), restart=False, method="joint", window=T)
+    found = jb.observe(PLANT, u, y, x0=jb.interval(*x0), restart=False, **JOINT | {"window": T})
     proved = refuted = 0
     for j in range(N):
         wrong = bool(found.status[j, -1] == jb.Status.FAULT)
@@ -107,9 +107,9 @@ def near_the_boundary(rng, N, T, seed):
 
 
 def test_what_is_proved_near_the_boundary_is_refuted_by_programs(rng):
-    proved, refuted, tried = near_the_boundary(rng, 40, 12, 21)
+    proved, refuted, tried = near_the_boundary(rng, 24, 8, 21)
     print(f"{proved} of {refuted} contradictions proved, of {tried} recordings")
-    assert 8 < refuted < 32 and proved >= 0.95 * refuted
+    assert 5 < refuted < 19 and proved >= 0.95 * refuted
 
 
 @pytest.mark.long
@@ -126,11 +126,11 @@ def test_consistent_is_a_trajectory_through_all_samples(rng):
     found = jb.simulate(PLANT, u, jax.random.key(8), x0=rng.uniform(-3, 3, (24, 2)), at="uniform")
     y = np.array(found.y)
     y[12:, 15:, 0] += np.linspace(0, 0.3, 12)[:, None]
-    status = jb.observe(PLANT, u, y, x0=jb.interval(*x0), restart=False, method="joint", window=8).status
+    status = jb.observe(PLANT, u, y, x0=jb.interval(*x0), restart=False, **JOINT).status
     said = np.asarray(status) == jb.Status.CONSISTENT
     print(f"CONSISTENT: {said[:12, 4:].mean():.2f} of healthy samples, {said[12:, -1].sum()} of 12 faulty recordings at their end")
     assert said[:12, 4:].mean() > 0.5 and not said[:, :4].any()
-    bounded = jb.observe(PLANT.replace(tolerance=0, averages={"y1": {4: 0.01}}), u, y, x0=jb.interval(*x0), method="joint", window=8).status
+    bounded = jb.observe(PLANT.replace(tolerance=0, averages={"y1": {4: 0.01}}), u, y, x0=jb.interval(*x0), **JOINT).status
     assert not (bounded == jb.Status.CONSISTENT).any(), "means of errors are bounds that an observer does not look at"
     for j in range(24):
         if said[j].any():
@@ -139,7 +139,7 @@ def test_consistent_is_a_trajectory_through_all_samples(rng):
 
 
 def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
-    u, _, y = recorded(PLANT, 40, 5, N=2, at="uniform")
+    u, _, y = recorded(PLANT, 40, 5, N=24, at="uniform")
     y[1, 20:] += 3
     whole = jb.observe(PLANT, u, y, **JOINT)
     watch = jb.observer(PLANT, **JOINT).telling(enclosures=True)
@@ -155,16 +155,24 @@ def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
 
 
 def test_what_is_slow_is_seen_that_zonotopes_and_windows_miss():
-    """A disturbed, slow plant and a sensor that drifts."""
+    """A disturbed, slow plant and a sensor that drifts; taken in pieces, as a monitor would."""
     slow = jb.LinearSystem(
-        [["0.99", "0.005"], ["0.005", "0.98"]], [["0.01"], [0]], [[1, 0], [0, 1]], noise="0.5", disturbance=([[1, 0], [0, 1]], "0.01")
+        [["0.99", "0.005"], ["0.005", "0.98"]], [["0.01"], [0]], [[1, 0]], noise="0.5", disturbance=([[1], [1]], "0.01")
     )
     u, _, y = recorded(slow, 240, 1, at="uniform")
     y[:, 0] += 0.012 * np.maximum(np.arange(240) - 60, 0)
-    fault = lambda **more: np.asarray(jb.detect(jb.observer(slow, restart=False, **more), u, y).status == jb.Status.FAULT)
-    joint = fault(method="joint", window=16)
-    print(joint.argmax(), fault().argmax(), fault().any())
-    assert joint.any() and not fault()[: joint.argmax() + 1].any()
+
+    def fault(**how):
+        watch, status = jb.observer(slow, restart=False, **how).telling(enclosures=True), []
+        carry = watch.init()
+        for k in range(0, 240, 16):
+            carry, told = watch.fold(carry, Recording.of(slow, u[k : k + 16], y[k : k + 16]))
+            status.append(told.status)
+        return np.concatenate(status) == jb.Status.FAULT
+
+    joint, alone = fault(**JOINT), fault(order=JOINT["order"])
+    print(joint.argmax(), alone.argmax(), alone.any())
+    assert joint.any() and joint.argmax() > 60 and not alone[: joint.argmax() + 1].any()
 
 
 def test_what_it_cannot_take_is_said():
