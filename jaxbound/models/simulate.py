@@ -29,8 +29,8 @@ from jaxbound.sets.floats.sizes import power
 
 __all__ = ["Trajectory", "simulate"]
 
-FEW = 2**16
-"""Samples of all recordings up to which as many as the next power of two are compiled for: few shapes serve all."""
+FEW, TINY = 2**16, 2**12
+"""Samples of all recordings up to which as many as the next power of two, or of four, are compiled for: few shapes serve all."""
 
 
 @readable
@@ -120,7 +120,8 @@ def simulate(
                    model.inputs.index(f.signal) if f.signal in model.inputs else None) for f in faults)  # fmt: skip
     count = math.prod(batch)
     longer = _length(T, count) - T
-    more = power(count) - count if 1 < count and count * (T + longer) <= FEW else 0
+    base = 4 if count * (T + longer) <= TINY else 2
+    more = power(count, base) - count if 1 < count and count * (T + longer) <= FEW else 0
     padded = lambda v: _library(v).pad(v.reshape(count, *v.shape[len(batch) :]), ((0, more), (0, longer), (0, 0)))
     active = np.pad(_switches(model, faults, T), ((0, 0), (0, longer)))
     start = _library(start).broadcast_to(start, (*batch, model.n)).reshape(count, model.n)
@@ -147,7 +148,7 @@ def _host(x: ArrayLike) -> Any:
 
 def _length(T: int, count: int) -> int:
     """Return the number of samples that is compiled for: of few sizes, and no more than an eighth beyond T where there is much to do."""
-    step = 1 << max(T - 1, 63).bit_length()
+    step = 64 * power(-(-T // 64), 4 if T * count <= TINY else 2)
     if T * count > FEW:
         step = max(step // 16, 1)
     return -(-T // step) * step

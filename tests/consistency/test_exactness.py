@@ -64,7 +64,7 @@ def compare(name, horizon, count, rng):
 
 @pytest.mark.parametrize("horizon", [1, 2, 3, 4])
 def test_joint_verdict_of_the_paper_equals_the_linear_program(horizon, rng):
-    compare("paper", horizon, 2_000, rng)
+    compare("paper", horizon, 1_000, rng)
 
 
 @pytest.mark.parametrize("horizon", [*(pytest.param(s, marks=pytest.mark.slow) for s in (1,)),

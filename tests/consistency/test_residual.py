@@ -32,9 +32,9 @@ def windows(rng, count):
     return u, y
 
 
-@pytest.mark.slow
-def test_every_verdict_agrees_with_the_exact_one(rng):
-    u, y = windows(rng, 250)
+@pytest.mark.parametrize("count", [60, pytest.param(250, marks=pytest.mark.slow)])
+def test_every_verdict_agrees_with_the_exact_one(rng, count):
+    u, y = windows(rng, count)
     status = jb.detect(jb.residual(growth, BOX, 1), u, y).status
     assert status[0] == Status.MISSING
     inside = np.array([exactly(u[k - 1 : k + 1], y[k - 1 : k + 1]) for k in range(1, len(y))])
@@ -54,7 +54,7 @@ def test_unknowns_at_their_bounds_raise_no_fault(rng):
     assert result.status.shape == (4, 60) and result.counts["FAULT"] == 0 and np.isnan(result.margin).all()
 
 
-@pytest.mark.parametrize("s, T", [(1, 60), pytest.param(2, 400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("s, T", [pytest.param(1, 60, marks=pytest.mark.slow), pytest.param(2, 400, marks=pytest.mark.long)])
 def test_it_agrees_with_the_joint_test_of_a_linear_model(rng, s, T):
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
     u, y = rng.uniform(-0.1, 0.1, (T, 1)), rng.uniform(-0.15, 0.15, (T, 1)) * (1 if s == 2 else 2)

@@ -12,6 +12,7 @@ import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of
 
+LONG = 20  # samples before the last: of the sizes of section 5 in other tests of long windows
 TURN = dict(A=[[0.6, -0.8], [0.8, 0.6]], B=[[0], [1]], C=[[1, 0], [1, 1]])
 MODELS = {
     "turning": TURN,
@@ -55,30 +56,30 @@ def test_strips_of_a_sensor_without_noise_are_decided_as_exact_circuits_are(name
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_a_long_window_of_a_sensor_without_noise_is_decided(dtype, rng):
-    plant, relations = Plant(**TURN), jb.parity_relations(jb.LinearSystem(**TURN), 10)
+    plant, relations = Plant(**TURN), jb.parity_relations(jb.LinearSystem(**TURN), LONG)
     assert relations.frame is not None
-    u, y = windows(plant, 10, 9, rng, dtype)
+    u, y = windows(plant, LONG, 9, rng, dtype)
     y[4, 3, 1] = np.nan
     found = jb.detect(relations, u, y)
     np.testing.assert_array_equal(found.status[:, -1], [Status.FAULT, Status.CONSISTENT, Status.CONSISTENT] * 3)
     for w in range(3):
-        check_certificate.confirm(document := json.loads(found.explain((w, 10)).to_json()))
+        check_certificate.confirm(document := json.loads(found.explain((w, LONG)).to_json()))
         assert document["certificate"] == Status(found.status[w, -1]).name
 
 
-@pytest.mark.parametrize("horizon", [2, 10])
+@pytest.mark.parametrize("horizon", [2, LONG])
 def test_a_monitor_decides_them_alike(horizon, rng):
     plant, relations = Plant(**TURN), jb.parity_relations(jb.LinearSystem(**TURN), horizon)
-    u, y = (x[0] for x in windows(plant, 30, 1, rng, float))
+    u, y = (x[0] for x in windows(plant, 40, 1, rng, float))
     whole, mon = jb.detect(relations, u, y), jb.Monitor(relations)
-    state, first = mon.run(mon.init(), u[:20], y[:20])
-    _, rest = mon.run(state, u[20:], y[20:])
+    state, first = mon.run(mon.init(), u[:30], y[:30])
+    _, rest = mon.run(state, u[30:], y[30:])
     np.testing.assert_array_equal(np.concatenate([first.status, rest.status]), whole.status)
     np.testing.assert_allclose(np.concatenate([first.margin, rest.margin]), whole.margin, rtol=1e-9)
     assert not (whole.status == Status.UNDECIDED).any() and (whole.status == Status.FAULT).sum() == 1
 
 
-@pytest.mark.parametrize("horizon", [1, 10])
+@pytest.mark.parametrize("horizon", [1, LONG])
 def test_a_complete_window_of_huge_numbers_is_decided_and_never_missing(horizon, rng):
     model = TURN | dict(noise=["1e306", "1e306"])
     plant, relations = Plant(**TURN, noise=[Fraction(10) ** 306] * 2), jb.parity_relations(jb.LinearSystem(**model), horizon)

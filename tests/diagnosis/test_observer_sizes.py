@@ -68,7 +68,7 @@ def test_a_study_of_an_observer_counts_no_false_alarm_and_every_sample_of_the_fa
 
 
 def test_verbs_that_need_windows_say_so(watch):
-    u, y = np.full((9, 1), 2.0), np.full((9, 2), 0.0)
+    u, y = np.full((80, 1), 2.0), np.full((80, 2), 0.0)  # more than a short piece: its kernel is compiled already
     res = jb.detect(watch, u, y + [20, -3])
     for work, kind, says in (
         (lambda: jb.tune(watch, (u, y)), TypeError, "margin has no derivative: tune long windows, with lags"),

@@ -206,4 +206,4 @@ def test_recordings_of_many_lengths_are_compiled_once_and_begin_alike(rng):
         for name in ("x", "u", "y", "theta", "noise"):
             np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[:T])
     assert module._trajectory._cache_size() == traced
-    assert [module._length(T, 1) for T in (0, 64, 65, 70_000)] == [0, 64, 128, 73_728]
+    assert [module._length(T, 1) for T in (0, 64, 65, 5000, 70_000)] == [0, 64, 256, 8192, 73_728]

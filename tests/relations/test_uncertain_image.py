@@ -59,7 +59,8 @@ def exact_terms(r, u, y, dtype):
     )
 
 
-def draw_windows(r, rng, dtype, count=6):
+def draw_windows(r, rng, dtype, count=7):
+    """Draw windows, if nothing else is asked for always as many: more would be compiled anew."""
     s = r.horizon
     u, y = rng.normal(size=(s + 1, r.model.m, count)), rng.normal(size=(s + 1, r.model.p, count)) * 10.0 ** rng.integers(-2, 3, count)
     return u.astype(dtype), y.astype(dtype)
@@ -162,14 +163,14 @@ def test_the_polynomials_of_a_healthy_window_vanish_at_what_made_it(name, change
 @pytest.mark.parametrize("dtype, size", [("float64", 1e-13), ("float32", 1e-4)])
 def test_errors_are_small(dtype, size, rng):
     r = relations("n3p2_mixed3_h3", noise=0.01)
-    u, y = draw_windows(r, rng, dtype, count=50)
+    u, y = draw_windows(r, rng, dtype)
     _, error, _, _ = (np.asarray(x) for x in r.polynomials(u, y))
     assert (error < size * (1 + abs(y).max((0, 1)) + abs(u).max((0, 1)))).all()
 
 
 def test_a_missing_sample_silences_only_the_relations_that_need_it(rng):
     r = relations("n3p2_mixed3_h3", noise=0.1)
-    u, y = draw_windows(r, rng, "float64", count=7)
+    u, y = draw_windows(r, rng, "float64")
     before = [np.asarray(x) for x in r.polynomials(u, y)]
     for j in range(6):
         y[j // 2, j % 2, j] = np.nan
@@ -188,10 +189,10 @@ def test_a_missing_sample_silences_only_the_relations_that_need_it(rng):
 @pytest.mark.parametrize("size", [np.inf, -np.inf, 1e308])
 def test_an_infinite_sample_is_not_a_missing_one(size, rng):
     r = relations("n3p2_mixed3_h3", noise=0.1)
-    u, y = draw_windows(r, rng, "float64", count=2)
+    u, y = draw_windows(r, rng, "float64")
     y[1, 0, 0] = size
     value, error, _, _ = (np.asarray(x) for x in r.polynomials(u, y))
-    assert not np.isnan(value).any() and np.isfinite(error[..., 1]).all()
+    assert not np.isnan(value).any() and np.isfinite(error[..., 1:]).all()
     assert np.isfinite(size) or np.isinf(error[..., 0]).all()
 
 
