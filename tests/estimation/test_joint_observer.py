@@ -156,9 +156,7 @@ def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
 
 def test_what_is_slow_is_seen_that_zonotopes_and_windows_miss():
     """A disturbed, slow plant and a sensor that drifts; taken in pieces, as a monitor would."""
-    slow = jb.LinearSystem(
-        [["0.99", "0.005"], ["0.005", "0.98"]], [["0.01"], [0]], [[1, 0]], noise="0.5", disturbance=([[1], [1]], "0.01")
-    )
+    slow = jb.LinearSystem([["0.99", "0.005"], ["0.005", "0.98"]], [["0.01"], [0]], [[1, 0]], noise="0.5", disturbance=([[1], [1]], "0.01"))
     u, _, y = recorded(slow, 240, 1, at="uniform")
     y[:, 0] += 0.012 * np.maximum(np.arange(240) - 60, 0)
 

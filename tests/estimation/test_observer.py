@@ -112,7 +112,7 @@ def test_every_proof_of_a_fault_is_one_of_a_linear_program(rng):
 
 
 def published(case):
-    """Return (model, u, y, x0) of CORA's example, with an input that does nothing: a model of the sizes of PLANT, whose kernels it shares."""
+    """Return (model, u, y, x0) of CORA's example, with an input that does nothing: of the sizes of PLANT, whose kernels it shares."""
     noise, walk = case["V_radius"][0], (case["W_generators"], 1)
     model = jb.LinearSystem(case["A"], [[0], [0]], case["C"], noise=noise, disturbance=walk)
     y = np.array(case["y"]).T
@@ -264,9 +264,11 @@ def test_nothing_is_enclosed_behind_a_contradiction_that_stays(more):
 
 def test_what_a_window_of_sixteen_never_sees_an_observer_does():
     """A slow plant and a drifting sensor: a window with a free first state takes the drift for the plant's."""
-    slow = jb.LinearSystem([["0.999"]], [["0.001"]], [[1]], noise="0.5", disturbance=([[1]], "0.0005"))
-    u, noise = np.ones((400, 1)), np.random.default_rng(0).uniform(-0.4, 0.4, (400, 1))
-    y = 1 + noise + 0.005 * np.maximum(np.arange(400) - 100, 0)[:, None]
+    slow = jb.LinearSystem(
+        [["0.999", 0], [0, "0.999"]], [["0.001"], ["0.001"]], [[1, 0], [0, 1]], noise="0.5", disturbance=([[1, 0], [0, 1]], "0.0005")
+    )  # of sizes that other tests compile
+    u, noise = np.ones((400, 1)), np.random.default_rng(0).uniform(-0.4, 0.4, (400, 2))
+    y = 1 + noise + 0.005 * np.maximum(np.arange(400) - 100, 0)[:, None] * [1, 0]
     assert not (jb.detect(jb.parity_relations(slow, 15), u, y).status == jb.Status.FAULT).any()
     found = jb.detect(jb.observer(slow), u, y)
     assert (found.status == jb.Status.FAULT).any() and found.alarms()[0].start > 100
