@@ -1,10 +1,14 @@
 """Work spread by dask beside one process: the same bytes, processor seconds, memory, workers killed at random, and on after a death.
 
-Recordings of three sizes, a fleet and a study are each done by one process, by workers, by workers of which some are killed, and recordings
-by a command that is killed with its scheduler and given again. What a worker costs before its first task (imports, compiled kernels) is in
-all figures; the law of processor seconds by rows says what is left of it where there is much to do.
+Recordings of three sizes, a fleet and a study are each done by one process and by workers; the largest recording, the fleet and the study
+by workers of which some are killed, and the recording by a command that is killed with its scheduler and given again. Each step says in a
+line what it found, so that a run that is cut short has told something. Processor seconds are those of all processes of a command. The law
+of them by rows keeps apart what workers cost before their first row (imports, kernels from the cache, what is read twice where tasks meet).
 
 python -m benchmarks.engine [--rows 100000000] [--units 2000] [--samples 10000] [--scenarios 1000000] [--workers 2] [--kills 20]
+    [--minutes 12]: what would begin later is left out, and said to be
+
+At the default sizes about 5 GB of disk in $TMPDIR, all of it removed at the end.
 """
 
 import hashlib
@@ -26,12 +30,22 @@ import numpy as np
 import jaxbound as jb
 from benchmarks import fleet, timing
 from benchmarks.parquet import resident
-from benchmarks.scale import generate, linked, paper
+from benchmarks.scale import FILE, generate, linked, paper
 
 EVERY = 0.2  # seconds between two looks at the processes
-PAUSE = 15.0  # seconds that all workers live before one is killed: work has to be done in between
+PAUSE = 2.0  # seconds that all workers live before one is killed: work has to be done in between
+STARTED = 1.6  # processor seconds after which a worker is no longer one that comes up
+RUNS = 10  # of one command with kills, at most
+AGAIN = 0.4  # of the parts are there when a command is killed
 WRITTEN = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000|[\d.]+ (m?s|min)\b|\d[\d.,]* million")  # what a page says of its own time
 CHOOSE = random.Random(18)
+BEGUN = time.perf_counter()
+
+
+def say(text):
+    """Print a line at once, with the minutes and seconds since the beginning."""
+    minutes, seconds = divmod(int(time.perf_counter() - BEGUN), 60)
+    print(f"[{minutes:2d}:{seconds:02d}] {text}", flush=True)
 
 
 def workers_of(pid):
@@ -48,42 +62,56 @@ def workers_of(pid):
     return sorted(found)
 
 
-def run(argv, folder, workers=0, kills=0, die=None):
+def used(pid):
+    """Return the processor seconds of a process."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def run(argv, folder, workers=0, kills=0, done=None, die=False):
     """Run a command; return its figures.
 
     Args:
-        workers: that it starts. kills: of them to kill while it runs.
+        workers: that it starts. kills: of them to kill while it runs, each time after all lived for a while.
+        done: function that says how much is there, from 0 to 1: then some more has to be there before the next kill, too.
+        die: whether the command itself is killed, half way.
     """
-    before, start, peaks, killed, died = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter(), {}, 0, False
+    before, start, memory, killed, died = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter(), {}, 0, False
     with open(folder / "stdout", "w+") as said, open(folder / "stderr", "w+") as err:
         process = subprocess.Popen([sys.executable, "-m", "jaxbound.cli", *map(str, argv)], cwd=folder, stdout=said, stderr=err)
-        last = time.perf_counter()
+        last, there = time.perf_counter(), 0.0
         while process.poll() is None:
             time.sleep(EVERY)
-            alive = workers_of(process.pid)
+            alive, now = workers_of(process.pid), time.perf_counter()
             for pid in (process.pid, *alive):
-                peaks.setdefault(pid, []).append(resident(pid) / 1024)
-            if len(alive) < workers:
-                last = time.perf_counter()
-            if killed < kills and time.perf_counter() - last > PAUSE:
-                victim = CHOOSE.choice(alive)
-                os.kill(victim, signal.SIGKILL)
-                killed, last = killed + 1, time.perf_counter()
-            if die is not None and die():
+                memory.setdefault(pid, []).append((resident(pid) / 1024, resident(pid, "VmRSS") / 1024))
+            if len(alive) < workers or min(map(used, alive), default=0.0) < STARTED:
+                last = now
+            if killed < kills and now - last > PAUSE and (done is None or done() > there):
+                os.kill(CHOOSE.choice(alive), signal.SIGKILL)
+                killed, last, there = killed + 1, now, done() if done else 0.0
+            if die and done() > AGAIN:
                 process.kill()
                 died = True
         err.seek(0)
-        if process.returncode not in (0, 1) and not died:
+        gave_up = killed > 0 and process.returncode == 2  # killed while they were started: a sentence, and the same command goes on
+        if process.returncode not in (0, 1) and not died and not gave_up:
             raise RuntimeError(err.read())
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command, *others = (x for _, x in sorted(peaks.items()))
-    flat = [[round(max(x[: len(x) // 2])), round(max(x[len(x) // 2 :]))] for x in others if len(x) > 20]
+    command, *others = (x for _, x in sorted(memory.items()))
+    resting = [[now for _, now in x] for x in others if len(x) > 40]
+    halves = [[round(max(x[: len(x) // 2])), round(max(x[len(x) // 2 :]))] for x in resting]
     return {
         "seconds": round(time.perf_counter() - start, 1),
         "processor s": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1),
-        "peak MB": round(max(command)),
-        "peak MB of each worker, first half and second": flat,
+        "peak MB": round(max(peak for peak, _ in command)),
+        "peak MB of each worker": [round(max(peak for peak, _ in x)) for x in others],
+        "MB of each worker, most in the first half and in the second": halves,
         "killed": killed,
+        "gave up": gave_up,
     }
 
 
@@ -96,72 +124,125 @@ def digest(out):
     return whole.hexdigest()
 
 
-def compared(name, argv, folder, workers, kills, partial=None):
+def parts(folder):
+    """Return {name of a part: when it was written}."""
+    return {p.name: p.stat().st_mtime_ns for p in folder.glob("part-*.parquet")}
+
+
+def compared(name, argv, folder, workers, kills, done=None, again=False):
     """Return figures of one command by one process, by workers, with kills, and killed itself half way and given again.
 
     Args:
-        argv: without --out. partial: function of the folder that says how much is kept there, from 0 to 1; None: no second attempt.
+        argv: without --out. done: function of an output folder that says how much is there, from 0 to 1, where that can be told.
+        again: whether the command is killed, too.
     """
-    outs = {kind: folder / f"{name}-{kind}" for kind in ("one", "workers", "kills", "again")}
+    out, whole, same = folder / f"{name}-out", "", {}
     warm = ["--workers", str(workers)]
-    found = {
-        "one process": run([*argv, "--out", outs["one"]], folder),
-        "workers": run([*argv, "--out", outs["workers"], *warm], folder, workers),
-    }
-    whole = digest(outs["one"])
-    same = {"workers": digest(outs["workers"]) == whole}
-    killed, runs = 0, 0
-    while killed < kills and runs < 10:
-        shutil.rmtree(outs["kills"], ignore_errors=True)
-        found["kills"] = run([*argv, "--out", outs["kills"], *warm], folder, workers, kills - killed)
-        killed, runs = killed + found["kills"]["killed"], runs + 1
-        same["kills"] = same.get("kills", True) and digest(outs["kills"]) == whole
-    if partial is not None:
-        run([*argv, "--out", outs["again"], *warm], folder, workers, die=lambda: partial(outs["again"]) > 0.4)
-        left = partial(outs["again"])
-        found["again"] = run([*argv, "--out", outs["again"], *warm], folder, workers) | {"kept of the first attempt": round(left, 2)}
-        same["again"] = digest(outs["again"]) == whole
-    ratio = found["workers"]["processor s"] / found["one process"]["processor s"]
-    for out in outs.values():
-        shutil.rmtree(out, ignore_errors=True)
-    return {**found, "same bytes": same, "kills": killed, "runs with kills": runs, "processor s, workers / one process": round(ratio, 3)}
+    found: dict = {"kills": 0}
+    part = None if done is None else lambda: done(out)
+
+    def noted(kind, before=None, **how):
+        nonlocal whole
+        by = [] if kind == "one process" else warm
+        figures = run([*argv, "--out", out, *by], folder, workers if by else 0, **how)
+        found[kind] = found.get(kind, []) + [figures] if kind == "workers, some killed" else figures
+        if figures["gave up"]:
+            say(f"{name}, {kind}: gave up after {figures['seconds']} s; given again")
+            return
+        whole = whole or digest(out)
+        same[kind] = same.get(kind, True) and digest(out) == whole
+        if before is not None:
+            found["of these not made again"] = len(before.items() & parts(out / "verdicts.parquet").items()) / len(before)
+        shutil.rmtree(out)
+        told = f"{figures['seconds']} s, {figures['processor s']} processor s, peak {figures['peak MB']} MB"
+        told += f", workers {max(figures['peak MB of each worker'])} MB" if by else ""
+        told += f", {figures['killed']} killed" if figures["killed"] else ""
+        say(f"{name}, {kind}: {told}" + ("" if kind == "one process" else f"; same bytes: {same[kind]}"))
+
+    noted("one process")
+    noted("workers")
+    found["processor s, workers / one process"] = round(found["workers"]["processor s"] / found["one process"]["processor s"], 3)
+    say(f"{name}: workers / one process: {found['processor s, workers / one process']} of processor seconds")
+    while found["kills"] < kills and len(found.get("workers, some killed", ())) < RUNS:
+        noted("workers, some killed", kills=kills - found["kills"], done=part)
+        *_, last = found["workers, some killed"]
+        found["kills"] += last["killed"]
+        if not last["killed"]:
+            say(f"{name}: {found['kills']} workers killed, not {kills}: it is done before")
+            break
+    if again:
+        run([*argv, "--out", out, *warm], folder, workers, done=part, die=True)
+        found["made before the command was killed"] = round(done(out), 2)
+        before = parts(out / "verdicts.partial")
+        say(f"{name}: command and scheduler killed with {done(out):.0%} of the parts made; given again:")
+        noted("given again", before=before)
+    return found | {"same bytes": same}
 
 
 def law(rows, seconds, wanted=1e9):
-    """Return (seconds before the first row, seconds a million rows, seconds of the rows that are wanted), by least squares."""
+    """Return (seconds before the first row, seconds a million rows, hours of a core for the rows that are wanted), by least squares."""
     slope, start = np.polyfit(np.array(rows) / 1e6, seconds, 1)
+    hours = (start + slope * wanted / 1e6) / 3600
     return {
         "start s": round(float(start), 1),
         "s a million rows": round(float(slope), 4),
-        "s of 10^9": round(float(start + slope * wanted / 1e6)),
+        "core hours of 10^9 rows": round(float(hours), 3),
     }
+
+
+def laws(figures, sizes):
+    """Return the law of processor seconds by rows of one process and of workers, and the ratio of their slopes; and say it."""
+    spent = lambda who: [figures[f"{size} rows"][who]["processor s"] for size in sizes]
+    found: dict = {who: law(sizes, spent(who)) for who in ("one process", "workers")}
+    slopes = [found[who]["s a million rows"] for who in ("workers", "one process")]
+    found["a row more, workers / one process"] = round(slopes[0] / slopes[1], 3)
+    for who in ("one process", "workers"):
+        start, slope, hours = found[who].values()
+        say(f"law of {who}: {start} s + {slope} s a million rows (processor seconds): {hours} h of one core for 10^9 rows")
+    say(f"a row more costs workers {found['a row more, workers / one process']} of what it costs one process")
+    return found
 
 
 def main():
     rows, workers, kills = timing.option("--rows", 100_000_000), timing.option("--workers", 2), timing.option("--kills", 20)
     units, samples, scenarios = timing.option("--units", 2000), timing.option("--samples", 10_000), timing.option("--scenarios", 10**6)
-    sizes, figures = [rows // 4, rows // 2, rows], {}
+    end = 60 * timing.option("--minutes", 12)
+    sizes, figures, left_out = [rows // 4, rows // 2, rows], {"workers": workers, "load average": load()}, []
+
+    def step(name, about, *args, **how):
+        """Do and keep one comparison, if there is time; a rough guess of how long it takes: as long as all before."""
+        if time.perf_counter() - BEGUN > end * about:
+            say(f"{name}: left out, {int(end * (1 - about) / 60)} minutes are wanted for it")
+            left_out.append(name)
+            return
+        figures[name] = compared(name, *args, **how)
+
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as folder:
         folder = Path(folder)
         jb.save_model(paper(), folder / "model.toml")
-        generate(folder / "run", rows)
-        kept = lambda out: len(list((out / "verdicts.partial").glob("part-*.parquet"))) / -(-rows // 1_000_000)
-        for size in sizes:
-            data = linked(folder, f"first {size}", -(-size // 1_000_000))
-            largest = size == rows
-            figures[f"{size} rows"] = compared("detect", ["detect", "model.toml", data], folder, workers, kills if largest else 0,
-                                               kept if largest else None)  # fmt: skip
-        shutil.rmtree(folder / "run")
-        models = [fleet.unit_model(i) for i in range(units)]
-        fleet.write(folder, models, *fleet.simulate(models, samples))
-        figures[f"fleet of {units}"] = compared("fleet", ["fleet", "csv.csv"], folder, workers, max(kills // 5, 1))
         study = ["study", "model.toml", "--faults", "y1:bias,y2:bias", "--n", scenarios, "--seed", 1, "--rows"]
-        figures[f"study of {scenarios}"] = compared("study", study, folder, workers, max(kills // 5, 1))
-    spent = lambda who: [figures[f"{size} rows"][who]["processor s"] for size in sizes]
-    laws = {who: law(sizes, spent(who)) for who in ("one process", "workers")}
-    timing.save(
-        "engine", {"workers": workers, "load average": [round(x, 1) for x in os.getloadavg()], "processor seconds by rows": laws, **figures}
-    )
+        step(f"study of {scenarios}", 1, study, folder, workers, max(kills // 5, 1))
+        say(f"writing a fleet of {units} units with {samples} samples each")
+        (folder / "fleet").mkdir()
+        models = [fleet.unit_model(i) for i in range(units)]
+        fleet.write(folder / "fleet", models, *fleet.simulate(models, samples))
+        step(f"fleet of {units}", 0.9, ["fleet", "fleet/csv.csv"], folder, workers, max(kills // 5, 1))
+        shutil.rmtree(folder / "fleet")
+        say(f"writing {rows} rows")
+        generate(folder / "run", rows)
+        for i, size in enumerate(sizes):
+            data, largest = linked(folder, f"first {size}", -(-size // FILE)), size == rows
+            made = lambda out, count=-(-size // FILE): len(parts(out / "verdicts.partial")) / count
+            step(f"{size} rows", (0.7, 0.6, 0.5)[i], ["detect", "model.toml", data], folder, workers, kills * largest, made, largest)
+            measured = [size for size in sizes if f"{size} rows" in figures]
+            if len(measured) > 1:
+                figures["processor seconds by rows"] = laws(figures, measured)
+    timing.save("engine", figures | {"left out": left_out, "load average at the end": load()})
+
+
+def load():
+    """Return the load average of the machine."""
+    return [round(x, 1) for x in os.getloadavg()]
 
 
 if __name__ == "__main__":

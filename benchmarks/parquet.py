@@ -67,13 +67,13 @@ def run(folder, out, *options):
     return {"seconds": round(seconds, 2), "peak MB": round(peak / 1024), "apart": found["seconds"], "counts": found["counts"]}
 
 
-def resident(pid):
-    """Return the largest resident memory of a process so far, in kB."""
+def resident(pid, which="VmHWM"):
+    """Return the resident memory of a process in kB: the largest so far, or what it is now (VmRSS)."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except (FileNotFoundError, ProcessLookupError):
         return 0
-    return next((int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)
+    return next((int(line.split()[1]) for line in lines if line.startswith(which)), 0)
 
 
 def kill_at_half(folder, out, parts):
