@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -136,14 +137,29 @@ def spread(client: "Client", job: Job, tasks: Sequence) -> Iterator[tuple[int, A
             client.cancel(list(numbers))
 
 
-def in_order(client: "Client", job: Job, tasks: Sequence) -> Iterator[Any]:
-    """Yield what the tasks of a job return in their order. Args: as for `spread`."""
+def in_order(client: "Client", job: Job, tasks: Sequence, together: int = 1) -> Iterator[Any]:
+    """Yield what the tasks of a job return in their order.
+
+    Args:
+        client, job, tasks: as for `spread`. together: how many tasks are sent as one, where to send one costs as much as to do it.
+    """
     done, held = 0, {}
-    for number, found in spread(client, job, tasks):
+    for number, found in spread(client, _Together(job), [tasks[i : i + together] for i in range(0, len(tasks), together)]):
         held[number] = found
         while done in held:
-            yield held.pop(done)
+            yield from held.pop(done)
             done += 1
+
+
+@dataclass(frozen=True)
+class _Together:
+    """Several tasks of a job as one."""
+
+    job: Job
+
+    def run(self, tasks):
+        """Return what they return."""
+        return [self.job.run(task) for task in tasks]
 
 
 def stretches_for(client: "Client | None", stretches: Sequence[range]) -> list[range]:

@@ -50,6 +50,7 @@ AT = ("uniform", "vertices", "adversarial")
 LONGEST = 10**6  # samples of a scenario
 ATTACKED = 256  # scenarios that an adversary works on at once: the descent's memory is theirs times their length
 EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, tasks in a part
+TOGETHER = 16  # tasks that go to a worker at once
 
 
 def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int, key: jax.Array | int,
@@ -284,7 +285,7 @@ def _work_off(client, job, tasks, collect, keeper, progress):
     """Do the tasks that are left; collect them in order, and keep the state now and then."""
     done, saved = 0 if keeper is None else keeper.done, time.monotonic()
     try:
-        for found in _here(job, tasks[done:]) if client is None else in_order(client, job, tasks[done:]):
+        for found in _here(job, tasks[done:]) if client is None else in_order(client, job, tasks[done:], TOGETHER):
             collect(done, found)
             done += 1
             due = done % PART == 0 if keeper is not None and keeper.rows else time.monotonic() - saved > EVERY
