@@ -16,7 +16,7 @@ from jaxbound.models.unknown_directions import unknown_directions, with_direct_s
 
 SPRINGS = [["1", "0.1", "0", "0"], ["-0.1", "0.9", "0.1", "0"], ["0", "0", "1", "0.1"], ["0.1", "0", "-0.1", "0.95"]]
 TANK = jb.LinearSystem(
-    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0], [0, 1], [1, 1]], [[0], [0], ["0.5"]], noise=["0.1", "0.2", "0.3"],
+    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0], [0, 1], [1, 1]], [["0.3"], [0], ["0.5"]], noise=["0.1", "0.2", "0.3"],
     disturbance=([[1], ["0.5"]], "0.02"), unknown_inputs=[[1], ["0.5"]], tolerance=[0, "0.01", 0],
 )  # fmt: skip
 """Each of its outputs shows the unknown input at once."""
