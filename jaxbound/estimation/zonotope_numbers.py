@@ -86,19 +86,31 @@ def first_set(x0: Any, n: int, order: float, dtype: np.dtype) -> tuple[np.ndarra
 def least_horizon(model: Any, system: IntervalSystem, directions: Directions | None = None) -> int | None:
     """Return the smallest h with which h + 1 samples show all states, at the middle of the model; None if none does.
 
-    directions: of unknown inputs; the states are then those that are ever shown.
+    directions: of unknown inputs; the states are then those that are ever shown. What A has forgotten by then need not be.
     """
     (A, _), (C, _), M, _, places = _middle_parts(model, system, directions)
     A = A if directions is None else linalg.matmul(M, A)
     wanted, newest, found = system.n - len(places), C, 0
     rows: list = []
-    for h in range(system.n):
+    for h in range(system.n + 1):
         rows += _without(newest, places)
         before, found = found, linalg.rank(rows)
-        if found in (wanted, before):
-            return h if found == wanted else None
+        if found == wanted or (directions is not None and _forgotten(model, A, rows, h, places)):
+            return h
+        if found == before and directions is None:
+            return None
         newest = linalg.matmul(newest, A)
     return None
+
+
+def _forgotten(model, A, rows, h, places):
+    """Say whether rows show all of x_0 that A^h makes anything of; only asked of a certain A."""
+    if any(u.A is not None for u in model.uncertainties):
+        return False
+    power: Matrix = _identity(len(A))
+    for _ in range(h):
+        power = linalg.matmul(power, A)
+    return linalg.rank([*rows, *_without(power, places)]) == linalg.rank(rows)
 
 
 def _middle_parts(model, system, directions):
@@ -150,8 +162,13 @@ def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype, direction
         powers.append(linalg.matmul(A, powers[-1]))
     seen = [linalg.matmul(C, P) for P in powers]
     O = tuple(row for rows in seen for row in rows)
-    if linalg.rank(_without(O, places)) < n - len(places):
-        return None
+    thin = _without(O, places)
+    if linalg.rank(thin) < n - len(places):
+        if directions is None or not _forgotten(model, A, thin, h, places):
+            return None
+        there = [j for j in range(n) if j not in places]
+        kept = {there[i] for i in linalg.row_reduce(thin)[1]}
+        places = tuple(j for j in range(n) if j not in kept)
     K0 = _left_inverse(O, np.tile(system.noise, h + 1), places)
     K = linalg.matmul(powers[h], K0)
     K_first = size(K, n, (h + 1) * p)

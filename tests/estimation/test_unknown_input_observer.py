@@ -291,6 +291,22 @@ def test_a_contradiction_of_many_samples_is_one_relation_that_fractions_replay(n
         certify(about, u[0], healthy)
 
 
+@pytest.mark.slow
+def test_an_unknown_input_that_is_made_a_state_is_enclosed_one_sample_later(rng):
+    d, u = 1000 * rng.normal(size=(60, 1)), rng.normal(size=(60, 1))
+    found = jb.simulate(TANK, u, jax.random.key(1), unknown_input=d, at="vertices")
+    u, y = np.array(found.u), np.array(found.y)
+    y[30] = np.nan
+    more = TANK.replace(
+        A=[["0.9", "0.2", 0], ["-0.1", "0.95", 0], [0, 0, 0]], B=[[0], [1], [0]], C=[[1, 0, 0], [0, 1, 0], [1, 1, 0]],
+        disturbance=([[1], ["0.5"], [0]], "0.02"), unknown_inputs=[[1], ["0.5"], [1]], states=["x1", "x2", "before"],
+    )  # fmt: skip
+    state = jb.observe(more, u, y).state
+    lo, hi = np.asarray(state.lo)[1:, 2], np.asarray(state.hi)[1:, 2]
+    assert ((lo <= d[:-1, 0]) & (d[:-1, 0] <= hi)).all()
+    assert np.isfinite(hi).mean() > 0.9 and (np.sort(hi - lo)[:50] < 0.8).all()
+
+
 def test_what_an_observer_of_unknown_inputs_cannot_take_is_said():
     for match, model in (
         (
