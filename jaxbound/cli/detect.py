@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from jaxbound.cli.engine import engine_of, refuse_engine
-from jaxbound.cli.share import merged, opened, refuse_shares, run_share
+from jaxbound.cli.share import opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated
 from jaxbound.cli.window import OBSERVER, observer_options, window_relations
@@ -38,7 +38,7 @@ from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome, file_names, write_all
-from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, kept, publish, write_parts
+from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import Evidence, Summary, Window, bound_hints, summarised
 
 __all__ = ["conclude", "run_demo", "run_detect"]
@@ -108,7 +108,7 @@ def _stream(args, folder, step):
     seconds: dict[str, float] = {}
     try:
         if args.merge:
-            parts = merged(args, source, relations)
+            parts = all_parts(relations, source, args.out, args.method, args.overlap)
         else:
             chunk, progress = args.chunk or CHUNK, lambda share: step("test", share)
             with engine_of(args) as client:

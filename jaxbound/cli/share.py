@@ -5,7 +5,6 @@ import json
 import shlex
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from jaxbound.cli.terminal import OK, door, progress_bars, show, usable_device, write
@@ -15,10 +14,10 @@ from jaxbound.recordings.read import open_source
 from jaxbound.runs.outputs import shared_folder
 from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION
-from jaxbound.runs.shares import Incomplete, numbers_of
-from jaxbound.runs.streaming import CHUNK, PARTIAL, all_parts, part_count, part_files, samples_of, write_parts
+from jaxbound.runs.shares import numbers_of
+from jaxbound.runs.streaming import CHUNK, PARTIAL, part_count, part_files, samples_of, write_parts
 
-__all__ = ["merged", "opened", "refuse_shares", "run_share"]
+__all__ = ["opened", "refuse_shares", "run_share"]
 
 
 def refuse_shares(args: argparse.Namespace, kind: Any) -> None:
@@ -80,14 +79,6 @@ def opened(args: argparse.Namespace, step: Callable[[str, float], object]) -> tu
     usable_device()
     source = open_source(args.data, model)
     return source, window_relations(model, args, args.data, source.samples, step)[1]
-
-
-def merged(args: argparse.Namespace, source: Any, relations: Any) -> Path:
-    """Return the folder of all parts; refuse if one is missing, with the command that makes it."""
-    try:
-        return all_parts(relations, source, args.out, args.method, args.overlap)
-    except Incomplete as e:
-        raise Refused(e.says(_again(args, "--part") + " ", "{}/{}")) from None
 
 
 def _again(args, *more):

@@ -36,7 +36,7 @@ from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import remembers
 from jaxbound.runs.judges import Carried, Windows
 from jaxbound.runs.outputs import OutputFolder
-from jaxbound.runs.shares import Incomplete, listed, numbers_of, shares_that_make
+from jaxbound.runs.shares import listed, numbers_of
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -113,13 +113,13 @@ def all_parts(relations: Any, source: ParquetSource, out: str | PathLike, method
     """Return the folder of the parts that `write_parts` made of the same.
 
     Raises:
-        Incomplete: some are not there. ValueError: some are of another model, recording, version or method.
+        ValueError: some are not there, or of another model, recording, version or method.
     """
     folder, _ = _begun(relations, source, Path(out), method, overlap=overlap)
     count = part_count(source)
     if missing := _missing(folder, range(count)):
         lacking = f"{folder} lacks {listed(missing, _name)}, {len(missing)} of {count} parts"
-        raise Incomplete(lacking, shares_that_make(missing, count))
+        raise ValueError(f"{lacking}: the same without merge makes only these")
     return folder
 
 

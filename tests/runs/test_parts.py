@@ -94,12 +94,12 @@ class TestSameBytes:
 
 class TestMissing:
     @pytest.mark.parametrize("made, n, sentence", [
-        ((1, 3), 3, "lacks part-00002.parquet and part-00003.parquet, 2 of 6 parts: make them with part=(2, 3)"),
-        ((2, 3, 4, 5), 6, "lacks part-00000.parquet and part-00005.parquet, 2 of 6 parts: make them with part=(1, 6) and (6, 6)"),
-        ((1,), 6, "lacks part-00001.parquet to part-00005.parquet, 5 of 6 parts: make them with part=(2, 4) to (4, 4)"),
-        ((), 2, "lacks part-00000.parquet to part-00005.parquet, 6 of 6 parts: make them with part=(1, 1)"),
+        ((1, 3), 3, "lacks part-00002.parquet and part-00003.parquet, 2 of 6 parts: the same without merge makes only these"),
+        ((2, 3, 4, 5), 6, "lacks part-00000.parquet and part-00005.parquet, 2 of 6 parts: the same without merge makes only these"),
+        ((1,), 6, "lacks part-00001.parquet to part-00005.parquet, 5 of 6 parts: the same without merge makes only these"),
+        ((), 2, "lacks part-00000.parquet to part-00005.parquet, 6 of 6 parts: the same without merge makes only these"),
     ])  # fmt: skip
-    def test_parts_are_named_with_the_shares_that_make_them(self, case, tmp_path, made, n, sentence):
+    def test_parts_are_named_and_what_makes_them(self, case, tmp_path, made, n, sentence):
         r, folder, _, _ = case("section 5")
         for i in made:
             detect_dataset(r, folder, tmp_path, part=(i, n))
@@ -123,7 +123,7 @@ class TestMissing:
         assert str(shared.value) == str(alone.value)
         for i in range(2, 6):
             detect_dataset(r, folder, tmp_path / "out", chunk=500, part=(i, 6))
-        with pytest.raises(ValueError, match=r"lacks part-00005.parquet, 1 of 6 parts: make them with part=\(6, 6\)"):
+        with pytest.raises(ValueError, match=r"lacks part-00005.parquet, 1 of 6 parts: the same without merge makes only these"):
             detect_dataset(r, folder, tmp_path / "out", merge=True)
 
     def test_a_share_that_was_stopped_goes_on_and_what_is_there_stays(self, case, one, tmp_path, monkeypatch):
@@ -278,13 +278,13 @@ class TestCommand:
         assert "Part 1/7 is done: there are 6 parts, and none of them is in this share" in capsys.readouterr().out
         assert not (place / "out").exists()
 
-    def test_a_missing_part_is_2_and_the_command_that_makes_it(self, place, capsys):
+    def test_a_missing_part_is_2_and_what_makes_it(self, place, capsys):
         main.main([*DETECT, "out", "--part", "1/2"])
         capsys.readouterr()
         assert main.main([*DETECT, "out", "--merge"]) == 2
         assert capsys.readouterr() == ("", (
-            "jaxbound: out/verdicts.partial lacks part-00003.parquet to part-00005.parquet, 3 of 6 parts: make them with "
-            "jaxbound detect model.toml run --out out --part 2/2\n"
+            "jaxbound: out/verdicts.partial lacks part-00003.parquet to part-00005.parquet, 3 of 6 parts: the same without merge "
+            "makes only these\n"
         ))  # fmt: skip
 
     def test_interrupted_it_says_how_to_go_on(self, place, capsys, monkeypatch):
