@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from corners import in_blocks
 
 from jaxbound import sets
 from jaxbound.exact.linalg import transpose
@@ -278,16 +279,18 @@ def test_supports_with_constraints_are_those_of_a_linear_program(rng):
 
 
 def test_repeated_constraints_and_points_have_supports_too():
-    S = sets.constrained_zonotope([0.0], [[1.0, 0.5]], [[1.0, 1.0], [1.0, 1.0]], [2.0, 2.0])  # only x = (1, 1)
-    assert 1.5 <= float(sets.support(S, [1.0])) < 1.5 + 1e-6
+    once = [1.0, 1.0, 0.0, 0.0]  # of the shape of the published set with constraints
+    S = sets.constrained_zonotope([0.0, 0.0], [[1.0, 0.5, 0.0, 0.0], [0.0] * 4], [once, once], [2.0, 2.0])  # only x = (1, 1, .., ..)
+    assert 1.5 <= float(sets.support(S, [1.0, 0.0])) < 1.5 + 1e-6
 
 
 def test_a_support_along_zero_proves_sets_empty_under_jit_and_vmap(rng):
-    A, x = rng.normal(size=(20, 2, 6)), rng.uniform(-1, 1, (20, 6))
+    A, x = rng.normal(size=(20, 2, 4)), rng.uniform(-1, 1, (20, 4))
     b = np.einsum("skq,sq->sk", A, x)
     b[10:, 0] = np.abs(A[10:, 0]).sum(1) * 1.001
-    S = ConstrainedZonotope(*map(jnp.asarray, (np.zeros((20, 2)), rng.normal(size=(20, 2, 6)), A, b)))
-    far = jax.jit(jax.vmap(lambda S: sets.support(S, [0.0, 0.0])))(S)
+    support = jax.jit(jax.vmap(sets.support))  # of four at a time: the program of the published set with constraints
+    parts = [np.zeros((20, 2)), rng.normal(size=(20, 2, 4)), A, b]
+    far = in_blocks(lambda *parts: support(ConstrainedZonotope(*parts), np.zeros((4, 2))), 4, *parts)
     assert (far[:10] >= 0).all() and (far[10:] < 0).all()
 
 

@@ -15,7 +15,8 @@ FEW = {(1, 3): 4, (2, 5): 6, (4, 2): 4}
 
 
 def exact(x):
-    return [exact(v) for v in x] if np.ndim(x) else Fraction(float(x))
+    x = np.asarray(x)  # of jax, every entry would be an operation to compile
+    return [exact(v) for v in x] if x.ndim else Fraction(float(x))
 
 
 def dot(a, b):

@@ -99,7 +99,7 @@ def test_samples_keep_the_constraints_spread_and_are_not_there_where_nothing_is(
 def test_a_difference_and_what_was_taken_off_fit_inside_and_fill_it(n, q, dtype, rng):
     Z = sets.zonotope(rng.normal(size=n).astype(dtype), rng.normal(size=(n, q)).astype(dtype))
     Y = sets.zonotope(rng.normal(size=n).astype(dtype), (0.01 * rng.normal(size=(n, 3))).astype(dtype))
-    D = sets.minkowski_difference(Z, Y)
+    Z, Y, D = (jax.tree.map(np.asarray, S) for S in (Z, Y, sets.minkowski_difference(Z, Y)))
     c = [Fraction(float(a)) + Fraction(float(b)) - Fraction(float(z)) for a, b, z in zip(D.center, Y.center, Z.center, strict=True)]
     G = [[Fraction(float(x)) for x in row] for row in np.concatenate([D.generators, Y.generators], 1)]
     for normal, width in exact_strips(Z):

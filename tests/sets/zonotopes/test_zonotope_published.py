@@ -96,7 +96,7 @@ def test_published_supports_are_bounded_tightly(mode, cases):
         assert case["value"] <= float(found) <= case["value"] + 1e-13
 
 
-@each_mode
+@pytest.mark.parametrize("mode", [pytest.param(m, marks=pytest.mark.slow) if m == "jit" else m for m in MODES])  # "eager" is compiled too
 def test_published_corners_of_a_set_with_constraints_are_as_far_as_it_reaches(mode, cases):
     (case,) = (c for c in cases["vertices"] if "A" in c)
     Z = sets.constrained_zonotope(*(np.array(case[k], float) for k in ("c", "G", "A", "b")))
