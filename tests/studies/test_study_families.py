@@ -1,5 +1,7 @@
 """tune and study for every family of relations: what works counts and scales as it should, what cannot says why."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -38,16 +40,21 @@ STUDIED = {
 RARELY = {"uncertain": "slow", "constant": "long", "long": "long", "paving": "long", "residual": "long"}  # for the time that they take
 
 
+@functools.cache
+def studied(family):
+    model, build, method = STUDIED[family]
+    return jb.study(model, "y1:bias", 4, 0, build(model), sizes=[0.0, 5.0], samples=40, onset=30, method=method)
+
+
 @pytest.mark.parametrize("family", [pytest.param(f, marks=getattr(pytest.mark, RARELY[f])) if f in RARELY else f for f in STUDIED])
 def test_a_study_finds_what_is_large_and_alarms_nobody_else(family):
-    model, build, method = STUDIED[family]
-    res = jb.study(model, "y1:bias", 4, 0, build(model), sizes=[0.0, 5.0], samples=40, onset=30, method=method)
+    res = studied(family)
     (tally,) = res.tallies
-    assert tally.detected.tolist() == [0, 2] and res.false_alarms[0] == 0 and res.settings["method"] == method
+    assert tally.detected.tolist() == [0, 2] and res.false_alarms[0] == 0 and res.settings["method"] == STUDIED[family][2]
 
 
 def test_the_joint_test_guarantees_what_no_other_does():
-    joint, box = (jb.study(EXACT, "y1:bias", 1, 0, sizes=[5.0], samples=12, method=method).trials[0] for method in ("joint", "box"))
+    joint, box = (studied(family).trials[0] for family in ("short", "box"))
     assert joint.guaranteed > 0 and np.isnan(box.guaranteed)
 
 
