@@ -99,7 +99,7 @@ def test_large_levels_raise_no_fault_and_still_show_a_gross_one(case, dtype, rng
 def test_verdicts_are_sharp(name, horizon, dtype, rng):
     """Just outside is FAULT and just inside is CONSISTENT in at least 99 of 100 windows: by 1e-11 in float64, 2e-4 in float32."""
     sharp, oracle = SHARP[name][dtype == np.float32], Windows(Plant(**MODELS[name]), horizon, dtype)
-    u, centre, y = draw(oracle.plant, horizon, 5_000, rng, level=3.0)
+    u, centre, y = draw(oracle.plant, horizon, 3_000, rng, level=3.0)
     factor = oracle.crossing(u, centre, y)
     found = np.isfinite(factor)
     assert found.mean() > 0.9
