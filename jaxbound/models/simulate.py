@@ -29,7 +29,7 @@ from jaxbound.sets.floats.sizes import power
 
 __all__ = ["Trajectory", "simulate"]
 
-FEW, TINY = 2**16, 2**12
+FEW, TINY = 2**16, 2**10
 """Samples of all recordings up to which as many as the next power of two, or of four, are compiled for: few shapes serve all."""
 
 

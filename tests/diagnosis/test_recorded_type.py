@@ -125,7 +125,7 @@ def test_a_dataset_of_float32_columns_without_noise_raises_no_fault(rng, tmp_pat
 
 
 def test_uncertain_relations_and_their_compensation_count_the_rounding_of_float32(rng):
-    uncertain = jb.LinearSystem(**BARE | {"C": [[1, 0]]}, uncertainties=[jb.Uncertainty("a", A=[["0.01", 0], [0, 0]])])
+    uncertain = jb.LinearSystem(**BARE | {"C": [[1, 0]]}, uncertainties=[jb.Uncertainty("a", A=[["1e-9", 0], [0, 0]])])
     relations, (_, u, y, _) = jb.parity_relations(uncertain), recorded(rng)
     y = y[:, :1]
     c = jb.compensation(relations, u, y)
