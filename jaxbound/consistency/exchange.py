@@ -105,7 +105,7 @@ class ExchangeTest(WindowTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
-        return unproved_margins(self, exchange_margins, exchange_margins, given)
+        return unproved_margins(self, exchange_margins, _given_margins, given, search=_best)
 
     def _whole_numbers(self, u, y, margin):
         if not np.count_nonzero(nothing := margin == 0):
@@ -144,18 +144,38 @@ class ExchangeTest(WindowTest):
 
 @jax.jit
 def exchange_margins(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): differentiable, NaN where data are missing."""
+    """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): NaN where data are missing."""
+    return _given_margins(test, u, y)
+
+
+def _given_margins(test: Any, u: jax.Array, y: jax.Array, best: jax.Array | None = None) -> jax.Array:
+    """Return the same, differentiable; best: from `_best`, else it is searched for."""
+    if best is None:
+        found = _over_blocks(lambda *rows: separation.separation_margin(test.shape, *rows), test, u, y)
+    else:
+        found = _over_blocks(lambda mid, rad, known, best: separation.margin_of(best, mid, rad, known), test, u, y, best)
+    return found.reshape(-1)[: y.shape[0] - test.horizon]
+
+
+def _best(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
+    """Return the combinations (blocks, rows + l, N) that speak most against each window: margins and their derivatives follow from them."""
+    return _over_blocks(lambda *rows: separation.separation_best(test.shape, *rows), test, u, y)
+
+
+def _over_blocks(kernel, test, u, y, *more):
+    """Return what kernel(mid, rad, known, *one of each of more) gives of all windows of a recording, block after block."""
     count, size = y.shape[0] - test.horizon, _block_of(test.shape)
     blocks = -(-count // size)
     fill = lambda x: jnp.pad(x, ((0, blocks * size - count), (0, 0)), mode="edge")
     u, y = fill(u), fill(y)
 
-    def one_block(first):
+    def one_block(given):
+        first, *rest = given
         take = lambda x, lags: jnp.moveaxis(x[first + jnp.arange(lags)[:, None] + jnp.arange(size)[None]], 1, 2)
         mid, rad, _, known, _ = test.block(take(u, test.lags), take(y, test.horizon + 1))
-        return separation.separation_margin(test.shape, mid, rad, known)
+        return kernel(mid, rad, known, *rest)
 
-    return jax.lax.map(one_block, size * jnp.arange(blocks)).reshape(-1)[:count]
+    return jax.lax.map(one_block, (size * jnp.arange(blocks), *more))
 
 
 @jax.jit

@@ -31,24 +31,55 @@ def stretch_block(reading: Any) -> int:
     return 2**16 if not isinstance(reading.shape, Frame) and len(reading.shape.h) <= UNROLLED else 2**14
 
 
-def unproved_margins(test: WindowTest, kernel: Callable, smooth: Callable, given: Recording) -> jax.Array:
+QUICK = {"xla_cpu_use_fusion_emitters": False}
+"""XLA's former way to write loops for a CPU: a search compiles in half of the time and runs as fast. No proof rests on what runs so."""
+
+
+def unproved_margins(test: WindowTest, kernel: Callable, smooth: Callable, given: Recording, search: Callable | None = None) -> jax.Array:
     """Return the margins (..., T) that a jitted kernel(reading, u (N + s, m), y (N + s, p)) gives; see `WindowTest.margins`.
 
-    smooth: the same, to be differentiated.
+    smooth: the same, to be differentiated. search: of the same arguments, what smooth takes last and nothing is differentiated through:
+    compiled alone, once for values and derivatives.
     """
     reading, devices = test.reading, usable_devices()
     if not is_traced(given.u, given.y, reading) and (devices[0].platform == "cpu" or len(devices) > 1):
         return jax.device_put(drive(_Unproved(test, kernel), given))
-    return _whole(smooth, reading, given.u, given.y, _gone(given, test.horizon))
+    found = () if search is None else (_searched(search, reading, given.u, given.y),)
+    return _whole(smooth, reading, given.u, given.y, _gone(given, test.horizon), *found)
 
 
 @partial(jax.jit, static_argnums=0)
-def _whole(kernel: Callable, reading: Any, u: jax.Array, y: jax.Array, gone: np.ndarray) -> jax.Array:
+def _whole(kernel: Callable, reading: Any, u: jax.Array, y: jax.Array, gone: np.ndarray, *found: jax.Array) -> jax.Array:
     """Return the margins (..., T) of recordings u (..., T, m), y (..., T, p), NaN where `gone` (T,): one program, none op by op."""
     shape = y.shape[:-1]
-    flat = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
-    margin = jnp.pad(kernel(reading, *flat), (reading.horizon, 0)).reshape(shape)
+    margin = jnp.pad(kernel(reading, *_flat(u, y), *found), (reading.horizon, 0)).reshape(shape)
     return jnp.where(gone.reshape((1,) * (y.ndim - 2) + gone.shape), jnp.nan, margin)
+
+
+def _searched(search: Callable, *given: Any) -> jax.Array:
+    """Return search(*given) as constants for a derivative: where jax.grad alone traces, what it finds are numbers."""
+    given = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, given)
+    if is_traced(given):
+        return _alone(search, *given)
+    try:
+        return _alone_quickly(search, *given)
+    except jax.errors.JaxRuntimeError as refused:
+        if "compile option" not in str(refused):  # of another jaxlib, or another device
+            raise
+        return _alone(search, *given)
+
+
+def _search_flat(search: Callable, reading: Any, u: jax.Array, y: jax.Array) -> jax.Array:
+    return search(reading, *_flat(u, y))
+
+
+_alone = jax.jit(_search_flat, static_argnums=0)
+_alone_quickly = jax.jit(_search_flat, static_argnums=0, compiler_options=QUICK)  # only as the outermost jit
+
+
+def _flat(u, y):
+    """Return samples (..., T, n) laid end to end."""
+    return [x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y)]
 
 
 def within(margin: jax.Array, given: Recording, horizon: int) -> jax.Array:

@@ -23,7 +23,6 @@ Everything is written for a block of N windows, the last axis, and elementwise o
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple, TypeAlias, cast
 
 import jax
@@ -33,7 +32,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import FEW, foremost, summed
+from jaxbound.sets.floats.unrolled import FEW, foremost, stored, summed
 from jaxbound.sets.strips.exchange import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
 from jaxbound.sets.strips.tableau import tableau_search
 
@@ -42,6 +41,8 @@ __all__ = [
     "Image",
     "exchange_search",
     "frame_of",
+    "margin_of",
+    "separation_best",
     "separation_image",
     "separation_margin",
     "separation_search",
@@ -84,17 +85,46 @@ def separation_margin(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.A
     """Return 1 - t, unrounded and differentiable in mid, rad and known; NaN where no relation has its data, or an inner row has none.
 
     Args:
-        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N).
+        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N). steps: at most so many exchanges.
     """
-    (mid, rad), present, complete = _ordered(frame, jnp.stack([mid, rad]), jnp.isnan(mid), jnp.isnan(known))
+    h, z, rad, present, complete = _search(frame, mid, rad, known, steps)
+    width = jnp.sum(jnp.abs(jnp.concatenate([h, _times(jnp.swapaxes(frame.R, 0, 1), h)])) * rad, 0)
+    return jnp.where(complete & present[: len(h)].any(0), 1 - _factor(jnp.sum(h * z, 0), width), jnp.nan)
+
+
+def separation_best(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000) -> jax.Array:
+    """Return the combinations of rows and known values (rows + l, N) of which `margin_of` is that margin, 0 where it is NaN."""
+    h, _, _, present, complete = _search(frame, mid, rad, known, steps)
+    through = -_times(jnp.swapaxes(_matrix(frame), 0, 1), h)
+    order = jnp.concatenate([frame.outer, frame.inner])
+    there = (order[None] == jnp.arange(len(mid), dtype=order.dtype)[:, None]).astype(h.dtype)
     c, k = frame.R.shape
+    best = jnp.concatenate([_times(there, jnp.concatenate([h, through[:k]])), through[k:]])
+    return jnp.where(complete & present[:c].any(0), best, 0)
+
+
+def margin_of(best: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
+    """Return 1 - |residual| / width (N,) of combinations from `separation_best`; arguments as for `separation_margin`."""
+    used = lambda weight, x: jnp.sum(weight * jnp.where(weight == 0, 0, x), 0)
+    residual, width = used(best, jnp.concatenate([mid, known])), used(jnp.abs(best[: len(rad)]), rad)
+    return jnp.where(width > 0, 1 - _factor(residual, width), jnp.nan)
+
+
+def _search(frame, mid, rad, known, steps):
+    """Return (h (c, N), z (c, N), radii, present (c + k, N), complete (N,)), the last four as of an `Image`, unrounded."""
+    (mid, rad), present, complete = _ordered(frame, jnp.stack([mid, rad]), jnp.isnan(mid), jnp.isnan(known))
+    c = len(frame.used)
     rad, one = jnp.where(present, rad, 1), jnp.ones_like(mid[0])
-    times = partial(jnp.matmul, precision="highest")  # nothing is proved here: one kernel each, where sums in order are a loop
-    z = jnp.where(present[:c], mid[:c] - times(_matrix(frame), jnp.concatenate([mid[c:], jnp.where(jnp.isnan(known), 0, known)])), 0)
+    z = mid[:c] - _times(_matrix(frame), jnp.concatenate([mid[c:], jnp.where(jnp.isnan(known), 0, known)]))
+    z = jnp.where(present[:c], z, 0)
     stop = jax.lax.stop_gradient  # the best h stays the best for a small change: envelope theorem
     h, _, _ = exchange_search(stop(frame.R), stop(z), stop(rad), present, stop(one), steps)
-    width = jnp.sum(jnp.abs(jnp.concatenate([h, times(jnp.swapaxes(frame.R, 0, 1), h)])) * rad, 0)
-    return jnp.where(complete & present[:c].any(0), 1 - _factor(jnp.sum(h * z, 0), width), jnp.nan)
+    return h, z, rad, present, complete
+
+
+def _times(A: Numbers, x: jax.Array) -> jax.Array:
+    """Return A x where nothing is proved: one kernel, where sums in order are a loop."""
+    return jnp.matmul(A, x, precision="highest")
 
 
 class Image(NamedTuple):
@@ -138,7 +168,7 @@ def separation_image(
     both = summed(
         lambda columns, rows: columns[..., None] * rows[:, None], jnp.stack([matrix, jnp.abs(matrix)]), inner, axes=(2, 1), few=WRITTEN_OUT
     )
-    both = both / one[None, None]
+    both = stored(both)
     z = jnp.where(present[:c], mid[:c] - both[0], 0) / one[None]
     magnitude = jnp.concatenate([scale[:c] + both[1], scale[c:]]) / one[None]
     _, least = rounding.search_error(c, k, len(known), mid.dtype)
