@@ -36,6 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from systems import paper  # noqa: E402
 
 WANTED = {"share of bandwidth": 0.5, "times two cores": 20.0, "million long windows/s": 20.0}
+FEW = 100_000  # scenarios that the cores simulate beside a card
 AT_ONCE = 10_000_000  # windows with errors at their bounds that are drawn at once
 
 
@@ -62,7 +63,7 @@ def false_alarms(tests, vertices, kind):
     return found
 
 
-def bandwidth(device, size=10**8):
+def bandwidth(device, size=4 * 10**8):
     """Return the bytes a second at which one device reads and writes its memory: x + 1 of an array that no cache holds."""
     x = jax.device_put(np.zeros(size // 8), device)
     more = jax.jit(lambda x: x + 1)
@@ -86,7 +87,7 @@ def of_memory_speed(relations, u, y, device):
 def beside_cores(scenarios):
     """Return seconds of a study on all devices of this process and on one CPU device, which has all cores, and their ratio."""
     run = lambda n: jb.study(paper(), "y1:bias", n, 0, sizes=[0.5], samples=200).tallies
-    few, found = max(scenarios // 10, 1), {}
+    few, found = min(scenarios, FEW), {}
     for name, place, n in (("here", nullcontext(), scenarios), ("cpu", jax.default_device(jax.local_devices(backend="cpu")[0]), few)):
         with place:
             run(n)
