@@ -136,7 +136,8 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
     refuse_unverified()  # at the end the bounds are verified
     scales = regression.scales_of(records)
     sentences = _standing_still(records, inputs, outputs)
-    candidate = lambda records, kind: _candidate(records, scales, order, horizon, direct, kind, about)
+    room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)  # a first fit to a part of them compiles nothing new
+    candidate = lambda records, kind: _candidate(records, scales, order, horizon, direct, kind, about, room)
     heads, tails = _parts(records, held_out, horizon)
     kinds = [k for k in KINDS if inputs or k != "filters"] if method == "auto" else [method]
     spans = [np.nanmax(y) - np.nanmin(y) for y in np.concatenate([r[1] for r in records]).T]
@@ -231,7 +232,7 @@ def _cut(usable, share):
     return int(np.searchsorted(counted, share * counted[-1]) + 1) if usable.any() else len(usable)
 
 
-def _candidate(records, scales, order, horizon, direct, kind, about):
+def _candidate(records, scales, order, horizon, direct, kind, about, room):
     """Return (spec, relations, spread): the arguments of a LinearSystem, its relations, and the root mean square of its window residuals.
 
     The spread is in the unit of each output, and the noise bound of the relations.
@@ -252,9 +253,9 @@ def _candidate(records, scales, order, horizon, direct, kind, about):
         spread = np.maximum(spread, digits)
         return spec | about, parity_relations(LinearSystem(**spec | about)).with_bounds({"noise": spread}), spread
     theta, _ = regression.least_squares(steps, order, direct)
-    spread = regression.window_spread(theta, windows, order, direct)
+    spread = regression.window_spread(theta, windows, order, direct, room)
     if kind == "windows":
-        theta, spread = regression.refined(theta, windows, order, direct)
+        theta, spread = regression.refined(theta, windows, order, direct, room)
     spec, spread = realised(theta, scales, order, direct, m, p) | about, np.maximum(spread * scales.y_spread, digits)
     return spec, parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread}), spread
 

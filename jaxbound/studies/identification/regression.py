@@ -155,30 +155,30 @@ def _around(theta, u, y, there, weight, order, direct):
     return J.T @ J, J.T @ e.ravel()
 
 
-def refined(theta: np.ndarray, windows: Windows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
+def refined(theta: np.ndarray, windows: Windows, order: int, direct: bool, room: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own spread (p,).
 
     Args:
-        theta: where to begin, from `least_squares`. windows: Windows of s + 1 samples.
+        theta: where to begin, from `least_squares`. windows: Windows of s + 1 samples. room: at least so many windows share a compilation.
     """
-    given = _filled(windows)
-    spread = window_spread(theta, windows, order, direct)
+    given = _filled(windows, room)
+    spread = window_spread(theta, windows, order, direct, room)
     for _ in range(2):  # the spreads are those of the result before
         theta = _marquardt(theta, given, 1 / spread, order, direct)
-        spread = window_spread(theta, windows, order, direct)
+        spread = window_spread(theta, windows, order, direct, room)
     return theta, spread
 
 
-def window_spread(theta: Any, windows: Any, order: int, direct: Any) -> Any:
+def window_spread(theta: Any, windows: Any, order: int, direct: Any, room: int = 0) -> Any:
     """Return the root mean square (p,) of the window residuals of each output, standardised, each output weighed alike."""
-    e = np.asarray(_residuals(theta, *_filled(windows), np.ones(windows.y.shape[2]), order, direct))[: len(windows.y)]
+    e = np.asarray(_residuals(theta, *_filled(windows, room), np.ones(windows.y.shape[2]), order, direct))[: len(windows.y)]
     spread = np.sqrt((e.reshape(windows.y.shape) ** 2).mean((0, 1)))
     return np.maximum(np.where(np.isfinite(spread), spread, 1.0), 1e-9)
 
 
-def _filled(windows):
-    """Return (u, y, there), filled up to a power of two of windows: few sizes, few compilations."""
-    more = power(max(len(windows.y), LEAST)) - len(windows.y)
+def _filled(windows, room):
+    """Return (u, y, there), filled up to a power of two of windows, at least `room`: few sizes, few compilations."""
+    more = power(max(len(windows.y), LEAST, room)) - len(windows.y)
     fill = lambda x: jax.device_put(np.concatenate([x, np.zeros((more, *x.shape[1:]))]))
     return fill(windows.u), fill(windows.y), fill(np.ones(len(windows.y)))
 

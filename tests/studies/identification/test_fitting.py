@@ -113,6 +113,13 @@ class TestRegression:
 
         assert once(101) == once(83)
 
+    def test_a_first_fit_to_a_part_compiles_nothing_of_its_own(self, rng, monkeypatch):
+        sizes = []
+        monkeypatch.setattr(regression, "window_spread", lambda theta, *given: np.ones(1))
+        monkeypatch.setattr(regression, "_marquardt", lambda theta, given, *more: sizes.append(len(given[1])) or theta)
+        jb.fit(run(rng, 150), order=1, horizon=4, method="windows")  # 101 and 146 windows
+        assert sizes == [256] * 4
+
 
 class TestModel:
     def test_a_known_plant_is_recovered(self, rng):
