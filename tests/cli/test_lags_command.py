@@ -100,5 +100,7 @@ def test_fit_says_that_a_plant_remembers_longer_than_its_windows():
 def test_shares_of_a_recording_are_told_the_same_lags():
     from jaxbound.cli.share import _again
 
-    args = argparse.Namespace(model="m.toml", data="d", out="o", horizon=None, lags=(0, 4), method="joint")
+    args = argparse.Namespace(
+        model="m.toml", data="d", out="o", horizon=None, lags=(0, 4), method="joint", order=None, overlap=None, latched=False
+    )
     assert "--lags 0,4" in _again(args, "--merge")

@@ -75,7 +75,7 @@ def check_against_programs(rng, r, q, count):
     return int((margin < 0).sum()), int((margin > 0).sum())
 
 
-@pytest.mark.parametrize("r", [1, *(pytest.param(r, marks=pytest.mark.slow) for r in (2, 3))])
+@pytest.mark.parametrize("r", [2, *(pytest.param(r, marks=pytest.mark.slow) for r in (1, 3))])
 def test_margins_have_the_sign_and_size_of_linear_programs(rng, r):
     outside, inside = check_against_programs(rng, r, COLUMNS[r], 300)
     assert outside > 10 and inside > 30
@@ -167,9 +167,10 @@ def test_many_strips_of_three_rows_tell_what_is_outside_and_how_far(rng):
 
 
 def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
-    c, G = np.array([[1.0, np.nan, 0.5]]), np.ones((1, COLUMNS[1], 3)) / 4
+    c, G = np.array([[1.0, np.nan, 0.5], [0.0, 0.0, 0.0]]), np.ones((2, COLUMNS[2], 3)) / 4
+    G[1, ::2] *= -1
     assert np.isnan(varying.zonotope_margins(c, G)).tolist() == [False, True, False]
-    assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx([0.5, 0.75])
+    assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx([0.6, 0.8])  # along the first row G reaches 10 / 4
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
@@ -197,7 +198,7 @@ def test_float32_and_uncompiled_code_prove_the_same(rng):
 
 
 def test_a_second_call_does_not_trace(rng):
-    blocks = [columns_first(*draw(rng, 3, COLUMNS[3], n)) for n in (40, 3000)]
+    blocks = [columns_first(*draw(rng, 2, COLUMNS[2], n)) for n in (40, 3000)]
     varying.zonotope_margins(*blocks[0])
     with jax.log_compiles(False), jax.check_tracer_leaks(False):
         before = varying.holds_jit._cache_size(), gauge_search._cache_size()
