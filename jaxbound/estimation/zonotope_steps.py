@@ -18,7 +18,7 @@ underflows.
 Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel 2015 (its gain); Girard 2005 (which generators stay).
 """
 
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -119,6 +119,7 @@ def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Carry:
     return Carry(zero(n), zero(n, q), zero(n), np.full(N, -1, np.int32), np.zeros(N, bool), *last, np.zeros(N, np.int32), weight)
 
 
+@jax.jit
 def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array) -> Read:
     """Return what samples u, slip (T, m, N), y (T, p, N) say. rounded: the unit roundoff of the type that y was recorded in."""
     mid, rad = [], []
@@ -182,9 +183,9 @@ def follow(
     def step(k, state):
         carry, found = state
         now = Read(*(jax.lax.dynamic_index_in_dim(x, k, 0, keepdims=False) for x in known))
-        carry, out = sample(plant, start, begun_anew(carry, now.fresh), now, enclosures)
+        carry, size, out = sample(plant, start, begun_anew(carry, now.fresh), now, enclosures)
         carry = begun_anew(carry, restart & jnp.tile(jnp.any(carry.empty.reshape(lanes, -1), 0), lanes))
-        carry = step_of_time(plant, carry, now)
+        carry = step_of_time(plant, carry, size, now)
         put = lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0)
         return carry, Found(*(put(old, new) for old, new in zip(found, out, strict=True)))
 
@@ -196,8 +197,8 @@ def begun_anew(carry: Carry, where: jax.Array) -> Carry:
     return carry._replace(age=jnp.where(where, -1, carry.age), empty=carry.empty & ~where, ready=jnp.where(where, 0, carry.ready))
 
 
-def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosures: int) -> tuple[Carry, Found]:
-    """Look at one sample: return (carry with the set after it, one row of `Found`)."""
+def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosures: int) -> tuple[Carry, jax.Array, Found]:
+    """Look at one sample: return (carry with the set after it, its magnitudes (n, N), one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
     dtype, g = carry.c.dtype, _Bounds(plant, carry)
     direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
@@ -228,8 +229,7 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
 
     def output(i, state):
         """Test output i against the set before this sample and as it is by now, then meet its strip."""
-        (c, G, r), ratio, wrong = state
-        size = sized(c, G, r)
+        (c, G, r), size, ratio, wrong = state
         P, value, reach, slack, whole = says(i, c, G, r, size)
         _, alone, reach_alone, *_ = says(i, *before)
         tested, s = one(there, i), one(rad, i)
@@ -247,11 +247,17 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
         if plant.free is not None:  # of an output that is used up already: its error, L being 0
             column = column + jax.lax.dynamic_index_in_dim(G, q + i, 1, keepdims=False)
         G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
-        return (c + L * e[None], G, r), ratio, wrong
+        c = c + L * e[None]
+        return (
+            (c, G, r),
+            sized(c, G, 2 * r),
+            ratio,
+            wrong,
+        )  # 2: what is summed may be rounded otherwise than what is kept, by less than r
 
-    nothing = known, jnp.zeros(N, dtype), jnp.zeros(N, bool)
-    (c, G, r), ratio, wrong = jax.lax.fori_loop(0, p, output, nothing)
-    bounded = jnp.all(sized(c, G, r) <= g.most, 0)
+    nothing = known, before[3], jnp.zeros(N, dtype), jnp.zeros(N, bool)
+    (c, G, r), size, ratio, wrong = jax.lax.fori_loop(0, p, output, nothing)
+    bounded = jnp.all(size <= g.most, 0)
     looked = alive & jnp.any(there, 0)
     empty = carry.empty | (looked & wrong)
     status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING)).astype(jnp.int8)
@@ -263,15 +269,19 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     carry = carry._replace(age=age, empty=empty)
     if start is not None:
         begin = (age < 0) & (ready > len(carry.mid))
-        fill = lambda state: _begun(plant, start, carry, now, begin, *state)
-        c, G, r, age = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age))
+
+        def fill(state):
+            c, G, r, age = _begun(plant, start, carry, now, begin, *state[:4])
+            return c, G, r, age, sized(c, G, r)
+
+        c, G, r, age, size = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age, size))
         carry = carry._replace(age=age)
     if enclosures:
         ends = _enclosures(plant, says, sized, (first, before), (c, G, r), wrong, alive, age >= 0, whole, g, p * (enclosures // 2))
     later = lambda past, x: jnp.concatenate([past, x[None]])[1:]
     past = {name: later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
     ready = jnp.minimum(ready, len(carry.mid))
-    return carry._replace(c=c, G=G, r=r, ready=ready, **past), Found(status, margin, jnp.maximum(age, 0), *ends)
+    return carry._replace(c=c, G=G, r=r, ready=ready, **past), size, Found(status, margin, jnp.maximum(age, 0), *ends)
 
 
 class _Bounds:
@@ -310,43 +320,47 @@ def _begun(plant, start, carry, now, begin, c, G, r, age):
     loose = _map(start.wide_K, jnp.abs(mid) + rad) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
     off = g.up * (_map(U, slip) + g.gamma * whole + loose) + g.least
     columns = [start.K[:, :, None] * rad[None], jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N))]
-    found, off = _reduced(jnp.concatenate([jnp.zeros((n, wide, N), G.dtype), *columns], 1), off, wide, g)
+    found, off, _ = _reduced(jnp.concatenate([jnp.zeros((n, wide, N), G.dtype), *columns], 1), off, wide, g)
     pick = lambda new, old: jnp.where(begin.reshape(*[1] * (new.ndim - 1), N), new, old)
     return pick(centre, c), pick(found, G), pick(off, r), jnp.where(begin, h + 1, age)
 
 
-def step_of_time(plant: Numbers, carry: Carry, now: Read) -> Carry:
-    """Move the set on by one sample, and put its smallest generators into a box."""
+def step_of_time(plant: Numbers, carry: Carry, size: jax.Array, now: Read) -> Carry:
+    """Move the set on by one sample, and put its smallest generators into a box. size (n, N): at least what each state is."""
     g, A, (c, G, r), v = _Bounds(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
     N, q = c.shape[-1], G.shape[1] - len(plant.C)
-    size = jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r
     off = _map(plant.wide_A + g.gamma * A, size) + _map(plant.wide_B + g.gamma * jnp.abs(plant.B), v) + _map(jnp.abs(plant.B), now.slip)
     lift = lambda x: x[:, None]
     r = g.up * (_map(A, r) + off + lift(plant.wide_w + g.gamma * jnp.abs(plant.w))) + g.least
     c = _map(plant.A, c) + _map(plant.B, now.v) + lift(plant.w)
     moved = summed(lambda column, x: column[:, None, None] * x[None], plant.A, G, axes=(1, 0))
     G = jnp.concatenate([moved, jnp.broadcast_to(plant.W[:, :, None], (*plant.W.shape, N))], 1)
-    G, r = _reduced(G, r, q, g)
-    bounded = jnp.all(jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r <= g.most, 0)
+    G, r, reach = _reduced(G, r, q, g)
+    bounded = jnp.all(jnp.abs(c) + g.up * reach + r <= g.most, 0)
     needed = jnp.any(plant.B != 0) | jnp.any(plant.wide_B != 0)
     lost = ~bounded | (needed & ~now.known)
     return carry._replace(c=c, G=G, r=r, age=jnp.where(lost, -1, carry.age))
 
 
 def _reduced(G, r, q, g):
-    """Return (q generators, r) of a set that holds the one of G (n, Q, N) and r: the smallest are in a box, if it has more than q."""
+    """Return (q generators, r, sum of their sizes) of a set that holds the one of G (n, Q, N) and r.
+
+    The smallest are in a box, if it has more than q.
+    """
     n, Q, N = G.shape
     bits, below = (np.int64 if G.dtype == np.float64 else np.int32), power(Q) - 1
-    key = jnp.maximum(jnp.sum(jnp.abs(G), 0) - jnp.max(jnp.abs(G), 0), 0)  # for the order alone; its last digits count the columns
+    sizes = list(jnp.abs(G))  # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
+    key = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)  # for the order alone; its last digits count the columns
     key = (jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
     S = jnp.take_along_axis(G, (jnp.sort(key, 0) & bits(below))[None], 1)
     rest, some, kept = S[:, : Q - q], S[:, Q - q : Q - q + n], S[:, Q - q + n :]
-    boxed = jnp.sum(jnp.abs(rest), 1)
-    free = jnp.all(some == 0, (0, 1)) & jnp.any(r > 2.0**-36 * jnp.sum(jnp.abs(kept), 1), 0)  # r moved as a box would grow
+    boxed, few, many = (jnp.sum(jnp.abs(x), 1) for x in (rest, some, kept))
+    free = jnp.all(some == 0, (0, 1)) & jnp.any(r > 2.0**-36 * many, 0)  # r moved as a box would grow
     enough = jnp.all(boxed == 0, 0) & ~free
-    box = g.up * (boxed + jnp.sum(jnp.abs(some), 1) + r) + g.least
+    box = g.up * (boxed + few + r) + g.least
     diagonal = jnp.eye(n, dtype=G.dtype)[:, :, None] * box[None]
-    return jnp.concatenate([jnp.where(enough[None, None], some, diagonal), kept], 1), jnp.where(enough[None], r, 0)
+    reach = jnp.where(enough[None], few, box) + many
+    return jnp.concatenate([jnp.where(enough[None, None], some, diagonal), kept], 1), jnp.where(enough[None], r, 0), reach
 
 
 def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, g, p):
