@@ -361,7 +361,7 @@ class SetObserver(Observer):
         if not self.enclosures:
             return Judged(status, margin)
         since = np.where(age > 0, int(carry.samples) + np.arange(T) - age + 1, -1)
-        before = None if self.restart else np.asarray(carry.carry.empty).reshape(len(self.weights), -1).any(0)
+        before: Any = None if self.restart else np.asarray(carry.carry.empty).reshape(len(self.weights), -1).any(0)
         found = emptied(found, before)
         n, p = self._system.n, self._system.p
         ends = lambda x, width: Interval(-x[..., :width], x[..., width:])
