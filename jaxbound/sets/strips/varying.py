@@ -36,7 +36,7 @@ from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import most, summed, total
+from jaxbound.sets.floats.unrolled import most, stored, summed, total
 from jaxbound.sets.strips.gauge import gauge_search
 
 __all__ = ["affine_error", "holds", "refutes", "right_inverse", "row_sizes", "scaled", "strip_count", "strip_margins", "zonotope_margins"]
@@ -158,15 +158,16 @@ def _looped_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     own, first, second = math.comb(q, 2), *(jnp.asarray(np.array(x, np.int32)) for x in zip(*pairs, strict=True))
     times = lambda h, g: jnp.abs(h[0] * g[0] + h[1] * g[1] + h[2] * g[2])
     flat = lambda excess, solid: (solid <= 0) & ~(excess > 0)
+    picked = lambda x, i, axis: jax.lax.dynamic_index_in_dim(x, i, axis, keepdims=False, allow_negative_indices=False)
 
     def strip(carry):
         number, excess, gauge, solid = carry
         j, k = first[number], second[number]
-        (a, s), (b, t) = ((jnp.take(vectors, i, 1), jnp.take(sizes, i, 0)) for i in (j, k))
-        h = [a[m - 2] * b[m - 1] - a[m - 1] * b[m - 2] for m in range(3)]
-        width = total(jnp.where((i == j) | (i == k), 0, times(h, G[:, i])) for i in range(q))
-        loss = slack(s * t)
-        short, counts = times(h, c) - loss, (number < own) | flat(excess, solid)
+        (a, s), (b, t) = ((picked(vectors, i, 1), picked(sizes, i, 0)) for i in (j, k))
+        h = stored([a[m - 2] * b[m - 1] - a[m - 1] * b[m - 2] for m in range(3)])  # else looked up and worked out for each use
+        width = stored(total(jnp.where((i == j) | (i == k), 0, times(h, G[:, i])) for i in range(q)))
+        loss = stored(slack(s * t))
+        short, counts = stored(times(h, c) - loss), (number < own) | flat(excess, solid)
         gauge = jnp.where(counts, jnp.maximum(gauge, short / (width + floor)), gauge)
         excess = jnp.where(counts, jnp.maximum(excess, short - width), excess)
         return number + 1, excess, gauge, jnp.where(number < own, jnp.maximum(solid, width - FLAT * loss), solid)
