@@ -21,7 +21,8 @@ from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.observer import METHODS, SetObserver
 from jaxbound.estimation.parallelotope import OFF, ROUNDED, parallelotope, template
 from jaxbound.estimation.window_proof import Prior, Samples, enclosed, reach_before, window_of
-from jaxbound.estimation.window_search import searched, split
+from jaxbound.estimation.window_runs import runs_of
+from jaxbound.estimation.window_search import middle, searched, split
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -294,11 +295,9 @@ class JointObserver(SetObserver):
 
     def _gauges(self, prior, samples):
         """Return (value, bound, t, xi, w) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats."""
-        window, N = window_of(self._exact, prior, samples), prior.c.shape[-1]
-        (n, k, _), g = window.S.shape, window.W.shape[1]
-        begin = np.concatenate([np.zeros((k + self.window * g, N)), window.e / window.s])
-        weight, t, z = searched(window, begin, 0.02)
-        return *enclosed(self._exact, prior, samples, weight, np.zeros((n, N)), np.zeros(N)), t, z, window
+        window, (n, N) = window_of(self._exact, prior, samples, self._runs), prior.c.shape
+        weight, t, z = searched(window, middle(window), 0.02)
+        return *enclosed(self._exact, prior, samples, weight, np.zeros((n, N)), np.zeros(N), runs=self._runs), t, z, window
 
     def _supports(self, prior, samples, D, width, J, before=False):
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows, D (r, n), J (N,); width (r, N): about theirs."""
@@ -315,7 +314,7 @@ class JointObserver(SetObserver):
                     d = (sign * D[i][:, None] * scale[i, chosen]).astype(self._dtype)
                     pulled = (self._exact.A.T @ d).astype(self._dtype) if earlier else d
                     weight, *_ = searched(window, z, _close(self._dtype), pulled, J[chosen] - earlier)
-                    value, bound = enclosed(self._exact, some, seen, weight, d, J[chosen], before)
+                    value, bound = enclosed(self._exact, some, seen, weight, d, J[chosen], before, self._runs)
                     found.append(np.where(np.isfinite(bound), _sum_up(value, bound) / scale[i, chosen], np.inf))
             return np.stack(found, -1)
 
@@ -327,6 +326,11 @@ class JointObserver(SetObserver):
     def _exact(self):
         """The numbers, as exact as floats of the dtype are, in float64."""
         return jax.tree.map(lambda x: np.asarray(x, np.float64), self._numbers)
+
+    @cached_property
+    def _runs(self):
+        """The runs of averages in a window; None: there are none, or unknown inputs beside them."""
+        return runs_of(self.model, self.window) if self._unknown is None else None
 
     @property
     def _first(self):

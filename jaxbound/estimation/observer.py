@@ -86,9 +86,10 @@ def observer(
     """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
 
     Args:
-        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance, unknown inputs; bounds of averages are not used) or an
-            `interval_system`. Unknown inputs are taken out of each sample by as many outputs as show them, what is left is tested. States
-            that they move unseen are entire ("joint" refuses these). A sample where too few outputs are there for it ends the enclosure.
+        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance, unknown inputs) or an `interval_system`. Unknown inputs
+            are taken out of each sample by as many outputs as show them, what is left is tested. States that they move unseen are entire
+            ("joint" refuses these). A sample where too few outputs are there for it ends the enclosure. Bounds of averages are used by
+            "joint" alone, of runs that lie in a window and without unknown inputs; the others look at single samples.
         order: generators of the zonotope for each state, >= 1: more is sharper and slower. With constraints, how many more there are than
             these. None: 20; 5 with constraints.
         weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its generators; above 1 the

@@ -10,6 +10,9 @@ a contradiction. Where p_j is rounded, or A and C are intervals, the difference 
 
 With unknown inputs x_(j+1) is what A, B and w make of x_j only before the sample; behind it the state is M of that and H (m - D v - delta),
 see `models.unknown_directions`. The first state is that before its sample. So p_j goes on as M' p_j, and l_j - H' p_j replaces l_j.
+
+A run of an average (`window_runs`) has a multiplier u of its own: |m + sum F_v delta + sum F_w w| <= b, so that of -sum l delta - sum p w
+all but u (m +- b) is left to l - F_v' u and W' p - F_w' u.
 """
 
 from typing import Any, NamedTuple
@@ -17,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxbound.estimation.window_runs import Runs, bounds_of
 from jaxbound.estimation.window_search import Window
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
@@ -42,8 +46,8 @@ class Samples(NamedTuple):
     reach: Any
 
 
-def window_of(plant: Numbers, prior: Prior, samples: Samples) -> Window:
-    """Return the Window that a search takes, rounded to nearest; plant in float64."""
+def window_of(plant: Numbers, prior: Prior, samples: Samples, runs: Runs | None = None) -> Window:
+    """Return the Window that a search takes, rounded to nearest; plant in float64. runs: of averages, not with unknown inputs."""
     L, dtype, x = len(samples.mid), samples.mid.dtype, np.asarray(prior.c, np.float64)
     M, H, tested = _taken_out(plant)
     e = np.empty(samples.mid.shape)
@@ -68,7 +72,12 @@ def window_of(plant: Numbers, prior: Prior, samples: Samples) -> Window:
     flat = lambda x: x[:, tested].reshape(len(rows), -1)
     given = A, W, S, np.tile(plant.C[tested], (L, 1)), flat(np.where(seen, e, 0)), flat(s)
     A, W, S, c, e, s = (np.asarray(x, dtype) for x in given)
-    return Window(A, W, S, c, e, s, (rows // p).astype(np.int32), rows % p == p - 1, np.arange(p - 1, len(rows), p), scale)
+    averages = None
+    if runs is not None:
+        b = bounds_of(runs, samples.rad)
+        near = np.maximum(b, 1e-9 * np.max(np.where(np.isfinite(b), b, 0), 0) + 1e-30)
+        averages = tuple(x.astype(dtype) for x in (*(x.reshape(len(b), -1) for x in runs[:2]), runs.m[:, None] / near, near))
+    return Window(A, W, S, c, e, s, (rows // p).astype(np.int32), rows % p == p - 1, np.arange(p - 1, len(rows), p), scale, averages)
 
 
 def _taken_out(plant):
@@ -90,24 +99,25 @@ def reach_before(plant: Numbers, prior: Prior, samples: Samples) -> np.ndarray:
 
 
 def enclosed(
-    plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any, J: Any, before: bool = False
+    plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any, J: Any, before: bool = False, runs: Runs | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (value, bound), each (N,) in float64: d x_J lies in value +- bound for all that explains the samples.
 
     An infinite bound shows nothing. Worked out on the host: a program would be compiled for longer than most recordings take.
 
     Args:
-        plant: in float64. weight (R, N): multipliers of the rows of its Window, any. d (n, N), J (N,). before: whether x_J is the state
-            before its sample is looked at; that is another one with unknown inputs alone.
+        plant: in float64. weight (R + a, N): multipliers of the rows of its Window and of its runs, any. d (n, N), J (N,). before: whether
+            x_J is the state before its sample is looked at; that is another one with unknown inputs alone. runs: of averages.
     """
     (L, p, N), (n, m), g = samples.mid.shape, plant.B.shape, plant.W.shape[1]
-    terms = L * (2 * n + m + p + g + 8) + n
+    terms = L * (2 * n + m + p + g + 8) + n + 4 * (0 if runs is None else len(runs.m))
     M, H, tested = _taken_out(plant)
     gamma, up = float(rounding.product_error(terms, np.float64)[0]), 1 + 8 * terms * float(rounding.unit(np.float64))
     prior, samples, weight, d = jax.tree.map(lambda x: np.asarray(x, np.float64), (prior, samples, weight, d))
     seen = np.isfinite(samples.rad)
     l = np.zeros(seen.shape)
-    l[:, tested] = weight.reshape(L, -1, N)
+    of_runs = weight[len(weight) - (0 if runs is None else len(runs.m)) :]
+    l[:, tested] = weight[: len(weight) - len(of_runs)].reshape(L, -1, N)
     l = np.where(seen & (np.abs(l) < 2.0**60), l, 0)
     mid, s, V = np.where(seen, samples.mid, 0), np.where(seen, samples.rad, 0), np.abs(samples.v)
     pull = np.where(np.arange(L)[:, None, None] == J, d, 0)
@@ -126,10 +136,12 @@ def enclosed(
     value = (
         sums(l * (mid - into(plant.D, samples.v))) - sums(q * (into(plant.B, samples.v) + column(plant.w))) - sums((first * prior.c)[None])
     )
-    bound = sums(np.abs(into(plant.W.T, q)))
+    on_delta, on_w, m, reach, size_m = (0, 0, 0, 0, 0) if runs is None else _of_runs(runs, samples.rad, s, of_runs)
+    value = value + m
+    bound = reach + sums(np.abs(into(plant.W.T, q) - on_w))
     bound += sums(a * (column(size.wide_w) + into(size.wide_B, V) + into(size.B, samples.slip)))
-    bound += sums(b * (s + into(size.wide_D, V) + into(size.D, samples.slip)))
-    whole = sums(a * (into(size.B, V) + column(size.w + size.W.sum(1)))) + sums(b * (np.abs(mid) + s + into(size.D, V)))
+    bound += sums(np.abs(l - on_delta) * s + b * (into(size.wide_D, V) + into(size.D, samples.slip)))
+    whole = size_m + sums(a * (into(size.B, V) + column(size.w + size.W.sum(1)))) + sums(b * (np.abs(mid) + s + into(size.D, V)))
     with np.errstate(invalid="ignore", over="ignore"):
         bound += sums(np.where(off > 0, off * samples.reach, 0))
         if M is not None:
@@ -140,6 +152,15 @@ def enclosed(
         bound = up * (bound + gamma * whole) + 2.0**-500
     shown = (bound < np.inf) & (np.abs(value) < np.inf)  # not where it is NaN
     return np.where(shown, value, 0), np.where(shown, bound, np.inf)
+
+
+def _of_runs(runs, rad, s, u):
+    """Return (what runs take of the multipliers of errors (L, p, N), of disturbances (L, g, N), value, bound, magnitudes (N,))."""
+    b = bounds_of(runs, rad)
+    u = np.where(np.isfinite(b) & (np.abs(u) < 2.0**60), u, 0)
+    b, size, turned = np.where(np.isfinite(b), b, 0), np.abs(u), lambda F, x: np.einsum("aLp,aN->LpN", F, x)
+    whole = (turned(np.abs(runs.v), size) * s).sum((0, 1)) + turned(np.abs(runs.w), size).sum((0, 1)) + np.abs(runs.m) @ size
+    return turned(runs.v, u), turned(runs.w, u), runs.m @ u, (b * size).sum(0), whole
 
 
 def _of_taking_out(plant, size, prior, samples, r, gamma, pull):

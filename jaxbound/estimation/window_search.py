@@ -3,7 +3,9 @@
 A window has states x_0 = c + S xi, x_(j+1) = A x_j + W w_j + .., and samples |e_j - C x_j| <= s_j of L steps, e_j and x_j less what the
 middle of everything predicts. All unknowns have the size 1:
 
-    z = (xi, w, v),    v_j = (e_j - C x_j) / s_j,    every |z_i| <= 1.
+    z = (xi, w, v),    v_j = (e_j - C x_j) / s_j,    every |z_i| <= 1,
+
+and perhaps rows a = m + F_v v + F_w w of these, averages over several samples, that are at most 1 as well.
 
 Two questions, both by a primal-dual interior point method (Mizuno, Todd, Ye 1993; Wright 1997, chapter 5, its path at a fixed pace):
 
@@ -11,7 +13,8 @@ Two questions, both by a primal-dual interior point method (Mizuno, Todd, Ye 199
     support    max d x_J of one state, over all that explains the window
 
 Its Newton steps are least-squares problems with weights, so one is a Kalman filter forward and its adjoint backward (Bryson, Frazier
-1963): work and memory grow with the length of the window alone, and sets of windows lie side by side on the last axis.
+1963): work and memory grow with the length of the window alone, and sets of windows lie side by side on the last axis. Averages are met
+behind it, all at once (Woodbury): one more right-hand side each.
 
 What comes out are multipliers, one a sample. Any numbers will do for the proof (`window_proof`); these are nearly the best ones.
 """
@@ -22,13 +25,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["Window", "searched", "split"]
+__all__ = ["Window", "middle", "searched", "split"]
 
 PACE = 0.15
 """Share of the complementarity that is left after a step."""
 STEPS = 40
 START = 0.3
 """Complementarity at which a support begins: directions are such that it is about 1."""
+SOFT = 2.0**-20, 2.0**-10
+"""Added to the weights of what averages hold, in float64 and float32: what nothing else holds would move without end before they do."""
 
 
 class Window(NamedTuple):
@@ -36,7 +41,8 @@ class Window(NamedTuple):
 
     Fields: A (n, n); W (n, g); S (n, k, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s infinite where there is no
     sample; step (R,): its j; last (R,): whether it is the last row of a step, which each has; ends (L,): the numbers of these rows.
-    scale (L, g, N): factors of W after each step, or None.
+    scale (L, g, N): factors of W after each step, or None. averages: (F_v (a, R), F_w (a, L g), m (a, N), b (a, N)), or None: at most 1 is
+    m + (F_v s v + F_w w) / b, b infinite where nothing is said.
     """
 
     A: Any
@@ -49,13 +55,24 @@ class Window(NamedTuple):
     last: Any
     ends: Any
     scale: Any = None
+    averages: Any = None
 
 
 def split(z: Any, window: Window) -> tuple[Any, Any, Any]:
     """Return xi (k, .., N), w (L, g, .., N), v (R, .., N) of all unknowns z (K, .., N); what the last w does is not looked at."""
     k, g, L = window.S.shape[1], window.W.shape[1], len(window.ends)
     after = k + L * g
-    return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after:]
+    return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after : after + len(window.c)]
+
+
+def middle(window: Window) -> np.ndarray:
+    """Return the unknowns z (K, N) of the trajectory with xi = 0, w = 0."""
+    v = window.e / window.s
+    z = np.concatenate([np.zeros((window.S.shape[1] + len(window.ends) * window.W.shape[1], v.shape[-1])), v])
+    if window.averages is None:
+        return z
+    F, _, m, b = window.averages
+    return np.concatenate([z, m + F @ np.where(np.isfinite(window.s), window.e, 0) / b])
 
 
 def _dot(M, X):
@@ -64,13 +81,48 @@ def _dot(M, X):
 
 
 def _solved(window, D, rho, d, J):
+    """Return (dz, pulls), as `_followed`, with the rows of averages behind theirs: (D da - rho) / b is the pull of one."""
+    if window.averages is None:
+        return _followed(window, D, rho, d, J)
+    (F_v, F_w, _, b), (_, k, N) = window.averages, rho.shape
+    a, first = len(b), window.S.shape[1]
+    after = len(D) - a - len(window.c)
+    s = jnp.where(jnp.isfinite(window.s), window.s, 0)[:, None]
+    mixed = lambda F, X: (F @ X.reshape(len(X), -1)).reshape(len(F), *X.shape[1:])
+    rows = lambda z: (mixed(F_v, s * z[after:]) + mixed(F_w, z[first:after])) / b[:, None]
+    into = lambda x: [jnp.zeros((first, *x.shape[1:]), x.dtype), mixed(F_w.T, x), s * mixed(F_v.T, x)]
+    back = lambda x: jnp.concatenate(into(x / b[:, None]))
+    one = jnp.broadcast_to(jnp.eye(a, dtype=rho.dtype)[:, :, None], (a, a, N))
+    more = jnp.concatenate([rho[:-a] + back(rho[-a:]), back(one)], 1)
+    z, pulls = _followed(
+        window,
+        jnp.where(D[:-a] > 0, D[:-a] + SOFT[D.dtype == np.float32], 0),
+        more,
+        jnp.concatenate([d, jnp.zeros((len(d), a, N), d.dtype)], 1),
+        J,
+    )
+    root, values = jnp.sqrt(D[-a:])[:, None], rows(z)
+    M = jnp.concatenate([one + root * values[:, k:] * jnp.swapaxes(root, 0, 1), root * values[:, :k]], 1)
+
+    def step(i, M):  # symmetric and at least 1: any order of pivots will do
+        row = M[i] / jax.lax.dynamic_index_in_dim(M[i], i, 0)
+        left = M - jax.lax.dynamic_index_in_dim(M, i, 1) * row[None]
+        return jax.lax.dynamic_update_index_in_dim(left, row, i, 0)
+
+    x = jax.lax.fori_loop(0, a, step, M)[:, a:]
+    near, x = x / jnp.where(root > 0, root, 1), root * x
+    less = lambda X: X[:, :k] - jnp.sum(X[:, k:, None] * x[None], 1)
+    return jnp.concatenate([less(z), jnp.where(root > 0, near, less(values))]), jnp.concatenate([less(pulls), (x - rho[-a:]) / b[:, None]])
+
+
+def _followed(window, D, rho, d, J):
     """Return (dz (K, k, N), pulls (R, k, N)): dz minimises sum_i D_i dz_i^2 / 2 - sum_i rho_i dz_i - d dx_J over the trajectories.
 
     A pull is (D dv - rho) / s, what a sample does to the states, without the digits that this formula would lose.
 
     D (K, N), zero where there is no sample; rho (K, k, N); d (n, k, N), J (N,) the step of the state that d speaks of.
     """
-    A, W, S, c, _, s, step, last, ends, scale = window
+    A, W, S, c, _, s, step, last, ends, scale, _ = window
     n = len(A)
     D_xi, D_w, D_v = split(D, window)
     rho_xi, rho_w, rho_v = split(rho, window)
@@ -113,7 +165,7 @@ def _solved(window, D, rho, d, J):
 
 
 def searched(window: Window, z: Any, close: float, d: Any = None, J: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (multipliers (R, N), t (N,), z (K, N)) of the windows, t the largest |z_i|.
+    """Return (multipliers (R + a, N), t (N,), z (K, N)) of the windows, t the largest |z_i|.
 
     Args:
         z (K, N): where to begin, a trajectory with its v; all |z_i| < 1 for a support. d (n, N), J (N,): the direction and step of a
@@ -121,7 +173,8 @@ def searched(window: Window, z: Any, close: float, d: Any = None, J: Any = None)
     """
     gauge, (K, N), dtype = d is None, z.shape, window.e.dtype
     there = np.ones((K, N), bool)
-    there[K - len(window.s) :] = np.isfinite(window.s)
+    bounds = [window.s] if window.averages is None else [window.s, window.averages[-1]]
+    there[K - sum(map(len, bounds)) :] = np.isfinite(np.concatenate(bounds))
     count = there.sum(0)
     t = 1.25 * np.abs(z).max(0) + 1e-3 if gauge else np.ones(N)
     mu = t / count if gauge else np.full(N, START)
@@ -141,6 +194,7 @@ def _path(window, there, begin, pull, J, gauge, close):
     sums = lambda x, y: tuple(jnp.sum(jnp.where(there[:, None], pair(x, y), 0), 0)[:, None])
     largest = lambda x, y: tuple(jnp.max(jnp.where(there[:, None], pair(x, y), 0), 0)[:, None])
     count = jnp.sum(there, 0, dtype=pull.dtype)[None]
+    rows = len(window.c) + (0 if window.averages is None else len(window.averages[-1]))
 
     def step(state):
         z, t, up, down, mu, gap, weight, done, k = state
@@ -172,6 +226,6 @@ def _path(window, there, begin, pull, J, gauge, close):
     going = lambda state: (state[-1] < STEPS) & ~jnp.all(state[-2])
     z, t, up, down, mu = begin
     z, *_, weight, _, _ = jax.lax.while_loop(
-        going, step, (z, t, up, down, mu, jnp.ones_like(t), jnp.zeros_like(window.e), jnp.zeros(t.shape, bool), 0)
+        going, step, (z, t, up, down, mu, jnp.ones_like(t), jnp.zeros((rows, *t.shape[1:]), t.dtype), jnp.zeros(t.shape, bool), 0)
     )
     return weight, z
