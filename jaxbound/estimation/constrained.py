@@ -144,7 +144,8 @@ class ConstrainedObserver(SetObserver):
 
         def job(block):
             cut = lambda x: x[..., block]
-            known = zonotope_steps.read(numbers, *map(cut, known_of), rounded)
+            u, y, slip, fresh = map(cut, known_of)
+            known = zonotope_steps.read(numbers, u, y, slip, fresh, rounded)
             carry, held = jax.tree.map(cut, state)
             out = constrained_steps.follow(numbers, start, carry, held, known, T, 2 * self.enclosures, self.restart)
             return jax.tree.map(np.asarray, out)
