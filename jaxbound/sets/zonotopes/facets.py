@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from jaxbound.exact import linalg
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.strips.strips import UNROLLED, Strips, strip_verdict
 from jaxbound.sets.zonotopes import kernels, proof
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
@@ -22,6 +23,9 @@ __all__ = ["FEW", "exact_strips", "membership", "strips"]
 
 FEW = 500
 """How many subsets of n - 1 generators are looked through for facets: a second or so in exact numbers."""
+
+AT_ONCE = 64
+"""Points that are worked out together where there are no more."""
 
 
 def strips(Z: Zonotope) -> tuple[np.ndarray, np.ndarray]:
@@ -140,11 +144,14 @@ def _beside_the_plane(
 
 
 def _margins(rows: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray) -> np.ndarray:
-    given = jnp.asarray(points, Z.center.dtype)
+    given, count = np.asarray(points, Z.center.dtype), len(points)
     if not rows:
-        return np.ones(len(given), given.dtype)
+        return np.ones(count, given.dtype)
+    if count <= AT_ONCE:  # little to work out: few sizes are compiled
+        given = np.concatenate([given, np.zeros((AT_ONCE - count, given.shape[1]), given.dtype)])
+        rows = [*rows, *[rows[-1]] * (power(len(rows)) - len(rows))]
     table = _table([(*normal, width) for normal, width in rows]).astype(given.dtype)
-    return np.asarray(_membership(table, Z.center, given))
+    return np.asarray(_membership(table, Z.center, given))[:count]
 
 
 def _table(exact_rows: Sequence[Sequence[Fraction]]) -> Strips:

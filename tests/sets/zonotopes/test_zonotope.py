@@ -181,12 +181,13 @@ def test_coefficients_that_a_float_cannot_span_are_refused():
         sets.membership(factory([0.0], [[1e-310]]), [[0.0]])
 
 
-def test_membership_traces_once_for_one_shape():
+def test_membership_traces_once_for_one_shape_and_few_sizes_for_few_points():
     Z, points = factory([0.0, 0.0], [[1.0, 0.25, 7.0], [0.5, 1.0, -3.0]]), np.zeros((17, 2))
     sets.membership(Z, points)
     traced = _membership._cache_size()
     sets.membership(factory([1.0, 2.0], [[3.0, 0.5, 1.0], [0.25, 2.0, 5.0]]), points + 1)
-    assert _membership._cache_size() == traced
+    four = factory([1.0, 2.0], [[3.0, 0.5, 1.0, 0.0], [0.25, 2.0, 5.0, 1.0]])  # four strips, three before
+    assert sets.membership(four, points[:5]).shape == (5,) and _membership._cache_size() == traced
 
 
 # support and hull
