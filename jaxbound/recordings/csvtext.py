@@ -147,7 +147,8 @@ def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str]
 
 def _bad_row(layout, index, texts):
     """Return a sentence on the first row that cannot be read, and on all cells like it: the slow second pass."""
-    first, others, words = "", 0, {}
+    first, others = "", 0
+    words: dict[str, None] = {}
     with open(layout.path, encoding="utf-8-sig" if layout.encoding == "utf-8" else layout.encoding, errors="replace", newline="") as f:
         reader = csv.reader(f, delimiter=layout.delimiter)
         while True:

@@ -94,11 +94,8 @@ def wanted(names: Sequence[str], model: Any, dated: Callable[[str], str] = lambd
     free = [name for name in names if name not in found.signals]
     kinds = {name: dated(name) for name in free}
     stamps = [name for name in free if kinds[name] in STAMPS]
-    if named is not None:
-        time = find_column(named, names, here)
-    else:
-        called = likely(free, TIMES) or (_halves(stamps, kinds) or only_dated(stamps))
-        time = find_column(called[0], names, here) if called else None
+    called = [named] if named is not None else likely(free, TIMES) or _halves(stamps, kinds) or only_dated(stamps)
+    time = find_column(called[0], names, here) if called else None
     day, time = _day_and_clock(time, names, kinds, model)
     return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time, day)
 
