@@ -2,7 +2,8 @@
 
 Samples come in blocks of half a window. The window of a sample begins with the block before its own; its first state lies in a
 parallelotope {x : lo <= D x <= hi}, which the window that ended with its own block found by linear programs, with a first state in the one
-before that, and so on: nothing is forgotten but what a parallelotope cannot say. Its directions are the principal ones of a Kalman filter.
+before that, and so on: nothing is forgotten but what a parallelotope cannot say, and some strips with it. Its directions are the principal
+ones of a Kalman filter; those of the strips are slow modes, and what the outputs will show.
 A zonotope goes with it (`SetObserver`): it begins, and bounds what rounding and uncertain parameters act on.
 
 Sources: Scott, Raimondo, Marseglia, Braatz 2016 (the exact set of a window is a linear program); Rao, Rawlings, Mayne 2003 (a window that
@@ -19,7 +20,7 @@ import numpy as np
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.observer import METHODS, SetObserver
-from jaxbound.estimation.parallelotope import OFF, ROUNDED, parallelotope, template
+from jaxbound.estimation.parallelotope import OFF, ROUNDED, lasting, parallelotope, strip, template
 from jaxbound.estimation.window_proof import Prior, Samples, enclosed, reach_before, window_of
 from jaxbound.estimation.window_runs import runs_of
 from jaxbound.estimation.window_search import middle, searched, split
@@ -82,9 +83,9 @@ class JointObserver(SetObserver):
     def _fresh(self):
         m, dtype, begun = self._system, self._dtype, super()._fresh()
         zero = lambda *shape: np.zeros((*shape, 1), dtype)
-        L, nothing = self.window, np.zeros(1, bool)
+        L, t, nothing = self.window, len(self._strips), np.zeros(1, bool)
         samples = Samples(zero(L, m.p), zero(L, m.p) + np.inf, zero(L, m.m), zero(L, m.m), zero(L, m.n) + np.inf)
-        prior = Prior(zero(m.n), zero(m.n, m.n), zero(m.n))
+        prior = Prior(zero(m.n), zero(m.n, m.n), zero(m.n), zero(t), zero(t) + np.inf)
         return JointState(begun.carry, begun.samples, samples, prior, nothing, prior, nothing, prior, nothing)
 
     def fold(self, carry: JointState, piece: Recording) -> tuple[JointState, Any]:  # type: ignore[override]
@@ -113,15 +114,18 @@ class JointObserver(SetObserver):
             lanes_held = np.flatnonzero(state.held)
             cut = lambda tree: jax.tree.map(lambda x: x[..., lanes_held], tree)
             old = cut(prior)
-            lo, hi = template(D, old.c[None], old.S[None], old.r[None])
-            low, high = self._supports(cut(state.prior), cut(state.window), D, hi - lo, np.full(len(lanes_held), half), True)
+            rows, n = np.concatenate([D, self._strips]), len(D)
+            lo, hi = template(rows, old.c[None], old.S[None], old.r[None])
+            lo[n:], hi[n:] = np.maximum(lo[n:], old.mid - old.rad), np.minimum(hi[n:], old.mid + old.rad)
+            low, high = self._supports(cut(state.prior), cut(state.window), rows, hi - lo, np.full(len(lanes_held), half), True)
+            lo, hi = np.maximum(lo, low), np.minimum(hi, high)
             reach = cut(state.window).reach if self._unknown is None else reach_before(self._exact, cut(state.prior), cut(state.window))
-            better = parallelotope(D, back, np.maximum(lo, low), np.minimum(hi, high), reach[half], self._dtype)
+            better = parallelotope(D, back, lo[:n], hi[:n], reach[half], strip(lo[n:], hi[n:], self._dtype), self._dtype)
             prior, bounded = jax.tree.map(np.array, prior), _bounded(better)
             for x, new in zip(prior, better, strict=True):
                 x[..., lanes_held] = np.where(bounded, new, x[..., lanes_held])
         if number == 0 and self._first is not None:
-            mark = Prior(*(np.repeat(x[..., None], len(state.held), -1) for x in self._first))
+            mark = Prior(*(np.repeat(x[..., None], len(state.held), -1) for x in self._first), *self._no_strips(len(state.held)))
             marked = np.ones(len(state.held), bool)
         else:
             split = lambda x: np.moveaxis(x.reshape(*x.shape[:-1], lanes, -1), -2, 0)
@@ -129,7 +133,8 @@ class JointObserver(SetObserver):
             c, G, r = map(split, carry[:3])
             marked = (split(carry.age) >= 0).all(0)
             lo, hi = template(D, c, G, r)
-            mark = parallelotope(D, back, lo, hi, (abs(c) + abs(G).sum(2) + r).min(0) * ROUNDED, self._dtype)
+            reach, told = (abs(c) + abs(G).sum(2) + r).min(0) * ROUNDED, strip(*template(self._strips, c, G, r), self._dtype)
+            mark = parallelotope(D, back, lo, hi, reach, told, self._dtype)
             marked &= _bounded(mark)
             mark = Prior(*(np.where(marked, x, 0) for x in mark))
         path, told = self._path_on(state, number)
@@ -144,9 +149,9 @@ class JointObserver(SetObserver):
             more = getattr(self.model, "averages", ()) or getattr(self.model, "constant_tolerance", False)
             if more or self._unknown is not None:  # bounds that enclosures may leave out; a trajectory must not
                 return state.path, state.told
-            c, S, r = state.mark
+            c, S, r, *_ = state.mark
             apart = (S == 0) | np.eye(len(S), dtype=bool)[:, :, None]  # sides of a box: a state is compared with each
-            return Prior(c, S, np.zeros_like(r)), state.marked & apart.all((0, 1))
+            return Prior(c, S, np.zeros_like(r), *self._no_strips(r.shape[-1])), state.marked & apart.all((0, 1))
         lanes = np.flatnonzero(state.told)
         if not len(lanes):
             return state.path, state.told
@@ -159,7 +164,7 @@ class JointObserver(SetObserver):
 
         found = zip(*in_blocks(job, len(lanes), SIZES[len(lanes) > SIZES[0]]), strict=True)
         ok, x, off = (np.concatenate(parts, -1)[..., : len(lanes)] for parts in found)
-        path, told = Prior(*(np.zeros_like(v) for v in state.path)), np.zeros_like(state.told)
+        path, told = Prior(*(np.zeros_like(v) for v in state.path[:3]), *state.path[3:]), np.zeros_like(state.told)
         path.c[:, lanes], path.r[:, lanes] = x, rounding.round_up(off + np.abs(x - x.astype(self._dtype)), self._dtype)
         told[lanes] = ok
         return path, told
@@ -295,15 +300,18 @@ class JointObserver(SetObserver):
 
     def _gauges(self, prior, samples):
         """Return (value, bound, t, xi, w) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats."""
-        window, (n, N) = window_of(self._exact, prior, samples, self._runs), prior.c.shape
+        window, (n, N) = window_of(self._exact, self._strips, prior, samples, self._runs), prior.c.shape
         weight, t, z = searched(window, middle(window), 0.02)
-        return *enclosed(self._exact, prior, samples, weight, np.zeros((n, N)), np.zeros(N), runs=self._runs), t, z, window
+        return *enclosed(self._exact, self._strips, prior, samples, weight, np.zeros((n, N)), np.zeros(N), runs=self._runs), t, z, window
 
     def _supports(self, prior, samples, D, width, J, before=False):
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows, D (r, n), J (N,); width (r, N): about theirs."""
         rows, N, earlier = len(D), prior.c.shape[-1], before and self._unknown is not None  # than what unknown inputs add
         scale = 2.0 ** np.round(np.log2(1 / np.where((width > 0) & np.isfinite(width), width, 1)))
         out = np.full((2, rows, N), np.inf)
+
+        # several bounds of one first state are nearly parallel: closer to the optimum their multipliers lose their digits
+        close = 1e-4 if self._dtype == np.float32 else 1e-6 if np.isfinite(prior.rad).any() else 1e-9
 
         def job(chosen):
             some, seen = (jax.tree.map(lambda x: x[..., chosen], tree) for tree in (prior, samples))
@@ -313,8 +321,8 @@ class JointObserver(SetObserver):
                 for i in range(rows):
                     d = (sign * D[i][:, None] * scale[i, chosen]).astype(self._dtype)
                     pulled = (self._exact.A.T @ d).astype(self._dtype) if earlier else d
-                    weight, *_ = searched(window, z, _close(self._dtype), pulled, J[chosen] - earlier)
-                    value, bound = enclosed(self._exact, some, seen, weight, d, J[chosen], before, self._runs)
+                    weight, *_ = searched(window, z, close, pulled, J[chosen] - earlier)
+                    value, bound = enclosed(self._exact, self._strips, some, seen, weight, d, J[chosen], before, self._runs)
                     found.append(np.where(np.isfinite(bound), _sum_up(value, bound) / scale[i, chosen], np.inf))
             return np.stack(found, -1)
 
@@ -344,6 +352,16 @@ class JointObserver(SetObserver):
             return c, np.pad(G, ((0, 0), (0, n - G.shape[1]))), r
         return c, np.diag(rounding.round_up(np.abs(G.astype(np.float64)).sum(1) * ROUNDED, self._dtype)), r
 
+    @cached_property
+    def _strips(self):
+        """T (t, n): what is enclosed of a first state beside the sides of a parallelotope; nothing beside unknown inputs or averages."""
+        rows = lasting(self._exact.A, self._exact.C, self.window // 2)[: None if self._unknown is None and self._runs is None else 0]
+        return rows.astype(self._dtype).astype(np.float64)
+
+    def _no_strips(self, N):
+        """Return (mid, rad) of strips that say nothing."""
+        return np.zeros((len(self._strips), N), self._dtype), np.full((len(self._strips), N), np.inf, self._dtype)
+
     def _directions(self, number):
         """Return (D, back), (n, n) each, back about the inverse of D, of the blocks so far."""
         return self._principal[min(number, SETTLED)]
@@ -370,10 +388,6 @@ class JointObserver(SetObserver):
 
 
 METHODS["joint"] = JointObserver
-
-
-def _close(dtype):
-    return np.asarray(1e-9 if dtype == np.float64 else 1e-4, dtype)
 
 
 def _bounded(prior):

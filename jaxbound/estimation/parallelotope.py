@@ -7,10 +7,28 @@ import numpy as np
 from jaxbound.estimation.window_proof import Prior
 from jaxbound.sets.floats import rounding
 
-__all__ = ["OFF", "ROUNDED", "parallelotope", "template"]
+__all__ = ["OFF", "ROUNDED", "lasting", "parallelotope", "strip", "template"]
 
+SLOW = 0.1
+"""Share of a mode that is left, above which a strip bounds it."""
 ROUNDED, OFF = 1 + 1e-9, 1e-12
 """Above what rounding does to the sums of a few hundred numbers >= 0 in float64; share of magnitudes above what it does to any."""
+
+
+def lasting(A: np.ndarray, C: np.ndarray, steps: int) -> np.ndarray:
+    """Return directions T (t, n) to bound beside a parallelotope's: slow modes, and what the outputs will show. None of a single state.
+
+    Args:
+        A (n, n), C (p, n): of the plant. steps: until then. A mode is slow if more than `SLOW` of it is left.
+    """
+    values, V = np.linalg.eig(A.T)
+    slow = [v.real if x.imag >= 0 else v.imag for x, v in zip(values, V.T, strict=True) if abs(x) ** steps > SLOW]
+    rows: list[np.ndarray] = []
+    for row in (*slow, *(C @ np.linalg.matrix_power(A, steps))):
+        length = np.linalg.norm(row)
+        if len(A) > 1 and 0 < length < np.inf and all(abs(row @ other) < (1 - 1e-6) * length for other in rows):
+            rows.append(row / length)
+    return np.reshape(rows, (-1, len(A)))
 
 
 def template(D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -23,15 +41,25 @@ def template(D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray) -> tupl
     return (mid - reach).max(0), (mid + reach).min(0)
 
 
-def parallelotope(D: np.ndarray, back: np.ndarray, lo: np.ndarray, hi: np.ndarray, reach: np.ndarray, dtype: Any) -> Prior:
-    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach: x = back (D x) + (I - back D) x."""
+def strip(lo: np.ndarray, hi: np.ndarray, dtype: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return (mid, rad) in a dtype that hold lo .. hi; an infinite radius where this is not bounded."""
+    with np.errstate(invalid="ignore"):
+        mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
+        bounded = np.isfinite(mid) & np.isfinite(rad)
+        near = np.where(bounded, mid, 0).astype(dtype)
+        rad = (rad + OFF * np.abs(mid) + np.abs(near - mid)) * ROUNDED + 2.0**-100
+    return near, rounding.round_up(np.where(bounded, rad, np.inf), dtype)
+
+
+def parallelotope(D: np.ndarray, back: np.ndarray, lo: np.ndarray, hi: np.ndarray, reach: np.ndarray, strips: tuple, dtype: Any) -> Prior:
+    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach, and strips: x = back (D x) + (I - back D) x."""
     mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
     rad = (rad + OFF * np.abs(mid)) * ROUNDED
     c, S = back @ mid, back[:, :, None] * rad[None]
     rest = np.abs(np.eye(len(D)) - back @ D) + OFF * np.abs(back) @ np.abs(D)
     off = rest @ np.where(np.isfinite(reach), reach.astype(np.float64), 1e300) + OFF * np.abs(back) @ (np.abs(mid) + rad)
     with np.errstate(over="ignore"):
-        near = Prior(c.astype(dtype), S.astype(dtype), off)
+        near = Prior(c.astype(dtype), S.astype(dtype), off, *strips)
     off = off + np.abs(c - near.c) + np.abs(S - near.S).sum(1)
     off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
     return near._replace(r=rounding.round_up(off, dtype))

@@ -29,11 +29,16 @@ __all__ = ["Prior", "Samples", "enclosed", "reach_before", "window_of"]
 
 
 class Prior(NamedTuple):
-    """A set {c + S xi + diag(r) eta} of first states. Fields: c (n, N), S (n, n, N), r (n, N)."""
+    """A set {c + S xi + diag(r) eta} of first states that keep strips |mid - T x| <= rad as well.
+
+    Fields: c (n, N), S (n, n, N), r (n, N), mid, rad (t, N), the radius infinite where there is none.
+    """
 
     c: Any
     S: Any
     r: Any
+    mid: Any
+    rad: Any
 
 
 class Samples(NamedTuple):
@@ -46,8 +51,11 @@ class Samples(NamedTuple):
     reach: Any
 
 
-def window_of(plant: Numbers, prior: Prior, samples: Samples, runs: Runs | None = None) -> Window:
-    """Return the Window that a search takes, rounded to nearest; plant in float64. runs: of averages, not with unknown inputs."""
+def window_of(plant: Numbers, strips: np.ndarray, prior: Prior, samples: Samples, runs: Runs | None = None) -> Window:
+    """Return the Window that a search takes, rounded to nearest; plant and strips T (t, n) in float64.
+
+    Strips and runs, of averages, go neither with each other nor with unknown inputs.
+    """
     L, dtype, x = len(samples.mid), samples.mid.dtype, np.asarray(prior.c, np.float64)
     M, H, tested = _taken_out(plant)
     e = np.empty(samples.mid.shape)
@@ -68,16 +76,22 @@ def window_of(plant: Numbers, prior: Prior, samples: Samples, runs: Runs | None 
         A, W = M @ A, np.concatenate([M @ W, -H[:, used]], 1)
         later = np.concatenate([size[1:], size[-1:]])
         scale = np.concatenate([np.ones((L, plant.W.shape[1], later.shape[-1])), later], 1).astype(dtype)
-    p, rows = int(tested.sum()), np.arange(L * int(tested.sum()))
-    flat = lambda x: x[:, tested].reshape(len(rows), -1)
-    given = A, W, S, np.tile(plant.C[tested], (L, 1)), flat(np.where(seen, e, 0)), flat(s)
+    p, t = int(tested.sum()), len(strips)
+    rows = np.arange(-t, L * p)
+    last = (rows >= 0) & (rows % p == p - 1)
+    held = np.isfinite(prior.rad)
+    thin = 1e-9 * np.max(np.where(held, prior.rad, 0), 0, initial=0) + 1e-30
+    flat = lambda strip, x: np.concatenate([strip, x[:, tested].reshape(L * p, -1)])
+    first = np.where(held, prior.mid - strips @ np.asarray(prior.c, np.float64), 0), np.where(held, np.maximum(prior.rad, thin), np.inf)
+    rows_of = np.concatenate([strips, np.tile(plant.C[tested], (L, 1))])
+    given = A, W, S, rows_of, flat(first[0], np.where(seen, e, 0)), flat(first[1], s)
     A, W, S, c, e, s = (np.asarray(x, dtype) for x in given)
     averages = None
     if runs is not None:
         b = bounds_of(runs, samples.rad)
         near = np.maximum(b, 1e-9 * np.max(np.where(np.isfinite(b), b, 0), 0) + 1e-30)
         averages = tuple(x.astype(dtype) for x in (*(x.reshape(len(b), -1) for x in runs[:2]), runs.m[:, None] / near, near))
-    return Window(A, W, S, c, e, s, (rows // p).astype(np.int32), rows % p == p - 1, np.arange(p - 1, len(rows), p), scale, averages)
+    return Window(A, W, S, c, e, s, np.maximum(rows // p, -1).astype(np.int32), last, np.flatnonzero(last), scale, averages)
 
 
 def _taken_out(plant):
@@ -99,26 +113,37 @@ def reach_before(plant: Numbers, prior: Prior, samples: Samples) -> np.ndarray:
 
 
 def enclosed(
-    plant: Numbers, prior: Prior, samples: Samples, weight: Any, d: Any, J: Any, before: bool = False, runs: Runs | None = None
+    plant: Numbers,
+    strips: np.ndarray,
+    prior: Prior,
+    samples: Samples,
+    weight: Any,
+    d: Any,
+    J: Any,
+    before: bool = False,
+    runs: Runs | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (value, bound), each (N,) in float64: d x_J lies in value +- bound for all that explains the samples.
 
     An infinite bound shows nothing. Worked out on the host: a program would be compiled for longer than most recordings take.
 
     Args:
-        plant: in float64. weight (R + a, N): multipliers of the rows of its Window and of its runs, any. d (n, N), J (N,). before: whether
-            x_J is the state before its sample is looked at; that is another one with unknown inputs alone. runs: of averages.
+        plant, strips, runs: as of `window_of`. weight (R + a, N): multipliers of the rows of its Window and of its runs, any. d (n, N),
+            J (N,). before: whether x_J is the state before its sample is looked at; that is another one with unknown inputs alone.
     """
     (L, p, N), (n, m), g = samples.mid.shape, plant.B.shape, plant.W.shape[1]
-    terms = L * (2 * n + m + p + g + 8) + n + 4 * (0 if runs is None else len(runs.m))
+    t = len(strips)
+    terms = L * (2 * n + m + p + g + 8) + n + t * (n + 2) + 4 * (0 if runs is None else len(runs.m))
     M, H, tested = _taken_out(plant)
     gamma, up = float(rounding.product_error(terms, np.float64)[0]), 1 + 8 * terms * float(rounding.unit(np.float64))
     prior, samples, weight, d = jax.tree.map(lambda x: np.asarray(x, np.float64), (prior, samples, weight, d))
     seen = np.isfinite(samples.rad)
     l = np.zeros(seen.shape)
     of_runs = weight[len(weight) - (0 if runs is None else len(runs.m)) :]
-    l[:, tested] = weight[: len(weight) - len(of_runs)].reshape(L, -1, N)
+    l[:, tested] = weight[t : len(weight) - len(of_runs)].reshape(L, -1, N)
     l = np.where(seen & (np.abs(l) < 2.0**60), l, 0)
+    within = np.isfinite(prior.rad) & (np.abs(weight[:t]) < 2.0**60)
+    strip, width = np.where(within, weight[:t], 0), np.where(within, prior.rad, 0)
     mid, s, V = np.where(seen, samples.mid, 0), np.where(seen, samples.rad, 0), np.abs(samples.v)
     pull = np.where(np.arange(L)[:, None, None] == J, d, 0)
     q, r = np.zeros((L + 1, n, N)), np.zeros((L, n, N))  # of the state after each sample; the last one has none
@@ -126,22 +151,23 @@ def enclosed(
     for j in reversed(range(L)):
         r[j] = plant.C.T @ l[j] + plant.A.T @ q[j + 1] - behind[j]
         q[j] = r[j] if M is None else M.T @ r[j] - ahead[j]
-    first, q, size = q[0], q[1:], jax.tree.map(np.abs, plant)
+    first, q, size = q[0] + strips.T @ strip, q[1:], jax.tree.map(np.abs, plant)
     into, sums = lambda M, x: np.einsum("ij,ljN->liN", M, x), lambda x: x.sum((0, 1))
     off = into((size.wide_C + gamma * size.C).T, np.abs(l)) + into((size.wide_A + gamma * size.A).T, np.abs(q)) + gamma * np.abs(pull)
+    off[0] += gamma * (np.abs(strips).T @ np.abs(strip) + np.abs(first))
     if M is not None:
         l = l - into(H.T, r)
     a, b = np.abs(q), np.abs(l)
     column = lambda x: x[:, None]
-    value = (
-        sums(l * (mid - into(plant.D, samples.v))) - sums(q * (into(plant.B, samples.v) + column(plant.w))) - sums((first * prior.c)[None])
-    )
+    drawn = into(plant.B, samples.v) + column(plant.w)
+    value = sums(l * (mid - into(plant.D, samples.v))) - sums(q * drawn) - (first * prior.c).sum(0) + (strip * prior.mid).sum(0)
     on_delta, on_w, m, reach, size_m = (0, 0, 0, 0, 0) if runs is None else _of_runs(runs, samples.rad, s, of_runs)
     value = value + m
-    bound = reach + sums(np.abs(into(plant.W.T, q) - on_w))
+    bound = reach + sums(np.abs(into(plant.W.T, q) - on_w)) + (np.abs(strip) * width).sum(0)
     bound += sums(a * (column(size.wide_w) + into(size.wide_B, V) + into(size.B, samples.slip)))
     bound += sums(np.abs(l - on_delta) * s + b * (into(size.wide_D, V) + into(size.D, samples.slip)))
     whole = size_m + sums(a * (into(size.B, V) + column(size.w + size.W.sum(1)))) + sums(b * (np.abs(mid) + s + into(size.D, V)))
+    whole += (np.abs(strip) * (np.abs(prior.mid) + width)).sum(0)
     with np.errstate(invalid="ignore", over="ignore"):
         bound += sums(np.where(off > 0, off * samples.reach, 0))
         if M is not None:

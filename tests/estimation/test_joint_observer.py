@@ -154,6 +154,16 @@ def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
     assert (whole.status[1] == jb.Status.FAULT).any() and not (whole.status[0] == jb.Status.FAULT).any()
 
 
+def test_strips_beside_a_parallelotope_make_enclosures_narrower_and_none_wider(monkeypatch):
+    u, _, y = recorded(PLANT, 40, 5, N=2, at="uniform")
+    width = lambda: (lambda x: np.asarray(x.hi - x.lo)[:, 2:])(jb.observe(PLANT, u, y, **JOINT).state)
+    strips = width()
+    monkeypatch.setattr("jaxbound.estimation.joint.lasting", lambda A, C, steps: np.zeros((0, len(A))))
+    ratio = strips / width()
+    print(ratio.min(), np.median(ratio), ratio.max())
+    assert ratio.min() < 0.95 and ratio.max() < 1 + 1e-5
+
+
 def test_what_is_slow_is_seen_that_zonotopes_and_windows_miss():
     """A disturbed, slow plant and a sensor that drifts; taken in pieces, as a monitor would."""
     slow = jb.LinearSystem([["0.99", "0.005"], ["0.005", "0.98"]], [["0.01"], [0]], [[1, 0]], noise="0.5", disturbance=([[1], [1]], "0.01"))
