@@ -70,8 +70,8 @@ def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng
 
 
 @pytest.mark.long
-def test_a_hundred_thousand_fault_free_samples(rng):
-    assert fault_free(rng, range(48), 64, 40) > 100_000
+def test_two_hundred_thousand_fault_free_samples(rng):
+    assert fault_free(rng, range(96), 64, 40) > 200_000
 
 
 @pytest.mark.slow
