@@ -1,5 +1,7 @@
 # On a machine with nothing but Python 3.11+: `make demo` or `make test`. Without make, run the lines yourself.
 PYTHON ?= python3
+# where this is set, every process compiles every file again: a tenth of what the tests take
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test slow long lowest newest nightly lint docs bench clean
 

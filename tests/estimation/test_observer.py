@@ -308,11 +308,12 @@ def test_a_fault_is_explained_by_the_shortest_window_that_proves_it():
         jb.margins(jb.observer(PLANT), u, y)
 
 
-def test_a_long_beginning_counts_the_rounding_of_all_its_samples(rng):
-    """Without noise to hide behind: the state that 41 samples give is off by what their sum rounds in float32, and the set knows."""
-    model = jb.LinearSystem([["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0], ["0.3", 1]], noise="1e-7")
-    with jax.enable_x64(False):
-        u, x, y = recorded(model, 60, 11, 32, dtype=np.float32)
-        found = jb.observe(model, u, y, horizon=40, order=4, weight=1)
-        assert inside(found, x, u.dtype).all() and not (found.status == jb.Status.FAULT).any()
-        assert np.isfinite(found.state.hi[:, 40:]).all()
+def test_a_long_beginning_holds_the_state_where_large_inputs_cancel(rng):
+    """The centre is off by 1e5 times the noise then, by rounding alone."""
+    model = jb.LinearSystem([[0, 1], [-1, 0]], [[1, -1], [1, -1]], [[1, 0]], noise="1e-12")
+    A, C = (np.array(M, float) for M in (model.A, model.C))
+    x = (np.stack([np.linalg.matrix_power(A, k) for k in range(40)]) @ rng.uniform(-1, 1, (32, 1, 2, 1)))[..., 0]
+    u = np.repeat(rng.uniform(-1e9, 1e9, (32, 40, 1)), 2, -1)
+    found = jb.observe(model, u, x @ C.T, horizon=31, order=4, weight=1)
+    assert inside(found, x).all() and not (found.status == jb.Status.FAULT).any()
+    assert np.isfinite(found.state.hi[:, 31:]).all()
