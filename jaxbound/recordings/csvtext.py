@@ -8,6 +8,7 @@ import csv
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,11 @@ class Layout:
 
     def dated(self, name: str) -> str:
         """Return what the first cell of a column is, see `stamp_kind`."""
-        return stamp_kind(dict(zip(self.names, self.first, strict=False)).get(name))
+        return stamp_kind(self._cells.get(name))
+
+    @cached_property
+    def _cells(self):
+        return dict(zip(self.names, self.first, strict=False))
 
 
 def sniff(path: Path, head: bytes | None = None) -> Layout:

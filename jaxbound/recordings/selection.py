@@ -92,27 +92,24 @@ def wanted(names: Sequence[str], model: Any, dated: Callable[[str], str] = lambd
     where = model.columns.get("where")
     named, here = model.columns.get("time"), "the recording"
     free = [name for name in names if name not in found.signals]
-    kinds = {name: dated(name) for name in free}
-    stamps = [name for name in free if kinds[name] in STAMPS]
-    called = [named] if named is not None else likely(free, TIMES) or _halves(stamps, kinds) or only_dated(stamps)
+    called = [named] if named is not None else likely(free, TIMES)
+    if not called:
+        stamps = {name: kind for name in free if (kind := dated(name)) in STAMPS}
+        halves = sorted(stamps.values()) == ["clock", "day"]
+        called = [name for name in stamps if stamps[name] == "clock"] if halves else only_dated(list(stamps))
     time = find_column(called[0], names, here) if called else None
-    day, time = _day_and_clock(time, names, kinds, model)
+    day, time = _day_and_clock(time, names, free, dated, model)
     return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time, day)
 
 
-def _halves(stamps, kinds):
-    """Return the clock of a day and a clock, if that is all there is."""
-    return [c for c in stamps if kinds[c] == "clock"] if sorted(kinds[c] for c in stamps) == ["clock", "day"] else []
-
-
-def _day_and_clock(time, names, kinds, model):
+def _day_and_clock(time, names, free, dated, model):
     """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or is called like a time."""
-    kind = kinds.get(time, "")
+    kind = dated(time) if time in free else ""
     if kind not in ("clock", *DAYS) or (getattr(model, "dt", None) or 0) >= DAILY:
         return None, time
-    at, like = names.index(time), likely(list(kinds), TIMES)
-    others = DAYS if kind == "clock" else ("clock",)
-    halves = [c for c in kinds if kinds[c] in others and (abs(names.index(c) - at) == 1 or c in like)]
+    at, others = names.index(time), DAYS if kind == "clock" else ("clock",)
+    near = dict.fromkeys([*names[max(at - 1, 0) : at], *names[at + 1 : at + 2], *likely(free, TIMES)])
+    halves = [c for c in free if c in near and c != time and dated(c) in others]
     if len(halves) > 1:
         what = "times without a day" if kind == "clock" else "days"
         raise ValueError(f"column {time!r} holds {what}, and the columns {listed(halves)} hold {'days' if kind == 'clock' else 'times'}: "
