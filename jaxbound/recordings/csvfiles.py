@@ -11,7 +11,7 @@ from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.csvtext import above_header, is_number, parse_columns, sniff
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import check_period, usual_period
-from jaxbound.recordings.selection import NO_TIME, TELLING, wanted
+from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, wanted
 from jaxbound.recordings.source import Source, register, told
 from jaxbound.recordings.timestamps import parse_stamps, read_numbers, with_day
 
@@ -81,7 +81,7 @@ def _read(path, model, report):
         dt = usual_period(time) if model.dt is None else model.dt
         check_period(time, dt, getattr(model, "stated", "the model has"))
     except ValueError as e:
-        others = [name for name in layout.names if name != plan.time and layout.dated(name)]
+        others = [name for name in layout.names if name not in (plan.time, plan.day) and layout.dated(name) in STAMPS]
         which = f"; the time is taken from column {plan.time!r}, another is {others[0]!r}: say which it is, {TELLING}" if others else ""
         raise ValueError(f"{e}{which}") from None
     report(0.9)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.recordings.naming import listed
-from jaxbound.recordings.timestamps import stamp_kind
+from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 
 __all__ = ["Layout", "cells_of", "is_number", "parse_columns", "sniff"]
 
@@ -51,7 +51,8 @@ class Layout:
 
     def dated(self, name: str) -> str:
         """Return what the first cell of a column is, see `stamp_kind`."""
-        return stamp_kind(self._cells.get(name))
+        cell = self._cells.get(name) or ""
+        return stamp_kind(cell) if DIGITS.fullmatch(cell.strip()) or not is_number(cell, self.decimal) else ""
 
     @cached_property
     def _cells(self):

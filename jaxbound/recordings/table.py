@@ -169,23 +169,39 @@ def _dated(frame, model):
     if not is_table(frame) or not unlabelled(frame.index) or not len(frame) or not frame.columns.is_unique:
         return frame
     named, kind = getattr(model, "columns", {}).get("time"), lambda c: getattr(frame.dtypes[c], "kind", None)
-    if (days := [c for c in frame.columns if _is_day(frame[c])]) and (clocks := [c for c in frame.columns if _is_clock(frame[c])]):
-        if len(days) + len(clocks) > 2:
-            raise ValueError(f"the columns {listed(list(map(str, days)))} hold days and {listed(list(map(str, clocks)))} times of day: "
-                             "keep one of each")  # fmt: skip
-        return frame.set_axis(_of_day_and_clock(frame[days[0]], frame[clocks[0]]))
-    if named is not None and any(str(c).strip() == named.strip() for c in frame.columns):
-        name = find_column(named, list(frame.columns), "the recording")
-        return frame.set_axis(_time_index(frame[name], name, checked=True))
     of_signal = getattr(model, "column", lambda signal: signal)
     signals = {name for signal in (*model.inputs, *model.outputs) for name in (signal, of_signal(signal))}
     free = [c for c in frame.columns if c not in signals]
+    if named is not None and any(str(c).strip() == named.strip() for c in frame.columns):
+        name = find_column(named, list(frame.columns), "the recording")
+        return frame.set_axis(_index_of(frame, name, free, checked=True))
     dates = [c for c in free if kind(c) in ("m", "M") or is_date(frame[c].iloc[0])]
     counts = lambda c: kind(c) in ("i", "u", "f") and usual_step(frame[c].to_numpy(np.float64, na_value=np.nan)) is not None
     called = likely(dates, TIMES) if dates else [c for c in likely(free, TIMES) if counts(c) or time_like(frame[c].iloc[0])]
     stamps = dates or [c for c in free if is_text_stamp(frame[c].iloc[0])]
-    column = next(iter(dates if len(dates) == 1 else called or only_dated(stamps)), None)
-    return frame if column is None else frame.set_axis(_time_index(frame[column], column))
+    column = next(iter(dates if len(dates) == 1 else called or _clock_of_days(frame, dates) or only_dated(stamps)), None)
+    return frame if column is None else frame.set_axis(_index_of(frame, column, free))
+
+
+def _clock_of_days(frame, dates):
+    """Return [the times of day] of columns that hold these once, and days besides; else []."""
+    clocks = [c for c in dates if _is_clock(frame[c])]
+    return clocks if len(clocks) == 1 and all(c in clocks or _is_day(frame[c]) for c in dates) else []
+
+
+def _index_of(frame, column, free, checked=False):
+    """Return the index that the time column gives; one that holds half of a time stamp, with the other half."""
+    clock = _is_clock(frame[column])
+    if not clock and not (_is_day(frame[column]) and frame[column].duplicated().any()):
+        return _time_index(frame[column], column, checked)
+    others = [c for c in free if (_is_day if clock else _is_clock)(frame[c])]
+    if not others:
+        return _time_index(frame[column], column, checked)
+    days, clocks = (others, [column]) if clock else ([column], others)
+    if len(others) > 1:
+        raise ValueError(f"the columns {listed(list(map(str, days)))} hold days and {listed(list(map(str, clocks)))} times of day: "
+                         "keep one of each")  # fmt: skip
+    return _of_day_and_clock(frame[days[0]], frame[clocks[0]])
 
 
 def _is_day(x):

@@ -1,6 +1,7 @@
 """Time stamps of a recording: text of any usual format, or numbers, to seconds; and back to text for a reader."""
 
 import math
+import re
 from collections.abc import Callable
 from datetime import datetime
 from typing import Any
@@ -10,13 +11,14 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
 
-__all__ = ["epoch_scale", "parse_stamps", "read_numbers", "row_label", "stamp_kind", "time_label", "with_day"]
+__all__ = ["DIGITS", "epoch_scale", "parse_stamps", "read_numbers", "row_label", "stamp_kind", "time_label", "with_day"]
 
 DATES = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
          "%m/%d/%y", "%d/%m/%y", "%d.%m.%y", "%Y%m%d")  # fmt: skip
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
 FORMATS = [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS] + list(DATES[:-1]) + list(CLOCKS[:4])
 LONGEST = 64  # letters of a time stamp
+DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 
 
@@ -66,18 +68,18 @@ def parse_stamps(cells: Any, dt: float | None, where: Callable[[int], str]) -> t
 def stamp_kind(cell: str | None) -> str:
     """Return what a cell holds: a time stamp of any usual format, "day" or "clock" where it is half of one, "" where it is none.
 
-    A number is none, but eight digits may be a day beside a clock: "digits".
+    Eight digits may be a day beside a clock, but also a number: "digits". That it is no other number is known.
 
     Example:
-        >>> [stamp_kind(x) for x in ("2017-09-12 08:00", "12.09.2017", "20170912", "8:00 PM", "shift 2", "17.5")]
-        ['stamp', 'day', 'digits', 'clock', '', '']
+        >>> [stamp_kind(x) for x in ("2017-09-12 08:00", "20170912T080000", "12.09.2017", "20170912", "8:00 PM", "shift 2")]
+        ['stamp', 'stamp', 'day', 'digits', 'clock', '']
     """
     import pyarrow as pa
 
     if not cell or not any(c.isdigit() for c in cell) or len(cell) > LONGEST:
         return ""
-    if not any(c in cell.strip() for c in " -/:") and cell.count(".") + cell.count(",") < 2:  # a number, of whatever decimal sign
-        return "digits" if len(cell.strip()) == 8 and _fits(cell.strip(), DATES[-1]) else ""
+    if DIGITS.fullmatch(cell.strip()):
+        return "digits" if _fits(cell.strip(), DATES[-1]) else ""
     try:
         parse_stamps(pa.array([cell]), None, str)
     except ValueError:

@@ -162,9 +162,15 @@ class TestTime:
     @pytest.mark.parametrize("header", ["Zeitstempel", "Horodatage", "Fecha y hora", "Tidspunkt", "час", "时间", "when"])
     def test_a_column_of_time_stamps_is_the_time_in_any_language(self, read, header):
         """Before, such a file with a gap was taken to be one without: windows across it were proved to be faulty."""
-        rows = [(f"05.03.2024 08:{k:02d}:00", "shift 2", "1,5", 2, 3) for k in (0, 1, 2, 40, 41, 42, 43)]
+        self.with_a_gap(read, header, "05.03.2024 08:{:02d}:00")
+
+    def test_time_stamps_without_separators_are_found_too(self, read):
+        self.with_a_gap(read, "Kell", "20240305T08{:02d}00")
+
+    def with_a_gap(self, read, header, form):
+        rows = [(form.format(k), "shift 2", "1,5", 2, 3) for k in (0, 1, 2, 40, 41, 42, 43)]
         r = read(text_of(rows, f"{header};remark;pump;level;flow", ";"), TWO)
-        assert list(r.starts) == [3] and r.time[3] == 2400 and r.label(3) == "05.03.2024 08:40:00"
+        assert list(r.starts) == [3] and r.time[3] == 2400 and r.label(3) == form.format(40)
 
     def test_two_columns_of_time_stamps_are_refused_where_none_is_called_like_time(self, read):
         with pytest.raises(ValueError, match="the columns 'a', 'b' hold time stamps: say which is the time, with `time` among the columns"):

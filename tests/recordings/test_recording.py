@@ -229,6 +229,17 @@ class TestTime:
         r = Recording.of(MODEL, frame().assign(day=day(late), clock=clock(late)))
         assert r.starts.tolist() == [3] and r.index[3] == late[3]
 
+    @pytest.mark.parametrize("model", [MODEL, MODEL.replace(columns={"time": "when"})], ids=["called", "named"])
+    def test_days_and_times_of_something_else_are_not_joined(self, model):
+        """A day of installation and a running time, beside the time itself or the days of a daily recording."""
+        late = SECONDS + pd.to_timedelta([0, 0, 0, 60, 60, 60], "s")
+        other = frame().assign(installed=pd.Timestamp("2020-01-01"), runtime=pd.to_timedelta(7 * np.arange(6), "s"))
+        name = "when" if "time" in model.columns else "time"
+        assert Recording.of(model, other.assign(**{name: late})).starts.tolist() == [3]
+        daily = pd.date_range("2024-01-01", periods=6, freq="D")
+        r = Recording.of(model.replace(dt=86400.0), other.drop(columns="installed").assign(**{name: daily}))
+        assert (r.index == daily).all()
+
     def test_times_of_day_alone_are_refused(self):
         with pytest.raises(ValueError, match="'clock' holds times without a day, and no column holds the days: add one, or index by times"):
             Recording.of(MODEL, frame().assign(clock=SECONDS.time))
