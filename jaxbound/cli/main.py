@@ -37,7 +37,7 @@ from jaxbound.recordings.plaintext import clipped
 
 __all__ = ["commands", "main"]
 
-OBSERVERS = "zonotope", "strips", "joint", "constrained"
+OBSERVERS = "zonotope", "strips", "joint", "constrained"  # as `estimation.observer` has them, likewise
 METHODS = "joint, box, paving, linearized"  # as `consistency.interface.METHODS`: a text, for what is asked here is not worth its imports
 
 

@@ -81,11 +81,15 @@ def opened(args: argparse.Namespace, step: Callable[[str, float], object]) -> tu
     return source, window_relations(model, args, args.data, source.samples, step)[1]
 
 
+TOLD = ("horizon", "lags", "order", "observer", "span", "overlap")
+"""Options beside --method and --latched that all shares of a recording, and the report on them, have in common."""
+
+
 def _again(args, *more):
     """Return the command that makes the same test, as the shell reads it."""
-    horizon = () if args.horizon is None else ("--horizon", args.horizon)
-    lags = () if args.lags is None else ("--lags", ",".join(map(str, args.lags)))
-    method: tuple = () if args.method == "joint" else ("--method", args.method)
-    observes = [("--order", args.order), ("--overlap", args.overlap)]
-    method += tuple(x for option in observes if option[1] is not None for x in option) + ("--latched",) * bool(args.latched)
-    return shlex.join(map(str, ("jaxbound", "detect", args.model, args.data, "--out", args.out, *method, *horizon, *lags, *more)))
+    given = [] if args.method == "joint" else ["--method", args.method]
+    for name in TOLD:
+        if (value := getattr(args, name)) is not None:
+            given += [f"--{name}", ",".join(map(str, value)) if name == "lags" else value]
+    given += ["--latched"] * bool(args.latched)
+    return shlex.join(map(str, ("jaxbound", "detect", args.model, args.data, "--out", args.out, *given, *more)))

@@ -1,7 +1,7 @@
 """The option --lags: the windows of every command, kept with the model and with what was found."""
 
-import argparse
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -97,10 +97,14 @@ def test_fit_says_that_a_plant_remembers_longer_than_its_windows():
     assert _memory(slow.replace(horizon=60)) == _memory(slow.replace(lags=(0, 1))) == []
 
 
-def test_shares_of_a_recording_are_told_the_same_lags():
+OBSERVES = "--method observer --observer joint --span 16 --order 5 --horizon 4 --overlap 20 --latched"
+
+
+@pytest.mark.parametrize("options", ["--lags 0,4", "--method box --horizon 3", OBSERVES])
+def test_the_command_that_reports_on_all_shares_makes_the_same_test(options):
+    from jaxbound.cli.main import commands
     from jaxbound.cli.share import _again
 
-    args = argparse.Namespace(
-        model="m.toml", data="d", out="o", horizon=None, lags=(0, 4), method="joint", order=None, overlap=None, latched=False
-    )
-    assert "--lags 0,4" in _again(args, "--merge")
+    parse = lambda *more: commands()["detect"].parse_args(["m.toml", "d", "--out", "o", *options.split(), *more])
+    told = shlex.split(_again(parse("--part", "1/2"), "--merge"))
+    assert told[:2] == ["jaxbound", "detect"] and commands()["detect"].parse_args(told[2:]) == parse("--merge")
