@@ -5,7 +5,7 @@ import json
 import jax
 import numpy as np
 import pytest
-from test_observer import PLANT, inside, program, recorded, systems
+from observer_case import PLANT, fault_free, jumps_near_the_boundary, program, recorded
 
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
@@ -15,52 +15,17 @@ HOW = {"method": "constrained"}
 
 
 def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else():
-    """Near the boundary: jumps of a sensor from far below to far above what can be proved; the states of the others are inside."""
-    u, _, y = recorded(PLANT, 14, 3, N=24, at="uniform")
-    y[:, 8:, 0] += np.linspace(0, 0.6, 24)[:, None]
-    found = jb.observe(PLANT, u, y, restart=False, **HOW)
-    proved = possible = 0
-    wider = []
-    for j in range(24):
-        wrong = np.asarray(found.status[j] == jb.Status.FAULT)
-        exact = program(PLANT, u[j], y[j])
-        possible += exact is None
-        if wrong.any():
-            k = int(wrong.argmax())
-            assert wrong[k:].all() and program(PLANT, u[j, : k + 1], y[j, : k + 1]) is None
-            assert found.margin[j, k] < 0
-            proved += 1
-        elif exact is not None:
-            lo, hi = exact
-            assert (found.state.lo[j, -1] <= lo + 1e-9).all() and (hi - 1e-9 <= found.state.hi[j, -1]).all()
-            wider.append((found.state.hi[j, -1] - found.state.lo[j, -1]) / (hi - lo))
-    print(f"{proved} of {possible} contradictions proved; widths {np.mean(wider):.2f} of the exact ones, at most {np.max(wider):.2f}")
+    proved, possible, wider = jumps_near_the_boundary(**HOW)
     assert possible >= 10 and proved >= 0.9 * possible and np.mean(wider) < 1.2
 
 
-def fault_free(rng, seeds, N, T):
-    """Return how many fault-free samples were observed, with gaps and missing samples: the state inside all, no FAULT."""
-    samples = 0
-    for seed in seeds:
-        dtype, kind = (np.float64, np.float32)[seed % 2], ("stable", "unstable", "integrating")[seed % 3]
-        model = systems(rng, kind)
-        with jax.enable_x64(seed % 4 != 3):
-            u, x, y = recorded(model, T, seed, N, ("vertices", "uniform")[seed // 2 % 2], dtype)
-            y[rng.random(y.shape) < 0.03] = np.nan
-            found = jb.observe(model, u, y, x0=jb.interval([-50.0] * 3, [50.0] * 3), starts=[T // 2], **HOW)
-            assert inside(found, x, dtype).all() and not (found.status == jb.Status.FAULT).any()
-            samples += y[..., 0].size
-    print(f"{samples} fault-free samples: the state inside all, 0 FAULT")
-    return samples
-
-
 def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng):
-    assert fault_free(rng, range(2), 16, 40) == 2 * 16 * 40
+    assert fault_free(rng, (0, 5), 16, 40, **HOW) == 2 * 16 * 40
 
 
 @pytest.mark.long
 def test_a_hundred_thousand_fault_free_samples(rng):
-    assert fault_free(rng, range(48), 32, 70) > 100_000
+    assert fault_free(rng, range(48), 32, 70, **HOW) > 100_000
 
 
 def test_in_pieces_and_in_a_batch_it_says_the_same():

@@ -5,7 +5,7 @@ import json
 import jax
 import numpy as np
 import pytest
-from test_observer import PLANT, inside, program, published, recorded, systems
+from observer_case import PLANT, fault_free, jumps_near_the_boundary, program, published, recorded
 
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
@@ -27,51 +27,18 @@ def test_without_anything_forgotten_it_encloses_the_exact_hull(shared):
     np.testing.assert_allclose([lo, hi], exact, atol=1e-8)
 
 
-def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else(rng):
-    """Near the boundary: jumps of a sensor from far below to far above what can be proved."""
-    u, _, y = recorded(PLANT, 14, 3, N=24, at="uniform")
-    y[:, 8:, 0] += np.linspace(0, 0.6, 24)[:, None]
-    found = jb.observe(PLANT, u, y, restart=False, **JOINT)
-    alone = jb.observe(PLANT, u, y, restart=False, order=6)
-    proved = possible = 0
-    for j in range(24):
-        wrong = np.asarray(found.status[j] == jb.Status.FAULT)
-        exact = program(PLANT, u[j], y[j])
-        possible += exact is None
-        if wrong.any():
-            k = int(wrong.argmax())
-            assert wrong[k:].all() and program(PLANT, u[j, : k + 1], y[j, : k + 1]) is None
-            proved += 1
-        elif exact is not None:
-            lo, hi = exact
-            assert (found.state.lo[j, -1] <= lo + 1e-9).all() and (hi - 1e-9 <= found.state.hi[j, -1]).all()
-    print(f"{proved} of {possible} contradictions proved; zonotopes alone: {(alone.status == jb.Status.FAULT).any(1).sum()}")
+def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else():
+    proved, possible, _ = jumps_near_the_boundary(**JOINT)
     assert possible >= 10 and proved >= 0.9 * possible
 
 
-def fault_free(rng, seeds, N, T):
-    """Return how many fault-free samples were observed: the state inside all, no FAULT."""
-    samples = 0
-    for seed in seeds:
-        dtype, kind = (np.float64, np.float32)[seed % 2], ("stable", "integrating", "unstable")[seed % 3]
-        model = systems(rng, kind)
-        with jax.enable_x64(seed % 4 != 3):
-            u, x, y = recorded(model, T, seed, N, ("vertices", "uniform")[seed // 2 % 2], dtype)
-            y[rng.random(y.shape) < 0.03] = np.nan
-            found = jb.observe(model, u, y, x0=jb.interval([-50.0] * 3, [50.0] * 3), starts=[T // 2], **JOINT)
-            assert inside(found, x, dtype).all() and not (found.status == jb.Status.FAULT).any()
-            samples += y[..., 0].size
-    print(f"{samples} fault-free samples: the state inside all, 0 FAULT")
-    return samples
-
-
 def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng):
-    assert fault_free(rng, range(4), 24, 30) == 4 * 24 * 30
+    assert fault_free(rng, range(4), 24, 30, **JOINT) == 4 * 24 * 30
 
 
 @pytest.mark.long
 def test_two_hundred_thousand_fault_free_samples(rng):
-    assert fault_free(rng, range(96), 64, 40) > 200_000
+    assert fault_free(rng, range(96), 64, 40, **JOINT) > 200_000
 
 
 @pytest.mark.slow

@@ -6,75 +6,15 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
-from scipy.optimize import linprog
+from observer_case import PLANT, inside, program, published, recorded, systems
 
 import jaxbound as jb
 from jaxbound.estimation import observer
 from jaxbound.estimation.observer import SetObserver
 from jaxbound.recordings.recording import Recording
-from jaxbound.sets import zonotope
 
-METHODS = ("zonotope", *(("strips", *observer.METHODS) if hasattr(observer, "METHODS") else ()))
+METHODS = ("zonotope", "strips", *observer.METHODS)
 """How an observer may carry its set."""
-
-
-def chosen(method):
-    """Return the argument that says so, where there is a choice."""
-    return {"method": method} if len(METHODS) > 1 else {}
-
-
-PLANT = jb.LinearSystem(
-    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0]], noise="0.1", disturbance=([[1], ["0.5"]], "0.02"), tolerance="0.01"
-)  # fmt: skip
-
-
-def program(model, u, y, x0=None):
-    """Return the least and largest of each state of the last sample that explain all samples, by linear programs; None: nothing does.
-
-    Independent of the observer: floats of the model, one variable a first state and a disturbance.
-    """
-    A, B, C, G = (np.array(getattr(model, name), float) for name in "ABCG")
-    n, g, T = model.n, model.g, len(y)
-    lo, hi = np.array(model.disturbance, float).T
-    count = n + g * (T - 1)
-    bounds = [(None, None)] * n if x0 is None else list(zip(*x0, strict=True))
-    bounds += [(a, b) for _ in range(T - 1) for a, b in zip(lo, hi, strict=True)]
-    X, f = np.eye(n, count), np.zeros(n)
-    rows, right = [], []
-    for k in range(T):
-        if k:
-            X, f = A @ X, A @ f + (B @ u[k - 1] if B.size else 0)
-            X[:, n + g * (k - 1) : n + g * k] += G
-        for i in range(model.p):
-            if not np.isnan(y[k, i]):
-                t, r = float(model.tolerance[i]), float(model.noise[i])
-                ends = [(y[k, i] + a) / (1 + b) for a in (-r, r) for b in (-t, t)]
-                rows += [C[i] @ X, -C[i] @ X]
-                right += [max(ends) - C[i] @ f, C[i] @ f - min(ends)]
-    out = np.zeros((2, n))
-    for i in range(n):
-        for side, sign in enumerate((1, -1)):
-            found = linprog(sign * X[i], np.array(rows), right, bounds=bounds, method="highs")
-            if found.status == 2:
-                return None
-            assert found.status == 0
-            out[side, i] = sign * found.fun + f[i]
-    return out
-
-
-def recorded(model, T, key, N=None, at="vertices", dtype=np.float64):
-    """Return u, x, y of fault-free recordings."""
-    rng = np.random.default_rng(key)
-    shape = (T, model.m) if N is None else (N, T, model.m)
-    u = rng.normal(size=shape).astype(dtype)
-    x0 = 3 * rng.normal(size=(*shape[:-2], model.n))
-    found = jb.simulate(model, u, jax.random.key(key), x0=x0, at=at)
-    return np.array(found.u), np.asarray(found.x, np.float64), np.array(found.y)
-
-
-def inside(found, x, dtype=np.float64):
-    slack = (1e-12 if dtype == np.float64 else 2e-6) * (1 + abs(x))  # of the states as simulate returns them
-    return (np.asarray(found.state.lo) <= x + slack) & (x - slack <= np.asarray(found.state.hi))
 
 
 def test_an_enclosure_holds_what_linear_programs_over_all_samples_allow(rng):
@@ -111,14 +51,6 @@ def test_every_proof_of_a_fault_is_one_of_a_linear_program(rng):
     assert possible >= 20 and proved >= 0.8 * possible
 
 
-def published(case):
-    """Return (model, u, y, x0) of CORA's example, with an input that does nothing: of the sizes of PLANT, whose kernels it shares."""
-    noise, walk = case["V_radius"][0], (case["W_generators"], 1)
-    model = jb.LinearSystem(case["A"], [[0], [0]], case["C"], noise=noise, disturbance=walk)
-    y = np.array(case["y"]).T
-    return model, np.zeros((len(y), 1)), y, zonotope([0.0, 0.0], case["R0_generators"])
-
-
 @pytest.mark.parametrize("order", [1, 20])
 def test_published_intervals_of_a_zonotopic_kalman_filter(shared, order):
     """CORA's linearSysDT example: without a reduction to 1e-9; at order 20 rounding takes two of the 40 generators, and ours holds it."""
@@ -136,22 +68,6 @@ def test_published_intervals_of_a_zonotopic_kalman_filter(shared, order):
     assert (lo <= exact[0] + 1e-9).all() and (exact[1] - 1e-9 <= hi).all()
 
 
-def systems(rng, kind):
-    """Return a random model: stable, integrating or unstable, perhaps uncertain, with everything that a model can have."""
-    if kind == "integrating":  # exactly: a first row (1 0 0), the rest stable and moved by it
-        A = np.vstack([[1, 0, 0], np.hstack([rng.normal(size=(2, 1)), 0.9 * _scaled(rng.normal(size=(2, 2)))])]).round(4)
-    else:
-        A = ({"stable": 0.9, "unstable": 1.05}[kind] * _scaled(rng.normal(size=(3, 3)))).round(4)
-    more = {"uncertainties": [jb.Uncertainty("a", A=(0.003 * rng.normal(size=(3, 3))).round(5))]} if rng.random() < 0.5 else {}
-    B, C, D, G = (rng.normal(size=s).round(2) for s in ((3, 1), (2, 3), (2, 1), (3, 2)))
-    return jb.LinearSystem(A, B, C, D, noise=[0.1, 0.02], tolerance=[0, 0.02], disturbance=(G, [[-0.02, 0.05], [0, 0]]),
-                           offset={"u": 1.5, "y": [-20.25, 3]}, **more)  # fmt: skip
-
-
-def _scaled(A):
-    return A / abs(np.linalg.eigvals(A)).max()
-
-
 SETS = ((6, None), (6, jb.interval([-50] * 3, [50] * 3)))
 """(order, x0): sizes that the tests of joint observers compile too."""
 
@@ -167,7 +83,7 @@ def fault_free(rng, seeds, N, T, method, dtype=np.float64, sets=SETS):
         y[rng.random(y.shape) < 0.03] = np.nan
         for order, x0 in sets:
             try:
-                found = jb.observe(model, u, y, order=order, weight=(0.1, 1, 10), x0=x0, starts=[T // 2], **chosen(method))
+                found = jb.observe(model, u, y, order=order, weight=(0.1, 1, 10), x0=x0, starts=[T // 2], method=method)
             except ValueError as e:
                 assert x0 is None and "uncertain" in str(e)
                 continue

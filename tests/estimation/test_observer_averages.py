@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 import pytest
+from observer_case import inside
 from scipy.optimize import linprog
-from test_observer import inside
 
 import jaxbound as jb
 
