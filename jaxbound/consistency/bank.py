@@ -8,12 +8,16 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.consistency.reading import gather
 from jaxbound.consistency.strips import StripsTest
+from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.consistency.unproved import stretch_block
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.strips.bank import bank_of, bank_verdicts, unpacked, verdict_dtypes
+from jaxbound.sets.strips.bank import PACKED, bank_of, bank_verdicts, unpacked, verdict_dtypes
 
 __all__ = ["HIGH", "BankTest", "bank_windows"]
 
@@ -68,12 +72,48 @@ class BankTest(WindowTest):
         words = np.where(np.isnan(margin), np.uint32(0), words)
         return Judged(status_of_words(words, self.relations.count), margin, words)
 
+    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (relations, N) bool: which relations contradict which windows, in NumPy; see `WindowTest.contradicted`."""
+        return self._host.contradicted(u, y, starts)
+
+    def withdrawn(
+        self, judged: Judged, at: np.ndarray, contradicted: np.ndarray, u: np.ndarray, y: np.ndarray
+    ) -> tuple[Judged, np.ndarray]:
+        """Return the verdicts with UNDECIDED in place of FAULT for relations that are not contradicted; see `WindowTest.withdrawn`."""
+        r, s = self.relations, self.horizon
+        words = np.array(judged.words)
+        flat = words.reshape(len(words), -1)
+        doubtful = np.zeros(len(at), bool)
+        for number, proved in enumerate(contradicted):
+            word, place = divmod(number, PACKED)
+            shift = np.uint32(2 * place)
+            open_ = np.flatnonzero(~proved & (flat[word, at] >> shift & np.uint32(3) == Status.FAULT))
+            if not len(open_):
+                continue
+            windows = gather(u, y, at[open_] - s, self.lags, s)
+            strip = r.W[number : number + 1], r.K[number : number + 1]
+            open_ = open_[~(whole_numbers.exact_strips(r, self._exact_reading, strip, *windows) < 0)]
+            flat[word, at[open_]] ^= np.uint32(Status.FAULT ^ Status.UNDECIDED) << shift
+            doubtful[open_] = True
+        status = status_of_words(words, r.count)
+        nothing = (judged.status == Status.FAULT) & (status != Status.FAULT)
+        return Judged(status, np.where(nothing, 0, judged.margin).astype(judged.margin.dtype), words), doubtful
+
+    @cached_property
+    def _exact_reading(self):
+        return self.relations.reading(self.dtype, "box")
+
+    @cached_property
+    def _host(self):
+        r = self.relations
+        return host_strips(r.reading(np.float64, "box"), r.W, r.K, self.dtype)
+
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T) of the relation of each window that is tightest; see `WindowTest.margins`."""
         return StripsTest(self.relations, "box", self.dtype).margins(given)
 
 
-@jax.jit
+@kernel
 def bank_windows(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the verdicts of every relation over a stretch and the margin of the tightest one, packed."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)

@@ -23,6 +23,7 @@ from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.reading import gather
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 
@@ -94,7 +95,7 @@ def gain_bounds(test: Any, xp: Any) -> tuple:
     return tuple(xp.concatenate([x.astype(one.dtype), one]) for x in (*ends, *inner))
 
 
-@jax.jit
+@kernel
 def _first(test, u, y):
     """Return (status or OPEN, margin) of windows u (lags, m, N), y (s + 1, p, N)."""
     strips, silent = _strips(test, u, y)
@@ -113,7 +114,7 @@ def signed(margin: Any, inside: Any) -> Any:
         inside, jnp.maximum(margin, least), jnp.minimum(margin, -least))  # fmt: skip
 
 
-@jax.jit
+@kernel
 def _boxes(test, u, y, lo, hi):
     """Return the Verdicts on boxes of gains (p, N), each of its window u (lags, m, N), y (s + 1, p, N)."""
     strips, _ = _strips(test, u, y)

@@ -15,11 +15,14 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.consistency.interface import Observer, WindowTest
+from jaxbound.consistency.interface import Judged, Observer, WindowTest
 from jaxbound.consistency.reading import gather
+from jaxbound.consistency.twice import decided_twice
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.probe import default_device, usable_devices
+from jaxbound.sets.floats.status import Status
 
 __all__ = ["drive", "windows"]
 
@@ -52,7 +55,27 @@ def windows(test: WindowTest, u: Any, y: Any, starts: np.ndarray, progress: Call
     over = _gathered if test.gathered else _stretches
     outs = over(test, u, y, shape[-1], gone, size or test.block, report)
     report(1.0)
-    return test.judged([out.reshape(shape) for out in outs])
+    judged = test.judged([out.reshape(shape) for out in outs])
+    if test.twice or is_outside_xla() or not isinstance(judged, Judged):
+        return judged
+    return decided_twice(test, judged, u, y, lambda ends: _contradicted(test, u, y, ends - s))
+
+
+def _contradicted(test, u, y, starts):
+    """Return which windows that start at these samples contradict their bounds, without XLA."""
+    found = test.contradicted(u, y, starts)
+    return _again(test, u, y, starts) if found is None else found
+
+
+def _again(test, u, y, starts):
+    """Judge windows once more, each cut out, by the kernels of a test evaluated in NumPy; return which are FAULT."""
+    found = np.zeros(len(starts), bool)
+    for first in range(0, len(starts), test.block):
+        at = starts[first : first + test.block, None] + np.arange(test.horizon + 1)
+        with outside_xla():
+            judged = windows(test, u[at], y[at], NOWHERE, size=test.short if len(at) <= test.short else test.block)
+        found[first : first + len(at)] = judged.status[:, -1] == Status.FAULT
+    return found
 
 
 class _Run(NamedTuple):
@@ -140,6 +163,7 @@ def _gathered(test, u, y, length, gone, size, report):
 def _over_windows(test, u, y, starts, outs, size, report):
     """Judge the windows that start at `starts`, write what is found, and return the starts of those that are left open."""
     s, devices = test.horizon, usable_devices()[: None if len(starts) > size else 1]
+    devices = devices[:1] if is_outside_xla() else devices
     together = size * len(devices) if test.sharded else size
     groups = [starts[i : i + together] for i in range(0, len(starts), together)]
     run = _Run(_placed(test, devices), devices, -1) if test.sharded else None
@@ -168,7 +192,7 @@ def _over_windows(test, u, y, starts, outs, size, report):
 
     numbers = range(len(groups))
     workers = max(2, CORES // len(devices)) if test.threads else 1 if test.sharded else len(devices)
-    if workers == 1 or len(groups) < 2:
+    if workers == 1 or len(groups) < 2 or is_outside_xla():  # of this thread alone
         left, pending = [], []
         for number, group in zip(numbers, groups, strict=True):
             pending.append(work(number, group))  # runs while the host gathers the next ones

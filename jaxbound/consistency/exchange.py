@@ -6,6 +6,7 @@ that lack a sample on which the search is built get an exact frame without it, s
 
 import dataclasses
 from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -15,14 +16,17 @@ import numpy as np
 from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.reading import gather
+from jaxbound.consistency.strips_on_host import contradicted_by
+from jaxbound.consistency.twice import Twice
 from jaxbound.consistency.unproved import unproved_margins
 from jaxbound.exact import linalg
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 
-__all__ = ["PATIENCE", "ExchangeTest", "candidates", "exchange_margins", "rounded_frame", "verdicts"]
+__all__ = ["PATIENCE", "ExchangeTest", "candidates", "exchange_margins", "imaged", "rounded_frame", "verdicts"]
 
 CONSISTENT, UNDECIDED, FAULT = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
 PATIENCE = 10
@@ -69,12 +73,35 @@ class ExchangeTest(WindowTest):
         """The margins, whose sign is the verdict."""
         return ((self.dtype, np.nan),)
 
+    twice = True
+
     def judge(self, run: Callable, blocks: list) -> list:
         """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real arrays, as proofs need."""
         ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
         searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
         judged = run(verdicts, [(one, *found) for one, found in zip(ones, searched, strict=True)])
-        return [(margin, ~np.asarray(settled)) for margin, settled in judged]
+        return [
+            (
+                self._twice.decided(margin, partial(self._by_hints, block, found), partial(self._contradicted, block, found)),
+                ~np.asarray(settled),
+            )
+            for block, found, (margin, settled) in zip(blocks, searched, judged, strict=True)
+        ]
+
+    @cached_property
+    def _twice(self):
+        return Twice(self.block)
+
+    def _by_hints(self, block, found, at):
+        """Return the margins of some windows of a block, in NumPy from their samples, by what the search found for them."""
+        one, (u, y), (h, d, done) = np.ones(len(at), self.dtype), (x[..., at] for x in block), (np.asarray(x)[..., at] for x in found[:3])
+        return verdicts(self.constants, one, h, d, done, *imaged(self.constants, one, u, y))[0]
+
+    def _contradicted(self, block, found, at):
+        """Return which windows of a block the combinations that the search found contradict; see `contradicted_by`."""
+        if self.reading.filters:
+            return np.zeros(len(at), bool)
+        return contradicted_by(self.reading, self.reading.shape, *(x[..., at] for x in block), np.asarray(found[0])[:, at])
 
     def write(self, outs: list, at: np.ndarray, found: tuple) -> None:
         """Write margins; a proof stays one."""
@@ -178,16 +205,25 @@ def _over_blocks(kernel, test, u, y, *more):
     return jax.lax.map(one_block, (size * jnp.arange(blocks), *more))
 
 
-@jax.jit
+@kernel
 def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
     """Return the combinations (h, d, done) that speak most against each window of a block, and their `Image`; nothing is proved yet."""
     test, steps, finer = given
-    mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
-    image = separation.separation_image(test.shape, mid, rad, scale, known, known_scale, test.lift, one)
+    image = _imaged(given, one, u, y)
     return *separation.separation_search(test.shape, image, one, steps, finer), *image
 
 
-@jax.jit
+def _imaged(given, one, u, y):
+    """Return the `Image` of the windows of a block."""
+    test, *_ = given
+    mid, rad, scale, known, known_scale = (x / one[None] for x in test.block(u, y))
+    return separation.separation_image(test.shape, mid, rad, scale, known, known_scale, test.lift, one)
+
+
+imaged = kernel(_imaged)
+
+
+@kernel
 def verdicts(given: Any, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled) of the windows of a block, proved from what `candidates` found."""
     test, *_ = given

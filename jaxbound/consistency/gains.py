@@ -18,6 +18,7 @@ from jaxbound.consistency.constant import gain_bounds, narrowed, signed
 from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, rounded_frame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
 from jaxbound.sets.strips import separation
 
@@ -78,7 +79,7 @@ class GainsTest(ExchangeTest):
         return out.astype(self.dtype)
 
 
-@jax.jit
+@kernel
 def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array) -> tuple:
     """Return (gains, mid, rad, known, h, d, done, *image) at the middle of a box of gains lo, hi (g, N) a window; nothing is proved yet."""
     test, steps, finer = given
@@ -94,7 +95,7 @@ def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.A
     return gains, mid, rad, known, *found, *image
 
 
-@jax.jit
+@kernel
 def concluded(given: Any, one: jax.Array, lo: jax.Array, hi: jax.Array, gains: jax.Array, *found: jax.Array) -> tuple:
     """Return (margin, settled, Verdicts) of boxes of gains lo, hi (g, N), from what `candidates` found in their middle."""
     test, *_ = given

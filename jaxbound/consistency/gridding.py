@@ -16,6 +16,7 @@ from jaxbound.consistency.interface import Open, WindowTest
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval, interval, matmul, sub
 from jaxbound.sets.paving.paving import reaches
@@ -115,7 +116,7 @@ def _pave(relations, U, Y, q, boxes):
     return reaches(internal_form, Interval(-edge, edge), target, q, boxes, tuple(map(np.asarray, args)))[:windows]
 
 
-@jax.jit
+@kernel
 def _external(given, W, K):
     """Return (measured (N, rows), p_ext (N, r)) of windows: their samples, offsets taken off, and what W and K make of them."""
     flat, known = (sub(samples, offset[None, None]) for samples, offset in given)

@@ -43,6 +43,7 @@ class WindowTest:
     padded: ClassVar[bool] = True  # blocks are filled up to their size; else the last one is shorter
     sharded: ClassVar[bool] = True  # `judge` runs its kernels by `run`; else it is called on one device after the other
     threads: ClassVar[bool] = False  # several blocks at once: where the host waits between two kernels
+    twice: ClassVar[bool] = False  # `judge` and `settle` decide each FAULT a second time themselves
 
     def __init__(self, relations: Any, method: str, dtype: Any) -> None:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
@@ -104,6 +105,26 @@ class WindowTest:
             u, y: all samples, end to end. outs: arrays of `outputs` over them. left: starts of the windows left open. again: of (test,
             starts), judges windows by another test and returns the starts of those it leaves open. progress: takes the share done.
         """
+
+    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray | None:
+        """Return (N,) bool: which windows contradict the bounds, from all samples u (T, m), y (T, p) and without XLA; see `twice`.
+
+        None: only `judge` and `settle` can say it, whose kernels are then evaluated in NumPy.
+        """
+        return None
+
+    def withdrawn(
+        self, judged: Judged, at: np.ndarray, contradicted: np.ndarray, u: np.ndarray, y: np.ndarray
+    ) -> tuple[Judged, np.ndarray]:
+        """Return (the verdicts with UNDECIDED in place of FAULT where nothing contradicts, at which of the samples `at` there are such).
+
+        Args:
+            at: ends of the windows. contradicted: of them, from `contradicted`. u, y: all samples.
+        """
+        gone = at[~contradicted]
+        judged.status.reshape(-1)[gone] = Status.UNDECIDED
+        judged.margin.reshape(-1)[gone] = 0
+        return judged, ~contradicted
 
     def judged(self, outs: list) -> Judged:
         """Return the verdicts from the arrays of `outputs`, each (..., T).

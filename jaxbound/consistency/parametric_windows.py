@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.reading import gather
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.sets.strips import polynomials, varying
@@ -116,7 +117,7 @@ def _status(margin, inside):
     return jnp.where(jnp.isnan(margin), Status.MISSING, decided).astype(jnp.int8)
 
 
-@jax.jit
+@kernel
 def terms_of(test: Any, u: Any, y: Any) -> Any:
     """Return (value, spread, rad, error): a window's polynomials, and one bound on the error of each row."""
     value, error, spread, rad = test.polynomials(u, y)
@@ -131,7 +132,7 @@ def linear_image(test: Any, terms: Any, allowance: Any) -> tuple[jax.Array, jax.
     return c, jnp.concatenate([G, jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)], 1), error
 
 
-@jax.jit
+@kernel
 def _linear(test, terms, allowance):
     """Return (c, G, error, h) of the linearized test: see `linear_image`."""
     c, G, error = linear_image(test, terms, allowance)
@@ -139,13 +140,13 @@ def _linear(test, terms, allowance):
     return c, G, error, None if varying.strip_count(r, q, alone=True) else farthest(c, G)[0]
 
 
-@jax.jit
+@kernel
 def _suspected(test, c, G, error, h):
     margin = _outside(c, G, error, h)
     return jnp.where(jnp.isnan(margin), Status.MISSING, Status.UNDECIDED).astype(jnp.int8), margin
 
 
-@jax.jit
+@kernel
 def at_vertices(test: Any, terms: Any, proved: Any) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) of a single multi-affine relation: see `polynomials.vertex_margin`."""
     value, spread, rad, error = terms
@@ -153,7 +154,7 @@ def at_vertices(test: Any, terms: Any, proved: Any) -> tuple[jax.Array, jax.Arra
     return _status(margin, inside & proved), margin
 
 
-@jax.jit
+@kernel
 def _box(test, terms, proved):
     """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the sum of all its parts."""
     value, spread, rad, error = terms
@@ -185,7 +186,7 @@ def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
     return h / size, z
 
 
-@jax.jit
+@kernel
 def candidates(test: Any, terms: Any, mid: Any, radius: Any, owner: Any) -> tuple:
     """Return (terms, c, G, h, start, axis) of boxes mid +- radius (n, N) of windows `owner`: what `concluded` proves something by.
 
@@ -199,7 +200,7 @@ def candidates(test: Any, terms: Any, mid: Any, radius: Any, owner: Any) -> tupl
     return (value, spread, rad, error), c, G, h, start, jnp.argmax(polynomials.bends(value, test.exponents, radius), 0)
 
 
-@jax.jit
+@kernel
 def concluded(test: Any, terms: Any, c: jax.Array, G: jax.Array, h: jax.Array, start: jax.Array, proved: Any) -> tuple[jax.Array, ...]:
     """Return (status, margin, found, open) of boxes: refuted by a direction or strips, explained by a zero near a start.
 

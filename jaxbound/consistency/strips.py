@@ -1,6 +1,7 @@
 """Short windows: every circuit, or every relation alone, is a strip, tested over contiguous samples in one pass."""
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -9,8 +10,11 @@ import numpy as np
 
 from jaxbound.consistency import whole_numbers
 from jaxbound.consistency.interface import WindowTest
+from jaxbound.consistency.reading import gather
+from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of, strip_margin, strip_verdict
 
@@ -36,12 +40,32 @@ class StripsTest(WindowTest):
         status, margin = outs
         whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
 
+    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which windows one strip contradicts, in NumPy, else in whole numbers; see `WindowTest.contradicted`."""
+        found = self._host.contradicted(u, y, starts).any(0)
+        left = np.flatnonzero(~found)
+        for first in range(0, len(left), whole_numbers.BLOCK):
+            part = left[first : first + whole_numbers.BLOCK]
+            windows = gather(u, y, starts[part], self.lags, self.horizon)
+            found[part] = whole_numbers.exact_strips(self.relations, self.reading, self._exact, *windows) < 0
+        return found
+
+    @cached_property
+    def _exact(self):
+        """The exact strips: rows over (Y, w), and over U."""
+        r = self.relations
+        return (r.W, r.K) if self.method == "box" else (r.circuits, r.circuits_known)
+
+    @cached_property
+    def _host(self):
+        return host_strips(self.relations.reading(np.float64, self.method), *self._exact, self.dtype)
+
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return unproved_margins(self, _margins, _smooth_margins, given)
 
 
-@jax.jit
+@kernel
 def verdicts(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)

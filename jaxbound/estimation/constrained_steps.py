@@ -15,7 +15,6 @@ All of these hold for any multipliers, intervals and R: what floats make of them
 Sources: Scott, Raimondo, Marseglia, Braatz 2016, sections 3 and 4; Yang, Scott 2018 (which columns are expressed by others).
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -24,6 +23,7 @@ import numpy as np
 
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.unrolled import stored
 
@@ -58,7 +58,7 @@ def nothing(n: int, k: int, q: int, N: int, dtype: np.dtype) -> Held:
     return Held(np.zeros((n + k, N), dtype), np.zeros((n + k, q, N), dtype), np.zeros((n + k, N), dtype), np.zeros(N, bool))
 
 
-@partial(jax.jit, static_argnames=("enclosures",))
+@kernel(static_argnames=("enclosures",))
 def follow(
     plant: steps.Numbers, start: steps.Start | None, carry: steps.Carry, held: Held, known: steps.Read, stop: int, enclosures: int,
     restart: jax.Array | bool,

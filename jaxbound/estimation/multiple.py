@@ -13,6 +13,7 @@ from jaxbound.models.multimodel import MultiModel
 from jaxbound.recordings.arrays import floats
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.intervals.interval import sum as interval_sum
@@ -71,7 +72,7 @@ def validate_parts(model: MultiModel, u: Any, y: Any, x0: Interval | None, valid
     )
 
 
-@jax.jit
+@kernel
 def _weighed(mu, local):
     """Return sum_i mu_i x_i for each of the Intervals x_i that the sub-models have."""
     weigh = lambda *parts: interval_sum(_held(Interval(*(jnp.stack(e) for e in zip(*_ends(mu, parts), strict=True)))), axis=0)

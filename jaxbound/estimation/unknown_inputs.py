@@ -14,7 +14,6 @@ from fractions import Fraction
 from math import comb
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -28,6 +27,7 @@ from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.bank import bank_of, bank_range
@@ -181,7 +181,7 @@ class _RangeTest(WindowTest):
         return outs
 
 
-@jax.jit
+@kernel
 def _ranges(test, u, y):
     """Return (lo, hi) (N,) of what the strips say together."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)

@@ -5,13 +5,13 @@ what does not fit is left out, here and in the windows to come, and what the box
 """
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.unrolled import most, stored
 from jaxbound.sets.linear_systems.ends import added, interval_of, negative, none, product, subtracted, total
 from jaxbound.sets.linear_systems.fixed_systems import solutions
@@ -45,7 +45,7 @@ class Said(NamedTuple):
     through: jax.Array
 
 
-@jax.jit
+@kernel
 def said(plant: Mapping[str, jax.Array], u: jax.Array, y: jax.Array, error: jax.Array) -> Said:
     """Return what T samples say.
 
@@ -67,7 +67,7 @@ def said(plant: Mapping[str, jax.Array], u: jax.Array, y: jax.Array, error: jax.
     return Said(absent, *stored((subtracted(seen, through), wide(pushed), wide(drive), wide(added(through, lift("y0"))))))
 
 
-@partial(jax.jit, static_argnames=("s", "n", "method", "centre"))
+@kernel(static_argnames=("s", "n", "method", "centre"))
 def begun(
     plant: Mapping[str, jax.Array], systems: Any, known: Said, start: jax.Array | None, s: int, n: int, method: str, centre: bool
 ) -> Carry:
@@ -89,7 +89,7 @@ def begun(
     return Carry(X, known.absent[:s], known.seen[:, :s] if centre else None)
 
 
-@partial(jax.jit, static_argnames=("s", "method", "centre"))
+@kernel(static_argnames=("s", "method", "centre"))
 def slide(
     plant: Mapping[str, jax.Array],
     M: jax.Array,

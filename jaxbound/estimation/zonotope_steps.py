@@ -18,7 +18,7 @@ underflows.
 Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel 2015 (its gain); Girard 2005 (which generators stay).
 """
 
-from functools import partial, reduce
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -28,6 +28,7 @@ import numpy as np
 from jaxbound.estimation.free_inputs import known_again
 from jaxbound.models.sensor import RECORDER_ULPS, lift, true_value
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
@@ -119,7 +120,7 @@ def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Carry:
     return Carry(zero(n), zero(n, q), zero(n), np.full(N, -1, np.int32), np.zeros(N, bool), *last, np.zeros(N, np.int32), weight)
 
 
-@jax.jit
+@kernel
 def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array) -> Read:
     """Return what samples u, slip (T, m, N), y (T, p, N) say. rounded: the unit roundoff of the type that y was recorded in."""
     mid, rad = [], []
@@ -158,7 +159,7 @@ class Found(NamedTuple):
     outputs: Any
 
 
-@partial(jax.jit, static_argnames=("lanes", "enclosures", "also"))
+@kernel(static_argnames=("lanes", "enclosures", "also"))
 def follow(
     plant: Numbers, start: Start | None, carry: Carry, samples: tuple, stop: int, lanes: int, enclosures: int, restart: jax.Array | bool,
     also: bool = False,

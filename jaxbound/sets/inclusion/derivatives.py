@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
-from jaxbound.sets.inclusion.equations import bind, body, dtype_of
+from jaxbound.sets.floats.equations import bind, body, dtype_of
 
 __all__ = ["plain"]
 

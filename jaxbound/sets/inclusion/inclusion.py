@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, TypeVar
 
 import jax
@@ -21,6 +20,7 @@ import numpy as np
 
 from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.derivatives import plain
 from jaxbound.sets.inclusion.jaxprs import Value, evaluate, refuse_unsupported
@@ -211,12 +211,12 @@ def _joined(parts: Sequence[Interval]) -> Interval:
     return jax.tree.map(lambda *ends: jnp.concatenate([e.ravel() for e in ends]), *parts)
 
 
-@partial(jax.jit, static_argnums=(0, 2, 3))
+@kernel(static_argnums=(0, 2, 3))
 def _continuous(F, leaves, structure, sets):
     return _Traced(F.f, leaves, structure, sets).outputs(leaves)[1]
 
 
-@partial(jax.jit, static_argnums=(0, 2, 3))
+@kernel(static_argnums=(0, 2, 3))
 def _jacobian(F, leaves, structure, sets):
     traced = _Traced(F.f, leaves, structure, sets)
     _, continuous = traced.outputs(leaves)
@@ -224,7 +224,7 @@ def _jacobian(F, leaves, structure, sets):
     return Interval(jnp.where(continuous, J.lo, -jnp.inf), jnp.where(continuous, J.hi, jnp.inf))
 
 
-@partial(jax.jit, static_argnums=(0, 2, 3))
+@kernel(static_argnums=(0, 2, 3))
 def _enclose(F, leaves, structure, sets):
     traced = _Traced(F.f, leaves, structure, sets)
     if F.method == "natural" or not traced.free or not traced.real:

@@ -16,7 +16,7 @@ import numpy as np
 from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.inclusion.equations import bind, body, by_key, dtype_of, inexact, inside
+from jaxbound.sets.floats.equations import bind, body, by_key, dtype_of, inexact, inside
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.inclusion.primitives import CONTINUOUS, MOVED, RISING, RULES, WHOLE

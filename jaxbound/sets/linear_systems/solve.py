@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +9,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.recordings.objecttext import readable
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.linear_systems.hull import orthant_hull
@@ -118,7 +118,7 @@ def _check(M: tuple[int, ...], h: tuple[int, ...], x0: tuple[int, ...] | None, m
         raise ValueError(f"the hull visits 2^n orthants and takes at most 8 unknowns, not {n}: use method='intersection'")
 
 
-@partial(jax.jit, static_argnames=("method", "precondition"))
+@kernel(static_argnames=("method", "precondition"))
 def _solve(M: Interval, h: Interval, start: Interval, method: str, precondition: str) -> tuple[Interval, jax.Array]:
     """Enclose N systems, BLOCK at a time: they stay in the processor's cache. Shapes (N or 1, r, n), (N or 1, r), (N or 1, n)."""
     prepared = _prepared(_last(M), precondition) if len(M) == 1 else None

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.inclusion.inclusion import Inclusion, inclusion
 from jaxbound.sets.intervals.comparisons import subset
 from jaxbound.sets.intervals.interval import Interval, hull, mag, mid, rad, wid
@@ -61,17 +62,17 @@ def continuous(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[
     return jax.vmap(lambda lo, hi, *a: _flat(f, a).continuous(Interval(lo, hi)), in_axes=-1)(lo, hi, *args)
 
 
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _image(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> tuple[Interval, jax.Array]:
     """Return the images (m, N) of boxes (n, N), and where f is proved to be defined and continuous (N,)."""
     one = lambda X, *a: (_flat(f, a)(X), _flat(f, a).continuous(X))
     return jax.vmap(one, in_axes=-1, out_axes=-1)(X, *args)
 
 
-_middle = jax.jit(mid)
+_middle = kernel(mid)
 
 
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _slope(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> Interval:
     """Return the slopes (m, n, N) of f over boxes (n, N), entire where f is not proved to be continuous."""
     return jax.vmap(lambda X, *a: _flat(f, a).jacobian(X), in_axes=-1, out_axes=-1)(X, *args)
@@ -107,7 +108,7 @@ def _over_boxes(one: Callable[..., Any], *given: Any) -> Any:
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), jax.vmap(one)(*first))
 
 
-@jax.jit
+@kernel
 def _narrow(
     X: Interval, T: Interval, domain: Interval, image: Interval, smooth: jax.Array, centre: jax.Array, value: Interval, slope: Interval
 ) -> tuple[jax.Array, Interval, jax.Array, jax.Array]:
@@ -134,7 +135,7 @@ def _narrowed(domain, X, T, image, smooth, centre, value, slope):
     return out, rest, jnp.where(jnp.isnan(x), centre, jnp.clip(x, domain.lo, domain.hi)), P
 
 
-@partial(jax.jit, static_argnums=(7, 8))
+@kernel(static_argnums=(7, 8))
 def _around(
     X: Interval, T: Interval, slope: Interval, x: jax.Array, P: jax.Array, reached: Interval, rest: Interval, unique: bool, region: bool
 ) -> tuple[jax.Array, jax.Array, Interval, Interval]:
@@ -157,7 +158,7 @@ def _around(
     return _over_boxes(one, X, T, slope, x, P, reached, rest)
 
 
-@partial(jax.jit, static_argnums=13)
+@kernel(static_argnums=13)
 def _conclude(
     T: Interval,
     domain: Interval,

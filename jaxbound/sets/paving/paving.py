@@ -19,6 +19,7 @@ from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.objecttext import readable
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
@@ -271,13 +272,13 @@ def _of_targets(kernel: Callable[..., Any], goal: Interval, args: tuple[Any, ...
     return of
 
 
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _meets(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     """True for each box (n, N) whose image meets its target (closed sets)."""
     return _touch(_evaluate(f, X.lo, X.hi, args), T)
 
 
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _inner(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N): settled are those that map into the target altogether."""
     images = _evaluate(f, X.lo, X.hi, args)
@@ -329,7 +330,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
     return lo[:, ~again], hi[:, ~again], owner[~again]
 
 
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _image_block(
     f: Callable[..., Any], lo: jax.Array, hi: jax.Array, owner: jax.Array, args: tuple[jax.Array, ...]
 ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
@@ -377,7 +378,7 @@ def _uniform(
     return cell_lo[:, cell], cell_hi[:, cell], owner.astype(np.int32), np.full(count, total)
 
 
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _meets_uniform(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, goal: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     def one(now):
         target, a = now

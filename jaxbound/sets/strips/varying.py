@@ -36,6 +36,7 @@ from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.unrolled import most, stored, summed, total
 from jaxbound.sets.strips.gauge import gauge_search
 
@@ -90,7 +91,7 @@ def strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     return _strip_margins(c, G, error)
 
 
-@jax.jit
+@kernel
 def _strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     if len(c) == 3 and math.comb(G.shape[1], 3) > UNROLLED[3]:
         return _looped_strips(c, G, error)
@@ -343,20 +344,20 @@ def _margins(c: jax.Array, G: jax.Array, c_error: jax.Array, G_error: jax.Array)
     return _settled(outside, holds_jit(*gap, G, J_error, z, right_inverse_jit(G, z)))
 
 
-@jax.jit
+@kernel
 def row_sizes(c: jax.Array, G: jax.Array) -> jax.Array:
     """Return |c_i| + sum_j |g_ij| (r, N), 1 where it is 0."""
     size = jnp.abs(c) + jnp.sum(jnp.abs(G), 1)
     return jnp.where(size > 0, size, 1)
 
 
-@jax.jit
+@kernel
 def scaled(c: jax.Array, G: jax.Array, size: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return c and G with the rows divided by their sizes, as `gauge.gauge_search` needs them."""
     return c / size, G / size[:, None]
 
 
-@jax.jit
+@kernel
 def _polished(
     c: jax.Array, G: jax.Array, c_error: jax.Array, G_error: jax.Array, z: jax.Array
 ) -> tuple[tuple[jax.Array, jax.Array], jax.Array, jax.Array]:
@@ -369,10 +370,10 @@ def _polished(
     return (F, error), z, G_error
 
 
-@jax.jit
+@kernel
 def _settled(margin: jax.Array, inside: jax.Array) -> jax.Array:
     least = jnp.finfo(margin.dtype).eps
     return jnp.where(margin < 0, margin, jnp.where(inside, jnp.maximum(margin, least), jnp.where(jnp.isnan(margin), margin, 0)))
 
 
-refutes_jit, holds_jit, right_inverse_jit = jax.jit(refutes), jax.jit(holds), jax.jit(right_inverse)
+refutes_jit, holds_jit, right_inverse_jit = kernel(refutes), kernel(holds), kernel(right_inverse)

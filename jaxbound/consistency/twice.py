@@ -1,0 +1,110 @@
+"""Every FAULT is decided twice: by XLA, and from the samples in NumPy, before anybody sees it.
+
+XLA copies wrongly at times: a part of an array from the wrong place, a number that another thread has not written yet. No bound on
+rounding covers that. So a FAULT is only what both say; where NumPy says no, the window is UNDECIDED and a warning tells what to report.
+Of the CONSISTENT windows a few are looked at too: one that NumPy refutes says that something is broken.
+"""
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jaxlib
+import numpy as np
+
+from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["Doubtful", "Twice", "decided_twice", "warn_doubtful"]
+
+SHARE = 2**15
+"""One of so many CONSISTENT windows is looked at, """
+LEAST = 8
+"""but at least so many where there are as many windows."""
+FEW = 16
+"""Windows of a block that are filled up to one size: a program is written down for each."""
+
+
+class Doubtful(RuntimeWarning):
+    """What XLA proved could not be proved again outside XLA: the verdict is UNDECIDED."""
+
+
+def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray, contradicted: Callable) -> Judged:
+    """Return the verdicts of windows with those UNDECIDED that a second look does not confirm.
+
+    Args:
+        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples. contradicted: of the numbers of the samples at which
+            windows end, which of these contradict their bounds, found without XLA: see `WindowTest.contradicted`.
+    """
+    status = judged.status.reshape(-1)
+    faulty = np.flatnonzero(status == Status.FAULT)
+    if len(faulty) and not (proved := contradicted(faulty)).all():
+        judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
+        if doubtful.any():
+            first = int(faulty[doubtful.argmax()])
+            warn_doubtful(f"{int(doubtful.sum())} of {len(faulty)} windows are FAULT by XLA, the first of them ends at sample {first}")
+    if status.size < SHARE:
+        return judged
+    healthy = np.flatnonzero(status == Status.CONSISTENT)
+    some = healthy[:: max(1, min(SHARE, len(healthy) // LEAST))]
+    if len(some) and (wrong := np.atleast_2d(contradicted(some)).any(0)).any():
+        first = int(some[wrong.argmax()])
+        warn_doubtful(f"{int(wrong.sum())} of {len(some)} windows are CONSISTENT by XLA, the first of them ends at sample {first}")
+        judged.status.reshape(-1)[some[wrong]] = Status.UNDECIDED
+        judged.margin.reshape(-1)[some[wrong]] = 0
+    return judged
+
+
+class Twice:
+    """Decides blocks of windows a second time, by what a search found for them: hints, with which no search is needed.
+
+    Args:
+        block: the most windows of a block.
+    """
+
+    def __init__(self, block: int) -> None:
+        self.sizes = sorted({min(FEW, block), block})
+        self.passed = 0
+
+    def decided(self, margin: Any, again: Callable[[np.ndarray], Any], contradicted: Callable | None = None) -> np.ndarray:
+        """Return margins with 0 in place of a proof of FAULT that is not confirmed.
+
+        Args:
+            margin: (N,) of a block, its sign proved by XLA. again: of numbers of windows in it, their margins, proved in NumPy.
+            contradicted: a shorter way to see which of them are FAULT; what it does not see is asked of `again`.
+        """
+        margin = np.asarray(margin)
+        if is_outside_xla():
+            return margin
+        chosen = np.flatnonzero(margin < 0)
+        if len(chosen) and contradicted is not None:
+            chosen = chosen[~contradicted(chosen)]
+        self.passed += len(margin)
+        if self.passed >= SHARE:
+            self.passed = 0
+            chosen = np.append(chosen, np.flatnonzero(margin > 0)[:1])
+        if not len(chosen):
+            return margin
+        size = next((n for n in self.sizes if n >= len(chosen)), len(chosen))
+        with outside_xla():
+            found = np.asarray(again(np.resize(chosen, size)))[: len(chosen)]
+        first = margin[chosen]
+        doubtful = (first < 0) & ~(found < 0) | (first > 0) & (found < 0)
+        if doubtful.any():
+            margin = np.array(margin)
+            margin[chosen[doubtful]] = 0
+            warn_doubtful(f"{int(doubtful.sum())} of {len(chosen)} windows of a block are decided by XLA")
+        return margin
+
+
+def warn_doubtful(what: str) -> None:
+    """Warn of verdicts that NumPy does not confirm, with a line for a report."""
+    versions = f"jax {jax.__version__}, jaxlib {jaxlib.__version__}, numpy {np.__version__}, {jax.default_backend()}"
+    warnings.warn(
+        f"{what}: NumPy does not confirm it from the samples, so they are UNDECIDED. XLA may have computed or copied wrongly; "
+        f"please report it with the model, these samples and this line: {versions}",
+        Doubtful,
+        stacklevel=2,
+    )

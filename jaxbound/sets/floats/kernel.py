@@ -1,0 +1,218 @@
+"""Kernels: functions that XLA compiles, and that NumPy can evaluate in its place.
+
+XLA copies wrongly at times, and no bound on rounding covers that. What proves something is therefore written as a `kernel`, which is
+`jax.jit` and nothing else until somebody asks `outside_xla`: there the same program is evaluated primitive by primitive in NumPy
+(`numpy_primitives`), from the arrays on the host. Nothing fuses, no loop is vectorised, no copy is left out.
+"""
+
+import contextlib
+import inspect
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache, update_wrapper
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+
+from jaxbound.sets.floats.equations import body
+from jaxbound.sets.floats.numpy_primitives import primitive
+
+__all__ = ["Kernel", "evaluated", "is_outside_xla", "kernel", "outside_xla"]
+
+_state = threading.local()
+
+
+def is_outside_xla() -> bool:
+    """Say whether this thread evaluates kernels in NumPy."""
+    return getattr(_state, "outside", False)
+
+
+@contextlib.contextmanager
+def outside_xla(active: bool = True) -> Iterator[None]:
+    """Evaluate kernels in NumPy, on this thread, until the block ends. active: False evaluates them by XLA, as anywhere."""
+    before = is_outside_xla()
+    _state.outside = active
+    try:
+        yield
+    finally:
+        _state.outside = before
+
+
+class Kernel:
+    """A jitted function that `outside_xla` evaluates in NumPy. Build it with `kernel`; its other attributes are those of `jax.jit`."""
+
+    def __init__(self, function: Callable, **how: Any) -> None:
+        self._compiled = jax.jit(function, **how)
+        self._names = tuple(inspect.signature(function).parameters)
+        numbers, names = how.get("static_argnums", ()), how.get("static_argnames", ())
+        numbers = (numbers,) if isinstance(numbers, int) else tuple(numbers)
+        names = (names,) if isinstance(names, str) else tuple(names)
+        self._static = {*names, *(self._names[i] for i in numbers)}
+        update_wrapper(self, function)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Return what the function returns: arrays of JAX; outside XLA arrays of NumPy."""
+        if not is_outside_xla():
+            return self._compiled(*args, **kwargs)
+        given = self._arrays(args, kwargs)
+        if any(isinstance(x, jax.core.Tracer) for x in given):  # a part of a program that is being written down
+            return self._compiled(*args, **kwargs)
+        traced = self._compiled.trace(*args, **kwargs)
+        out = evaluated(traced.jaxpr, given)
+        return jax.tree.unflatten(jax.tree.structure(traced.out_info), out)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._compiled, name)
+
+    def _arrays(self, args, kwargs):
+        """Return the leaves of the arguments that are not static, in the order in which the program takes them."""
+        names = (*self._names, *[""] * len(args))  # of *args too
+        placed = [x for name, x in zip(names, args, strict=False) if name not in self._static]
+        named = {name: x for name, x in kwargs.items() if name not in self._static}
+        return jax.tree.leaves((placed, named))
+
+
+def kernel(function: Callable | None = None, **how: Any) -> Any:
+    """Return a `Kernel`: a decorator, with the arguments of `jax.jit` or none."""
+    if function is None:
+        return lambda f: Kernel(f, **how)
+    return Kernel(function, **how)
+
+
+def evaluated(program: ClosedJaxpr, args: Sequence[Any]) -> list[np.ndarray]:
+    """Return the outputs of a program, evaluated in NumPy.
+
+    Raises:
+        NotImplementedError: a primitive of it is not written in NumPy.
+    """
+    steps = _steps(program.jaxpr)
+    given = [np.asarray(x, variable.aval.dtype) for x, variable in zip(args, program.jaxpr.invars, strict=True)]
+    with np.errstate(all="ignore"):
+        return steps(*map(np.asarray, program.consts), *given)
+
+
+class _Step(NamedTuple):
+    """One equation. Fields: function; where its inputs are found and its outputs go; numbers that nothing needs afterwards."""
+
+    function: Callable
+    inputs: tuple[int, ...]
+    outputs: tuple[int, ...]
+    single: bool
+    done: tuple[int, ...]
+
+
+class _Steps:
+    """A jaxpr as a list of functions of NumPy arrays, calls written out."""
+
+    def __init__(self, jaxpr: Jaxpr) -> None:
+        self._known: list[Any] = []  # by number: literals and constants, and None for what is worked out
+        scope = {v: self._new() for v in (*jaxpr.constvars, *jaxpr.invars)}
+        self._inputs = tuple(scope.values())
+        steps = self._written_out(jaxpr, scope)
+        self._outputs = [self._number(v, scope) for v in jaxpr.outvars]
+        needed = {*self._outputs, *self._inputs}
+        self._steps: list[_Step] = []
+        for step in reversed(steps):
+            done = {*step.inputs, *step.outputs} - needed
+            needed |= done
+            self._steps.append(step._replace(done=tuple(i for i in done if self._known[i] is None)))
+        self._steps.reverse()
+
+    def __call__(self, *args: np.ndarray) -> list[np.ndarray]:
+        values = list(self._known)
+        for number, x in zip(self._inputs, args, strict=True):
+            values[number] = x
+        for function, inputs, outputs, single, done in self._steps:
+            out = function(*[values[i] for i in inputs])
+            if single:
+                values[outputs[0]] = out
+            else:
+                for number, x in zip(outputs, out, strict=True):
+                    values[number] = x
+            for number in done:
+                values[number] = None
+        return [values[i] for i in self._outputs]
+
+    def _new(self, value=None):
+        self._known.append(value)
+        return len(self._known) - 1
+
+    def _number(self, v, scope):
+        if isinstance(v, Literal):
+            return self._new(np.asarray(v.val, v.aval.dtype))
+        if v not in scope:
+            scope[v] = self._new()
+        return scope[v]
+
+    def _written_out(self, jaxpr, scope):
+        """Return the steps of a jaxpr, those of the calls in it among them. scope: numbers of its variables."""
+        steps = []
+        for eqn in jaxpr.eqns:
+            inputs = tuple(self._number(v, scope) for v in eqn.invars)
+            called = body(eqn)
+            if called is None:
+                outputs = tuple(self._number(v, scope) for v in eqn.outvars)
+                steps.append(_Step(_function(eqn), inputs, outputs, not eqn.primitive.multiple_results, ()))
+                continue
+            inner = dict(zip(called.jaxpr.constvars, (self._new(np.asarray(x)) for x in called.consts), strict=True))
+            inner.update(zip(called.jaxpr.invars, inputs, strict=True))
+            steps += self._written_out(called.jaxpr, inner)
+            results = [self._number(v, inner) for v in called.jaxpr.outvars]
+            scope.update(zip(eqn.outvars, results, strict=True))
+        return steps
+
+
+_steps = lru_cache(maxsize=512)(_Steps)
+
+
+def _function(eqn: JaxprEqn) -> Callable:
+    """Return an equation as a function of NumPy arrays."""
+    loop = LOOPS.get(eqn.primitive.name)
+    return primitive(eqn.primitive.name, eqn.params) if loop is None else loop(eqn.params)
+
+
+def _closed(program):
+    """Return a ClosedJaxpr as a function of its arguments."""
+    steps, consts = _steps(program.jaxpr), [np.asarray(x) for x in program.consts]
+    return lambda *args: steps(*consts, *args)
+
+
+def _while(params):
+    test, step = _closed(params["cond_jaxpr"]), _closed(params["body_jaxpr"])
+    asked, moved = params["cond_nconsts"], params["body_nconsts"]
+
+    def run(*args):
+        constants, own, carry = args[:asked], args[asked : asked + moved], list(args[asked + moved :])
+        while test(*constants, *carry)[0]:
+            carry = step(*own, *carry)
+        return carry
+
+    return run
+
+
+def _scan(params):
+    step, length, backward = _closed(params["jaxpr"]), params["length"], params["reverse"]
+    constants, carried = params["num_consts"], params["num_carry"]
+    stacked = params["jaxpr"].out_avals[carried:]
+
+    def run(*args):
+        fixed, carry, rows = args[:constants], list(args[constants : constants + carried]), args[constants + carried :]
+        outs = [np.empty((length, *x.shape), x.dtype) for x in stacked]
+        for k in reversed(range(length)) if backward else range(length):
+            found = step(*fixed, *carry, *(x[k] for x in rows))
+            carry = found[:carried]
+            for out, x in zip(outs, found[carried:], strict=True):
+                out[k] = x
+        return [*carry, *outs]
+
+    return run
+
+
+def _cond(params):
+    branches = [_closed(branch) for branch in params["branches"]]
+    return lambda which, *args: branches[min(max(int(which), 0), len(branches) - 1)](*args)
+
+
+LOOPS = {"while": _while, "scan": _scan, "cond": _cond}
