@@ -33,6 +33,7 @@ class BankTest(WindowTest):
     """
 
     gathered = False
+    replayed = False
 
     def __init__(self, relations: Any, dtype: Any) -> None:
         super().__init__(relations, "box", dtype)

@@ -13,6 +13,7 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 
 import dataclasses
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +22,7 @@ import numpy as np
 
 from jaxbound.consistency.interface import WindowTest
 from jaxbound.consistency.reading import gather
+from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
@@ -66,6 +68,16 @@ class ConstantTest(WindowTest):
             at = left + self.horizon
             status[at] = self._search(u, y, left)
             margin[at] = np.where(status[at] == Status.UNDECIDED, 0, signed(margin[at], status[at] == Status.CONSISTENT))
+
+    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which windows one strip contradicts whatever the gains, in NumPy; see `WindowTest.contradicted`."""
+        return self._host.contradicted(u, y, starts).any(0)
+
+    @cached_property
+    def _host(self):
+        r = self.relations
+        strips = (r.W, r.K) if self.method == "box" else (r.circuits, r.circuits_known)
+        return host_strips(r.reading(np.float64, self.method), *strips, self.dtype, constant=True)
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""

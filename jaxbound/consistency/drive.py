@@ -28,6 +28,7 @@ __all__ = ["drive", "windows"]
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
+AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many
 
 
 def drive(test: WindowTest | Observer, given: Recording, progress: Callable | None = None, size: int | None = None) -> Any:
@@ -58,23 +59,20 @@ def windows(test: WindowTest, u: Any, y: Any, starts: np.ndarray, progress: Call
     judged = test.judged([out.reshape(shape) for out in outs])
     if test.twice or is_outside_xla() or not isinstance(judged, Judged):
         return judged
-    return decided_twice(test, judged, u, y, lambda ends: _contradicted(test, u, y, ends - s))
+    return decided_twice(test, judged, u, y, lambda ends: _contradicted(test, u, y, ends - s, size or test.block))
 
 
-def _contradicted(test, u, y, starts):
+def _contradicted(test, u, y, starts, size):
     """Return which windows that start at these samples contradict their bounds, without XLA."""
     found = test.contradicted(u, y, starts)
-    return _again(test, u, y, starts) if found is None else found
-
-
-def _again(test, u, y, starts):
-    """Judge windows once more, each cut out, by the kernels of a test evaluated in NumPy; return which are FAULT."""
-    found = np.zeros(len(starts), bool)
-    for first in range(0, len(starts), test.block):
-        at = starts[first : first + test.block, None] + np.arange(test.horizon + 1)
+    left = np.flatnonzero(~found) if test.replayed else NOWHERE
+    size = max(size, AGAIN) if len(left) >= AGAIN and test.block < AGAIN else size  # another one is another program to write down
+    for first in range(0, len(left), size):
+        chosen = left[first : first + size]
+        at = starts[chosen, None] + np.arange(test.horizon + 1)
         with outside_xla():
-            judged = windows(test, u[at], y[at], NOWHERE, size=test.short if len(at) <= test.short else test.block)
-        found[first : first + len(at)] = judged.status[:, -1] == Status.FAULT
+            judged = windows(test, u[at], y[at], NOWHERE, size=size)
+        found[chosen] = judged.status[:, -1] == Status.FAULT
     return found
 
 

@@ -8,6 +8,7 @@ Nothing left proves FAULT; what is left is cut in two. A behaviour is one of giv
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -16,9 +17,10 @@ import numpy as np
 
 from jaxbound.consistency.constant import gain_bounds, narrowed, signed
 from jaxbound.consistency.exchange import PATIENCE, ExchangeTest, rounded_frame
+from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.kernel import kernel
+from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
 from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
 from jaxbound.sets.strips import separation
 
@@ -43,7 +45,17 @@ class GainsTest(ExchangeTest):
             given.append((np.ones(y.shape[-1], self.dtype), u, y, lo, hi))
         searched = run(candidates, given)
         judged = run(concluded, [(block[0], *block[3:], *found) for block, found in zip(given, searched, strict=True)])
-        return [(margin, ~np.asarray(settled)) for margin, settled, _ in judged]
+        return [
+            (self._twice.decided(margin, partial(self._again, block, found)), ~np.asarray(settled))
+            for block, found, (margin, settled, _) in zip(given, searched, judged, strict=True)
+        ]
+
+    def _again(self, block, found, at):
+        """Return the margins of some windows of a block, in NumPy from their samples, by what the search found for them."""
+        one, *samples, lo, hi = (x[..., at] for x in block)
+        hints = (np.asarray(x)[..., at] for x in found[4:7])
+        gains, mid, rad, known, *image = prepared(self.constants, one, *samples, lo, hi)
+        return concluded(self.constants, one, lo, hi, gains, mid, rad, known, *hints, *image)[0]
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole, with frames that fit the samples that are there."""
@@ -52,7 +64,21 @@ class GainsTest(ExchangeTest):
             reading = dataclasses.replace(self.reading, shape=rounded_frame(self.relations, frame, self.dtype))
             at = left[chosen] + s
             us, ys = self._gather(u, y, left[chosen])
-            margin[at] = self._search(reading, us, ys, margin[at])
+            first = margin[at]
+            margin[at] = self._search(reading, us, ys, first)
+            self._confirm(reading, us, ys, margin, at, first)
+
+    def _confirm(self, reading, u, y, margin, at, first):
+        """Search once more outside XLA for the gains of windows for which none were found."""
+        wrong = np.flatnonzero(margin[at] < 0)
+        if not len(wrong) or is_outside_xla():
+            return
+        with outside_xla():
+            again = self._search(reading, u[..., wrong], y[..., wrong], first[wrong])
+        doubtful = at[wrong[~(again < 0)]]
+        if len(doubtful):
+            margin[doubtful] = 0
+            warn_doubtful(f"{len(doubtful)} windows are FAULT by XLA, the first of them ends at sample {int(doubtful[0])}")
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
@@ -83,6 +109,14 @@ class GainsTest(ExchangeTest):
 def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.Array, hi: jax.Array) -> tuple:
     """Return (gains, mid, rad, known, h, d, done, *image) at the middle of a box of gains lo, hi (g, N) a window; nothing is proved yet."""
     test, steps, finer = given
+    gains, mid, rad, known, image = _prepared(given, one, u, y, lo, hi)
+    found = separation.separation_search(test.shape, image, one, steps, finer)
+    return gains, mid, rad, known, *found, *image
+
+
+def _prepared(given, one, u, y, lo, hi):
+    """Return (gains, mid, rad, known, image) at the middle of a box of gains."""
+    test, *_ = given
     inner = (x[:, None] for x in gain_bounds(test, jnp)[2:])
     gains = jnp.clip(0.5 * lo + 0.5 * hi, *inner) / one[None]
     rows = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance)).block(u, y)
@@ -90,9 +124,14 @@ def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array, lo: jax.A
     of = jnp.take(gains, _gain(test, jnp.arange(len(mid))), 0)  # of each row
     lift = jnp.max(gain_bounds(test, jnp)[1])
     scaled = (mid * of, rad * of, 2 * scale * of)  # twice: what the products round
-    image = separation.separation_image(test.shape, *scaled, known, 2 * known_scale, lift, one)
-    found = separation.separation_search(test.shape, image, one, steps, finer)
-    return gains, mid, rad, known, *found, *image
+    return gains, mid, rad, known, separation.separation_image(test.shape, *scaled, known, 2 * known_scale, lift, one)
+
+
+@kernel
+def prepared(*given: Any) -> tuple:
+    """Return what `candidates` returns but for (h, d, done), which are searched for."""
+    gains, mid, rad, known, image = _prepared(*given)
+    return gains, mid, rad, known, *image
 
 
 @kernel

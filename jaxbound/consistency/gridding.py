@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.interface import Open, WindowTest
+from jaxbound.consistency.strips_on_host import host_strips
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.window import input_lags
 from jaxbound.sets.floats import rounding
@@ -78,6 +79,15 @@ class PavingTest(WindowTest):
         windows = ([np.moveaxis(x, -1, 0) for x in block] for block in blocks)
         found = [_pave(self.relations, U, Y, self.q, self.boxes) for U, Y in windows]
         return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
+
+    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which windows one strip contradicts, in NumPy: what is excluded by boxes is by strips."""
+        r = self.relations
+        strips = (r.W, r.K) if r.frame is not None else (r.circuits, r.circuits_known)
+        host = host_strips(
+            r.reading(np.float64, "box" if r.frame is not None else "joint"), *strips, self.dtype, r.model.constant_tolerance
+        )
+        return host.contradicted(u, y, starts).any(0)
 
 
 def whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:

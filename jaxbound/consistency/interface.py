@@ -44,6 +44,7 @@ class WindowTest:
     sharded: ClassVar[bool] = True  # `judge` runs its kernels by `run`; else it is called on one device after the other
     threads: ClassVar[bool] = False  # several blocks at once: where the host waits between two kernels
     twice: ClassVar[bool] = False  # `judge` and `settle` decide each FAULT a second time themselves
+    replayed: ClassVar[bool] = True  # or `contradicted` sees whatever contradicts
 
     def __init__(self, relations: Any, method: str, dtype: Any) -> None:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
@@ -106,12 +107,12 @@ class WindowTest:
             starts), judges windows by another test and returns the starts of those it leaves open. progress: takes the share done.
         """
 
-    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray | None:
-        """Return (N,) bool: which windows contradict the bounds, from all samples u (T, m), y (T, p) and without XLA; see `twice`.
+    def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which windows are seen to contradict their bounds, from all samples u (T, m), y (T, p) and without XLA.
 
-        None: only `judge` and `settle` can say it, whose kernels are then evaluated in NumPy.
+        What is not seen here is asked of `judge` and `settle`, with kernels evaluated in NumPy, unless `replayed` is False. See `twice`.
         """
-        return None
+        return np.zeros(len(starts), bool)
 
     def withdrawn(
         self, judged: Judged, at: np.ndarray, contradicted: np.ndarray, u: np.ndarray, y: np.ndarray

@@ -25,6 +25,7 @@ class StripsTest(WindowTest):
     """Tests windows circuit by circuit ("joint": both verdicts are proofs) or relation by relation ("box")."""
 
     gathered = False
+    replayed = False
 
     @property
     def block(self) -> int:

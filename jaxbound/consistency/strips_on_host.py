@@ -59,13 +59,15 @@ class HostStrips:
     """Strips and the bounds of a relation in float64, for NumPy. Build it with `host_strips`.
 
     Fields: strips: ((numbers of rows, coefficients, numbers of inputs, coefficients), ..), one a strip; rows: of a window, in order;
-    reading: in float64; recorded: the float type of the recording.
+    reading: in float64; recorded: the float type of the recording; gains: ((lo, hi), ..) of g = 1 / (1 + theta), one an output, where
+    tolerances keep one value over a window: rows are then those of g = 1, and it multiplies their sum.
     """
 
     strips: tuple
     rows: tuple
     reading: Any
     recorded: np.dtype
+    gains: tuple | None = None
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (strips, N) bool: which strips contradict the windows of u (T, m), y (T, p) that start at `starts`, in rising order."""
@@ -97,8 +99,7 @@ class HostStrips:
     def _strip(self, strip, series, inputs, cut, m):
         """Return whether one strip contradicts windows."""
         rows, h, known, k = strip
-        least: Any = 0.0
-        most: Any = 0.0
+        sums: dict = {}
         size = 0.0
         for i, c in zip(rows, h, strict=True):
             row = self.rows[i]
@@ -106,9 +107,11 @@ class HostStrips:
                 return np.False_
             x = series[row.kind, row.number]
             lo, hi = (cut(end, row.shift) if isinstance(end, np.ndarray) else end for end in (x.lo, x.hi))
-            least = least + c * (lo if c > 0 else hi)
-            most = most + c * (hi if c > 0 else lo)
+            gain = row.number if self.gains is not None and row.kind == "output" else None
+            below, above = sums.get(gain, (0.0, 0.0))
+            sums[gain] = below + c * (lo if c > 0 else hi), above + c * (hi if c > 0 else lo)
             size += abs(c) * x.size
+        least, most = self._together(sums)
         slip: Any = 0.0
         for j, c in zip(known, k, strict=True):
             value, error, largest = inputs[j % m]
@@ -121,6 +124,15 @@ class HostStrips:
         error = slip + (gamma * size + floor * (1 + max(map(abs, (*h, *k)))))
         return (least > error) | (most < -error)
 
+    def _together(self, sums):
+        """Return the least and the most of sums, each times any of its gains."""
+        least, most = sums.pop(None, (0.0, 0.0))
+        for number, (below, above) in sums.items():
+            lo, hi = self.gains[number]
+            least = least + np.minimum(lo * below, hi * below)
+            most = most + np.maximum(lo * above, hi * above)
+        return least, most
+
     def _output(self, y, i):
         """Return the _Series of an output, from its samples."""
         r = self.reading
@@ -131,7 +143,7 @@ class HostStrips:
         rho = (noise + float(r.resolution[i]) + RECORDER_ULPS * float(rounding.unit(self.recorded)) * (largest + noise) + 4 * tiny) * (
             1 + 1e-15
         )
-        lo, hi = _between(y - offset if offset else y, rho, sigma)
+        lo, hi = _between(y - offset if offset else y, rho, 0 if self.gains is not None else sigma)
         return _Series(lo, hi, (largest + abs(offset) + rho) / (1 - sigma))
 
     def _rounded(self, largest):
@@ -195,29 +207,28 @@ def contradicted_by(test: Any, frame: Any, u: np.ndarray, y: np.ndarray, h: np.n
             combinations, of outer rows; whatever they are, what is said here is proved, with the error of `rounding.search_error`.
     """
     R, K, h = (np.asarray(x, np.float64) for x in (frame.R, frame.K, h))
-    c, k = R.shape
+    outer, inner, N = np.asarray(frame.outer), np.asarray(frame.inner), h.shape[1]
     windows = _Windows(test, u, y)
-    outer, inner = np.asarray(frame.outer), np.asarray(frame.inner)
-    across = np.concatenate([R, K], 1).T @ h
-    here, of = np.nonzero(h)
-    there, also = np.nonzero(across[:k])
-    weights = np.concatenate([h[here, of], -across[there, also]])
+    of, here = np.nonzero(h.T)  # few: a search ends with about as many as there are states
+    h = h[here, of]
+    across = np.stack([np.bincount(of, h * column[here], N) for column in R.T])
+    there, also = np.nonzero(across)
+    weights = np.concatenate([h, -across[there, also]])
     least, most = windows.sums(np.concatenate([outer[here], inner[there]]), np.concatenate([of, also]), weights)
-    share = across[k:]
-    value = np.where(share == 0, 0, share * windows.known).sum(0)
+    value = np.bincount(of, h * windows.reached(K[here], of), N)
     size = windows.size[outer] + np.abs(R) @ windows.size[inner] + np.abs(K) @ windows.known_size
-    gamma, floor = map(float, rounding.search_error(c, k, len(K.T), y.dtype))
+    gamma, floor = map(float, rounding.search_error(*R.shape, K.shape[1], y.dtype))
     largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
     floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
-    total = np.bincount(of, np.abs(h[here, of]) * (gamma * size[here] + floor), h.shape[1]) + floor
+    error = np.bincount(of, np.abs(h) * (gamma * size[here] + floor), N) + floor
     with np.errstate(invalid="ignore"):
-        return (least - value > total) | (most - value < -total)
+        return (least - value > error) | (most - value < -error)
 
 
 class _Windows:
     """The rows of N windows in float64, worked out where they are asked for.
 
-    Fields: size (rows,), known_size (l,): what rounding errors are relative to, of the largest samples; known (l, N).
+    Fields: size (rows,), known_size (l,): what rounding errors are relative to, of the largest samples.
     """
 
     def __init__(self, test: Any, u: np.ndarray, y: np.ndarray) -> None:
@@ -234,8 +245,16 @@ class _Windows:
         self._ends = np.tile(floats(test.disturbance), (test.horizon, 1))
         self.size = np.concatenate([np.tile(outputs, len(y)), np.tile(disturbances, test.horizon)])
         offset_u = floats(test.offset_u)
-        self.known = (u - offset_u[:, None]).reshape(-1, y.shape[2])
+        self._known = np.ascontiguousarray((u - offset_u[:, None]).reshape(-1, y.shape[2]).T)
         self.known_size = np.tile(top(top(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u), len(u))
+
+    def reached(self, k: np.ndarray, of: np.ndarray) -> np.ndarray:
+        """Return what inputs do (entries,): k (entries, l) of so many windows; a missing input counts only where it is used."""
+        known = self._known[of]
+        missing = np.isnan(known)
+        if missing.any():
+            known = np.where(missing & (k == 0), 0, known)
+        return np.einsum("ij,ij->i", k, known)
 
     def sums(self, rows: np.ndarray, of: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and the most (N,) of weighted sums: of so many rows of so many windows."""
@@ -252,16 +271,20 @@ class _Windows:
         return np.bincount(of, np.minimum(below, above), N), np.bincount(of, np.maximum(below, above), N)
 
 
-def host_strips(reading: Any, exact_h: Any, exact_k: Any, recorded: Any) -> HostStrips:
+def host_strips(reading: Any, exact_h: Any, exact_k: Any, recorded: Any, constant: bool = False) -> HostStrips:
     """Return HostStrips of exact rows h over the rows of a window and k over its inputs.
 
     Args:
-        reading: of the relations, in float64. recorded: the float type of the recording.
+        reading: of the relations, in float64. recorded: the float type of the recording. constant: whether tolerances keep one value over
+            a window.
     """
     numbers = lambda row: tuple(i for i, x in enumerate(row) if x)
     floats = lambda row: tuple(float(rounding.fraction_to_float(x)) for x in row if x)
     strips = tuple((numbers(h), floats(h), numbers(k), floats(k)) for h, k in zip(exact_h, exact_k, strict=True))
-    return HostStrips(strips, tuple(_rows(reading)), reading, np.dtype(recorded))
+    gains = None
+    if constant:
+        gains = tuple((1 / (1 + t) * (1 - 1e-15), 1 / (1 - t) * (1 + 1e-15)) for t in map(float, reading.tolerance))
+    return HostStrips(strips, tuple(_rows(reading)), reading, np.dtype(recorded), gains)
 
 
 def _rows(reading: Any) -> Iterator[_Row | None]:

@@ -23,8 +23,6 @@ SHARE = 2**15
 """One of so many CONSISTENT windows is looked at, """
 LEAST = 8
 """but at least so many where there are as many windows."""
-FEW = 16
-"""Windows of a block that are filled up to one size: a program is written down for each."""
 
 
 class Doubtful(RuntimeWarning):
@@ -58,45 +56,48 @@ def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray
 
 
 class Twice:
-    """Decides blocks of windows a second time, by what a search found for them: hints, with which no search is needed.
+    """Decides windows of a block a second time by what a search found for them: hints, with which no search is needed.
 
     Args:
-        block: the most windows of a block.
+        block: how many windows a block has.
     """
 
     def __init__(self, block: int) -> None:
-        self.sizes = sorted({min(FEW, block), block})
+        self.block = block
         self.passed = 0
 
     def decided(self, margin: Any, again: Callable[[np.ndarray], Any], contradicted: Callable | None = None) -> np.ndarray:
-        """Return margins with 0 in place of a proof of FAULT that is not confirmed.
+        """Return the margins of a block with 0 in place of a proof that NumPy does not confirm.
 
         Args:
-            margin: (N,) of a block, its sign proved by XLA. again: of numbers of windows in it, their margins, proved in NumPy.
+            margin: (N,), its sign proved by XLA. again: of numbers of windows in the block, their margins, proved in NumPy.
             contradicted: a shorter way to see which of them are FAULT; what it does not see is asked of `again`.
         """
         margin = np.asarray(margin)
         if is_outside_xla():
             return margin
-        chosen = np.flatnonzero(margin < 0)
-        if len(chosen) and contradicted is not None:
-            chosen = chosen[~contradicted(chosen)]
-        self.passed += len(margin)
-        if self.passed >= SHARE:
-            self.passed = 0
-            chosen = np.append(chosen, np.flatnonzero(margin > 0)[:1])
-        if not len(chosen):
-            return margin
-        size = next((n for n in self.sizes if n >= len(chosen)), len(chosen))
-        with outside_xla():
-            found = np.asarray(again(np.resize(chosen, size)))[: len(chosen)]
-        first = margin[chosen]
-        doubtful = (first < 0) & ~(found < 0) | (first > 0) & (found < 0)
-        if doubtful.any():
+        faulty = np.flatnonzero(margin < 0)
+        some = self._some(margin) if contradicted is not None else faulty[:0]
+        doubtful = some[contradicted(some)] if contradicted is not None and len(some) else some
+        if contradicted is not None and len(faulty):
+            faulty = faulty[~contradicted(faulty)]
+        if len(faulty):
+            with outside_xla():
+                found = np.asarray(again(np.resize(faulty, max(self.block, len(faulty)))))[: len(faulty)]
+            doubtful = np.concatenate([doubtful, faulty[~(found < 0)]])
+        if len(doubtful):
             margin = np.array(margin)
-            margin[chosen[doubtful]] = 0
-            warn_doubtful(f"{int(doubtful.sum())} of {len(chosen)} windows of a block are decided by XLA")
+            margin[doubtful] = 0
+            warn_doubtful(f"{len(doubtful)} windows of a block are decided by XLA")
         return margin
+
+    def _some(self, margin):
+        """Return the number of a CONSISTENT window, now and then."""
+        self.passed += len(margin)
+        if self.passed < SHARE:
+            return np.zeros(0, np.int64)
+        self.passed = 0
+        return np.flatnonzero(margin > 0)[:1]
 
 
 def warn_doubtful(what: str) -> None:
