@@ -71,8 +71,8 @@ class ConstrainedObserver(SetObserver):
         held = constrained_steps.nothing(self._system.n, self.constraints, self._generators, 1, self._dtype)
         return ConstrainedState(begun.carry, begun.samples, held)
 
-    def fold(self, carry: ConstrainedState, piece: Recording) -> tuple[ConstrainedState, Any]:  # type: ignore[override]
-        """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
+    def judged(self, carry: ConstrainedState, piece: Recording) -> tuple[ConstrainedState, Any]:
+        """Return what `fold` does, by XLA alone: its FAULTs are decided once."""
         lead, count, (*given, rounded) = self._given(carry, piece)
         state = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), (carry.carry, carry.held))
         T, first = len(given[0]), 0

@@ -88,8 +88,8 @@ class JointObserver(SetObserver):
         prior = Prior(zero(m.n), zero(m.n, m.n), zero(m.n), zero(t), zero(t) + np.inf)
         return JointState(begun.carry, begun.samples, samples, prior, nothing, prior, nothing, prior, nothing)
 
-    def fold(self, carry: JointState, piece: Recording) -> tuple[JointState, Any]:  # type: ignore[override]
-        """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
+    def judged(self, carry: JointState, piece: Recording) -> tuple[JointState, Any]:
+        """Return what `fold` does, by XLA alone: its FAULTs are decided once."""
         lead, count, (*given, rounded) = self._given(carry, piece)
         state = JointState(carry.carry, carry.samples, *jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), tuple(carry[2:])))
         T, first, half = len(given[0]), 0, self.window // 2

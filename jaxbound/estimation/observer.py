@@ -20,6 +20,7 @@ from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.lanes import emptied, joined
+from jaxbound.estimation.second_look import doubtful, withdrawn
 from jaxbound.estimation.zonotope_numbers import ROUNDED, first_set, free_numbers, least_horizon, numbers, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
@@ -27,8 +28,10 @@ from jaxbound.models.unknown_directions import unknown_directions, with_direct_s
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
+from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
@@ -291,14 +294,34 @@ class SetObserver(Observer):
             carry = _known(carry, *(np.pad(x, ((0, m.n - self.model.n), *[(0, 0)] * (x.ndim - 1))) for x in self._x0))
         return ObserverState(carry, np.int64(0))
 
+    def forgetful(self) -> "SetObserver":
+        """Return the same observer, which begins knowing nothing."""
+        watch = copy.copy(self)
+        watch._x0 = watch._carried = None
+        watch.__dict__.pop("_first", None)  # what "joint" works out of x0
+        return watch
+
+    @property
+    def starts_anew(self) -> bool:
+        """Whether samples alone show the state."""
+        return self._start is not None
+
     def continued(self, carry: Any) -> "SetObserver":
         """Return the same observer, which begins with what was carried, as `fold` returns it."""
         watch = copy.copy(self)
         watch._carried = carry
         return watch
 
-    def fold(self, carry: ObserverState, piece: Recording) -> tuple[ObserverState, Any]:
+    def fold(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
+        after, told = self.judged(carry, piece)
+        if is_outside_xla() or not (np.asarray(told.status) == Status.FAULT).any():
+            return after, told
+        gone = doubtful(self, carry, piece, np.asarray(told.status))
+        return (self.forgetful().init(), withdrawn(told, gone)) if gone.any() else (after, told)
+
+    def judged(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
+        """Return what `fold` does, by XLA alone: its FAULTs are decided once."""
         lead, count, given = self._given(carry, piece)
         past, found, _ = self._followed(carry.carry, count, *given)
         T = len(found.status)
@@ -346,7 +369,7 @@ class SetObserver(Observer):
         parts: list = []
         how = len(self.weights), 2 if self.enclosures else int(self.hulls), self.restart, self.hulls
         while first < T or not parts:
-            length = PIECES[0] if T - first <= SHORT else PIECES[1]
+            length = PIECES[0] if T - first <= SHORT or is_outside_xla() else PIECES[1]
             stop = min(first + length, T)
             given = (*(_filled(x[first:stop], length) for x in samples), rounded)
             carry, *found = steps.follow(numbers, start, carry, given, stop - first, *how)

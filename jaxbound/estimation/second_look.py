@@ -1,0 +1,149 @@
+"""A FAULT of a set observer, decided a second time outside XLA: see `consistency.twice`.
+
+The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 16 of them, then 64, 256, 1024, as far
+back as it began, knowing nothing of the state before. What contradicts then contradicts. Only what rests on more samples than these, or
+on samples of a piece before that nobody keeps, begins with the set that XLA carried to there.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbound.consistency.twice import warn_doubtful
+from jaxbound.recordings.recording import NOWHERE, Recording
+from jaxbound.sets.floats.kernel import outside_xla
+from jaxbound.sets.floats.status import Status
+
+__all__ = ["doubtful", "withdrawn"]
+
+LENGTHS = (16, 64, 256, 1024)
+"""Samples that are followed once more."""
+BESIDE = (1, 16, 128)
+"""Stretches that are followed side by side: a program is written down for each."""
+
+
+@dataclass(frozen=True)
+class _Doubt:
+    """A FAULT to be decided again. Fields: recording; begin, end: the first sample that it rests on, in its piece, and its own."""
+
+    recording: int
+    begin: int
+    end: int
+
+
+def doubtful(watch: Any, carry: Any, piece: Recording, status: np.ndarray) -> np.ndarray:
+    """Return bool like status (..., T): which FAULTs of a piece are not proved outside XLA; a warning tells of them.
+
+    Args:
+        watch: the SetObserver, which judged the piece from `carry` on.
+    """
+    flat = status.reshape(-1, status.shape[-1])
+    left = list(_doubts(watch, carry, piece, flat))
+    for length in LENGTHS:
+        near = [doubt for doubt in left if watch.starts_anew and _shorter(doubt, length)]
+        refuted = _by_samples(watch, piece, near, length)
+        left = [doubt for doubt in left if doubt not in refuted]
+    left = [doubt for doubt in left if not _by_carry(watch, carry, piece, doubt)]
+    gone = np.zeros(flat.shape, bool)
+    for doubt in left:
+        lasting = np.cumsum(flat[doubt.recording, doubt.end :] != Status.FAULT) == 0
+        last = len(lasting) if watch.restart else int(lasting.sum())
+        gone[doubt.recording, doubt.end : doubt.end + (1 if watch.restart else last)] = True
+    if left:
+        warn_doubtful(f"{len(left)} FAULTs of an observer are said by XLA, the first at sample {left[0].end} of this piece")
+    return gone.reshape(status.shape)
+
+
+def withdrawn(told: Any, gone: np.ndarray) -> Any:
+    """Return an Observation, or verdicts, with UNDECIDED where `gone` (..., T)."""
+    status = np.where(gone, np.int8(Status.UNDECIDED), told.status).astype(np.int8)
+    margin = np.where(gone, 0, told.margin).astype(np.asarray(told.margin).dtype)
+    return told._replace(status=status, margin=margin) if isinstance(told, tuple) else replace(told, status=status, margin=margin)
+
+
+def _shorter(doubt, length):
+    """Say whether so many samples are others than were followed before."""
+    count = doubt.end - doubt.begin + 1
+    return count > max((n for n in LENGTHS if n < length), default=0)
+
+
+def _doubts(watch, carry, piece, status) -> Iterator[_Doubt]:
+    """Yield the FAULTs of recordings (N, T); of one that stays, the first."""
+    seams = {0, *np.asarray(piece.starts).tolist()}
+    if piece.excluded is not None:
+        seams.update(np.flatnonzero(piece.excluded).tolist())
+    ordered = np.array(sorted(seams))
+    before = np.broadcast_to(_ended(watch, carry), len(status))
+    for recording, row in enumerate(status):
+        begin, faulty = 0, bool(before[recording]) and not watch.restart
+        for end in np.flatnonzero(row == Status.FAULT).tolist():
+            seam = int(ordered[np.searchsorted(ordered, end, "right") - 1])
+            lasting = not watch.restart and end and row[end - 1] == Status.FAULT and seam != end
+            if not lasting and not (faulty and not end and 0 not in np.asarray(piece.starts)):
+                yield _Doubt(recording, max(begin, seam), end)
+            begin = end + 1 if watch.restart else begin
+
+
+def _by_samples(watch, piece, doubts, length):
+    """Return those of the FAULTs that so many last samples show."""
+    if not doubts:
+        return []
+    u, y = (np.asarray(x).reshape(-1, *x.shape[-2:]) for x in (piece.u, piece.y))
+    cut = lambda x, doubt: x[doubt.recording, max(doubt.begin, doubt.end - length + 1) : doubt.end + 1]
+    filled = lambda part: np.concatenate([np.full((length - len(part), part.shape[1]), np.nan, part.dtype), part])
+    found, most, watch = [], BESIDE[-1], watch.forgetful()
+    for first in range(0, len(doubts), most):
+        some = doubts[first : first + most]
+        beside = next(n for n in BESIDE if n >= len(some))
+        chosen = [some[min(i, len(some) - 1)] for i in range(beside)]
+        samples = (np.stack([filled(cut(x, doubt)) for doubt in chosen]) for x in (u, y))
+        given = Recording(*(x[0] if beside == 1 else x for x in samples), NOWHERE, piece.inputs, piece.outputs)
+        with outside_xla():
+            _, judged = watch.judged(watch.init(), given)
+        shown = (judged.status.reshape(beside, -1) == Status.FAULT).any(1)
+        found += [doubt for doubt, yes in zip(some, shown, strict=False) if yes]
+    return found
+
+
+def _by_carry(watch, carry, piece, doubt):
+    """Say whether a FAULT is seen again from what XLA carried to a sample not long before it, or to the piece."""
+    alone, own = _of_recording(piece, doubt.recording), _carried_of(watch, carry, doubt.recording)
+    near = max(0, doubt.end + 1 - LENGTHS[-1])
+    if near:
+        own, _ = watch.judged(own, alone.cut(0, near))
+    with outside_xla():
+        _, judged = watch.judged(own, alone.cut(near, doubt.end + 1))
+    return bool(judged.status[-1] == Status.FAULT)
+
+
+def _lanes(watch, x):
+    """Return numbers with sets side by side and recordings as axes of their own, the last ones."""
+    x, lanes = np.asarray(x), len(watch.weights)
+    return x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
+
+
+def _ended(watch, carry):
+    """Return for each recording that is carried whether it has contradicted before."""
+    return _lanes(watch, carry.carry.empty).any(-2)
+
+
+def _carried_of(watch, carry, number):
+    """Return what is carried of one recording."""
+    count = len(_ended(watch, carry))
+    if count == 1:
+        return carry
+    own = carry._replace(carry=jax.tree.map(lambda x: _lanes(watch, x)[..., number], carry.carry))
+    rest = {name: jax.tree.map(lambda x: np.asarray(x)[..., number : number + 1], x) for name, x in carry._asdict().items()
+            if name not in ("carry", "samples")}  # fmt: skip
+    return own._replace(**rest)
+
+
+def _of_recording(piece, number):
+    """Return one recording of a piece of several."""
+    if piece.y.ndim == 2:
+        return piece
+    u, y = (np.asarray(x).reshape(-1, *x.shape[-2:])[number] for x in (piece.u, piece.y))
+    return replace(piece, u=u, y=y)
