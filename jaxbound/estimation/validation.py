@@ -12,7 +12,7 @@ contradicts it: then the recording is marked FAULT, but sound sensors may be bla
 Source: Alhaj-Dibo, Maquin, Ragot 2004.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from typing import Any
@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.multiple import validate_parts
 from jaxbound.estimation.validation_windows import Said, begun, said, slide, weighted
@@ -32,6 +33,7 @@ from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.seams import around
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
@@ -41,6 +43,8 @@ from jaxbound.sets.linear_systems.fixed_systems import prepare
 
 __all__ = ["Validation", "nothing_said", "prepared", "validate"]
 
+PIECE, AGAIN = 256, 2048
+"""Samples that are validated outside XLA at once where one of them is FAULT, and at most."""
 BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
 
@@ -181,6 +185,43 @@ class _Slide:
         return prepare(self.M, self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
 
     def __call__(self, u, y, recorded, x0=None, before=None, earlier=None):
+        """Return what `judged` does, with UNDECIDED in place of a FAULT that is not seen again outside XLA."""
+        result, after = self.judged(u, y, recorded, x0, before, earlier)
+        faulty = np.asarray(result.status) == Status.FAULT
+        if is_outside_xla() or not faulty.any():
+            return result, after
+        seen, blamed = self._seen_again(u, y, recorded, x0, before, earlier, faulty)
+        if (faulty & ~seen).any():
+            warn_doubtful(f"{int((faulty & ~seen).sum())} of {int(faulty.sum())} samples are FAULT by validation in XLA")
+        status = np.where(faulty & ~seen, np.int8(Status.UNDECIDED), result.status)
+        return replace(result, status=jnp.asarray(status), faulty=jnp.asarray(np.asarray(result.faulty) & blamed)), after
+
+    def _seen_again(self, u, y, recorded, x0, before, earlier, faulty):
+        """Return (which samples are FAULT, which sensors are blamed there) where this is worked out again, piece by piece.
+
+        Pieces with a FAULT are judged outside XLA, up to `AGAIN` samples; others, and all that come behind, by XLA.
+        """
+        s, T = self.s, y.shape[-2]
+        size, stop, left, found = max(PIECE, 4 * s), 0, AGAIN, []
+        while stop < T:
+            begin = stop - s if stop else 0
+            first, stop = stop, min(max(stop, s) + size, T)
+            outside = left > 0 and bool(faulty[..., first:stop].any())
+            left -= outside * (stop - first)
+            if begin:
+                past = y[..., :begin, :] if earlier is None else np.concatenate([earlier, y[..., :begin, :]], -2)
+                x0, known = None, past[..., -s:, :]
+            else:
+                known = earlier
+            with outside_xla(outside):
+                piece, before = self.judged(u[..., begin:stop, :], y[..., begin:stop, :], recorded, x0, before, known)
+            found.append(
+                (np.asarray(piece.status)[..., first - begin :] == Status.FAULT, np.asarray(piece.faulty)[..., first - begin :, :])
+            )
+        seen, blamed = zip(*found, strict=True)
+        return np.concatenate(seen, -1), np.concatenate(blamed, -2)
+
+    def judged(self, u, y, recorded, x0=None, before=None, earlier=None):
         """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the model.
 
         Args:
