@@ -45,7 +45,8 @@ class Kernel:
 
     def __init__(self, function: Callable, **how: Any) -> None:
         self._compiled = jax.jit(function, **how)
-        self._names = tuple(inspect.signature(function).parameters)
+        arguments = inspect.signature(function).parameters
+        self._names = tuple(name for name, x in arguments.items() if x.kind in (x.POSITIONAL_ONLY, x.POSITIONAL_OR_KEYWORD))
         numbers, names = how.get("static_argnums", ()), how.get("static_argnames", ())
         numbers = (numbers,) if isinstance(numbers, int) else tuple(numbers)
         names = (names,) if isinstance(names, str) else tuple(names)
@@ -68,7 +69,7 @@ class Kernel:
 
     def _arrays(self, args, kwargs):
         """Return the leaves of the arguments that are not static, in the order in which the program takes them."""
-        names = (*self._names, *[""] * len(args))  # of *args too
+        names = (*self._names, *[""] * len(args))  # others have none
         placed = [x for name, x in zip(names, args, strict=False) if name not in self._static]
         named = {name: x for name, x in kwargs.items() if name not in self._static}
         return jax.tree.leaves((placed, named))

@@ -84,7 +84,7 @@ def _shifted_right(x, by):
 
 
 def _bits_set(x):
-    return np.bitwise_count(x).astype(x.dtype)
+    return np.bitwise_count(x.view(f"u{x.dtype.itemsize}")).astype(x.dtype)
 
 
 _plain(

@@ -1,0 +1,149 @@
+"""What XLA hands back is corrupted at random: no FAULT of a healthy recording reaches anybody, and faults are still found without it."""
+
+import warnings
+
+import jax
+import numpy as np
+import pytest
+from systems import paper
+
+import jaxbound as jb
+from jaxbound.consistency import drive, twice
+from jaxbound.consistency.twice import Doubtful
+from jaxbound.sets.floats import kernel
+from jaxbound.sets.floats.status import Status
+
+SHAKY = [jb.Uncertainty("a", A=[["0.02", 0], [0, "0.01"]])]
+RELATIONS = {
+    "strips": lambda: jb.parity_relations(paper()),
+    "float32": lambda: jb.parity_relations(paper()),
+    "bank": lambda: jb.redundancy(paper()),
+    "long": lambda: jb.parity_relations(paper(), 12),
+    "constant": lambda: jb.parity_relations(paper().replace(constant_tolerance=True), 2),
+    "gains": lambda: jb.parity_relations(paper().replace(constant_tolerance=True), 12),
+    "uncertain": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
+    "uncertain paving": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
+    "paving": lambda: jb.parity_relations(paper()),
+    "observer": lambda: jb.observer(DISTURBED, order=6),
+    "constrained": lambda: jb.observer(DISTURBED, order=6, method="constrained"),
+    "joint": lambda: jb.observer(DISTURBED, order=6, method="joint", window=8),
+}
+DISTURBED = jb.LinearSystem([["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0]], noise="0.1", disturbance=([[1], ["0.5"]], "0.02"))
+METHODS = {"bank": "box", "paving": "paving", "uncertain paving": "paving"}
+
+
+class Corrupted:
+    """Stands in the place of XLA: returns other statuses, margins, numbers and copies than it was handed, now and then."""
+
+    def __init__(self, rng, share):
+        self.rng, self.share, self.changed = rng, share, 0
+
+    def __call__(self, call):
+        def corrupted(program, *args, **kwargs):
+            out = call(program, *args, **kwargs)
+            leaves = jax.tree.leaves(out)
+            if kernel.is_outside_xla() or any(isinstance(x, jax.core.Tracer) for x in leaves):
+                return out
+            return jax.tree.map(self.changed_array, out)
+
+        return corrupted
+
+    def changed_array(self, x):
+        x = np.array(x)
+        wrong = self.rng.random(x.shape) < self.share
+        self.changed += int(wrong.sum())
+        if x.size > 1 and self.rng.random() < 0.1:  # another part of the array was copied
+            return np.roll(x, int(self.rng.integers(x.size)), -1)
+        if x.dtype == np.int8:
+            return np.where(wrong, np.int8(Status.FAULT), x)
+        if x.dtype == bool:
+            return x ^ wrong
+        if np.issubdtype(x.dtype, np.integer):
+            return np.where(wrong, np.flip(x), x)
+        return np.where(wrong, -x * self.rng.lognormal(0, 2, x.shape), x).astype(x.dtype)
+
+
+@pytest.fixture
+def corrupted(monkeypatch, rng):
+    """Return a function that has XLA lie from then on."""
+
+    def begin(share=0.2):
+        liar = Corrupted(rng, share)
+        monkeypatch.setattr(kernel.Kernel, "__call__", liar(kernel.Kernel.__call__))
+        return liar
+
+    return begin
+
+
+def healthy(name, model, rng, recordings, samples):
+    dtype = np.float32 if name == "float32" else np.float64
+    u = rng.uniform(-1, 1, (recordings, samples, 1)).astype(dtype)
+    found = jb.simulate(model, u, jax.random.key(int(rng.integers(2**31))), at="uniform")
+    return u, np.array(found.y, dtype)
+
+
+def faults_under_corruption(name, rng, corrupted, recordings, samples):
+    """Return (verdicts, FAULTs, numbers that were corrupted, whether a warning came) of healthy recordings."""
+    relations = RELATIONS[name]()
+    u, y = healthy(name, relations.model, rng, recordings, samples)
+    liar = corrupted()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        status = jb.detect(relations, u, y, method=METHODS.get(name, "joint")).status
+    warned = any(issubclass(w.category, Doubtful) for w in said)
+    return status.size, int((status == Status.FAULT).sum()), liar.changed, warned
+
+
+@pytest.mark.parametrize("name", RELATIONS)
+def test_no_corruption_makes_a_fault(name, rng, corrupted):
+    recordings, samples = (2, 24) if name in ("observer", "constrained", "joint") else (6, 40)
+    count, faults, changed, warned = faults_under_corruption(name, rng, corrupted, recordings, samples)
+    assert count == recordings * samples and changed > 10 and warned
+    assert faults == 0
+
+
+@pytest.mark.slow
+def test_no_corruption_makes_a_fault_of_a_million_windows(rng, corrupted):
+    total = changed = 0
+    for name, recordings in (("strips", 700), ("bank", 300), ("float32", 100)):
+        with pytest.MonkeyPatch.context() as patch:
+            liar = Corrupted(rng, 0.05)
+            relations = RELATIONS[name]()
+            u, y = healthy(name, relations.model, rng, recordings, 1000)
+            patch.setattr(kernel.Kernel, "__call__", liar(kernel.Kernel.__call__))
+            with pytest.warns(Doubtful):
+                status = jb.detect(relations, u, y, method=METHODS.get(name, "joint")).status
+        assert not (status == Status.FAULT).any()
+        total, changed = total + status.size, changed + liar.changed
+    print(f"{total} verdicts, {changed} numbers corrupted, 0 FAULT")
+    assert total > 10**6 and changed > 10**4
+
+
+@pytest.mark.parametrize("name", [name for name in RELATIONS if "paving" not in name])
+def test_faults_of_faulty_recordings_are_confirmed(name, rng):
+    """The same verdicts as from XLA alone, no warning: warnings are errors here."""
+    relations, method = RELATIONS[name](), METHODS.get(name, "joint")
+    u, y = healthy(name, relations.model, rng, 2, 30)
+    y[:, 20:, 0] += 5
+    status = jb.detect(relations, u, y, method=method).status
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drive, "decided_twice", lambda test, judged, *_: judged)
+        patch.setattr(twice.Twice, "decided", lambda self, margin, *_: np.asarray(margin))
+        patch.setattr("jaxbound.estimation.observer.doubtful", lambda watch, carry, piece, status: np.zeros(status.shape, bool))
+        once = jb.detect(relations, u, y, method=method).status
+    assert (status == Status.FAULT).any(1).all()
+    np.testing.assert_array_equal(status, once)
+
+
+def test_a_healthy_window_that_numpy_refutes_is_not_consistent(rng, corrupted, monkeypatch):
+    monkeypatch.setattr(twice, "SHARE", 16)
+    relations = RELATIONS["strips"]()
+    u, y = healthy("strips", relations.model, rng, 1, 100)
+    y[..., 0] += 50
+    assert (jb.detect(relations, u, y).status[:, 1:] == Status.FAULT).all()
+    call = kernel.Kernel.__call__
+    lie = lambda status, margin: (np.where(np.asarray(status) == Status.FAULT, np.int8(Status.CONSISTENT), status), abs(np.asarray(margin)))
+    monkeypatch.setattr(kernel.Kernel, "__call__", lambda program, *args: lie(*call(program, *args)))
+    with pytest.warns(Doubtful, match="CONSISTENT by XLA"):
+        status = jb.detect(relations, u, y).status
+    assert (status == Status.UNDECIDED).any()
