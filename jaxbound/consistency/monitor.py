@@ -16,7 +16,8 @@ from jaxbound.consistency.interface import Observer
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
-from jaxbound.recordings.table import one_row, unlabelled
+from jaxbound.recordings.table import one_row
+from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.sets.floats.probe import refuse_unverified
 
 __all__ = ["Monitor", "MonitorState", "Verdict"]

@@ -13,8 +13,9 @@ from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_i
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
 from jaxbound.recordings.objecttext import readable
-from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, irregular, tick, usual_period
-from jaxbound.recordings.table import as_table, is_date, is_table, paired, time_like, unlabelled, usual_step
+from jaxbound.recordings.seams import all_starts, around, aside, check_period, crossing
+from jaxbound.recordings.table import as_table, is_table, paired
+from jaxbound.recordings.tabletime import row_time
 from jaxbound.recordings.timestamps import row_label, time_label
 
 __all__ = ["NOWHERE", "Recording", "Signals", "signals_of"]
@@ -121,7 +122,9 @@ class Recording:
         if "where" in getattr(model, "columns", {}) and tables:
             found = found._without(fails(computed(expression(model.columns["where"]), tables, "the recording")))
         if index is not None:
-            found = found._timed(getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular)
+            told = row_time(index, getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular)
+            about: dict[str, Any] = dict(time=told.time, origin=told.origin, dt=told.dt, stamps=told.stamps)
+            found = replace(found, **about, starts=_union(found.starts, told.seams))
         if not np.size(starts) and not len(out):
             return found
         return replace(found, starts=_union(found.starts, out, all_starts(starts, found.y.shape[-2])))
@@ -148,6 +151,8 @@ class Recording:
     def _again(cls, model, given, starts, narrow):
         """Return the Recording of something that has been one: its signals, by their names if it knows them, and what it knows beside."""
         u, y = given.u, given.y
+        if any(is_table(as_table(x, name)) for x, name in ((u, "u"), (y, "y"))):
+            return cls.of(model, u, y, _union(getattr(given, "starts", ()), starts), narrow=narrow)
         names = [*getattr(given, "inputs", ()), *getattr(given, "outputs", ())]
         if names and (given.inputs, given.outputs) != (tuple(model.inputs), tuple(model.outputs)):
             both = [x[..., i] for x in (u, y) for i in range(x.shape[-1])]
@@ -251,61 +256,6 @@ class Recording:
         u, y = (np.where(excluded[:, None], np.array(np.nan, x.dtype), x) for x in (self.u, self.y))
         return replace(self, u=u, y=y, excluded=excluded, starts=_union(self.starts, around(excluded)))
 
-    def _timed(self, dt, whose, regular):
-        """Find the time of the rows from their index, and where they do not follow each other."""
-        index = self.index.to_timestamp() if hasattr(self.index, "to_timestamp") else self.index  # periods
-        if len(index) and index.dtype == object and is_date(index[0]):
-            index = _as_dates(index)
-        kind = getattr(getattr(index, "dtype", None), "kind", None)
-        if kind in ("m", "M"):
-            time, origin = _seconds(index)
-            stamps, found = index.to_numpy("datetime64[ns]") if kind == "M" else None, None
-            if regular and len(time) > 1:
-                found = usual_period(time) if dt is None else dt
-                check_period(time, found, whose)
-            clock, seams = tick(Clock(found or dt or 1.0), time)
-            if regular and len(time) > 1 and (sentence := irregular(clock, lambda k: str(self.index[k]), lambda k: f"row {k}")):
-                raise ValueError(sentence)
-        elif len(index) and time_like(index[0]):
-            raise ValueError("the index holds times as text: turn it into times with pandas.to_datetime first")
-        elif kind in ("i", "u", "f") and not unlabelled(index):
-            time = _counted(np.asarray(index, np.float64), kind == "f", dt or 1.0)
-            if time is None:
-                return self
-            origin, stamps, found = 0.0, None, None
-            seams = tick(Clock(dt or 1.0), time)[1]
-        else:
-            return self
-        return replace(self, time=time, origin=origin, dt=found, stamps=stamps, starts=_union(self.starts, seams))
-
 
 def _union(*starts):
     return np.unique(np.concatenate([np.asarray(x, np.int64) for x in starts]))
-
-
-def _as_dates(index):
-    import pandas as pd
-
-    return pd.DatetimeIndex(index)
-
-
-def _seconds(index):
-    """Return (time, origin): seconds since the first date or time span of an index, and that one since 1970 or zero."""
-    if (gone := np.asarray(index.isna())).any():
-        raise ValueError(
-            f"the index has no time in {gone.sum()} of {len(gone)} rows, the first is row {int(gone.argmax())}: leave them out"
-        )
-    if not len(index):
-        return np.zeros(0), np.nan
-    first = np.asarray(index[:1].to_numpy() if index.dtype.kind == "m" else index[:1].to_numpy("datetime64[ns]"))[0]
-    origin = (first if index.dtype.kind == "m" else first - EPOCH) / SECOND
-    return np.asarray(index - index[0]) / SECOND, float(origin)
-
-
-def _counted(labels, seconds, dt):
-    """Return the time in s that labels which are numbers stand for, or None where more than half of their steps are irregular.
-
-    Their unit is not known: their usual step is dt. Of less than three there is none: they count rows then, or seconds.
-    """
-    usual = usual_step(labels) if len(labels) > 2 else dt if seconds else 1.0
-    return None if usual is None else labels * (dt / usual)
