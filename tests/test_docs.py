@@ -102,7 +102,9 @@ def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
         if not inspect.isclass(thing):
             continue
         lists = re.findall(r"\*\*(?:Fields|Attributes)\*\*\n\n((?:- .*\n?)+)", docstrings.readable(inspect.getdoc(thing) or ""))
-        names = [name for entry in "".join(lists).splitlines() for name in re.findall(r"\w+", (re.match("- `([^`]+)`", entry) or [0, ""])[1])]
+        names = [
+            name for entry in "".join(lists).splitlines() for name in re.findall(r"\w+", (re.match("- `([^`]+)`", entry) or [0, ""])[1])
+        ]
         known = {*dir(thing), *getattr(thing, "__annotations__", {}), *inspect.signature(thing).parameters}
         if others := [name for name in names if name not in known]:
             wrong[path] = others

@@ -25,7 +25,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.realisation import realised, realised_filters
-from jaxbound.studies.identification.records import read_records
+from jaxbound.studies.identification.records import measured, read_records
 
 __all__ = ["FitCheck", "Fitted", "fit"]
 
@@ -242,7 +242,7 @@ def _candidate(records, scales, order, horizon, direct, kind, about, room):
     unknowns = order * (p + m) + direct * m + 1
     windows = regression.windows_of(records, scales, horizon, regression.MOST)
     if len(steps.y) < 2 * unknowns or not len(windows.y):
-        total = f"{_seen(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
+        total = f"{measured(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
         raise ValueError(
             f"too few samples: {total}, hold {len(windows.y)} complete windows of {horizon + 1} samples, and {len(steps.y)} steps "
             f"for {unknowns} coefficients an output, twice as many of which are needed: record longer, or choose a lower order or horizon"
@@ -305,11 +305,6 @@ def _consistent(found):
     return all(np.isin(status, (Status.MISSING, Status.CONSISTENT)).all() for status, _ in found)
 
 
-def _seen(records):
-    """Return in how many samples something was measured: those set aside by `where` are no part of a fit."""
-    return sum(int((~np.isnan(y).all(1)).sum()) for _, y, _ in records)
-
-
 def _verified(spec, bounds, means, records, safety):
     """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the share of its bounds used.
 
@@ -317,7 +312,7 @@ def _verified(spec, bounds, means, records, safety):
     rounded: the plant itself moves in steps. means: {number of the output: (samples, smallest bound of their mean)}.
     """
     rounds = _resolutions(records, len(bounds))
-    total, count = _seen(records), len(records)
+    total, count = measured(records), len(records)
     source = f"fitted to {total} samples in {count} recording{'s' * (count > 1)}"
     held = {i: _rounded_up(x * safety) for i, (_, x) in means.items()}
     for _ in range(20):
