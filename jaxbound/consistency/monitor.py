@@ -140,7 +140,7 @@ class Monitor:
 
         Args:
             state: as for `step`. u: (N, m), y: (N, p), or tables as for `detect`. starts: numbers, counted in these N, of samples that do
-                not follow the one before. time: (N,) in s; None: as the index of a table tells it.
+                not follow the one before. time: (N,) in s; None: as a table tells it.
 
         Returns:
             (state, Verdict of arrays (N,)): what N calls of `step` return.

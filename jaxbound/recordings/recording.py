@@ -67,7 +67,7 @@ class Recording:
         index: labels of the rows, of the table that y came from, else of that of u; of a file its times; None: there were none.
         time: (T,) seconds, of dates and time spans since the first sample; None where nothing tells it.
         origin: the instant at which `time` is 0, in s: since 1970 where there are dates, 0 of numbers; NaN: not known.
-        dt: sampling period in s that dates or time spans in the index show, or that a file is read by; None: there are none.
+        dt: sampling period in s that the times of the rows show, or that a file is read by; None: there are none.
         stamps: (T,) datetime64[ns] where a file or an index has dates, else None.
         written: the time as the file has it, a pyarrow array; None: there was no file, or no time in it.
         hints: sentences that the user should read. source: name of the file.
@@ -99,14 +99,16 @@ class Recording:
             u, y: arrays (..., T, m), (..., T, p), masked or not; or tables: DataFrames of pandas or polars, tables of pyarrow, Datasets and
                 labelled DataArrays of xarray, dicts of columns. Signals are taken by name, rows of two tables by the labels of their
                 index. u is None for a model without inputs. y None: u holds both, a table or a Recording (or anything with .u and .y).
-            starts: numbers of the samples that do not follow the one before; the gaps that an index shows are found from it: of dates and
-                time spans, by the model's dt; of numbers, by their usual step.
-            regular: whether an index of dates must have the model's dt for its usual step. narrow: whether u takes the type of y, and both
+            starts: numbers of the samples that do not follow the one before; what tables tell of it is found: by an index of dates or
+                time spans, else by the column by which `jb.read` would take the time from such a file, else by an index of numbers,
+                which are seconds, or, whole ones, rows a sample.
+            regular: whether the rows must have the model's dt for their usual step. narrow: whether u takes the type of y, and both
                 become float32 where jax runs with x64 off (`detect` counts that rounding); else each keeps the type it was recorded in.
 
         Raises:
             ValueError: a column that is not there, names that are not understood, text, a shape that does not fit the model or the other
-                array, indexes that hold different rows, a wrong sampling period, starts that are no numbers of samples.
+                array, indexes that hold different rows, rows of several units, in disorder or of a wrong sampling period, starts that
+                are no numbers of samples.
         """
         if y is None and is_made(u):
             return cls._again(model, u, starts, narrow)

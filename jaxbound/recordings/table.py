@@ -31,9 +31,11 @@ def as_table(data: Any, name: str, channels: Sequence[str] | None = None) -> Any
         ValueError: names that are not understood, more than one recording in one table.
     """
     if isinstance(data, (list, tuple)) and len(data) and (hasattr(data[0], "iloc") or hasattr(data[0], "to_pandas")):
-        raise ValueError(f"{name} is a list of {len(data)}, the first {_kind(data[0])}: give one recording at a time, as one table")
+        what = f"{name} is a list of {len(data)}, the first {_kind(data[0])}"
+        raise ValueError(f"{what}: give one recording at a time, as one table")
     if isinstance(data, str | PathLike):
-        raise ValueError(f"{name} is the text {str(data)!r}: a file is read first, with jaxbound.read({str(data)!r}, model)")
+        text = repr(str(data))
+        raise ValueError(f"{name} is the text {text}: a file is read first, with jaxbound.read({text}, model)")
     if data is None or isinstance(data, (list, tuple, jax.Array)):
         return data
     if isinstance(data, np.ndarray):
@@ -120,9 +122,9 @@ def one_row(data: Any, name: str) -> Any:
 def paired(u: Any, y: Any, model: Any) -> tuple[Any, Any, Any]:
     """Return (u, y, starts): two tables with the rows that belong together, by their labels, and where that left rows out.
 
-    Where one index holds all labels of the other, its rows are selected by them; nothing is ever interpolated. What a time column tells
-    (`with_time`) goes before other labels, but where one table has it alone its rows are paired as they are labelled, or by their order
-    where they are not. What is no table stays as it is.
+    Where one index holds all labels of the other, its rows are selected by them; nothing is ever interpolated. What a
+    time column tells (`with_time`) goes before other labels, but where one table has it alone, rows are paired as they
+    are labelled, or by their order where they are not. What is no table stays as it is.
 
     Returns:
         starts: numbers of the rows before which there were others, for labels that are no times: those show for themselves what is missing.

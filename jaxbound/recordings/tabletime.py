@@ -1,10 +1,13 @@
-"""The time of the rows of a table: its index, or the column by which a file with these columns would be read (`selection.time_column`).
+"""The time of the rows of a table: its index, or the column by which a file with these columns would be read.
 
-An index of dates or time spans tells the time by itself. Numbers do as they would in a file: in seconds, or as an epoch. Whole numbers in an
-index that nobody called a time may also count the samples. Whatever tells a time is asked whether the rows are one sampling period apart.
+Which column that is, `selection.time_column` says, of files and of tables. An index of dates or time spans tells
+the time by itself. Numbers do as they would in a file: in seconds, or as an epoch. Whole numbers in an index that
+nobody called a time may also count the samples. Whatever tells a time is asked whether the rows are one sampling
+period apart.
 """
 
 import datetime
+import numbers
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +21,15 @@ from jaxbound.recordings.timestamps import DIGITS, read_numbers, stamp_kind, tim
 __all__ = ["RowTime", "one_level", "plain_labels", "row_time", "tells_dates", "unlabelled", "with_time"]
 
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
+TO_DATETIME = "turn them into times with pandas.to_datetime first"
 DAY = np.timedelta64(1, "D")
 
 
 class RowTime(NamedTuple):
-    """What an index tells. Fields: time, origin, dt, stamps as of a Recording; seams: numbers of rows that do not follow the one before."""
+    """What an index tells.
+
+    Fields: time, origin, dt, stamps: as of a Recording; seams: numbers of rows that do not follow the one before.
+    """
 
     time: np.ndarray | None
     origin: float
@@ -50,16 +57,23 @@ def one_level(frame: Any) -> Any:
     index = frame.index
     if getattr(index, "nlevels", 1) == 1:
         return frame
-    several = [level for level in range(index.nlevels) if len(index.get_level_values(level).unique()) > 1] or [index.nlevels - 1]
+    levels = [index.get_level_values(level) for level in range(index.nlevels)]
+    several = [labels for labels in levels if labels.nunique(dropna=False) > 1]
     if len(several) > 1:
-        names = ", ".join(str(level if (name := index.names[level]) is None else name) for level in several)
-        raise ValueError(f"the index has the levels {names}: a recording is one sequence of samples; give one unit at a time, "
-                         "like frame.xs(unit), with the time of its rows as index")  # fmt: skip
-    return frame.set_axis(index.get_level_values(several[0]))
+        names = ", ".join("one without a name" if labels.name is None else str(labels.name) for labels in several)
+        one = "give one unit at a time, like frame.xs(unit), with the time of its rows as index"
+        raise ValueError(f"the index has the levels {names}: a recording is one sequence of samples; {one}")
+    return frame.set_axis([*several, levels[-1]][0])
 
 
 def plain_labels(labels: Any) -> Any:
-    """Return an index as dates, time spans or numbers where it holds these in whatever form, as objects, text, categories or periods."""
+    """Return an index as dates, time spans or numbers where it holds these as objects, text, categories or periods.
+
+    Any other comes back as it is.
+
+    Raises:
+        ValueError: times of a calendar that is not understood.
+    """
     import pandas as pd
 
     if hasattr(labels, "to_timestamp"):
@@ -80,11 +94,13 @@ def plain_labels(labels: Any) -> Any:
             return pd.DatetimeIndex(labels)
         except (TypeError, ValueError):
             kind = type(first).__name__
-            raise ValueError(f"times of type {kind} are not understood: turn them into times with pandas.to_datetime first") from None
-    if isinstance(first, str) and not is_number(first, ","):
-        return labels
+            raise ValueError(f"times of type {kind} are not understood: {TO_DATETIME}") from None
+    if isinstance(first, str):
+        if not is_number(first, ","):
+            return labels
+        labels = labels.str.replace(",", ".")
     try:
-        return pd.Index(pd.to_numeric(labels.str.replace(",", ".") if isinstance(first, str) else labels), name=labels.name)
+        return pd.Index(pd.to_numeric(labels), name=labels.name)
     except (TypeError, ValueError):
         return labels
 
@@ -92,11 +108,12 @@ def plain_labels(labels: Any) -> Any:
 def with_time(frame: Any, model: Any) -> Any:
     """Return a table with the time of its rows for an index, where a column tells it; else as it is.
 
-    The column is the one by which the same table would be read from a file. An index of dates or time spans comes before all columns but the
-    one that the model names.
+    The column is the one by which the same table would be read from a file. An index of dates or time spans comes
+    before all columns but the one that the model names.
 
     Raises:
-        ValueError: a time column that holds text, or times of day without a day; several columns of time stamps, none called like a time.
+        ValueError: a time column that holds text, or times of day without a day; several columns of time stamps, none
+            called like a time.
     """
     if not len(frame):
         return frame
@@ -111,7 +128,8 @@ def with_time(frame: Any, model: Any) -> Any:
     labels = lambda name: _labels(frame, name) if name in frame.columns else frame.index
     taken = _of_signals(model)
     free = [c for c in columns if c not in taken]
-    day, time = time_column(columns, free, named, lambda name: _held(labels(name)), getattr(model, "dt", None))
+    held = lambda name: _held(labels(name))
+    day, time = time_column(columns, free, named, held, getattr(model, "dt", None))
     if time is None:
         return frame
     if day is None:
@@ -123,11 +141,12 @@ def row_time(index: Any, dt: float | None, whose: str, regular: bool) -> RowTime
     """Return what an index tells of the time of its rows.
 
     Args:
-        index: from `with_time`. dt: sampling period in s, None: not known. whose: who says so, as for `check_period`. regular: whether rows
-            of another period are refused; else each of them is a seam.
+        index: from `with_time`. dt: sampling period in s, None: not known. whose: who says so, see `check_period`.
+        regular: whether rows of another period are refused; else each of them is a seam.
 
     Raises:
-        ValueError: no time in some row; another sampling period; rows that run backwards or are not regular; times as text.
+        ValueError: no time in some row; another sampling period; rows that run backwards or are not regular; times as
+            text.
     """
     plain = plain_labels(index)
     kind = plain.dtype.kind
@@ -196,9 +215,10 @@ def _in_seconds(labels, name):
     if plain.dtype.kind in ("i", "u", "f"):
         plain = plain.astype(np.float64) if isinstance(plain.dtype, np.dtype) else _floats(plain)
     elif isinstance(_first(plain), datetime.time):
-        raise ValueError(f"the time column {name!r} holds times without a day, and no column holds the days: add one, or index by times")
+        lacking = "times without a day, and no column holds the days: add one, or index by times"
+        raise ValueError(f"the time column {name!r} holds {lacking}")
     elif plain.dtype.kind not in ("m", "M"):
-        raise ValueError(f"the time column {name!r} holds text: turn it into times with pandas.to_datetime first")
+        raise ValueError(f"the time column {name!r} holds text: {TO_DATETIME.replace('them', 'it')}")
     return plain.rename(name)
 
 
@@ -218,7 +238,7 @@ def _of_day_and_clock(days, clocks):
 
 
 def _since_first(index):
-    """Return (time, origin): seconds since the first date or time span of an index, and that one since 1970 or zero."""
+    """Return (time, origin): seconds since the first label of an index, and that one's since 1970 or zero."""
     _complete(index, lambda x: np.asarray(x.isna()))
     if not len(index):
         return np.zeros(0), np.nan
@@ -231,9 +251,8 @@ def _complete(labels, gone):
     """Return the labels; refuse some that are none."""
     missing = gone(labels)
     if missing.any():
-        raise ValueError(
-            f"the index has no time in {missing.sum()} of {len(labels)} rows, the first is row {int(missing.argmax())}: leave them out"
-        )
+        rows = f"{missing.sum()} of {len(labels)} rows, the first is row {int(missing.argmax())}"
+        raise ValueError(f"the index has no time in {rows}: leave them out")
     return labels
 
 
@@ -244,8 +263,9 @@ def _counts(labels, dt, regular):
     if abs(step - 1) <= TOLERATED_DT or not regular:
         return not (dt is not None and seconds)
     if step > 0 and not seconds and read_numbers(labels, dt)[1] is None:
-        raise ValueError(f"the index counts in steps of {step:g}: that is neither a row a sample nor dt = {dt:g} s. Give the times of the rows, "
-                         "or, if they follow each other, frame.reset_index(drop=True)")  # fmt: skip
+        times = "Give the times of the rows, or, if they follow each other, frame.reset_index(drop=True)"
+        steps = f"the index counts in steps of {step:g}: that is neither a row a sample nor dt = {dt:g} s"
+        raise ValueError(f"{steps}. {times}")
     return False
 
 
@@ -267,16 +287,21 @@ def _checked(time, index, dt, whose, regular, stamps=None):
 
 
 def _changes(labels):
-    """Return the rows before which labels that tell no time change, where they repeat: those of one label follow each other, if any do.
+    """Return the rows before which labels that tell no time change, where they repeat.
+
+    Rows of one label follow each other, if any do.
 
     Raises:
-        ValueError: labels that are times, but as text or without a day.
+        ValueError: labels that are times, but as text or without a day; numbers among other labels.
     """
     first = _first(labels) if len(labels) else None
+    drop = "or leave it out with frame.reset_index(drop=True)"
     if time_like(first):
-        raise ValueError("the index holds times as text: turn it into times with pandas.to_datetime first")
+        raise ValueError(f"the index holds times as text: {TO_DATETIME.replace('them', 'it')}")
     if isinstance(first, datetime.time):
-        raise ValueError("the index holds times without a day: add the days, or leave it out with frame.reset_index(drop=True)")
+        raise ValueError(f"the index holds times without a day: add the days, {drop}")
+    if isinstance(first, numbers.Number) or (isinstance(first, str) and is_number(first, ",")):
+        raise ValueError(f"the index holds numbers and other labels: give the times of the rows, {drop}")
     if labels.is_unique:
         return np.zeros(0, np.int64)
     codes = labels.factorize()[0]

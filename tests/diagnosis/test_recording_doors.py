@@ -242,7 +242,7 @@ def test_validate(given):
 
 def test_compensation(given):
     u, y, starts = given
-    r = jb.parity_relations(plant(uncertainties=[jb.Uncertainty("gain", B=[[0], [0.05]])]), 1)
+    r = jb.parity_relations(plant(uncertainties=GAIN), 1)
     plain = clean(*course()[::2])
     assert jb.compensation(r, u, y, starts=starts) == jb.compensation(r, *plain[:2], starts=plain[2]) < 1
 
@@ -264,6 +264,7 @@ def test_fit(kind):
 
 
 FITTED = dict(order=1, horizon=2, inputs=["valve"], outputs=["level", "flow"], held_out=0, method="least squares")
+GAIN = [jb.Uncertainty("gain", B=[[0], [0.05]])]
 VERBS = {
     "detect": lambda table: jb.detect(jb.parity_relations(plant(), 1), table),
     "a bank": lambda table: jb.detect(jb.structured_relations(plant()), table),
@@ -274,7 +275,7 @@ VERBS = {
     "validate": lambda table: jb.validate(plant(), table, horizon=2, method="sequential"),
     "observe": lambda table: jb.observe(plant(), table),
     "unknown_inputs": lambda table: jb.unknown_inputs(plant(unknown_inputs=[[1], [0]]), table, horizon=1),
-    "compensation": lambda table: jb.compensation(jb.parity_relations(plant(uncertainties=[jb.Uncertainty("gain", B=[[0], [0.05]])]), 1), table),
+    "compensation": lambda table: jb.compensation(jb.parity_relations(plant(uncertainties=GAIN), 1), table),
     "tune": lambda table: jb.tune(jb.parity_relations(plant(), 1), table, steps=0),
     "fit": lambda table: jb.fit(table, **FITTED, dt=1.0),
     "a source": lambda table: open_source(table, plant()).read(),

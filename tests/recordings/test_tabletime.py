@@ -119,6 +119,7 @@ class TestRefused:
         (lambda: signals().set_axis(DATES.time), "the index holds times without a day: add the days, or leave it out with"),
         (lambda: signals().assign(time=DATES.time), "the time column 'time' holds times without a day, and no column holds the days"),
         (lambda: signals().assign(time=np.where(np.arange(T) == 4, np.nan, COUNTS)), "no time in 1 of 24 rows, the first is row 4"),
+        (lambda: signals().set_axis([*map(str, range(T - 1)), "end"]), "the index holds numbers and other labels: give the times of the"),
         (lambda: [signals(), signals()], "u is a list of 2, the first a DataFrame of pandas: give one recording at a time"),
         (lambda: "run.csv", r"u is the text 'run.csv': a file is read first, with jaxbound.read\('run.csv', model\)"),
     ])  # fmt: skip

@@ -93,12 +93,12 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
 
     Args:
         recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table with the columns `inputs` and
-            `outputs`; a Recording. NaN marks a missing sample. Windows do not cross gaps in an index, nor `starts`, as for `detect`.
+            `outputs`; a Recording. NaN marks a missing sample. No window crosses gaps in the times of a table, or `starts`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order * p states.
         horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small faults; the model says for which
             it is made.
         lags: of windows that look at the outputs at some samples only, in place of horizon; see `parity_relations` and `suggest_lags`.
-        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what dates in the index or a Recording say, else 1.
+        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables or a Recording say, else 1.
         direct: whether inputs act on the outputs of the same sample (D).
         safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may deviate.
         held_out: the last share of each recording, kept back from a first fit to see what it makes of data that it has not seen. 0: none.
