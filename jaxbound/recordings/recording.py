@@ -101,7 +101,7 @@ class Recording:
                 index. u is None for a model without inputs. y None: u holds both, a table or a Recording (or anything with .u and .y).
             starts: numbers of the samples that do not follow the one before; what tables tell of it is found: by an index of dates or
                 time spans, else by the column by which `jb.read` would take the time from such a file, else by an index of numbers,
-                which are seconds, or, whole ones, rows a sample.
+                which are seconds, or, whole ones, count the samples.
             regular: whether the rows must have the model's dt for their usual step. narrow: whether u takes the type of y, and both
                 become float32 where jax runs with x64 off (`detect` counts that rounding); else each keeps the type it was recorded in.
 

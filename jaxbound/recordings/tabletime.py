@@ -2,8 +2,7 @@
 
 Which column that is, `selection.time_column` says, of files and of tables. An index of dates or time spans tells
 the time by itself. Numbers do as they would in a file: in seconds, or as an epoch. Whole numbers in an index that
-nobody called a time may also count the samples. Whatever tells a time is asked whether the rows are one sampling
-period apart.
+nobody called a time count the samples. Whatever tells a time is asked whether the rows are one sampling period apart.
 """
 
 import datetime
@@ -14,7 +13,7 @@ import numpy as np
 
 from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.expressions import expression, is_expression
-from jaxbound.recordings.seams import TOLERATED_DT, Clock, check_period, irregular, tick, usual_period
+from jaxbound.recordings.seams import TOLERATED_STEP, Clock, check_period, irregular, tick, usual_period
 from jaxbound.recordings.selection import time_column
 from jaxbound.recordings.timestamps import DIGITS, read_numbers, stamp_kind, time_like
 
@@ -159,7 +158,9 @@ def row_time(index: Any, dt: float | None, whose: str, regular: bool) -> RowTime
     if unlabelled(plain) or not len(plain):
         return RowTime(None, np.nan, None, None, np.zeros(0, np.int64))
     labels = _complete(plain.to_numpy(np.float64, na_value=np.nan), np.isnan)
-    if kind != "f" and _counts(labels, dt, regular):
+    if kind != "f":
+        if regular:
+            _refuse_steps(labels)
         time = labels * (dt or 1.0)
         return RowTime(time, 0.0, None, None, _checked(time, index, dt or 1.0, whose, regular)[-1])
     time, stamps, _ = read_numbers(labels, dt)
@@ -256,17 +257,12 @@ def _complete(labels, gone):
     return labels
 
 
-def _counts(labels, dt, regular):
-    """Return whether whole numbers count samples, or are seconds; refuse those that are neither."""
+def _refuse_steps(labels):
+    """Refuse an index that counts, but not every sample, as one of every second row of a table does."""
     step = float(np.median(np.diff(labels))) if len(labels) > 1 else 1.0
-    seconds = dt is None or abs(step - dt) <= TOLERATED_DT * dt
-    if abs(step - 1) <= TOLERATED_DT or not regular:
-        return not (dt is not None and seconds)
-    if step > 0 and not seconds and read_numbers(labels, dt)[1] is None:
-        times = "Give the times of the rows, or, if they follow each other, frame.reset_index(drop=True)"
-        steps = f"the index counts in steps of {step:g}: that is neither a row a sample nor dt = {dt:g} s"
-        raise ValueError(f"{steps}. {times}")
-    return False
+    if step > 0 and abs(step - 1) > TOLERATED_STEP:
+        seconds = "If these are seconds, call the index 'time'; if the rows follow each other, frame.reset_index(drop=True)"
+        raise ValueError(f"the index counts in steps of {step:g}, as if rows were left out. {seconds}")
 
 
 def _checked(time, index, dt, whose, regular, stamps=None):
