@@ -6,6 +6,7 @@ import textwrap
 import griffe
 
 LISTS = ("Fields", "Attributes")
+VALUES = "(?:None|NaN|[A-Z]{2,})"  # "None: there were none" tells of the field before it
 ARGUMENTS = re.compile(r"^Args:\n((?:(?: {4}.*)?\n)*(?: {4}.*)?)", re.M)
 SECTIONS = ("Encloses", "Source", "Returns", "Fields", "Attributes", "Costs")
 
@@ -66,7 +67,8 @@ def readable(text, names=()):
 
 def listed(words):
     """Return "name: what it is" lines as a list, and text without such lines as it is."""
-    items = re.split(r"(?:^|\n|(?<=[.;]) )(?=[A-Za-z_]\w*(?:, [A-Za-z_]\w*)*(?: \([^)]*\))*: )", words)
+    field = rf"(?!{VALUES}\b)[A-Za-z_]\w*"
+    items = re.split(rf"(?:^|\n|(?<=[.;]) )(?={field}(?:, {field})*(?: \([^)]*\))*: )", words)
     items = [" ".join(item.split()) for item in items if item.strip()]
     named = [re.sub(r"^([\w, ]+?)((?: \([^)]*\))*): ", r"`\1`\2: ", item) for item in items]
     return "\n".join(f"- {item}" for item in named) if len(items) > 1 else words

@@ -120,4 +120,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return [*__all__, *(home for home in _HOMES if "." not in home), "__version__"]
+    return sorted({*__all__, *(home for home in _HOMES if "." not in home), "__version__"})

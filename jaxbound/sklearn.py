@@ -37,7 +37,7 @@ class Detector(OutlierMixin, BaseEstimator):
 
     Fields after `fit`: model_: the LinearSystem. relations_: its relations. offset_: 0.0, what decision_function subtracts.
 
-    Rows follow each other in time; a gap in an index of dates begins anew. The first rows, as many as the horizon, and rows with missing
+    Rows follow each other in time; a gap in the times of a table begins anew. The first rows, as many as the horizon, and rows with missing
     samples (NaN) have no verdict: they count as inliers, of score 0.
 
     Encloses: a row of -1 is proved: no behaviour within the bounds explains its window. A healthy plant never gives one while the bounds

@@ -51,6 +51,11 @@ def test_every_public_name_has_its_place_in_the_reference(module):
     assert not missing, f"add to docs/api: {missing}"
 
 
+@pytest.mark.parametrize("module", [jb, jb.sets], ids=lambda m: m.__name__)
+def test_a_module_lists_every_name_once(module):
+    assert len(dir(module)) == len(set(dir(module))) and set(module.__all__) <= set(dir(module))
+
+
 def test_every_parameter_has_an_entry(docstrings):
     """Functions whose one sentence says all, x + y and the like, need none."""
     missing = {}
@@ -88,6 +93,22 @@ def test_docstrings_become_paragraphs_and_examples(docstrings):
     text = "Do it.\n\nReturns:\n    A thing: good.\n\nEncloses: all\n    of it.\n\nExample:\n    >>> 1\n    1"
     out = docstrings.readable(text)
     assert "**Returns**  A thing: good." in out and "**Encloses**  all of it." in out.replace("\n", " ") and "Examples:\n    >>> 1" in out
+
+
+def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
+    """A sentence that begins with "None:" tells of the field before it."""
+    wrong = {}
+    for path, thing in documented():
+        if not inspect.isclass(thing):
+            continue
+        lists = re.findall(r"\*\*(?:Fields|Attributes)\*\*\n\n((?:- .*\n?)+)", docstrings.readable(inspect.getdoc(thing) or ""))
+        names = [
+            name for entry in "".join(lists).splitlines() for name in re.findall(r"\w+", (re.match("- `([^`]+)`", entry) or [0, ""])[1])
+        ]
+        known = {*dir(thing), *getattr(thing, "__annotations__", {}), *inspect.signature(thing).parameters}
+        if others := [name for name in names if name not in known]:
+            wrong[path] = others
+    assert not wrong
 
 
 @pytest.mark.long

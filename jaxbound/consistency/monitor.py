@@ -16,7 +16,8 @@ from jaxbound.consistency.interface import Observer
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
-from jaxbound.recordings.table import one_row, unlabelled
+from jaxbound.recordings.table import one_row
+from jaxbound.recordings.tabletime import unlabelled
 from jaxbound.sets.floats.probe import refuse_unverified
 
 __all__ = ["Monitor", "MonitorState", "Verdict"]
@@ -139,7 +140,7 @@ class Monitor:
 
         Args:
             state: as for `step`. u: (N, m), y: (N, p), or tables as for `detect`. starts: numbers, counted in these N, of samples that do
-                not follow the one before. time: (N,) in s; None: as the index of a table tells it.
+                not follow the one before. time: (N,) in s; None: as a table tells it.
 
         Returns:
             (state, Verdict of arrays (N,)): what N calls of `step` return.

@@ -45,7 +45,7 @@ def detect(
             boxes a window; default 1000, or 10 000.
         progress: called with the share of the work done, after each block.
         starts: numbers of the samples that do not follow the one before, after a gap for example: windows across are MISSING. The gaps
-            that the index of a table shows are found from it.
+            that the times of a table show are found, and rows that are in disorder or of another period refused, as of a file.
         compensation: for "linearized", what each relation may be off by for the terms that it neglects, one number or one a relation.
 
     Returns:

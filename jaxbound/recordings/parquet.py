@@ -32,7 +32,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import Clock, around, check_period, tick, usual_period
 from jaxbound.recordings.selection import NO_TIME, Wanted
 from jaxbound.recordings.source import Source, overlapping, register, told
-from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, time_label
+from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, since_epoch, time_label
 
 __all__ = ["PARTIAL", "VERDICTS", "ParquetSource", "is_parquet", "open_parquet"]
 
@@ -257,7 +257,7 @@ class ParquetSource(Source):
         import pyarrow as pa
 
         numeric = pa.types.is_integer(written.type) or pa.types.is_floating(written.type)
-        values: Any = from_arrow(written.cast(pa.float64(), safe=False)) if numeric else None
+        values: Any = since_epoch(from_arrow(written.cast(pa.float64(), safe=False))) if numeric else None
         known = np.isfinite(values) if numeric else valid(written)
         if not known.all():
             raise ValueError(f"{self.path}: {self.row(start + int(np.argmin(known)))} has no time: every row needs one")

@@ -13,7 +13,7 @@ import numpy as np
 from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.linetext import SOURCE, LineReader, WrongCells
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, Seam, check_period, tick
-from jaxbound.recordings.timestamps import EPOCHS, parse_stamps, time_label
+from jaxbound.recordings.timestamps import EPOCHS, parse_stamps, since_epoch, time_label
 
 __all__ = ["Piece", "PipeText"]
 
@@ -164,7 +164,7 @@ class PipeText:
             if self.reader.is_text:
                 step = np.diff(parse_stamps(pa.array([*self.texts, cell]), self.model.dt, str)[0])[-1]
             else:
-                value = float(cell.replace(",", "."))
+                value = float(since_epoch(np.array([float(cell.replace(",", "."))]))[0])
                 step = (value if self.scale is None else (value - self.origin) / self.scale) - self.clock.last
         except ValueError:
             return False
@@ -282,16 +282,16 @@ class PipeText:
                 self.complain("hint", hint)
             own = slice(len(known), None)
             return time[own], None if stamps is None else stamps[own], cells, time[1] if known else np.nan
-        values = cells
-        if np.isnan(values).any():
+        if np.isnan(cells).any():
             raise ValueError("has no time")
+        values = since_epoch(cells)
         if self.origin is None:
             self.origin = float(values[0])
             self.scale = next((scale for scale in EPOCHS if 1e9 * scale <= self.origin < 5e9 * scale), None)
         if self.scale is None:
-            return values, None, values, self.clock.last
+            return values, None, cells, self.clock.last
         stamps = np.round(values * (1e9 / self.scale)).astype("int64").astype("datetime64[ns]")
-        return (values - self.origin) / self.scale, stamps, values, self.clock.last
+        return (values - self.origin) / self.scale, stamps, cells, self.clock.last
 
 
 def _concatenated(pieces):

@@ -13,8 +13,9 @@ from jaxbound.recordings.arrays import computed, float_arrays, is_made, refuse_i
 from jaxbound.recordings.columns import to_arrow
 from jaxbound.recordings.expressions import expression, fails, find_column
 from jaxbound.recordings.objecttext import readable
-from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, irregular, tick, usual_period
-from jaxbound.recordings.table import as_table, is_date, is_table, paired, time_like, unlabelled, usual_step
+from jaxbound.recordings.seams import all_starts, around, aside, check_period, crossing
+from jaxbound.recordings.table import as_table, is_table, paired
+from jaxbound.recordings.tabletime import row_time
 from jaxbound.recordings.timestamps import row_label, time_label
 
 __all__ = ["NOWHERE", "Recording", "Signals", "signals_of"]
@@ -66,7 +67,7 @@ class Recording:
         index: labels of the rows, of the table that y came from, else of that of u; of a file its times; None: there were none.
         time: (T,) seconds, of dates and time spans since the first sample; None where nothing tells it.
         origin: the instant at which `time` is 0, in s: since 1970 where there are dates, 0 of numbers; NaN: not known.
-        dt: sampling period in s that dates or time spans in the index show, or that a file is read by; None: there are none.
+        dt: sampling period in s that the times of the rows show, or that a file is read by; None: there are none.
         stamps: (T,) datetime64[ns] where a file or an index has dates, else None.
         written: the time as the file has it, a pyarrow array; None: there was no file, or no time in it.
         hints: sentences that the user should read. source: name of the file.
@@ -98,14 +99,16 @@ class Recording:
             u, y: arrays (..., T, m), (..., T, p), masked or not; or tables: DataFrames of pandas or polars, tables of pyarrow, Datasets and
                 labelled DataArrays of xarray, dicts of columns. Signals are taken by name, rows of two tables by the labels of their
                 index. u is None for a model without inputs. y None: u holds both, a table or a Recording (or anything with .u and .y).
-            starts: numbers of the samples that do not follow the one before; the gaps that an index shows are found from it: of dates and
-                time spans, by the model's dt; of numbers, by their usual step.
-            regular: whether an index of dates must have the model's dt for its usual step. narrow: whether u takes the type of y, and both
+            starts: numbers of the samples that do not follow the one before; what tables tell of it is found: by an index of dates or
+                time spans, else by the column by which `jb.read` would take the time from such a file, else by an index of numbers,
+                which are seconds, or, whole ones, count the samples.
+            regular: whether the rows must have the model's dt for their usual step. narrow: whether u takes the type of y, and both
                 become float32 where jax runs with x64 off (`detect` counts that rounding); else each keeps the type it was recorded in.
 
         Raises:
             ValueError: a column that is not there, names that are not understood, text, a shape that does not fit the model or the other
-                array, indexes that hold different rows, a wrong sampling period, starts that are no numbers of samples.
+                array, indexes that hold different rows, rows of several units, in disorder or of a wrong sampling period, starts that
+                are no numbers of samples.
         """
         if y is None and is_made(u):
             return cls._again(model, u, starts, narrow)
@@ -121,7 +124,9 @@ class Recording:
         if "where" in getattr(model, "columns", {}) and tables:
             found = found._without(fails(computed(expression(model.columns["where"]), tables, "the recording")))
         if index is not None:
-            found = found._timed(getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular)
+            told = row_time(index, getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular)
+            about: dict[str, Any] = dict(time=told.time, origin=told.origin, dt=told.dt, stamps=told.stamps)
+            found = replace(found, **about, starts=_union(found.starts, told.seams))
         if not np.size(starts) and not len(out):
             return found
         return replace(found, starts=_union(found.starts, out, all_starts(starts, found.y.shape[-2])))
@@ -148,6 +153,8 @@ class Recording:
     def _again(cls, model, given, starts, narrow):
         """Return the Recording of something that has been one: its signals, by their names if it knows them, and what it knows beside."""
         u, y = given.u, given.y
+        if any(is_table(as_table(x, name)) for x, name in ((u, "u"), (y, "y"))):
+            return cls.of(model, u, y, _union(getattr(given, "starts", ()), starts), narrow=narrow)
         names = [*getattr(given, "inputs", ()), *getattr(given, "outputs", ())]
         if names and (given.inputs, given.outputs) != (tuple(model.inputs), tuple(model.outputs)):
             both = [x[..., i] for x in (u, y) for i in range(x.shape[-1])]
@@ -251,61 +258,6 @@ class Recording:
         u, y = (np.where(excluded[:, None], np.array(np.nan, x.dtype), x) for x in (self.u, self.y))
         return replace(self, u=u, y=y, excluded=excluded, starts=_union(self.starts, around(excluded)))
 
-    def _timed(self, dt, whose, regular):
-        """Find the time of the rows from their index, and where they do not follow each other."""
-        index = self.index.to_timestamp() if hasattr(self.index, "to_timestamp") else self.index  # periods
-        if len(index) and index.dtype == object and is_date(index[0]):
-            index = _as_dates(index)
-        kind = getattr(getattr(index, "dtype", None), "kind", None)
-        if kind in ("m", "M"):
-            time, origin = _seconds(index)
-            stamps, found = index.to_numpy("datetime64[ns]") if kind == "M" else None, None
-            if regular and len(time) > 1:
-                found = usual_period(time) if dt is None else dt
-                check_period(time, found, whose)
-            clock, seams = tick(Clock(found or dt or 1.0), time)
-            if regular and len(time) > 1 and (sentence := irregular(clock, lambda k: str(self.index[k]), lambda k: f"row {k}")):
-                raise ValueError(sentence)
-        elif len(index) and time_like(index[0]):
-            raise ValueError("the index holds times as text: turn it into times with pandas.to_datetime first")
-        elif kind in ("i", "u", "f") and not unlabelled(index):
-            time = _counted(np.asarray(index, np.float64), kind == "f", dt or 1.0)
-            if time is None:
-                return self
-            origin, stamps, found = 0.0, None, None
-            seams = tick(Clock(dt or 1.0), time)[1]
-        else:
-            return self
-        return replace(self, time=time, origin=origin, dt=found, stamps=stamps, starts=_union(self.starts, seams))
-
 
 def _union(*starts):
     return np.unique(np.concatenate([np.asarray(x, np.int64) for x in starts]))
-
-
-def _as_dates(index):
-    import pandas as pd
-
-    return pd.DatetimeIndex(index)
-
-
-def _seconds(index):
-    """Return (time, origin): seconds since the first date or time span of an index, and that one since 1970 or zero."""
-    if (gone := np.asarray(index.isna())).any():
-        raise ValueError(
-            f"the index has no time in {gone.sum()} of {len(gone)} rows, the first is row {int(gone.argmax())}: leave them out"
-        )
-    if not len(index):
-        return np.zeros(0), np.nan
-    first = np.asarray(index[:1].to_numpy() if index.dtype.kind == "m" else index[:1].to_numpy("datetime64[ns]"))[0]
-    origin = (first if index.dtype.kind == "m" else first - EPOCH) / SECOND
-    return np.asarray(index - index[0]) / SECOND, float(origin)
-
-
-def _counted(labels, seconds, dt):
-    """Return the time in s that labels which are numbers stand for, or None where more than half of their steps are irregular.
-
-    Their unit is not known: their usual step is dt. Of less than three there is none: they count rows then, or seconds.
-    """
-    usual = usual_step(labels) if len(labels) > 2 else dt if seconds else 1.0
-    return None if usual is None else labels * (dt / usual)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxbound.recordings.expressions import TIMES, Expression, expression, fails, find_column, is_expression, likely
 from jaxbound.recordings.naming import listed
 
-__all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "only_dated", "wanted", "where_hints"]
+__all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "time_column", "wanted", "where_hints"]
 
 STAMPS, DAYS = ("stamp", "day", "clock"), ("day", "digits")  # kinds of cells, see `stamp_kind`
 DAILY = 43200  # seconds: what is sampled less often needs no clock
@@ -90,22 +90,37 @@ def wanted(names: Sequence[str], model: Any, dated: Callable[[str], str] = lambd
     inputs, outputs = (tuple(_source(s, names, model) for s in side) for side in (model.inputs, model.outputs))
     found = Wanted(inputs, outputs, None, None)
     where = model.columns.get("where")
-    named, here = model.columns.get("time"), "the recording"
     free = [name for name in names if name not in found.signals]
+    day, time = time_column(names, free, model.columns.get("time"), dated, getattr(model, "dt", None))
+    return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time, day)
+
+
+def time_column(
+    names: Sequence[str], free: Sequence[str], named: str | None, dated: Callable[[str], str], dt: float | None
+) -> tuple[str | None, str | None]:
+    """Return (the column of the day or None, the column of the time or None) of a recording, be it a file or a table.
+
+    Args:
+        names: of all columns. free: of those that no signal is in. named: the one that the model names, None: none. dated: as for `wanted`.
+        dt: sampling period in s, None: not known.
+
+    Raises:
+        ValueError: as `wanted`.
+    """
     called = [named] if named is not None else likely(free, TIMES)
     if not called:
         stamps = {name: kind for name in free if (kind := dated(name)) in STAMPS}
         halves = sorted(stamps.values()) == ["clock", "day"]
-        called = [name for name in stamps if stamps[name] == "clock"] if halves else only_dated(list(stamps))
-    time = find_column(called[0], names, here) if called else None
-    day, time = _day_and_clock(time, names, free, dated, model)
-    return Wanted(inputs, outputs, None if where is None else expression(where).among(names), time, day)
+        called = [name for name in stamps if stamps[name] == "clock"] if halves else _only_dated(list(stamps))
+    if not called:
+        return None, None
+    return _day_and_clock(find_column(called[0], names, "the recording"), names, free, dated, dt)
 
 
-def _day_and_clock(time, names, free, dated, model):
+def _day_and_clock(time, names, free, dated, dt):
     """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or is called like a time."""
     kind = dated(time) if time in free else ""
-    if kind not in ("clock", *DAYS) or (getattr(model, "dt", None) or 0) >= DAILY:
+    if kind not in ("clock", *DAYS) or (dt or 0) >= DAILY:
         return None, time
     at, others = names.index(time), DAYS if kind == "clock" else ("clock",)
     near = dict.fromkeys([*names[max(at - 1, 0) : at], *names[at + 1 : at + 2], *likely(free, TIMES)])
@@ -119,7 +134,7 @@ def _day_and_clock(time, names, free, dated, model):
     return (halves[0], time) if kind == "clock" else (time, halves[0])
 
 
-def only_dated(columns: list) -> list:
+def _only_dated(columns: list) -> list:
     """Return the columns with time stamps where there is one at most; refuse several."""
     if len(columns) > 1:
         raise ValueError(f"the columns {listed(list(map(str, columns)))} hold time stamps: say which is the time, {TELLING}")

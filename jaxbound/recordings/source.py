@@ -6,6 +6,7 @@ A kind whose recordings fit into memory says which data are its own (`takes`) an
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,8 @@ class Source:
             try:
                 found = self.whole(progress)
             except ValueError as e:
-                raise ValueError(f"{self.data}: {e}") from None
+                name = self.data if isinstance(self.data, str | PathLike) else self.label
+                raise ValueError(f"{name}: {e}") from None
             time = np.arange(found.samples) * (self.model.dt or 1.0) if found.time is None else found.time
             self._whole = replace(found, time=time, source=found.source or self.label)
         last = self._whole.samples if stop is None else stop

@@ -11,7 +11,8 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
 
-__all__ = ["DIGITS", "epoch_scale", "parse_stamps", "read_numbers", "row_label", "stamp_kind", "time_label", "with_day"]
+__all__ = ["DIGITS", "epoch_scale", "parse_stamps", "read_numbers", "row_label", "since_epoch",
+           "stamp_kind", "time_label", "time_like", "with_day"]  # fmt: skip
 
 DATES = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
          "%m/%d/%y", "%d/%m/%y", "%d.%m.%y", "%Y%m%d")  # fmt: skip
@@ -19,6 +20,8 @@ CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
 FORMATS = [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS] + list(DATES[:-1]) + list(CLOCKS[:4])
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
+COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
+CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 
 
@@ -96,6 +99,23 @@ def with_day(days: Any, clocks: Any) -> Any:
     return pc.binary_join_element_wise(pc.utf8_trim_whitespace(days), pc.utf8_trim_whitespace(clocks), " ")
 
 
+def since_epoch(values: np.ndarray) -> np.ndarray:
+    """Return numbers whose digits are time stamps, 20240101080000 or 202401010800, as seconds since 1970; other numbers as they are.
+
+    Example:
+        >>> since_epoch(np.array([20240101080000.0, 20240101080100.0])), since_epoch(np.array([202401.0]))
+        (array([1.70409600e+09, 1.70409606e+09]), array([202401.]))
+    """
+    import pyarrow as pa
+
+    first = str(int(values[0])) if len(values) and np.isfinite(values).all() else ""
+    form = COMPACT.get(len(first))
+    if form is None or not CENTURIES[0] <= int(first[:4]) < CENTURIES[1] or (values != np.floor(values)).any():
+        return values
+    stamps = _parse(pa.array(values.astype(np.int64)).cast(pa.string()), None, form)
+    return values if np.isnat(stamps).any() else (stamps - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+
+
 def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
     """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns), else None: it is in seconds."""
     step = dt or 0.0 if len(values) < 2 else float(np.median(np.diff(values)))
@@ -106,7 +126,8 @@ def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
 
 
 def read_numbers(values: np.ndarray, dt: float | None) -> tuple[np.ndarray, np.ndarray | None, str]:
-    """Return (time, stamps, hint) of a numeric time column: seconds, or an epoch in s, ms, us or ns."""
+    """Return (time, stamps, hint) of a numeric time column: seconds, an epoch in s, ms, us or ns, or the digits of time stamps."""
+    values = since_epoch(values)
     scale = epoch_scale(values, dt)
     if scale is None:
         return values, None, ""
@@ -132,6 +153,11 @@ def row_label(index: Any, k: int) -> str:
     if index is None:
         return f"sample {k}"
     return time_label(0.0, index[k], 1.0) if isinstance(index[k], np.datetime64) else str(index[k])
+
+
+def time_like(label: Any) -> bool:
+    """Return whether a label is text that looks like a time."""
+    return isinstance(label, str) and re.search(r"\d[-/.:]\d+[-/.: T]", label + " ") is not None
 
 
 def _split_fraction(cells):

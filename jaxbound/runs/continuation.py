@@ -58,7 +58,7 @@ class Continuation:
         """
         if not self.past:
             return recording, None, 0
-        tail = _read(self.past, recording, self.relations.model.dt)
+        tail = _read(self.past, recording)
         apart = _apart(tail, recording, self.relations.model.dt)
         if apart:
             self.past = {}
@@ -122,14 +122,11 @@ def _under(kind, kept):
     return {name.removeprefix(f"{kind} "): x for name, x in kept.items() if name.startswith(f"{kind} ")}
 
 
-def _read(past, like, dt):
+def _read(past, like):
     """Return the last samples of the recording before, in seconds of the one that comes behind it."""
     arrays: dict[str, Any] = {name: past.get(name) for name in ARRAYS}
     written = _from_bytes(past[WRITTEN]) if WRITTEN in past else None
-    if written is None:
-        arrays["time"] = like.time[0] - dt * np.arange(len(arrays["y"]), 0, -1)  # rows are dt apart
-    else:
-        arrays["time"] = arrays["time"] + (float(past["origin"]) - like.origin)
+    arrays["time"] = arrays["time"] + (float(past["origin"]) - like.origin)  # NaN where nothing tells it
     index = None if like.index is None else arrays["time"] if arrays["stamps"] is None else arrays["stamps"]
     return replace(like, **arrays, written=written, index=index, hints=())
 
@@ -143,7 +140,8 @@ def _apart(tail, recording, dt):
         return f"{begin} has its time written otherwise"
     step = recording.time[0] - tail.time[-1]
     if np.isnan(step):
-        return f"{begin} has times without a date: nobody knows whether it follows"
+        lacks = "no times" if recording.written is None else "times without a date"
+        return f"{begin} has {lacks}: nobody knows whether it follows"
     if abs(step - dt) <= TOLERATED_STEP * dt:
         return ""
     return f"{begin} ended {abs(step):.6g} s {'after' if step < 0 else 'before'} its first sample, not dt = {dt:g} s before"

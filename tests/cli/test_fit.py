@@ -49,6 +49,18 @@ def test_fit_writes_a_model_file(place, capsys):
     heat = np.loadtxt("run.csv", delimiter=",", skiprows=1)[:110, 1]
     assert tuple(map(float, model.ranges["heat"])) == (heat.min(), heat.max())
     assert said["recordings"][0]["windows"] == 106 and said["held_out"]["windows"] > 20
+    assert model.provenance["model"] == "fitted to 110 samples in 1 recording", "10 of 120 are set aside"
+
+
+def test_time_stamps_without_separators_are_no_seconds(place, capsys):
+    header, *rows = (place / "run.csv").read_text().splitlines()
+    stamps = np.datetime64("2024-01-01T08:00", "h") + np.arange(len(rows))
+    digits = [str(t).replace("-", "").replace("T", "").replace(":", "") + "0000" for t in stamps]
+    assert digits[0] == "20240101080000"
+    lines = [digit + row[row.index(",") :] for digit, row in zip(digits, rows, strict=True)]
+    (place / "run.csv").write_text("\n".join([header, *lines]))
+    assert main.main(FIT) == 0
+    assert jb.load_model("tank.toml").dt == 3600.0, "it was 10000"
 
 
 @pytest.mark.slow
@@ -88,7 +100,7 @@ def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     (["--held-out", "1"], "held_out must be a share from 0 to below 1"),
     (["--where", "on == 7"], "run.csv: the condition 'on == 7' holds for none of its 120 samples"),
     (["--out", "no/tank.toml"], "--out no/tank.toml must be a file to write, in a folder that exists"),
-    (["--horizon", "300"], "too few samples: 120, in 1 recording, hold 0 complete windows of 301 samples"),
+    (["--horizon", "300"], "too few samples: 110, in 1 recording, hold 0 complete windows of 301 samples"),
 ])  # fmt: skip
 def test_bad_input_is_one_sentence_and_writes_nothing(place, capsys, change, message):
     (place / "tank.toml").write_text("kept")

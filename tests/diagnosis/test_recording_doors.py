@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 
 T, GAP, OFF, LOST = 40, 14, slice(22, 27), (33, 1)
@@ -241,7 +242,7 @@ def test_validate(given):
 
 def test_compensation(given):
     u, y, starts = given
-    r = jb.parity_relations(plant(uncertainties=[jb.Uncertainty("gain", B=[[0], [0.05]])]), 1)
+    r = jb.parity_relations(plant(uncertainties=GAIN), 1)
     plain = clean(*course()[::2])
     assert jb.compensation(r, u, y, starts=starts) == jb.compensation(r, *plain[:2], starts=plain[2]) < 1
 
@@ -260,6 +261,57 @@ def test_fit(kind):
     model = jb.fit(given if given[1] is not None else given[0], **options, columns=WHERE)
     plain = jb.fit(clean(u, y), **options)
     assert model.A == plain.A and model.noise == plain.noise and max(map(float, plain.noise)) < 1 and model.dt == 1
+
+
+FITTED = dict(order=1, horizon=2, inputs=["valve"], outputs=["level", "flow"], held_out=0, method="least squares")
+GAIN = [jb.Uncertainty("gain", B=[[0], [0.05]])]
+VERBS = {
+    "detect": lambda table: jb.detect(jb.parity_relations(plant(), 1), table),
+    "a bank": lambda table: jb.detect(jb.structured_relations(plant()), table),
+    "margins": lambda table: jb.margins(jb.parity_relations(plant(), 1), table),
+    "external": lambda table: jb.parity_relations(plant(), 1).external(table),
+    "a residual": lambda table: jb.detect(jb.residual(lambda z, u, y: y[1, 1] - z[0], jb.interval([-1e9], [1e9]), 1, ["valve"],
+                                                      ["level", "flow"]), table),
+    "validate": lambda table: jb.validate(plant(), table, horizon=2, method="sequential"),
+    "observe": lambda table: jb.observe(plant(), table),
+    "unknown_inputs": lambda table: jb.unknown_inputs(plant(unknown_inputs=[[1], [0]]), table, horizon=1),
+    "compensation": lambda table: jb.compensation(jb.parity_relations(plant(uncertainties=GAIN), 1), table),
+    "tune": lambda table: jb.tune(jb.parity_relations(plant(), 1), table, steps=0),
+    "fit": lambda table: jb.fit(table, **FITTED, dt=1.0),
+    "a source": lambda table: open_source(table, plant()).read(),
+}  # fmt: skip
+
+
+SENTENCE = r"^(recording( 1)?: )?(the (rows|recording|model|index) |\d+ of \d+ rows go back|you gave dt = 1 s, but)"
+
+
+@pytest.mark.parametrize("rows", ["every second", "reversed", "shuffled"])
+@pytest.mark.parametrize("verb", VERBS)
+def test_rows_that_do_not_follow_each_other_are_refused(verb, rows):
+    """A column of times beside an index of row numbers: they were taken to be a sampling period apart."""
+    if verb == "a residual":
+        rows = "shuffled"  # it states no period
+    u, _, y = course()
+    table = pd.DataFrame({"valve": u[:, 0], "level": y[:, 0], "flow": y[:, 1], "Time (s)": np.arange(T) * 1.0, "mode": "on"})
+    at = {"every second": slice(None, None, 2), "reversed": slice(None, None, -1), "shuffled": np.random.default_rng(1).permutation(T)}
+    with pytest.raises(ValueError, match=SENTENCE):
+        VERBS[verb](table.iloc[at[rows]])
+    with pytest.raises(ValueError, match=SENTENCE):
+        VERBS[verb](table.drop(columns="Time (s)").iloc[at[rows]])
+
+
+@pytest.mark.parametrize("rows", [slice(None, None, 2), slice(None, None, -1), np.random.default_rng(1).permutation(T)])
+@pytest.mark.parametrize("size", [1, 2, 5, T])
+def test_a_monitor_joins_no_rows_that_do_not_follow_each_other(rows, size):
+    u, _, y = course()
+    table = pd.DataFrame({"valve": u[:, 0], "level": y[:, 0], "flow": y[:, 1], "Time (s)": np.arange(T) * 1.0, "mode": "on"})
+    monitor = jb.Monitor(jb.parity_relations(plant(), 1))
+    for part in (table.iloc[rows], table.drop(columns="Time (s)").iloc[rows], table.drop(columns="Time (s)").set_index(TIME).iloc[rows]):
+        state, joined = monitor.init(), 0
+        for k in range(0, len(part), size):
+            state, verdict = monitor.run(state, part.iloc[k : k + size])
+            joined += int((verdict.status != jb.Status.MISSING).sum())
+        assert joined <= np.count_nonzero(np.diff(np.arange(T)[rows]) == 1)
 
 
 def test_simulate_takes_inputs_by_name():

@@ -4,12 +4,16 @@ import csv
 import datetime
 
 import numpy as np
+import pandas as pd
 import pytest
 from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.models.modelfile import save_model
+from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.timestamps import since_epoch
 
 MODEL = jb.LinearSystem([[0.5]], None, [[1]], dt=60, noise=0.1, resolution=1)
 SPLIT = ": the recording is split there, and windows across are MISSING"
@@ -93,3 +97,29 @@ def test_detect_says_missing_across_a_gap_and_hints_at_a_frozen_sensor(tmp_path,
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text()
     for text in ("the recording has a gap of 61 s before row 152 (210 s)", "y1 stays at exactly 0.25 for 60 samples from 300 s to 359 s"):
         assert text in page and text[:40] in " ".join(printed.split())
+
+
+@pytest.mark.parametrize("form", ["%Y%m%d%H%M%S", "%Y%m%d%H%M"])
+@pytest.mark.parametrize("door", ["csv", "parquet", "pipe", "table"])
+def test_digits_of_time_stamps_are_no_seconds(tmp_path, door, form):
+    """Across a full hour, with a gap: the steps of the numbers are 100, 4100 and 700, those of the time 60 and 480 s."""
+    stamps = pd.Timestamp("2024-01-01 08:57") + pd.to_timedelta([0, 1, 2, 3, 4, 12, 13, 14], "min")
+    table = pd.DataFrame({"time": stamps.strftime(form).astype(np.int64), "level": np.arange(8.0)})
+    model = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, outputs=["level"], dt=60)
+    if door == "pipe":
+        said = []
+        piece = PipeText(model, lambda kind, sentence: said.append(kind)).take(table.to_csv(index=False).encode())
+        assert piece.starts.tolist() == [5] and piece.written.tolist() == table["time"].tolist() and said == ["seam"]
+        return
+    path = tmp_path / f"run.{door}"
+    if door == "csv":
+        table.to_csv(path, index=False)
+    elif door == "parquet":
+        table.to_parquet(path, index=False)
+    r = Recording.of(model, table) if door == "table" else jb.read(path, model)
+    assert r.starts.tolist() == [5] and r.time[5] - r.time[4] == 480 and (r.stamps == stamps.to_numpy()).all()
+
+
+def test_other_numbers_of_as_many_digits_are_what_they_are():
+    for values in ([123456789012.0, 123456789013.0], [20241301000000.0], [20240101000000.5], [20240101000000.0, 20240132000000.0]):
+        np.testing.assert_array_equal(since_epoch(np.array(values)), values)

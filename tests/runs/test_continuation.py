@@ -8,7 +8,6 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.recordings.read import read
 from jaxbound.runs.fleet import Unit, detect_fleet
 
 T, CUTS = 90, (0, 37, 40, 90)
@@ -115,13 +114,18 @@ def test_a_certificate_of_an_observer_that_goes_on_speaks_of_samples_that_are_th
         assert "rests on all since a recording before" in str(e)
 
 
-def test_recordings_without_a_time_column_follow_each_other(plant, tmp_path):
+@pytest.mark.parametrize("how", [{"horizon": 3}, {"method": "observer"}])
+@pytest.mark.parametrize("stored", ["csv", "parquet"])
+def test_a_recording_without_times_begins_anew(plant, tmp_path, how, stored):
+    """Nothing says that it follows: a healthy recording of another day was FAULT behind it."""
     model, table = plant
     jb.save_model(model, tmp_path / "plant.toml")
-    table = table.iloc[:60].drop(columns="time")
-    fleet(tmp_path, [table.iloc[:30]], horizon=3, state=tmp_path / "state")
-    (second,), kept = fleet(tmp_path, [table.iloc[30:]], horizon=3, state=tmp_path / "state")
-    table.to_csv(tmp_path / "all.csv", index=False)
-    whole = jb.detect(jb.parity_relations(model, 3), read(tmp_path / "all.csv", model))
-    np.testing.assert_array_equal(kept["unit 0"][0].status[3:], whole.status[30:])
-    assert second.summary.found.windows == 30
+    table = table.drop(columns="time")
+    for first, stop in ((0, 20), (30, 45)):
+        path = tmp_path / f"run.{stored}"
+        part = table.iloc[first:stop]
+        part.to_csv(path, index=False) if stored == "csv" else part.to_parquet(path, index=False)
+        (found,) = detect_fleet([Unit("unit", tmp_path / "plant.toml", path)], state=tmp_path / "state", **how)
+        hint = "the recording begins anew, as if there were none before, which has no times: nobody knows whether it follows"
+        assert (hint in found.summary.hints) == (first > 0)
+    assert found.summary.found.samples == 15 and found.summary.counts["FAULT"] == 0

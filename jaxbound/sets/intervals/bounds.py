@@ -1,5 +1,6 @@
 """What a user hands over as a bound, made a float: checked on the host, rounded outward where a float cannot say it."""
 
+import re
 from collections.abc import Callable
 from fractions import Fraction
 from typing import TypeAlias
@@ -11,11 +12,25 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["bound", "check", "settled"]
+__all__ = ["Arrays", "bound", "check", "settled"]
 
 
 Number: TypeAlias = ArrayLike | Fraction
 """What a bound is read from."""
+
+
+class Arrays:
+    """What a dataclass of arrays inherits to refuse lists: its factory takes them, checks them and rounds outward.
+
+    A tree may hold anything else: what is mapped over a set need not be an array.
+    """
+
+    def __post_init__(self) -> None:
+        """Raise TypeError if a field is a list or a tuple of floats."""
+        for name, value in vars(self).items():
+            if isinstance(value, list) or (isinstance(value, tuple) and any(isinstance(x, float) for x in value)):
+                words = re.sub("(?<=.)(?=[A-Z])", "_", type(self).__name__).lower()
+                raise TypeError(f"{type(self).__name__} needs arrays, and {name} is a {type(value).__name__}: build it with {words}(...)")
 
 
 def check(lo: np.ndarray, hi: np.ndarray) -> None:

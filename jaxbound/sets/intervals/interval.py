@@ -22,7 +22,7 @@ import numpy as np
 from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals import approximations
-from jaxbound.sets.intervals.bounds import Number, bound, check, settled
+from jaxbound.sets.intervals.bounds import Arrays, Number, bound, check, settled
 
 __all__ = [
     "Interval", "abs", "add", "div", "hull", "interval", "mag", "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown",
@@ -35,7 +35,7 @@ _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operati
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Interval:
+class Interval(Arrays):
     """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`, which checks what it is given.
 
     Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the exact results, eagerly

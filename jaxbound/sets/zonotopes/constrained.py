@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.objecttext import readable
+from jaxbound.sets.intervals.bounds import Arrays
 from jaxbound.sets.zonotopes.zonotope import Zonotope, finite_arrays
 
 __all__ = ["ConstrainedZonotope", "constrained_zonotope", "parts"]
@@ -16,7 +17,7 @@ __all__ = ["ConstrainedZonotope", "constrained_zonotope", "parts"]
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class ConstrainedZonotope:
+class ConstrainedZonotope(Arrays):
     """{center + generators x : every |x_i| <= 1, constraints x = offsets}; may be empty. Build it with `constrained_zonotope`.
 
     Fields: center c (..., n), generators G (..., n, q), constraints A (..., k, q), offsets b (..., k). Leading axes are a batch of sets.

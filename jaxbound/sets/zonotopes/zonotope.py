@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.recordings.objecttext import readable
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.intervals.bounds import Arrays
 from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["Zonotope", "finite_arrays", "refuse_infinite", "zonotope"]
@@ -17,7 +18,7 @@ __all__ = ["Zonotope", "finite_arrays", "refuse_infinite", "zonotope"]
 @readable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Zonotope:
+class Zonotope(Arrays):
     """{center + generators x : every |x_i| <= 1}. Build it with `zonotope`.
 
     Fields: center (..., n), generators (..., n, q), columns are generators. Leading axes are a batch of sets.

@@ -25,7 +25,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.realisation import realised, realised_filters
-from jaxbound.studies.identification.records import read_records
+from jaxbound.studies.identification.records import measured, read_records
 
 __all__ = ["FitCheck", "Fitted", "fit"]
 
@@ -93,12 +93,12 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
 
     Args:
         recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table with the columns `inputs` and
-            `outputs`; a Recording. NaN marks a missing sample. Windows do not cross gaps in an index, nor `starts`, as for `detect`.
+            `outputs`; a Recording. NaN marks a missing sample. No window crosses gaps in the times of a table, or `starts`.
         order: so many samples back determine the next one (of "filters": so many filters an output). order * p states.
         horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small faults; the model says for which
             it is made.
         lags: of windows that look at the outputs at some samples only, in place of horizon; see `parity_relations` and `suggest_lags`.
-        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what dates in the index or a Recording say, else 1.
+        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables or a Recording say, else 1.
         direct: whether inputs act on the outputs of the same sample (D).
         safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may deviate.
         held_out: the last share of each recording, kept back from a first fit to see what it makes of data that it has not seen. 0: none.
@@ -242,7 +242,7 @@ def _candidate(records, scales, order, horizon, direct, kind, about, room):
     unknowns = order * (p + m) + direct * m + 1
     windows = regression.windows_of(records, scales, horizon, regression.MOST)
     if len(steps.y) < 2 * unknowns or not len(windows.y):
-        total = f"{sum(len(y) for _, y, _ in records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
+        total = f"{measured(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
         raise ValueError(
             f"too few samples: {total}, hold {len(windows.y)} complete windows of {horizon + 1} samples, and {len(steps.y)} steps "
             f"for {unknowns} coefficients an output, twice as many of which are needed: record longer, or choose a lower order or horizon"
@@ -312,7 +312,7 @@ def _verified(spec, bounds, means, records, safety):
     rounded: the plant itself moves in steps. means: {number of the output: (samples, smallest bound of their mean)}.
     """
     rounds = _resolutions(records, len(bounds))
-    total, count = sum(len(y) for _, y, _ in records), len(records)
+    total, count = measured(records), len(records)
     source = f"fitted to {total} samples in {count} recording{'s' * (count > 1)}"
     held = {i: _rounded_up(x * safety) for i, (_, x) in means.items()}
     for _ in range(20):

@@ -9,10 +9,15 @@ from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Records", "read_records"]
+__all__ = ["Records", "measured", "read_records"]
 
 Records = list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 """(u (T, m), y (T, p), starts) of each."""
+
+
+def measured(records: Records) -> int:
+    """Return in how many samples something was measured: those set aside by `where` are no part of a fit."""
+    return sum(int((~np.isnan(y).all(1)).sum()) for _, y, _ in records)
 
 
 def read_records(

@@ -235,3 +235,17 @@ def test_bounds_from_numpy_compile_nothing():
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
     assert found == [] and x.lo.shape == (3, 7, 13)
+
+
+@pytest.mark.parametrize("build", [
+    lambda: Interval([1.0, 2.0], [3.0, 4.0]), lambda: Interval((1.0, 2.0), (3.0, 4.0)), lambda: sets.Zonotope([0.0], [[1.0]]),
+    lambda: sets.ConstrainedZonotope(np.zeros(1), np.eye(1), [[1.0]], [0.5]),
+])  # fmt: skip
+def test_a_class_refuses_lists_and_says_what_takes_them(build):
+    with pytest.raises(TypeError, match="needs arrays, and .* is a (list|tuple): build it with (interval|zonotope|constrained_zonotope)"):
+        build()
+
+
+def test_trees_of_anything_else_are_built():
+    x = interval([1.0, 2.0], [3.0, 4.0])
+    assert jax.tree.map(np.shape, x).lo == (2,) and jax.tree.unflatten(jax.tree.structure(x), [None, object()]).lo is None

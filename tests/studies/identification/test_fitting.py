@@ -223,6 +223,18 @@ class TestRecordings:
         plain = jb.fit((u, y, [60]), order=1, horizon=4)
         assert (model.inputs, model.outputs) == (("pump",), ("level",)) and model.A == plain.A and model.noise == plain.noise
 
+    def test_a_table_tells_its_period_as_a_file_does(self, rng, tmp_path):
+        """Whatever its index: dt was 1, and the shell refused the model."""
+        u, y = run(rng)
+        table = pd.DataFrame({"valve": u[:, 0], "level": y[:, 0], "Time (s)": 3.0 * np.arange(len(y))})
+        table.to_csv(tmp_path / "run.csv", index=False)
+        of = dict(order=1, horizon=4, inputs="valve", outputs="level", held_out=0, method="least squares")
+        for given in (table, table.set_axis(table.index + 5), table.set_index("Time (s)"), [table, table]):
+            model = jb.fit(given, **of)
+            assert model.dt == 3.0
+        assert jb.read(tmp_path / "run.csv", model).dt == 3.0
+        assert not (jb.detect(jb.parity_relations(model, 4), table).status == jb.Status.FAULT).any()
+
     def test_what_was_held_out_is_judged_by_a_fit_that_has_not_seen_it(self, rng):
         u, y = run(rng)
         first = jb.fit((u[:84], y[:84]), order=1, horizon=4, held_out=0, method="windows")

@@ -1,0 +1,304 @@
+"""The time of the rows of a table: its index, or the column by which a file with these columns would be read.
+
+Which column that is, `selection.time_column` says, of files and of tables. An index of dates or time spans tells
+the time by itself. Numbers do as they would in a file: in seconds, or as an epoch. Whole numbers in an index that
+nobody called a time count the samples. Whatever tells a time is asked whether the rows are one sampling period apart.
+"""
+
+import datetime
+import numbers
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxbound.recordings.csvtext import is_number
+from jaxbound.recordings.expressions import expression, is_expression
+from jaxbound.recordings.seams import TOLERATED_STEP, Clock, check_period, irregular, tick, usual_period
+from jaxbound.recordings.selection import time_column
+from jaxbound.recordings.timestamps import DIGITS, read_numbers, stamp_kind, time_like
+
+__all__ = ["RowTime", "one_level", "plain_labels", "row_time", "tells_dates", "unlabelled", "with_time"]
+
+EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
+TO_DATETIME = "turn them into times with pandas.to_datetime first"
+DAY = np.timedelta64(1, "D")
+
+
+class RowTime(NamedTuple):
+    """What an index tells.
+
+    Fields: time, origin, dt, stamps: as of a Recording; seams: numbers of rows that do not follow the one before.
+    """
+
+    time: np.ndarray | None
+    origin: float
+    dt: float | None
+    stamps: np.ndarray | None
+    seams: np.ndarray
+
+
+def unlabelled(index: Any) -> bool:
+    """Return whether an index is none: 0, 1, 2, ..., as a table has that was given no labels."""
+    return getattr(index, "start", None) == 0 and getattr(index, "step", None) == 1
+
+
+def tells_dates(index: Any) -> bool:
+    """Return whether an index holds dates or time spans."""
+    return plain_labels(index).dtype.kind in ("m", "M")
+
+
+def one_level(frame: Any) -> Any:
+    """Return a table with one label a row: levels of its index that hold one value throughout are dropped.
+
+    Raises:
+        ValueError: several levels are left.
+    """
+    index = frame.index
+    if getattr(index, "nlevels", 1) == 1:
+        return frame
+    levels = [index.get_level_values(level) for level in range(index.nlevels)]
+    several = [labels for labels in levels if labels.nunique(dropna=False) > 1]
+    if len(several) > 1:
+        names = ", ".join("one without a name" if labels.name is None else str(labels.name) for labels in several)
+        one = "give one unit at a time, like frame.xs(unit), with the time of its rows as index"
+        raise ValueError(f"the index has the levels {names}: a recording is one sequence of samples; {one}")
+    return frame.set_axis([*several, levels[-1]][0])
+
+
+def plain_labels(labels: Any) -> Any:
+    """Return an index as dates, time spans or numbers where it holds these as objects, text, categories or periods.
+
+    Any other comes back as it is.
+
+    Raises:
+        ValueError: times of a calendar that is not understood.
+    """
+    import pandas as pd
+
+    if hasattr(labels, "to_timestamp"):
+        return labels.to_timestamp()
+    labels = getattr(labels, "left", labels)  # of intervals
+    if isinstance(labels.dtype, pd.CategoricalDtype):
+        labels = pd.Index(np.asarray(labels), name=labels.name)
+    kind = labels.dtype.kind
+    if kind in ("M", "m"):
+        return pd.DatetimeIndex(labels) if kind == "M" else pd.TimedeltaIndex(labels)
+    first = _first(labels)
+    if kind != "O" or first is None or isinstance(first, datetime.time):
+        return labels
+    if isinstance(first, datetime.timedelta):
+        return pd.TimedeltaIndex(labels)
+    if hasattr(first, "isoformat"):
+        try:
+            return pd.DatetimeIndex(labels)
+        except (TypeError, ValueError):
+            kind = type(first).__name__
+            raise ValueError(f"times of type {kind} are not understood: {TO_DATETIME}") from None
+    if isinstance(first, str):
+        if not is_number(first, ","):
+            return labels
+        labels = labels.str.replace(",", ".")
+    try:
+        return pd.Index(pd.to_numeric(labels), name=labels.name)
+    except (TypeError, ValueError):
+        return labels
+
+
+def with_time(frame: Any, model: Any) -> Any:
+    """Return a table with the time of its rows for an index, where a column tells it; else as it is.
+
+    The column is the one by which the same table would be read from a file. An index of dates or time spans comes
+    before all columns but the one that the model names.
+
+    Raises:
+        ValueError: a time column that holds text, or times of day without a day; several columns of time stamps, none
+            called like a time.
+    """
+    if not len(frame):
+        return frame
+    columns = list(frame.columns)
+    if frame.index.name is not None and frame.index.name not in columns:
+        columns = [frame.index.name, *columns]
+    named = getattr(model, "columns", {}).get("time")
+    if not any(named is not None and str(c).strip() == named.strip() for c in columns):
+        named = None
+    if named is None and tells_dates(frame.index):
+        return frame
+    labels = lambda name: _labels(frame, name) if name in frame.columns else frame.index
+    taken = _of_signals(model)
+    free = [c for c in columns if c not in taken]
+    held = lambda name: _held(labels(name))
+    day, time = time_column(columns, free, named, held, getattr(model, "dt", None))
+    if time is None:
+        return frame
+    if day is None:
+        return frame.set_axis(_in_seconds(labels(time), time))
+    return frame.set_axis(_of_day_and_clock(labels(day), labels(time)))
+
+
+def row_time(index: Any, dt: float | None, whose: str, regular: bool) -> RowTime:
+    """Return what an index tells of the time of its rows.
+
+    Args:
+        index: from `with_time`. dt: sampling period in s, None: not known. whose: who says so, see `check_period`.
+        regular: whether rows of another period are refused; else each of them is a seam.
+
+    Raises:
+        ValueError: no time in some row; another sampling period; rows that run backwards or are not regular; times as
+            text.
+    """
+    plain = plain_labels(index)
+    kind = plain.dtype.kind
+    if kind in ("m", "M"):
+        time, origin = _since_first(plain)
+        stamps = plain.to_numpy("datetime64[ns]") if kind == "M" else None
+        return RowTime(time, origin, *_checked(time, index, dt, whose, regular, stamps))
+    if kind not in ("i", "u", "f"):
+        return RowTime(None, np.nan, None, None, _changes(plain))
+    if unlabelled(plain) or not len(plain):
+        return RowTime(None, np.nan, None, None, np.zeros(0, np.int64))
+    labels = _complete(plain.to_numpy(np.float64, na_value=np.nan), np.isnan)
+    if kind != "f":
+        if regular:
+            _refuse_steps(labels)
+        time = labels * (dt or 1.0)
+        return RowTime(time, 0.0, None, None, _checked(time, index, dt or 1.0, whose, regular)[-1])
+    time, stamps, _ = read_numbers(labels, dt)
+    origin = 0.0 if stamps is None else float((stamps[0] - EPOCH) / SECOND)
+    return RowTime(time, origin, *_checked(time, index, dt, whose, regular, stamps))
+
+
+def _of_signals(model):
+    """Return the names of all columns that hold a signal."""
+    found = set()
+    for signal in (*model.inputs, *model.outputs):
+        column = getattr(model, "column", lambda name: name)(signal)
+        found |= {signal, column}
+        if is_expression(column):
+            found |= set(expression(column).columns)
+    return found
+
+
+def _labels(frame, name):
+    import pandas as pd
+
+    return pd.Index(frame.iloc[:, list(frame.columns).index(name)])
+
+
+def _first(labels):
+    """Return the first label that there is, or None."""
+    first = labels[:1] if len(labels) and not labels[:1].hasnans else labels.dropna()[:1]
+    return first[0] if len(first) else None
+
+
+def _held(labels):
+    """Return what labels hold, as `stamp_kind` says of text."""
+    first = _first(labels)
+    if isinstance(first, (int, np.integer)):
+        return stamp_kind(str(first)) if DIGITS.fullmatch(str(first)) else ""
+    if isinstance(first, str):
+        return stamp_kind(first) if DIGITS.fullmatch(first) or not is_number(first, ",") else ""
+    if isinstance(first, datetime.time):
+        return "clock"
+    plain = plain_labels(labels)
+    if plain.dtype.kind == "M":
+        known = plain.dropna()
+        days = (known == known.normalize()).all() and (len(labels) == 1 or not known.is_unique)
+        return "day" if days else "stamp"  # days that are all different are the time of a daily recording
+    if plain.dtype.kind == "m":
+        return "clock" if ((plain >= np.timedelta64(0, "D")) & (plain < DAY)).all() else "stamp"
+    return ""
+
+
+def _in_seconds(labels, name):
+    """Return the labels of a time column as dates, time spans, or floats, which are seconds or an epoch."""
+    plain = plain_labels(labels)
+    if plain.dtype.kind in ("i", "u", "f"):
+        plain = plain.astype(np.float64) if isinstance(plain.dtype, np.dtype) else _floats(plain)
+    elif isinstance(_first(plain), datetime.time):
+        lacking = "times without a day, and no column holds the days: add one, or index by times"
+        raise ValueError(f"the time column {name!r} holds {lacking}")
+    elif plain.dtype.kind not in ("m", "M"):
+        raise ValueError(f"the time column {name!r} holds text: {TO_DATETIME.replace('them', 'it')}")
+    return plain.rename(name)
+
+
+def _floats(labels):
+    import pandas as pd
+
+    return pd.Index(labels.to_numpy(np.float64, na_value=np.nan))
+
+
+def _of_day_and_clock(days, clocks):
+    import pandas as pd
+
+    since = clocks if clocks.dtype.kind == "m" else pd.to_timedelta([t.isoformat() for t in clocks])
+    if days.dtype.kind in ("i", "u"):
+        days = pd.to_datetime(days.astype(str), format="%Y%m%d")
+    return pd.DatetimeIndex(plain_labels(days) + pd.TimedeltaIndex(since), name=clocks.name)
+
+
+def _since_first(index):
+    """Return (time, origin): seconds since the first label of an index, and that one's since 1970 or zero."""
+    _complete(index, lambda x: np.asarray(x.isna()))
+    if not len(index):
+        return np.zeros(0), np.nan
+    spans = index.dtype.kind == "m"
+    first = np.asarray(index[:1].to_numpy() if spans else index[:1].to_numpy("datetime64[ns]"))[0]
+    return np.asarray(index - index[0]) / SECOND, float((first if spans else first - EPOCH) / SECOND)
+
+
+def _complete(labels, gone):
+    """Return the labels; refuse some that are none."""
+    missing = gone(labels)
+    if missing.any():
+        rows = f"{missing.sum()} of {len(labels)} rows, the first is row {int(missing.argmax())}"
+        raise ValueError(f"the index has no time in {rows}: leave them out")
+    return labels
+
+
+def _refuse_steps(labels):
+    """Refuse an index that counts, but not every sample, as one of every second row of a table does."""
+    step = float(np.median(np.diff(labels))) if len(labels) > 1 else 1.0
+    if step > 0 and abs(step - 1) > TOLERATED_STEP:
+        seconds = "If these are seconds, call the index 'time'; if the rows follow each other, frame.reset_index(drop=True)"
+        raise ValueError(f"the index counts in steps of {step:g}, as if rows were left out. {seconds}")
+
+
+def _checked(time, index, dt, whose, regular, stamps=None):
+    """Return (dt, stamps, seams) of rows at these times."""
+    found = None
+    checked = regular and len(time) > 1
+    try:
+        if checked:
+            found = usual_period(time) if dt is None else dt
+            check_period(time, found, whose)
+        clock, seams = tick(Clock(found or dt or 1.0), time)
+        if checked and (sentence := irregular(clock, lambda k: str(index[k]), lambda k: f"row {k}")):
+            raise ValueError(sentence)
+    except ValueError as e:
+        taken = f"; the time is taken from {index.name!r}: where that is none, rename it or leave it out"
+        raise ValueError(f"{e}{'' if index.name is None else taken}") from None
+    return found, stamps, seams
+
+
+def _changes(labels):
+    """Return the rows before which labels that tell no time change, where they repeat.
+
+    Rows of one label follow each other, if any do.
+
+    Raises:
+        ValueError: labels that are times, but as text or without a day; numbers among other labels.
+    """
+    first = _first(labels) if len(labels) else None
+    drop = "or leave it out with frame.reset_index(drop=True)"
+    if time_like(first):
+        raise ValueError(f"the index holds times as text: {TO_DATETIME.replace('them', 'it')}")
+    if isinstance(first, datetime.time):
+        raise ValueError(f"the index holds times without a day: add the days, {drop}")
+    if isinstance(first, numbers.Number) or (isinstance(first, str) and is_number(first, ",")):
+        raise ValueError(f"the index holds numbers and other labels: give the times of the rows, {drop}")
+    if labels.is_unique:
+        return np.zeros(0, np.int64)
+    codes = labels.factorize()[0]
+    return np.flatnonzero(np.diff(codes)) + 1
