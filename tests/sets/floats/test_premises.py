@@ -82,9 +82,9 @@ def folder(monkeypatch, tmp_path):
 
 
 def test_a_version_that_is_not_listed_is_examined_once_in_one_sentence(fresh, folder):
-    runs, whole = [], examined.examination
+    runs = []
     fresh.setattr(settings, "VERSIONS", frozenset())
-    fresh.setattr(examined, "examination", lambda *given: runs.append(given) or whole(*given, 40))
+    fresh.setattr(examined, "examination", lambda *given: runs.append(given) or {"error of a sum": (1.0, 2.84)})
     with pytest.warns(UserWarning, match=rf"jaxlib {jax.lib.__version__} is not among the versions that were examined: .* once") as said:
         probe.refuse_unverified()
     assert len(said) == 1 and "\n" not in str(said[0].message) and len(runs) == 2
@@ -138,7 +138,7 @@ def test_flags_for_cards_are_unknown_on_a_card():
 def test_an_unknown_flag_or_option_is_examined_and_named(fresh, folder):
     fresh.setattr(examined, "examination", lambda *given: {})
     fresh.setenv("XLA_FLAGS", "--xla_cpu_prefer_vector_width=128")
-    with pytest.warns(UserWarning, match="^XLA_FLAGS has --xla_cpu_prefer_vector_width=128, of which .* once"):
+    with pytest.warns(UserWarning, match="^XLA_FLAGS has --xla_cpu_prefer_vector_width=128, under which .* once"):
         probe.refuse_unverified()
     fresh.delenv("XLA_FLAGS")
     fresh.setattr(settings, "OPTIONS", {"jax_exec_time_optimization_effort": (0.5,)})
@@ -159,8 +159,9 @@ print(json.dumps([str(w.message) for w in said]))
 """
 
 
-def test_a_process_with_harmless_flags_is_not_examined(folder):
-    assert json.loads(in_a_process_with("--xla_force_host_platform_device_count=2", "-c", ASKS)) == []
+def test_harmless_flags_are_not_examined(fresh, folder):
+    fresh.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2 --xla_dump_hlo_as_text")
+    probe.refuse_unverified()  # a warning would be an error
     assert not folder.exists()
 
 
