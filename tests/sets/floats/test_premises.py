@@ -184,7 +184,8 @@ HARMLESS_OPTIONS = (
     "jax_random_seed_offset", "jax_refs_to_pins", "jax_remat3", "jax_remove_", "jax_rocm_visible_devices", "jax_scan3",
     "jax_send_traceback_to_runtime", "jax_serialization_version", "jax_share_binary_", "jax_softmax_custom_jvp", "jax_sort_devices_",
     "jax_source_url_schema", "jax_thread_guard", "jax_threefry_", "jax_traceback_", "jax_tracer_", "jax_transfer_guard",
-    "jax_use_", "jax_xla_backend", "jax_mock_gpu_topology", "jax_memory_fitting_", "mock_num_gpu_processes", "check_vma",
+    "jax_use_", "jax_pmap_", "jax_safer_randint", "jax_vjp3", "jax_vmap_primitive", "jax_collectives_common_channel_id",
+    "jax_dynamic_shapes", "jax_xla_backend", "jax_mock_gpu_topology", "jax_memory_fitting_", "mock_num_gpu_processes", "check_vma",
     "eager_constant_folding", "jax2tf_",
 )  # fmt: skip
 """Beginnings of the names of options that say how jax traces, logs, stores and moves, not how XLA
