@@ -3,7 +3,7 @@ PYTHON ?= python3
 # where this is set, every process compiles every file again: a tenth of what the tests take
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow long lowest newest nightly lint docs bench clean
+.PHONY: demo test slow long lowest newest upcoming nightly lint docs bench clean
 
 demo: .venv/installed
 	.venv/bin/jaxbound demo --out demo-report
@@ -22,6 +22,9 @@ lowest:
 
 newest:
 	.ci/versions newest
+
+upcoming:
+	.ci/versions upcoming
 
 nightly: test slow long lowest newest
 
@@ -70,4 +73,4 @@ bench: .venv/tested
 	touch $@
 
 clean:
-	rm -rf .venv .venv-lowest .venv-newest .lowest.txt build dist *.egg-info demo-report site
+	rm -rf .venv .venv-lowest .venv-newest .venv-upcoming .lowest.txt build dist *.egg-info demo-report site

@@ -5,7 +5,8 @@ from pathlib import Path
 
 project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 for requirement in [*project["dependencies"], *project["optional-dependencies"]["test"]]:
-    name, stated, version = requirement.partition(">=")
-    if not stated or "," in version:
-        raise SystemExit(f"pyproject.toml must state one lowest version: {requirement}")
+    lowest, *others = requirement.split(",")
+    name, stated, version = lowest.partition(">=")
+    if not stated or not all(other.startswith("!=") for other in others):
+        raise SystemExit(f"pyproject.toml must state one lowest version, and nothing else but versions left out: {requirement}")
     print(f"{name}=={version}")

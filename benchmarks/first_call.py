@@ -271,7 +271,7 @@ def case(name):
 def counted(names):
     """Return the figures of cases of which only counts are wanted: one after the other in a process that forgets what it compiled.
 
-    The first of them counts the probe of the device too, some 50 instructions.
+    The first of them counts the probe of the device too, some 60 instructions.
     """
     with tempfile.TemporaryDirectory() as folder:
         dump = {"XLA_FLAGS": f"--xla_dump_to={folder} --xla_dump_hlo_as_text --xla_dump_hlo_pass_re=none", "JAX_COMPILATION_CACHE_DIR": ""}

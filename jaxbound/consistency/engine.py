@@ -11,7 +11,6 @@ one: start a process for each card, with `--nthreads 1 --resources GPU=1`.
 import logging
 import os
 import pickle
-import platform
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -19,12 +18,12 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import jax
 import numpy as np
 
+from jaxbound.sets.floats import settings
 from jaxbound.sets.floats.probe import Unverified
 
 if TYPE_CHECKING:
@@ -173,12 +172,9 @@ def stretches_for(client: "Client | None", stretches: Sequence[range]) -> list[r
 
 def processor() -> str:
     """Return the kind of processor that rounds the last bits of this process: its maker's name, and what the compiler may use of it."""
-    names = [platform.machine()]
-    told = Path("/proc/cpuinfo")
-    if told.exists():
-        names += [line.split(":", 1)[1].strip() for line in told.read_text().splitlines() if line.startswith("model name")][:1]
     flags = os.environ.get("XLA_FLAGS", "")
-    return " ".join([*names, *(["with", flags] if flags else [])])
+    name, _ = settings.processor()
+    return f"{name} with {flags}" if flags else name
 
 
 @lru_cache

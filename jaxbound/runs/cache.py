@@ -1,10 +1,11 @@
 """Compiled kernels on a disk, for the next process."""
 
-import os
 import tempfile
 from pathlib import Path
 
 import jax
+
+from jaxbound.recordings.folders import cache_folder
 
 __all__ = ["use_cache"]
 
@@ -34,7 +35,7 @@ def use_cache(folder: str | Path | None = None) -> Path:
     if folder is None and told is not None:
         return Path(told)
     try:
-        chosen = _of_the_user() if folder is None else Path(folder)
+        chosen = cache_folder() if folder is None else Path(folder)
         chosen.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=chosen):
             pass
@@ -50,7 +51,3 @@ def use_cache(folder: str | Path | None = None) -> Path:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return chosen
-
-
-def _of_the_user() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbound"

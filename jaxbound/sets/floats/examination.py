@@ -1,20 +1,23 @@
-"""All that `rounding` assumes, asked of a device with thousands of numbers: what a new kind of device has to pass before it may prove.
+"""All that proofs assume, asked of a device with thousands of numbers: what a new kind of device or compiler
+has to pass first.
 
-`probe.measure` asks a little of it before every first verdict; this takes seconds, for each form in which a compiler meets an operation.
+`probe.measure` asks a little of it before every first verdict; this takes seconds, for each form in which a
+compiler meets an operation: what `rounding` assumes, and the `premises` beside it.
 """
 
 import operator
 from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats import rounding, unrolled
 
-__all__ = ["examination"]
+__all__ = ["examination", "premises", "reductions"]
 
 EXACTLY = {"sum": operator.add, "difference": operator.sub, "product": operator.mul, "quotient": operator.truediv}
 ONE, SQUARE = 2.84, 5.7  # units that one operation, and the square of a root, may be off
@@ -84,7 +87,97 @@ def examination(device: jax.Device, dtype: DTypeLike, count: int = 600, seed: in
         odd = np.where(np.arange(count) % 2, np.nan, np.inf).astype(dtype)
         found["NaN that are lost"] = float((~np.isnan(run(lambda x: (x - x) + 1, odd))).sum()), 0.0
         found["comparisons with NaN that are true"] = float(sum(map(np.sum, run(_comparisons, np.full(count, np.nan, dtype))))), 0.0
+    return found | premises(device, dtype, seed)
+
+
+SIZES = 16, 300, 5000
+"""Numbers of a kernel in one register, in a loop, and shared out among threads."""
+MANY = 2**13
+"""Numbers of a reduction that XLA hands to a library, with the operations that it alone reads."""
+
+
+def premises(device: jax.Device, dtype: DTypeLike, seed: int = 0) -> dict[str, tuple[float, float]]:
+    """Return {what proofs rest on beside rounding: (how often compiled kernels broke it on a device, 0)};
+    see `examination`.
+
+    A number that is searched for without a claim (a gain, a multiplier) may be any, but has to be one for
+    all its uses. NaN in what a proof reads has to stay. What is multiplied and then added shows whether the
+    product was rounded in between, as the host does it.
+    """
+    rng, found = np.random.default_rng(seed), {}
+    run = lambda f, *x: jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
+    with jax.ensure_compile_time_eval(), jax.default_device(device), jax.debug_nans(False), jax.debug_infs(False), jax.disable_jit(False):
+        for count in SIZES:
+            a, b, c = (rng.uniform(1, 2, count).astype(dtype) for _ in range(3))
+            kept = {
+                "quotients that are not one number for all uses": lambda a, b: unrolled.stored(a * b),
+                "calls that are not kept apart": unrolled.apart(operator.mul),
+            }
+            for claim, product in kept.items():
+                pairs = [run(partial(use, product), a, b, c, np.int32(1)) for use in (_beside, _in_a_loop, _in_a_reduction)]
+                found[f"{claim}, of {count}"] = float(sum((later != number + c).sum() for number, later in pairs)), 0.0
+            number, later = run(_carried, a, b, c, np.int32(1))
+            found[f"carries of a loop that are rounded anew, of {count}"] = float((later != number + c).sum()), 0.0
+        found |= reductions(rng.uniform(-1, 1, MANY).astype(dtype).reshape(-1, 8), run)
+        top = np.full(16, 2.0 ** (np.finfo(dtype).maxexp - 2), dtype)
+        twice = run(lambda x, y: jax.lax.optimization_barrier(x / y) / y, top, np.sqrt(top) * 4)
+        found["quotients of quotients that are merged"] = float((twice == 0).sum()), 0.0
     return found
+
+
+def _beside(product, a, b, c, times):
+    """Return p and p + c (2, N), p a product of a and b, from one loop of the compiled kernel."""
+    p = product(a, b)
+    return jnp.stack([p, p + c])
+
+
+def _in_a_loop(product, a, b, c, times):
+    """Return as `_beside`, from within a loop in time."""
+    return jax.lax.fori_loop(0, times, lambda _, x: _beside(product, a, b, c, times), jnp.zeros((2, len(a)), a.dtype))
+
+
+def _in_a_reduction(product, a, b, c, times):
+    """Return as `_beside`, each as the largest of two equal numbers."""
+    p = product(a, b)
+    return jnp.max(jnp.stack([jnp.stack([p, p + c])] * 2, 1), 1)
+
+
+def _carried(a, b, c, times):
+    """Return (x, x + c) for a product x that a loop carries, as often as `times` says."""
+    x = jax.lax.fori_loop(0, times, lambda _, x: a * b, jnp.zeros_like(a))
+    return x, x + c
+
+
+def reductions(x: np.ndarray, run: Callable) -> dict[str, tuple[float, float]]:
+    """Return as `premises`, of what proofs read of many numbers: NaN shows in sums and comparisons, infinity
+    also in maxima.
+
+    Args:
+        x: (N, 8) finite. run: compiles a function and calls it.
+    """
+    x, bad = x.copy(), np.arange(len(x)) % 5 == 0
+    x[bad, 3] = np.nan
+    sums, whole = run(_nan_of_rows, x)
+    lost = sum((~np.isnan(f[bad])).sum() for f in sums)
+    true = sum(f[bad].sum() for f in whole)
+    x[bad, 3], x[::7, 2] = np.inf, -np.inf
+    most, least = run(_ends_of_rows, x)
+    cut = (most != x.max(1)).sum() + (least != x.min(1)).sum()
+    return {
+        f"sums of {x.size} numbers that lose NaN": (float(lost), 0.0),
+        f"comparisons of {x.size} numbers with NaN that are true": (float(true), 0.0),
+        f"maxima of {x.size} numbers that lose infinity": (float(cut), 0.0),
+    }
+
+
+def _nan_of_rows(x):
+    """Return what is NaN, and what is false, of each row with a NaN."""
+    sums = jnp.sum(x, 1), jnp.sum(jnp.abs(x) * 0, 1)
+    return sums, (jnp.all(x < jnp.inf, 1), jnp.all(jnp.abs(x) - 1 < jnp.inf, 1), jnp.all(jnp.isfinite(x), 1), jnp.all(x == x, 1))
+
+
+def _ends_of_rows(x):
+    return jnp.max(x, 1), jnp.min(x, 1)
 
 
 def _comparisons(x):

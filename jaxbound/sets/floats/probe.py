@@ -4,20 +4,18 @@
 **The device** has to be of a kind whose arithmetic was examined: CPU, so far. An accelerator of NVIDIA is known by its compute capability,
 its driver and the version of jaxlib (`kind_of_device`); none is in `EXAMINED` before `examination` has run on one, with every test of this
 house, and before what no probe can show (`PREMISES`) holds for what is computed there.
-**Flags of XLA, and switches of the environment,** that give arithmetic up are refused by name: what they allow, a compiler need not do to
-the kernels of a probe.
-**The probe** (`measure`), one small kernel, catches what names do not. It runs once a process for each device and setting, with the flags
-in force.
-
-The options of jax itself need no question: on CPU `jax_default_matmul_precision` changes no product (measured), and what is proved by one
-asks for the highest precision; the others round nothing.
+**Flags of XLA, and switches of the environment,** that give arithmetic up are refused by name (`settings`):
+what they allow, a compiler need not do to the kernels of a probe.
+**The probe** (`measure`), one small kernel, catches what names do not, and asks the premises beside
+rounding: that a stored quotient is one number for all its uses, that a callee is kept apart. It runs once a
+process for each device and setting, with the flags in force.
+**Versions of jaxlib, flags and options of jax** that no table knows are examined in full, once (`examined`).
 """
 
 import os
 from fractions import Fraction
 from functools import lru_cache
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -25,12 +23,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats import rounding, unrolled
+from jaxbound.sets.floats.examined import doubt_of
+from jaxbound.sets.floats.settings import examined_versions, loose_flags, odd_options, set_switches, unknown_flags
 
 __all__ = [
     "EXAMINED",
     "PREMISES",
-    "SWITCHES",
     "Unverified",
     "default_device",
     "kind_of_device",
@@ -55,29 +54,6 @@ PREMISES = {
     ),
 }
 """What the makers' manuals say of the arithmetic of a kind of device, and no probe can show."""
-GIVES_UP = {
-    "xla_cpu_enable_fast_math": ("false", "0"),
-    "xla_cpu_fast_math_honor_nans": ("", "true", "1"),
-    "xla_cpu_fast_math_honor_infs": ("", "true", "1"),
-    "xla_cpu_fast_math_honor_division": ("", "true", "1"),
-    "xla_cpu_fast_math_honor_functions": ("", "true", "1"),
-    "xla_cpu_experimental_onednn_fusion_type": ("",),
-    "xla_cpu_experimental_xnn_fusion_type": ("",),
-    "xla_cpu_experimental_ynn_fusion_type": ("",),
-    "xla_cpu_experimental_xnn_graph_fusion_mode": ("", "XNN_GRAPH_FUSION_MODE_DISABLED"),
-    "xla_gpu_enable_fast_min_max": ("false", "0"),
-}
-"""Flags of XLA after which nothing is known of a rounding, and the values that leave it alone. fusion_type and graph_fusion_mode hand
-operations to libraries whose exp, for one, is another."""
-SWITCHES = {
-    "NVIDIA_TF32_OVERRIDE": ("", "0"),
-    "CUBLAS_EMULATE_SINGLE_PRECISION": ("", "0"),
-    "CUBLAS_EMULATE_DOUBLE_PRECISION": ("", "0"),
-    "CUBLAS_EMULATION_STRATEGY": ("",),
-    "CUBLAS_FIXEDPOINT_EMULATION_MANTISSA_BIT_COUNT": ("",),
-}
-"""Switches of the environment by which libraries of NVIDIA compute otherwise, and the values that leave them alone. No dot of a library is
-proved, but whoever sets one of these means to change arithmetic."""
 
 
 class Unverified(RuntimeError):
@@ -151,12 +127,12 @@ def kind_of_device(device: jax.Device) -> dict[str, str]:
 def _doubt(device: jax.Device) -> str:
     """Return why a device proves nothing, in a sentence; empty where it may."""
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]  # made at run time
-    switches = tuple(f"{name}={value}" for name in SWITCHES if (value := os.environ.get(name, "")) not in SWITCHES[name])
-    return _found(device, os.environ.get("XLA_FLAGS", ""), x64, switches if device.platform != "cpu" else ())
+    switches = set_switches() if device.platform != "cpu" else ()
+    return _found(device, os.environ.get("XLA_FLAGS", ""), x64, switches, odd_options())
 
 
 @lru_cache
-def _found(device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] = ()) -> str:
+def _found(device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] = (), options: tuple[str, ...] = ()) -> str:
     kind = kind_of_device(device)
     named = " ".join(x for x in (kind["platform"], kind["capability"]) if x)
     if switches:
@@ -166,47 +142,45 @@ def _found(device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] 
             f"proofs need a device whose rounding was verified, so far only CPU, not {named}: set JAX_PLATFORMS=cpu, or give "
             'NumPy arrays under `with jax.default_device("cpu")`; margins gives unproved values anywhere'
         )
-    if loose := _loose(flags):
+    if loose := loose_flags(flags):
         return f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start without, nothing can be proved so"
     if kind["platform"] == "NVIDIA" and not x64:
         return f"on {named} a quotient in float32 may be off by 4 units, more than proofs allow for: switch on jax_enable_x64"
     measured = measure(device, jnp.result_type(float))
     if broken := [f"{name}: {value:.3g}, at most {most:g} assumed" for name, (value, most) in measured.items() if not value <= most]:
+        settings = f"XLA_FLAGS={flags}" if flags else "what changes the compiler"
         return (
-            f"compiled arithmetic in this process is not what proofs rest on ({'; '.join(broken)}), so nothing can be proved: "
-            f"start without {f'XLA_FLAGS={flags}' if flags else 'what changes the compiler'}"
+            f"compiled arithmetic in this process is not what proofs rest on ({'; '.join(broken)}), so nothing can be proved with "
+            f"jax {jax.__version__} and jaxlib {kind['jaxlib']}: start without {settings}, "
+            f"or install a jaxlib that was examined ({examined_versions()})"
         )
-    return ""
-
-
-def _loose(flags: str) -> list[str]:
-    """Return the flags that give arithmetic up, of XLA_FLAGS: the flags themselves, or the name of a file with them."""
-    if flags and flags.split() and not flags.split()[0].startswith("-"):
-        file = Path(flags)
-        flags = file.read_text() if file.is_file() else ""
-    found = []
-    for flag in flags.replace('"', " ").replace("'", " ").split():
-        name, given, value = flag.lstrip("-").partition("=")
-        harmless = GIVES_UP.get(name)
-        if harmless is not None and (value if given else "true") not in harmless:
-            found.append(flag)
-    return found
+    odd = []
+    if unknown := unknown_flags(flags, kind["platform"]):
+        odd.append(f"XLA_FLAGS has {' and '.join(unknown)}, under which nothing was examined")
+    if options:
+        odd.append(f"jax has {' and '.join(options)}, under which nothing was examined")
+    return doubt_of(device, kind, odd)
 
 
 COUNT = 16
+EVEN = np.arange(COUNT) % 2 == 0
 
 
 def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, float]]:
     """Return {what `rounding` assumes: (what a compiled kernel did on a device, the most that is assumed)}, errors in units u.
 
     Few numbers, and a kernel that compiles fast: it stands before every first verdict. `tests/sets/test_probe.py` asks more, of thousands.
+
+    A product p = a b that is rounded once leaves p - fl(a b) = 0. If the compiler sees through what should
+    store it, or works it out anew where it is used, then it contracts the difference, and the error of the
+    product is left.
     """
     k, info = np.arange(1, COUNT + 1), np.finfo(dtype)
     numbers = lambda step, low, high: np.exp2(low + (high - low) * (k * step % 1)).astype(dtype)
     a, b = numbers(0.618, -8, 8) * np.where(k % 3, 1, -1).astype(dtype), numbers(0.414, -8, 8)
     small, top = numbers(0.732, info.minexp + 1, info.minexp + 3.9), np.full(COUNT, info.max, dtype)
-    odd = np.where(k % 2, np.nan, np.inf).astype(dtype)
-    given = a, b, b[:1], small, np.full(1, -16, dtype), top, odd
+    odd, divisor = np.where(k % 4 == 0, np.nan, np.inf).astype(dtype), np.full(1, -17.3, dtype)
+    given = a, b, divisor, small, top, odd, np.where(EVEN, a * b, a * a), EVEN
     with jax.ensure_compile_time_eval(), jax.default_device(device), jax.debug_nans(False), jax.debug_infs(False), jax.disable_jit(False):
         found = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
     *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*found[:6], a, b, small))
@@ -214,22 +188,32 @@ def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, floa
     u, smallest, pairs = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny)), list(zip(A, B, strict=True))
     error = lambda found, want: max(float(abs(f - w) / abs(f) / u) if f else np.inf for f, w in zip(found, want, strict=True))
     lost = sum(s + e != x + y for s, e, (x, y) in zip(total, rest, pairs, strict=True))
-    underflow = max(abs(f + x / 16) for f, x in zip(flushed, least, strict=True)) / smallest
+    by = Fraction(float(divisor[0]))
+    underflow = max(abs(f - x / by) for f, x in zip(flushed, least, strict=True)) / smallest
     return {
         "error of a sum": (error(total, [x + y for x, y in pairs]), 2.84),
         "error of a quotient": (error(quotient, [x / y for x, y in pairs]), 2.84),
-        "error of a quotient by one number": (error(share, [x / B[0] for x in A]), 2.84),
+        "error of a quotient by one number": (error(share, [x / by for x in A]), 2.84),
         "error of the square of a root": (error([x * x for x in root], B), 5.7),
         "sums that two_sum loses digits of": (lost, 0),
         "error of an underflow, in smallest numbers": (float(underflow), 1),
         "underflows that lose their sign": (int((~np.signbit(found[5])).sum()), 0),
-        "overflows that are finite": (int((found[6] != np.inf).sum()), 0),
-        "NaN that are lost": (int((~np.isnan(found[7])).sum()), 0),
+        "overflows that are finite": (int((found[6][EVEN] != np.inf).sum()), 0),
+        "NaN that are lost": (int((~np.isnan(found[6][~EVEN])).sum()), 0),
+        "quotients that are not one number for all uses": (int((found[7][EVEN] != 0).sum()), 0),
+        "calls that are not kept apart": (int((found[7][~EVEN] != 0).sum()), 0),
     }
 
 
 @jax.jit
-def _kernel(a: jax.Array, b: jax.Array, one: jax.Array, small: jax.Array, sixteen: jax.Array, top: jax.Array, odd: jax.Array) -> jax.Array:
+def _kernel(
+    a: jax.Array, b: jax.Array, divisor: jax.Array, small: jax.Array, top: jax.Array, odd: jax.Array, product: jax.Array, even: jax.Array
+) -> jax.Array:
     """Return (8, COUNT) results: more of them would be spread over several loops, and take four times as long to compile."""
     lost = jnp.maximum(odd - odd, b)  # odd: NaN and infinite
-    return jnp.stack([*rounding.two_sum(a, b), a / b, a / one, jnp.sqrt(b), small / sixteen, top + top, lost])
+    held = unrolled.stored(a * b) - product, product - _squared(a)  # differences of one form, or of one product, would become one
+    ends = jax.lax.select(even, top + top, lost), jax.lax.select(even, *held)
+    return jnp.stack([*rounding.two_sum(a, b), a / b, a / divisor, jnp.sqrt(b), small / divisor, *ends])
+
+
+_squared = unrolled.apart(lambda a: a * a)

@@ -1,18 +1,27 @@
-"""Sums and extremes over a few rows, written out term by term: with the windows on the last axis the compiler fuses them."""
+"""Sums and extremes over a few rows, written out term by term: with the windows on the last axis the
+compiler fuses them.
+
+And what keeps it from fusing: `stored` and `apart` make a number one number for all its uses. No rule of the
+compiler says so, its heuristics do: `probe` asks each time, `examination` at several sizes.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from functools import wraps
+from typing import TypeVar, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.experimental.xla_metadata import set_xla_metadata
 
-__all__ = ["FEW", "foremost", "highest", "largest", "most", "stored", "summed", "total"]
+__all__ = ["FEW", "apart", "foremost", "highest", "largest", "most", "stored", "summed", "total"]
 
 FEW = 8
 """Rows up to which a sum is written out; more are added in a loop, four at a time: it compiles to no more with their number."""
 TOGETHER = 4
 
 
+Kernel = TypeVar("Kernel", bound=Callable[..., object])
 Tree = TypeVar("Tree")
 
 
@@ -21,7 +30,28 @@ def stored(x: Tree) -> Tree:
 
     (A barrier does not stop it from doing so, and a division by a broadcast becomes a product.)
     """
-    return jax.tree.map(lambda a: a / jnp.where(a == a, jnp.ones((), a.dtype), 0), x)
+    with jax.named_scope("stored"):  # so that a test finds these quotients in what was compiled
+        return jax.tree.map(lambda a: a / jnp.where(a == a, np.ones((), a.dtype), 0), x)
+
+
+def apart(f: Kernel) -> Kernel:
+    """Compile f as a function of its own: what it returns is stored.
+
+    Within one function the compiler works a value out anew for each of its uses, which doubles at every step
+    of a chain, and rounds it as it likes each time. An `optimization_barrier` does not keep it from that.
+    """
+
+    @jax.jit
+    def compiled(*args):
+        with set_xla_metadata(inlineable=None):  # f alone, not what it calls
+            return f(*args)
+
+    @wraps(f)
+    def call(*args):
+        with set_xla_metadata(inlineable="false"):
+            return compiled(*args)
+
+    return cast(Kernel, call)
 
 
 def total(terms: Iterable[jax.Array]) -> jax.Array:

@@ -115,8 +115,10 @@ def summed(x: Interval, axes: Sequence[int], **_: object) -> Interval:
     out, count = total(terms, axis=-1), terms.shape[-1]
     if not count:
         return Interval(jnp.zeros_like(out.lo), jnp.zeros_like(out.hi))
-    low, high = jnp.min(terms.lo, -1), jnp.max(terms.hi, -1)
-    return Interval(jnp.where(low >= 0, jnp.maximum(out.lo, 0), out.lo), jnp.where(high <= 0, jnp.minimum(out.hi, 0), out.hi))
+    # the least of many numbers may overlook NaN, a bound that is not known
+    known = [~jnp.any(jnp.isnan(x), -1) for x in (terms.lo, terms.hi)]
+    positive, negative = known[0] & (jnp.min(terms.lo, -1) >= 0), known[1] & (jnp.max(terms.hi, -1) <= 0)
+    return Interval(jnp.where(positive, jnp.maximum(out.lo, 0), out.lo), jnp.where(negative, jnp.minimum(out.hi, 0), out.hi))
 
 
 def product(x: Interval, axes: Sequence[int], **_: object) -> Interval:

@@ -20,12 +20,11 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import most, total
+from jaxbound.sets.floats.unrolled import apart, most, total
 from jaxbound.sets.intervals.comparisons import disjoint
 from jaxbound.sets.intervals.interval import Interval, intersection, mag, mig
 from jaxbound.sets.intervals.interval import sum as interval_sum
 from jaxbound.sets.linear_systems.products import (
-    apart,
     at,
     extremes,
     minus,

@@ -3,45 +3,21 @@
 One matrix lies in the leading axes, a batch in the axis behind: every step is a pass over the batch.
 """
 
-from collections.abc import Callable
-from functools import wraps
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.xla_metadata import set_xla_metadata
 from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import most, total
+from jaxbound.sets.floats.unrolled import apart, most, total
 from jaxbound.sets.intervals.interval import Interval, mag, mig
 
-__all__ = ["apart", "at", "extremes", "inverse", "minus", "over", "preconditioner", "product", "reciprocal", "solved_for", "times", "where"]
+__all__ = ["at", "extremes", "inverse", "minus", "over", "preconditioner", "product", "reciprocal", "solved_for", "times", "where"]
 
 
-Kernel = TypeVar("Kernel", bound=Callable[..., object])
 Tree = TypeVar("Tree")
-
-
-def apart(f: Kernel) -> Kernel:
-    """Compile f as a function of its own: what it returns is stored.
-
-    Within one function the compiler works a value out anew for each of its uses, which doubles at every step of a chain, and rounds it
-    as it likes each time. An `optimization_barrier` does not keep it from that.
-    """
-
-    @jax.jit
-    def compiled(*args):
-        with set_xla_metadata(inlineable=None):  # f alone, not what it calls
-            return f(*args)
-
-    @wraps(f)
-    def call(*args):
-        with set_xla_metadata(inlineable="false"):
-            return compiled(*args)
-
-    return cast(Kernel, call)
 
 
 def preconditioner(M: Interval, kind: str = "midpoint") -> jax.Array | None:

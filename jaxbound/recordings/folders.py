@@ -1,0 +1,16 @@
+"""Where a user's files go that may be thrown away."""
+
+import os
+from pathlib import Path
+
+__all__ = ["cache_folder"]
+
+
+def cache_folder() -> Path:
+    """Return the folder of what can be computed again: `jaxbound` in `$XDG_CACHE_HOME`, by default
+    `~/.cache`.
+
+    Raises:
+        RuntimeError: there is no home folder.
+    """
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbound"
