@@ -83,6 +83,7 @@ class BankTest(WindowTest):
         """Return the verdicts with UNDECIDED in place of FAULT for relations that are not contradicted; see `WindowTest.withdrawn`."""
         r, s = self.relations, self.horizon
         words = np.array(judged.words)
+        words[-1] &= np.uint32(2 ** (2 * ((r.count - 1) % PACKED + 1)) - 1)  # where there is no relation nothing is said
         flat = words.reshape(len(words), -1)
         doubtful = np.zeros(len(at), bool)
         for number, proved in enumerate(contradicted):

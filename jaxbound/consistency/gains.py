@@ -46,16 +46,22 @@ class GainsTest(ExchangeTest):
         searched = run(candidates, given)
         judged = run(concluded, [(block[0], *block[3:], *found) for block, found in zip(given, searched, strict=True)])
         return [
-            (self._twice.decided(margin, partial(self._again, block, found)), ~np.asarray(settled))
+            self._decided(block, found, np.asarray(margin), np.asarray(settled))
             for block, found, (margin, settled, _) in zip(given, searched, judged, strict=True)
         ]
 
+    def _decided(self, block, found, margin, settled):
+        """Return (margin, open) of a block; the margin of a window that is left open has no sign yet."""
+        proved = self._twice.decided(np.where(settled, margin, 0), partial(self._again, block, found))
+        return np.where(settled, proved, margin), ~settled
+
     def _again(self, block, found, at):
-        """Return the margins of some windows of a block, in NumPy from their samples, by what the search found for them."""
+        """Return the margins of some windows of a block, in NumPy from their samples, by what the search found for them; 0: open."""
         one, *samples, lo, hi = (x[..., at] for x in block)
         hints = (np.asarray(x)[..., at] for x in found[4:7])
         gains, mid, rad, known, *image = prepared(self.constants, one, *samples, lo, hi)
-        return concluded(self.constants, one, lo, hi, gains, mid, rad, known, *hints, *image)[0]
+        margin, settled, _ = concluded(self.constants, one, lo, hi, gains, mid, rad, known, *hints, *image)
+        return np.where(settled, margin, 0)
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole, with frames that fit the samples that are there."""

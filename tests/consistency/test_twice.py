@@ -18,9 +18,9 @@ RELATIONS = {
     "strips": lambda: jb.parity_relations(paper()),
     "float32": lambda: jb.parity_relations(paper()),
     "bank": lambda: jb.redundancy(paper()),
-    "long": lambda: jb.parity_relations(paper(), 12),
+    "long": lambda: jb.parity_relations(paper(), 20),
     "constant": lambda: jb.parity_relations(paper().replace(constant_tolerance=True), 2),
-    "gains": lambda: jb.parity_relations(paper().replace(constant_tolerance=True), 12),
+    "gains": lambda: jb.parity_relations(paper().replace(constant_tolerance=True), 20),
     "uncertain": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
     "uncertain paving": lambda: jb.parity_relations(paper().replace(uncertainties=SHAKY)),
     "paving": lambda: jb.parity_relations(paper()),
@@ -50,10 +50,10 @@ class Corrupted:
 
     def changed_array(self, x):
         x = np.array(x)
-        wrong = self.rng.random(x.shape) < self.share
-        self.changed += int(wrong.sum())
         if x.size > 1 and self.rng.random() < 0.1:  # another part of the array was copied
             return np.roll(x, int(self.rng.integers(x.size)), -1)
+        wrong = self.rng.random(x.shape) < self.share
+        self.changed += int(wrong.sum())
         if x.dtype == np.int8:
             return np.where(wrong, np.int8(Status.FAULT), x)
         if x.dtype == bool:
