@@ -347,7 +347,7 @@ class _Pending:
         self.folder.mkdir(parents=True, exist_ok=True)
         if path.exists():  # another share has made it meanwhile
             _refuse_other(path, self.notes[number])
-        with whole(path) as f:
+        with whole(path, links=False) as f:
             pq.write_table(pa.table(columns).replace_schema_metadata(about), f, use_dictionary=["status"], write_page_checksum=True)
         self.done += len(status)
 
