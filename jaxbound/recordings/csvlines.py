@@ -47,7 +47,7 @@ class CountedLines:
         return self._ends - self._trailing + 1
 
     def read(self, size: int = BLOCK) -> bytes:
-        """Return the next bytes, about so many; nothing at the end. No \r is parted from what follows it."""
+        r"""Return the next bytes, about so many; nothing at the end. No \r is parted from what follows it."""
         data = b""
         while not data:
             more = self._file.read(size)

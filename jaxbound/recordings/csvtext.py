@@ -210,8 +210,9 @@ def _refuse_lost_rows(layout, counted, rows, timed):
             raise ValueError(f"row {number} {UNCLOSED}")
         if layout.is_blank(line):
             layout.blank.append(number)
-    if rows + len(layout.blank) != last - layout.skip:
-        raise ValueError(f"of {last - layout.skip - len(layout.blank)} rows {rows} can be read: write the file again without quotation marks")
+    lines = last - layout.skip - len(layout.blank)
+    if rows != lines:
+        raise ValueError(f"of {lines} rows {rows} can be read: write the file again without quotation marks")
     between = [number for i, number in enumerate(layout.blank) if number > layout.skip + 1 + i]
     if between and not timed:
         raise ValueError(f"row {between[0]} {BLANK}")
