@@ -46,7 +46,7 @@ FIRST = datetime.datetime(2024, 2, 28, 23, 59, 30)  # over midnight and into a l
 STAMPS = ("%Y-%m-%d %H:%M:%S", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%dT%H:%M:%SZ", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y%m%d%H%M%S",
           "%d-%b-%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f")  # fmt: skip
 MISSING = ("", "", " ", "NaN", "nan", "NA", "N/A", "null", "None")
-REMARKS = ("fine", "", "shift 2", "a 5\" pipe", "it's on", "a\u2028b", "x\x0by", "\u201cok\u201d", "`", "'")
+REMARKS = ("fine", "", "shift 2", 'a 5" pipe', "it's on", "a\u2028b", "x\x0by", "\u201cok\u201d", "`", "'")
 
 
 def simulated(draw, samples, fault=False):

@@ -44,7 +44,7 @@ class Bench:
     def _shell(self, *args):
         code = main.main([*map(str, args), "--json"])
         out, err = self.capsys.readouterr()
-        if code == 2:
+        if code == 2 and not out:  # a fleet has a row for what it could not test
             assert err.startswith("jaxbound: ") and err.count("\n") == 1, err
             return None, err
         return json.loads(out), err
@@ -101,7 +101,7 @@ class Bench:
 
     def _fleet(self, v, place):
         (place / "P 1.csv").write_bytes(v.text())
-        (counts, said), = self._units(place, place / "P 1.csv")
+        ((counts, said),) = self._units(place, place / "P 1.csv")
         return counts, said
 
     def _units(self, place, *recordings, options=()):

@@ -1,4 +1,4 @@
-"""What a part of the verdicts notes beside them, in its metadata: how signals stand still, their extremes, what was judged again."""
+"""The metadata of a part of the verdicts: how signals stand still, their extremes, how many windows were judged again."""
 
 import base64
 import json
@@ -16,27 +16,36 @@ from jaxbound.recordings.stillness import Run, Runs, follow, joined
 
 __all__ = ["AGAIN", "EXTREMES", "RUNS", "Noted", "read_again", "read_extremes", "read_runs"]
 
+NONE = '{"bin": 0, "low": [], "high": []}'  # an earlier jaxbound noted no extremes
 RUNS, EXTREMES, AGAIN = b"runs", b"extremes", b"again"
 
 
 class Noted:
-    """The notes on signals of one recording. Args: samples: how many it has. model: with m inputs and p outputs."""
+    """The notes on signals of one recording.
+
+    Args:
+        samples: how many it has. model: with m inputs and p outputs.
+    """
 
     def __init__(self, samples: int, model: Any) -> None:
         self.edges = bins(samples)
-        self.shown = [*range(model.m, model.m + model.p), *range(model.m)][:PANELS]  # outputs before inputs, as a page has them
+        outputs, inputs = range(model.m, model.m + model.p), range(model.m)
+        self.shown = [*outputs, *inputs][:PANELS]  # in the order of a page
 
     def of(self, first: int, signals: np.ndarray) -> dict[bytes, str]:
         """Return {name: JSON} of the samples from number `first` on.
 
         Args:
-            first: number of the first sample. signals: (n, k) inputs, outputs and, if the model has `where`, 1 where it holds.
+            first: its number. signals: (n, k) inputs, outputs and, if the model has `where`, 1 where that holds.
         """
         runs = [follow(Runs(first), np.ascontiguousarray(x)) for x in signals.T]
         begun, _, edges = inside(self.edges, first, len(signals))
-        columns = [signals[:, i] for i in self.shown]
-        ends = {name: [_coded(least.reduceat(x, edges)) for x in columns] for name, least in (("low", np.fmin), ("high", np.fmax))}
-        return {RUNS: json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist), EXTREMES: json.dumps({"bin": begun} | ends)}
+        extremes: dict[str, Any] = {"bin": begun, "low": [], "high": []}
+        for i in self.shown:
+            extremes["low"].append(_coded(np.fmin.reduceat(signals[:, i], edges)))
+            extremes["high"].append(_coded(np.fmax.reduceat(signals[:, i], edges)))
+        still = json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist)
+        return {RUNS: still, EXTREMES: json.dumps(extremes)}
 
 
 def _coded(x):
@@ -45,9 +54,7 @@ def _coded(x):
 
 
 def read_runs(parts: Iterable[Path]) -> list[Runs]:
-    """Return the Runs (`stillness`) of all parts: of the inputs, the outputs and, if the model has `where`, of 1 where it holds and
-    NaN elsewhere.
-    """
+    """Return the Runs (`stillness`) of all parts: of inputs, outputs and, if the model has `where`, of 1 where it holds."""
 
     def runs(counts, longest, last, first, **rest):
         one = lambda run: Run(*run) if run else None
@@ -58,7 +65,7 @@ def read_runs(parts: Iterable[Path]) -> list[Runs]:
 
 
 def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (low, high): (k, bins) extremes of the signals that a page shows, outputs before inputs, NaN where samples are missing.
+    """Return (low, high): (k, bins) extremes of the signals that a page shows, outputs first, NaN where samples are missing.
 
     Args:
         parts: all of a recording, in order. samples: how many it has.
@@ -66,7 +73,7 @@ def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.n
     low, high = np.full((2, PANELS, len(bins(samples))), np.nan)
     count = 0
     for note in map(_metadata, parts):
-        found = json.loads(note.get(EXTREMES, '{"bin": 0, "low": [], "high": []}'))  # an earlier jaxbound noted none
+        found = json.loads(note.get(EXTREMES, NONE))
         for whole, name, least in ((low, "low", np.fmin), (high, "high", np.fmax)):
             for i, text in enumerate(found[name]):
                 x = np.frombuffer(base64.b64decode(text), "<f4")
@@ -77,7 +84,7 @@ def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.n
 
 
 def read_again(parts: Iterable[Path]) -> dict[str, int]:
-    """Return {devices that judged: how many of their windows were decided again on the CPU} of all parts; see `diagnosis.again`."""
+    """Return {devices that judged: how many of their windows were decided again on the CPU}; see `diagnosis.again`."""
     found: Counter = Counter()
     for note in map(_metadata, parts):
         found.update(json.loads(note.get(AGAIN, "{}")))
