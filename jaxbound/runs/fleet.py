@@ -127,7 +127,7 @@ def _csv_rows(text):
     lines = [(number, line) for number, line in enumerate(split_lines(text.encode()), 1) if line.strip()]
     header = lines[0][1].decode() if lines else ""
     delimiter = next((d for d in (";", "\t", ",") if d in header), ",")
-    rows = []
+    rows: list[tuple[int, list[str]]] = []
     for number, line in lines:
         if is_open(line, delimiter.encode()):
             raise ValueError(f"row {number} {UNCLOSED}")
@@ -138,10 +138,10 @@ def _csv_rows(text):
         raise ValueError(f"the manifest is empty: it needs the columns {', '.join(COLUMNS)} and a row a unit")
     names = [name.strip() for name in rows[0][1]]
     _known("the manifest", names)
-    for line, row in rows[1:]:
+    for number, row in rows[1:]:
         if len(row) != len(names):
-            raise ValueError(f"row {line} has {len(row)} cells, the header has {len(names)} columns")
-        yield f"row {line}", dict(zip(names, map(str.strip, row), strict=True))
+            raise ValueError(f"row {number} has {len(row)} cells, the header has {len(names)} columns")
+        yield f"row {number}", dict(zip(names, map(str.strip, row), strict=True))
 
 
 def _toml_rows(text):
