@@ -70,11 +70,11 @@ def simulated(draw, samples, fault=False):
 
 
 def inward(value, true):
-    """Return a decimal between a value and the true one, as close to the value as its digits allow."""
+    """Return a decimal between a value and the true one, close to the value; where there is none, that next to the true one."""
     scaled = value * 10**DIGITS
     whole = scaled.__floor__() if value >= true else scaled.__ceil__()
     near = F(whole, 10**DIGITS)
-    return near if min(value, true) <= near <= max(value, true) else value
+    return near if min(value, true) <= near <= max(value, true) else F(round(true * 10**DIGITS), 10**DIGITS)
 
 
 def decimal(x):
