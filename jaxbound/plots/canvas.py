@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
-__all__ = ["bins", "canvas", "finish", "label_time", "shade", "stacked", "style", "thinning", "time_axis", "time_of", "to_png"]
+__all__ = ["bins", "canvas", "finish", "inside", "label_time", "shade", "stacked", "style", "thinning", "time_axis", "time_of", "to_png"]
 
 COLOURS = {Status.MISSING: "#c9ccd1", Status.CONSISTENT: "#6fcfb0", Status.UNDECIDED: "#e69f00", Status.FAULT: "#b33c00"}
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
@@ -107,6 +107,17 @@ def time_axis(x: np.ndarray) -> tuple[np.ndarray, str, bool]:
 def bins(count: int) -> np.ndarray:
     """Return where each bin starts: one sample each, or 1200 bins."""
     return np.arange(count) if count <= SAMPLES else np.linspace(0, count, BINS, endpoint=False).astype(int)
+
+
+def inside(edges: np.ndarray, start: int, count: int) -> tuple[int, int, np.ndarray]:
+    """Return (the first bin, the one behind the last, where each begins) of the samples start .. start + count - 1, counted from `start`.
+
+    Args:
+        edges: where each bin starts, of `bins`. start, count: a piece of the recording, in whose first bin may be samples before it.
+    """
+    first, stop = np.searchsorted(edges, (start, start + count), "left")
+    begun = int(first) - int(first == len(edges) or edges[first] > start)
+    return begun, int(stop), np.maximum(edges[begun:stop] - start, 0)
 
 
 def thinning(count: int, drawn: int, what: str) -> str:

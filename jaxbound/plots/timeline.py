@@ -14,6 +14,7 @@ from jaxbound.plots.canvas import (
     SAMPLES,
     bins,
     finish,
+    inside,
     label_time,
     shade,
     stacked,
@@ -49,9 +50,8 @@ class Timeline:
 
     def add(self, start: int, x: np.ndarray, status: np.ndarray, margin: np.ndarray) -> None:
         """Take the samples from number `start` on: their time (seconds or datetime64), status and margin."""
-        first, stop = np.searchsorted(self.bins, (start, start + len(x)), "left")
-        begun = int(first) - (first == len(self.bins) or self.bins[first] > start)  # a bin that begins in an earlier piece
-        edges, put = np.maximum(self.bins[begun:stop] - start, 0), slice(begun, stop)
+        begun, stop, edges = inside(self.bins, start, len(x))
+        first, put = begun + (self.bins[begun] < start), slice(begun, stop)  # the first may have begun in an earlier piece
         margin = np.where(np.isneginf(margin), -1e15, margin)
         self.x = np.empty(len(self.bins), x.dtype) if self.x is None else self.x
         self.x[first:stop] = x[self.bins[first:stop] - start]

@@ -50,7 +50,7 @@ class Checkpoint:
 
     def save(self, **arrays: Any) -> None:
         """Write arrays, completely or not at all, in the place of those from before."""
-        with whole(self.path) as f:
+        with whole(self.path, links=False) as f:
             np.savez(f, **(arrays | {IDENTITY: np.array(json.dumps(self.identity))}))
 
 

@@ -49,7 +49,7 @@ def _read(path, model, report):
     report(0.05)
     index = {name: layout.names.index(name) for name in plan.columns}
     text_time = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
-    table = parse_columns(layout, index, {*plan.texts, *([plan.time, plan.day] if text_time else [])})
+    table = parse_columns(layout, index, {*plan.texts, *([plan.time, plan.day] if text_time else [])}, plan.time is not None)
     report(0.7)
     count = len(table[plan.columns[0]])
     if count < 2:

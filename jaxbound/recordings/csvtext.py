@@ -1,28 +1,34 @@
 """The text of a CSV file: how it is written, its columns, and the row that cannot be read.
 
-Columns are parsed by pyarrow, only those that are wanted; when that fails, a second, slow pass finds the row and says what stands there.
-Rows are counted as a spreadsheet does: the header is row 1.
+Columns are parsed by pyarrow, only those that are wanted; when that fails, or gives another number of rows than there are lines, a second,
+slow pass finds the row and says what stands there. Rows are counted as a spreadsheet does: the header is row 1.
 """
 
 import csv
 import re
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from jaxbound.recordings.csvlines import BOM, CountedLines, is_blank, is_open, lines_of
 from jaxbound.recordings.naming import listed
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 
-__all__ = ["Layout", "cells_of", "is_number", "parse_columns", "sniff"]
+__all__ = ["BLANK", "UNCLOSED", "Layout", "cells_of", "is_number", "parse_columns", "parsing", "sniff"]
 
 WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "#N/A", "None", "none")
 MISSING_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
 ENOUGH, LINES, LONGEST = 1 << 18, 8, 1 << 26  # bytes and lines of a file that show how it is written; bytes looked at at most
+ENDS = (b"\n", b"\r")
 FURTHER = 20  # lines below the first row that show whether it is the header
 MANY = 10  # words that a sentence on cells that are no numbers repeats at most
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
+UNCLOSED = "has a quotation mark that is not closed: remove it, or close it on the same line"
+BLANK = ("is blank, and without a column of times nothing says whether a sample is missing there: "
+         "remove the line, or leave its cells blank between their delimiters")  # fmt: skip
 SIGNATURES = {
     b"PAR1": "a Parquet file",
     b"\x1f\x8b": "a gzip file",
@@ -44,10 +50,20 @@ class Layout:
     skip: int  # lines before the data
     first: list  # cells of the first data row
     hints: list = field(default_factory=list)
+    blank: list = field(default_factory=list)  # numbers of the lines that are no rows, once they are known
 
     def row(self, k: int) -> str:
         """Return how the user finds sample k."""
-        return f"row {k + self.skip + 1}"
+        samples_before = [line - self.skip - 1 - i for i, line in enumerate(self.blank)]
+        return f"row {k + self.skip + 1 + bisect_right(samples_before, k)}"
+
+    def is_blank(self, line: bytes) -> bool:
+        """Return whether a line is no row, see `csvlines`."""
+        return is_blank(line, len(self.names), self.delimiter.encode())
+
+    def is_open(self, line: bytes) -> bool:
+        """Return whether a line has a quotation mark that is not closed."""
+        return is_open(line, self.delimiter.encode())
 
     def dated(self, name: str) -> str:
         """Return what the first cell of a column is, see `stamp_kind`."""
@@ -64,9 +80,9 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
     if head is None:
         with open(path, "rb") as f:
             head = f.read(ENOUGH)
-            while head.count(b"\n") < LINES and len(head) < LONGEST and (more := f.read(ENOUGH)):  # a header of many columns
+            while max(map(head.count, ENDS)) < LINES and len(head) < LONGEST and (more := f.read(ENOUGH)):  # a header of many columns
                 head += more
-    if not head.strip(b"\xef\xbb\xbf \t\r\n"):
+    if not head.strip(BOM + b" \t\r\n"):
         raise ValueError("the file is empty")
     for magic, kind in SIGNATURES.items():
         if head.startswith(magic):
@@ -77,14 +93,15 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
         raise ValueError("this is a binary file, or text in UTF-16: give a CSV file in UTF-8")
     hints, encoding = [], "utf-8"
     try:
-        body = head.removeprefix(b"\xef\xbb\xbf")
-        text = (body if len(head) < ENOUGH or b"\n" not in body else body[: body.rfind(b"\n") + 1]).decode()
+        body = head.removeprefix(BOM)
+        end = max(map(body.rfind, ENDS)) + 1
+        text = (body if len(head) < ENOUGH or not end else body[:end]).decode()
     except UnicodeDecodeError:
         if sum(b < 9 for b in head) or sum(b > 127 for b in head) > len(head) // 4:
             raise ValueError("this is not a text file: give a CSV file in UTF-8") from None
         encoding, text = "cp1252", head.decode("cp1252", "replace")
         hints.append("the file is not in UTF-8: it is read as Windows-1252, which matters for column names only")
-    lines = re.split(r"\r\n|\n|\r", text, maxsplit=1000)  # enough of them; splitting all takes longer than parsing
+    lines = re.split(r"\r*\n|\r", text, maxsplit=1000)  # enough of them; splitting all takes longer than parsing
     skip = next((i for i, line in enumerate(lines) if line.strip()), None)
     if skip is None:
         raise ValueError(f"the file begins with {len(lines)} blank lines: a header is needed")
@@ -107,8 +124,7 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
 
 def above_header(layout: Layout) -> str:
     """Return what to add to a sentence on a column that is not there: "", or that the first row is no header."""
-    with open(layout.path, encoding=layout.encoding, errors="replace", newline="") as f:
-        lines = [line for line, _ in zip(f, range(layout.skip + FURTHER), strict=False)]
+    lines = [_text(line, layout) for line, _ in zip(lines_of(layout.path), range(layout.skip + FURTHER), strict=False)]
     widths = [max(len(cells_of(line, d)) for d in (";", "\t", ",")) for line in lines]
     first = widths[layout.skip - 1] if len(widths) >= layout.skip else 0
     if not widths or first >= max(widths):
@@ -117,10 +133,18 @@ def above_header(layout: Layout) -> str:
     return f"; the header must be the first row: {here}, {there}"
 
 
-def cells_of(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line; of one that csv cannot read, what lies between the delimiters."""
+def _text(line, layout):
+    return line.removeprefix(BOM).decode(layout.encoding, "replace")
+
+
+def cells_of(line: str, delimiter: str, spaced: bool = True) -> list[str]:
+    """Return the cells of a line; of one that csv cannot read, what lies between the delimiters.
+
+    Args:
+        line: without its end. delimiter: between cells. spaced: a quotation mark behind a space begins a cell, as in headers.
+    """
     try:
-        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=spaced), [""]) or [""]
     except csv.Error:  # a cell of more than 128 KiB
         return line.split(delimiter)
 
@@ -130,8 +154,27 @@ def is_number(cell: str, decimal: str) -> bool:
     return NUMBER.fullmatch(cell.strip().replace(decimal, ".")) is not None
 
 
-def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str]) -> dict[str, Any]:
-    """Return {column: pyarrow array} of the wanted columns; `texts` are those that are not numbers."""
+def parsing(layout: Layout) -> Any:
+    """Return how pyarrow takes the lines apart: one that is blank is no row, but where there is one column a missing sample."""
+    import pyarrow.csv as pc
+
+    def of_wrong_length(row):
+        return "skip" if layout.is_blank(row.text.encode()) else "error"
+
+    return pc.ParseOptions(delimiter=layout.delimiter, newlines_in_values=False, ignore_empty_lines=len(layout.names) > 1,
+                           invalid_row_handler=of_wrong_length)  # fmt: skip
+
+
+def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str], timed: bool = True) -> dict[str, Any]:
+    """Return {column: pyarrow array} of the wanted columns, an element for each row of the file.
+
+    Args:
+        layout: of the file; its .blank is filled. index: {column: its number}. texts: those that are not numbers. timed: a column tells the
+            time; without one a blank line between rows is refused.
+
+    Raises:
+        ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
+    """
     import pyarrow as pa
     import pyarrow.csv as pc
 
@@ -143,39 +186,59 @@ def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str]
         convert = pc.ConvertOptions(
             include_columns=list(key.values()), decimal_point=decimal, null_values=list(MISSING_CELLS), strings_can_be_null=True,
             column_types={k: pa.string() if name in texts else pa.float64() for name, k in key.items()})  # fmt: skip
-        try:
-            table = pc.read_csv(layout.path, read, pc.ParseOptions(delimiter=layout.delimiter, newlines_in_values=False), convert)
-            return {name: table[k].combine_chunks() for name, k in key.items()}
-        except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as e:
-            failure = failure or e
+        with open(layout.path, "rb", buffering=0) as file:
+            lines = CountedLines(file, layout.delimiter)
+            try:
+                table = pc.read_csv(lines, read, parsing(layout), convert)
+            except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError) as e:
+                failure = failure or e
+                continue
+        _refuse_lost_rows(layout, lines, table.num_rows, timed)
+        return {name: table[k].combine_chunks() for name, k in key.items()}
     raise ValueError(_bad_row(layout, index, texts) or str(failure).splitlines()[0])
+
+
+def _refuse_lost_rows(layout, counted, rows, timed):
+    """Raise ValueError unless every line below the header is a row that was read; note those that are blank."""
+    last = counted.lines if len(layout.names) == 1 else counted.last
+    if rows == last - layout.skip and not counted.open_end:
+        return
+    for number, line in enumerate(lines_of(layout.path), 1):
+        if number <= layout.skip or number > last:
+            continue
+        if layout.is_open(line):
+            raise ValueError(f"row {number} {UNCLOSED}")
+        if layout.is_blank(line):
+            layout.blank.append(number)
+    lines = last - layout.skip - len(layout.blank)
+    if rows != lines:
+        raise ValueError(f"of {lines} rows {rows} can be read: write the file again without quotation marks")
+    between = [number for i, number in enumerate(layout.blank) if number > layout.skip + 1 + i]
+    if between and not timed:
+        raise ValueError(f"row {between[0]} {BLANK}")
 
 
 def _bad_row(layout, index, texts):
     """Return a sentence on the first row that cannot be read, and on all cells like it: the slow second pass."""
     first, others = "", 0
     words: dict[str, None] = {}
-    with open(layout.path, encoding="utf-8-sig" if layout.encoding == "utf-8" else layout.encoding, errors="replace", newline="") as f:
-        reader = csv.reader(f, delimiter=layout.delimiter)
-        while True:
-            try:
-                row = next(reader, None)
-            except csv.Error as e:
-                return first or f"row {reader.line_num} cannot be read: {e}"
-            if row is None:
-                more = f"; {others} more cells hold {listed(list(words))}, too" if others else ""
-                return f"{first}{more}" or None
-            if reader.line_num <= layout.skip or not row:
+    for number, line in enumerate(lines_of(layout.path), 1):
+        if number <= layout.skip or layout.is_blank(line):
+            continue
+        if layout.is_open(line):
+            return first or f"row {number} {UNCLOSED}"
+        row = cells_of(_text(line, layout), layout.delimiter, spaced=False)
+        if len(row) != len(layout.names):
+            return first or f"row {number} has {len(row)} cells, the header has {len(layout.names)} columns"
+        for name, i in index.items():
+            cell = row[i]
+            if name in texts or cell in MISSING_CELLS or is_number(cell, layout.decimal):
                 continue
-            if len(row) != len(layout.names):
-                return first or f"row {reader.line_num} has {len(row)} cells, the header has {len(layout.names)} columns"
-            for name, i in index.items():
-                cell = row[i]
-                if name in texts or cell in MISSING_CELLS or is_number(cell, layout.decimal):
-                    continue
-                word = cell.strip()[:60]
-                if first:
-                    others += 1
-                    words |= {word: None} if len(words) < MANY else {}
-                else:
-                    first = f"row {reader.line_num} of column {name!r} holds {word!r}, which is not a number: leave a missing sample blank"
+            word = cell.strip()[:60]
+            if first:
+                others += 1
+                words |= {word: None} if len(words) < MANY else {}
+            else:
+                first = f"row {number} of column {name!r} holds {word!r}, which is not a number: leave a missing sample blank"
+    more = f"; {others} more cells hold {listed(list(words))}, too" if others else ""
+    return f"{first}{more}" or None

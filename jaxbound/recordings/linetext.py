@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
-from jaxbound.recordings.csvtext import MISSING_CELLS, cells_of, is_number, sniff
+from jaxbound.recordings.csvtext import BLANK, MISSING_CELLS, UNCLOSED, cells_of, is_number, parsing, sniff
 from jaxbound.recordings.selection import wanted
 from jaxbound.recordings.timestamps import with_day
 
@@ -45,7 +45,7 @@ class LineReader:
         except ValueError as e:
             raise ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}") from None
         self.layout = layout
-        if not self.fits(head[-1]):
+        if not self.fits(head[-1]) or layout.is_open(head[-1]):
             raise WrongCells(self.trouble(head[-1]))
         if plan.time is None and layout.names[0] == "" and layout.first[0] and not is_number(layout.first[0], layout.decimal):
             plan = replace(plan, time="")
@@ -55,7 +55,7 @@ class LineReader:
         self.head, self.plan, self.is_text, self.index = head, plan, text, index
         names = [f"f{i}" for i in range(len(layout.names))]
         self.reading = pc.ReadOptions(column_names=names, encoding=layout.encoding, use_threads=False)
-        self.parsing = pc.ParseOptions(delimiter=layout.delimiter, newlines_in_values=False)
+        self.parsing = parsing(layout)
         kinds = {f"f{i}": pa.string() if name in strings else pa.float64() for name, i in index.items()}
         self.converting = [
             pc.ConvertOptions(include_columns=list(kinds), decimal_point=d, null_values=list(MISSING_CELLS),
@@ -66,7 +66,11 @@ class LineReader:
     def cells(self, line: bytes) -> list[str]:
         """Return the cells of a line as texts."""
         text = line.decode(self.layout.encoding, "replace")
-        return cells_of(text, self.layout.delimiter)
+        return cells_of(text, self.layout.delimiter, spaced=False)
+
+    def is_row(self, line: bytes) -> bool:
+        """Return whether a line is a row, or where no time shows that one is missing, may have been meant for one."""
+        return self.plan.time is None or not self.layout.is_blank(line)
 
     def fits(self, line: bytes) -> bool:
         """Return whether a line has as many cells as the header."""
@@ -86,6 +90,10 @@ class LineReader:
 
     def trouble(self, line: bytes) -> str:
         """Return what is wrong with a line, as far as its cells show; or ""."""
+        if self.layout.is_open(line):
+            return UNCLOSED
+        if self.layout.is_blank(line):
+            return BLANK
         cells = self.cells(line)
         if len(cells) != len(self.layout.names):
             return f"has {len(cells)} cells, the header has {len(self.layout.names)} columns"
@@ -116,7 +124,7 @@ class LineReader:
             return None
         rows = []
         for line in lines:
-            cells = line.decode(self.layout.encoding, "replace").rstrip("\r").split(self.layout.delimiter)
+            cells = line.decode(self.layout.encoding, "replace").split(self.layout.delimiter)
             if len(cells) != len(self.layout.names) or b'"' in line:
                 return None
             rows.append([cells[i] for i in self.index.values()])
@@ -146,8 +154,8 @@ class LineReader:
                 continue
         else:
             raise ValueError("cannot be read")
-        if table.num_rows != len(lines):
-            raise ValueError("has a quotation mark that is not closed")
+        if table.num_rows != len(lines) or self.layout.is_open(lines[-1]):
+            raise ValueError(UNCLOSED)
         found = {name: table[f"f{i}"].combine_chunks() for name, i in self.index.items()}
         stamps = self._stamps(found)
         columns = {name: from_arrow(x) for name, x in found.items() if name not in self.plan.texts}

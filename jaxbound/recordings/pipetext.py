@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import is_number
 from jaxbound.recordings.linetext import SOURCE, LineReader, WrongCells
 from jaxbound.recordings.seams import TOLERATED_STEP, Clock, Seam, check_period, tick
@@ -52,11 +53,15 @@ class PipeText:
         self.scale: Any = None
         self.broken = self.aside = self.repeated = False
         self.skip, self.skipped, self.rest = 0, 0, b""
+        self.blank: list[tuple[int, bytes]] = []  # blank lines that are wrong, without a time, where a row follows
+        self.returns = 0  # carriage returns at the end of what was taken, which may be the first half of a line end
         self.after: float | None = None
         self.shown: list[float] | None = []
         if memory is not None:
             self.reader = LineReader([line.encode("latin-1") for line in memory["head"]], model)
             self.rest, self.last = (memory[x].encode("latin-1") for x in ("tail", "last"))
+            if self.rest == b"\r":
+                self.rest, self.returns = b"", 1
             self.clock = Clock(model.dt, memory["samples"], memory["time"], tuple(Seam(**s) for s in memory["seams"]))
             self.origin, self.scale, self.texts, self.aside = memory["origin"], memory["scale"], memory["texts"], memory["aside"]
             self.broken, self.number, self.resumed, self.shown = memory["broken"], 0, memory["number"], None
@@ -68,9 +73,10 @@ class PipeText:
         line = lambda b: b.decode("latin-1")
         return {
             "head": [line(x) for x in self.reader.head], "number": max(self.number, self.resumed, self.skip),
-            "tail": line(self.rest + self.tail),
+            "tail": line(self.rest + self.tail + b"\r"[: self.returns]),
             "last": line(self.last), "samples": self.clock.samples, "time": self.clock.last, "seams": [asdict(s) for s in self.clock.seams],
-            "origin": self.origin, "scale": self.scale, "texts": self.texts, "broken": self.broken, "aside": self.aside,
+            "origin": self.origin, "scale": self.scale, "texts": self.texts,
+            "broken": self.broken or bool(self.blank), "aside": self.aside,
         }  # fmt: skip
 
     def take(self, data: bytes, end: bool = False) -> Piece | None:
@@ -79,19 +85,22 @@ class PipeText:
         Raises:
             ValueError: no header, a column that is missing, another sampling period than the model's, a megabyte without a line end.
         """
-        data = self.tail + data
-        cut = len(data) if end else data.rfind(b"\n") + 1
-        lines, tail = data[:cut].split(b"\n"), data[cut:]
-        lines = lines if lines[-1] else lines[:-1]
+        data = self.tail + self._continued(data, end)
+        cut = len(data) if end else max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+        lines, tail = split_lines(data[:cut]), data[cut:]
         if len(tail) > LONGEST:
             raise ValueError(f"{SOURCE}: a megabyte without a line end is no CSV")
         if self.rest and lines:
             lines[0] = self._joined(lines[0])
         self.tail = tail
         first, self.number = self.number + 1, self.number + len(lines)
-        kept = [(n, line) for n, line in enumerate(lines, first) if not line.isspace() and line]
+        kept = [(n, line) for n, line in enumerate(lines, first) if line is not None]
         if kept and self.reader is None:
             kept = self._begin(kept)
+        kept = self.blank + [(n, line) for n, line in kept if self.reader.is_row(line)]
+        self.blank = []
+        while kept and self.reader.layout.is_blank(kept[-1][1]):
+            self.blank.insert(0, kept.pop())
         if kept and self.resumed:
             kept = self._resume(kept)
         if self.skip:
@@ -124,25 +133,51 @@ class PipeText:
         stamp = None if self.scale is None else np.datetime64(round((self.origin + time * self.scale) * (1e9 / self.scale)), "ns")
         return time_label(time, stamp, self.model.dt)
 
+    def _continued(self, data, end):
+        r"""Return bytes behind those before without what of them belongs to the end of the last line, which may be \r, \r\n or \r\r\n.
+
+        A line is taken as soon as \r ends it; other \r behind it wait for what follows.
+        """
+        if self.returns:
+            data = b"\r" * self.returns + data
+            behind = data.lstrip(b"\r")
+            if behind.startswith(b"\n"):
+                data = behind[1:]
+            elif behind or end:
+                data = data[1:]
+            else:
+                self.returns = len(data)
+                return b""
+        kept = data if end else data.rstrip(b"\r")
+        self.returns = len(data) - len(kept)
+        return kept + b"\r" if self.returns else kept
+
     def _begin(self, kept):
-        """Find out how the stream is written, once there is a row of data; return the lines with data."""
+        """Find out how the stream is written, once there is a row of data; return the lines from the first that may be one."""
         self.held += kept
-        header = 1 if self.held[0][1].startswith((b"sep=", b"\xef\xbb\xbfsep=")) else 0
-        while len(self.held) > header + 1:
-            try:
-                self.reader = LineReader([line for _, line in self.held[: header + 2]], self.model)
-            except WrongCells as e:
-                self.complain("line", f"line {self.held[header + 1][0]} {e}")
-                del self.held[header + 1]
+        while self.held and not self.held[0][1].removeprefix(BOM).strip():
+            del self.held[0]
+        header = 1 if self.held and self.held[0][1].removeprefix(BOM).startswith(b"sep=") else 0
+        at = header + 1
+        while at < len(self.held):
+            number, line = self.held[at]
+            if not line.strip():
+                at += 1
                 continue
-            kept, self.held = self.held[header + 1 :], []
-            return kept
+            try:
+                self.reader = LineReader([line for _, line in (*self.held[: header + 1], self.held[at])], self.model)
+            except WrongCells as e:
+                self.complain("line", f"line {number} {e}")
+                del self.held[at]
+                continue
+            rows, self.held = self.held[header + 1 :], []
+            return [pair for pair in rows if pair[0] >= number or not self.reader.layout.is_blank(pair[1])]
         return []
 
     def _joined(self, line):
-        """Return the first line of a stream that goes on behind half a line: that line, or the whole one; nothing where one cannot tell."""
+        """Return the first line of a stream that goes on behind half a line: that line, or the whole one; None where one cannot tell."""
         both, self.rest = (line, self.rest + line), b""
-        if line.removeprefix(b"\xef\xbb\xbf").strip() in [x.strip() for x in self.reader.head]:
+        if line.removeprefix(BOM).strip() in [x.strip() for x in self.reader.head]:
             return line
         whole = [x for x in both if self.reader.fits(x)]
         if len(whole) == 2:
@@ -151,7 +186,7 @@ class PipeText:
             return whole[0]
         self.broken = True
         self.complain("line", "line 1 may be the rest of one that was begun before")
-        return b""
+        return None
 
     def _is_next(self, line):
         """Return whether a line of data is of the sample dt after the last one."""
@@ -172,20 +207,21 @@ class PipeText:
 
     def _resume(self, kept):
         """Find out how the stream goes on: return the lines that are new, as far as that is clear."""
-        bare = lambda line: line.removeprefix(b"\xef\xbb\xbf").strip()
+        bare = lambda line: line.removeprefix(BOM).strip()
         header = [bare(x) for x in self.reader.head[:-1]]
         while kept and bare(kept[0][1]) in header:
             kept, self.repeated = kept[1:], True
         if not kept:
             return []
-        cells = [c.strip() for c in self.reader.cells(kept[0][1])]
+        filled = next((line for _, line in kept if line.strip()), b"")
+        cells = [c.strip() for c in self.reader.cells(filled)]
         if (
             not self.repeated
             and not any(is_number(c, self.reader.layout.decimal) for c in cells)
             and set(cells) & set(self.reader.plan.columns)
         ):
             raise ValueError(f"{SOURCE} begins with another header than before, {', '.join(cells)}: choose another --out or --state")
-        if bare(kept[0][1]) == bare(self.reader.head[-1]) and (self.repeated or self.reader.plan.time is not None):
+        if bare(filled) == bare(self.reader.head[-1]) and (self.repeated or self.reader.plan.time is not None):
             self.skip = self.resumed
             self.complain("replay", "the sender began again: what was judged before is skipped")
         else:

@@ -19,7 +19,8 @@ __all__ = ["kind_of", "open_source", "read", "read_signals"]
 def read(path: Any, model: Any, progress: Callable | None = None) -> Recording:
     r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow each other by name.
 
-    CSV: delimiter `,`, `;` or tab; decimal comma with the latter two. Blank, NaN, null and NA cells are missing samples. Columns that the
+    CSV: delimiter `,`, `;` or tab; decimal comma with the latter two. Blank, NaN, null and NA cells are missing samples, and so is a
+    blank line where there is one column. Every line is a row: a cell in quotation marks ends on its line. Columns that the
     model does not name are ignored. Time in seconds, as time stamps or as an epoch; without a time column the samples are dt apart.
 
     Args:

@@ -1,16 +1,42 @@
 """The one way to write a file completely or not at all, and locks that die with their process."""
 
+import errno
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import IO
 
-__all__ = ["UNFINISHED", "lock", "locked", "unshared", "whole"]
+__all__ = ["UNFINISHED", "lock", "locked", "refuse_link", "unshared", "whole"]
 
 UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
+
+
+def refuse_link(path: str | PathLike, folder: bool = False, replaced: bool = False) -> None:
+    """Refuse what is there under a name of ours and leads elsewhere: writing to it would write to what somebody else keeps there.
+
+    Args:
+        path: of a file. folder: it is a folder. replaced: another file takes its name, so that it may have a second name of its own.
+
+    Raises:
+        FileExistsError: a link, a file with a second name, or what is neither a plain file nor the folder that is wanted.
+    """
+    try:
+        about = os.lstat(path)
+    except FileNotFoundError:
+        return
+    if folder:
+        ours = stat.S_ISDIR(about.st_mode)
+    else:
+        ours = stat.S_ISREG(about.st_mode) and (replaced or about.st_nlink <= 1)
+    if ours:
+        return
+    raise FileExistsError(
+        errno.EEXIST, "a link, or what jaxbound did not write, is in the way: move it, or choose another place", str(path)
+    )
 
 
 def lock(file: IO, shared: bool = False) -> None:
@@ -53,10 +79,17 @@ def locked(path: str | PathLike, shared: bool = False) -> IO:
         A binary file, to be closed.
 
     Raises:
-        BlockingIOError: another process has it.
+        BlockingIOError: another process has it. FileExistsError: a link, see `refuse_link`.
     """
     while True:
-        file = open(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b")
+        refuse_link(path)
+        try:
+            opened = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        except OSError as e:
+            if e.errno == errno.ELOOP:  # made since it was looked at
+                continue
+            raise
+        file = open(opened, "r+b")
         try:
             lock(file, shared)
         except BlockingIOError:
@@ -68,18 +101,20 @@ def locked(path: str | PathLike, shared: bool = False) -> IO:
 
 
 @contextmanager
-def whole(path: str | PathLike, sync: bool = True) -> Iterator[IO[bytes]]:
+def whole(path: str | PathLike, sync: bool = True, links: bool = True) -> Iterator[IO[bytes]]:
     """Give a binary file whose bytes are found at `path` once the block has ended well; else what was there stays.
 
     They are written beside it: what a killed process leaves there is taken over by the next one. Links are followed; a pipe or a device
     is no file to replace, and is written as it is.
 
     Args:
-        path: of the file. sync: force it to the disk first.
+        path: of the file. sync: force it to the disk first. links: whether they are followed, as where a user named the file.
 
     Raises:
-        ValueError: another process is writing it.
+        ValueError: another process is writing it. FileExistsError: a link that is not followed.
     """
+    if not links:
+        refuse_link(path, replaced=True)
     if os.path.exists(path) and not os.path.isfile(path):
         with open(path, "wb") as device:
             yield device

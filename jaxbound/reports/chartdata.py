@@ -14,7 +14,7 @@ from jaxbound.diagnosis.observed import ObserverResult
 from jaxbound.plots.combination import combination
 from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.reports.chart import Piece, Row, band_key, coded, drawn, piece_of, pieces_of, plain
+from jaxbound.reports.chart import VALUES, Piece, Row, band_key, coded, drawn, piece_of, pieces_of, plain
 from jaxbound.reports.clock import axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
@@ -45,7 +45,7 @@ def charts(
     model, part = res.relations.model, isinstance(res, Digest)
     signals = [Row(f"s{i}", name, model.unit(name)) for i, name in enumerate((*model.outputs, *model.inputs))]
     signals, every = signals[:SIGNALS], len(signals)
-    whole, x, clock = _digested(res) if part else _whole(res, recording, signals)
+    whole, x, clock = _digested(res, signals) if part else _whole(res, recording, signals)
     near: list[_Near] = []
     begun = clock_time.perf_counter()
     for i, at in [(i, alarms[i].worst) for i in chosen] or [(-1, 0 if worst is None else worst)]:
@@ -92,14 +92,20 @@ def _whole(res, recording, signals):
     return pieces_of(time, res.status, series, bands_of(res)[1]), time.__getitem__, clock
 
 
-def _digested(res):
-    """Return (Piece, time of a sample, Clock) of a Digest, whose signals are in a file."""
+def _digested(res, signals):
+    """Return (Piece, time of a sample, Clock) of a Digest, whose signals are in a file: their extremes are known."""
     line = res.line
     dates = np.issubdtype(line.x.dtype, np.datetime64)
     x = (line.x - line.x[0]) / np.timedelta64(1, "s") + res.time[0] if dates else np.asarray(line.x, float)
     ends = np.array([res.time[0], res.time[res.samples - 1]])
     clock = clock_of(res.label, ends, line.x[0] if dates else None, res.samples, res.relations.model.dt)
-    return Piece(x, line.status, {"margin": line.low}, {"margin": line.high}), lambda k: res.time[k], clock
+    low, high = {"margin": line.low}, {"margin": line.high}
+    for row, least, most in zip(signals, *(res.signals or ((), ())), strict=False):
+        low[row.key], high[row.key] = least, most
+    piece, numbers = Piece(x, line.status, low, high), 2 * len(low)
+    if len(x) * numbers > VALUES:
+        piece = piece.reduced(VALUES // numbers)
+    return piece, lambda k: res.time[k], clock
 
 
 def _signals(u, y, signals):

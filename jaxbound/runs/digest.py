@@ -33,6 +33,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.outputs import output_folder, shared_folder
+from jaxbound.runs.partnotes import read_again, read_extremes, read_runs
 from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.streaming import (
     CHUNK,
@@ -43,8 +44,6 @@ from jaxbound.runs.streaming import (
     part_count,
     part_files,
     publish,
-    read_again,
-    read_runs,
     write_parts,
 )
 from jaxbound.runs.summary import Evidence, evidence
@@ -71,6 +70,7 @@ class Digest:
         line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when asked for.
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
         ended: {ending of an Alarm: how many of all alarms have it}.
+        signals: (low, high), each (k, bins): extremes of the recorded signals in the bins of the line, outputs before inputs; or None.
     """
 
     relations: ParityRelation | UncertainRelations | Redundancy
@@ -86,6 +86,7 @@ class Digest:
     time: dict
     aside: int = 0
     ended: dict = field(default_factory=dict)
+    signals: tuple | None = None
 
     def _head(self):
         return f"Digest ({self.samples},) of {self.source}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
@@ -266,7 +267,7 @@ def digest(
     alarms, when = book.alarms()
     times |= when
     found = Digest(relations, method, source, first, {s.name: int(counts[s]) for s in Status}, worst and worst[2:], alarms, book.count, (),
-                   line, times, ended=book.ended)  # fmt: skip
+                   line, times, ended=book.ended, signals=read_extremes(part_files(folder), source.samples))  # fmt: skip
     if sentence := irregular(clock, found.label, source.row):
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")

@@ -5,7 +5,6 @@ have one length and the same gaps: one step of time for all of them. What is wro
 sentence of its row, and the others are tested. While one unit is tested, the next ones are read.
 """
 
-import csv
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -24,6 +23,8 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.estimation.observer import SetObserver, observer
 from jaxbound.models.modelfile import load_model
+from jaxbound.recordings.csvlines import is_open, split_lines
+from jaxbound.recordings.csvtext import UNCLOSED, cells_of
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.objecttext import readable
@@ -115,7 +116,7 @@ def read_manifest(path: str | PathLike) -> list[Unit]:
         return _units(rows, path.parent)
     except UnicodeDecodeError:
         raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no manifest") from None
-    except (RecursionError, csv.Error) as e:
+    except RecursionError as e:
         raise ValueError(f"{path}: this is no manifest: {e}") from None
     except ValueError as e:
         raise ValueError(f"{path}: {e}") from None
@@ -123,18 +124,24 @@ def read_manifest(path: str | PathLike) -> list[Unit]:
 
 def _csv_rows(text):
     """Yield (where, {column: cell}) of each row."""
-    header = next((line for line in text.splitlines() if line.strip()), "")
+    lines = [(number, line) for number, line in enumerate(split_lines(text.encode()), 1) if line.strip()]
+    header = lines[0][1].decode() if lines else ""
     delimiter = next((d for d in (";", "\t", ",") if d in header), ",")
-    reader = csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True)
-    rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    rows: list[tuple[int, list[str]]] = []
+    for number, line in lines:
+        if is_open(line, delimiter.encode()):
+            raise ValueError(f"row {number} {UNCLOSED}")
+        cells = cells_of(line.decode(), delimiter)
+        if any(cell.strip() for cell in cells):
+            rows.append((number, cells))
     if not rows:
         raise ValueError(f"the manifest is empty: it needs the columns {', '.join(COLUMNS)} and a row a unit")
     names = [name.strip() for name in rows[0][1]]
     _known("the manifest", names)
-    for line, row in rows[1:]:
+    for number, row in rows[1:]:
         if len(row) != len(names):
-            raise ValueError(f"row {line} has {len(row)} cells, the header has {len(names)} columns")
-        yield f"row {line}", dict(zip(names, map(str.strip, row), strict=True))
+            raise ValueError(f"row {number} has {len(row)} cells, the header has {len(names)} columns")
+        yield f"row {number}", dict(zip(names, map(str.strip, row), strict=True))
 
 
 def _toml_rows(text):

@@ -17,7 +17,7 @@ from os import PathLike
 from pathlib import Path
 
 from jaxbound.recordings.parquetfiles import SUFFIXES
-from jaxbound.recordings.whole import locked, unshared, whole
+from jaxbound.recordings.whole import UNFINISHED, locked, refuse_link, unshared, whole
 from jaxbound.runs.refusals import Refused
 
 __all__ = ["OutputFolder", "made", "output_folder", "refuse_targets", "shared_folder"]
@@ -59,6 +59,7 @@ def output_folder(path: str | PathLike, names: Iterable[str] = (), inputs: Itera
 
     Raises:
         Refused: another command is at work there; one of the names belongs to an input or to a file that jaxbound did not write.
+        FileExistsError: a link in the place of a file that jaxbound keeps there for itself.
     """
     with _kept_from_others(path):
         folder = OutputFolder(Path(path), inputs)
@@ -89,6 +90,9 @@ def shared_folder(path: str | PathLike, names: Iterable[str] = (), inputs: Itera
 def _kept_from_others(path, shared=False):
     """Make a folder and keep commands away from it; shared: only those that want it for themselves."""
     with made(path) as path:
+        refuse_link(path / LIST, replaced=True)
+        refuse_link(path / f".{LIST}{UNFINISHED}")
+        refuse_link(path / WORK, folder=True)
         try:
             lock = locked(path / LOCK, shared)
         except BlockingIOError:
@@ -201,7 +205,7 @@ class OutputFolder:
         fits = {name: [e for e in told if _fits(self.path / name, e)] for name, told in self.listed.items()}
         new = {name: [e, *fits.pop(name, [])] for name, e in entries}
         self.listed = {name: told for name, told in (fits | new).items() if told}
-        with whole(self.path / LIST) as f:
+        with whole(self.path / LIST, links=False) as f:
             f.write(json.dumps({"written by jaxbound": self.listed}, indent=1).encode())
 
     def _read(self):

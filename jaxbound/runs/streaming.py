@@ -11,11 +11,9 @@ import json
 import os
 import re
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
-from functools import reduce
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
@@ -30,26 +28,26 @@ from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.checkpoint import from_texts, refuse_other
 from jaxbound.recordings.columns import categories, to_arrow
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
-from jaxbound.recordings.stillness import Run, Runs, follow, joined
 from jaxbound.recordings.whole import UNFINISHED, whole
 from jaxbound.relations.identity import identity
 from jaxbound.relations.sentence import remembers
 from jaxbound.runs.judges import Carried, Windows
 from jaxbound.runs.outputs import OutputFolder
+from jaxbound.runs.partnotes import AGAIN, RUNS, Noted
 from jaxbound.runs.shares import listed, numbers_of
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", "part_count", "part_files", "publish", "read_again",
-           "read_runs", "samples_of", "write_parts"]  # fmt: skip
+__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", "part_count", "part_files", "publish", "samples_of",
+           "write_parts"]  # fmt: skip
 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts
 STAGES = "read", "transfer", "compute", "write"
-RUNS, IDENTITY, CARRY, AGAIN = b"runs", b"identity", b"carry", b"again"  # in the metadata of a part
+IDENTITY, CARRY = b"identity", b"carry"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 
 
@@ -207,7 +205,8 @@ class _Judging:
 
     def _write(self, parts, report, lap):
         judge = _judge(self, parts.start)
-        pending = _Pending(self.folder, {i: self.note(i) for i in parts}, parts.start * self.size, self.size)
+        about = Noted(self.source.samples, self.relations.model)
+        pending = _Pending(self.folder, {i: self.note(i) for i in parts}, parts.start * self.size, self.size, about)
         done, end = parts.start * self.size, min(parts.stop * self.size, self.source.samples)
         report(done)
         for first, piece in self.source.pieces(self.chunk, judge.overlap, max(done - judge.begins, 0), end):
@@ -251,30 +250,6 @@ def kept(folder: str | PathLike, samples: int) -> int:
     return min(PART * len(part_files(folder)), samples)
 
 
-def read_runs(parts: Iterable[Path]) -> list[Runs]:
-    """Return the Runs (`stillness`) of all parts: of the inputs, the outputs and, if the model has `where`, of 1 where it holds and
-    NaN elsewhere.
-    """
-    import pyarrow.parquet as pq
-
-    def runs(counts, longest, last, first, **rest):
-        one = lambda run: Run(*run) if run else None
-        return Runs(counts=np.array(counts), longest=tuple(map(one, longest)), last=one(last), first=one(first), **rest)
-
-    notes = (json.loads(pq.read_schema(part).metadata[RUNS]) for part in parts)
-    return [reduce(joined, signal) for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)]
-
-
-def read_again(parts: Iterable[Path]) -> dict[str, int]:
-    """Return {devices that judged: how many of their windows were decided again on the CPU} of all parts; see `diagnosis.again`."""
-    import pyarrow.parquet as pq
-
-    found: Counter = Counter()
-    for part in parts:
-        found.update(json.loads(pq.read_schema(part).metadata.get(AGAIN, "{}")))
-    return dict(found)
-
-
 def publish(folder: OutputFolder) -> None:
     """Turn the complete parts in an `outputs.OutputFolder` into its verdicts, in the place of older ones."""
     for file in set(_ours(folder.path / PARTIAL)) - set(part_files(folder.path / PARTIAL)):
@@ -309,8 +284,8 @@ class _Lap:
 class _Pending:
     """Verdicts on their way into parts of `size` samples."""
 
-    def __init__(self, folder, notes, done, size):
-        self.folder, self.notes, self.done, self.size, self.held = folder, notes, done, size, []
+    def __init__(self, folder, notes, done, size, noted):
+        self.folder, self.notes, self.done, self.size, self.noted, self.held = folder, notes, done, size, noted, []
 
     def add(self, written, status, margin, signals, last, carry=None, again=None):
         """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last.
@@ -336,10 +311,8 @@ class _Pending:
             "margin": to_arrow(margin),
             "suspect": to_arrow(suspected(status, margin)),
         }
-        runs = [follow(Runs(self.done), np.ascontiguousarray(x)) for x in signals.T]
         number = self.done // self.size
-        about = {RUNS: json.dumps([asdict(of) for of in runs], default=np.ndarray.tolist),
-                 IDENTITY: json.dumps(self.notes[number])}  # fmt: skip
+        about = self.noted.of(self.done, signals) | {IDENTITY: json.dumps(self.notes[number])}
         about |= {} if carry is None else {CARRY: json.dumps(carry)}
         about |= {AGAIN: json.dumps(again)} if again else {}
         again.clear()
@@ -347,7 +320,7 @@ class _Pending:
         self.folder.mkdir(parents=True, exist_ok=True)
         if path.exists():  # another share has made it meanwhile
             _refuse_other(path, self.notes[number])
-        with whole(path) as f:
+        with whole(path, links=False) as f:
             pq.write_table(pa.table(columns).replace_schema_metadata(about), f, use_dictionary=["status"], write_page_checksum=True)
         self.done += len(status)
 

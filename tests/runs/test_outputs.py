@@ -21,6 +21,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import detect as detecting
 from jaxbound.cli import main, pipe
+from jaxbound.recordings.checkpoint import Checkpoint
 from jaxbound.runs import fleet, judges
 
 MODEL = "# bounds measured by hand\n"  # a comment that no program would write again
@@ -168,6 +169,30 @@ class TestFolder:
         with untouched(place / "precious"):
             refused(DETECT, "is in the way", capsys)
         assert (place / "out/verdicts.csv").is_symlink()
+
+    @pytest.mark.parametrize("name", [".jaxbound-lock", ".jaxbound.json", ".jaxbound-work", ".jaxbound-part-of-the-list"])
+    @pytest.mark.parametrize("link", ["a link", "a hard link", "a link to nothing", "a link to a folder"])
+    def test_no_link_under_a_name_of_ours_is_followed(self, place, capsys, name, link):
+        """Before, a link called .jaxbound-lock had its target emptied."""
+        name = name.replace(".jaxbound-part-of-the-list", "..jaxbound.json.jaxbound-part")
+        (place / "units.csv").write_text("unit,model,recording\nP,model.toml,run.csv\n")
+        (place / "out").mkdir()
+        (place / "precious").write_text("years of work")
+        (place / "files").mkdir()
+        (place / "files" / ".before").write_text("years of work")
+        target = {"a link to nothing": "nothing", "a link to a folder": "files"}.get(link, "precious")
+        NAMES["a hard link" if link == "a hard link" else "a link"](place / target, place / "out" / name)
+        sentence = "is no list of jaxbound's files" if (name, link) == (".jaxbound.json", "a hard link") else "is in the way"
+        with untouched(place / "precious", place / "files"):
+            refused(DETECT, sentence, capsys)
+            refused(["fleet", "units.csv", "--out", "out"], sentence, capsys)
+        assert os.listdir(place / "out") == [name] and not (place / "nothing").exists()
+
+    def test_no_link_is_followed_by_a_share(self, parquet, capsys):
+        (parquet / "out").mkdir()
+        (parquet / "out/.jaxbound-lock").symlink_to(parquet / "model.toml")
+        with untouched(parquet / "model.toml"):
+            refused([*PARQUET, "--part", "1/2"], "is in the way", capsys)
 
     @pytest.mark.parametrize("folder", ["verdicts.parquet", "verdicts.partial"])
     @pytest.mark.parametrize("file", ["notes.txt", "part-00000.parquet", "deep/notes.txt"])
@@ -505,6 +530,27 @@ def test_models_and_states_are_written_whole(place, monkeypatch):
     with untouched(place / "other.toml"), pytest.raises(OSError, match="No space"):
         jb.save_model(paper(), place / "other.toml")
     assert not list(place.glob(".other*"))
+
+
+@pytest.mark.parametrize("link", ["a link", "a hard link"])
+def test_what_lies_beside_a_file_that_is_written_is_not_followed(place, link):
+    (place / "precious").write_text("years of work")
+    NAMES[link](place / "precious", place / ".new.toml.jaxbound-part")
+    with untouched(place / "precious"), pytest.raises(OSError, match="in the way"):
+        jb.save_model(paper(), place / "new.toml")
+    assert not (place / "new.toml").exists()
+
+
+def test_links_in_the_place_of_what_is_kept_are_not_followed(place):
+    (place / "kept").mkdir()
+    (place / "first").write_bytes(b"")
+    (place / "kept" / "b").hardlink_to(place / "first")  # as a backup does: another file takes this name
+    Checkpoint(place / "kept" / "b", {}).save(x=np.zeros(2))
+    assert (place / "first").read_bytes() == b""
+    (place / "kept" / "a").symlink_to(place / "nothing")
+    with pytest.raises(OSError, match="in the way"):
+        Checkpoint(place / "kept" / "a", {}).save(x=np.zeros(2))
+    assert not (place / "nothing").exists()
 
 
 def test_the_library_writes_into_a_pipe_and_does_not_replace_it(place):

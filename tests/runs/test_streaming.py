@@ -19,7 +19,8 @@ from jaxbound.relations import identity
 from jaxbound.runs import judges, streaming
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
-from jaxbound.runs.streaming import part_files, publish, read_runs, write_parts
+from jaxbound.runs.partnotes import read_runs
+from jaxbound.runs.streaming import part_files, publish, write_parts
 from jaxbound.runs.summary import evidence
 from jaxbound.runs.verdictfiles import write_alarms
 

@@ -88,6 +88,6 @@ class Keeper:
             "fault": pa.array(labels).dictionary_encode(), "size": pa.array(join(columns[1])), "scenario": pa.array(join(columns[2])),
             "onset": pa.array(join(columns[3])), "fault_windows": pa.array(join(columns[4])), "false_alarms": pa.array(join(columns[5])),
             "delay": pa.array(delay, mask=delay < 0)}  # fmt: skip
-        with whole(self._next_rows()) as f:
+        with whole(self._next_rows(), links=False) as f:
             pq.write_table(pa.table(table), f)
         self.parts, self.pending = self.parts + 1, []

@@ -1,0 +1,159 @@
+r"""The lines of a CSV file without its parser: how many there are, which are blank, where a quotation mark stays open.
+
+A line is a row. It ends at \n, \r\n or \r, also at \r\r\n, which a program writes whose carriage returns were added twice;
+the characters that Unicode calls line ends are part of a cell, and so is a quotation mark inside of a cell. One that begins
+a cell and is not closed on its line would take the lines behind it into the cell: such a line is refused.
+"""
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from os import PathLike
+from typing import IO
+
+import numpy as np
+
+__all__ = ["BOM", "CountedLines", "is_blank", "is_open", "lines_of", "split_lines"]
+
+BOM = b"\xef\xbb\xbf"
+BLOCK = 1 << 20  # bytes looked at at once
+
+
+class CountedLines:
+    r"""A binary file that counts its lines while somebody reads it, in which \r\r\n has become \n.
+
+    Args:
+        file: open for reading, not yet read.
+
+    Fields: lines: how many there are, with the last even where it has no end; last: number of the last that holds more than
+    blanks; open_end: whether a block ends in a line with an open quotation mark, where a parser would not notice it.
+    """
+
+    closed = False  # what pyarrow asks of a file
+
+    def __init__(self, file: IO[bytes], delimiter: str = ",") -> None:
+        self._file, self._delimiter, self._held, self._begun = file, delimiter.encode(), b"", b""
+        self._ends = self._trailing = 0
+        self._unfinished = self.open_end = False
+
+    @property
+    def lines(self) -> int:
+        """The number of lines."""
+        return self._ends + self._unfinished
+
+    @property
+    def last(self) -> int:
+        """The number of the last line that holds more than blanks."""
+        return self._ends - self._trailing + 1
+
+    def read(self, size: int = BLOCK) -> bytes:
+        r"""Return the next bytes, about so many; nothing at the end. No \r is parted from what follows it."""
+        data = b""
+        while not data:
+            more = self._file.read(size)
+            data = self._held + more
+            self._held = b""
+            if not more:
+                self.open_end |= is_open(self._begun, self._delimiter)
+                break
+            if data.endswith(b"\r"):
+                kept = data.rstrip(b"\r")
+                data, self._held = kept, data[len(kept) :]
+        if data:
+            data = self._counted(data)
+        return data
+
+    def _counted(self, data):
+        bytes_of = np.frombuffer(data, np.uint8)
+        ends = np.count_nonzero(bytes_of == 10)
+        if b"\r" in data:
+            returns = bytes_of == 13
+            if (returns[1:] & returns[:-1]).any() and b"\r\r\n" in data:
+                return self._counted(re.sub(rb"\r\r+\n", b"\n", data))
+            ends += np.count_nonzero(returns) - np.count_nonzero(returns[:-1] & (bytes_of[1:] == 10))
+        self._ends += int(ends)
+        filled = data.rstrip(b" \r\n")
+        if not filled:
+            self._trailing += int(ends)
+        elif len(filled) < len(data):
+            self._trailing = len(_ended(data[len(filled) :])) - 1
+        else:
+            self._trailing = 0
+        self._unfinished = not data.endswith((b"\n", b"\r"))
+        end = _last_end(data, len(data))
+        if not end:
+            self._begun += data
+            return data
+        if b'"' in data or self._begun:
+            stop = end
+            while stop and data[stop - 1] in b"\r\n":
+                stop -= 1
+            start = _last_end(data, stop)
+            last = data[start:stop] if start else self._begun + data[:stop]
+            self.open_end |= is_open(last, self._delimiter)
+        self._begun = data[end:]
+        return data
+
+
+def _last_end(data, stop):
+    """Return the place behind the last line end before `stop`, 0 where there is none."""
+    return max(data.rfind(b"\n", 0, stop), data.rfind(b"\r", 0, stop)) + 1
+
+
+def split_lines(data: bytes) -> list[bytes]:
+    r"""Return the lines of bytes, without their ends.
+
+    Example:
+        >>> split_lines(b"a\nb\r\nc\rd\r\r\n\n")
+        [b'a', b'b', b'c', b'd', b'']
+    """
+    lines = _ended(data)
+    return lines if lines[-1] else lines[:-1]
+
+
+def _ended(data):
+    """Return the lines of bytes and what stands behind the last end, perhaps nothing."""
+    if b"\r" in data:
+        if b"\r\r\n" in data:
+            data = re.sub(rb"\r\r+\n", b"\n", data)
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return data.split(b"\n")
+
+
+def lines_of(path: str | PathLike) -> Iterator[bytes]:
+    """Yield the lines of a file, without their ends."""
+    with open(path, "rb", buffering=0) as file:
+        counted, rest = CountedLines(file), b""
+        while block := counted.read():
+            *whole, rest = _ended(rest + block)
+            yield from whole
+        if rest:
+            yield rest
+
+
+def is_blank(line: bytes, columns: int, delimiter: bytes) -> bool:
+    r"""Return whether a line holds nothing and is no row; of one column it is one, a missing sample.
+
+    Example:
+        >>> is_blank(b" ", 3, b","), is_blank(b"\t\t", 3, b"\t"), is_blank(b"", 1, b",")
+        (True, False, False)
+    """
+    return columns > 1 and not line.removeprefix(BOM).strip() and delimiter not in line
+
+
+def is_open(line: bytes, delimiter: bytes) -> bool:
+    r"""Return whether a quotation mark begins a cell of a line and is not closed in it.
+
+    Example:
+        >>> is_open(b'1,"2', b","), is_open(b'1,5" pipe', b","), is_open(b'"a ""b"" c",2', b",")
+        (True, False, False)
+    """
+    return b'"' in line and _closed(delimiter).fullmatch(line) is None
+
+
+@cache
+def _closed(delimiter):
+    d = re.escape(delimiter)
+    quoted = rb'"(?:[^"]|"")*+"(?:[^"' + d + rb"][^" + d + rb"]*+)?+"
+    cell = rb"(?:" + quoted + rb'|(?!")[^' + d + rb"]*+)"
+    return re.compile(cell + rb"(?:" + d + cell + rb")*+", re.DOTALL)

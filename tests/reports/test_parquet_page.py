@@ -1,0 +1,39 @@
+"""A report on Parquet shows the recorded signals over the whole recording, as one on CSV does."""
+
+import numpy as np
+import pytest
+from streaming_case import N, recording, shrink
+
+from jaxbound.plots.canvas import bins
+from jaxbound.reports.chartdata import charts
+from jaxbound.runs.digest import detect_dataset
+from jaxbound.runs.partnotes import read_extremes
+from jaxbound.runs.streaming import part_files
+
+
+@pytest.fixture(scope="module")
+def found(case, tmp_path_factory):
+    """Return the Digest of a recording in six parts, and the folder of its verdicts."""
+    relations, folder, _, _ = case("section 5")
+    out = tmp_path_factory.mktemp("page")
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch)
+        return detect_dataset(relations, folder, out), out
+
+
+def test_the_extremes_of_every_bin_are_those_of_the_samples(found):
+    digest, out = found
+    _, u, y = recording()
+    low, high = read_extremes(part_files(out / "verdicts.parquet"), N)
+    assert len(part_files(out / "verdicts.parquet")) == 6 and low.shape == (3, len(bins(N))) == (3, 1200)
+    edges = bins(N)
+    for i, x in enumerate((y[:, 0], y[:, 1], u[:, 0])):
+        np.testing.assert_array_equal(low[i], np.fmin.reduceat(x, edges).astype(np.float32))
+        np.testing.assert_array_equal(high[i], np.fmax.reduceat(x, edges).astype(np.float32))
+
+
+def test_the_overview_has_the_signals_that_one_of_a_whole_recording_has(found, case):
+    _, _, res, whole = case("section 5")
+    there, expected = (charts(x, r, [], [], {}, 100) for x, r in ((found[0], found[0]), (res, whole)))
+    assert [p["row"].key for p in there["overview"]["panels"]] == [p["row"].key for p in expected["overview"]["panels"]]
+    assert set(there["numbers"]["whole"]["series"]) == set(expected["numbers"]["whole"]["series"]) == {"margin", "s0", "s1", "s2"}
