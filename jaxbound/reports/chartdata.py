@@ -64,9 +64,11 @@ def charts(
     margin = Row("margin", "margin", kind="margin")
     states = bands_of(res)[0]
     rows = [*_combinations(res.relations), margin, *signals, *states]
+    samples = res.samples if part else len(res.status)
     numbers = {
         "clock": clock.plain() | {"tokens": list(map(printable, clock.tokens)), "before": printable(clock.before)},
-        "samples": res.samples if part else len(res.status),
+        "samples": samples,
+        "last": float(x(samples - 1)),
         "step": float(np.median(np.diff(piece.x))) if len(piece.x) > 1 else 1.0,
         "whole": over.plain(),
         "near": [n.plain() for n in near],
@@ -99,7 +101,7 @@ def _digested(res):
     x = (line.x - line.x[0]) / np.timedelta64(1, "s") + res.time[0] if dates else np.asarray(line.x, float)
     ends = np.array([res.time[0], res.time[res.samples - 1]])
     clock = clock_of(res.label, ends, line.x[0] if dates else None, res.samples, res.relations.model.dt)
-    return Piece(x, line.status, {"margin": line.low}, {"margin": line.high}), lambda k: res.time[k], clock
+    return Piece(x, line.status, {"margin": line.low}, {"margin": line.high}, len(x) < res.samples), lambda k: res.time[k], clock
 
 
 def _signals(u, y, signals):
@@ -131,7 +133,7 @@ class _Near:
     def complete(self, i):
         """Return the Piece with the combination of alarm i."""
         added = {"combination": self.shares[i]} if i in self.shares else {}
-        return Piece(self.piece.x, self.piece.status, added | self.piece.low, added | self.piece.high)
+        return Piece(self.piece.x, self.piece.status, added | self.piece.low, added | self.piece.high, self.piece.binned)
 
     def plain(self):
         return plain(self.piece) | {"combined": [[i, self.relation(i), coded(share)] for i, share in self.shares.items()]}
