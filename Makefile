@@ -29,14 +29,14 @@ upcoming:
 nightly: test slow long lowest newest
 
 lint: .venv/tested
-	.venv/bin/pip install --quiet ".[dev]"
+	.venv/bin/pip install --quiet --editable ".[dev]"
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 
 docs: .venv/installed
 	.venv/bin/pip install --quiet --editable ".[docs]"
-	.venv/bin/mkdocs build --quiet --strict
+	.venv/bin/mkdocs build --strict
 
 bench: .venv/tested
 	.venv/bin/python -m benchmarks.strips

@@ -115,7 +115,7 @@ def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
 def test_pages_build_without_a_warning(tmp_path):
     for package in ("mkdocs", "material", "mkdocstrings"):
         pytest.importorskip(package)
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", ROOT / "mkdocs.yml", "-d", tmp_path / "site"]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", ROOT / "mkdocs.yml", "-d", tmp_path / "site"]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert "jaxbound.LinearSystem" in (tmp_path / "site" / "api" / "models.html").read_text()
@@ -305,10 +305,34 @@ LINK = re.compile(r"\[[^\]\n]*\]\(([^)\s#]+)(#[^)\s]*)?\)")
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES], ids=lambda p: p.name)
 def test_links_lead_to_files(page):
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
-    for target, _ in LINK.findall(re.sub(r"`[^`\n]+`", "", text)):
-        if not target.startswith(("http://", "https://")):
-            places = [page.parent / target, *([ROOT / target] if page.parent.name == "docs" else [])]
-            assert any(place.exists() for place in places), f"{page.name}: {target}"
+    targets = [target for target, _ in LINK.findall(re.sub(r"`[^`\n]+`", "", text)) if not target.startswith(("http://", "https://"))]
+    places = [page.parent, ROOT] if page.parent.name == "docs" else [page.parent]
+    assert not [target for target in targets if not any((place / target).exists() for place in places)]
+
+
+def anchors(page):
+    """Return the anchors of a page: its headings as words between hyphens, and the paths of the names that it documents."""
+    text = page.read_text()
+    headings = re.findall(r"^#+ (.+)$", text, re.M)
+    words = {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
+    return words | set(re.findall(r"^::: (jaxbound[\w.]*)$", text, re.M))
+
+
+def test_links_lead_to_places_within_pages():
+    astray, known = [], 0
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]:
+        for target, anchor in re.findall(r"\]\(([^)\s#:]*)#([^)\s]+)\)", page.read_text()):
+            there = page.parent / target if target else page
+            known += 1
+            if anchor not in anchors(there):
+                astray.append(f"{page.name}: {target}#{anchor}")
+    assert not astray and known > 20
+
+
+def test_the_gate_of_the_pages_hears_what_it_counts():
+    """mkdocs counts no warning that --quiet hides: with both a build that is wrong succeeds."""
+    (line,) = re.findall("mkdocs build.*", (ROOT / "Makefile").read_text())
+    assert "--strict" in line and "--quiet" not in line and "-q" not in line.split()
 
 
 def test_equations_become_mathml_outside_of_code():

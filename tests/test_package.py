@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import tomllib
 from pathlib import Path
 
 import jaxbound as jb
@@ -46,3 +47,15 @@ def test_continuous_integration_calls_what_is_there():
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.M)
     assert {"lowest", "newest"} <= set(targets) and set(re.findall(r"which: (\w+)", text)) == {"lowest", "newest"}
     assert all((ROOT / script).is_file() for script in re.findall(r"run: (\.ci/\w+)", text))
+
+
+def test_what_builds_the_package_is_there_for_its_tests():
+    """They import setup.py, and Python 3.12 and newer bring no setuptools."""
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert set(stated["build-system"]["requires"]) <= set(stated["project"]["optional-dependencies"]["test"])
+
+
+def test_targets_of_make_leave_the_package_editable():
+    """Installed without --editable, a copy takes its place: all later targets would test what was."""
+    installs = re.findall(r"pip install .*", (ROOT / "Makefile").read_text())
+    assert len(installs) == 4 and all(" --editable " in line for line in installs)

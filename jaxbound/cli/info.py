@@ -7,10 +7,11 @@ import math
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
 from jaxbound.cli.window import window_relations
 from jaxbound.diagnosis.detectability import detectable
+from jaxbound.exact.price import duration_text
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
-from jaxbound.relations.cost import duration_text, elimination_seconds, relation_cost
+from jaxbound.relations.cost import elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.uncertain import UncertainRelations

@@ -10,10 +10,10 @@ import numpy as np
 from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
 from jaxbound.cli.window import OBSERVER, window_relations
+from jaxbound.exact.price import duration_text
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.recordings.plaintext import cell
-from jaxbound.relations.cost import duration_text
 from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused

@@ -24,6 +24,7 @@ from jaxbound.diagnosis.observer_sizes import least_seen
 from jaxbound.estimation.observer import SetObserver, observer
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
+from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
@@ -31,7 +32,7 @@ from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.naming import listed
-from jaxbound.relations.cost import SECONDS, affordable, relation_cost
+from jaxbound.relations.cost import affordable, relation_cost
 from jaxbound.relations.lags import over_all_rows
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.sentence import relation_text, remembers

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from jaxbound.diagnosis.detectability import operating_reach, window_shift
+from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.cost import SECONDS, relation_cost
+from jaxbound.relations.cost import relation_cost
 
 __all__ = ["SuggestedLags", "slowest", "suggest_lags"]
 

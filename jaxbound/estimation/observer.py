@@ -21,7 +21,7 @@ from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.second_look import doubtful, withdrawn
-from jaxbound.estimation.zonotope_numbers import ROUNDED, first_set, free_numbers, least_horizon, numbers, start
+from jaxbound.estimation.zonotope_numbers import ROUNDED, first_set, free_numbers, least_horizon, numbers, price, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
@@ -205,7 +205,10 @@ class SetObserver(Observer):
         self._x0 = None if x0 is None else first_set(x0, getattr(model, "n", 0), self.order, self._dtype)
         if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
+        price(system.n, system.p, horizon)
         h = least_horizon(self._plant, system, self._unknown) if horizon is None else int(horizon)
+        if horizon is None and h is not None and h * system.p > system.n:  # more than the least that was priced
+            price(system.n, system.p, h)
         self._start = None if h is None else start(self._plant, system, h, self._dtype, self._unknown)
         if self._start is None and x0 is None:
             if h is None:

@@ -12,6 +12,7 @@ from jaxbound.estimation.free_inputs import Free
 from jaxbound.estimation.zonotope_steps import Numbers, Start
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix
+from jaxbound.exact.price import refuse_or_say
 from jaxbound.models.intervals import IntervalSystem
 from jaxbound.models.unknown_directions import Directions
 from jaxbound.sets.floats import rounding
@@ -19,7 +20,7 @@ from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.zonotopes.reduction import reduce_order
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["ROUNDED", "first_set", "free_numbers", "least_horizon", "middle", "numbers", "start"]
+__all__ = ["ROUNDED", "first_set", "free_numbers", "least_horizon", "left_inverse", "middle", "numbers", "price", "start"]
 
 ROUNDED = 1 + 1e-9
 """Above what rounding does to a few thousand sums and products of numbers >= 0 in float64."""
@@ -81,6 +82,19 @@ def first_set(x0: Any, n: int, order: float, dtype: np.dtype) -> tuple[np.ndarra
     off = np.abs(c - near[0]) + np.abs(G - near[1]).sum(1)
     fewer = reduce_order(Zonotope(*map(jnp.asarray, near)), order)
     return np.asarray(fewer.center), np.asarray(fewer.generators), rounding.round_up(off * ROUNDED, dtype)
+
+
+def price(n: int, p: int, horizon: int | None) -> None:
+    """Refuse the `start` of an observer that would take too long, or say how long it takes. horizon: None: the least that can do.
+
+    Raises:
+        ValueError: more than ten minutes, by what 8 to 32 states took on one core: right within a factor of two or so.
+    """
+    steps = -(-n // max(p, 1)) if horizon is None else horizon + 1
+    seconds = 2.5e-6 * n * steps * p * (steps * p + n) * (1 + (steps * n / 10.0) ** 1.2)
+    refuse_or_say(
+        seconds, f"the equations of how {n} states follow from {steps} samples", "reduce the model first, or measure more of its states"
+    )
 
 
 def least_horizon(model: Any, system: IntervalSystem, directions: Directions | None = None) -> int | None:
@@ -169,12 +183,14 @@ def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype, direction
         there = [j for j in range(n) if j not in places]
         kept = {there[i] for i in linalg.row_reduce(thin)[1]}
         places = tuple(j for j in range(n) if j not in kept)
-    K0 = _left_inverse(O, np.tile(system.noise, h + 1), places)
+    K0 = left_inverse(O, np.tile(system.noise, h + 1), places)
     K = linalg.matmul(powers[h], K0)
     K_first = size(K, n, (h + 1) * p)
-    # R_j, how what happens at step j of h acts: A^(h-1-j) less what the samples behind it say of it
+    # R_j, how what happens at step j of h acts: A^(h-1-j) less what the samples behind it say of it, which is R_(j+1) A - K_(j+1) C
     parts = [[row[i * p : (i + 1) * p] for row in K] for i in range(h + 1)]
-    R = [_less(powers[h - 1 - j], *(linalg.matmul(parts[i], seen[i - 1 - j]) for i in range(j + 1, h + 1))) for j in range(h)]
+    R: list = []
+    for j in reversed(range(h)):
+        R.insert(0, _less(linalg.matmul(R[0], A) if R else powers[0], linalg.matmul(parts[j + 1], C)))
     if directions is not None:  # samples are steps, too
         parts = [parts[0], *(_more(parts[j + 1], linalg.matmul(R[j], H)) for j in range(h))]
         K = _beside(parts, n)
@@ -216,13 +232,23 @@ def start(model: Any, system: IntervalSystem, h: int, dtype: np.dtype, direction
     return Start(K_float, U, w[:, 0], W, up(of_x + of_q @ H_all + off_K), up(wide_U + off_U), up(wide + off_w[:, 0] + off_W.sum(1)))
 
 
-def _left_inverse(O: Matrix, noise: np.ndarray, places: Sequence[int] = ()) -> Matrix:
-    """Return K0 with K0 O x = x exactly, of least squares weighted by the noise of the rows, for x with 0 at some places."""
+def left_inverse(O: Matrix, noise: np.ndarray, places: Sequence[int] = ()) -> Matrix:
+    """Return K0 with K0 O x = x exactly, of least squares weighted by the noise of the rows, for x with 0 at some places.
+
+    One elimination of (O, I) gives L with L O = I and N with N O = 0. Then K0 = L - L V N' (N V N')^-1 N, V = diag(1 / weights), which is
+    (O' V^-1 O)^-1 O' V^-1, whose elimination would have twice the digits.
+    """
     least = noise.max() * 1e-6
     weight = [Fraction(float(x)) for x in (1 / np.maximum(noise / noise.max(), 1e-6) ** 2 if least else np.ones(len(noise)))]
-    thin = _without(O, places)
-    across = linalg.transpose([[x * v for x in row] for row, v in zip(thin, weight, strict=True)])
-    found = iter(linalg.matmul(linalg.inverse(linalg.matmul(across, thin)), across))
+    thin, columns = _without(O, places), len(O[0]) - len(places)
+    reduced, _ = linalg.row_reduce([(*row, *unit) for row, unit in zip(thin, _identity(len(O)), strict=True)])
+    L, N = ([row[columns:] for row in some] for some in (reduced[:columns], reduced[columns:]))
+    K0: Sequence[Sequence[Fraction]] = L
+    if N:
+        least_squares = linalg.transpose([[x / v for x, v in zip(row, weight, strict=True)] for row in N])  # V N'
+        across = linalg.matmul(linalg.matmul(L, least_squares), linalg.inverse(linalg.matmul(N, least_squares)))
+        K0 = _less(L, linalg.matmul(across, N))
+    found = iter(map(tuple, K0))
     return tuple((Fraction(0),) * len(O) if j in places else next(found) for j in range(len(O[0])))
 
 
@@ -269,9 +295,9 @@ def _zeros(n, m):
     return [(Fraction(0),) * m] * n
 
 
-def _less(first, *others):
-    """Return a matrix less others."""
-    return [[a - sum(rest, Fraction(0)) for a, *rest in zip(*rows, strict=True)] for rows in zip(first, *others, strict=True)]
+def _less(a, b):
+    """Return a matrix less another."""
+    return [[x - y for x, y in zip(*rows, strict=True)] for rows in zip(a, b, strict=True)]
 
 
 def _more(a, b):

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from jaxbound.exact import linalg
+from jaxbound.exact.lifting import lifted
 
 __all__ = ["Optimum", "Subspace", "chebyshev", "subspace"]
 
@@ -25,6 +26,8 @@ Reference: TypeAlias = tuple[tuple[int, int], ...]
 """Rows, each with the sign of its error."""
 Rows: TypeAlias = Sequence[Sequence[Fraction]]
 
+CROWDED = 32
+"""Rows of more than two numbers from which on a system is solved by lifting."""
 PRIME = 2**61 - 1
 """Ranks are guessed modulo this prime; what rests on a guess is checked exactly."""
 
@@ -240,9 +243,13 @@ def _regular(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int
 def _solve(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int], int] | None:
     """Return (x, det) of integers with M x = right * det, or None if M is singular (Bareiss: every division is exact).
 
-    det is the determinant up to its sign; pivots come from the sparsest row, so that identity rows cost nothing.
+    det is any common denominator; pivots come from the sparsest row, so that identity rows cost nothing. Where many rows are no such, as
+    those of averages make them, determinants grow too long: digits are lifted instead.
     """
     n = len(M)
+    crowded = sum(1 for row in M if sum(map(bool, row)) > 2)
+    if crowded >= CROWDED and (solved := lifted(M, right)):
+        return solved
     rows = [[*row, y] for row, y in zip(M, right, strict=True)]
     order, previous = [], 1
     free = list(range(n))

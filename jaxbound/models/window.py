@@ -116,14 +116,14 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     own = tuple((ZERO,) * model.n + tuple(Fraction(int(i == j)) for j in range(count)) + nothing for i in range(count))
     lags = model.m * input_lags(model, horizon)
     E, K = tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
-    combined = [(model.averages[a].weights, rows) for a, rows in runs(model, horizon)]
-    summed = lambda M: tuple(_combination(weights, [M[i] for i in rows]) for weights, rows in combined)
-    return E + summed(E), K + summed(K)
+    F = [_spread(model.averages[a].weights, rows, len(E)) for a, rows in runs(model, horizon)]
+    return E + linalg.matmul(F, E), K + linalg.matmul(F, K)
 
 
-def _combination(weights: Vector, rows: Sequence[Vector]) -> Vector:
-    """Return the weighted sum of rows."""
-    return tuple(sum((f * x for f, x in zip(weights, column, strict=True) if x), ZERO) for column in zip(*rows, strict=True))
+def _spread(weights: Vector, rows: Sequence[int], count: int) -> list[Fraction]:
+    """Return weights of some rows as a weight of each of so many rows."""
+    of = dict(zip(rows, weights, strict=True))
+    return [of.get(i, ZERO) for i in range(count)]
 
 
 def second_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:

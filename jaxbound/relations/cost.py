@@ -6,13 +6,14 @@ constants were measured on one core of a desk computer; they are right within a 
 
 from math import comb
 
+from jaxbound.exact.price import SECONDS, duration_text
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["BYTES", "SECONDS", "affordable", "duration_text", "elimination_seconds", "refuse_many_states", "relation_cost"]
+__all__ = ["BYTES", "affordable", "elimination_seconds", "refuse_many_states", "relation_cost"]
 
-SECONDS, BYTES = 600.0, 2e9
-"""What relations may take at most."""
+BYTES = 2e9
+"""What relations may take at most, beside `SECONDS`."""
 LONGEST = 10**12  # of a horizon in what is computed here: beyond, floats would overflow
 
 
@@ -63,20 +64,6 @@ def refuse_many_states(model: LinearSystem) -> None:
     if seconds > SECONDS:
         raise ValueError(f"a model of {model.n} states is too large: to find its shortest useful horizon in exact numbers would take "
                          f"{duration_text(seconds)}; reduce the model first")  # fmt: skip
-
-
-def duration_text(seconds: float) -> str:
-    """Return a rough duration as text.
-
-    Example:
-        >>> duration_text(5.2), duration_text(500), duration_text(2e4), duration_text(1e12)
-        ('about 5 seconds', 'about 8 minutes', 'about 6 hours', 'more than a year')
-    """
-    for size, name in ((1, "second"), (60, "minute"), (3600, "hour"), (86400, "day")):
-        if seconds < 100 * size:
-            count = max(round(seconds / size), 1)
-            return f"about {count} {name}{'s' * (count != 1)}"
-    return "more than a year" if seconds > 3.2e7 else f"about {round(seconds / 86400)} days"
 
 
 def _power_seconds(model, s):

@@ -12,9 +12,10 @@
       high[key] = both[1] ? floats(both[1], Float32Array) : low[key];
     }
     const combined = new Map(p.combined.map(([i, relation, values]) => [i, { relation, values: floats(values, Float32Array) }]));
-    return { ...p, x, low, high, combined, first: x[0], last: x[p.n - 1] };
+    const steps = x.slice(1).map((v, i) => v - x[i]).sort();
+    return { ...p, x, low, high, combined, first: x[0], last: x[p.n - 1], step: steps[steps.length >> 1] || all.step };
   };
-  const whole = read(all.whole), near = all.near.map(read);
+  const whole = { ...read(all.whole), last: all.last }, near = all.near.map(read);
   const hair = 1e-6 * all.step; // times are sums of steps, rounded
   let from = all.from, to = all.to, alarm = all.alarm;
 
@@ -30,14 +31,21 @@
     const of = fields(base + x), part = Math.round(1000 * (base + x)) / 1000 % 1;
     return tokens.map((k) => !/^[YmdHMSf]\d$/.test(k) ? k : k[0] === "f" ? part.toFixed(k[1]).slice(2) : two(of[k[0]], k[1])).join("");
   };
-  const asked = (text) => {
-    const { tokens, base, before } = all.clock;
-    if (!tokens.length) return parseFloat(text.replace(before, ""));
-    const found = text.match(/\d+/g) || [], of = { ...fields(base + from), H: 0, M: 0, S: 0, f: 0 };
-    tokens.filter((k) => /^[YmdHMSf]\d$/.test(k)).slice(0, found.length).forEach((k, i) => {
-      of[k[0]] = k[0] === "f" ? Number("." + found[i]) : Number(found[i]);
-    });
-    return Date.UTC(of.Y, of.m - 1, of.d, of.H, of.M, of.S) / 1000 + of.f - base;
+  const asked = (text) => { // NaN: no time as the recording writes them, or as far as a day of it
+    const { tokens, base, before, unit } = all.clock;
+    if (!tokens.length) {
+      const number = text.replace(before, "").replace(unit, "").trim();
+      return number ? Number(number) : NaN;
+    }
+    const keys = tokens.filter((k) => /^[YmdHMSf]\d$/.test(k)), between = tokens.filter((k) => !keys.includes(k));
+    const zone = (tokens.length && between.includes(tokens.at(-1)) ? tokens.at(-1) : "").trim();
+    const body = zone && text.trim().endsWith(zone) ? text.trim().slice(0, -zone.length) : text;
+    const found = body.match(/\d+/g) || [], signs = between.join("") + " T:-./,";
+    if (!found.length || found.length > keys.length || [...body.replace(/\d/g, "")].some((c) => !signs.includes(c))) return NaN;
+    const of = { ...fields(base + from), H: 0, M: 0, S: 0, f: 0 };
+    found.forEach((digits, i) => { of[keys[i][0]] = keys[i][0] === "f" ? Number("." + digits) : Number(digits); });
+    const at = Date.UTC(of.Y, of.m - 1, of.d, of.H, of.M, of.S) / 1000, back = fields(at);
+    return Object.keys(back).every((k) => back[k] === of[k]) ? at + of.f - base : NaN; // there is no 30th of February
   };
   const steps = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 172800, 432000, 864000];
   const months = (a, b) => {
@@ -63,8 +71,8 @@
 
   // numbers to paths
   const squeezed = (v) => (v < -1 ? -1 - Math.log10(Math.min(-v, 1e15)) : v);
-  const extremes = (p, i, j, key) => {
-    const n = j - i, bins = Math.min(n, most), out = { low: [], high: [] };
+  const extremes = (p, i, j, bins, key) => {
+    const n = j - i, out = { low: [], high: [] };
     for (let b = 0; b < bins; b++) {
       let lo = NaN, hi = NaN;
       for (let k = i + Math.floor(b * n / bins), end = i + Math.floor((b + 1) * n / bins); k < end; k++) {
@@ -104,7 +112,7 @@
     const seen = ends.filter(Number.isFinite).sort((a, b) => a - b), cut = 0.02 * (seen.length - 1);
     return seen.slice(Math.ceil(cut), Math.floor(seen.length - 1 - cut) + 1);
   };
-  const areas = (across, low, high, gap) => {
+  const areas = ({ across, gap, half, bins }, low, high) => { // in steps where they are extremes of bins: between these nothing is known
     let out = "";
     for (let a = 0; a < low.length; a++) {
       if (Number.isNaN(low[a]) || Number.isNaN(high[a])) continue;
@@ -112,22 +120,23 @@
       while (b + 1 < low.length && !Number.isNaN(low[b + 1]) && !Number.isNaN(high[b + 1]) && across[b + 1] - across[b] <= gap) b++;
       const upper = [], lower = [];
       for (let k = a; k <= b; k++) {
-        upper.push(`${across[k].toFixed(1)} ${high[k].toFixed(1)}`);
-        lower.unshift(`${across[k].toFixed(1)} ${low[k].toFixed(1)}`);
+        const left = across[k].toFixed(1), right = (k < b ? across[k + 1] : across[k] + 2 * half).toFixed(1);
+        upper.push(bins ? `V${high[k].toFixed(1)}H${right}` : `${left} ${high[k].toFixed(1)}`);
+        lower.unshift(bins ? `V${low[k].toFixed(1)}H${left}` : `${left} ${low[k].toFixed(1)}`);
       }
-      out += `M${upper.concat(lower).join("L")}Z`;
+      out += bins ? `M${across[a].toFixed(1)} ${upper.concat(lower).join("").slice(1)}Z` : `M${upper.concat(lower).join("L")}Z`;
       a = b;
     }
     return out;
   };
-  const spans = (across, on) => {
-    const half = across.length > 1 ? (across[across.length - 1] - across[0]) / (across.length - 1) / 2 : 500;
+  const spans = ({ middle, half }, on) => {
     let out = "";
     for (let i = 0; i < on.length; i++) {
       if (!on[i] || on[i - 1]) continue;
       let j = i;
       while (on[j + 1]) j++;
-      out += `M${Math.max(across[i] - half, 0).toFixed(2)} 0H${Math.min(across[j] + half, 1000).toFixed(2)}V100H${Math.max(across[i] - half, 0).toFixed(2)}Z`;
+      const left = Math.max(middle[i] - half, 0).toFixed(2);
+      out += `M${left} 0H${Math.min(middle[j] + half, 1000).toFixed(2)}V100H${left}Z`;
     }
     return out;
   };
@@ -136,10 +145,11 @@
     const within = near.filter((p) => p.first <= from + hair && to <= p.last + hair), piece = within.find((p) => p.combined.has(alarm)) || within[0] || whole;
     const violated = piece.combined.get(alarm) || [...piece.combined.values()][0];
     if (violated) piece.low.combination = piece.high.combination = violated.values;
-    let i = piece.x.findIndex((x) => x >= from - hair), j = piece.x.findLastIndex((x) => x <= to + hair) + 1;
-    if (i < 0 || j - i < 2) { i = Math.max(Math.min(i < 0 ? piece.n - 2 : i - 1, piece.n - 2), 0); j = Math.min(i + 2, piece.n); }
-    const n = j - i, bins = Math.min(n, most), at = Array.from({ length: bins }, (_, b) => i + Math.floor(b * n / bins));
-    const across = at.map((k) => 1000 * (piece.x[k] - from) / (to - from)), gap = 2.5 * (across[bins - 1] - across[0]) / Math.max(bins - 1, 1);
+    const begun = piece.x.findIndex((x) => x >= from - hair), ended = piece.x.findLastIndex((x) => x <= to + hair);
+    const i = Math.max((begun < 0 ? piece.n : begun) - 1, 0), j = Math.min(ended + 2, piece.n); // lines and bins go on at either side
+    const n = j - i, bins = n > most + 2 ? most : n, at = Array.from({ length: bins }, (_, b) => i + Math.floor(b * n / bins));
+    const across = at.map((k) => 1000 * (piece.x[k] - from) / (to - from)), half = 500 * piece.step * n / bins / (to - from);
+    const binned = piece.binned || bins < n, middle = across.map((x) => binned ? x + half : x), axis = { across, middle, half, gap: 5 * half, bins: binned };
     const worst = at.map((k, b) => { let s = 0; for (let q = k; q < (at[b + 1] ?? j); q++) s = Math.max(s, Number(piece.status[q])); return s; });
     const fault = worst.map((s) => s === 3);
     for (const panel of zoom.querySelectorAll("[data-key]")) {
@@ -147,24 +157,25 @@
       const around = `${key}:band`, nothing = { low: Array(bins).fill(NaN), high: Array(bins).fill(NaN) };
       panel.hidden = !(key in piece.low || around in piece.low);
       if (panel.hidden) continue;
-      let { low, high } = key in piece.low ? extremes(piece, i, j, key) : nothing;
-      const held = around in piece.low ? extremes(piece, i, j, around) : nothing;
+      let { low, high } = key in piece.low ? extremes(piece, i, j, bins, key) : nothing;
+      const held = around in piece.low ? extremes(piece, i, j, bins, around) : nothing;
       if (kind === "margin") { low = low.map(squeezed); high = high.map(squeezed); }
       const [bottom, top] = limits(kind, low.concat(usual(held.low)), high.concat(usual(held.high))), down = (v) => 100 * Math.min(Math.max((top - v) / (top - bottom), 0), 1);
       const beyond = low.map((v, b) => Math.abs(v) > 1 || Math.abs(high[b]) > 1), shaded = kind === "combination" ? beyond : fault;
       let line = "", out = "", pen = false;
       low.forEach((v, b) => {
         if (Number.isNaN(v) || Number.isNaN(high[b])) { pen = false; return; }
-        const on = pen && across[b] - across[b - 1] <= gap, x = across[b].toFixed(1);
-        line += `${on ? "L" : "M"}${x} ${down(v).toFixed(1)}` + (high[b] !== v ? `V${down(high[b]).toFixed(1)}` : on ? "" : "h0");
+        const on = pen && across[b] - across[b - 1] <= axis.gap;
+        line += `${on ? "L" : "M"}${across[b].toFixed(1)} ${down(v).toFixed(1)}${on ? "" : "h0"}`;
         const peak = kind === "combination" && Math.abs(high[b]) > Math.abs(v) ? high[b] : v;
-        if (kind !== "signal" && shaded[b]) out += `M${x} ${down(peak).toFixed(1)}h0`;
+        if (kind !== "signal" && shaded[b]) out += `M${middle[b].toFixed(1)} ${down(peak).toFixed(1)}h0`;
         pen = true;
       });
-      if (panel.querySelector(".hull")) panel.querySelector(".hull").setAttribute("d", areas(across, held.low.map(down), held.high.map(down), gap));
-      panel.querySelector(".line").setAttribute("d", line);
+      if (panel.querySelector(".hull")) panel.querySelector(".hull").setAttribute("d", areas(axis, held.low.map(down), held.high.map(down)));
+      panel.querySelector(".line").setAttribute("d", binned ? areas(axis, low.map(down), high.map(down)) : line);
+      panel.querySelector(".line").classList.toggle("bins", binned);
       panel.querySelector(".out").setAttribute("d", out);
-      panel.querySelector(".shade").setAttribute("d", spans(across, shaded));
+      panel.querySelector(".shade").setAttribute("d", spans(axis, shaded));
       const band = panel.querySelector(".band");
       if (band) { band.setAttribute("y", down(1)); band.setAttribute("height", down(-1) - down(1)); }
       panel.querySelector(".marks").replaceChildren(...marks(kind, bottom, top).map(([v, text]) => {
@@ -175,15 +186,16 @@
         return mark;
       }));
     }
-    names.forEach((name, s) => zoom.querySelector(`.verdicts .${name}`).setAttribute("d", spans(across, worst.map((w) => w === s))));
+    names.forEach((name, s) => zoom.querySelector(`.verdicts .${name}`).setAttribute("d", spans(axis, worst.map((w) => w === s))));
     zoom.querySelector(".axis").replaceChildren(...ticks(from, to).map((x) => {
       const tick = document.createElement("span");
       tick.style.left = `${100 * (x - from) / (to - from)}%`;
       tick.textContent = time(x);
       return tick;
     }));
-    const range = `${time(from)} to ${time(to)}`, each = Math.round(all.samples / whole.n);
-    const coarse = piece === whole && each > 1 ? `; each point stands for ${each} samples, an alarm has them one by one` : "";
+    const range = `${time(from)} to ${time(to)}`, each = Math.round((piece === whole ? all.samples / whole.n : 1) * n / bins);
+    const rest = whole.binned ? `around ${all.alarms.length ? "alarms" : "the tightest window"} each one is kept` : "closer each one is shown";
+    const coarse = binned && each > 1 ? `; each step is the lowest and the highest of ${each} samples, ${rest}` : "";
     const inside = all.alarms.some(([i, , , worst]) => i === alarm && from - hair <= worst && worst <= to + hair);
     const where = piece === whole ? "" : alarm < 0 ? "around the tightest window: " : inside ? `around alarm ${alarm + 1}: ` : "";
     zoom.querySelector(".said").textContent = where + range + coarse;
@@ -198,13 +210,14 @@
       shown.style.width = `${100 * (to - from) / span}%`;
     }
   };
+  const select = zoom.querySelector("select"), field = zoom.querySelector("input"), wrong = zoom.querySelector(".wrong");
   const show = (a, b) => {
+    wrong.hidden = true;
     const least = 4 * all.step, span = Math.min(Math.max(b - a, least), whole.last - whole.first || least);
     const middle = Math.min(Math.max((a + b) / 2, whole.first + span / 2), whole.last - span / 2);
     [from, to] = [middle - span / 2, middle + span / 2];
     draw();
   };
-  const select = zoom.querySelector("select"), field = zoom.querySelector("input");
   const goto = (i) => {
     if (!all.alarms.length) return show(all.from, all.to);
     const row = Math.min(Math.max(i, 0), all.alarms.length - 1), [number, begun, ended, worst] = all.alarms[row];
@@ -217,7 +230,12 @@
     worst: () => { alarm = all.alarm; if (select) select.value = String(all.alarms.findIndex((a) => a[0] === alarm)); show(all.from, all.to); },
     previous: () => goto(Number(select.value) - 1),
     next: () => goto(Number(select.value) + 1),
-    go: () => { const x = asked(field.value), half = (to - from) / 2; if (Number.isFinite(x)) show(x - half, x + half); },
+    go: () => {
+      const x = asked(field.value), half = (to - from) / 2;
+      if (whole.first - hair <= x && x <= whole.last + hair) return show(x - half, x + half);
+      wrong.textContent = `this is no time of the recording, which goes from ${time(whole.first)} to ${time(whole.last)}`;
+      wrong.hidden = false;
+    },
     left: () => show(from - (to - from) / 4, to - (to - from) / 4),
     right: () => show(from + (to - from) / 4, to + (to - from) / 4),
     in: () => show(from + (to - from) / 4, to - (to - from) / 4),

@@ -44,12 +44,16 @@ class Row:
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording: x (n,) s; status (n,), the worst of each bin; low, high: {key: (n,)}, extremes of each bin."""
+    """A stretch of a recording: x (n,) s; status (n,), the worst of each bin; low, high: {key: (n,)}, extremes of each bin.
+
+    binned: whether a point is a bin, from its x to the next; else it is a sample.
+    """
 
     x: np.ndarray
     status: np.ndarray
     low: dict
     high: dict
+    binned: bool = False
 
     def reduced(self, most: int) -> "Piece":
         """Return the same stretch as the extremes of at most so many bins."""
@@ -58,12 +62,12 @@ class Piece:
         edges = np.linspace(0, len(self.x), most, endpoint=False).astype(int)
         low = {key: np.fmin.reduceat(z, edges) for key, z in self.low.items()}
         high = {key: np.fmax.reduceat(z, edges) for key, z in self.high.items()}
-        return Piece(self.x[edges], np.maximum.reduceat(self.status, edges), low, high)
+        return Piece(self.x[edges], np.maximum.reduceat(self.status, edges), low, high, True)
 
     def cut(self, first: int, stop: int) -> "Piece":
         """Return the points first .. stop - 1."""
         take = lambda z: {key: value[first:stop] for key, value in z.items()}
-        return Piece(self.x[first:stop], self.status[first:stop], take(self.low), take(self.high))
+        return Piece(self.x[first:stop], self.status[first:stop], take(self.low), take(self.high), self.binned)
 
 
 def pieces_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray], bands: Mapping[str, Interval] | None = None) -> Piece:
@@ -92,18 +96,84 @@ def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[floa
     across = (points.x - first) / ((last - first) or 1.0) * WIDTH
     joined = np.diff(across, prepend=across[:1]) <= GAP * np.median(np.diff(across)) if len(across) > 2 else np.ones(len(across), bool)
     fault = points.status == Status.FAULT
-    panels = [_panel(row, points, across, joined, fault) for row in rows if row.key in points.low or band_key(row.key) in points.low]
+    axis = _Axis(across, joined, points.binned)
+    panels = [_panel(row, points, axis, fault) for row in rows if row.key in points.low or band_key(row.key) in points.low]
     at = [{"left": 100 * (x - first) / ((last - first) or 1.0), "text": text} for x, text in ticks(clock, first, last)]
-    ribbon = {status.name: _spans(across, points.status == status) for status in Status}
+    ribbon = {status.name: axis.spans(points.status == status) for status in Status}
     marks = sorted({round(100 * (x - first) / ((last - first) or 1.0), 2) for x in marked})
-    return {"panels": panels, "ticks": at, "marked": marks, "ribbon": ribbon, "from": clock.text(first), "to": clock.text(last)}
+    return {
+        "panels": panels,
+        "binned": points.binned,
+        "ticks": at,
+        "marked": marks,
+        "ribbon": ribbon,
+        "from": clock.text(first),
+        "to": clock.text(last),
+    }
 
 
-def _panel(row, points, across, joined, fault):
+class _Axis:
+    """Points across a chart and what is drawn at them.
+
+    across (n,): where each sample is, or each bin begins; joined (n,): to the one before; bins: whether they are bins.
+    """
+
+    def __init__(self, across, joined, bins):
+        self.across, self.joined, self.bins = across, joined, bins
+        self.half = np.median(np.diff(across)) / 2 if len(across) > 1 else WIDTH / 2
+
+    def line(self, low, high):
+        """Return the path of a line through samples, or of the area between the extremes of bins."""
+        if self.bins:
+            return self.area(low, high)
+        out = []
+        for first, stop in self._stretches(np.isfinite(low)):
+            places = zip(self.across[first:stop].tolist(), low[first:stop].tolist(), strict=True)
+            there = [f"{_number(x)} {_number(y)}" for x, y in places]
+            out.append(f"M{'L'.join(there)}" if len(there) > 1 else f"M{there[0]}h0")
+        return "".join(out)
+
+    def area(self, low, high):
+        """Return the path of the areas between two lines, in steps where they are extremes of bins."""
+        out = []
+        for first, stop in self._stretches(np.isfinite(low) & np.isfinite(high)):
+            x, lower, upper = (z[first:stop].tolist() for z in (self.across, low, high))
+            if self.bins:
+                edges = [*x, min(x[-1] + 2 * self.half, WIDTH)]
+                steps = (*zip(upper, edges[1:], strict=True), *zip(lower[::-1], x[::-1], strict=True))
+                there = "".join(f"V{_number(y)}H{_number(to)}" for y, to in steps)
+                out.append(f"M{_number(x[0])} {there.removeprefix('V')}Z")
+            else:
+                corners = (*zip(x, upper, strict=True), *zip(x[::-1], lower[::-1], strict=True))
+                out.append(f"M{'L'.join(f'{_number(i)} {_number(j)}' for i, j in corners)}Z")
+        return "".join(out)
+
+    def dots(self, on, down):
+        """Return the path of dots at the points that are on, in the middle of their bins."""
+        across = self.across[on] + self.half * self.bins
+        return "".join(f"M{_number(x)} {_number(y)}h0" for x, y in zip(across.tolist(), down[on].tolist(), strict=True))
+
+    def spans(self, on):
+        """Return the path of boxes of full height over the points that are on."""
+        before, after = (0.0, 2 * self.half) if self.bins else (self.half, self.half)
+        out = []
+        for run in _runs(on):
+            left, right = max(self.across[run][0] - before, 0.0), min(self.across[run][-1] + after, WIDTH)
+            out.append(f"M{left:.2f} 0H{right:.2f}V{HEIGHT}H{left:.2f}Z")
+        return "".join(out)
+
+    def _stretches(self, on):
+        """Yield (first, stop) of the points that are on and joined."""
+        edges = np.flatnonzero(on & ~self.joined)
+        for run in _runs(on):
+            yield from itertools.pairwise([run.start, *edges[(edges > run.start) & (edges < run.stop)], run.stop])
+
+
+def _panel(row, points, axis, fault):
     nothing = np.full(len(points.x), np.nan)
     ends_of = lambda key: (np.clip(np.asarray(z.get(key, nothing), float), -HUGE, HUGE) for z in (points.low, points.high))
     if row.kind == "enclosed":
-        return _enclosed(row, across, joined, *map(list, map(ends_of, (row.key, *(f"{row.key}:{what}" for what in ENCLOSED)))))
+        return _enclosed(row, axis, *map(list, map(ends_of, (row.key, *(f"{row.key}:{what}" for what in ENCLOSED)))))
     low, high = ends_of(row.key)
     least, most = ends_of(band_key(row.key))
     if row.kind == "margin":
@@ -114,9 +184,9 @@ def _panel(row, points, across, joined, fault):
     peak = np.where(abs(high) > abs(low), high, low) if row.kind == "combination" else low
     out = shaded & np.isfinite(low) & (row.kind != "signal")
     band = [float(_down(v, bottom, top)) for v in (1.0, -1.0)] if row.kind == "combination" else None
-    hull = _hull(across, _down(least, bottom, top), _down(most, bottom, top), joined) if band_key(row.key) in points.low else None
-    return {"row": row, "line": _line(across, _down(low, bottom, top), _down(high, bottom, top), joined), "band": band,
-            "shade": _spans(across, shaded), "out": _dots(across[out], _down(peak[out], bottom, top)), "hull": hull, "instead": "",
+    hull = axis.area(_down(least, bottom, top), _down(most, bottom, top)) if band_key(row.key) in points.low else None
+    return {"row": row, "line": axis.line(_down(low, bottom, top), _down(high, bottom, top)), "binned": axis.bins, "band": band,
+            "shade": axis.spans(shaded), "out": axis.dots(out, _down(peak, bottom, top)), "hull": hull, "instead": "",
             "marks": _places(row, bottom, top), "empty": not (np.isfinite(low).any() or hull)}  # fmt: skip
 
 
@@ -124,7 +194,7 @@ def _places(row, bottom, top):
     return [{"top": float(_down(v, bottom, top)), "text": text} for v, text in _marks(row, bottom, top)]
 
 
-def _enclosed(row, across, joined, shown, band, faulty, instead):
+def _enclosed(row, axis, shown, band, faulty, instead):
     """Return what is drawn of a signal and of the band that holds its true value: [lowest, highest] of each."""
     known = np.isfinite(band[0]) & np.isfinite(band[1])
     least, most = robust_limits(*shown)
@@ -135,23 +205,11 @@ def _enclosed(row, across, joined, shown, band, faulty, instead):
         least, most = max(lowest, lo - 2 * wide) - 0.06 * wide, min(highest, hi + 2 * wide) + 0.06 * wide
     down = lambda ends: (_down(ends[0], least, most), _down(ends[1], least, most))
     wrong = np.isfinite(faulty[0])
-    least_out, most_out = (end[wrong] for end in down(faulty))
-    out = _dots(across[wrong], least_out) + _dots(across[wrong][most_out != least_out], most_out[most_out != least_out])
-    return {"row": row, "line": _line(across, *down(shown), joined), "band": None, "shade": _spans(across, wrong), "out": out,
-            "hull": _hull(across, *down(band), joined), "instead": _line(across, *down(instead), joined),
+    lower, upper = down(faulty)
+    out = axis.dots(wrong, lower) + axis.dots(wrong & (upper != lower), upper)
+    return {"row": row, "line": axis.line(*down(shown)), "binned": axis.bins, "band": None, "shade": axis.spans(wrong), "out": out,
+            "hull": axis.area(*down(band)), "instead": axis.line(*down(instead)),
             "marks": _places(row, least, most), "empty": not (known.any() or np.isfinite(shown[0]).any())}  # fmt: skip
-
-
-def _hull(across, low, high, joined):
-    """Return the path of the areas between two lines, a piece where points are joined."""
-    on, out = np.isfinite(low) & np.isfinite(high), []
-    edges = np.flatnonzero(on & ~joined)
-    for run in _runs(on):
-        for first, stop in itertools.pairwise([run.start, *edges[(edges > run.start) & (edges < run.stop)], run.stop]):
-            x, a, b = across[first:stop].tolist(), low[first:stop].tolist(), high[first:stop].tolist()
-            there = [f"{_number(i)} {_number(j)}" for i, j in (*zip(x, b, strict=True), *zip(x[::-1], a[::-1], strict=True))]
-            out.append(f"M{'L'.join(there)}Z")
-    return "".join(out)
 
 
 def _limits(row, low, high):
@@ -210,38 +268,10 @@ def _number(x):
     return f"{x:.1f}".removesuffix(".0")
 
 
-def _line(across, low, high, joined):
-    """Return the path of a line, or of the zigzag between the extremes of bins."""
-    out, pen = [], False
-    for x, a, b, near in zip(across.tolist(), low.tolist(), high.tolist(), joined.tolist(), strict=True):
-        if a != a or b != b:
-            pen = False
-            continue
-        out.append(
-            f"{'L' if pen and near else 'M'}{_number(x)} {_number(a)}" + (f"V{_number(b)}" if a != b else "" if pen and near else "h0")
-        )
-        pen = True
-    return "".join(out)
-
-
 def _usual(ends):
     """Return the ends of a band without its widest, as it begins."""
     seen = ends[np.isfinite(ends)]
     return seen[(np.quantile(seen, SPREAD) <= seen) & (seen <= np.quantile(seen, 1 - SPREAD))] if len(seen) else seen
-
-
-def _dots(across, down):
-    return "".join(f"M{_number(x)} {_number(a)}h0" for x, a in zip(across.tolist(), down.tolist(), strict=True))
-
-
-def _spans(across, on):
-    """Return the path of boxes of full height over the points that are on."""
-    half = np.median(np.diff(across)) / 2 if len(across) > 1 else WIDTH / 2
-    out = []
-    for run in _runs(on):
-        left, right = max(across[run][0] - half, 0.0), min(across[run][-1] + half, WIDTH)
-        out.append(f"M{left:.2f} 0H{right:.2f}V{HEIGHT}H{left:.2f}Z")
-    return "".join(out)
 
 
 def _runs(on):
@@ -256,7 +286,7 @@ def plain(piece: Piece) -> dict[str, Any]:
     even = len(step) == 0 or np.allclose(step, step[0], rtol=0, atol=1e-3 * abs(step[0]))
     x = [float(piece.x[0]), float(step[0]) if len(step) else 1.0] if even else coded(piece.x, "<f8")
     both = {key: [coded(piece.low[key])] + ([] if piece.high[key] is piece.low[key] else [coded(piece.high[key])]) for key in piece.low}
-    return {"n": len(piece.x), "x": x, "status": "".join(map(str, piece.status.tolist())), "series": both}
+    return {"n": len(piece.x), "binned": piece.binned, "x": x, "status": "".join(map(str, piece.status.tolist())), "series": both}
 
 
 def coded(values: np.ndarray, kind: str = "<f4") -> str:

@@ -64,9 +64,11 @@ def charts(
     margin = Row("margin", "margin", kind="margin")
     states = bands_of(res)[0]
     rows = [*_combinations(res.relations), margin, *signals, *states]
+    samples = res.samples if part else len(res.status)
     numbers = {
         "clock": clock.plain() | {"tokens": list(map(printable, clock.tokens)), "before": printable(clock.before)},
-        "samples": res.samples if part else len(res.status),
+        "samples": samples,
+        "last": float(x(samples - 1)),
         "step": float(np.median(np.diff(piece.x))) if len(piece.x) > 1 else 1.0,
         "whole": over.plain(),
         "near": [n.plain() for n in near],
@@ -102,7 +104,7 @@ def _digested(res, signals):
     low, high = {"margin": line.low}, {"margin": line.high}
     for row, least, most in zip(signals, *(res.signals or ((), ())), strict=False):
         low[row.key], high[row.key] = least, most
-    piece, numbers = Piece(x, line.status, low, high), 2 * len(low)
+    piece, numbers = Piece(x, line.status, low, high, len(x) < res.samples), 2 * len(low)
     if len(x) * numbers > VALUES:
         piece = piece.reduced(VALUES // numbers)
     return piece, lambda k: res.time[k], clock
@@ -137,7 +139,7 @@ class _Near:
     def complete(self, i):
         """Return the Piece with the combination of alarm i."""
         added = {"combination": self.shares[i]} if i in self.shares else {}
-        return Piece(self.piece.x, self.piece.status, added | self.piece.low, added | self.piece.high)
+        return Piece(self.piece.x, self.piece.status, added | self.piece.low, added | self.piece.high, self.piece.binned)
 
     def plain(self):
         return plain(self.piece) | {"combined": [[i, self.relation(i), coded(share)] for i, share in self.shares.items()]}

@@ -192,10 +192,11 @@ def test_the_certificate_agrees_with_the_verdict_of_a_long_window(name, rng):
     windows = [window(relations, gaps, rng, bias=float(b)) for b in rng.uniform(0, 4, 15)]
     res = jb.detect(relations, *(np.stack(x) for x in zip(*windows, strict=True)))
     s = relations.horizon
-    for i in range(15):
-        if res.status[i, s] in (Status.FAULT, Status.CONSISTENT):
-            c = res.explain((i, s))
-            assert c.proves == res.status[i, s] and 1 - res.margin[i, s] <= float(c.factor) * (1 + 1e-7)
+    decided = np.flatnonzero(np.isin(res.status[:, s], (Status.FAULT, Status.CONSISTENT)))
+    assert len(decided) > 10
+    for i in decided.tolist():
+        c = res.explain((i, s))
+        assert c.proves == res.status[i, s] and 1 - res.margin[i, s] <= float(c.factor) * (1 + 1e-7)
 
 
 def test_a_witness_tells_disturbances_and_missing_inputs(rng):

@@ -134,6 +134,8 @@ def test_verdicts_are_sharp(name, horizon, dtype, step, shared, rng):
     gauge = oracle.gauge_by_program(u, y)
     status, clear = last(jb.detect(r, u, y).status), abs(gauge - 1) > step
     assert (abs(gauge - 1) < 10 * step).mean() > 0.9 and clear.mean() > 0.9
+    wrong = np.where(gauge > 1, Status.CONSISTENT, Status.FAULT)
+    assert not (status == wrong)[clear].any()
     found = np.mean(status[clear] == np.where(gauge > 1, Status.FAULT, Status.CONSISTENT)[clear])
     print(f"{found:.3f} decided at {step:g}")
     assert found > 0.99

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
+from jaxbound.estimation.zonotope_numbers import left_inverse
 from jaxbound.exact import linalg
+from jaxbound.exact.price import refuse_or_say
 from jaxbound.models.modelfile import save_model
 from jaxbound.models.plant import Plant
 from jaxbound.relations.cost import affordable, relation_cost
@@ -43,6 +45,54 @@ def test_every_other_door_refuses_an_endless_horizon_at_once(ask):
     with pytest.raises(ValueError, match="horizon"):
         ask()
     assert time.perf_counter() - start < 1
+
+
+def wide(n, q, rng):
+    """Return a zonotope of n coordinates whose q generators have all digits."""
+    return jb.sets.zonotope(np.zeros(n), rng.normal(size=(n, q)))
+
+
+@pytest.mark.parametrize("ask, sentence", [
+    (lambda rng: jb.sets.strips(wide(8, 24, rng)), r"346104 subsets of 24 generators would take about 14 minutes .* ask `membership`"),
+    (lambda rng: jb.sets.minkowski_difference(wide(7, 20, rng), wide(7, 2, rng)), "generators in 20 directions, in 7 dimensions"),
+    (lambda rng: jb.observer(dense(80, 2, rng)), r"how 80 states follow from 40 samples would take about \d+ minutes .* reduce the model"),
+    (lambda rng: jb.observer(dense(12, 2, rng), horizon=10**9), "how 12 states follow from 1000000001 samples would take more than a year"),
+])  # fmt: skip
+def test_what_would_take_minutes_is_refused_at_once_with_what_to_do(ask, sentence, rng):
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match=sentence):
+        ask(rng)
+    assert time.perf_counter() - start < 5
+
+
+def test_what_takes_more_than_a_minute_is_said_first():
+    with pytest.warns(UserWarning, match=r"^strips take about 2 minutes in exact numbers; if that is too long, ask$"):
+        refuse_or_say(120, "strips", "ask")
+    with pytest.raises(ValueError, match="^strips would take about 17 minutes in exact numbers: ask$"):
+        refuse_or_say(1000, "strips", "ask")
+    refuse_or_say(50, "strips", "ask")
+
+
+@pytest.mark.slow
+def test_an_observer_of_24_states_is_made_in_seconds(rng):
+    """A left inverse by one elimination, and what acts at each step from the step behind it: minutes before."""
+    start = time.process_time()
+    watch = jb.observer(dense(24, 2, rng))
+    assert watch.horizon == 11 and time.process_time() - start < 30
+
+
+@pytest.mark.parametrize("m, n, places", [(4, 4, ()), (5, 3, ()), (8, 5, (2,)), (6, 1, ()), (7, 4, (0, 3))])
+def test_a_left_inverse_is_that_of_the_normal_equations(m, n, places, rng):
+    """Exactly, whatever the weights."""
+    O = linalg.matrix(rng.integers(-99, 100, (m, n)).tolist())
+    thin = [[x for j, x in enumerate(row) if j not in places] for row in O]
+    for noise in (np.ones(m), rng.choice([0.25, 0.5, 1], m), np.zeros(m)):
+        weight = [Fraction(1 / max(x / noise.max(), 1e-6) ** 2) if noise.any() else Fraction(1) for x in noise.tolist()]
+        across = linalg.transpose([[x * v for x in row] for row, v in zip(thin, weight, strict=True)])
+        wanted = linalg.matmul(linalg.inverse(linalg.matmul(across, thin)), across)
+        found = left_inverse(O, noise, places)
+        assert [row for j, row in enumerate(found) if j not in places] == list(wanted)
+        assert all(not any(found[j]) for j in places)
 
 
 def test_the_longest_horizon_that_is_named_will_do():
@@ -90,7 +140,10 @@ def test_circuits_have_minimal_supports_whichever_way_they_are_found(shape, rng)
     found = linalg.circuits(a)
     supports = [frozenset(i for i, x in enumerate(h) if x) for h in found]
     assert len(set(supports)) == len(found) and not any(x < y for x in supports for y in supports)
-    assert all(not any(x) for x in linalg.matmul(found, a)) and linalg.rank(found) == len(linalg.left_null_space(a)) if found else True
+    null = linalg.left_null_space(a)
+    assert bool(found) == bool(null)
+    if found:
+        assert all(not any(x) for x in linalg.matmul(found, a)) and linalg.rank(found) == len(null)
 
 
 def test_relations_of_long_windows_are_those_of_their_definition(rng):

@@ -154,6 +154,26 @@ class TestRecorded:
         (panel,) = drawn([Row("s0", "y1")], piece, Clock(unit=" s"))["panels"]
         assert panel["line"].count("M") == 2
 
+    def test_between_the_extremes_of_bins_there_is_no_line(self):
+        """A step from one bin to the next goes straight up or down, at most as far as the extremes of either."""
+        low = np.where(np.arange(4000) % 2, -8.0, 8.0)
+        piece = pieces_of(np.arange(4000.0), np.ones(4000, np.int8), {"s0": low})
+        (panel,) = drawn([Row("s0", "y1")], piece, Clock())["panels"]
+        assert "L" not in panel["line"] and panel["line"].count("M") == 1 and panel["line"].endswith("Z") and panel["binned"]
+        (panel,) = drawn([Row("s0", "y1")], piece.cut(0, 60), Clock())["panels"]
+        assert panel["line"].count("L") == 59 and "V" not in panel["line"] and not panel["binned"]
+
+    def test_a_band_of_bins_holds_every_extreme_over_the_whole_bin(self, rng):
+        y, most = rng.normal(size=60_000), 1000
+        points = piece_of(np.arange(60_000.0), np.ones(60_000, np.int8), {"s0": y}).reduced(most)
+        (panel,) = drawn([Row("s0", "y1")], points, Clock())["panels"]
+        corners = [(letter, float(v)) for letter, v in re.findall(r"([HV])([-\d.]+)", panel["line"])]
+        rights = [v for letter, v in corners[: 2 * most - 1] if letter == "H"]
+        tops = [float(re.match(r"M\S+ ([\d.]+)", panel["line"])[1]), *(v for letter, v in corners[: 2 * most - 1] if letter == "V")]
+        assert len(rights) == len(tops) == most and rights == sorted(rights) and rights[-1] <= 1000
+        bottoms = [v for letter, v in corners[2 * most - 1 :] if letter == "V"][::-1]
+        assert len(bottoms) == most and all(a <= b for a, b in zip(tops, bottoms, strict=True))
+
     def test_a_clock_that_goes_back_is_counted_in_samples(self, tmp_path):
         res = synthetic([MISSING] + [CONSISTENT] * 20)
         time = np.r_[0:15, 3:9].astype(float)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.exact import linalg
+from jaxbound.exact.price import refuse_or_say
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
@@ -40,6 +41,9 @@ def strips(Z: Zonotope) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         normals (k, n), largest entry 1, and half-widths (k,), as NumPy arrays rounded to nearest.
 
+    Raises:
+        ValueError: so many generators in so many coordinates that it would take more than ten minutes. TypeError: inside jit.
+
     Example:
         >>> from jaxbound.sets import zonotope
         >>> normals, widths = strips(zonotope([0.0, 0.0], [[1.0, 1.0], [0.0, 1.0]]))
@@ -63,6 +67,7 @@ def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
     out: list[tuple[list[Fraction], Fraction]] = []
     if q and any(any(row) for row in G):
         kernel = linalg.transpose(linalg.left_null_space(linalg.transpose(G)))  # G kernel = 0
+        _price(q, q - len(kernel[0]) if kernel else q)
         shadows = linalg.circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
         basis, pivots = linalg.row_reduce([(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)])
         for g in shadows:  # normal' G = g: combine the reduced rows with the entries of g at their pivots
@@ -70,6 +75,14 @@ def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
             out.append((normal, sum(map(abs, g), Fraction(0))))
     out = [([x / s for x in normal], w / s) for normal, w in out if (s := max(map(abs, normal)))]
     return out + [([x / max(map(abs, normal)) for x in normal], Fraction(0)) for normal in flat]
+
+
+def _price(q: int, rank: int) -> None:
+    """Refuse the strips of a set of q generators that would take too long, or say how long they take."""
+    subsets = math.comb(q, rank - 1)
+    seconds = 3e-4 * subsets * min(rank, q - rank + 1)
+    do = "ask `membership` or `contains`, which search, or let `reduce_order` leave fewer generators"
+    refuse_or_say(seconds, f"strips by {subsets} subsets of {q} generators", do)
 
 
 def _floats(x: ArrayLike) -> np.ndarray:

@@ -195,7 +195,7 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
             difference is a zonotope again. Y: any Zonotope of concrete numbers of the same dimension.
 
     Raises:
-        ValueError: sets of different dimension; a Z of neither kind, whose difference need not be a zonotope.
+        ValueError: sets of different dimension; a Z of neither kind, whose difference need not be a zonotope. TypeError: inside jit.
 
     Source: strips that move inward by the support of Y: Kolmanovsky, Gilbert 1998; for zonotopes Althoff 2015.
 
@@ -207,12 +207,16 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
     (n,), (m,) = Z.center.shape, Y.center.shape
     if n != m:
         raise ValueError(f"the sets must have one dimension: they have {n} and {m} coordinates")
+    if traced((Z, Y)):
+        raise TypeError("a difference is worked out from concrete numbers: ask outside jit, grad and vmap")
     refuse_infinite(center=Y.center, generators=Y.generators)
-    found = exact_strips(Z)
-    if n != 2 and len(found) != n:
+    directions = _directions(Z)
+    if n != 2 and len(directions) > linalg.rank(directions):
         raise ValueError(
-            f"the difference is a zonotope in the plane and for parallelotopes: this set has {len(found)} strips in {n} dimensions"
+            f"the difference is a zonotope in the plane and for parallelotopes: this set has generators in {len(directions)} directions, "
+            f"in {n} dimensions"
         )
+    found = exact_strips(Z)
     H = linalg.transpose([[Fraction(float(x)) for x in row] for row in np.asarray(Y.generators)])
     along = lambda normal, p: sum((a * b for a, b in zip(normal, p, strict=True)), Fraction(0))
     left = [(normal, width - sum((abs(along(normal, h)) for h in H), Fraction(0))) for normal, width in found]
@@ -221,6 +225,13 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
     middle = [Fraction(float(x)) - Fraction(float(y)) for x, y in zip(np.asarray(Z.center), np.asarray(Y.center), strict=True)]
     edges = _edges(left) if n == 2 else _columns(left)
     return _rounded_inward(middle, edges, left, along, Z.center.dtype)
+
+
+def _directions(Z: Zonotope) -> list[tuple[Fraction, ...]]:
+    """Return the directions of the generators, each once."""
+    refuse_infinite(center=Z.center, generators=Z.generators)
+    columns = [[Fraction(float(x)) for x in g] for g in np.asarray(Z.generators).T]
+    return sorted({linalg.primitive(g) for g in columns if any(g)})
 
 
 def _columns(strips: Sequence[tuple[Sequence[Fraction], Fraction]]) -> list[list[Fraction]]:

@@ -114,10 +114,11 @@ def test_every_certificate_is_confirmed_by_fractions_alone(rng, n, q, kind):
         contains(Z, small),
         intersects(C, other),
     ]
-    for decision in decisions:
-        for at in np.ndindex(decision.answer.shape):
-            if decision.answer[at]:
-                check_certificate.confirm(json.loads(json.dumps(decision.certificate(at))))
+    decided = [(decision, at) for decision in decisions for at in np.ndindex(decision.answer.shape) if decision.answer[at]]
+    print(len(decided), "answered")
+    assert len(decided) > 5
+    for decision, at in decided:
+        check_certificate.confirm(json.loads(json.dumps(decision.certificate(at))))
 
 
 def test_a_certificate_with_a_wrong_digit_or_the_other_answer_is_refused(rng):

@@ -49,6 +49,7 @@ def test_the_sign_of_a_large_margin_is_that_of_exact_numbers(rng):
     """A point at a vertex, moved by single floats: proof in rationals by the direction whose face it is."""
     G = rng.normal(size=(10, 20))
     exact = [[Fraction(v) for v in row] for row in G.tolist()]
+    outside = []
     for l in rng.normal(size=(4, 10)):
         vertex = np.sign(l @ G) @ G.T
         points = vertex * (1 + np.array([-1e-14, 0, 1e-14, 1e-13, 1e-12]))[:, None]
@@ -56,4 +57,5 @@ def test_the_sign_of_a_large_margin_is_that_of_exact_numbers(rng):
         width = sum(abs(sum(a * row[j] for a, row in zip(along, exact, strict=True))) for j in range(20))
         for m, p in zip(sets.membership(sets.zonotope(np.zeros(10), G), points), points, strict=True):
             if sum(a * Fraction(v) for a, v in zip(along, p.tolist(), strict=True)) > width:
-                assert m <= 0
+                outside.append(m)
+    assert len(outside) >= 8 and max(outside) <= 0  # two of five are farther out than any rounding

@@ -21,10 +21,12 @@ def along(normal, p):
 def test_corners_are_the_published_ones(shared):
     import json
 
-    for case in json.loads(shared("external/zonotope_cases.json").read_text()):
-        if case["kind"] == "vertices" and "A" not in case:
-            found = sets.vertices(sets.zonotope(case["c"], case["G"]))
-            assert sorted(map(tuple, found.round(9).tolist())) == sorted(map(tuple, case["vertices"]))
+    cases = json.loads(shared("external/zonotope_cases.json").read_text())
+    cases = [case for case in cases if case["kind"] == "vertices" and "A" not in case]
+    assert cases
+    for case in cases:
+        found = sets.vertices(sets.zonotope(case["c"], case["G"]))
+        assert sorted(map(tuple, found.round(9).tolist())) == sorted(map(tuple, case["vertices"]))
 
 
 def test_corners_go_round_and_touch_two_strips_each(rng):
