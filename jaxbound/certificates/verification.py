@@ -39,8 +39,8 @@ def verify(document: Mapping[str, Any], model: LinearSystem, u: Any, y: Any = No
         Traceback (most recent call last):
         ValueError: the certificate is about something else: numbers.y[1][0] is 0.8, model and data say 1/2
     """
-    recording = Recording.of(model, u, y)
     sample, last, count = window_of(document)
+    recording = Recording.of(model, u, y)
     place = tuple(sample[:-1]) if isinstance(sample, list) else ()
     stop = last - begin + 1
     if len(place) != recording.y.ndim - 2 or not 0 <= stop - count < stop <= recording.y.shape[-2]:
