@@ -1,6 +1,5 @@
 """Certificates against the model and the recording that they are to be about: read here, checked by `checker`, without JAX."""
 
-from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -16,7 +15,7 @@ from jaxbound.recordings.recording import Recording
 __all__ = ["verify", "window_of"]
 
 
-def verify(document: Mapping[str, Any], model: LinearSystem, u: Any, y: Any = None, x0: Any = None, begin: int = 0) -> None:
+def verify(document: dict[str, Any], model: LinearSystem, u: Any, y: Any = None, x0: Any = None, begin: int = 0) -> None:
     """Raise an exception unless a certificate proves what it says of this model and this recording.
 
     The inequalities are built anew from both, in exact fractions. Of the certificate only multipliers or a witness are used; all else that
@@ -53,14 +52,15 @@ def verify(document: Mapping[str, Any], model: LinearSystem, u: Any, y: Any = No
             raise ValueError("bounds of a first state count at the first sample of the recording only, and must be given: x0")
         first = [[Fraction(float(lo)), Fraction(float(hi))] for lo, hi in zip(np.asarray(x0.lo), np.asarray(x0.hi), strict=True)]
     given, part = plain_model(model), slice(stop - count, stop)
-    samples = (plain_samples(np.asarray(x)[place][part]) for x in (recording.u, recording.y))
-    claim = claimed(fewer_averages(document, given), *samples, str(recording.y.dtype), stated_lags(document, given), first)
+    inputs, outputs = (plain_samples(np.asarray(x)[place][part]) for x in (recording.u, recording.y))
+    precision, lags = str(recording.y.dtype), stated_lags(document, given)
+    claim = claimed(fewer_averages(document, given), inputs, outputs, precision, lags, first)
     shown = document["names"]["times"]
     times = None if shown is None else [recording.label(j) for j in range(part.start, part.stop)]
-    confirm(dict(document), plain_names(model, sample, times), claim)
+    confirm(document, plain_names(model, sample, times), claim)
 
 
-def window_of(document: Mapping[str, Any]) -> tuple[int | list[int], int, int]:
+def window_of(document: dict[str, Any]) -> tuple[int | list[int], int, int]:
     """Return (what a certificate calls its sample, the number of its last sample, how many samples its window has).
 
     Raises:
@@ -70,8 +70,8 @@ def window_of(document: Mapping[str, Any]) -> tuple[int | list[int], int, int]:
         raise ValueError("this is a certificate about sets, which holds its question: no model or recording belongs to it")
     if "box" in document["numbers"]:
         raise ValueError("this is a certificate of a residual, which is a program of its user: nobody but that program can check it")
-    sample: int | Sequence[int] = document["names"]["sample"]
+    sample = document["names"]["sample"]
     whole = sample if isinstance(sample, list) else [sample]
     if not whole or any(type(i) is not int or i < 0 for i in whole):
         raise ValueError(f"the certificate names no sample: {sample!r}")
-    return document["names"]["sample"], whole[-1], len(document["numbers"]["y"])
+    return sample, whole[-1], len(document["numbers"]["y"])

@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
         document = load(args.certificate)
         _, last, count = window_of(document)
         begin = last + 1 - count
-        if not 0 <= begin <= last < source.samples:
+        if begin < 0 or (source.samples is not None and last >= source.samples):
             raise ValueError(f"{args.data} has no {count} samples that end at sample {last}: it has {source.samples}, numbered from 0")
         with door(OSError):
             part = source.read(begin, last + 1)

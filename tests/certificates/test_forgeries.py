@@ -75,3 +75,21 @@ def test_a_statement_is_what_is_proved(said):
     assert not refused(document)
     document["statement"] = said
     assert refused(document)
+
+
+def test_the_smallest_error_of_a_sensor_is_neither_less_nor_more_nor_said_twice(rng):
+    r = jb.parity_relations(jb.LinearSystem([[1]], None, [[1], [1]], tolerance=["1/2", 0], noise="1/8"), 0)
+    document = json.loads(certify(r, np.zeros((1, 0)), np.array([[1.0, -3.0]])).to_json())
+    assert not refused(document)
+    for field, value in (("enough", "1000"), ("smallest", "-1/10"), ("output", "-1"), ("output", "1/2"), ("output", "1")):
+        wrong = json.loads(json.dumps(document))
+        wrong["numbers"]["errors"][0][field] = value
+        assert refused(summed(wrong)), field
+    document["numbers"]["errors"] *= 2
+    assert refused(summed(document))
+
+
+def test_a_number_that_would_keep_a_checker_busy_is_refused_at_once():
+    document = averaged_fault()
+    document["numbers"]["noise"] = ["1e999999999"]
+    assert refused(document)

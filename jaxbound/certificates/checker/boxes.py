@@ -55,7 +55,9 @@ class Polynomial:
     def span(self, lo: Sequence[F], hi: Sequence[F]) -> tuple[F, F]:
         """Return (low, high), which holds all values over a box: each monomial around the middle by itself."""
         v = [Polynomial({(): (a + b) / 2, (i,): (b - a) / 2}) for i, (a, b) in enumerate(zip(lo, hi, strict=True))]
-        whole = sum((prod([x, *(v[int(i)] for i in m)]) for m, x in self.terms.items()), Polynomial({}))
+        whole = Polynomial({})
+        for m, x in self.terms.items():
+            whole = whole + prod([x, *(v[int(i)] for i in m)])
         low = high = whole.terms.pop((), F(0))
         for m, x in whole.terms.items():
             if all(m.count(i) % 2 == 0 for i in m):
@@ -93,7 +95,7 @@ def _read(terms, count):
 
 def _values(c, read):
     """Return [value at the middles, half-widths times polynomials ..] of a relation."""
-    middle, spread = Polynomial({}), []
+    middle, spread = Polynomial({}), list[Polynomial]()
     for h, g, k, u, (readings, w) in zip(*read.values(), c["u"], limits(c), strict=True):
         for x, ends in zip(h + g, readings + w, strict=True):
             insist(ends is not None or not x, "a relation needs a reading that is missing")

@@ -18,6 +18,8 @@ __all__ = ["DOUBLE", "SINGLE", "claimed", "compare", "numbers", "rounded_up", "s
 DOUBLE, SINGLE = "float64", "float32"
 PRECISIONS = {DOUBLE: (F(1, 2**53), F(1, 2**1022)), SINGLE: (F(1, 2**24), F(1, 2**126))}
 """Unit roundoff and smallest normal number of each float type."""
+LONGEST_EXPONENT = 5
+"""Characters of an exponent: the digits of 1e-12345, written out, would be no work for a checker."""
 RECORDER_ULPS = 4
 """A sample is known to so many unit roundoffs times the largest of its signal: see the argument `resolution` of a LinearSystem."""
 
@@ -104,6 +106,9 @@ def numbers(tree: Any, seen: list[F]) -> Any:
         return None
     if not isinstance(tree, str):
         raise ValueError(f"a number must be exact text, not {tree!r}")
+    exponent = tree.lower().partition("e")[2]
+    if len(exponent) > LONGEST_EXPONENT:
+        raise ValueError(f"a number is too large or too small to be one of a recording: {tree[:40]}")
     seen.append(F(tree))
     return seen[-1]
 

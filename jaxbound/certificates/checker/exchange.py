@@ -33,7 +33,7 @@ def vipr(document: dict[str, Any]) -> str:
     rows = rows_of(c, v)
     place = {name: i for i, name in enumerate(unknowns(rows) or ["none"])}
     lines = [*_head(document, "%"), "VER 1.0", f"VAR {len(place)}", " ".join(place), "INT 0", "OBJ min", "0"]
-    constraints, ends = [], []  # one for each end of a row, and their numbers
+    constraints, ends = list[str](), []  # one for each end of a row, and their numbers
     for row in rows:
         sides = [("E", row.lo)] if row.lo == row.hi else [("G", row.lo), ("L", row.hi)]
         at = {}

@@ -37,7 +37,7 @@ def rows_of(c: dict[str, Any], parameters: Sequence[F] | None = None) -> list[Ro
     """Return the rows of a claim, equations of the states included.
 
     Args:
-        c: see `claim.claimed`. parameters: values of uncertain parameters that are put in, so that rows are linear; None: they are unknowns.
+        c: see `claim.claimed`. parameters: values of uncertain parameters that are put in; None: they are unknowns, and rows not linear.
     """
     names = [f"p{k}" for k in range(len(c.get("variables", [])))]
     v: Sequence = [Polynomial({(name,): ONE}) for name in names] if parameters is None else parameters
@@ -94,7 +94,8 @@ def _averages(c, seen):
         total = Polynomial({})
         for j, weight in enumerate(average["weights"], int(run["first"])):
             total = total + seen[j][0 if average["output"] else 1][int(average["number"])] * weight
-        yield _row(f"average{k}", total, *ends, ("a", 0, k))
+        lo, hi = ends
+        yield _row(f"average{k}", total, lo, hi, ("a", 0, k))
 
 
 def _signals(letter, j, count):

@@ -24,6 +24,8 @@ from jaxbound.certificates.checker.trajectories import add, dots, follow, insist
 
 __all__ = ["confirm"]
 
+ROUNDED = F(101, 100)
+"""The error of a sensor that is shown to be enough is at most so many times the smallest."""
 WITNESS = {"state", "disturbances", "unknown_inputs", "inputs", "outputs"}
 RELATION = {"h", "g", "k", "residual", "width", "factor"}
 SENSOR_ERROR = {"output", "smallest", "relation", "enough", "witness"}
@@ -106,7 +108,7 @@ def _sensor_error(c, e):
         return
     insist(any(multipliers), "the relation does not use this sensor")
     insist(_factor(c, e["relation"], (i, e["smallest"])) == 1, "a smaller error would explain the window")
-    insist(e["enough"] >= e["smallest"], "the error that is enough is too small")
+    insist(0 < e["smallest"] <= e["enough"] <= ROUNDED * e["smallest"], "the error that is enough is not the smallest, rounded up")
     _explain(c, e["witness"], (i, e["enough"]))
 
 
@@ -127,7 +129,7 @@ def _factor(c, r, error=None):
     insist(set(r) <= allowed, "a number of the relation is unknown")
     follow(c, _single(c, r), [])
     low, high = _readings_range(c, r, error)
-    parts = []
+    parts: list[tuple] = []
     samples = limits(c, error)
     for g, k, u, (_, w) in zip(r["g"], r["k"], c["u"], samples, strict=True):
         parts += zip(g, w, strict=True)
@@ -158,16 +160,16 @@ def _readings_range(c, r, error):
                     low, high = low + min(x * end for end in ends), high + max(x * end for end in ends)
         return low, high
     for i in range(len(c["tolerance"])):
-        own = [_own_range(c, r, i, 1 + sign * c["tolerance"][i]) for sign in (1, -1)]  # extreme at the ends of the gain
+        own = [_own_range(c, r, i, 1 + sign * c["tolerance"][i], error) for sign in (1, -1)]  # extreme at the ends of the gain
         low, high = low + min(a for a, _ in own), high + max(b for _, b in own)
     return low, high
 
 
-def _own_range(c, r, i, theta):
+def _own_range(c, r, i, theta, error):
     """Return (lowest, highest) sum over the readings of output i at one gain 1 / theta."""
     low, high = F(0), F(0)
     gains = [1 / theta] * len(c["tolerance"])
-    for h, (readings, _) in zip(r["h"], limits(c, None, gains), strict=True):
+    for h, (readings, _) in zip(r["h"], limits(c, error, gains), strict=True):
         insist(not h[i] or readings[i] is not None, "the relation needs a reading that is missing")
         if h[i]:
             low, high = low + min(h[i] * end for end in readings[i]), high + max(h[i] * end for end in readings[i])
@@ -192,8 +194,8 @@ def _explain(c: dict, witness: dict, error: tuple | None = None, v: Sequence[F] 
     insist(set(witness) == (WITNESS | {"gains"} if "constant" in c else WITNESS), "a number of the witness is missing or unknown")
     for x, (who, _) in zip(v, c.get("variables", []), strict=True):
         insist(abs(x) <= c["uncertainties"][int(who)]["bound"], "a parameter is out of its bounds")
-    x = witness["state"]
-    for value, (lo, hi) in zip(x, c.get("first_state", [(at, at) for at in x]), strict=True):
+    state = witness["state"]
+    for value, (lo, hi) in zip(state, c.get("first_state", [(at, at) for at in state]), strict=True):
         insist(lo <= value <= hi, "the first state is out of its bounds")
     gains = witness.get("gains")
     for gain, tolerance in zip(gains or [], c["tolerance"] if gains else [], strict=True):
@@ -206,11 +208,11 @@ def _explain(c: dict, witness: dict, error: tuple | None = None, v: Sequence[F] 
         for a, b in zip(recorded, u, strict=True):
             insist(a is None or a == b, "the inputs are not those recorded")
         u = [a - offset for a, offset in zip(u, c["offset_u"], strict=True)]
-        t = add(add(dots(C, x), dots(D, u)), dots(c["D_v"], free))
+        t = add(add(dots(C, state), dots(D, u)), dots(c["D_v"], free))
         insist(add(t, c["offset_y"]) == y, "the true outputs do not follow from the first state")
         for a, ends in zip(t + w, readings + bounds, strict=True):
             insist(ends is None or ends[0] <= a <= ends[1], "a reading or a disturbance is out of its bounds")
-        x = add(add(dots(A, x), dots(B, u)), add(dots(c["G"], w), dots(c["F"], free)))
+        state = add(add(dots(A, state), dots(B, u)), add(dots(c["G"], w), dots(c["F"], free)))
     _averages_kept(c, witness, error)
 
 
