@@ -21,7 +21,7 @@ CUT = {"variable", "at", "below", "above"}
 class Polynomial:
     """Numbers by monomial: (1, 1, 4) is v_1^2 v_4."""
 
-    def __init__(self, terms: dict):
+    def __init__(self, terms: dict) -> None:
         self.terms = {m: x for m, x in terms.items() if x}
 
     def __add__(self, other: Any) -> "Polynomial":
