@@ -14,6 +14,7 @@ PACKAGE = Path(jb.__file__).parent
 FLOORS = ("exact", "recordings", "sets", "models", "consistency", "relations", "certificates", "estimation", "diagnosis", "studies",
           "sklearn", "plots", "runs", "reports", "cli")  # fmt: skip
 ROOMS = {
+    "certificates": {"checker"},
     "sets": {"floats", "intervals", "strips", "inclusion", "linear_systems", "paving", "zonotopes"},
     "studies": {"identification", "tuning", "montecarlo"},
     "reports": {"templates"},

@@ -5,5 +5,6 @@ from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.long_window import LongCertificate
 from jaxbound.certificates.residual_certificate import ResidualCertificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
+from jaxbound.certificates.verification import verify
 
-__all__ = ["Certificate", "LongCertificate", "ResidualCertificate", "UncertainCertificate", "WindowCertificate", "certify"]
+__all__ = ["Certificate", "LongCertificate", "ResidualCertificate", "UncertainCertificate", "WindowCertificate", "certify", "verify"]

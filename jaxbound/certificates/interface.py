@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.certificates.checker.exchange import smt2, vipr
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["WindowCertificate", "certify", "evidence", "explain"]
@@ -62,6 +63,41 @@ class WindowCertificate:
             [['1'], ['-2']]
         """
         return json.dumps(self.to_dict(times, sample, errors), indent=1)
+
+    def to_vipr(self) -> str:
+        """Return the proof as VIPR 1.0, which independent checkers of exact linear proofs take.
+
+        Every inequality of the window is written out; a FAULT ends in the combination of them that cannot hold, a CONSISTENT shows a
+        solution.
+
+        Raises:
+            NotImplementedError: a FAULT of a model with uncertain parameters, whose inequalities are not linear; a residual.
+
+        Example:
+            >>> import jaxbound as jb
+            >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise="1/10")
+            >>> c = jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1)
+            >>> [line for line in c.to_vipr().splitlines() if line.startswith(("VER", "RTP"))]
+            ['VER 1.0', 'RTP infeas']
+        """
+        return vipr(self.to_dict(errors=False))
+
+    def to_smt2(self) -> str:
+        """Return the inequalities of the window as an SMT-LIB 2 script, by which solvers decide anew: FAULT is unsat, CONSISTENT sat.
+
+        The logic is QF_LRA, with uncertain parameters QF_NRA.
+
+        Raises:
+            NotImplementedError: a residual.
+
+        Example:
+            >>> import jaxbound as jb
+            >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise="1/10")
+            >>> c = jb.detect(jb.parity_relations(m), None, [[1.0], [0.8]]).explain(1)
+            >>> [line for line in c.to_smt2().splitlines() if line.startswith("(set-")][1:]
+            ['(set-logic QF_LRA)', '(set-info :status unsat)']
+        """
+        return smt2(self.to_dict(errors=False))
 
 
 @singledispatch

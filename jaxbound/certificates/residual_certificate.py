@@ -20,6 +20,8 @@ from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["ResidualCertificate"]
 
+PROGRAM = "a residual is a program of its user, no system of inequalities: no other checker can read it"
+
 
 @readable
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,14 @@ class ResidualCertificate(WindowCertificate):
                  "sample": list(self.at) if sample is None else sample, "times": None if times is None else list(times)}  # fmt: skip
         return {"certificate": self.proves.name, "statement": str(self), "status": self.status.name, "names": names,
                 "numbers": texts(numbers)}  # fmt: skip
+
+    def to_vipr(self) -> str:
+        """Raise NotImplementedError: the residual is a program."""
+        raise NotImplementedError(PROGRAM)
+
+    def to_smt2(self) -> str:
+        """Raise NotImplementedError: the residual is a program."""
+        raise NotImplementedError(PROGRAM)
 
 
 @certify.register

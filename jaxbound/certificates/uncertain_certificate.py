@@ -144,9 +144,7 @@ class UncertainCertificate(Witnessed, WindowCertificate):
             "proof": None if self.proof is None else _tree(self.proof, number),
             "parameters": None if self.z is None else [chosen.get(v, Fraction(0)) for v in variables],
         }  # fmt: skip
-        document = self._document(self.proves, numbers, times, sample)
-        document["names"]["parameters"] = names
-        return document
+        return self._document(self.proves, numbers, times, sample)
 
     def _polynomial_dict(self, k, number):
         """Return the polynomials of one relation on the outputs, disturbances and inputs of each sample."""

@@ -6,7 +6,9 @@ from decimal import Decimal, localcontext
 from fractions import Fraction
 from typing import Any
 
+from jaxbound.certificates.checker.claim import statement
 from jaxbound.certificates.exact_window import dot
+from jaxbound.certificates.plain import plain_names
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.models.window import runs as window_runs
 from jaxbound.sets.floats.status import Status
@@ -68,6 +70,7 @@ class Witnessed:
             "offset_u": model.offset["u"], "offset_y": model.offset["y"], "tolerance": w.tolerance, "noise": w.noise,
             "resolution": w.resolution,
             "disturbance": w.disturbance, "recorder": RECORDER_ULPS * w.unit, "floor": w.floor,
+            **({} if w.lags is None else {"lags": tuple(map(Fraction, w.lags))}),
             **self._averages(),
             "u": self._every_sample(w.u, [None] * model.m), "y": rows_of(w.y, model.p),
             "witness": None if self.z is None else self._witness_dict(self.z),
@@ -75,15 +78,9 @@ class Witnessed:
         }  # fmt: skip
         everything = list(all_numbers(numbers))
         numbers["sum"] = dot(everything, [Fraction(1)] * len(everything))
-        return {
-            "certificate": verdict.name,
-            "statement": str(self),
-            "status": self.status.name,
-            "names": {"model": model.name, "states": model.states, "inputs": model.inputs, "outputs": model.outputs,
-                      "units": dict(model.units),
-                      "sample": list(self.at) if sample is None else sample, "times": None if times is None else list(times)},
-            "numbers": texts(numbers),
-        }  # fmt: skip
+        names = plain_names(model, list(self.at) if sample is None else sample, times)
+        said = statement(verdict.name, names, numbers)
+        return {"certificate": verdict.name, "statement": said, "names": names, "numbers": texts(numbers)}
 
     def _averages(self):
         """Return what bounds say of averages: {"averages": one each}, {"runs": rows that count}, nothing without any."""

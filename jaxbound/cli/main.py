@@ -1,4 +1,4 @@
-"""The command line: jaxbound demo | example | detect | explain | fleet | fit | tune | study | info.
+"""The command line: jaxbound demo | example | detect | explain | verify | fleet | fit | tune | study | info.
 
 Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted (129 by SIGHUP, 143
 by SIGTERM, as shells count). What the user did wrong is one sentence on stderr; a report is written completely or not at all.
@@ -189,6 +189,12 @@ def _parsers():
     c.add_argument("--all", action="store_true", help="every coefficient, and a row for each sample (-v does the same)")
     c.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
     c.set_defaults(module="explain")
+    c = choices.add_parser("verify", help="check a certificate against a model and a recording, in exact fractions")
+    c.add_argument("certificate", type=_path, metavar="CERTIFICATE.json", help="that jaxbound explain wrote")
+    c.add_argument("--model", type=_path, required=True, metavar="MODEL.toml", help="the plant and its bounds: DIR/tested_model.toml where "
+                   "options of the report changed its window")  # fmt: skip
+    c.add_argument("--data", type=_path, required=True, metavar="DATA", help="the recording: a CSV file, a Parquet file or a folder")
+    c.set_defaults(module="verify")
     c = choices.add_parser("fleet", help="test many units listed in a table")
     c.add_argument("manifest", type=_path, metavar="MANIFEST", help="CSV or TOML with a unit, a model and a recording in each row")
     c.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder for fleet.csv and its page, worst units first")

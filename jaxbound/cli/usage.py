@@ -28,10 +28,15 @@ FLEET_EPILOG = (
     "was tested is written)"
 )
 DONE = "exit codes: 0, or 2 bad input"
+VERIFY_EPILOG = (
+    "exit codes: 0 confirmed, 1 not confirmed: it proves nothing, or something else than of this model and these data, and the sentence "
+    "says what differs; 2 bad input or usage"
+)
 NO_COMMAND = "which command? `jaxbound example heater` writes recordings to begin with, and `jaxbound detect --help` has examples"
 
 ENDS = {
-    "demo": "exit code: 0", "example": DONE, "detect": EPILOG + SHARES_EPILOG + PIPE_EPILOG, "explain": DONE, "fleet": FLEET_EPILOG,
+    "demo": "exit code: 0", "example": DONE, "detect": EPILOG + SHARES_EPILOG + PIPE_EPILOG, "explain": DONE, "verify": VERIFY_EPILOG,
+    "fleet": FLEET_EPILOG,
     "fit": FIT_EPILOG, "tune": TUNE_EPILOG, "study": STUDY_EPILOG, "info": DONE}  # fmt: skip
 
 EXAMPLES = {
@@ -48,6 +53,10 @@ EXAMPLES = {
     "explain": [
         ("jaxbound explain report/ --at 60", "the window that ends at sample 60: the relation it violates, or what explains it"),
         ("jaxbound explain report/ --at '2026-03-01 12:00:07' --all", "by its time, with every coefficient and every sample"),
+    ],
+    "verify": [
+        ("jaxbound verify report/certificate-60.json --model report/tested_model.toml --data run.csv",
+         "inequalities built anew from model and samples, in exact fractions"),
     ],
     "fleet": [("jaxbound fleet units.csv --out fleet/", "units.csv has the columns unit, model and recording, a row a unit")],
     "fit": [

@@ -1,13 +1,9 @@
 """Certificates are proofs that anybody can check: with the standard library's fractions, without jaxbound."""
 
-import ast
 import json
 import math
 import re
-import subprocess
-import sys
 from fractions import Fraction
-from pathlib import Path
 
 import check_certificate
 import numpy as np
@@ -21,8 +17,6 @@ from jaxbound.certificates.exact_window import exact_window
 from jaxbound.certificates.interface import certify
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.sets.floats.status import Status
-
-SCRIPT = Path(check_certificate.__file__)
 
 
 def certificates(name, status, count, rng):
@@ -106,20 +100,6 @@ def test_the_other_verdict_is_not_confirmed(rng):
         assert refused(json.loads(c.to_json()) | {"certificate": other})
 
 
-def test_the_script_needs_nothing_but_fractions_and_json(tmp_path, rng):
-    imports = [n for n in ast.walk(ast.parse(SCRIPT.read_text())) if isinstance(n, (ast.Import, ast.ImportFrom))]
-    modules = {a.name for n in imports if isinstance(n, ast.Import) for a in n.names} | {
-        n.module for n in imports if isinstance(n, ast.ImportFrom)
-    }
-    assert modules == {"fractions", "itertools", "json", "math", "sys"}
-    (c,) = certificates("leak", Status.FAULT, 1, rng)
-    (tmp_path / "good.json").write_text(c.to_json(), encoding="utf-8")
-    (tmp_path / "bad.json").write_text(json.dumps(corrupted(json.loads(c.to_json()), rng)), encoding="utf-8")
-    ran = [subprocess.run([sys.executable, "-I", SCRIPT, tmp_path / f], capture_output=True, text=True) for f in ("good.json", "bad.json")]
-    assert ran[0].returncode == 0 and "good.json: confirmed: FAULT. " in ran[0].stdout
-    assert ran[1].returncode == 1 and "bad.json: NOT confirmed: " in ran[1].stderr
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_the_exact_window_is_what_the_kernel_reads(dtype, rng):
     relations, _ = plant("leak")
@@ -127,7 +107,7 @@ def test_the_exact_window_is_what_the_kernel_reads(dtype, rng):
     rows = relations.reading(dtype, "box").rows([list(now) for now in u[..., None]], [list(now) for now in y[..., None]])
     for limits, mid, rad in zip(exact_window(relations, u, y).limits, rows[0], rows[1], strict=True):
         mid, rad = float(np.ravel(mid)[0]), float(np.ravel(rad)[0])
-        assert np.isnan(mid) if limits is None else limits is not None
+        assert np.isnan(mid) == (limits is None)
         if limits is not None:
             size, ulps = max(map(abs, limits)), 64 * float(np.finfo(dtype).eps)
             assert abs(mid - float(sum(limits)) / 2) <= ulps * size and abs(rad - float(limits[1] - limits[0]) / 2) <= ulps * size

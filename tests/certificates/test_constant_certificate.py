@@ -1,6 +1,7 @@
 """Certificates of tolerances that keep one value over a window: the gains are part of the proof, and fractions alone confirm it."""
 
 import json
+from fractions import Fraction
 
 import check_certificate
 import jax
@@ -60,7 +61,7 @@ def test_missing_samples_leave_a_proof():
 def test_a_gain_out_of_its_bounds_is_not_confirmed():
     r = jb.parity_relations(paper(constant_tolerance=True), 1)
     document = confirmed(certify(r, np.zeros((2, 1)), np.zeros((2, 2))))
-    numbers, F = document["numbers"], check_certificate.F
+    numbers, F = document["numbers"], Fraction
     gains = numbers["witness"]["gains"]
     numbers["sum"] = str(F(numbers["sum"]) - F(gains[0]) + 2)
     gains[0] = "2"

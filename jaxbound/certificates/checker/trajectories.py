@@ -1,0 +1,118 @@
+"""What holds for every trajectory of a plant, and what samples and bounds say of its signals: exact fractions.
+
+The words are those of `proof`, c the numbers that a certificate claims.
+"""
+
+from collections.abc import Iterator, Sequence
+from fractions import Fraction as F
+from typing import Any
+
+__all__ = ["add", "dots", "follow", "insist", "limits", "now", "runs_of", "turned"]
+
+ROUNDED = 10
+"""Smallest normal numbers by which an average is widened for each of its samples."""
+
+
+def insist(true: bool, reason: str) -> None:
+    """Raise ValueError with a reason unless something is true."""
+    if not true:
+        raise ValueError(reason)
+
+
+def follow(c: dict[str, Any], r: dict[str, Any], v: Sequence) -> None:
+    """Check that sum h y + g w - k u = 0 for every trajectory, whatever the parameters v."""
+    q: list = [F(0)] * len(c["A"])  # how the samples later than j depend on the state after j
+    insist(len(r["h"]) == len(c["y"]), "the relation has another number of samples")
+    for j, (h, g, k) in reversed(list(enumerate(zip(r["h"], r["g"], r["k"], strict=True)))):
+        A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
+        insist(not any(add(dots(turned(c["G"]), q), g)), "the relation leaves a disturbance over")
+        insist(not any(dots(turned([*c["D_v"], *c["F"]]), h + q)), "the relation leaves an unknown input over")
+        insist(dots(turned([*D, *B]), h + q) == k, "the relation does not fit the inputs")
+        q = dots(turned([*C, *A]), h + q)
+    insist(not any(add(q, r.get("x", [F(0)] * len(q)))), "the relation leaves the unknown state over")
+
+
+def now(c: dict[str, Any], letter: str, j: int, v: Sequence) -> Any:
+    """Return a matrix of the model at sample j, at parameters v (numbers or polynomials)."""
+    out = c[letter]
+    for (who, lag), x in zip(c.get("variables", []), v, strict=True):
+        change = c["uncertainties"][int(who)][letter]
+        if change is not None and lag in (None, j):
+            out = [[a + x * b for a, b in zip(row, by, strict=True)] for row, by in zip(out, change, strict=True)]
+    return out
+
+
+def limits(c: dict[str, Any], error: tuple | None = None, gains: Sequence[F] | None = None) -> list[tuple[list, list]]:
+    """Return for each time ([lo, hi] of the true value behind each reading, None where it is missing; [lo, hi] of each disturbance)."""
+    deltas = [_delta(c, i, error) for i in range(len(c["noise"]))]
+    bounds = [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]]
+    out = []
+    for row in c["y"]:
+        readings: list = []
+        for i, (y, delta) in enumerate(zip(row, deltas, strict=True)):
+            if y is None:
+                readings.append(None)
+                continue
+            d = y - c["offset_y"][i]
+            factors = [1 / (1 - c["tolerance"][i]), 1 / (1 + c["tolerance"][i])] if gains is None else [gains[i]]
+            readings.append((min(f * (d - delta) for f in factors), max(f * (d + delta) for f in factors)))
+        out.append((readings, bounds))
+    return out
+
+
+def runs_of(c: dict[str, Any], multipliers: Sequence[F] | None = None, error: tuple | None = None) -> Iterator[tuple]:
+    """Yield (multiplier, average, [lo, hi] or None where it says nothing) of each run of an average, in deviations of true values."""
+    runs = c.get("runs", [])
+    for x, run in zip([F(0)] * len(runs) if multipliers is None else multipliers, runs, strict=True):
+        average = c["averages"][int(run["average"])]
+        yield x, average, _run_ends(c, average, run["first"], error)
+
+
+def _run_ends(c, average, first, error):
+    """Return (lo, hi) of the weighted sum over a run, None where it is not looked at or a reading is missing."""
+    if first is None:
+        return None
+    i, size, middle = int(average["number"]), sum(map(abs, average["weights"])), F(0)
+    rad = average["bound"] + ROUNDED * (len(average["weights"]) + size) * c["floor"]
+    if average["output"]:
+        rad += size * (_delta(c, i, error) - c["noise"][i] - c["floor"])
+        for j, weight in enumerate(average["weights"], int(first)):
+            y = c["all_y"][j][i]
+            if y is None:
+                return None
+            middle += weight * (y - c["offset_y"][i])
+    return middle - rad, middle + rad
+
+
+def _delta(c, i, error):
+    """Return the largest |delta| of an output."""
+    largest = max(_looked_at(c, i), default=F(0))
+    allowed = error[1] if error is not None and error[0] == i else F(0)
+    return c["noise"][i] + c["resolution"][i] + c["recorder"] * (largest + c["noise"][i]) + c["floor"] + allowed
+
+
+def _looked_at(c, i):
+    """Yield the size of each reading of an output that is looked at, alone or in an average."""
+    rows = list(c["y"])
+    for run in c.get("runs", []):
+        average, first = c["averages"][int(run["average"])], run["first"]
+        if average["output"] and average["number"] == i and first is not None:
+            rows += c["all_y"][int(first) : int(first) + len(average["weights"])]
+    for row in rows:
+        if row[i] is not None:
+            yield abs(row[i])
+
+
+def dots(rows: Any, vector: Sequence) -> list:
+    """Return the product of rows with a vector."""
+    return [sum((a * b for a, b in zip(row, vector, strict=True)), F(0)) for row in rows]
+
+
+def turned(matrix: Any) -> Any:
+    """Return the columns of a matrix."""
+    return zip(*matrix, strict=True)
+
+
+def add(a: Sequence, b: Sequence) -> list:
+    """Return the sum of two vectors."""
+    return [x + y for x, y in zip(a, b, strict=True)]
