@@ -20,7 +20,7 @@ from jaxbound.consistency.interface import Judged, Observer
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.lanes import emptied, joined
-from jaxbound.estimation.second_look import doubtful, withdrawn
+from jaxbound.estimation.second_look import decided_twice
 from jaxbound.estimation.zonotope_numbers import ROUNDED, first_set, free_numbers, least_horizon, numbers, price, start
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
@@ -31,7 +31,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
@@ -297,13 +296,6 @@ class SetObserver(Observer):
             carry = _known(carry, *(np.pad(x, ((0, m.n - self.model.n), *[(0, 0)] * (x.ndim - 1))) for x in self._x0))
         return ObserverState(carry, np.int64(0))
 
-    def forgetful(self) -> "SetObserver":
-        """Return the same observer, which begins knowing nothing."""
-        watch = copy.copy(self)
-        watch._x0 = watch._carried = None
-        watch.__dict__.pop("_first", None)  # what "joint" works out of x0
-        return watch
-
     @property
     def starts_anew(self) -> bool:
         """Whether samples alone show the state."""
@@ -317,11 +309,7 @@ class SetObserver(Observer):
 
     def fold(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
         """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
-        after, told = self.judged(carry, piece)
-        if is_outside_xla() or not (np.asarray(told.status) == Status.FAULT).any():
-            return after, told
-        gone = doubtful(self, carry, piece, np.asarray(told.status))
-        return (self.forgetful().init(), withdrawn(told, gone)) if gone.any() else (after, told)
+        return decided_twice(self, carry, piece)
 
     def judged(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
         """Return what `fold` does, by XLA alone: its FAULTs are decided once."""

@@ -5,8 +5,10 @@ back as it began, knowing nothing of the state before. What contradicts then con
 on samples of a piece before that nobody keeps, begins with the set that XLA carried to there.
 """
 
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,10 +16,10 @@ import numpy as np
 
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.recordings.recording import NOWHERE, Recording
-from jaxbound.sets.floats.kernel import outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["doubtful", "withdrawn"]
+__all__ = ["decided_twice"]
 
 LENGTHS = (16, 64, 256, 1024)
 """Samples that are followed once more."""
@@ -34,12 +36,29 @@ class _Doubt:
     end: int
 
 
-def doubtful(watch: Any, carry: Any, piece: Recording, status: np.ndarray) -> np.ndarray:
-    """Return bool like status (..., T): which FAULTs of a piece are not proved outside XLA; a warning tells of them.
+def decided_twice(watch: Any, carry: Any, piece: Recording) -> tuple[Any, Any]:
+    """Return what `watch.judged` does, with UNDECIDED in place of a FAULT that is not proved outside XLA; a warning tells of them.
+
+    Where one is taken back the observer goes on knowing nothing: what XLA carried is not to be trusted.
 
     Args:
-        watch: the SetObserver, which judged the piece from `carry` on.
+        watch: a SetObserver. carry: what it carried to the piece.
     """
+    after, told = watch.judged(carry, piece)
+    status = np.asarray(told.status)
+    if is_outside_xla() or not (status == Status.FAULT).any():
+        return after, told
+    gone = _doubtful(watch, carry, piece, status)
+    if not gone.any():
+        return after, told
+    status = np.where(gone, np.int8(Status.UNDECIDED), status).astype(np.int8)
+    margin = np.where(gone, 0, told.margin).astype(np.asarray(told.margin).dtype)
+    changed = told._replace if isinstance(told, tuple) else partial(replace, told)
+    return _forgetful(watch).init(), changed(status=status, margin=margin)
+
+
+def _doubtful(watch, carry, piece, status):
+    """Return bool like status (..., T): which FAULTs of a piece are not proved outside XLA."""
     flat = status.reshape(-1, status.shape[-1])
     left = list(_doubts(watch, carry, piece, flat))
     for length in LENGTHS:
@@ -49,19 +68,20 @@ def doubtful(watch: Any, carry: Any, piece: Recording, status: np.ndarray) -> np
     left = [doubt for doubt in left if not _by_carry(watch, carry, piece, doubt)]
     gone = np.zeros(flat.shape, bool)
     for doubt in left:
-        lasting = np.cumsum(flat[doubt.recording, doubt.end :] != Status.FAULT) == 0
-        last = len(lasting) if watch.restart else int(lasting.sum())
-        gone[doubt.recording, doubt.end : doubt.end + (1 if watch.restart else last)] = True
+        behind = flat[doubt.recording, doubt.end :] != Status.FAULT
+        count = 1 if watch.restart else int(np.append(behind, True).argmax())  # a FAULT that stays goes as a whole
+        gone[doubt.recording, doubt.end : doubt.end + count] = True
     if left:
-        warn_doubtful(f"{len(left)} FAULTs of an observer are said by XLA, the first at sample {left[0].end} of this piece")
+        warn_doubtful(f"{len(left)} samples are FAULT by an observer in XLA, the first of them is sample {left[0].end} of its piece")
     return gone.reshape(status.shape)
 
 
-def withdrawn(told: Any, gone: np.ndarray) -> Any:
-    """Return an Observation, or verdicts, with UNDECIDED where `gone` (..., T)."""
-    status = np.where(gone, np.int8(Status.UNDECIDED), told.status).astype(np.int8)
-    margin = np.where(gone, 0, told.margin).astype(np.asarray(told.margin).dtype)
-    return told._replace(status=status, margin=margin) if isinstance(told, tuple) else replace(told, status=status, margin=margin)
+def _forgetful(watch):
+    """Return the same observer, which begins knowing nothing."""
+    watch = copy.copy(watch)
+    watch._x0 = watch._carried = None
+    watch.__dict__.pop("_first", None)  # what "joint" works out of x0
+    return watch
 
 
 def _shorter(doubt, length):
@@ -94,7 +114,7 @@ def _by_samples(watch, piece, doubts, length):
     u, y = (np.asarray(x).reshape(-1, *x.shape[-2:]) for x in (piece.u, piece.y))
     cut = lambda x, doubt: x[doubt.recording, max(doubt.begin, doubt.end - length + 1) : doubt.end + 1]
     filled = lambda part: np.concatenate([np.full((length - len(part), part.shape[1]), np.nan, part.dtype), part])
-    found, most, watch = [], BESIDE[-1], watch.forgetful()
+    found, most, watch = [], BESIDE[-1], _forgetful(watch)
     for first in range(0, len(doubts), most):
         some = doubts[first : first + most]
         beside = next(n for n in BESIDE if n >= len(some))

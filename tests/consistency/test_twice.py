@@ -129,7 +129,7 @@ def test_faults_of_faulty_recordings_are_confirmed(name, rng):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drive, "decided_twice", lambda test, judged, *_: judged)
         patch.setattr(twice.Twice, "decided", lambda self, margin, *_: np.asarray(margin))
-        patch.setattr("jaxbound.estimation.observer.doubtful", lambda watch, carry, piece, status: np.zeros(status.shape, bool))
+        patch.setattr("jaxbound.estimation.second_look._doubtful", lambda watch, carry, piece, status: np.zeros(status.shape, bool))
         once = jb.detect(relations, u, y, method=method).status
     assert (status == Status.FAULT).any(1).all()
     np.testing.assert_array_equal(status, once)

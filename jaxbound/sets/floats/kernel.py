@@ -2,7 +2,7 @@
 
 XLA copies wrongly at times, and no bound on rounding covers that. What proves something is therefore written as a `kernel`, which is
 `jax.jit` and nothing else until somebody asks `outside_xla`: there the same program is evaluated primitive by primitive in NumPy
-(`numpy_primitives`), from the arrays on the host. Nothing fuses, no loop is vectorised, no copy is left out.
+(`numpy_primitives`, `numpy_moves`), from the arrays on the host. Nothing fuses, no loop is vectorised, no copy is left out.
 """
 
 import contextlib
@@ -17,7 +17,8 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
 from jaxbound.sets.floats.equations import body
-from jaxbound.sets.floats.numpy_primitives import primitive
+from jaxbound.sets.floats.numpy_moves import MOVED
+from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
 __all__ = ["Kernel", "evaluated", "is_outside_xla", "kernel", "outside_xla"]
 
@@ -170,8 +171,10 @@ _steps = lru_cache(maxsize=512)(_Steps)
 
 def _function(eqn: JaxprEqn) -> Callable:
     """Return an equation as a function of NumPy arrays."""
-    loop = LOOPS.get(eqn.primitive.name)
-    return primitive(eqn.primitive.name, eqn.params) if loop is None else loop(eqn.params)
+    name = eqn.primitive.name
+    if name not in PRIMITIVES:
+        raise NotImplementedError(f"the primitive {name} of JAX is not written in NumPy")
+    return PRIMITIVES[name](eqn.params)
 
 
 def _closed(program):
@@ -216,4 +219,5 @@ def _cond(params):
     return lambda which, *args: branches[min(max(int(which), 0), len(branches) - 1)](*args)
 
 
-LOOPS = {"while": _while, "scan": _scan, "cond": _cond}
+PRIMITIVES = {**COMPUTED, **MOVED, "while": _while, "scan": _scan, "cond": _cond}
+"""{name of a primitive: of the parameters of an equation, the function of NumPy arrays that it stands for}."""
