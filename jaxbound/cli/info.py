@@ -7,6 +7,7 @@ import math
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
 from jaxbound.cli.window import window_relations
 from jaxbound.diagnosis.detectability import detectable
+from jaxbound.diagnosis.hints import bound_hints
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.models.system import LinearSystem
 from jaxbound.plots.residuals import distinct_relations
@@ -14,7 +15,6 @@ from jaxbound.relations.cost import duration_text, elimination_seconds, relation
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.runs.summary import bound_hints
 
 __all__ = ["isolation_text", "run"]
 

@@ -6,7 +6,7 @@ from jaxbound.exact.linalg import Vector
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["few_lines", "looked_at", "relation_text", "remembers"]
+__all__ = ["few_lines", "latched", "looked_at", "relation_text", "remembers"]
 
 FEW = 8
 """Relations that are shown at a prompt."""
@@ -15,6 +15,11 @@ FEW = 8
 def remembers(relations: Any) -> bool:
     """Return whether verdicts rest on all samples before, as those of an observer, and not on windows."""
     return getattr(relations, "remembers", False)
+
+
+def latched(relations: Any) -> bool:
+    """Return whether a FAULT stays until a gap, as that of an observer that does not begin anew."""
+    return remembers(relations) and not relations.restart
 
 
 def looked_at(relations: Any) -> str:
