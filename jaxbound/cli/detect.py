@@ -191,6 +191,9 @@ def _validate(args, work, step):
     assumed = [f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"]
     if model.m:
         assumed.append("inputs are taken as recorded: where an actuator did something else, a healthy sensor is named")
+    if res.first_fault is not None:
+        assumed.append(f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only if "
+                       "every faulty sample was found: a band may follow a sensor that stays wrong")  # fmt: skip
     reaches = outgrown(model, res, "validation")
     hints = (*recording.hints, *bound_hints(model), *reaches, *assumed)
     summary = summarised(res, alarms, recording.label, args.min_coverage, hints, outgrown=bool(reaches))
@@ -247,7 +250,7 @@ def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, se
             what = f"beyond what the samples before allow by {times(1 - margin)}" if margin < 0 else f"{percent(1 - margin)} of it is used"
         rows.append(("worst" if found.remembers else "worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
     if proved:
-        rows.append(("proof", f"{command}{found.at}"))
+        rows.append(("proof" if summary.verdict == "fault" else "why", f"{command}{found.at}"))
     rows += [("hint", h) for h in summary.hints]
     rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]
     show(summary.sentence, COLOUR[summary.verdict], rows)
