@@ -11,6 +11,8 @@ from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
 from jaxbound.diagnosis.hints import bound_hints, fit_hints
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.timestamps import row_label
@@ -102,7 +104,11 @@ class Result:
             out.append(f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are MISSING")
         for at in np.ndindex(self.status.shape[:-1]):
             which = f"recording {', '.join(map(str, at))}: " if at else ""
-            out += [which + hint for hint in still_hints(self.relations.model, self.u[at], self.y[at], label)]
+            model, u, y = self.relations.model, self.u[at], self.y[at]
+            found = [*missing_hints(model, u, y), *still_hints(model, u, y, label)]
+            if isinstance(model, LinearSystem):
+                found += rounding_hints(model, y)
+            out += [which + hint for hint in found]
         return out
 
     def alarms(self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1) -> list[Alarm]:

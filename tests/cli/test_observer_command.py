@@ -66,6 +66,7 @@ def test_a_report_shows_bands_and_says_when_the_observer_began_anew(place, capsy
     found, page = json.loads(capsys.readouterr().out), (place / "out/report.html").read_text()
     assert found["method"] == "observer" and found["exit_code"] == 1 and set(found["ended"]) <= {BEGAN_ANEW, ENDINGS[0]}
     assert "contradict the model and the samples before them" in found["summary"] and found["counts"]["CONSISTENT"] == 0
+    assert "while a fault lasts, they may" in page, "what bands still mean"
     model = jb.load_model("plant.toml")
     res = jb.detect(jb.observer(model), jb.read("run.csv", model))
     assert res.counts == found["counts"] and res.status[:ONSET].max() == jb.Status.UNDECIDED and res.status[40] == jb.Status.MISSING
