@@ -248,11 +248,11 @@ class _Run:
         if not latched(relations):
             hints += unfit(counts, np.nan if observes else margin, "samples" if observes else "windows")
         alarms = sum(found["endings"].values()) + bool(found["on"])
-        said_of_it = filter(None, (*hints, *endings_said(found["endings"], alarms)))
+        every = filter(None, (*hints, *endings_said(found["endings"], alarms)))
         numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, None, alarms,
                            found["endings"], remembers=observes, outgrown=self.outgrown)  # fmt: skip
         verdict, sentence = said(numbers, self._label, self.args.min_coverage)
-        said_of_it = unsaid(said_of_it, sentence)
+        said_of_it = unsaid(every, sentence)
         for hint in said_of_it:
             say(hint)
         say(f"{sentence} {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
