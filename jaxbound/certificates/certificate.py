@@ -21,7 +21,7 @@ from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.recordings.objecttext import readable
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
-from jaxbound.relations.sentence import relation_text
+from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Certificate"]
@@ -94,9 +94,10 @@ class Certificate(Witnessed, WindowCertificate):
     def __str__(self) -> str:
         """Return one sentence."""
         if self.proves == Status.FAULT:
+            relation = main_terms(self.relation)
             if self.window.constant:
-                return f"{self.relation} cannot hold for any gains: it is off by {float(self.factor):.4g} times what bounds allow"
-            return f"{self.relation} cannot hold: it would need bounds {float(self.factor):.4g} times as wide"
+                return f"{relation} cannot hold for any gains: it is off by {float(self.factor):.4g} times what bounds allow"
+            return f"{relation} cannot hold: it would need bounds {float(self.factor):.4g} times as wide"
         return f"explained by the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
 
     def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:

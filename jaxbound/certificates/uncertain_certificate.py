@@ -20,6 +20,7 @@ from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.certificates.witness import Witnessed, rows_of
 from jaxbound.consistency import parametric_windows
 from jaxbound.recordings.objecttext import readable
+from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
@@ -122,7 +123,7 @@ class UncertainCertificate(Witnessed, WindowCertificate):
             return f"explained by {values} and the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
         if len(self.leaves) == 1:
             (leaf,) = self.leaves
-            return f"{self.relation} cannot hold: its left side is in [{float(leaf.low):.6g}, {float(leaf.high):.6g}]"
+            return f"{main_terms(self.relation)} cannot hold: its left side is in [{float(leaf.low):.6g}, {float(leaf.high):.6g}]"
         return f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their box contradicts the relations"
 
     def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:

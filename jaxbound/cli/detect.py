@@ -23,7 +23,7 @@ from jaxbound.cli.window import OBSERVER, observer_options, window_relations
 from jaxbound.consistency.interface import METHODS
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.units import unit_hints
+from jaxbound.diagnosis.hints import bound_hints, outgrown
 from jaxbound.estimation.validation import least_horizon, validate
 from jaxbound.models.modelfile import load_model, save_model
 from jaxbound.models.system import LinearSystem
@@ -39,7 +39,7 @@ from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome, file_names, write_all
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
-from jaxbound.runs.summary import Evidence, Summary, Window, bound_hints, summarised
+from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window, summarised
 
 __all__ = ["conclude", "run_demo", "run_detect"]
 
@@ -48,7 +48,7 @@ FORMER = (
     "residuals.png",
     *(f"output{i}.png" for i in range(1, 13)),
 )  # pictures of an earlier version, which do not belong to a new report
-COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow"}
+COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow", OUTSIDE: "bold yellow"}
 
 
 def run_detect(args: argparse.Namespace) -> int:
@@ -119,8 +119,9 @@ def _stream(args, folder, step):
             progress = lambda share: step("report", 0.4 * share)
             found = digest(relations, source, parts, args.method, args.alarm, work / "alarms.csv", progress)
             sizes = sizes_seen(found, found.alarms)
-            hints = (*found.hints, *bound_hints(source.model, relations), *ending_hints(found, found.alarms, sizes))
-            res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes)
+            reaches = outgrown(source.model, relations)
+            hints = dict.fromkeys((*found.hints, *reaches, *ending_hints(found, found.alarms, sizes)))
+            res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes, bool(reaches))
             about = relations.model, args.data, source.content, args.method, relations.horizon
             write_all(work, Outcome(found, None, found.alarms, res, *about, observer_options(args)))
             write_report(work, found, found, found.alarms, res, seconds=seconds,
@@ -153,8 +154,9 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     sizes = sizes_seen(res, alarms)
-    hints = (*recording.hints, *bound_hints(stated, relations), *unit_hints(res), *again_hints(res), *ending_hints(res, alarms, sizes))
-    found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes)
+    reaches = outgrown(stated, relations)
+    hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
+    found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes, bool(reaches))
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
         outcome = Outcome(res, recording, alarms, found, model, args.data, held, args.method, relations.horizon, observer_options(args))
         tables = beside.submit(write_all, work, outcome)
@@ -189,7 +191,12 @@ def _validate(args, work, step):
     assumed = [f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"]
     if model.m:
         assumed.append("inputs are taken as recorded: where an actuator did something else, a healthy sensor is named")
-    summary = summarised(res, alarms, recording.label, args.min_coverage, (*recording.hints, *bound_hints(model), *assumed))
+    if res.first_fault is not None:
+        assumed.append(f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only if "
+                       "every faulty sample was found: a band may follow a sensor that stays wrong")  # fmt: skip
+    reaches = outgrown(model, res, "validation")
+    hints = (*recording.hints, *bound_hints(model), *reaches, *assumed)
+    summary = summarised(res, alarms, recording.label, args.min_coverage, hints, outgrown=bool(reaches))
     write_all(work, Outcome(res, recording, alarms, summary, model, args.data, held, args.method, horizon))
     write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
     seconds["report"] = time.perf_counter() - start
@@ -230,7 +237,7 @@ def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, se
         rows.append(("decided", f"{percent(found.decided)} of {found.windows} windows, {by}"))
     else:
         rows.append(("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor"))
-    proved = summary.verdict == "fault" and found.faulty is None and not model.uncertainties
+    proved = counts["FAULT"] and found.faulty is None and not model.uncertainties
     command = f"jaxbound explain {shlex.quote(str(args.out))} --at "
     first = summary.first_alarm
     rows.append(("alarms", f"{found.alarms}" + (f", the first at {first}" if found.alarms else "")))
@@ -243,7 +250,7 @@ def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, se
             what = f"beyond what the samples before allow by {times(1 - margin)}" if margin < 0 else f"{percent(1 - margin)} of it is used"
         rows.append(("worst" if found.remembers else "worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
     if proved:
-        rows.append(("proof", f"{command}{found.at}"))
+        rows.append(("proof" if summary.verdict == "fault" else "why", f"{command}{found.at}"))
     rows += [("hint", h) for h in summary.hints]
     rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]
     show(summary.sentence, COLOUR[summary.verdict], rows)

@@ -5,7 +5,6 @@ Only the samples of that window are read again (a CSV file: all), tested as they
 
 import argparse
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from jaxbound.recordings.plaintext import percent
 from jaxbound.recordings.plaintext import times as factor_text
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
+from jaxbound.relations.sentence import main_terms
 from jaxbound.runs.contradiction import refuted_again
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
@@ -151,24 +151,6 @@ def run(args: argparse.Namespace) -> int:
         rows.insert(0, ("asked for", asked))
     show(headline, "bold", [*rows, ("certificate", str(path))], table if whole else None, last=True)
     return 0
-
-
-def main_terms(relation: str, most: int = 6) -> str:
-    """Return a long relation by its largest terms, in their order, "..." where others stand; any other text, or a short one, as it is.
-
-    Example:
-        >>> main_terms("2 a[k-1] - 0.1 b[k] + c[k] = 0", most=2)
-        '2 a[k-1] + c[k] + ... = 0'
-    """
-    left, equals, right = relation.partition(" = ")
-    signs = re.findall(r" ([+-]) (?=\S)", f" + {left}")
-    terms = re.split(r" [+-] (?=\S)", left)
-    if not equals or len(terms) <= most or len(signs) != len(terms):
-        return relation
-    sizes = [abs(float(m[1])) if (m := re.match(r"-?([\d.]+(?:e[+-]?\d+)?) ", term)) else 1.0 for term in terms]
-    kept = sorted(sorted(range(len(terms)), key=lambda i: -sizes[i])[:most])
-    text = " ".join(f"{signs[i]} {terms[i]}" for i in kept)
-    return f"{text.removeprefix('+ ')} + ... = {right}"
 
 
 def readable(certificate: Any, k: int, labels: Sequence[str]) -> tuple[str, list[tuple[str, str]], list[tuple[str, ...]]]:

@@ -18,12 +18,16 @@ from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
-from jaxbound.runs.summary import LAYOUT
+from jaxbound.runs.summary import LAYOUT, OUTSIDE
 
 __all__ = ["run", "write_fleet"]
 
 UNITS = "units"  # the folder of their pages
-COLOUR = {"fault": "bold red", "not tested": "bold magenta", "too little evidence": "bold yellow", "no fault": "bold green"}
+SHOWING = ("fault", OUTSIDE)
+COLOUR = {
+    "fault": "bold red", "not tested": "bold magenta", OUTSIDE: "bold yellow", "too little evidence": "bold yellow",
+    "no fault": "bold green",
+}  # fmt: skip
 PAGES = 100  # faulty units that get a page of their own
 SHOWN = 10  # units in the table on the terminal
 FIELDS = ("unit", "verdict", "margin", "factor", "FAULT", "CONSISTENT", "UNDECIDED", "MISSING", "decided", "alarms", "first_alarm", "worst",
@@ -73,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
                 for result in detect_fleet(units, *how, report, args.lags, pages if client is None else None, *more):
                     results.append(result)
                 if client is not None:  # which units get a page is known once all are tested
-                    faulty = [r.unit for r in results if r.verdict == "fault"][:PAGES]
+                    faulty = [r.unit for r in results if r.verdict in SHOWING][:PAGES]
                     pages.number(faulty)
                     again = detect_fleet(faulty, *how, None, args.lags, pages, *more) if faulty else ()
                     told = {r.unit.name: r for r in again}
@@ -111,7 +115,7 @@ class _Pages:
         self.numbers = {unit.name: i for i, unit in enumerate(units, 1)}
 
     def __call__(self, unit, res, recording, alarms, summary):
-        if summary.verdict != "fault" or (unit.name not in self.numbers and len(self.numbers) == PAGES):
+        if summary.verdict not in SHOWING or (unit.name not in self.numbers and len(self.numbers) == PAGES):
             return ""
         number = self.numbers.setdefault(unit.name, len(self.numbers) + 1)
         (self.work / UNITS).mkdir(exist_ok=True)

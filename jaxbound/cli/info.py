@@ -7,6 +7,7 @@ import math
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, show, write
 from jaxbound.cli.window import window_relations
 from jaxbound.diagnosis.detectability import detectable
+from jaxbound.diagnosis.hints import bound_hints
 from jaxbound.exact.price import duration_text
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.models.system import LinearSystem
@@ -14,8 +15,8 @@ from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import isolability, signatures, structured_relations
 from jaxbound.relations.redundancy import redundancy
+from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.runs.summary import bound_hints
 
 __all__ = ["isolation_text", "run"]
 
@@ -67,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
     distinct = distinct_relations(r)
     if len(distinct) < r.count:
         rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
-    text = "\n".join(r.text().splitlines()[j] for j in distinct)
+    lines = r.text().splitlines()
+    text = "\n".join(main_terms(lines[j]) for j in distinct)
     show(m.name, "bold", rows, text=text if m.uncertainties else f"{text}\n\n{isolation_text(m, r.horizon, getattr(r, 'lags', None))}")
     return OK
 
@@ -128,7 +130,7 @@ def isolation_text(model: LinearSystem, horizon: int, lags: tuple[int, ...] | No
     except ValueError as e:
         return f"(no table of signatures: {e})"
     if bank.count:
-        out += ["relations of fewest signals, q the step to the next sample:", bank.text(), ""]
+        out += ["relations of fewest signals, q the step to the next sample:", *map(main_terms, bank.text().splitlines()), ""]
         out += ["how they react to a fault of one signal: 1 yes, t only while it changes, . not at all", signatures(bank).text(), ""]
     out += [
         "a fault of the row shows although that of the column is ignored: 1 yes, t only while it changes, . no",

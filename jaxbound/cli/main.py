@@ -1,7 +1,8 @@
 """The command line: jaxbound demo | example | detect | explain | verify | fleet | fit | tune | study | info.
 
-Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted (129 by SIGHUP, 143
-by SIGTERM, as shells count). What the user did wrong is one sentence on stderr; a report is written completely or not at all.
+Exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence or outside bounds that were fitted to
+shorter windows, 70 internal error, 130 interrupted (129 by SIGHUP, 143 by SIGTERM, as shells count). What the user
+did wrong is one sentence on stderr; a report is written completely or not at all.
 """
 
 import argparse

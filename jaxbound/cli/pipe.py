@@ -25,6 +25,7 @@ from jaxbound.cli.terminal import ENDS, door, nobody_reads, say, system_trouble,
 from jaxbound.cli.window import observer_options, window_relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarms import ENDINGS, NO_DATA, OTHER, endings, forgets_after
+from jaxbound.diagnosis.hints import bound_hints, outgrown, unfit
 from jaxbound.diagnosis.result import suspected
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.checkpoint import as_texts, from_texts
@@ -33,13 +34,14 @@ from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.seams import irregular, seam_hints
 from jaxbound.relations.identity import identity
+from jaxbound.relations.sentence import latched, remembers
 from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, VERDICTS, Journal
 from jaxbound.runs.outputs import output_folder, refuse_targets
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome, file_names, write_all
-from jaxbound.runs.summary import Evidence, Summary, Window, bound_hints, said
+from jaxbound.runs.summary import Evidence, Summary, Window, said, unsaid
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["follow", "run"]
@@ -85,7 +87,7 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
         with Journal(args.out, args.state, identity(relations, method=args.method)) as journal:
             if folder is not None:
                 folder.claim(VERDICTS, STATE)
-            found = _Run(args, monitor, journal, bound_hints(stated, relations)).to_the_end(chunks, whole)
+            found = _Run(args, monitor, journal, stated).to_the_end(chunks, whole)
         if folder is not None:
             about = model, Path(args.data), None, args.method, relations.horizon, observer_options(args)
             with folder.work() as work:
@@ -114,8 +116,8 @@ def _place(args):
 class _Run:
     """One run: what it counts, says and remembers."""
 
-    def __init__(self, args, monitor, journal, hints):
-        self.hints = hints
+    def __init__(self, args, monitor, journal, stated):
+        self.hints, self.outgrown = bound_hints(stated, monitor.relations), bool(outgrown(stated, monitor.relations))
         before = journal.before or {}
         self.args, self.monitor, self.journal, self.spoken = args, monitor, journal, {}
         self.header = b"" if args.json else b"time,status,margin\n"
@@ -241,15 +243,18 @@ class _Run:
         hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *self.hints]
         lost = found["left out"]
         hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
+        counts, observes = found["counts"], remembers(relations)
+        at, margin, sample = found["worst"] or (None, np.nan, -1)
+        if not latched(relations):
+            hints += unfit(counts, np.nan if observes else margin, "samples" if observes else "windows")
         alarms = sum(found["endings"].values()) + bool(found["on"])
-        said_of_it = tuple(filter(None, (*hints, *endings_said(found["endings"], alarms))))
+        every = filter(None, (*hints, *endings_said(found["endings"], alarms)))
+        numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, None, alarms,
+                           found["endings"], remembers=observes, outgrown=self.outgrown)  # fmt: skip
+        verdict, sentence = said(numbers, self._label, self.args.min_coverage)
+        said_of_it = unsaid(every, sentence)
         for hint in said_of_it:
             say(hint)
-        counts = found["counts"]
-        at, margin, sample = found["worst"] or (None, np.nan, -1)
-        numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, None, alarms,
-                           found["endings"], remembers=self.horizon is None)  # fmt: skip
-        verdict, sentence = said(numbers, self._label, self.args.min_coverage)
         say(f"{sentence} {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
         worst = None if at is None else Window(sample, self._label(at), margin)
         return Summary(verdict, sentence, numbers, worst, hints=said_of_it, model=relations.model.name)

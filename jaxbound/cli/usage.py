@@ -3,8 +3,8 @@
 __all__ = ["epilog"]
 
 EPILOG = (
-    "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence, 70 internal error, 130 interrupted, and as shells "
-    "count 129 by SIGHUP, 143 by SIGTERM"
+    "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence or outside bounds that were "
+    "fitted to shorter windows, 70 internal error, 130 interrupted, and as shells count 129 by SIGHUP, 143 by SIGTERM"
 )
 FIT_EPILOG = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (nothing is written)"
 TUNE_EPILOG = (
@@ -23,9 +23,9 @@ PIPE_EPILOG = (
     "given. What the pipe held when its reader was killed is lost, unless the sender sends it again"
 )
 FLEET_EPILOG = (
-    "exit codes, the first that applies: 1 fault found in some unit, 2 some unit could not be tested (its row says why) or bad input or "
-    "usage, 3 too little evidence for some unit, 0 no fault; 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (what "
-    "was tested is written)"
+    "exit codes, the first that applies: 1 fault found in some unit, 2 some unit could not be tested (its row says why) "
+    "or bad input or usage, 3 too little evidence for some unit or outside bounds that were fitted to shorter windows, "
+    "0 no fault; 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (what was tested is written)"
 )
 DONE = "exit codes: 0, or 2 bad input"
 VERIFY_EPILOG = (

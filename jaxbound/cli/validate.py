@@ -46,6 +46,12 @@ class Validated:
         """{output: number of its faulty samples}, those without any left out."""
         return {name: int(n) for name, n in zip(self.model.outputs, np.asarray(self.found.faulty).sum(0), strict=True) if n}
 
+    @property
+    def first_fault(self) -> int | None:
+        """The first sample that is FAULT, None if there is none."""
+        fault = self.status == Status.FAULT
+        return int(np.argmax(fault)) if fault.any() else None
+
     def alarms(self, k: int = 1, n: int = 1) -> list[Alarm]:
         """Group FAULT windows. See `Result.alarms`."""
         return group_alarms(self, k, n, 0, 1, 0)
@@ -65,8 +71,7 @@ class Validated:
 
 @evidence.register(Validated)
 def _(res, alarms):
-    fault = res.status == Status.FAULT
-    first = int(np.argmax(fault)) if fault.any() else None
+    first = res.first_fault
     ended = dict(Counter(a.ended for a in alarms))
     about = dict(aside=res.aside, at=first, first=first, alarms=len(alarms), ended=ended, faulty=res.blamed)
     return Evidence(res.method, res.horizon, len(res.y), res.counts, **about)

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.objecttext import readable
-from jaxbound.relations.sentence import remembers
+from jaxbound.relations.sentence import latched, remembers
 from jaxbound.sets.floats.status import Status
 
 __all__ = [
     "BEGAN_ANEW",
     "ENDINGS",
+    "GAP",
     "NO_DATA",
     "NO_LONGER",
     "ONSET_LEFT",
@@ -35,8 +36,11 @@ ENDINGS = (
     "its onset may have left the window: repaired or lasting",
     "seen beyond its onset and no longer: repaired or hidden",
     "the observer began anew behind it: repaired or lasting",
+    "a gap ended it, FAULT stays until one: repaired or lasting",
 )
-ONSET_LEFT, NO_LONGER, BEGAN_ANEW = ENDINGS[2:]
+ONSET_LEFT, NO_LONGER, BEGAN_ANEW, GAP = ENDINGS[2:]
+LATCHED = -1
+"""In place of the horizon of windows: an observer whose FAULT stays until a gap."""
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 
 
@@ -55,7 +59,8 @@ class Alarm:
     - "seen beyond its onset and no longer: repaired or hidden": a window without the onset is FAULT too, so the fault was seen while it
       lasted; now it is gone, or noise within the bounds hides it;
     - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and may take what lasts for the
-      state.
+      state;
+    - "a gap ended it, FAULT stays until one: repaired or lasting": of an observer with restart=False.
     """
 
     start: int
@@ -103,7 +108,8 @@ def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: in
     """See `Result.alarms`. Array operations over time; the loop is over alarms.
 
     Args:
-        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no window; None: of an observer.
+        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no window; of an
+            observer None, or LATCHED.
     """
     check_rule(k, n, hold, clear)
     shape = result.status.shape
@@ -124,7 +130,12 @@ def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: in
 
 
 def forgets_after(relations: Any) -> int | None:
-    """Return how many samples after an onset no window of relations holds it any more: their horizon; None of an observer."""
+    """Return how many samples after an onset no window of relations holds it any more: their horizon.
+
+    Of an observer None, LATCHED where its FAULT stays until a gap.
+    """
+    if latched(relations):
+        return LATCHED
     return None if remembers(relations) else relations.horizon
 
 
@@ -138,11 +149,11 @@ def endings(first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, 
 
     Args:
         first, last: its first and last FAULT window. after: NO_SAMPLE, NO_DATA or OTHER. horizon: of the windows. The onset is no later
-            than `first`, and a window that ends at `first + horizon` or later has no sample before that. None: of an observer, which
-            leaves what it contradicts only to begin anew.
+            than `first`, and a window that ends at `first + horizon` or later has no sample before that. None: of an
+            observer, which leaves what it contradicts only to begin anew; LATCHED: only at a gap.
     """
-    if horizon is None:
-        return np.where(after == NO_SAMPLE, 0, 4)
+    if horizon is None or horizon == LATCHED:
+        return np.where(after == NO_SAMPLE, 0, ENDINGS.index(BEGAN_ANEW if horizon is None else GAP))
     return np.where(after == OTHER, np.where(last - first < horizon, 2, 3), after)
 
 

@@ -81,7 +81,8 @@ def detect(
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         given.finite()
     about = test.method, test.relations, given.u, given.y, given.index, tuple(given.starts.tolist())
-    return result_of(kind, judged, *about, aside=given.aside(test.horizon))
+    recorded = given.hints if given.source else None
+    return result_of(kind, judged, *about, aside=given.aside(test.horizon), recorded=recorded)
 
 
 def margins(relations: Any, u: Any, y: Any = None, starts: ArrayLike = ()) -> jax.Array:

@@ -9,7 +9,10 @@ import numpy as np
 from jaxbound.certificates.interface import explain
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
+from jaxbound.diagnosis.hints import bound_hints, fit_hints
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.timestamps import row_label
@@ -39,6 +42,7 @@ class Result:
         index: the index of the DataFrame that y came from, or None.
         starts: numbers of the samples that do not follow the one before: windows across are MISSING.
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
+        recorded: what was to be said of a recording that came from a file, its .hints; None: it came as arrays.
     """
 
     status: np.ndarray
@@ -50,6 +54,7 @@ class Result:
     index: object = None
     starts: tuple = ()
     aside: int = field(default=0, kw_only=True)
+    recorded: tuple | None = field(default=None, kw_only=True, repr=False)
 
     def _head(self):
         return f"{type(self).__name__} {self.status.shape}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
@@ -79,11 +84,19 @@ class Result:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands still, when and how
-        long, and which seems to be in another unit than the model's.
+        """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands still, when and
+        how long; bounds that are not stated, or were found for shorter windows; whether model and bounds fit at all;
+        which signal seems to be in another unit than the model's. A report shows the same.
 
-        A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for each of its recordings.
+        A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for each of its
+        recordings.
         """
+        said = self._of_the_recording() if self.recorded is None else self.recorded
+        model = self.relations.model
+        return (*said, *bound_hints(model, self.relations), *fit_hints(self), *unit_hints(self))
+
+    def _of_the_recording(self):
+        """Return sentences on the samples themselves."""
         label = partial(row_label, self.index)
         out = []
         if len(self.starts):
@@ -91,8 +104,12 @@ class Result:
             out.append(f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are MISSING")
         for at in np.ndindex(self.status.shape[:-1]):
             which = f"recording {', '.join(map(str, at))}: " if at else ""
-            out += [which + hint for hint in still_hints(self.relations.model, self.u[at], self.y[at], label)]
-        return (*out, *unit_hints(self))
+            model, u, y = self.relations.model, self.u[at], self.y[at]
+            found = [*missing_hints(model, u, y), *still_hints(model, u, y, label)]
+            if isinstance(model, LinearSystem):
+                found += rounding_hints(model, y)
+            out += [which + hint for hint in found]
+        return out
 
     def alarms(self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1) -> list[Alarm]:
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.

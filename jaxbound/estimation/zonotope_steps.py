@@ -203,7 +203,8 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
     dtype, g = carry.c.dtype, _Bounds(plant, carry)
     direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
-    seen = jnp.isfinite(now.rad) & (now.known[None] | ~direct[:, None])
+    driven = now.known[None] | ~direct[:, None]  # else what a perfect sensor shows depends on what nobody knows
+    seen = jnp.isfinite(now.rad) & driven
     through = jnp.where(now.known[None], _map(plant.D, now.v), 0)
     sizes = jnp.abs(plant.D)
     loose = jnp.where(now.known[None], g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes, now.slip)), 0)
@@ -249,12 +250,8 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
             column = column + jax.lax.dynamic_index_in_dim(G, q + i, 1, keepdims=False)
         G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
         c = c + L * e[None]
-        return (
-            (c, G, r),
-            sized(c, G, 2 * r),
-            ratio,
-            wrong,
-        )  # 2: what is summed may be rounded otherwise than what is kept, by less than r
+        largest = sized(c, G, 2 * r)  # what is summed may be rounded otherwise than what is kept, by less than r
+        return (c, G, r), largest, ratio, wrong
 
     nothing = known, before[3], jnp.zeros(N, dtype), jnp.zeros(N, bool)
     (c, G, r), size, ratio, wrong = jax.lax.fori_loop(0, p, output, nothing)
@@ -274,7 +271,8 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
         c, G, r, age, size = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age, size))
         carry = carry._replace(age=age)
     if enclosures:
-        ends = _enclosures(plant, says, sized, (first, before), (c, G, r), wrong, alive, age >= 0, whole, g, p * (enclosures // 2))
+        sets = (first, before), (c, G, r)
+        ends = _enclosures(plant, says, sized, *sets, wrong, alive, age >= 0, whole, driven, g, p * (enclosures // 2))
     later = lambda past, x: jnp.concatenate([past, x[None]])[1:]
     past = {name: later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
     ready = jnp.minimum(ready, len(carry.mid))
@@ -360,8 +358,11 @@ def _reduced(G, r, q, g):
     return jnp.concatenate([jnp.where(enough[None, None], some, diagonal), kept], 1), jnp.where(enough[None], r, 0), reach
 
 
-def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, g, p):
-    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs. before: the set, and what unknown inputs leave of it."""
+def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, driven, g, p):
+    """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs.
+
+    before: the set, and what unknown inputs leave of it. driven (p, N): the outputs that no missing input acts on.
+    """
     free, (state, before) = plant.free, before
     hull = lambda c, G, r, *_: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
     inf = lambda x, where: jnp.where(where[None], x, jnp.inf)
@@ -377,7 +378,8 @@ def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, 
     def shown(values, where):
         value, reach = values
         y0 = plant.y0[:, None]
-        return inf(_outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g), where)
+        ends = _outward(value + y0, reach + 4 * g.gamma * (jnp.abs(value) + jnp.abs(y0)), g)
+        return inf(jnp.where(jnp.concatenate([driven, driven]), ends, jnp.inf), where)
 
     rows = jnp.arange(p)
     of = lambda sets: jax.lax.map(lambda i: says(i, *sets)[1:3], rows)

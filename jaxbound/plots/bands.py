@@ -46,7 +46,7 @@ def one_recording(
     return time, y
 
 
-def draw_bands(panels: Sequence[Band], time: np.ndarray | None, what: str, name: str = "true value") -> "Figure":
+def draw_bands(panels: Sequence[Band], time: np.ndarray | None, what: str, name: str = "by accepted samples") -> "Figure":
     """Draw bands of one recording below each other over one time axis, at most 12.
 
     Args:
@@ -86,7 +86,7 @@ def name_band(ax: "Axes", without: str | None = None) -> None:
 
 def draw_band(
     ax: "Axes", band: Interval, y: np.ndarray, faulty: np.ndarray, x: np.ndarray, edges: np.ndarray, stop: int,
-    middle: Interval | None = None, name: str = "true value",
+    middle: Interval | None = None, name: str = "by accepted samples",
 ) -> None:  # fmt: skip
     """Draw a band and the samples y of one signal, the bins that start at the samples `edges`, one sample each or the extremes of many.
 

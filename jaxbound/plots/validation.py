@@ -1,4 +1,4 @@
-"""Pictures of validated outputs: the band that holds the true value, what the sensor showed, and what to use where it is faulty."""
+"""Pictures of validated outputs: the band that the samples accepted allow, what the sensor showed, what to use instead."""
 
 from typing import TYPE_CHECKING, Protocol
 

@@ -40,7 +40,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
-from jaxbound.relations.sentence import relation_text
+from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
@@ -81,7 +81,7 @@ class ParityRelation:
         return f"ParityRelation: {self.count} relations over {self.horizon + 1} samples"
 
     def _rows(self):
-        return {"model": repr(self.model), "r1": relation_text(self.model, self.horizon, self.W[0], self.K[0])}
+        return {"model": repr(self.model), "r1": main_terms(relation_text(self.model, self.horizon, self.W[0], self.K[0]))}
 
     @property
     def count(self) -> int:

@@ -6,7 +6,7 @@ from jaxbound.exact.linalg import Vector
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["few_lines", "looked_at", "relation_text", "remembers"]
+__all__ = ["few_lines", "latched", "looked_at", "main_terms", "relation_text", "remembers"]
 
 FEW = 8
 """Relations that are shown at a prompt."""
@@ -15,6 +15,11 @@ FEW = 8
 def remembers(relations: Any) -> bool:
     """Return whether verdicts rest on all samples before, as those of an observer, and not on windows."""
     return getattr(relations, "remembers", False)
+
+
+def latched(relations: Any) -> bool:
+    """Return whether a FAULT stays until a gap, as that of an observer that does not begin anew."""
+    return remembers(relations) and not relations.restart
 
 
 def looked_at(relations: Any) -> str:
@@ -27,7 +32,61 @@ def looked_at(relations: Any) -> str:
 def few_lines(relations: Any) -> dict[str, str]:
     """Return what relations show of themselves at a prompt: their model, and each of them where they are few."""
     lines = relations.text().splitlines() if relations.count <= FEW else ()
-    return {"model": repr(relations.model), **{f"{i + 1}": line for i, line in enumerate(lines)}}
+    return {"model": repr(relations.model), **{f"{i + 1}": main_terms(line) for i, line in enumerate(lines)}}
+
+
+def main_terms(relation: str, most: int = 6) -> str:
+    """Return a long relation by its largest terms, in their order, "..." where others stand; any other text as it is.
+
+    So are the sums in brackets that multiply a signal. A name in front, "r1: ", stays.
+
+    Example:
+        >>> main_terms("2 a[k-1] - 0.1 b[k] + c[k] = 0", most=2)
+        '2 a[k-1] + c[k] + ... = 0'
+        >>> main_terms("r1: (q^2 - 0.1 q + 3) a - b = 0", most=2)
+        'r1: (q^2 + 3 + ...) a - b = 0'
+    """
+    name, colon, rest = relation.rpartition(": ")
+    left, equals, right = rest.partition(" = ")
+    return f"{name}{colon}{_largest(left, most)} = {right}" if equals else relation
+
+
+def _largest(total, most):
+    """Return a sum by its largest terms."""
+    sized = [(sign, _inside(term, most), _size(term)) for sign, term in _terms(total)]
+    kept = sorted(sorted(range(len(sized)), key=lambda i: -sized[i][2])[:most])
+    text = " ".join(f"{sized[i][0]} {sized[i][1]}" for i in kept)
+    return text.removeprefix("+ ") + " + ..." * (len(kept) < len(sized))
+
+
+def _terms(total):
+    """Return [(sign, term)] of a sum; what stands in brackets is one term."""
+    found, depth, sign, begun = [], 0, "+", 0
+    if total.startswith("- "):
+        sign, begun = "-", 2
+    for i, letter in enumerate(total):
+        depth += (letter == "(") - (letter == ")")
+        if i > begun and not depth and total[i - 1 : i + 2] in (" + ", " - "):
+            found.append((sign, total[begun : i - 1]))
+            sign, begun = letter, i + 2
+    return [*found, (sign, total[begun:])]
+
+
+def _inside(term, most):
+    """Return a term whose bracket in front, if there is one, is shortened."""
+    inner, closed, behind = term[1:].partition(")") if term.startswith("(") else ("", "", "")
+    return f"({_largest(inner, most)}){behind}" if closed and "(" not in inner else term
+
+
+def _size(term):
+    """Return how large the factor of a term is: of a sum in brackets its largest."""
+    if term.startswith("("):
+        return max(_size(each) for _, each in _terms(term[1:].partition(")")[0]))
+    factor = term.lstrip("-").split(" ")[0]
+    try:
+        return abs(float(factor))
+    except ValueError:
+        return 1.0
 
 
 def relation_text(model: LinearSystem, horizon: int, h: Vector, k: Vector) -> str:

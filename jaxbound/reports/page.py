@@ -9,6 +9,7 @@ __all__ = ["TITLE", "render"]
 
 TITLE = {
     "fault": "Fault proved",
+    "outside the bounds as fitted": "Outside the bounds as fitted",
     "not tested": "Not all units could be tested",
     "too little evidence": "Too little evidence",
     "no fault": "No fault found",

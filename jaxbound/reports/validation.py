@@ -1,4 +1,4 @@
-"""The page of a validated recording: which sensors were faulty when, and what the true values were."""
+"""The page of a validated recording: which sensors were faulty when, and where the samples accepted put the true values."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -40,7 +40,7 @@ def write_page(
     drawings = list(_charts(res, recording, shown))
     if progress:
         progress(0.5)
-    stretches = res.stretches()
+    stretches, first = res.stretches(), res.first_fault
     page = render(
         "validation.html",
         name=model.name,
@@ -56,6 +56,7 @@ def write_page(
         stretches=[_row(res, recording, *stretch) for stretch in stretches[:ROWS]],
         stretch_total=len(stretches),
         charts=drawings,
+        first_fault="" if first is None else recording.label(first),
         others=model.p - len(shown),
         model=model_values(model, {"tolerance": model.tolerance, "noise": model.noise}),
         computed=computed(res.method, looked_at(res), np.asarray(res.found.state.lo).dtype, seconds or {}),

@@ -11,6 +11,7 @@ import numpy as np
 from jaxbound.diagnosis.again import again_said
 from jaxbound.diagnosis.alarms import check_rule
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.hints import bound_hints, unfit
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.plots.plot import plot
@@ -28,7 +29,7 @@ from jaxbound.recordings.stillness import signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy
-from jaxbound.relations.sentence import looked_at, remembers
+from jaxbound.relations.sentence import latched, looked_at, remembers
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
@@ -274,6 +275,9 @@ def digest(
     hints, aside = _signal_hints(found, folder)
     hints += [said for devices, count in read_again(part_files(folder)).items() for said in again_said(devices, count)]
     found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)
+    smallest = found.worst[1] if found.worst and not remembers(relations) else np.nan
+    said = [] if latched(relations) else unfit(found.counts, smallest, "samples" if remembers(relations) else "windows")
+    found = replace(found, hints=(*found.hints, *bound_hints(relations.model, relations), *said))
     if worst and found.counts["FAULT"] and not remembers(relations) and (units := unit_hints(found.around(worst[2])[0])):
         found = replace(found, hints=(*found.hints, *units))
     found.alarms[:] = [replace(a, result=found) for a in found.alarms]

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.diagnosis.alarms import BEGAN_ANEW, NO_LONGER, ONSET_LEFT, Alarm
+from jaxbound.diagnosis.alarms import BEGAN_ANEW, GAP, NO_LONGER, ONSET_LEFT, Alarm
 from jaxbound.diagnosis.detectability import always_seen
 from jaxbound.diagnosis.memory import slowest
-from jaxbound.relations.sentence import looked_at, remembers
+from jaxbound.relations.sentence import latched, looked_at, remembers
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.summary import evidence
 
@@ -54,6 +54,8 @@ def endings_said(counts: Mapping[str, int], total: int) -> list[str]:
         said.append(f"{some(n)} may have ended because the onset left the window: repaired or lasting")
     if n := counts.get(BEGAN_ANEW):
         said.append(f"{some(n)} ended because the observer began anew: the fault may last, taken for the state or hidden")
+    if n := counts.get(GAP):
+        said.append(f"{some(n)} ended at a gap, as FAULT stays until one: repaired or lasting")
     if n := counts.get(NO_LONGER):
         said.append(f"{some(n)} ended after windows without the onset: repaired, or hidden within the bounds")
     return ["; ".join(said)] if said else []
@@ -62,7 +64,8 @@ def endings_said(counts: Mapping[str, int], total: int) -> list[str]:
 def sizes_text(res: Any, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
     if remembers(res.relations):
-        return "an observer is sure of no size that lasts; --latched keeps FAULT on behind what was contradicted"
+        stays = "" if latched(res.relations) else "; --latched keeps FAULT on behind what was contradicted"
+        return f"an observer is sure of no size that lasts{stays}"
     these = looked_at(res.relations)
     if sizes is None:
         return f"{these} alone cannot tell"

@@ -20,7 +20,7 @@ import numpy as np
 from jaxbound.consistency.engine import in_order, stretches_for
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.units import unit_hints
+from jaxbound.diagnosis.hints import outgrown
 from jaxbound.estimation.observer import SetObserver, observer
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.csvlines import is_open, split_lines
@@ -34,7 +34,7 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.sentence import remembers
 from jaxbound.runs.continuation import Continuation, alone, beside, followed
 from jaxbound.runs.endings import ending_hints
-from jaxbound.runs.summary import CODES, Summary, bound_hints, summarised
+from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -44,7 +44,7 @@ __all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest
 COLUMNS = ("unit", "model", "recording")
 AHEAD = 4  # units that are read while another is tested
 SIDE = 32  # units that an observer follows side by side, which are in memory at once
-ORDER = ("fault", "not tested", "too little evidence", "no fault")
+ORDER = ("fault", "not tested", OUTSIDE, "too little evidence", "no fault")
 
 
 class Unit(NamedTuple):
@@ -335,8 +335,10 @@ def _judged(unit, given, method, alarm, min_coverage, res):
     if kept is not None:
         kept.save(recording, between)
     alarms = res.alarms(*alarm)
-    hints = (*recording.hints, *unit_hints(res), *again_hints(res), *bound_hints(model, relations), *ending_hints(res, alarms))
-    return UnitResult(unit, summarised(res, alarms, recording.label, min_coverage, hints)), (res, recording, alarms)
+    res, reaches = replace(res, recorded=recording.hints), outgrown(model, relations)
+    hints = dict.fromkeys((*res.hints, *again_hints(res), *reaches, *ending_hints(res, alarms)))
+    found = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
+    return UnitResult(unit, found), (res, recording, alarms)
 
 
 def _side_by_side(given):
@@ -383,9 +385,11 @@ def fleet_verdict(results: Sequence[UnitResult]) -> tuple[str, int, str]:
     code = CODES[verdict]
     several = lambda n: f"{n} unit{'s' * (n != 1)}"
     parts = [f"{several(len(results))} listed"]
-    told = {"fault": "with a proved fault", "no fault": "with no fault found", "too little evidence": "with too little evidence",
-            "not tested": "could not be tested"}  # fmt: skip
-    parts += [f"{count[v]} {told[v]}" for v in ("fault", "no fault", "too little evidence", "not tested") if count[v]]
+    told = {
+        "fault": "with a proved fault", OUTSIDE: OUTSIDE, "no fault": "with no fault found",
+        "too little evidence": "with too little evidence", "not tested": "could not be tested",
+    }  # fmt: skip
+    parts += [f"{count[v]} {words}" for v, words in told.items() if count[v]]
     deepest = min((r for r in results if r.verdict == "fault"), key=lambda r: r.margin, default=None)
     worst_unit = f"; the worst is {deepest.unit.name}" if deepest else ""
     return verdict, code, f"{parts[0]}: {', '.join(parts[1:])}{worst_unit}."

@@ -1,24 +1,24 @@
 """What the test of a recording comes to, whatever tested it: numbers, a verdict in a sentence, and one JSON layout for all commands."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import singledispatch
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.diagnosis.hints import unfit
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.plaintext import percent, times
 from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["CODES", "LAYOUT", "Evidence", "Summary", "Window", "bound_hints", "evidence", "said", "summarised"]
-
-FOR, MAY = "the bounds were found from data for windows of {} samples,", "a FAULT may be no more than an error that lasts longer than those"
+__all__ = ["CODES", "LAYOUT", "OUTSIDE", "Evidence", "Summary", "Window", "evidence", "said", "summarised", "unsaid"]
 
 LAYOUT = 1  # of the JSON; it grows where a key goes or changes its meaning, not where one is added
-CODES = {"no fault": 0, "fault": 1, "not tested": 2, "too little evidence": 3}  # at which a command ends
+OUTSIDE = "outside the bounds as fitted"
+CODES = {"no fault": 0, "fault": 1, "not tested": 2, "too little evidence": 3, OUTSIDE: 3}  # at which a command ends
 
 
 class Window(NamedTuple):
@@ -42,6 +42,7 @@ class Evidence:
         first: sample of the first FAULT window, None where it is not known. alarms: how many. ended: {why an alarm is over: how many}.
         faulty: {output: number of its faulty samples}, of a validation; else None.
         remembers: whether verdicts rest on all samples since the start (an observer): UNDECIDED then is what healthy samples are.
+        outgrown: whether the bounds were found from data for shorter windows than these: FAULT then proves no fault.
     """
 
     method: str
@@ -56,6 +57,7 @@ class Evidence:
     ended: dict | None = None
     faulty: dict | None = None
     remembers: bool = False
+    outgrown: bool = False
 
     @property
     def windows(self) -> int:
@@ -79,7 +81,8 @@ class Summary:
     """What the test of one recording comes to. Made by `summarised`.
 
     Fields:
-        verdict: "fault", "no fault", "too little evidence" or "not tested"; sentence: what a plant engineer should know.
+        verdict: "fault", "outside the bounds as fitted" (FAULT, by bounds from data for shorter windows), "no fault", "too little
+            evidence" or "not tested"; sentence: what a plant engineer should know.
         found: the Evidence; None where nothing was tested. worst: the worst Window, or None; first_alarm: text of the time at which the
             first alarm begins, last_ended: why the last one is over; "" where there is none.
         hints: sentences to check. sizes: {output: smallest lasting error that is always seen}, or None. model: its name.
@@ -160,26 +163,32 @@ def evidence(res: Any, alarms: Sequence) -> Evidence:
 
 
 def summarised(
-    res: Any, alarms: Sequence, label: Callable, min_coverage: float = 0.5, hints: Sequence = (), sizes: dict | None = None
-) -> Summary:
+    res: Any, alarms: Sequence, label: Callable, min_coverage: float = 0.5, hints: Iterable[str] = (), sizes: dict | None = None,
+    outgrown: bool = False,
+) -> Summary:  # fmt: skip
     """Return the Summary of a test.
 
     Args:
         res: a Result of one recording, a Digest or a Validated. alarms: its alarms. label: number of a sample -> text of its time.
-        min_coverage: below this share of windows, no fault is no news. hints, sizes: see `Summary`.
+        min_coverage: below this share of windows, no fault is no news. hints, sizes: see `Summary`; a hint that the sentence says
+            is left out. outgrown: see `Evidence`.
     """
-    found = evidence(res, alarms)
+    found = replace(evidence(res, alarms), outgrown=outgrown)
     worst = None if found.at is None else Window(found.at, label(found.at), found.margin)
     first, last = (label(alarms[0].start), alarms[-1].ended) if alarms else ("", "")
-    return Summary(*said(found, label, min_coverage), found, worst, first, last, tuple(hints), sizes, res.relations.model.name)
+    verdict, sentence = said(found, label, min_coverage)
+    return Summary(verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, res.relations.model.name)
+
+
+def unsaid(hints: Iterable[str], sentence: str) -> tuple[str, ...]:
+    """Return the hints that a verdict's sentence does not say already, but for their first letter."""
+    return tuple(hint for hint in hints if hint[1:] not in sentence)
 
 
 def said(found: Evidence, label: Callable, min_coverage: float = 0.5) -> tuple[str, str]:
     """Return (verdict, sentence). Args: as for `summarised`."""
     if found.counts["FAULT"]:
-        if found.remembers:
-            return "fault", _contradicted(found, label)
-        return "fault", _unfit(found) or (_fault(found, label) if found.faulty is None else _faulty(found, label))
+        return _proved(found, label)
     windows = found.faulty is None and not found.remembers
     share, known = (found.decided, "could be decided") if windows else (found.tested, "have data")
     if share < min_coverage:
@@ -189,15 +198,22 @@ def said(found: Evidence, label: Callable, min_coverage: float = 0.5) -> tuple[s
     return "no fault", _healthy(found, label)
 
 
+def _proved(found, label):
+    """Return (verdict, sentence) where windows are FAULT: proved, as far as the bounds hold over such windows."""
+    if found.remembers:
+        what, every = _contradicted(found, label), ""
+    else:
+        every = _unfit(found)
+        what = every or (_fault(found, label) if found.faulty is None else _faulty(found, label))
+    if found.outgrown:
+        return OUTSIDE, f"Outside the bounds as fitted: {what}."
+    return "fault", f"{what[:1].upper()}{what[1:]}." if every else f"Fault proved: {what}."
+
+
 def _unfit(found):
     """Return a sentence where every window with data is FAULT."""
-    faults = found.counts["FAULT"]
-    if faults < 2 or found.counts["CONSISTENT"] or found.counts["UNDECIDED"]:
-        return ""
-    by = ""
-    if np.isfinite(found.margin):
-        by = f": all bounds times about {times(1 - found.margin).removesuffix(' times')} would make every window consistent"
-    return f"Every one of the {faults} windows with data is FAULT: the model or its bounds do not fit this recording{by}."
+    every = not found.counts["CONSISTENT"] and not found.counts["UNDECIDED"]
+    return next(iter(unfit(found.counts, found.margin)), "") if every else ""
 
 
 def _grouped(found):
@@ -211,7 +227,7 @@ def _fault(found, label):
     need = f"; the first is at {label(found.at)}"
     if np.isfinite(found.margin):
         need = f"; the worst, at {label(found.at)}, would need bounds {times(1 - found.margin)} as wide"
-    return f"Fault proved: {many}{_grouped(found)}{need}."
+    return f"{many}{_grouped(found)}{need}"
 
 
 def _faulty(found, label):
@@ -220,7 +236,7 @@ def _faulty(found, label):
     whom = ", ".join(f"{name} in {n} sample{'s' * (n > 1)}" for name, n in found.faulty.items())
     whom = f"; faulty: {whom}" if whom else "; no single sensor explains it"
     many = f"{faults} of {count} windows ({percent(faults / count)}) contradict the model and the samples accepted before"
-    return f"Fault proved: {many}{_grouped(found)}; the first is at {label(found.first)}{whom}."
+    return f"{many}{_grouped(found)}; the first is at {label(found.first)}{whom}"
 
 
 def _contradicted(found, label):
@@ -228,7 +244,7 @@ def _contradicted(found, label):
     faults, count = found.counts["FAULT"], found.windows
     many = f"{faults} of {count} samples ({percent(faults / count)}) contradict the model and the samples before them"
     first = f"first is at {label(found.first)}" if found.first is not None else f"worst is at {label(found.at)}"
-    return f"Fault proved: {many}{_grouped(found)}; the {first}."
+    return f"{many}{_grouped(found)}; the {first}"
 
 
 def _healthy(found, label):
@@ -246,32 +262,3 @@ def _healthy(found, label):
     if found.at is not None and np.isfinite(found.margin):
         used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"
     return f"No fault found: the model explains {every} within its bounds{used}."
-
-
-def bound_hints(model: Any, relations: Any = None) -> list[str]:
-    """Return sentences on bounds that nobody can mean, and on those that were found for shorter windows than they are asked to hold for.
-
-    Args:
-        model: as it was read: with the horizon or lags that its bounds were found for. relations: or an observer, what it is tested by;
-            None: windows of the model.
-    """
-    bare = [s for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True) if not any(b)]
-    none = f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error there is a FAULT"
-    rows = zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True)
-    rounded = [s for s, tolerance, noise, resolution in rows if resolution and not (tolerance or noise)]
-    only = (
-        f"{', '.join(rounded)} {'have' if len(rounded) > 1 else 'has'} only a resolution: state noise or tolerance, what the sensor errs by"
-    )
-    return _outgrown(model, relations) + [none] * bool(bare) + [only] * bool(rounded)
-
-
-def _outgrown(model, relations):
-    """Return a sentence, or none, on bounds from data that windows reach beyond: none that they were found for was so long."""
-    known, found = model.lags[-1] if model.lags else model.horizon, " ".join(map(str, model.provenance.values()))
-    if relations is None or known is None or not ("fitted" in found or "tuned" in found):
-        return []
-    if remembers(relations):
-        return [f"{FOR.format(known + 1)} and an observer looks back on all samples: {MAY}"]
-    again = f"--lags {','.join(map(str, relations.lags))}" if getattr(relations, "lags", None) else f"--horizon {relations.horizon}"
-    longer = f"{FOR.format(known + 1)} and these windows reach over {relations.horizon + 1}: {MAY}; fit again with {again}"
-    return [longer] if relations.horizon > known else []

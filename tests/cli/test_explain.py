@@ -12,7 +12,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.cli.explain import certificate_of, main_terms
+from jaxbound.cli.explain import certificate_of
 from jaxbound.models.modelfile import save_model
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.sets.floats.status import Status
@@ -90,17 +90,6 @@ def test_a_consistent_window_is_explained_by_a_behaviour(place, capsys):
         code, out, _ = explain(place, "0.1 s", option, capsys=capsys)
         assert code == 0 and out.index("first state") < out.index("explained by") and "0.09 s" in out.split("explained by")[1]
     assert explain(place, "0.1 s", "-q", capsys=capsys)[1] == "CONSISTENT proved: the window from 0.09 s to 0.1 s, sample 10\n"
-
-
-def test_a_long_relation_is_told_by_its_largest_terms():
-    long = "0.5 a - b[k] - 1e-05 c d[k-1] + 3e+02 e + 0.1 f = 0"
-    assert (
-        main_terms(long, 3) == "0.5 a - b[k] + 3e+02 e + ... = 0"
-        and main_terms(long, 5) == long
-        and main_terms("- a + 2 b = 0", 1) == "2 b + ... = 0"
-    )
-    for text in ("", "is 1 at the samples, and the bounds allow ± 2", "no error of this sensor alone explains the window"):
-        assert main_terms(text, 1) == text
 
 
 def test_json_goes_to_stdout_and_nothing_is_written(place, capsys):

@@ -66,6 +66,7 @@ def test_a_report_shows_bands_and_says_when_the_observer_began_anew(place, capsy
     found, page = json.loads(capsys.readouterr().out), (place / "out/report.html").read_text()
     assert found["method"] == "observer" and found["exit_code"] == 1 and set(found["ended"]) <= {BEGAN_ANEW, ENDINGS[0]}
     assert "contradict the model and the samples before them" in found["summary"] and found["counts"]["CONSISTENT"] == 0
+    assert "while a fault lasts, they may" in page, "what bands still mean"
     model = jb.load_model("plant.toml")
     res = jb.detect(jb.observer(model), jb.read("run.csv", model))
     assert res.counts == found["counts"] and res.status[:ONSET].max() == jb.Status.UNDECIDED and res.status[40] == jb.Status.MISSING
@@ -250,3 +251,40 @@ def test_a_fleet_is_followed_side_by_side_and_says_what_each_unit_says_alone(pla
     assert found["healthy"]["verdict"] == "no fault" and found["text"]["verdict"] == found["gone"]["verdict"] == "not tested"
     assert found["short"]["samples"] == 100 and (place / "fleet/units").is_dir()
     assert main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", "--lags", "0,1"]) == 2
+
+
+def test_an_alarm_that_stays_ends_at_a_gap(place, capsys):
+    table = pd.read_csv("run.csv")
+    table.loc[table.index >= 130, "time"] += 7.0
+    table.to_csv("gap.csv", index=False)
+    assert detect("--json", "--latched", out="latched", data="gap.csv") == 1
+    found, page = json.loads(capsys.readouterr().out), (place / "latched/report.html").read_text()
+    ended = pd.read_csv("latched/alarms.csv")["ended"]
+    assert ended[0].startswith("a gap ended it") and found["ended"][ended[0]] == 1
+    assert not [said for said in (page, *ended, *found["hints"]) if "began anew behind" in said or "--latched" in said]
+    assert any("ended at a gap" in hint for hint in found["hints"])
+
+
+@pytest.mark.parametrize("fitted", [True, False])
+def test_bounds_found_for_shorter_windows_prove_no_fault(place, capsys, monkeypatch, fitted):
+    """What an observer of all samples refutes may be no more than an error that lasts longer than those windows."""
+    plant = jb.load_model("plant.toml").replace(horizon=15, provenance={"noise": "fitted to 3 recordings"})
+    jb.save_model(plant if fitted else plant.replace(provenance={"noise": "data sheet"}), "plant.toml")
+    code, verdict = (3, "outside the bounds as fitted") if fitted else (1, "fault")
+    title = "Outside the bounds as fitted" if fitted else "Fault proved"
+    assert detect("--json", out="out") == code
+    found, page = json.loads(capsys.readouterr().out), (place / "out/report.html").read_text()
+    assert (found["verdict"], found["exit_code"]) == (verdict, code) and found["counts"]["FAULT"]
+    assert found["summary"].startswith(f"{title}: ") and f"<h2>{title}</h2>" in page
+    assert fitted == ("Fault proved" not in page) == any("found from data for windows of 16" in hint for hint in found["hints"])
+    with open("fleet.csv", "w") as f:
+        f.write("unit,model,recording\nP-101,plant.toml,run.csv\n")
+    assert main.main(["fleet", "fleet.csv", "--out", "fleet", "--method", "observer", "--json"]) == code
+    (unit,) = json.loads(capsys.readouterr().out)["units"]
+    assert unit["verdict"] == verdict and unit["summary"] == found["summary"]
+    assert detect("--json", out="parts", data="run.parquet") == code
+    assert json.loads(capsys.readouterr().out)["verdict"] == verdict
+    args = argparse.Namespace(model="plant.toml", data="-", horizon=None, lags=None, method="observer", out=None, state=None, order=None,
+                              latched=False, observer=None, span=None, min_coverage=0.5, json=False)  # fmt: skip
+    assert piped.follow(args, [(place / "run.csv").read_bytes()]) == code
+    assert f"{title}: " in capsys.readouterr().err

@@ -146,3 +146,14 @@ def test_a_recording_from_the_shell(place, capsys, tmp_path):
         np.testing.assert_array_equal(written[column][1:], np.asarray(x)[1:])
     assert main.main(["explain", str(tmp_path / "out"), "--at", "20"]) == 2
     assert "was validated" in " ".join(capsys.readouterr().err.split())
+
+
+def test_validation_by_bounds_for_shorter_windows_proves_no_fault(place, tmp_path, capsys):
+    """It carries a box from the first sample on; and from the first FAULT on it says what the bands mean."""
+    arguments = place(faulty=(20, 21))
+    jb.save_model(MODEL.replace(horizon=3, provenance={"noise": "fitted to 2 recordings"}), tmp_path / "model.toml")
+    assert main.main(["detect", *arguments, "--method", "validation", "--json"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "outside the bounds as fitted" and found["summary"].startswith("Outside the bounds as fitted: ")
+    for said in ("validation looks back on all samples", "from 20 s on, the first FAULT, bands hold the true values only if"):
+        assert any(said in hint for hint in found["hints"])

@@ -120,7 +120,7 @@ def test_a_validation_shows_the_band_of_every_output_and_marks_what_is_faulty(va
 
 def test_a_validation_without_its_samples_claims_no_measurement(validated):
     names = [t.get_text() for t in jb.plot(validated[0]).axes[0].get_legend().texts]
-    assert names == ["true value", "corrected"]
+    assert names == ["by accepted samples", "corrected"]
 
 
 def test_a_validation_of_other_samples_or_of_a_batch_is_refused(validated):

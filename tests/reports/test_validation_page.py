@@ -43,3 +43,13 @@ def test_a_long_recording_is_shown_around_its_first_faulty_sample_too():
     assert near[0] == "The samples around the first faulty one" and near[1]["panels"][0]["out"].count("M") == 3
     panel = whole[1]["panels"][0]
     assert panel["binned"] and 1000 < panel["line"].count("V") <= 2000  # extremes of bins
+
+
+def test_from_the_first_fault_on_the_page_says_what_its_bands_still_mean(tmp_path):
+    """A fault that lasts may be accepted again: the band is then no place of the true value."""
+    for faulty in ((20, 21), ()):
+        res = found_in(faulty=faulty)
+        write_page(tmp_path, res, recording_of(res), summarised(res, res.alarms(), "{} s".format))
+        page = " ".join((tmp_path / "report.html").read_text().split())
+        assert page.count("From 20 s on, the first FAULT, the true value is there only if") == (1 if faulty else 0)
+        assert "true value within" not in page and "where the true value of an output is," not in page

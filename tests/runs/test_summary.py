@@ -7,8 +7,9 @@ from result_case import CONSISTENT, FAULT, MISSING, synthetic
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.diagnosis.hints import bound_hints
 from jaxbound.recordings.plaintext import duration, percent, times
-from jaxbound.runs.summary import bound_hints, summarised
+from jaxbound.runs.summary import summarised
 
 
 def summary(*given):
