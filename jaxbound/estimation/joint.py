@@ -375,13 +375,16 @@ class JointObserver(SetObserver):
         P, out = np.eye(len(x.A)) * (1e4 * size) ** 2, []
         for _ in range(SETTLED + 1):
             values, V = np.linalg.eigh(P)
-            root = np.sqrt(np.maximum(values, 1e-14 * values.max()))
+            most = values.max()
+            if most <= 0:  # samples without an error show every state
+                most = (1e-9 * size) ** 2
+            root = np.sqrt(np.maximum(values, 1e-14 * most))
             out.append(((V / root).T.astype(self._dtype).astype(np.float64), V * root))
             for _ in range(self.window // 2):
                 if x.free is not None:
                     M, H = x.free.M[..., 0], x.free.H[..., 0]
                     P = M @ P @ M.T + (H * R) @ H.T + np.eye(len(M)) * (1e-6 * size) ** 2
-                K = np.linalg.solve(x.C @ P @ x.C.T + np.diag(R), x.C @ P).T
+                K = _gain(x.C @ P @ x.C.T + np.diag(R), x.C @ P)
                 P = P - K @ x.C @ P
                 P = x.A @ (P + P.T) @ x.A.T / 2 + Q
         return out
@@ -393,6 +396,14 @@ METHODS["joint"] = JointObserver
 def _bounded(prior):
     """Say which sets are bounded, (N,) bool."""
     return np.isfinite(prior.c).all(0) & np.isfinite(prior.S).all((0, 1)) & np.isfinite(prior.r).all(0)
+
+
+def _gain(S, X):
+    """Return (S^-1 X)'; where outputs without an error show the same, that of least norm."""
+    try:
+        return np.linalg.solve(S, X).T
+    except np.linalg.LinAlgError:
+        return (np.linalg.pinv(S, hermitian=True) @ X).T
 
 
 def _sum_up(a, b):
