@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxbound.estimation.ordered import added, mapped
 from jaxbound.estimation.window_proof import Prior
 from jaxbound.sets.floats import rounding
 
@@ -34,9 +35,9 @@ def lasting(A: np.ndarray, C: np.ndarray, steps: int) -> np.ndarray:
 def template(D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (lo, hi), each (r, N), of D x over the sets c (k, n, N), G (k, n, q, N), r (k, n, N), all of which hold x, rounded outward."""
     c, G, r = (x.astype(np.float64) for x in (c, G, r))
-    mid = np.einsum("ij,kjN->kiN", D, c)
-    reach = np.abs(np.einsum("ij,kjqN->kiqN", D, G)).sum(2) + np.einsum("ij,kjN->kiN", np.abs(D), r)
-    size = np.einsum("ij,kjN->kiN", np.abs(D), np.abs(c) + np.abs(G).sum(2) + r)
+    mid, size = mapped(D, c, 1), np.abs(D)
+    reach = added(np.abs(mapped(D, G, 1)), 2) + mapped(size, r, 1)
+    size = mapped(size, np.abs(c) + added(np.abs(G), 2) + r, 1)
     reach = (reach + OFF * size) * ROUNDED + 2.0**-500
     return (mid - reach).max(0), (mid + reach).min(0)
 
@@ -55,11 +56,12 @@ def parallelotope(D: np.ndarray, back: np.ndarray, lo: np.ndarray, hi: np.ndarra
     """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach, and strips: x = back (D x) + (I - back D) x."""
     mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
     rad = (rad + OFF * np.abs(mid)) * ROUNDED
-    c, S = back @ mid, back[:, :, None] * rad[None]
+    c, S = mapped(back, mid), back[:, :, None] * rad[None]
     rest = np.abs(np.eye(len(D)) - back @ D) + OFF * np.abs(back) @ np.abs(D)
-    off = rest @ np.where(np.isfinite(reach), reach.astype(np.float64), 1e300) + OFF * np.abs(back) @ (np.abs(mid) + rad)
+    most = np.where(np.isfinite(reach), reach.astype(np.float64), 1e300)
+    off = mapped(rest, most) + mapped(OFF * np.abs(back), np.abs(mid) + rad)
     with np.errstate(over="ignore"):
         near = Prior(c.astype(dtype), S.astype(dtype), off, *strips)
-    off = off + np.abs(c - near.c) + np.abs(S - near.S).sum(1)
+    off = off + np.abs(c - near.c) + added(np.abs(S - near.S), 1)
     off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
     return near._replace(r=rounding.round_up(off, dtype))

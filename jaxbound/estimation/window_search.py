@@ -26,6 +26,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.estimation.ordered import product
+
 __all__ = ["Window", "middle", "searched", "split"]
 
 PACE = 0.15
@@ -73,7 +75,7 @@ def middle(window: Window) -> np.ndarray:
     if window.averages is None:
         return z
     F, _, m, b = window.averages
-    return np.concatenate([z, m + F @ np.where(np.isfinite(window.s), window.e, 0) / b])
+    return np.concatenate([z, m + product(F, np.where(np.isfinite(window.s), window.e, 0)) / b])
 
 
 def _dot(M, X):

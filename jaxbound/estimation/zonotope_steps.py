@@ -158,7 +158,7 @@ class Found(NamedTuple):
     outputs: Any
 
 
-@partial(jax.jit, static_argnames=("lanes", "enclosures", "also"))
+@partial(jax.jit, static_argnames=("lanes", "enclosures", "also"), compiler_options={"xla_cpu_multi_thread_eigen": False})
 def follow(
     plant: Numbers, start: Start | None, carry: Carry, samples: tuple, stop: int, lanes: int, enclosures: int, restart: jax.Array | bool,
     also: bool = False,
@@ -269,7 +269,11 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     carry = carry._replace(age=age, empty=empty)
     if start is not None:
         begin = (age < 0) & (ready > len(carry.mid))
-        fill = lambda state: (*(begun := _begun(plant, start, carry, now, begin, *state[:4])), sized(*begun[:3]))
+
+        def fill(state):
+            c, G, r, age = _begun(plant, start, carry, now, begin, *state[:4])
+            return c, G, r, age, jnp.where(begin[None], sized(c, G, r), state[4])  # of others nothing changes
+
         c, G, r, age, size = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age, size))
         carry = carry._replace(age=age)
     if enclosures:
