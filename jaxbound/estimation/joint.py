@@ -21,7 +21,7 @@ from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.observer import METHODS, SetObserver
 from jaxbound.estimation.ordered import added, product
-from jaxbound.estimation.parallelotope import OFF, ROUNDED, lasting, parallelotope, strip, template
+from jaxbound.estimation.parallelotope import OFF, ROUNDED, lasting, parallelotope, principal, strip, template
 from jaxbound.estimation.window_proof import Prior, Samples, enclosed, reach_before, window_of
 from jaxbound.estimation.window_runs import runs_of
 from jaxbound.estimation.window_search import middle, searched, split
@@ -372,26 +372,8 @@ class JointObserver(SetObserver):
 
     @cached_property
     def _principal(self):
-        """Principal directions of a Kalman filter after 0, 1, .. blocks. Any would do; these are rounded as they come."""
-        x = self._exact
-        size = max(float(np.max(x.noise, initial=0)), float(np.abs(x.W).max(initial=0)), 1e-6)
-        R, Q = (x.noise + x.tolerance * size) ** 2 / 3 + (1e-9 * size) ** 2, x.W @ x.W.T / 3
-        P, out = np.eye(len(x.A)) * (1e4 * size) ** 2, []
-        for _ in range(SETTLED + 1):
-            values, V = np.linalg.eigh(P)
-            most = values.max()
-            if most <= 0:  # samples without an error show every state
-                most = (1e-9 * size) ** 2
-            root = np.sqrt(np.maximum(values, 1e-14 * most))
-            out.append(((V / root).T.astype(self._dtype).astype(np.float64), V * root))
-            for _ in range(self.window // 2):
-                if x.free is not None:
-                    M, H = x.free.M[..., 0], x.free.H[..., 0]
-                    P = M @ P @ M.T + (H * R) @ H.T + np.eye(len(M)) * (1e-6 * size) ** 2
-                K = _gain(x.C @ P @ x.C.T + np.diag(R), x.C @ P)
-                P = P - K @ x.C @ P
-                P = x.A @ (P + P.T) @ x.A.T / 2 + Q
-        return out
+        """Directions of the blocks, [(D, back)], see `principal`."""
+        return principal(self._exact, self.window // 2, SETTLED, self._dtype)
 
 
 METHODS["joint"] = JointObserver
@@ -405,14 +387,6 @@ def _bounded(prior):
 def _cut(tree, lanes):
     """Return some recordings, in the order of memory that all have."""
     return jax.tree.map(lambda x: np.take(x, lanes, -1), tree)
-
-
-def _gain(S, X):
-    """Return (S^-1 X)'; where outputs without an error show the same, that of least norm."""
-    try:
-        return np.linalg.solve(S, X).T
-    except np.linalg.LinAlgError:
-        return (np.linalg.pinv(S, hermitian=True) @ X).T
 
 
 def _sum_up(a, b):

@@ -1,7 +1,7 @@
 """Sums in one order: of a recording they are the same bits, whatever stands beside it and however it lies in memory.
 
-NumPy adds pairwise where an axis of one recording lies last, and libraries of matrix products choose another kernel for each shape. What
-stands in blocks of one size, in one order of memory, may be summed and multiplied by NumPy's own loops: these take no rest of a block otherwise.
+NumPy adds pairwise where an axis of one recording lies last, and libraries of matrix products choose another kernel for each shape. In
+blocks of one size, in one order of memory, NumPy's own loops treat all lanes alike.
 """
 
 import numpy as np

@@ -6,9 +6,10 @@ import numpy as np
 
 from jaxbound.estimation.ordered import added, mapped
 from jaxbound.estimation.window_proof import Prior
+from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
 
-__all__ = ["OFF", "ROUNDED", "lasting", "parallelotope", "strip", "template"]
+__all__ = ["OFF", "ROUNDED", "lasting", "parallelotope", "principal", "strip", "template"]
 
 SLOW = 0.1
 """Share of a mode that is left, above which a strip bounds it."""
@@ -65,3 +66,36 @@ def parallelotope(D: np.ndarray, back: np.ndarray, lo: np.ndarray, hi: np.ndarra
     off = off + np.abs(c - near.c) + added(np.abs(S - near.S), 1)
     off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)
     return near._replace(r=rounding.round_up(off, dtype))
+
+
+def principal(x: Numbers, steps: int, blocks: int, dtype: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return (D, back), (n, n) each, back about the inverse of D, after 0, 1, .. blocks: principal directions of a Kalman filter.
+
+    Any would do; these are rounded as they come. x: the model, in float64; steps: samples of a block.
+    """
+    size = max(float(np.max(x.noise, initial=0)), float(np.abs(x.W).max(initial=0)), 1e-6)
+    R, Q = (x.noise + x.tolerance * size) ** 2 / 3 + (1e-9 * size) ** 2, x.W @ x.W.T / 3
+    P, out = np.eye(len(x.A)) * (1e4 * size) ** 2, []
+    for _ in range(blocks + 1):
+        values, V = np.linalg.eigh(P)
+        most = values.max()
+        if most <= 0:  # samples without an error show every state
+            most = (1e-9 * size) ** 2
+        root = np.sqrt(np.maximum(values, 1e-14 * most))
+        out.append(((V / root).T.astype(dtype).astype(np.float64), V * root))
+        for _ in range(steps):
+            if x.free is not None:
+                M, H = x.free.M[..., 0], x.free.H[..., 0]
+                P = M @ P @ M.T + (H * R) @ H.T + np.eye(len(M)) * (1e-6 * size) ** 2
+            K = _gain(x.C @ P @ x.C.T + np.diag(R), x.C @ P)
+            P = P - K @ x.C @ P
+            P = x.A @ (P + P.T) @ x.A.T / 2 + Q
+    return out
+
+
+def _gain(S, X):
+    """Return (S^-1 X)'; where outputs without an error show the same, that of least norm."""
+    try:
+        return np.linalg.solve(S, X).T
+    except np.linalg.LinAlgError:
+        return (np.linalg.pinv(S, hermitian=True) @ X).T

@@ -83,7 +83,10 @@ def window_of(plant: Numbers, strips: np.ndarray, prior: Prior, samples: Samples
     held = np.isfinite(prior.rad)
     thin = 1e-9 * np.max(np.where(held, prior.rad, 0), 0, initial=0) + 1e-30
     flat = lambda strip, x: np.concatenate([strip, x[:, tested].reshape(L * p, -1)])
-    first = np.where(held, prior.mid - product(strips, np.asarray(prior.c, np.float64)), 0), np.where(held, np.maximum(prior.rad, thin), np.inf)
+    first = (
+        np.where(held, prior.mid - product(strips, np.asarray(prior.c, np.float64)), 0),
+        np.where(held, np.maximum(prior.rad, thin), np.inf),
+    )
     rows_of = np.concatenate([strips, np.tile(plant.C[tested], (L, 1))])
     given = A, W, S, rows_of, flat(first[0], np.where(seen, e, 0)), flat(first[1], s)
     A, W, S, c, e, s = (np.asarray(x, dtype) for x in given)
@@ -126,7 +129,8 @@ def enclosed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (value, bound), each (N,) in float64: d x_J lies in value +- bound for all that explains the samples.
 
-    An infinite bound shows nothing. Windows stand side by side in blocks of one size, so that none depends on those beside it. Worked out on the host: a program would be compiled for longer than most recordings take.
+    An infinite bound shows nothing. Windows stand side by side in blocks of one size, so that none depends on those beside it. All on the
+    host: a program would be compiled for longer than most recordings take.
 
     Args:
         plant, strips, runs: as of `window_of`. weight (R + a, N): multipliers of the rows of its Window and of its runs, any. d (n, N),
@@ -186,7 +190,9 @@ def _of_runs(runs, rad, s, u):
     b = bounds_of(runs, rad)
     u = np.where(np.isfinite(b) & (np.abs(u) < 2.0**60), u, 0)
     b, size, turned = np.where(np.isfinite(b), b, 0), np.abs(u), lambda F, x: np.einsum("aLp,aN->LpN", F, x)
-    whole = (turned(np.abs(runs.v), size) * s).sum((0, 1)) + turned(np.abs(runs.w), size).sum((0, 1)) + (np.abs(runs.m)[:, None] * size).sum(0)
+    whole = (
+        (turned(np.abs(runs.v), size) * s).sum((0, 1)) + turned(np.abs(runs.w), size).sum((0, 1)) + (np.abs(runs.m)[:, None] * size).sum(0)
+    )
     return turned(runs.v, u), turned(runs.w, u), (runs.m[:, None] * u).sum(0), (b * size).sum(0), whole
 
 

@@ -269,11 +269,8 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     carry = carry._replace(age=age, empty=empty)
     if start is not None:
         begin = (age < 0) & (ready > len(carry.mid))
-
-        def fill(state):
-            c, G, r, age = _begun(plant, start, carry, now, begin, *state[:4])
-            return c, G, r, age, jnp.where(begin[None], sized(c, G, r), state[4])  # of others nothing changes
-
+        filled = lambda begun, size: (*begun, jnp.where(begin[None], sized(*begun[:3]), size))  # of others nothing changes
+        fill = lambda state: filled(_begun(plant, start, carry, now, begin, *state[:4]), state[4])
         c, G, r, age, size = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age, size))
         carry = carry._replace(age=age)
     if enclosures:
