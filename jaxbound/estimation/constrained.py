@@ -19,14 +19,13 @@ from jaxbound.estimation.observer import METHODS, SetObserver
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.zonotopes import gauges, proof
 
 __all__ = ["ConstrainedObserver", "ConstrainedState"]
 
-BLOCK, PIECE = 64, 16
-"""Recordings side by side in one kernel, and samples."""
+BLOCK, PIECE = 8, 16
+"""Recordings side by side in the one kernel there is, and samples: see `observer.BLOCK`."""
 HULLS, SEARCH = 256, 12
 """Sets whose hulls are looked for at a time, and steps of it."""
 
@@ -92,9 +91,9 @@ class ConstrainedObserver(SetObserver):
         wrong, margin = self._looked_at(found, asked)
         if not wrong.any():
             return after, _lower(found, wrong, margin)
-        refuted = wrong & (np.cumsum(wrong, 0) == 1)
         if not self.restart:
-            return self._lasting(after, _lower(found, refuted, margin), refuted, fresh)
+            return self._lasting(before[0].empty, after, found, wrong, margin, fresh)
+        refuted = wrong & (np.cumsum(wrong, 0) == 1)
         again = refuted
         while again.any():  # what follows a contradiction begins anew, and is looked at again
             lanes = np.flatnonzero(again.any(0))
@@ -116,13 +115,15 @@ class ConstrainedObserver(SetObserver):
         carry = carry._replace(age=np.where(gone, -1, carry.age).astype(np.int32), ready=np.where(gone, 0, carry.ready))
         return (carry, held._replace(on=held.on & ~gone)), _lower(found, refuted, margin)
 
-    def _lasting(self, after, found, first, fresh):
-        """Return (state, Found) where a FAULT stays until a gap."""
+    def _lasting(self, lasting, after, found, wrong, margin, fresh):
+        """Return (state, Found) where a FAULT stays until a gap; behind it no program is asked, wherever a piece ends."""
         carry, held = after
-        lasting, status = np.zeros_like(first[0]), found.status.copy()
-        for k in range(len(first)):
-            lasting = (lasting & ~fresh[k]) | first[k]
-            status[k] = np.where(lasting, Status.FAULT, status[k])
+        behind = np.zeros_like(wrong)
+        for k in range(len(wrong)):
+            behind[k] = lasting & ~fresh[k]
+            lasting = behind[k] | wrong[k] | (found.status[k] == Status.FAULT)
+        found = _lower(found, wrong & ~behind, np.where(behind, np.inf, margin))
+        status = np.where(behind, np.int8(Status.FAULT), found.status)
         return (carry._replace(empty=carry.empty | lasting), held), found._replace(status=status)
 
     def _looked_at(self, found, asked):
@@ -150,7 +151,7 @@ class ConstrainedObserver(SetObserver):
             out = constrained_steps.follow(numbers, start, carry, held, known, T, 2 * self.enclosures, self.restart)
             return jax.tree.map(np.asarray, out)
 
-        done = in_blocks(job, count, min(BLOCK, power(count)))
+        done = in_blocks(job, count, BLOCK)
         join = lambda *x: np.array(np.concatenate(x, -1)[..., :count])
         carry, held, found, asked = jax.tree.map(join, *done)
         first = lambda tree: jax.tree.map(lambda x: x[:T], tree)
@@ -168,7 +169,7 @@ def _lower(found, wrong, margin):
 
 def _rows(asked, at):
     """Return (b, A, s) in float64, sets first, of the rows A xi = b +- s of samples `at`."""
-    return tuple(np.moveaxis(x, -1, 1)[at].astype(np.float64) for x in (-asked.h, asked.H, asked.r))
+    return tuple(np.ascontiguousarray(np.moveaxis(x, -1, 1)[at], np.float64) for x in (-asked.h, asked.H, asked.r))
 
 
 def _refuted(asked, n):

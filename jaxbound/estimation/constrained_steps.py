@@ -58,7 +58,7 @@ def nothing(n: int, k: int, q: int, N: int, dtype: np.dtype) -> Held:
     return Held(np.zeros((n + k, N), dtype), np.zeros((n + k, q, N), dtype), np.zeros((n + k, N), dtype), np.zeros(N, bool))
 
 
-@kernel(static_argnames=("enclosures",))
+@kernel(static_argnames=("enclosures",), compiler_options={"xla_cpu_multi_thread_eigen": False})
 def follow(
     plant: steps.Numbers, start: steps.Start | None, carry: steps.Carry, held: Held, known: steps.Read, stop: int, enclosures: int,
     restart: jax.Array | bool,

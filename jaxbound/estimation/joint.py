@@ -20,7 +20,8 @@ import numpy as np
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.observer import METHODS, SetObserver
-from jaxbound.estimation.parallelotope import OFF, ROUNDED, lasting, parallelotope, strip, template
+from jaxbound.estimation.ordered import added, product
+from jaxbound.estimation.parallelotope import OFF, ROUNDED, lasting, parallelotope, principal, strip, template
 from jaxbound.estimation.window_proof import Prior, Samples, enclosed, reach_before, window_of
 from jaxbound.estimation.window_runs import runs_of
 from jaxbound.estimation.window_search import middle, searched, split
@@ -31,8 +32,8 @@ from jaxbound.sets.floats.status import Status
 
 __all__ = ["JointObserver", "JointState"]
 
-SIZES = (16, 128)
-"""Windows side by side in one kernel."""
+ROOM = 32
+"""Windows side by side in the one kernel there is: see `observer.BLOCK`. A search ends with the slowest of them."""
 SETTLED = 8
 """Blocks after which the directions stay as they are."""
 
@@ -112,7 +113,7 @@ class JointObserver(SetObserver):
         if state.held.any():
             D, back = self._directions(number - 1)
             lanes_held = np.flatnonzero(state.held)
-            cut = lambda tree: jax.tree.map(lambda x: x[..., lanes_held], tree)
+            cut = lambda tree: _cut(tree, lanes_held)
             old = cut(prior)
             rows, n = np.concatenate([D, self._strips]), len(D)
             lo, hi = template(rows, old.c[None], old.S[None], old.r[None])
@@ -133,7 +134,7 @@ class JointObserver(SetObserver):
             c, G, r = map(split, carry[:3])
             marked = (split(carry.age) >= 0).all(0)
             lo, hi = template(D, c, G, r)
-            reach, told = (abs(c) + abs(G).sum(2) + r).min(0) * ROUNDED, strip(*template(self._strips, c, G, r), self._dtype)
+            reach, told = (abs(c) + added(abs(G), 2) + r).min(0) * ROUNDED, strip(*template(self._strips, c, G, r), self._dtype)
             mark = parallelotope(D, back, lo, hi, reach, told, self._dtype)
             marked &= _bounded(mark)
             mark = Prior(*(np.where(marked, x, 0) for x in mark))
@@ -155,14 +156,14 @@ class JointObserver(SetObserver):
         lanes = np.flatnonzero(state.told)
         if not len(lanes):
             return state.path, state.told
-        cut = lambda tree: jax.tree.map(lambda x: x[..., lanes], tree)
+        cut = lambda tree: _cut(tree, lanes)
 
         def job(chosen):
-            some, seen = (jax.tree.map(lambda x: x[..., chosen], cut(tree)) for tree in (state.path, state.window))
+            some, seen = (_cut(cut(tree), chosen) for tree in (state.path, state.window))
             *_, z, window = self._gauges(some, seen)
             return self._explained(some, seen, *split(z, window)[:2])
 
-        found = zip(*in_blocks(job, len(lanes), SIZES[len(lanes) > SIZES[0]]), strict=True)
+        found = zip(*in_blocks(job, len(lanes), ROOM), strict=True)
         ok, x, off = (np.concatenate(parts, -1)[..., : len(lanes)] for parts in found)
         path, told = Prior(*(np.zeros_like(v) for v in state.path[:3]), *state.path[3:]), np.zeros_like(state.told)
         path.c[:, lanes], path.r[:, lanes] = x, rounding.round_up(off + np.abs(x - x.astype(self._dtype)), self._dtype)
@@ -177,7 +178,7 @@ class JointObserver(SetObserver):
         """
         x64 = lambda tree: jax.tree.map(lambda v: np.asarray(v, np.float64), tree)
         m, (path, samples, xi, w) = self._exact, map(x64, (path, samples, xi, w))
-        less, size = 1 - 1e-9, lambda M: np.abs(M)
+        less, size, to = 1 - 1e-9, np.abs, product
         xi, w = np.clip(np.nan_to_num(xi), -less, less), np.clip(np.nan_to_num(w), -less, less)
         x, off = path.c + (path.S * xi[None]).sum(1), path.r.copy()
         ok = ((path.S == 0) | (1e-9 * size(path.S) > 1e-14 * size(path.c)[:, None])).all((0, 1))
@@ -186,13 +187,14 @@ class JointObserver(SetObserver):
             if j == self.window // 2:
                 middle = x, off
             seen = np.isfinite(s)
-            away = size(mid - m.C @ x - m.D @ v) + size(m.C) @ off + m.wide_C @ (size(x) + off) + m.wide_D @ size(v) + size(m.D) @ slip
-            away = away + OFF * (size(mid) + size(m.C) @ size(x) + size(m.D) @ size(v))
+            away = size(mid - to(m.C, x) - to(m.D, v)) + to(size(m.C), off) + to(m.wide_C, size(x) + off)
+            away = away + to(m.wide_D, size(v)) + to(size(m.D), slip)
+            away = away + OFF * (size(mid) + to(size(m.C), size(x)) + to(size(m.D), size(v)))
             ok &= (~seen | (away <= less * np.where(seen, s, 1))).all(0)
             if j + 1 < self.window:
-                off = size(m.A) @ off + m.wide_A @ (size(x) + off) + m.wide_B @ size(v) + size(m.B) @ slip + m.wide_w[:, None]
-                off = off + OFF * (size(m.A) @ size(x) + size(m.B) @ size(v) + (size(m.w) + size(m.W).sum(1))[:, None])
-                x = m.A @ x + m.B @ v + m.w[:, None] + m.W @ w[j]
+                off = to(size(m.A), off) + to(m.wide_A, size(x) + off) + to(m.wide_B, size(v)) + to(size(m.B), slip) + m.wide_w[:, None]
+                off = off + OFF * (to(size(m.A), size(x)) + to(size(m.B), size(v)) + (size(m.w) + size(m.W).sum(1))[:, None])
+                x = to(m.A, x) + to(m.B, v) + m.w[:, None] + to(m.W, w[j])
         return ok, *middle
 
     def _tested(self, state, count, given, rounded):
@@ -216,6 +218,8 @@ class JointObserver(SetObserver):
         right = self._consistent(state, begin, asked & ~wrong & state.told & (since == 0))
         if wrong.any():
             first = wrong & (np.cumsum(wrong, 0) == 1)
+            before_it = np.cumsum(first, 0) - first == 0  # windows behind it speak of what is given up
+            asked, right = asked & before_it, right & before_it
             after, found = self._contradicted(before, count, given, rounded, first, after, found)
             wrong = first
         held = after.age.reshape(len(self.weights), -1)
@@ -256,7 +260,7 @@ class JointObserver(SetObserver):
         if not len(ks):
             return wrong, margin, ends
         later = np.arange(self.window)[:, None] > begin + ks
-        cut = lambda tree, chosen: jax.tree.map(lambda x: x[..., lanes[chosen]], tree)
+        cut = lambda tree, chosen: _cut(tree, lanes[chosen])
 
         def samples(chosen):
             one = cut(state.window, chosen)
@@ -265,7 +269,7 @@ class JointObserver(SetObserver):
         def job(chosen):
             return self._gauges(cut(state.prior, chosen), samples(chosen))[:3]
 
-        size = SIZES[len(ks) > SIZES[0]]
+        size = ROOM
         value, bound, t = (np.concatenate(x)[: len(ks)] for x in zip(*in_blocks(job, len(ks), size), strict=True))
         refuted = np.abs(value) > bound
         wrong[ks, lanes] = refuted
@@ -289,13 +293,13 @@ class JointObserver(SetObserver):
             return out
 
         def job(chosen):
-            cut = lambda tree: jax.tree.map(lambda x: x[..., lanes[chosen]], tree)
+            cut = lambda tree: _cut(tree, lanes[chosen])
             later, seen, path = np.arange(self.window)[:, None] > begin + ks[chosen], cut(state.window), cut(state.path)
             seen = seen._replace(rad=np.where(later[:, None], np.inf, seen.rad).astype(self._dtype))
             *_, z, window = self._gauges(path, seen)
             return self._explained(path, seen, *split(z, window)[:2])[0]
 
-        out[ks, lanes] = np.concatenate(in_blocks(job, len(ks), SIZES[len(ks) > SIZES[0]]))[: len(ks)]
+        out[ks, lanes] = np.concatenate(in_blocks(job, len(ks), ROOM))[: len(ks)]
         return out
 
     def _gauges(self, prior, samples):
@@ -307,26 +311,26 @@ class JointObserver(SetObserver):
     def _supports(self, prior, samples, D, width, J, before=False):
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows, D (r, n), J (N,); width (r, N): about theirs."""
         rows, N, earlier = len(D), prior.c.shape[-1], before and self._unknown is not None  # than what unknown inputs add
-        scale = 2.0 ** np.round(np.log2(1 / np.where((width > 0) & np.isfinite(width), width, 1)))
+        scale = np.ldexp(1.0, -np.frexp(np.where((width > 0) & np.isfinite(width), width, 1))[1])
         out = np.full((2, rows, N), np.inf)
 
         # several bounds of one first state are nearly parallel: closer to the optimum their multipliers lose their digits
         close = 1e-4 if self._dtype == np.float32 else 1e-6 if np.isfinite(prior.rad).any() else 1e-9
 
         def job(chosen):
-            some, seen = (jax.tree.map(lambda x: x[..., chosen], tree) for tree in (prior, samples))
+            some, seen = (_cut(tree, chosen) for tree in (prior, samples))
             *_, z, window = self._gauges(some, seen)
             found = []
             for sign in (-1, 1):
                 for i in range(rows):
                     d = (sign * D[i][:, None] * scale[i, chosen]).astype(self._dtype)
-                    pulled = (self._exact.A.T @ d).astype(self._dtype) if earlier else d
+                    pulled = product(self._exact.A.T, d.astype(np.float64)).astype(self._dtype) if earlier else d
                     weight, *_ = searched(window, z, close, pulled, J[chosen] - earlier)
                     value, bound = enclosed(self._exact, self._strips, some, seen, weight, d, J[chosen], before, self._runs)
                     found.append(np.where(np.isfinite(bound), _sum_up(value, bound) / scale[i, chosen], np.inf))
             return np.stack(found, -1)
 
-        size = SIZES[N > SIZES[0]]
+        size = ROOM
         out = np.concatenate(in_blocks(job, N, size))[:N].T.reshape(2, rows, N)
         return -out[0], out[1]
 
@@ -368,23 +372,8 @@ class JointObserver(SetObserver):
 
     @cached_property
     def _principal(self):
-        """Principal directions of a Kalman filter after 0, 1, .. blocks. Any would do; these are rounded as they come."""
-        x = self._exact
-        size = max(float(np.max(x.noise, initial=0)), float(np.abs(x.W).max(initial=0)), 1e-6)
-        R, Q = (x.noise + x.tolerance * size) ** 2 / 3 + (1e-9 * size) ** 2, x.W @ x.W.T / 3
-        P, out = np.eye(len(x.A)) * (1e4 * size) ** 2, []
-        for _ in range(SETTLED + 1):
-            values, V = np.linalg.eigh(P)
-            root = np.sqrt(np.maximum(values, 1e-14 * values.max()))
-            out.append(((V / root).T.astype(self._dtype).astype(np.float64), V * root))
-            for _ in range(self.window // 2):
-                if x.free is not None:
-                    M, H = x.free.M[..., 0], x.free.H[..., 0]
-                    P = M @ P @ M.T + (H * R) @ H.T + np.eye(len(M)) * (1e-6 * size) ** 2
-                K = np.linalg.solve(x.C @ P @ x.C.T + np.diag(R), x.C @ P).T
-                P = P - K @ x.C @ P
-                P = x.A @ (P + P.T) @ x.A.T / 2 + Q
-        return out
+        """Directions of the blocks, [(D, back)], see `principal`."""
+        return principal(self._exact, self.window // 2, SETTLED, self._dtype)
 
 
 METHODS["joint"] = JointObserver
@@ -393,6 +382,11 @@ METHODS["joint"] = JointObserver
 def _bounded(prior):
     """Say which sets are bounded, (N,) bool."""
     return np.isfinite(prior.c).all(0) & np.isfinite(prior.S).all((0, 1)) & np.isfinite(prior.r).all(0)
+
+
+def _cut(tree, lanes):
+    """Return some recordings, in the order of memory that all have."""
+    return jax.tree.map(lambda x: np.take(x, lanes, -1), tree)
 
 
 def _sum_up(a, b):

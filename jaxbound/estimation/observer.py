@@ -28,21 +28,21 @@ from jaxbound.models.unknown_directions import unknown_directions, with_direct_s
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.probe import refuse_unverified
-from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 __all__ = ["Observation", "ObserverState", "SetObserver", "observe", "observer"]
 
-BLOCK = 128
-"""Recordings side by side in one kernel: their sets should stay in the cache."""
+BLOCK = 32
+"""Sets side by side in the one kernel there is: they should stay in the cache. It is filled up, since kernels of other shapes round
+otherwise: what is said of a recording would depend on what stands beside it."""
+EVEN = 8
+"""Recordings in a block are a multiple of it: vectors have no rest, so that a recording's place in it does not matter."""
 WEIGHTS = (1.0, 30.0, 1000.0)
 """Sets side by side where nothing else is asked for: one for what is sudden, two for what lasts and what is slow."""
-PIECES = (16, 1024)
-"""Samples that a kernel is compiled for: the few up to `SHORT` share the one of a monitor."""
-SHORT = 64
+PIECE = 16
+"""Samples that the kernel is compiled for."""
 
 
 @readable
@@ -337,22 +337,30 @@ class SetObserver(Observer):
 
     def _followed(self, past, count, u, y, slip, fresh, rounded):
         """Return (Carry, Found (T, .., N), the Read or nothing) of samples as of `_given`; a carry of one recording is that of all."""
-        lanes = len(self.weights)
-        if count == 1:  # nothing to cut or to copy: who follows a recording sample by sample is in a hurry
-            past, found, known = self._block(past, (u, y, slip, fresh), rounded)
-            return past, joined(steps.Found(*(x[..., None] for x in found))), known
+        lanes, room = len(self.weights), self._room
+        if count == 1:  # nothing to cut: who follows a recording sample by sample is in a hurry
+            full = lambda x: np.repeat(np.asarray(x), room, -1)
+            past, found, known = self._block(jax.tree.map(full, past), [full(x) for x in (u, y, slip, fresh)], rounded)
+            past = jax.tree.map(lambda x: np.array(np.asarray(x)[..., ::room]), past)
+            known = jax.tree.map(lambda x: x[..., :1], known)
+            return past, joined(steps.Found(*(x[..., ::room, None] for x in found))), known
         past = jax.tree.map(lambda x: np.asarray(x).reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes), past)
         past = jax.tree.map(lambda x: np.repeat(x, count // x.shape[-1], -1), past)
         beside = lambda x: x.reshape(*x.shape[:-2], x.shape[-2] * x.shape[-1])
         cut = lambda block: jax.tree.map(lambda x: beside(x[..., block]), past)
         job = lambda block: self._block(cut(block), [x[..., block] for x in (u, y, slip, fresh)], rounded)
-        done = in_blocks(job, count, min(max(BLOCK // lanes, 1), power(count)))
-        split = lambda x: x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
+        done = in_blocks(job, count, room)
+        split = lambda x: np.asarray(x).reshape(*x.shape[:-1], lanes, room)
         together = lambda *parts: np.concatenate([split(x) for x in parts], -1)[..., :count]
         pasts, founds, reads = zip(*done, strict=True)
         past, found = (jax.tree.map(together, *parts) for parts in (pasts, founds))
         known = jax.tree.map(lambda *parts: np.concatenate(parts, -1)[..., :count], *reads)
         return jax.tree.map(beside, past), joined(found), known
+
+    @cached_property
+    def _room(self):
+        """How many recordings a block has."""
+        return max(BLOCK // len(self.weights) // EVEN, 1) * EVEN
 
     def _block(self, carry, samples, rounded):
         """Follow some recordings side by side, piece by piece; return (Carry, where it was worked out, Found, Read or None)."""
@@ -360,9 +368,8 @@ class SetObserver(Observer):
         parts: list = []
         how = len(self.weights), 2 if self.enclosures else int(self.hulls), self.restart, self.hulls
         while first < T or not parts:
-            length = PIECES[0] if T - first <= SHORT or is_outside_xla() else PIECES[1]
-            stop = min(first + length, T)
-            given = (*(_filled(x[first:stop], length) for x in samples), rounded)
+            stop = min(first + PIECE, T)
+            given = (*(_filled(x[first:stop], PIECE) for x in samples), rounded)
             carry, *found = steps.follow(numbers, start, carry, given, stop - first, *how)
             parts.append(jax.tree.map(lambda x: np.asarray(x)[: stop - first], found))  # noqa: B023
             first = stop

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxbound.estimation.ordered import added, mapped, product
 from jaxbound.estimation.window_runs import Runs, bounds_of
 from jaxbound.estimation.window_search import Window
 from jaxbound.estimation.zonotope_steps import Numbers
@@ -60,10 +61,10 @@ def window_of(plant: Numbers, strips: np.ndarray, prior: Prior, samples: Samples
     M, H, tested = _taken_out(plant)
     e = np.empty(samples.mid.shape)
     for j in range(L):
-        known = samples.mid[j] - plant.D @ samples.v[j]
-        x = x if M is None else M @ x + H @ known
-        e[j] = known - plant.C @ x
-        x = plant.A @ x + plant.B @ samples.v[j] + plant.w[:, None]
+        known = samples.mid[j] - product(plant.D, samples.v[j])
+        x = x if M is None else product(M, x) + product(H, known)
+        e[j] = known - product(plant.C, x)
+        x = product(plant.A, x) + product(plant.B, samples.v[j]) + plant.w[:, None]
     seen = np.isfinite(samples.rad)
     least = 1e-9 * np.max(np.where(seen, samples.rad, 0), (0, 1), keepdims=True) + 1e-30  # a search divides by it
     S = prior.S + np.eye(len(prior.r))[:, :, None] * prior.r[None]
@@ -82,7 +83,10 @@ def window_of(plant: Numbers, strips: np.ndarray, prior: Prior, samples: Samples
     held = np.isfinite(prior.rad)
     thin = 1e-9 * np.max(np.where(held, prior.rad, 0), 0, initial=0) + 1e-30
     flat = lambda strip, x: np.concatenate([strip, x[:, tested].reshape(L * p, -1)])
-    first = np.where(held, prior.mid - strips @ np.asarray(prior.c, np.float64), 0), np.where(held, np.maximum(prior.rad, thin), np.inf)
+    first = (
+        np.where(held, prior.mid - product(strips, np.asarray(prior.c, np.float64)), 0),
+        np.where(held, np.maximum(prior.rad, thin), np.inf),
+    )
     rows_of = np.concatenate([strips, np.tile(plant.C[tested], (L, 1))])
     given = A, W, S, rows_of, flat(first[0], np.where(seen, e, 0)), flat(first[1], s)
     A, W, S, c, e, s = (np.asarray(x, dtype) for x in given)
@@ -104,8 +108,8 @@ def _taken_out(plant):
 def reach_before(plant: Numbers, prior: Prior, samples: Samples) -> np.ndarray:
     """Return (L, n, N): at least the size of what A, B and w make of each state, before unknown inputs are added to it."""
     size = jax.tree.map(np.abs, plant)
-    first = np.abs(prior.c) + np.abs(prior.S).sum(1) + prior.r
-    into = lambda X, wide, x: np.einsum("ij,ljN->liN", X + wide, x[:-1].astype(np.float64))
+    first = np.abs(prior.c) + added(np.abs(prior.S), 1) + prior.r
+    into = lambda X, wide, x: mapped(X + wide, x[:-1].astype(np.float64), 1)
     with np.errstate(invalid="ignore", over="ignore"):
         moved = into(size.A, size.wide_A, np.where(np.isfinite(samples.reach), samples.reach, 1e300))
     moved += into(size.B, size.wide_B, np.abs(samples.v)) + into(size.B, 0, samples.slip)
@@ -125,7 +129,8 @@ def enclosed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (value, bound), each (N,) in float64: d x_J lies in value +- bound for all that explains the samples.
 
-    An infinite bound shows nothing. Worked out on the host: a program would be compiled for longer than most recordings take.
+    An infinite bound shows nothing. Windows stand side by side in blocks of one size, so that none depends on those beside it. All on the
+    host: a program would be compiled for longer than most recordings take.
 
     Args:
         plant, strips, runs: as of `window_of`. weight (R + a, N): multipliers of the rows of its Window and of its runs, any. d (n, N),
@@ -149,12 +154,12 @@ def enclosed(
     q, r = np.zeros((L + 1, n, N)), np.zeros((L, n, N))  # of the state after each sample; the last one has none
     behind, ahead = (0 * pull, pull) if before and M is not None else (pull, 0 * pull)
     for j in reversed(range(L)):
-        r[j] = plant.C.T @ l[j] + plant.A.T @ q[j + 1] - behind[j]
-        q[j] = r[j] if M is None else M.T @ r[j] - ahead[j]
-    first, q, size = q[0] + strips.T @ strip, q[1:], jax.tree.map(np.abs, plant)
+        r[j] = product(plant.C.T, l[j]) + product(plant.A.T, q[j + 1]) - behind[j]
+        q[j] = r[j] if M is None else product(M.T, r[j]) - ahead[j]
+    first, q, size = q[0] + product(strips.T, strip), q[1:], jax.tree.map(np.abs, plant)
     into, sums = lambda M, x: np.einsum("ij,ljN->liN", M, x), lambda x: x.sum((0, 1))
     off = into((size.wide_C + gamma * size.C).T, np.abs(l)) + into((size.wide_A + gamma * size.A).T, np.abs(q)) + gamma * np.abs(pull)
-    off[0] += gamma * (np.abs(strips).T @ np.abs(strip) + np.abs(first))
+    off[0] += gamma * (product(np.abs(strips).T, np.abs(strip)) + np.abs(first))
     if M is not None:
         l = l - into(H.T, r)
     a, b = np.abs(q), np.abs(l)
@@ -185,8 +190,10 @@ def _of_runs(runs, rad, s, u):
     b = bounds_of(runs, rad)
     u = np.where(np.isfinite(b) & (np.abs(u) < 2.0**60), u, 0)
     b, size, turned = np.where(np.isfinite(b), b, 0), np.abs(u), lambda F, x: np.einsum("aLp,aN->LpN", F, x)
-    whole = (turned(np.abs(runs.v), size) * s).sum((0, 1)) + turned(np.abs(runs.w), size).sum((0, 1)) + np.abs(runs.m) @ size
-    return turned(runs.v, u), turned(runs.w, u), runs.m @ u, (b * size).sum(0), whole
+    whole = (
+        (turned(np.abs(runs.v), size) * s).sum((0, 1)) + turned(np.abs(runs.w), size).sum((0, 1)) + (np.abs(runs.m)[:, None] * size).sum(0)
+    )
+    return turned(runs.v, u), turned(runs.w, u), (runs.m[:, None] * u).sum(0), (b * size).sum(0), whole
 
 
 def _of_taking_out(plant, size, prior, samples, r, gamma, pull):

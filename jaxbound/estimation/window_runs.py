@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxbound.estimation.ordered import mapped
 from jaxbound.sets.floats import rounding
 
 __all__ = ["Runs", "bounds_of", "runs_of"]
@@ -55,5 +56,5 @@ def bounds_of(runs: Runs, rad: np.ndarray) -> np.ndarray:
     followed = np.cumsum(seen.any(1)[::-1], 0)[::-1] > 0  # by a sample, or at one
     followed = np.concatenate([followed[1:], np.zeros_like(followed[:1])])
     lost = np.einsum("aLp,LpN->aN", runs.v != 0, ~seen) + np.einsum("aLg,LN->aN", runs.w != 0, ~followed)
-    b = runs.bound[:, None] + np.einsum("aLp,LpN->aN", np.abs(runs.v), excess)
+    b = runs.bound[:, None] + mapped(np.abs(runs.v).reshape(len(runs.v), -1), excess.reshape(-1, excess.shape[-1]))
     return np.where(lost > 0, np.inf, b * (1 + 1e-12) + 2.0**-500)

@@ -19,11 +19,14 @@ behind it, all at once (Woodbury): one more right-hand side each.
 What comes out are multipliers, one a sample. Any numbers will do for the proof (`window_proof`); these are nearly the best ones.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from jaxbound.estimation.ordered import product
 
 __all__ = ["Window", "middle", "searched", "split"]
 
@@ -72,7 +75,7 @@ def middle(window: Window) -> np.ndarray:
     if window.averages is None:
         return z
     F, _, m, b = window.averages
-    return np.concatenate([z, m + F @ np.where(np.isfinite(window.s), window.e, 0) / b])
+    return np.concatenate([z, m + product(F, np.where(np.isfinite(window.s), window.e, 0)) / b])
 
 
 def _dot(M, X):
@@ -88,7 +91,7 @@ def _solved(window, D, rho, d, J):
     a, first = len(b), window.S.shape[1]
     after = len(D) - a - len(window.c)
     s = jnp.where(jnp.isfinite(window.s), window.s, 0)[:, None]
-    mixed = lambda F, X: (F @ X.reshape(len(X), -1)).reshape(len(F), *X.shape[1:])
+    mixed = lambda F, X: (F @ X.reshape(len(X), math.prod(X.shape[1:]))).reshape(len(F), *X.shape[1:])
     rows = lambda z: (mixed(F_v, s * z[after:]) + mixed(F_w, z[first:after])) / b[:, None]
     into = lambda x: [jnp.zeros((first, *x.shape[1:]), x.dtype), mixed(F_w.T, x), s * mixed(F_v.T, x)]
     back = lambda x: jnp.concatenate(into(x / b[:, None]))

@@ -159,7 +159,7 @@ class Found(NamedTuple):
     outputs: Any
 
 
-@kernel(static_argnames=("lanes", "enclosures", "also"))
+@kernel(static_argnames=("lanes", "enclosures", "also"), compiler_options={"xla_cpu_multi_thread_eigen": False})
 def follow(
     plant: Numbers, start: Start | None, carry: Carry, samples: tuple, stop: int, lanes: int, enclosures: int, restart: jax.Array | bool,
     also: bool = False,
@@ -267,7 +267,8 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     carry = carry._replace(age=age, empty=empty)
     if start is not None:
         begin = (age < 0) & (ready > len(carry.mid))
-        fill = lambda state: (*(begun := _begun(plant, start, carry, now, begin, *state[:4])), sized(*begun[:3]))
+        filled = lambda begun, size: (*begun, jnp.where(begin[None], sized(*begun[:3]), size))  # of others nothing changes
+        fill = lambda state: filled(_begun(plant, start, carry, now, begin, *state[:4]), state[4])
         c, G, r, age, size = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age, size))
         carry = carry._replace(age=age)
     if enclosures:

@@ -200,7 +200,8 @@ def _combinations(model: LinearSystem) -> Sequence[Vector] | None:
     A box around G d forgets that its entries move together. With T G = [I, 0]', T regular, nothing is lost where A and B are certain;
     where they are not, T would widen what is certain of a single row: all rows stay, those without any disturbance are added.
     """
-    G, n, g = model.G, model.n, model.g
+    moving = [j for j, (lo, hi) in enumerate(model.disturbance) if lo < hi]  # of the others nothing is unknown
+    G, n, g = [[row[j] for j in moving] for row in model.G], model.n, len(moving)
     if not g or linalg.rank(G) in (0, n):
         return None
     unit = [tuple(Fraction(i == j) for j in range(n)) for i in range(n)]

@@ -41,6 +41,7 @@ from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, read
 from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
 from jaxbound.relations.sentence import main_terms, relation_text
+from jaxbound.relations.still import moving
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
@@ -99,6 +100,10 @@ class ParityRelation:
         return {"horizon": self.horizon} if self.lags is None else {"lags": self.lags}
 
     @cached_property
+    def _moving(self) -> "ParityRelation | None":
+        return moving(self, parity_relations)
+
+    @cached_property
     def _joint(self) -> Strips:
         return strips_of(self.circuits, self.circuits_known)
 
@@ -122,6 +127,8 @@ class ParityRelation:
             ValueError: a method, budget or compensation that these relations cannot be tested by.
         """
         refuse_options(method, budget, compensation)
+        if self._moving is not None:
+            return self._moving.test(method, dtype, budget, compensation)
         if self.model.averages and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if method == "paving":

@@ -77,7 +77,7 @@ def refuse_unverified(*given: object) -> None:
 
 
 def refuse_other_modes() -> None:
-    """Raise Unverified if this process does not round to the nearest float, on which every bound in `rounding` rests.
+    """Raise Unverified if this process does not round to the nearest float, on which all bounds in `rounding` rest, or flushes small ones.
 
     Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on, in threads to come too.
     """
@@ -86,6 +86,11 @@ def refuse_other_modes() -> None:
         raise Unverified(
             "this process does not round to nearest: some library that was imported (codac does it) has changed the rounding mode of the "
             "processor, so nothing can be proved here; run it in another process, or set the mode back to nearest (fesetround)"
+        )
+    if not one * float(np.finfo(np.float64).tiny) / 2 > 0:
+        raise Unverified(
+            "this thread reads numbers below the smallest normal one as 0, or makes them 0: some library has set the processor to flush "
+            "them, so nothing can be proved here; ask in another thread or process, or switch that off"
         )
 
 

@@ -8,7 +8,8 @@ Each question asks whether some x in [-1, 1]^q has M x = d:
 
 and t, the least max|x_j| with M x = d, says how far it is from the other answer. The work is `gauges.gauge_bounds`; what is left of a
 single question, on the boundary or in a flat set, is settled in exact numbers (`feasibility`), of a batch it stays UNDECIDED. Inside jit
-and vmap the work is `kernels.bounds`, in the dtype of the sets, and what is left stays UNDECIDED.
+and vmap the work is `kernels.bounds`, in the dtype of the sets, and what is left stays UNDECIDED, as do all sets with an entry below the
+smallest normal number, which compiled code reads as 0.
 """
 
 import math
@@ -28,7 +29,7 @@ from jaxbound.sets.intervals.interval import interval, mid, rad
 from jaxbound.sets.zonotopes import certificate, kernels, proof
 from jaxbound.sets.zonotopes.constrained import AnySet
 from jaxbound.sets.zonotopes.gauges import gauge_bounds
-from jaxbound.sets.zonotopes.questions import Question, flat, numbers, traced
+from jaxbound.sets.zonotopes.questions import Question, flat, normal, numbers, traced
 from jaxbound.sets.zonotopes.zonotope import refuse_infinite
 
 __all__ = ["Answer", "Decision", "Separation", "contains_points", "intersects", "is_empty", "separate", "unscaled"]
@@ -134,7 +135,7 @@ def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
             box = interval(points)
             points, off = mid(box), rad(box).astype(dtype).reshape(math.prod(batch), -1, n)
             off = jnp.pad(off, ((0, 0), (0, 0), (0, sets[3].shape[-1])))
-        (points,) = kernels.settled(rounding.widened(jnp.asarray(points), dtype))
+        (points,) = kernels.settled(rounding.widened(normal(points), dtype))
     question = Question("contains", (flat(sets, batch),), points.reshape(math.prod(batch), -1, n))
     return _decide(question, lead, Answer.YES, off)
 

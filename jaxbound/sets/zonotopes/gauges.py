@@ -81,6 +81,7 @@ def _start(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds) -> np.n
     if not np.isfinite(image.loss).all():  # flat sets: points may be beside the plane
         beside = d - proof.product(z, turned)
         flat = abs(beside).max(2, initial=0) > 2.0**-30 * abs(d).max(2, initial=0)
+        flat &= ~np.isfinite(image.loss)[:, None]
         l, x = np.where(flat[..., None], beside, l), np.where(flat[..., None], z, x)
     sets, points = np.ogrid[: d.shape[0], : d.shape[1]]
     found.take((sets, points), image, d, l, x)
@@ -98,7 +99,8 @@ def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, fou
     before = d.size
     for steps in STEPS:
         left = ~_settled(found, False)
-        if not left.any() or (steps > STEPS[0] and left.sum() > FRUITLESS * before):
+        fruitless = d.shape[1] > 1 and left.sum() > FRUITLESS * before  # of one point a set: others are none of its business
+        if not left.any() or (steps > STEPS[0] and fruitless):
             break  # they are near the boundary, where projections take too long
         before = left.sum()
         at = _gathered(left)
@@ -135,7 +137,8 @@ def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: 
         x, l, s = search.reached(state)
         found.take(at, some, points, l, _onto(some, points, x))
         if m <= q:
-            M = some.M[0] if len(some.M) == 1 else np.repeat(some.M, points.shape[1], 0)
+            one = len(some.M) == 1 and points.shape[1] > 1  # a set of one point is worked out as if others stood beside it
+            M = some.M[0] if one else np.repeat(some.M, points.shape[1], 0)
             x, l = proof.vertices(M, rows(points), rows(x), rows(s))
             x, l = x.reshape(*points.shape[:2], q), l.reshape(points.shape)
             found.take(at, some, points, l, _onto(some, points, x))

@@ -15,7 +15,7 @@ from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.kernels import settled
 from jaxbound.sets.zonotopes.proof import library
 
-__all__ = ["Question", "flat", "numbers", "traced"]
+__all__ = ["Question", "flat", "normal", "numbers", "traced"]
 
 
 Parts: TypeAlias = tuple[Any, Any, Any, Any]
@@ -55,8 +55,17 @@ class Question:
         known: Any = True
         for v in (v for x in self.sets for v in x):
             known = known & library(v).isfinite(v).all(tuple(range(1, v.ndim)))
-        known = known[:, None]
+        known = known[:, None] & self._distinct()
         return known if self.points is None else known & library(self.points).isfinite(self.points).all(2)
+
+    def _distinct(self) -> Any:
+        """Return (S, N) or True: inside jit, where centers and points differ by no less than what may be read as 0, or not at all."""
+        c, *_ = self.sets[0]
+        if library(c) is not jnp or (self.points is None and len(self.sets) < 2):
+            return True
+        others = self.sets[1][0][:, None] if self.points is None else self.points
+        away = jnp.abs(others - c[:, None])
+        return jnp.all((away >= 4 * rounding.tiny(c.dtype)) | (others == c[:, None]), 2)
 
     def exact(self, at: tuple[int, int]) -> tuple[list[list[Fraction]], list[list[Fraction]]]:
         """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first column of D.
@@ -93,7 +102,18 @@ def numbers(*sets: AnySet, points: ArrayLike | None = None) -> list[Parts]:
         return [(np.asarray(c, float), np.asarray(G, float), np.asarray(A, float), np.asarray(b, float)) for c, G, A, b in found]
     leaves, tree = jax.tree.flatten(found)
     dtype = jnp.result_type(*leaves, *([] if points is None else [points]), np.float32)
-    return jax.tree.unflatten(tree, settled(*(rounding.widened(jnp.asarray(x), dtype) for x in leaves)))
+    return jax.tree.unflatten(tree, settled(*(rounding.widened(normal(x), dtype) for x in leaves)))
+
+
+def normal(x: Any) -> jax.Array:
+    """Return x with NaN for numbers below the smallest normal one, of which nothing is decided inside jit: it would read them as 0."""
+    x = jnp.asarray(x)
+    if not jnp.issubdtype(x.dtype, jnp.floating):
+        return x
+    info = jnp.finfo(x.dtype)
+    bits = jax.lax.bitcast_convert_type(x, jnp.dtype(f"uint{info.bits}"))  # a comparison would read 0, too
+    of_size = bits << 1
+    return jnp.where((of_size != 0) & (of_size >> (info.nmant + 1) == 0), jnp.nan, x)
 
 
 def traced(tree: object) -> bool:

@@ -186,6 +186,8 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
     if xp is jnp:
         L = jnp.linalg.cholesky(normal)
         return lambda r: jax.scipy.linalg.cho_solve((L, True), r[..., None])[..., 0]
+    if N == 1:  # each by itself: the same bits whatever stands beside it
+        return lambda r: _each_alone(normal, r)
     solve = _factored(normal.reshape(S * N, m, m))
     return lambda r: solve(r.reshape(S * N, m)).reshape(S, N, m)
 
@@ -205,6 +207,16 @@ def _one_by_one(M: np.ndarray, s: np.ndarray, room: float) -> Callable[[np.ndarr
         factors.append(dpotrf(normal, overwrite_a=True, clean=False)[0])
     flat = lambda r: r.reshape(-1, r.shape[2])
     return lambda r: np.array([dpotrs(L, v)[0] for L, v in zip(factors, flat(r), strict=True)]).reshape(r.shape)
+
+
+def _each_alone(normal: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Return f with normal f = r, (.., m, m) by (.., m); NaN where there is none."""
+    try:
+        return np.linalg.solve(normal, r[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        regular = (np.linalg.slogdet(normal)[0] != 0)[..., None]
+        one = np.where(regular[..., None], normal, np.eye(normal.shape[-1]))
+        return np.where(regular, np.linalg.solve(one, r[..., None])[..., 0], np.nan)
 
 
 def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

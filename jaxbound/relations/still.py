@@ -1,0 +1,54 @@
+"""Disturbances that are 0, or so small that nothing shows them: a row of a window without a width leaves a search nothing to divide by."""
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbound.exact import linalg
+from jaxbound.sets.floats import rounding
+
+__all__ = ["moving"]
+
+VANISHING = 2.0**-900
+"""Bounds below which a disturbance counts as 0; what it does to the outputs is added to their noise."""
+
+
+def moving(relations: Any, made: Callable[..., Any]) -> Any:
+    """Return relations without those of their disturbances that are 0; None if there are no such. made: what makes relations of a model."""
+    model, bounds = relations.model, relations.bounds
+    ends = bounds.get("disturbance")
+    averaged = any(a.signal not in model.outputs for a in model.averages)
+    if ends is None or averaged or any(isinstance(x, jax.core.Tracer) for x in bounds.values()):
+        return None
+    still = (np.abs(ends) < VANISHING).all(1)
+    if not still.any():
+        return None
+    less = made(_without(model, still), form=relations.form, **relations.window)
+    kept = {name: bounds[name] for name in less.bounds} | {"noise": _noise(relations, np.where(still[:, None], ends, 0))}
+    if not still.all():
+        kept["disturbance"] = np.asarray(ends)[~still]
+    return less.with_bounds(kept)
+
+
+def _without(model, still):
+    """Return the model without some of its disturbances (g,)."""
+    rest = np.flatnonzero(~still)
+    pairs = [model.disturbance[j] for j in rest]
+    return model.replace(disturbance=([[row[j] for j in rest] for row in model.G], pairs) if pairs else None)
+
+
+def _noise(relations, ends):
+    """Return noise (p,) that holds what disturbances within ends (g, 2) add to the outputs of a window, too: the same if they are 0."""
+    model, noise = relations.model, relations.bounds["noise"]
+    if not ends.any():
+        return noise
+    size = [Fraction(float(x)) for x in np.abs(ends).max(1)]
+    rows, more = model.C, [Fraction(0)] * model.p
+    for _ in range(relations.horizon):
+        through = linalg.matmul(rows, model.G)
+        more = [x + sum((abs(a) * b for a, b in zip(row, size, strict=True)), Fraction(0)) for x, row in zip(more, through, strict=True)]
+        rows = linalg.matmul(rows, model.A)
+    return rounding.round_up([Fraction(float(a)) + b for a, b in zip(noise, more, strict=True)])

@@ -1,0 +1,42 @@
+"""Sets with entries below the smallest normal number: the same answer eagerly and inside jit, or none."""
+
+from fractions import Fraction
+
+import jax
+import numpy as np
+import pytest
+
+from jaxbound.sets import constrained_zonotope, contains, intersects, is_empty, zonotope
+
+SIZES = {np.float32: (1.2e-38, 3e-40), np.float64: (1e-300, 3e-310)}
+YES, OPEN, NO = 1, 0, -1
+
+
+def both(question, *given):
+    """Return the answers outside and inside jit."""
+    return int(question(*given).answer), int(jax.jit(lambda *x: question(*x).answer)(*given))
+
+
+@pytest.mark.parametrize("dtype", SIZES)
+def test_inside_jit_nothing_is_decided_of_what_is_read_as_0(dtype):
+    a, b = (dtype(x) for x in SIZES[dtype])
+    A, at = np.array([[a, b]]), np.array([a + b])
+    assert Fraction(float(a)) + Fraction(float(b)) >= Fraction(float(at[0]))
+    assert both(is_empty, constrained_zonotope(np.zeros(1, dtype), np.ones((1, 2), dtype), A, at)) == (NO, OPEN)
+    assert both(contains, zonotope(np.zeros(1, dtype), A), at) == (YES, OPEN)
+    beside = zonotope(np.array([b]), np.array([[a]]))
+    assert both(contains, beside, np.array([-a])) == (NO, OPEN)
+    assert both(contains, beside, zonotope(np.zeros(1, dtype), np.array([[a]]))) == (NO, OPEN)
+    assert both(intersects, beside, zonotope(np.array([-a - a]), np.array([[a]]))) == (NO, OPEN)
+
+
+@pytest.mark.parametrize("dtype", SIZES)
+def test_inside_jit_nothing_is_decided_of_a_difference_that_is_read_as_0(dtype):
+    least = np.finfo(dtype).tiny
+    Z = zonotope(np.array([least * dtype(1.25)]), np.array([[least]]) * dtype(1.5))
+    near = np.array([least * dtype(1.5)])
+    eager, compiled = both(contains, Z, near)
+    assert eager == YES and compiled == OPEN
+    assert both(contains, Z, np.array([least * dtype(1.25)]))[1] in (YES, OPEN)
+    far = np.array([least * dtype(8)])
+    assert both(contains, Z, far) == (NO, NO)
