@@ -199,9 +199,9 @@ class TestUnits:
 
     def test_units_that_the_model_states_rule_conversions_out(self, healthy):
         _, u, y = healthy
-        for unit, words in (("K", None), ("degC", "kelvin where the model has degC")):
+        for unit, count in (("K", 0), ("degC", 1)):
             hints = jb.detect(jb.parity_relations(thermal(units={"T1": unit, "T2": unit})), u, y + 273.15).hints
-            assert (words is None and not hints) or any(words in hint for hint in hints)
+            assert sum("kelvin where the model has degC" in hint for hint in hints) == sum("look" in hint for hint in hints) == count
 
     def test_other_faults_are_none_of_units(self, healthy):
         _, u, y = healthy
@@ -217,7 +217,7 @@ class TestUnits:
         _, u, y = healthy
         still = 20 + np.random.default_rng(0).uniform(-0.1, 0.1, y.shape)
         res = jb.detect(jb.parity_relations(thermal(), 3), u, still)
-        assert res.counts["FAULT"] > N / 2 and res.hints == ()
+        assert res.counts["FAULT"] > N / 2 and not any("look" in hint for hint in res.hints)
 
 
 class TestTclab:

@@ -7,10 +7,10 @@ Of the CONSISTENT windows a few are looked at too: one that NumPy refutes says t
 
 import warnings
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Any
 
 import jax
-import jaxlib
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, WindowTest
@@ -102,7 +102,7 @@ class Twice:
 
 def warn_doubtful(what: str) -> None:
     """Warn of verdicts that NumPy does not confirm, with a line for a report."""
-    versions = f"jax {jax.__version__}, jaxlib {jaxlib.__version__}, numpy {np.__version__}, {jax.default_backend()}"
+    versions = f"jax {jax.__version__}, jaxlib {version('jaxlib')}, numpy {np.__version__}, {jax.default_backend()}"
     warnings.warn(
         f"{what}: NumPy does not confirm it from the samples, so they are UNDECIDED. XLA may have computed or copied wrongly; "
         f"please report it with the model, these samples and this line: {versions}",

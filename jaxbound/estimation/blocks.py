@@ -8,6 +8,8 @@ from typing import TypeVar
 import jax
 import numpy as np
 
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
+
 __all__ = ["in_blocks"]
 
 T = TypeVar("T")
@@ -19,10 +21,10 @@ def in_blocks(job: Callable[[np.ndarray], T], count: int, size: int) -> list[T]:
     done = [job(first)]  # compiled here, once
     if not others:
         return done
-    wide = bool(jax.dtypes.canonicalize_dtype(float) == np.float64)  # of this thread, perhaps
+    wide, outside = bool(jax.dtypes.canonicalize_dtype(float) == np.float64), is_outside_xla()  # of this thread, perhaps
 
     def beside(block):
-        with jax.enable_x64(wide):
+        with jax.enable_x64(wide), outside_xla(outside):
             return job(block)
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # compiled code runs outside the interpreter's lock

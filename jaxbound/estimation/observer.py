@@ -297,9 +297,9 @@ class SetObserver(Observer):
         return ObserverState(carry, np.int64(0))
 
     @property
-    def starts_anew(self) -> bool:
-        """Whether samples alone show the state."""
-        return self._start is not None
+    def shown_after(self) -> float:
+        """How many samples have passed when a sample alone can contradict those before; inf where samples do not show the state."""
+        return np.inf if self._start is None else self._past
 
     def continued(self, carry: Any) -> "SetObserver":
         """Return the same observer, which begins with what was carried, as `fold` returns it."""

@@ -6,6 +6,7 @@ on samples of a piece before that nobody keeps, begins with the set that XLA car
 """
 
 import copy
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,8 +24,8 @@ __all__ = ["decided_twice"]
 
 LENGTHS = (16, 64, 256, 1024)
 """Samples that are followed once more."""
-BESIDE = (1, 16, 128)
-"""Stretches that are followed side by side: a program is written down for each."""
+BESIDE = 128
+"""Stretches that are followed side by side, at most."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,12 @@ def _doubtful(watch, carry, piece, status):
     """Return bool like status (..., T): which FAULTs of a piece are not proved outside XLA."""
     flat = status.reshape(-1, status.shape[-1])
     left = list(_doubts(watch, carry, piece, flat))
+    shorter = watch.shown_after
     for length in LENGTHS:
-        near = [doubt for doubt in left if watch.starts_anew and _shorter(doubt, length)]
+        near = [doubt for doubt in left if doubt.end - doubt.begin >= shorter]
         refuted = _by_samples(watch, piece, near, length)
         left = [doubt for doubt in left if doubt not in refuted]
+        shorter = length
     left = [doubt for doubt in left if not _by_carry(watch, carry, piece, doubt)]
     gone = np.zeros(flat.shape, bool)
     for doubt in left:
@@ -82,12 +85,6 @@ def _forgetful(watch):
     watch._x0 = watch._carried = None
     watch.__dict__.pop("_first", None)  # what "joint" works out of x0
     return watch
-
-
-def _shorter(doubt, length):
-    """Say whether so many samples are others than were followed before."""
-    count = doubt.end - doubt.begin + 1
-    return count > max((n for n in LENGTHS if n < length), default=0)
 
 
 def _doubts(watch, carry, piece, status) -> Iterator[_Doubt]:
@@ -108,23 +105,18 @@ def _doubts(watch, carry, piece, status) -> Iterator[_Doubt]:
 
 
 def _by_samples(watch, piece, doubts, length):
-    """Return those of the FAULTs that so many last samples show."""
-    if not doubts:
-        return []
-    u, y = (np.asarray(x).reshape(-1, *x.shape[-2:]) for x in (piece.u, piece.y))
+    """Return those of the FAULTs that so many last samples show, as a set."""
+    u, y = _beside(piece)
     cut = lambda x, doubt: x[doubt.recording, max(doubt.begin, doubt.end - length + 1) : doubt.end + 1]
     filled = lambda part: np.concatenate([np.full((length - len(part), part.shape[1]), np.nan, part.dtype), part])
-    found, most, watch = [], BESIDE[-1], _forgetful(watch)
-    for first in range(0, len(doubts), most):
-        some = doubts[first : first + most]
-        beside = next(n for n in BESIDE if n >= len(some))
-        chosen = [some[min(i, len(some) - 1)] for i in range(beside)]
-        samples = (np.stack([filled(cut(x, doubt)) for doubt in chosen]) for x in (u, y))
-        given = Recording(*(x[0] if beside == 1 else x for x in samples), NOWHERE, piece.inputs, piece.outputs)
+    found, watch = set(), _forgetful(watch)
+    for first in range(0, len(doubts), BESIDE):
+        some = doubts[first : first + BESIDE]
+        samples = (np.stack([filled(cut(x, doubt)) for doubt in some]) for x in (u, y))
         with outside_xla():
-            _, judged = watch.judged(watch.init(), given)
-        shown = (judged.status.reshape(beside, -1) == Status.FAULT).any(1)
-        found += [doubt for doubt, yes in zip(some, shown, strict=False) if yes]
+            _, judged = watch.judged(watch.init(), Recording(*samples, NOWHERE, piece.inputs, piece.outputs))
+        shown = (judged.status == Status.FAULT).any(-1)
+        found.update(doubt for doubt, yes in zip(some, shown, strict=True) if yes)
     return found
 
 
@@ -165,5 +157,11 @@ def _of_recording(piece, number):
     """Return one recording of a piece of several."""
     if piece.y.ndim == 2:
         return piece
-    u, y = (np.asarray(x).reshape(-1, *x.shape[-2:])[number] for x in (piece.u, piece.y))
-    return replace(piece, u=u, y=y)
+    u, y = _beside(piece)
+    return replace(piece, u=u[number], y=y[number])
+
+
+def _beside(piece):
+    """Return u (N, T, m), y (N, T, p) of a piece, whatever its leading axes."""
+    count = math.prod(piece.y.shape[:-2])
+    return [np.asarray(x).reshape(count, *x.shape[-2:]) for x in (piece.u, piece.y)]

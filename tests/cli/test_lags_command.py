@@ -41,7 +41,7 @@ def test_detect_tests_windows_with_lags_and_explain_finds_them_again(place, caps
     capsys.readouterr()
     assert main.main(["explain", "out", "--at", "30", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["status"] == "FAULT" and found["numbers"]["relation"]["h"][1] == ["0", "0"]
+    assert found["certificate"] == "FAULT" and found["numbers"]["relation"]["h"][1] == ["0", "0"]
 
 
 def test_the_lags_of_a_model_file_are_taken_and_a_horizon_takes_their_place(place):

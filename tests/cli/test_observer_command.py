@@ -36,7 +36,6 @@ def signals():
 def place(tmp_path, monkeypatch, signals):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr("jaxbound.estimation.observer.SHORT", T)  # all of it by the kernels of short recordings: fewer are compiled
     plant = jb.LinearSystem([["0.9", "0.05"], [0, "0.9"]], [[0], ["0.1"]], [[1, 0], [0, 1]], noise="0.1",
                             disturbance=([[1, 0], [0, 1]], "0.005"), inputs="heat", outputs=["T1", "T2"])  # fmt: skip
     jb.save_model(plant, "plant.toml")

@@ -1,0 +1,90 @@
+"""What it costs that every FAULT is decided twice: detect with and without the second decision, processor time by turns, in one run.
+
+python -m benchmarks.twice [--only strips,long]
+
+Healthy recordings should cost less than 3 % more; where every window is faulty, strips should take as long as blocked NumPy needs for the
+same sums (20 million windows a second on section 5), and searched windows less than 30 % more.
+"""
+
+import sys
+import time
+from unittest.mock import patch
+
+import jax
+import numpy as np
+
+import jaxbound as jb
+from benchmarks import timing
+
+ROUNDS = 5
+SECTION_5 = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
+DISTURBED = SECTION_5.replace(tolerance=0, disturbance=([[1], [1]], 0.02))
+SHAKY = SECTION_5.replace(uncertainties=[jb.Uncertainty("a", A=[["0.02", 0], [0, "0.01"]]), jb.Uncertainty("b", A=[[0, "0.05"], [0, 0]])])
+CONSTANT = SECTION_5.replace(constant_tolerance=True)
+CASES = {  # name: (relations, method, windows)
+    "strips": (lambda: jb.parity_relations(SECTION_5), "joint", 2_000_000),
+    "bank": (lambda: jb.redundancy(SECTION_5), "box", 1_000_000),
+    "long, 16 samples": (lambda: jb.parity_relations(SECTION_5, 15), "joint", 50_000),
+    "long, disturbed": (lambda: jb.parity_relations(DISTURBED, 15), "joint", 20_000),
+    "long, 41 samples": (lambda: jb.parity_relations(SECTION_5, 40), "joint", 20_000),
+    "constant, short": (lambda: jb.parity_relations(CONSTANT, 2), "joint", 20_000),
+    "constant, long": (lambda: jb.parity_relations(CONSTANT, 20), "joint", 5_000),
+    "uncertain": (lambda: jb.parity_relations(SHAKY), "joint", 20_000),
+    "uncertain, paving": (lambda: jb.parity_relations(SHAKY), "paving", 5_000),
+    "paving": (lambda: jb.parity_relations(SECTION_5), "paving", 2_000),
+    "observer": (lambda: jb.observer(DISTURBED), "observer", 12_000),
+    "observer, joint": (lambda: jb.observer(DISTURBED, method="joint"), "observer", 6_000),
+}
+
+
+def once():
+    """Return patches that leave the second decision out."""
+    return (
+        patch("jaxbound.consistency.drive.decided_twice", lambda test, judged, *_: judged),
+        patch("jaxbound.consistency.twice.Twice.decided", lambda self, margin, *_: np.asarray(margin)),
+        patch("jaxbound.estimation.second_look._doubtful", lambda watch, carry, piece, status: np.zeros(status.shape, bool)),
+    )
+
+
+def seconds(relations, method, u, y):
+    """Return (processor seconds of a detection, its Result)."""
+    begun = time.process_time()
+    found = jb.detect(relations, u, y, method=method)
+    return time.process_time() - begun, found
+
+
+def compared(relations, method, u, y):
+    """Return ((once, twice) in s, share of FAULT), the least of some rounds by turns."""
+    times = np.full((2, ROUNDS), np.inf)
+    seconds(relations, method, u, y)
+    for k in range(ROUNDS):
+        first, second, third = once()
+        with first, second, third:
+            times[0, k], alone = seconds(relations, method, u, y)
+        times[1, k], found = seconds(relations, method, u, y)
+        assert (alone.status == found.status).all()
+    return times.min(1), float((found.status == jb.Status.FAULT).mean())
+
+
+def main():
+    """Print the table."""
+    timing.header()
+    chosen = sys.argv[sys.argv.index("--only") + 1].split(",") if "--only" in sys.argv else CASES
+    print("| | healthy, us a window | + | faulty, us a window | + | FAULT |\n|---|---|---|---|---|---|")
+    for name in chosen:
+        make, method, count = CASES[name]
+        relations = make()
+        rng = np.random.default_rng(0)
+        shape = (count // 60, 60, 1) if "observer" in name else (count, 1)
+        u = rng.normal(size=shape)
+        healthy = np.array(jb.simulate(relations.model, u, jax.random.key(0), at="uniform").y)
+        faulty = healthy + 8 * rng.normal(size=healthy.shape)
+        cells = []
+        for y in (healthy, faulty):
+            (alone, both), share = compared(relations, method, u, y)
+            cells += [f"{1e6 * alone / count:.3g} / {1e6 * both / count:.3g}", f"{100 * (both / alone - 1):.0f} %"]
+        print(f"| {name} | {' | '.join(cells)} | {share:.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
