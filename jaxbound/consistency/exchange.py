@@ -48,7 +48,7 @@ class ExchangeTest(WindowTest):
             `separation.separation_search`.
     """
 
-    threads = True
+    threads = twice = True
     short = 16  # the work grows with the block
 
     def __init__(self, relations: Any, dtype: Any, reading: Any = None, steps: int | None = None, finer: float = 1.0) -> None:
@@ -73,20 +73,16 @@ class ExchangeTest(WindowTest):
         """The margins, whose sign is the verdict."""
         return ((self.dtype, np.nan),)
 
-    twice = True
-
     def judge(self, run: Callable, blocks: list) -> list:
         """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real arrays, as proofs need."""
         ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
         searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
         judged = run(verdicts, [(one, *found) for one, found in zip(ones, searched, strict=True)])
-        return [
-            (
-                self._twice.decided(margin, partial(self._by_hints, block, found), partial(self._contradicted, block, found)),
-                ~np.asarray(settled),
-            )
-            for block, found, (margin, settled) in zip(blocks, searched, judged, strict=True)
-        ]
+        decided = (
+            self._twice.decided(margin, partial(self._by_hints, block, found), partial(self._contradicted, block, found))
+            for block, found, (margin, _) in zip(blocks, searched, judged, strict=True)
+        )
+        return [(margin, ~np.asarray(settled)) for margin, (_, settled) in zip(decided, judged, strict=True)]
 
     @cached_property
     def _twice(self):
@@ -101,7 +97,8 @@ class ExchangeTest(WindowTest):
         """Return which windows of a block the combinations that the search found contradict; see `contradicted_by`."""
         if self.reading.filters:
             return np.zeros(len(at), bool)
-        return contradicted_by(self.reading, self.reading.shape, *(x[..., at] for x in block), np.asarray(found[0])[:, at])
+        u, y = (x[..., at] for x in block)
+        return contradicted_by(self.reading, self.reading.shape, u, y, np.asarray(found[0])[:, at])
 
     def write(self, outs: list, at: np.ndarray, found: tuple) -> None:
         """Write margins; a proof stays one."""

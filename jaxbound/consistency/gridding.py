@@ -83,11 +83,12 @@ class PavingTest(WindowTest):
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) bool: which windows one strip contradicts, in NumPy: what is excluded by boxes is by strips."""
         r = self.relations
-        strips = (r.W, r.K) if r.frame is not None else (r.circuits, r.circuits_known)
-        host = host_strips(
-            r.reading(np.float64, "box" if r.frame is not None else "joint"), *strips, self.dtype, r.model.constant_tolerance
-        )
-        return host.contradicted(u, y, starts).any(0)
+        if r.frame is None:
+            method, strips = "joint", (r.circuits, r.circuits_known)
+        else:
+            method, strips = "box", (r.W, r.K)
+        host = host_strips(r.reading(np.float64, method), *strips, self.dtype, r.model.constant_tolerance)
+        return np.asarray(host.contradicted(u, y, starts).any(0))
 
 
 def whole_windows(test: WindowTest, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> list:

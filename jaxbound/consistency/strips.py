@@ -59,7 +59,8 @@ class StripsTest(WindowTest):
 
     @cached_property
     def _host(self):
-        return host_strips(self.relations.reading(np.float64, self.method), *self._exact, self.dtype)
+        h, k = self._exact
+        return host_strips(self.relations.reading(np.float64, self.method), h, k, self.dtype)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

@@ -67,7 +67,7 @@ class HostStrips:
     rows: tuple
     reading: Any
     recorded: np.dtype
-    gains: tuple | None = None
+    gains: tuple = ()
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (strips, N) bool: which strips contradict the windows of u (T, m), y (T, p) that start at `starts`, in rising order."""
@@ -107,7 +107,7 @@ class HostStrips:
                 return np.False_
             x = series[row.kind, row.number]
             lo, hi = (cut(end, row.shift) if isinstance(end, np.ndarray) else end for end in (x.lo, x.hi))
-            gain = row.number if self.gains is not None and row.kind == "output" else None
+            gain = row.number if self.gains and row.kind == "output" else None
             below, above = sums.get(gain, (0.0, 0.0))
             sums[gain] = below + c * (lo if c > 0 else hi), above + c * (hi if c > 0 else lo)
             size += abs(c) * x.size
@@ -143,7 +143,7 @@ class HostStrips:
         rho = (noise + float(r.resolution[i]) + RECORDER_ULPS * float(rounding.unit(self.recorded)) * (largest + noise) + 4 * tiny) * (
             1 + 1e-15
         )
-        lo, hi = _between(y - offset if offset else y, rho, 0 if self.gains is not None else sigma)
+        lo, hi = _between(y - offset if offset else y, rho, 0 if self.gains else sigma)
         return _Series(lo, hi, (largest + abs(offset) + rho) / (1 - sigma))
 
     def _rounded(self, largest):
@@ -217,7 +217,7 @@ def contradicted_by(test: Any, frame: Any, u: np.ndarray, y: np.ndarray, h: np.n
     least, most = windows.sums(np.concatenate([outer[here], inner[there]]), np.concatenate([of, also]), weights)
     value = np.bincount(of, h * windows.reached(K[here], of), N)
     size = windows.size[outer] + np.abs(R) @ windows.size[inner] + np.abs(K) @ windows.known_size
-    gamma, floor = map(float, rounding.search_error(*R.shape, K.shape[1], y.dtype))
+    gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
     largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
     floor *= largest * largest * (1 + windows.size.sum() + windows.known_size.sum())
     error = np.bincount(of, np.abs(h) * (gamma * size[here] + floor), N) + floor
@@ -281,7 +281,7 @@ def host_strips(reading: Any, exact_h: Any, exact_k: Any, recorded: Any, constan
     numbers = lambda row: tuple(i for i, x in enumerate(row) if x)
     floats = lambda row: tuple(float(rounding.fraction_to_float(x)) for x in row if x)
     strips = tuple((numbers(h), floats(h), numbers(k), floats(k)) for h, k in zip(exact_h, exact_k, strict=True))
-    gains = None
+    gains: tuple = ()
     if constant:
         gains = tuple((1 / (1 + t) * (1 - 1e-15), 1 / (1 - t) * (1 + 1e-15)) for t in map(float, reading.tolerance))
     return HostStrips(strips, tuple(_rows(reading)), reading, np.dtype(recorded), gains)

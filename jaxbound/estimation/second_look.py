@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxbound.consistency.interface import Judged
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
@@ -54,7 +55,7 @@ def decided_twice(watch: Any, carry: Any, piece: Recording) -> tuple[Any, Any]:
         return after, told
     status = np.where(gone, np.int8(Status.UNDECIDED), status).astype(np.int8)
     margin = np.where(gone, 0, told.margin).astype(np.asarray(told.margin).dtype)
-    changed = told._replace if isinstance(told, tuple) else partial(replace, told)
+    changed: Any = told._replace if isinstance(told, Judged) else partial(replace, told)
     return _forgetful(watch).init(), changed(status=status, margin=margin)
 
 
@@ -109,12 +110,13 @@ def _by_samples(watch, piece, doubts, length):
     u, y = _beside(piece)
     cut = lambda x, doubt: x[doubt.recording, max(doubt.begin, doubt.end - length + 1) : doubt.end + 1]
     filled = lambda part: np.concatenate([np.full((length - len(part), part.shape[1]), np.nan, part.dtype), part])
-    found, watch = set(), _forgetful(watch)
+    found: set[_Doubt] = set()
+    watch = _forgetful(watch)
     for first in range(0, len(doubts), BESIDE):
         some = doubts[first : first + BESIDE]
-        samples = (np.stack([filled(cut(x, doubt)) for doubt in some]) for x in (u, y))
+        us, ys = (np.stack([filled(cut(x, doubt)) for doubt in some]) for x in (u, y))
         with outside_xla():
-            _, judged = watch.judged(watch.init(), Recording(*samples, NOWHERE, piece.inputs, piece.outputs))
+            _, judged = watch.judged(watch.init(), Recording(us, ys, NOWHERE, piece.inputs, piece.outputs))
         shown = (judged.status == Status.FAULT).any(-1)
         found.update(doubt for doubt, yes in zip(some, shown, strict=True) if yes)
     return found

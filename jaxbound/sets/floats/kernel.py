@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
-from jaxbound.sets.floats.equations import body
+from jaxbound.sets.floats.equations import body, dtype_of
 from jaxbound.sets.floats.numpy_moves import MOVED
 from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
@@ -90,7 +90,7 @@ def evaluated(program: ClosedJaxpr, args: Sequence[Any]) -> list[np.ndarray]:
         NotImplementedError: a primitive of it is not written in NumPy.
     """
     steps = _steps(program.jaxpr)
-    given = [np.asarray(x, variable.aval.dtype) for x, variable in zip(args, program.jaxpr.invars, strict=True)]
+    given = [np.asarray(x, dtype_of(v)) for x, v in zip(args, program.jaxpr.invars, strict=True)]
     with np.errstate(all="ignore"):
         return steps(*map(np.asarray, program.consts), *given)
 
@@ -143,7 +143,7 @@ class _Steps:
 
     def _number(self, v, scope):
         if isinstance(v, Literal):
-            return self._new(np.asarray(v.val, v.aval.dtype))
+            return self._new(np.asarray(v.val, dtype_of(v)))
         if v not in scope:
             scope[v] = self._new()
         return scope[v]
