@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, WindowTest
+from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 
@@ -22,7 +23,7 @@ __all__ = ["Doubtful", "Twice", "decided_twice", "warn_doubtful"]
 SHARE = 2**15
 """One of so many CONSISTENT windows is looked at, """
 LEAST = 8
-"""but at least so many where there are as many windows."""
+"""but at least so many, in a row, where there are `SHARE` of them."""
 
 
 class Doubtful(RuntimeWarning):
@@ -37,22 +38,30 @@ def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray
             windows end, which of these contradict their bounds, found without XLA: see `WindowTest.contradicted`.
     """
     status = judged.status.reshape(-1)
-    faulty = np.flatnonzero(status == Status.FAULT)
+    wrong = status == Status.FAULT
+    faulty = np.flatnonzero(wrong) if wrong.any() else NOWHERE
     if len(faulty) and not (proved := contradicted(faulty)).all():
         judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
         if doubtful.any():
             first = int(faulty[doubtful.argmax()])
             warn_doubtful(f"{int(doubtful.sum())} of {len(faulty)} windows are FAULT by XLA, the first of them ends at sample {first}")
-    if status.size < SHARE:
-        return judged
-    healthy = np.flatnonzero(status == Status.CONSISTENT)
-    some = healthy[:: max(1, min(SHARE, len(healthy) // LEAST))]
-    if len(some) and (wrong := np.atleast_2d(contradicted(some)).any(0)).any():
+    some = _some_healthy(status)
+    if len(some) and (wrong := np.atleast_2d(test.contradicted(u, y, some - test.horizon)).any(0)).any():
         first = int(some[wrong.argmax()])
         warn_doubtful(f"{int(wrong.sum())} of {len(some)} windows are CONSISTENT by XLA, the first of them ends at sample {first}")
         judged.status.reshape(-1)[some[wrong]] = Status.UNDECIDED
         judged.margin.reshape(-1)[some[wrong]] = 0
     return judged
+
+
+def _some_healthy(status):
+    """Return the ends of CONSISTENT windows in a short stretch, somewhere in many windows; none of few."""
+    count = len(status) // SHARE
+    if not count:
+        return NOWHERE
+    stretch = max(LEAST, count)
+    first = int(np.random.default_rng(len(status)).integers(len(status) - stretch + 1))
+    return first + np.flatnonzero(status[first : first + stretch] == Status.CONSISTENT)
 
 
 class Twice:
