@@ -154,12 +154,13 @@ def _rows_of(model, test, u, y):
     for i in range(p):
         sigma = Fraction(float(test.tolerance[i]))
         over, under = (int((1 + sign * sigma) * sigma.denominator) for sign in (1, -1))
+        either = np.array([under, over], object)  # which may be too long for 64 bits
         rho = noise[i] + resolution[i] + ((np.abs(Y[:, i]).max(0) + noise[i]) >> shift)
         for j in range(samples):
             d = Y[j, i] - offset["y"][i]
             above, below = rho + d, rho - d
-            hi = above * np.where(above > 0, over, under)  # times (1 - sigma)(1 + sigma) and the denominator of sigma
-            lo = -below * np.where(below > 0, over, under)
+            hi = above * either[(above > 0).astype(int)]  # times (1 - sigma)(1 + sigma) and the denominator of sigma
+            lo = -below * either[(below > 0).astype(int)]
             twice[j * p + i], spread[j * p + i] = hi + lo, hi - lo
             factor[j * p + i] = Fraction(sigma.denominator, over * under)
     for lo, hi in zip(*(np.tile(w[side::2], test.horizon) for side in (0, 1)), strict=True):

@@ -22,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.multiple import validate_parts
 from jaxbound.estimation.validation_windows import Said, begun, said, slide, weighted
@@ -185,19 +184,26 @@ class _Slide:
         return prepare(self.M, self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
 
     def __call__(self, u, y, recorded, x0=None, before=None, earlier=None):
-        """Return what `judged` does, with UNDECIDED in place of a FAULT that is not seen again outside XLA."""
+        """Return what `judged` does, with UNDECIDED in place of a FAULT that is not seen again outside XLA.
+
+        Searches for bounds end elsewhere where numbers are rounded otherwise: that FAULT samples in a row begin with one that NumPy sees,
+        or that it sees one among those before, is enough, and where it sees none nothing is warned of.
+        """
         result, after = self.judged(u, y, recorded, x0, before, earlier)
         faulty = np.asarray(result.status) == Status.FAULT
         if is_outside_xla() or not faulty.any():
             return result, after
-        seen, blamed = self._seen_again(u, y, recorded, x0, before, earlier, faulty)
-        if (faulty & ~seen).any():
-            warn_doubtful(f"{int((faulty & ~seen).sum())} of {int(faulty.sum())} samples are FAULT by validation in XLA")
-        status = np.where(faulty & ~seen, np.int8(Status.UNDECIDED), result.status)
-        return replace(result, status=jnp.asarray(status), faulty=jnp.asarray(np.asarray(result.faulty) & blamed)), after
+        seen = faulty & self._seen_again(u, y, recorded, x0, before, earlier, faulty)
+        place = np.arange(faulty.shape[-1])
+        begins = faulty & ~np.concatenate([np.zeros_like(faulty[..., :1]), faulty[..., :-1]], -1)
+        latest = lambda which: np.maximum.accumulate(np.where(which, place, -1), -1)
+        proved = faulty & (latest(seen) >= latest(begins))
+        status = np.where(faulty & ~proved, np.int8(Status.UNDECIDED), result.status)
+        blamed = np.asarray(result.faulty) & proved[..., None]
+        return replace(result, status=jnp.asarray(status), faulty=jnp.asarray(blamed)), after
 
     def _seen_again(self, u, y, recorded, x0, before, earlier, faulty):
-        """Return (which samples are FAULT, which sensors are blamed there) where this is worked out again, piece by piece.
+        """Return which samples are FAULT where this is worked out again, piece by piece.
 
         Pieces with a FAULT are judged outside XLA, up to `AGAIN` samples; others, and all that come behind, by XLA.
         """
@@ -215,11 +221,8 @@ class _Slide:
                 known = earlier
             with outside_xla(outside):
                 piece, before = self.judged(u[..., begin:stop, :], y[..., begin:stop, :], recorded, x0, before, known)
-            found.append(
-                (np.asarray(piece.status)[..., first - begin :] == Status.FAULT, np.asarray(piece.faulty)[..., first - begin :, :])
-            )
-        seen, blamed = zip(*found, strict=True)
-        return np.concatenate(seen, -1), np.concatenate(blamed, -2)
+            found.append(np.asarray(piece.status)[..., first - begin :] == Status.FAULT)
+        return np.concatenate(found, -1)
 
     def judged(self, u, y, recorded, x0=None, before=None, earlier=None):
         """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the model.

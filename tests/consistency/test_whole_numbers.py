@@ -9,6 +9,7 @@ import pytest
 from oracles import Plant
 
 import jaxbound as jb
+from jaxbound.consistency.whole_numbers import exact_strips
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of
 
@@ -106,3 +107,12 @@ def test_margins_on_the_host_are_read_without_compiling_for_their_number(dtype):
     assert isinstance(found, np.ndarray) and found.dtype == np.int8
     F, U, C, M = Status.FAULT, Status.UNDECIDED, Status.CONSISTENT, Status.MISSING
     assert found.tolist() == [F, F, U, C, C, F, M]
+
+
+def test_tolerances_whose_fractions_are_long_are_decided(rng):
+    """The denominator of 1e-7 as a float is 2^76: no number of 64 bits."""
+    plant = Plant(**TURN | dict(tolerance=[1e-7, 3e-9]))
+    r = jb.parity_relations(jb.LinearSystem(**TURN | dict(tolerance=[1e-7, 3e-9])))
+    u, y = windows(plant, r.horizon, 30, rng, np.float64)
+    margin = exact_strips(r, r.reading(np.float64), (r.circuits, r.circuits_known), np.moveaxis(u, 0, -1)[:1], np.moveaxis(y, 0, -1))
+    assert (margin[1::3] > 0).all() and (margin[2::3] > 0).all() and (margin[::3] < 0).mean() > 0.5
