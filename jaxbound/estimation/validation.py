@@ -42,8 +42,8 @@ from jaxbound.sets.linear_systems.fixed_systems import prepare
 
 __all__ = ["Validation", "nothing_said", "prepared", "validate"]
 
-PIECE, AGAIN = 256, 2048
-"""Samples that are validated outside XLA at once where one of them is FAULT, and at most."""
+PIECE, AGAIN = 256, 8
+"""Samples that are validated outside XLA from a FAULT on, and how often in a recording."""
 BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
 
@@ -203,34 +203,38 @@ class _Slide:
         return replace(result, status=jnp.asarray(status), faulty=jnp.asarray(blamed)), after
 
     def _seen_again(self, u, y, recorded, x0, before, earlier, faulty):
-        """Return which samples are FAULT where this is worked out again, piece by piece.
+        """Return which samples are FAULT where this is worked out again.
 
-        Pieces with a FAULT are judged outside XLA, up to `AGAIN` samples; others, and all that come behind, by XLA.
+        Outside XLA are `PIECE` samples from a FAULT on, then from the next one behind them, `AGAIN` times at most. What comes before each
+        is judged by XLA, by the program that is compiled.
         """
-        s, T = self.s, y.shape[-2]
-        size, stop, left, found = max(PIECE, 4 * s), 0, AGAIN, []
-        while stop < T:
-            begin = stop - s if stop else 0
-            first, stop = stop, min(max(stop, s) + size, T)
-            outside = left > 0 and bool(faulty[..., first:stop].any())
-            left -= outside * (stop - first)
-            if begin:
+        s, T, seen, stop = self.s, y.shape[-2], faulty.copy(), 0
+        some = faulty.reshape(-1, T).any(0)
+        for _ in range(AGAIN):
+            if not some[stop:].any():
+                break
+            first = stop + int(some[stop:].argmax())
+            first = 0 if first < PIECE else first  # from the beginning, where that is near
+            stop = min(max(first, s) + PIECE, T)
+            begin, known, start, carry = 0, earlier, x0, before
+            if first:
+                _, carry = self.judged(u, y, recorded, x0, before, earlier, upto=first)
+                begin, start = first - s, None
                 past = y[..., :begin, :] if earlier is None else np.concatenate([earlier, y[..., :begin, :]], -2)
-                x0, known = None, past[..., -s:, :]
-            else:
-                known = earlier
-            with outside_xla(outside):
-                piece, before = self.judged(u[..., begin:stop, :], y[..., begin:stop, :], recorded, x0, before, known)
-            found.append(np.asarray(piece.status)[..., first - begin :] == Status.FAULT)
-        return np.concatenate(found, -1)
+                known = past[..., -s:, :]
+            with outside_xla():
+                piece, _ = self.judged(u[..., begin:stop, :], y[..., begin:stop, :], recorded, start, carry, known)
+            seen[..., first:stop] = np.asarray(piece.status)[..., first - begin :] == Status.FAULT
+        return seen
 
-    def judged(self, u, y, recorded, x0=None, before=None, earlier=None):
+    def judged(self, u, y, recorded, x0=None, before=None, earlier=None, upto=None):
         """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the model.
 
         Args:
             recorded: the float type in which y was rounded.
             before: what this returned, to go on: then the first s samples are those before the new ones. earlier: y of the s before
                 these, which say how large samples get in the windows of the first.
+            upto: what goes on is from behind so many samples, and what is found of others means nothing; None: from behind all.
         """
         m, s, dtype = self.m, self.s, y.dtype
         *lead, T, _ = y.shape
@@ -259,7 +263,7 @@ class _Slide:
                     systems = _first_window(interval_of(np.asarray(weighted(M, weight[:, : s + 1], m.p))), m.p)
                 first = Said(*(jnp.asarray(np.asarray(a)[: s + 1] if a is known.absent else np.asarray(a)[:, : s + 1]) for a in known))
                 carry = begun(self.plant, systems, first, start, s, m.n, self.method, self.centre)
-            return slide(self.plant, M, self.systems, known, weight, carry, T, s, self.method, self.centre)
+            return slide(self.plant, M, self.systems, known, weight, carry, T if upto is None else upto, s, self.method, self.centre)
 
         after, found, blamed = _blocks(kernel, given, count, min(BLOCK[self.method], power(count)))
         found, wrong = (a[:, :T].reshape(*lead, T, *a.shape[2:]) for a in (found, blamed))
