@@ -1,6 +1,6 @@
 """What it costs that every FAULT is decided twice: detect with and without the second decision, processor time by turns, in one run.
 
-python -m benchmarks.twice [--only strips,long]
+python -m benchmarks.twice [--only "strips;bank"]
 
 Healthy recordings should cost less than 3 % more; where every window is faulty, strips should take as long as blocked NumPy needs for the
 same sums (20 million windows a second on section 5), and searched windows less than 30 % more.
@@ -68,8 +68,8 @@ def compared(relations, method, u, y):
 
 def main():
     """Print the table."""
-    timing.header()
-    chosen = sys.argv[sys.argv.index("--only") + 1].split(",") if "--only" in sys.argv else CASES
+    print(timing.machine())
+    chosen = sys.argv[sys.argv.index("--only") + 1].split(";") if "--only" in sys.argv else CASES
     print("| | healthy, us a window | + | faulty, us a window | + | FAULT |\n|---|---|---|---|---|---|")
     for name in chosen:
         make, method, count = CASES[name]

@@ -44,7 +44,7 @@ class WindowTest:
     sharded: ClassVar[bool] = True  # `judge` runs its kernels by `run`; else it is called on one device after the other
     threads: ClassVar[bool] = False  # several blocks at once: where the host waits between two kernels
     twice: ClassVar[bool] = False  # `judge` and `settle` decide each FAULT a second time themselves
-    replayed: ClassVar[bool] = True  # or `contradicted` sees whatever contradicts
+    replayed: ClassVar[bool] = True  # or `contradicted` and `exactly` see whatever contradicts
 
     def __init__(self, relations: Any, method: str, dtype: Any) -> None:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
@@ -113,6 +113,10 @@ class WindowTest:
         What is not seen here is asked of `judge` and `settle`, with kernels evaluated in NumPy, unless `replayed` is False. See `twice`.
         """
         return np.zeros(len(starts), bool)
+
+    def exactly(self, found: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return what `contradicted` found, with what it left open decided exactly; of tests that are not `replayed`."""
+        return found
 
     def withdrawn(
         self, judged: Judged, at: np.ndarray, contradicted: np.ndarray, u: np.ndarray, y: np.ndarray

@@ -42,8 +42,11 @@ class StripsTest(WindowTest):
         whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (N,) bool: which windows one strip contradicts, in NumPy, else in whole numbers; see `WindowTest.contradicted`."""
-        found = self._host.contradicted(u, y, starts).any(0)
+        """Return (N,) bool: which windows one strip contradicts, in NumPy; see `WindowTest.contradicted`."""
+        return self._host.contradicted(u, y, starts).any(0)
+
+    def exactly(self, found: np.ndarray, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return the same, of what NumPy does not see in whole numbers."""
         left = np.flatnonzero(~found)
         for first in range(0, len(left), whole_numbers.BLOCK):
             part = left[first : first + whole_numbers.BLOCK]

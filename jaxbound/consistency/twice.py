@@ -38,8 +38,7 @@ def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray
             windows end, which of these contradict their bounds, found without XLA: see `WindowTest.contradicted`.
     """
     status = judged.status.reshape(-1)
-    wrong = status == Status.FAULT
-    faulty = np.flatnonzero(wrong) if wrong.any() else NOWHERE
+    faulty = np.flatnonzero(status == Status.FAULT) if status.max(initial=0) == Status.FAULT else NOWHERE
     if len(faulty) and not (proved := contradicted(faulty)).all():
         judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
         if doubtful.any():

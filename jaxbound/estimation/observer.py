@@ -28,6 +28,7 @@ from jaxbound.models.unknown_directions import unknown_directions, with_direct_s
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import is_outside_xla
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
@@ -41,6 +42,8 @@ EVEN = 8
 """Recordings in a block are a multiple of it: vectors have no rest, so that a recording's place in it does not matter."""
 WEIGHTS = (1.0, 30.0, 1000.0)
 """Sets side by side where nothing else is asked for: one for what is sudden, two for what lasts and what is slow."""
+BESIDE = 128
+"""Recordings side by side where many are evaluated in NumPy."""
 PIECE = 16
 """Samples that the kernel is compiled for."""
 
@@ -338,6 +341,7 @@ class SetObserver(Observer):
     def _followed(self, past, count, u, y, slip, fresh, rounded):
         """Return (Carry, Found (T, .., N), the Read or nothing) of samples as of `_given`; a carry of one recording is that of all."""
         lanes, room = len(self.weights), self._room
+        room = max(room, BESIDE) if is_outside_xla() and count > room else room  # NumPy rounds alike whatever is beside
         if count == 1:  # nothing to cut: who follows a recording sample by sample is in a hurry
             full = lambda x: np.repeat(np.asarray(x), room, -1)
             past, found, known = self._block(jax.tree.map(full, past), [full(x) for x in (u, y, slip, fresh)], rounded)

@@ -1,6 +1,6 @@
 """A FAULT of a set observer, decided a second time outside XLA: see `consistency.twice`.
 
-The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 16 of them, then 64, 256, 1024, as far
+The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 4 of them, then 16, 64, 256, 1024, as far
 back as it began, knowing nothing of the state before. What contradicts then contradicts. Only what rests on more samples than these, or
 on samples of a piece before that nobody keeps, begins with the set that XLA carried to there.
 """
@@ -23,7 +23,7 @@ from jaxbound.sets.floats.status import Status
 
 __all__ = ["decided_twice"]
 
-LENGTHS = (16, 64, 256, 1024)
+LENGTHS = (4, 16, 64, 256, 1024)
 """Samples that are followed once more."""
 BESIDE = 128
 """Stretches that are followed side by side, at most."""
