@@ -24,7 +24,7 @@ from jaxbound.estimation.ordered import added, product
 from jaxbound.estimation.parallelotope import OFF, ROUNDED, lasting, parallelotope, principal, strip, template
 from jaxbound.estimation.window_proof import Prior, Samples, enclosed, reach_before, window_of
 from jaxbound.estimation.window_runs import runs_of
-from jaxbound.estimation.window_search import middle, searched, split
+from jaxbound.estimation.window_search import followed, middle, searched, split
 from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -34,6 +34,8 @@ __all__ = ["JointObserver", "JointState"]
 
 ROOM = 32
 """Windows side by side in the one kernel there is: see `observer.BLOCK`. A search ends with the slowest of them."""
+AGAIN, LOST = 2, 1e-3
+"""Searches after the first where that lost its trajectory; how far a sample may be off it, as a share of the largest unknown."""
 SETTLED = 8
 """Blocks after which the directions stay as they are."""
 
@@ -303,10 +305,31 @@ class JointObserver(SetObserver):
         return out
 
     def _gauges(self, prior, samples):
-        """Return (value, bound, t, xi, w) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats."""
-        window, (n, N) = window_of(self._exact, self._strips, prior, samples, self._runs), prior.c.shape
-        weight, t, z = searched(window, middle(window), 0.02)
-        return *enclosed(self._exact, self._strips, prior, samples, weight, np.zeros((n, N)), np.zeros(N), runs=self._runs), t, z, window
+        """Return (value, bound, t, z, window) of windows: |value| > bound is a contradiction, t < 1 explains in plain floats.
+
+        A search that proved nothing and lost its trajectory begins again from the one that its first state and disturbances make.
+        """
+        window = window_of(self._exact, self._strips, prior, samples, self._runs)
+        found = self._gauge(prior, samples, window, middle(window))
+        for _ in range(AGAIN):
+            value, bound, t, z = found
+            lost = (np.abs(value) <= bound) & ~(t < 1)
+            if not lost.any():
+                break
+            near, off = followed(window, z)
+            lost &= ~(off <= LOST * t)
+            if not lost.any():
+                break
+            again = self._gauge(prior, samples, window, near)
+            found = tuple(np.where(lost, new, old) for new, old in zip(again, found, strict=True))
+        return *found, window
+
+    def _gauge(self, prior, samples, window, z):
+        """Return (value, bound, t, z) of windows, searched for from a trajectory on."""
+        n, N = prior.c.shape
+        weight, t, z = searched(window, z, 0.02)
+        shown = enclosed(self._exact, self._strips, prior, samples, weight, np.zeros((n, N)), np.zeros(N), runs=self._runs)
+        return *shown, t, z
 
     def _supports(self, prior, samples, D, width, J, before=False):
         """Return (lo, hi), each (r, N), of D x_J over all that explains windows, D (r, n), J (N,); width (r, N): about theirs."""

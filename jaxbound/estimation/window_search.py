@@ -28,7 +28,7 @@ import numpy as np
 
 from jaxbound.estimation.ordered import product
 
-__all__ = ["Window", "middle", "searched", "split"]
+__all__ = ["Window", "followed", "middle", "searched", "split"]
 
 PACE = 0.15
 """Share of the complementarity that is left after a step."""
@@ -70,12 +70,35 @@ def split(z: Any, window: Window) -> tuple[Any, Any, Any]:
 
 def middle(window: Window) -> np.ndarray:
     """Return the unknowns z (K, N) of the trajectory with xi = 0, w = 0."""
-    v = window.e / window.s
-    z = np.concatenate([np.zeros((window.S.shape[1] + len(window.ends) * window.W.shape[1], v.shape[-1])), v])
-    if window.averages is None:
-        return z
-    F, _, m, b = window.averages
-    return np.concatenate([z, m + product(F, np.where(np.isfinite(window.s), window.e, 0)) / b])
+    free = np.zeros((window.S.shape[1] + len(window.ends) * window.W.shape[1], window.e.shape[-1]))
+    return _unknowns(window, free, window.e)
+
+
+def followed(window: Window, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (z (K, N), off (N,)): the unknowns of the trajectory that the xi and w of z make, and how far the v of z are from its own.
+
+    A search moves them side by side; where samples differ by many digits, it may lose the trajectory.
+    """
+    z = np.where(np.isfinite(z), z, 0).astype(np.float64)
+    xi, w, v = split(z, window)
+    moved = w if window.scale is None else w * window.scale
+    x, j, errors = (window.S * xi[None]).sum(1), 0, np.empty(window.e.shape)
+    for row, step in enumerate(window.step.tolist()):
+        if step > j:
+            x, j = product(window.A, x) + product(window.W, moved[j]), step
+        errors[row] = window.e[row] - (window.c[row][:, None] * x).sum(0)
+    off = np.where(np.isfinite(window.s), np.abs(errors / window.s - v), 0).max(0)
+    return _unknowns(window, z[: len(xi) + len(w) * w.shape[1]], errors), off
+
+
+def _unknowns(window, free, errors):
+    """Return z (K, N) of xi and w, which are free, and of the errors (R, N) that they leave."""
+    known = [free, errors / window.s]
+    if window.averages is not None:
+        F_v, F_w, m, b = window.averages
+        w = free[window.S.shape[1] :]
+        known.append(m + (product(F_v, np.where(np.isfinite(window.s), errors, 0)) + product(F_w, w)) / b)
+    return np.concatenate(known)
 
 
 def _dot(M, X):
@@ -212,7 +235,8 @@ def _path(window, there, begin, pull, J, gauge, close):
         da, db = dt - dz, dt + dz
         d_up, d_down = mu / a - up - up / a * da, mu / b - down - down / b * db
         far, far_dual = largest(jnp.maximum(-da / a, -db / b), jnp.maximum(-d_up / up, -d_down / down))
-        finished = done | ((gap < 1e-4) & (jnp.maximum(far, far_dual) > 50))  # digits are used up
+        longest = jnp.maximum(far, far_dual)
+        finished = done | ((gap < 1e-4) & (longest > 50)) | ~(longest < jnp.inf)  # digits are used up
         length = lambda far: jnp.where(finished, 0, jnp.minimum(1, 0.95 / jnp.where(far > 0, far, 1)))
         alpha, beta = length(far), length(far_dual)
         move = lambda x, dx, by: x + jnp.where(by > 0, by * dx, 0)
