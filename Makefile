@@ -52,6 +52,7 @@ bench: .venv/tested
 	.venv/bin/python -m benchmarks.redundancy
 	.venv/bin/python -m benchmarks.uncertain
 	.venv/bin/python -m benchmarks.varying
+	.venv/bin/python -m benchmarks.twice
 	.venv/bin/python -m benchmarks.linear_systems
 	.venv/bin/python -m benchmarks.validation
 	.venv/bin/python -m benchmarks.tuning
