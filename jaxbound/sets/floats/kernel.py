@@ -172,6 +172,8 @@ _steps = lru_cache(maxsize=512)(_Steps)
 def _function(eqn: JaxprEqn) -> Callable:
     """Return an equation as a function of NumPy arrays."""
     name = eqn.primitive.name
+    if name == "scan":
+        return _scan(eqn)
     if name not in PRIMITIVES:
         raise NotImplementedError(f"the primitive {name} of JAX is not written in NumPy")
     return PRIMITIVES[name](eqn.params)
@@ -196,10 +198,14 @@ def _while(params):
     return run
 
 
-def _scan(params):
-    step, length, backward = _closed(params["jaxpr"]), params["length"], params["reverse"]
-    constants, carried = params["num_consts"], params["num_carry"]
-    stacked = params["jaxpr"].out_avals[carried:]
+def _scan(eqn):
+    inner, length, backward = eqn.params["jaxpr"], eqn.params["length"], eqn.params["reverse"]
+    step = _closed(inner)
+    # how many constants and carries there are stands in other places from version to version: what is stacked has an axis more
+    whole = lambda outside, avals: sum(v.aval.ndim == x.ndim for v, x in zip(outside, avals, strict=True))
+    carried = whole(eqn.outvars, inner.out_avals)
+    constants = whole(eqn.invars, inner.in_avals) - carried
+    stacked = inner.out_avals[carried:]
 
     def run(*args):
         fixed, carry, rows = args[:constants], list(args[constants : constants + carried]), args[constants + carried :]
@@ -219,5 +225,5 @@ def _cond(params):
     return lambda which, *args: branches[min(max(int(which), 0), len(branches) - 1)](*args)
 
 
-PRIMITIVES = {**COMPUTED, **MOVED, "while": _while, "scan": _scan, "cond": _cond}
+PRIMITIVES = {**COMPUTED, **MOVED, "while": _while, "cond": _cond}
 """{name of a primitive: of the parameters of an equation, the function of NumPy arrays that it stands for}."""

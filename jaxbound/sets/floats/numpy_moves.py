@@ -93,6 +93,11 @@ def _stacked(params):
     return lambda *parts: np.stack(parts, params["axis"])
 
 
+@_entry("unstack")
+def _unstacked(params):
+    return lambda x: list(np.moveaxis(x, params["axis"], 0))
+
+
 @_entry("tile")
 def _tiled(params):
     return lambda x: np.tile(x, params["reps"])
