@@ -4,6 +4,7 @@ The recordings of a batch are laid end to end; windows across two of them, or ac
 tested on contiguous stretches, since gathering costs the speed of the memory; others are gathered, only those that count.
 """
 
+import contextlib
 import math
 import os
 from collections.abc import Callable
@@ -72,9 +73,9 @@ def _contradicted(test, u, y, starts, size):
     for first in range(0, len(left), size):
         chosen = left[first : first + size]
         at = starts[chosen, None] + np.arange(test.horizon + 1)
-        with outside_xla():
+        with outside_xla(), contextlib.suppress(NotImplementedError):  # a primitive of a newer jax: then nothing is confirmed
             judged = windows(test, u[at], y[at], NOWHERE, size=size)
-        found[chosen] = judged.status[:, -1] == Status.FAULT
+            found[chosen] = judged.status[:, -1] == Status.FAULT
     return found
 
 
