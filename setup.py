@@ -1,6 +1,7 @@
 """The page of the package on an index: the README, whose relative links lead nowhere there.
 
-All else is in pyproject.toml. Where [project.urls] names the repository, links and pictures lead into it; else links are words.
+All else is in pyproject.toml. Where [project.urls] names the repository, links and pictures lead into it;
+else links are words.
 """
 
 import re

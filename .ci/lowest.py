@@ -1,4 +1,6 @@
-"""Print the lowest versions that pyproject.toml states, of the package and of its tests, as constraints of pip."""
+"""Print the lowest versions that pyproject.toml states, of the package and of its tests, as constraints of
+pip.
+"""
 
 import tomllib
 from pathlib import Path
@@ -8,5 +10,8 @@ for requirement in [*project["dependencies"], *project["optional-dependencies"][
     lowest, *others = requirement.split(",")
     name, stated, version = lowest.partition(">=")
     if not stated or not all(other.startswith("!=") for other in others):
-        raise SystemExit(f"pyproject.toml must state one lowest version, and nothing else but versions left out: {requirement}")
+        raise SystemExit(
+            f"pyproject.toml must state one lowest version, and nothing else but versions left out: "
+            f"{requirement}"
+        )
     print(f"{name}=={version}")

@@ -1,1 +1,3 @@
-"""Benchmarks against peers and against the memory limit: `python -m benchmarks.strips`, `python -m benchmarks.paving`, ..."""
+"""Benchmarks against peers and against the memory limit: `python -m benchmarks.strips`, `python -m
+benchmarks.paving`, ...
+"""

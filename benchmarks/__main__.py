@@ -1,8 +1,10 @@
-"""All peers on the same work in one process: python -m benchmarks [--quick] [--only horizon,boxes,strips,...] [--table].
+"""All peers on the same work in one process: python -m benchmarks [--quick] [--only horizon,boxes,strips,...]
+[--table].
 
-Writes benchmarks/results.json and benchmarks/figures, prints the table; --table puts it into docs/benchmarks.md between its markers.
-Sweeps are limits, horizon, residuals and boxes; every other module of this folder that measures can be named with --only, and writes its
-own json. On a GPU margins alone are measured: verdicts are proved on CPU.
+Writes benchmarks/results.json and benchmarks/figures, prints the table; --table puts it into
+docs/benchmarks.md between its markers. Sweeps are limits, horizon, residuals and boxes; every other module of
+this folder that measures can be named with --only, and writes its own json. On a GPU margins alone are
+measured: verdicts are proved on CPU.
 """
 
 import argparse
@@ -33,8 +35,12 @@ def main(argv=None):
 
     modules = sorted(p.stem for p in HERE.glob("*.py") if "timing.save(" in p.read_text())
     parser = argparse.ArgumentParser("python -m benchmarks", description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes: does it run, and are the orders right")
-    parser.add_argument("--only", default=",".join(SWEEPS), help=f"{', '.join([*SWEEPS, *modules])} (default: the sweeps)")
+    parser.add_argument(
+        "--quick", action="store_true", help="small sizes: does it run, and are the orders right"
+    )
+    parser.add_argument(
+        "--only", default=",".join(SWEEPS), help=f"{', '.join([*SWEEPS, *modules])} (default: the sweeps)"
+    )
     parser.add_argument("--table", action="store_true", help="put the table into docs/benchmarks.md")
     args = parser.parse_args(argv)
     wanted = [name.strip() for name in args.only.split(",")]
@@ -45,8 +51,17 @@ def main(argv=None):
     here, absent = peers.present()
     for name, why in absent.items():
         print(f"{name} is absent: {why}")
-    results = {"machine": timing.machine(), "date": f"{datetime.date.today()}", "quick": args.quick, "peers": here, "absent": absent}
-    results |= {"sweeps": {name: SWEEPS[name](args.quick, gpu) for name in wanted if name in SWEEPS}, "modules": {}}
+    results = {
+        "machine": timing.machine(),
+        "date": f"{datetime.date.today()}",
+        "quick": args.quick,
+        "peers": here,
+        "absent": absent,
+    }
+    results |= {
+        "sweeps": {name: SWEEPS[name](args.quick, gpu) for name in wanted if name in SWEEPS},
+        "modules": {},
+    }
     for name in (n for n in wanted if n not in SWEEPS):
         before, sys.argv = sys.argv, [name, *(QUICK.get(name, []) if args.quick else [])]
         try:

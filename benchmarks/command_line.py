@@ -1,4 +1,5 @@
-"""Seconds of `jaxbound detect` on a CSV of a million rows, report included; and what `import jaxbound` adds to `import jax`.
+"""Seconds of `jaxbound detect` on a CSV of a million rows, report included; and what `import jaxbound` adds
+to `import jax`.
 
 python -m benchmarks.command_line [--rows 1000000]
 """
@@ -32,7 +33,9 @@ def shell(folder, cache):
         "report",
     ]
     start = time.perf_counter()
-    done = subprocess.run(command, cwd=folder, env={**os.environ, "XDG_CACHE_HOME": str(cache)}, capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=folder, env={**os.environ, "XDG_CACHE_HOME": str(cache)}, capture_output=True, text=True
+    )
     if done.returncode not in (0, 1):
         raise RuntimeError(done.stderr)
     return time.perf_counter() - start
@@ -41,7 +44,14 @@ def shell(folder, cache):
 def importing():
     """Return the seconds that jaxbound adds to jax, the median of five."""
     code = "import time, jax; t = time.perf_counter(); import jaxbound; print(time.perf_counter() - t)"
-    return float(np.median([float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout) for _ in range(5)]))
+    return float(
+        np.median(
+            [
+                float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout)
+                for _ in range(5)
+            ]
+        )
+    )
 
 
 def main():
@@ -50,10 +60,21 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         u = np.repeat(np.random.default_rng(0).uniform(-1, 1, (rows // 20 + 1, 1)).round(6), 20, 0)[:rows]
-        y = np.asarray(jb.simulate(model, u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 0.2, rows // 2, rows // 2 + 40)]).y)
+        y = np.asarray(
+            jb.simulate(
+                model, u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 0.2, rows // 2, rows // 2 + 40)]
+            ).y
+        )
         jb.save_model(model, folder / "model.toml")
         table = np.column_stack([0.01 * np.arange(rows), u, y])
-        np.savetxt(folder / "run.csv", table, fmt=["%.2f", "%.6f", "%.9f", "%.9f"], delimiter=",", header="time,u1,y1,y2", comments="")
+        np.savetxt(
+            folder / "run.csv",
+            table,
+            fmt=["%.2f", "%.6f", "%.9f", "%.9f"],
+            delimiter=",",
+            header="time,u1,y1,y2",
+            comments="",
+        )
         cold = [shell(folder, folder / f"cache{i}") for i in range(3)]
         warm = [shell(folder, folder / "cache0") for _ in range(5)]
         size = (folder / "run.csv").stat().st_size

@@ -1,16 +1,21 @@
-"""jaxbound beside an isolation forest and fixed thresholds, on the same healthy training data and the same unseen data.
+"""jaxbound beside an isolation forest and fixed thresholds, on the same healthy training data and the same
+unseen data.
 
-TCLab: trained on mimo_prbs_3s and the first half of mimo_hybrid_3s; unseen: its second half, as it is and with jumps of one sensor at
-every onset. Air-handling unit: trained on the occupied hours of 9/20 and 9/21; unseen: 9/23, healthy, and 9/12, a heating coil's valve
-that leaks. Nothing but the training data is known to any method, beside the options printed here, none of which looks at a fault.
+TCLab: trained on mimo_prbs_3s and the first half of mimo_hybrid_3s; unseen: its second half, as it is and
+with jumps of one sensor at every onset. Air-handling unit: trained on the occupied hours of 9/20 and 9/21;
+unseen: 9/23, healthy, and 9/12, a heating coil's valve that leaks. Nothing but the training data is known to
+any method, beside the options printed here, none of which looks at a fault.
 
     jaxbound    fit, then tune: FAULT windows of horizon + 1 samples
-    forest      scikit-learn's isolation forest, default settings, on the same windows, all signals in a row; contamination as stated;
-                the mean of five seeds
-    3 sigma     one-step error of a least-squares ARX of the same order and signals, outside 3 standard deviations of the training's
-    largest     the same, outside the largest of the training's times the safety factor that jaxbound has: the rule that its bounds follow
+    forest      scikit-learn's isolation forest, default settings, on the same windows, all signals in a row;
+                contamination as stated; the mean of five seeds
+    3 sigma     one-step error of a least-squares ARX of the same order and signals, outside 3 standard
+    deviations of the training's
+    largest     the same, outside the largest of the training's times the safety factor that jaxbound has: the
+    rule that its bounds follow
 
-A jump counts as seen if an alarm comes within the stated number of samples from its onset; "no jump" is how often one comes there without
+A jump counts as seen if an alarm comes within the stated number of samples from its onset; "no jump" is how
+often one comes there without
 any: what a method that cries wolf catches by chance.
 
 python -m benchmarks.contrast
@@ -32,14 +37,32 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEEDS = range(5)
 NEAR = 5  # samples
 
-TCLAB = dict(inputs=["Heater 1", "Heater 2"], outputs=["Temperature 1", "Temperature 2"], order=2, horizon=14, direct=False, safety=1.25)
+TCLAB = dict(
+    inputs=["Heater 1", "Heater 2"],
+    outputs=["Temperature 1", "Temperature 2"],
+    order=2,
+    horizon=14,
+    direct=False,
+    safety=1.25,
+)
 OCCUPIED = "`Occupancy Mode Indicator`==1"
 FAN, COOL = "`AHU: Supply Air Fan Speed Control Signal`", "`AHU: Cooling Coil Valve Control Signal`"
 SUPPLY, MIXED = "`AHU: Supply Air Temperature`", "`AHU: Mixed Air Temperature`"
 AHU = dict(
-    inputs=[("heat", "AHU: Heating Coil Valve Control Signal"), ("cool", COOL[1:-1]), ("cool2", f"= {COOL}*{COOL}"), ("fan", FAN[1:-1]),
-            ("Tmix", MIXED[1:-1]), ("Tret", "AHU: Return Air Temperature")],
-    outputs=[("heating", f"= {FAN}*({SUPPLY}-{MIXED})")], order=2, horizon=30, direct=True, safety=1.25)  # fmt: skip
+    inputs=[
+        ("heat", "AHU: Heating Coil Valve Control Signal"),
+        ("cool", COOL[1:-1]),
+        ("cool2", f"= {COOL}*{COOL}"),
+        ("fan", FAN[1:-1]),
+        ("Tmix", MIXED[1:-1]),
+        ("Tret", "AHU: Return Air Temperature"),
+    ],
+    outputs=[("heating", f"= {FAN}*({SUPPLY}-{MIXED})")],
+    order=2,
+    horizon=30,
+    direct=True,
+    safety=1.25,
+)
 
 
 def names(signals):
@@ -47,7 +70,9 @@ def names(signals):
 
 
 def tclab():
-    """Return (training recordings, hybrid run, number of its first unseen sample); recordings are (u, y, starts)."""
+    """Return (training recordings, hybrid run, number of its first unseen sample); recordings are (u, y,
+    starts).
+    """
     files = [SHARED / "tclab" / f"mimo_{name}_3s.csv" for name in ("prbs", "hybrid")]
     prbs, hybrid = ((r.u, r.y, r.starts) for r in read_signals(files, TCLAB["inputs"], TCLAB["outputs"]))
     half = len(hybrid[1]) // 2
@@ -57,7 +82,9 @@ def tclab():
 def ahu(day):
     """Return (u, y, starts) of the occupied hours of a day."""
     where = f"{OCCUPIED} and '2017-09-{day}' <= Datetime < '2017-09-{day + 1}'"
-    (r,) = read_signals(SHARED / "ahu" / "szvav_four_days.csv", AHU["inputs"], AHU["outputs"], {"where": where})
+    (r,) = read_signals(
+        SHARED / "ahu" / "szvav_four_days.csv", AHU["inputs"], AHU["outputs"], {"where": where}
+    )
     kept = np.flatnonzero(~r.excluded)
     part = slice(kept[0], kept[-1] + 1)
     return r.u[part], r.y[part], [k - part.start for k in r.starts if part.start < k < part.stop]
@@ -70,11 +97,22 @@ class Bounds:
         o = options
         start, cpu = time.perf_counter(), time.process_time()
         about = dict(inputs=names(o["inputs"]), outputs=names(o["outputs"]))
-        model = jb.fit([(u, y) for u, y, _ in training], o["order"], o["horizon"], direct=o["direct"], safety=o["safety"], **about)
+        model = jb.fit(
+            [(u, y) for u, y, _ in training],
+            o["order"],
+            o["horizon"],
+            direct=o["direct"],
+            safety=o["safety"],
+            **about,
+        )
         tuned = jb.tune(jb.parity_relations(model), training, safety=o["safety"])
         self.relations = jb.parity_relations(tuned.model)
-        self.about = {"noise": dict(zip(tuned.model.outputs, map(float, tuned.model.noise), strict=True)), "kind": model.check.method,
-                      "seconds": time.perf_counter() - start, "cpu seconds": time.process_time() - cpu}  # fmt: skip
+        self.about = {
+            "noise": dict(zip(tuned.model.outputs, map(float, tuned.model.noise), strict=True)),
+            "kind": model.check.method,
+            "seconds": time.perf_counter() - start,
+            "cpu seconds": time.process_time() - cpu,
+        }
 
     def alarms(self, u, y, starts=()):
         """Return (..., T) bool, True where FAULT. Args: u (T, m), y (..., T, p)."""
@@ -88,7 +126,9 @@ class Forest:
         from sklearn.ensemble import IsolationForest
 
         self.horizon = options["horizon"]
-        seen = np.concatenate([self.windows(u, y)[tested(y, s, self.horizon)[self.horizon :]] for u, y, s in training])
+        seen = np.concatenate(
+            [self.windows(u, y)[tested(y, s, self.horizon)[self.horizon :]] for u, y, s in training]
+        )
         self.forest = IsolationForest(contamination=contamination, random_state=seed).fit(seen)
 
     def windows(self, u, y):
@@ -111,7 +151,10 @@ class Threshold:
 
     def __init__(self, training, options, rule):
         self.order, self.direct = options["order"], options["direct"]
-        parts = [(self.regressors(u, y), y[self.order :], tested(y, s, self.order)[self.order :]) for u, y, s in training]
+        parts = [
+            (self.regressors(u, y), y[self.order :], tested(y, s, self.order)[self.order :])
+            for u, y, s in training
+        ]
         X, Y = (np.concatenate([part[i][part[2]] for part in parts]) for i in (0, 1))
         self.theta = np.linalg.lstsq(X, Y, rcond=None)[0]
         error = Y - X @ self.theta
@@ -120,7 +163,9 @@ class Threshold:
     def regressors(self, u, y):
         """Return (T - order, .): the samples of y and u before each, and 1."""
         n, k = len(y) - self.order, self.order
-        before = [y[k - j : k - j + n] for j in range(1, k + 1)] + [u[k - j : k - j + n] for j in range(not self.direct, k + 1)]
+        before = [y[k - j : k - j + n] for j in range(1, k + 1)] + [
+            u[k - j : k - j + n] for j in range(not self.direct, k + 1)
+        ]
         return np.concatenate([*before, np.ones((n, 1))], 1)
 
     def alarms(self, u, y, starts=()):
@@ -132,7 +177,9 @@ class Threshold:
 
 
 def tested(y, starts, horizon):
-    """Return (T,) bool: True where a window of horizon + 1 samples ends that lies across no gap and has all samples."""
+    """Return (T,) bool: True where a window of horizon + 1 samples ends that lies across no gap and has all
+    samples.
+    """
     ends = np.arange(len(y)) >= horizon
     ends &= ~crossing(np.asarray(starts, int), horizon, 0, len(y))
     missing = np.cumsum(np.append(0, np.isnan(y).any(1)))
@@ -150,7 +197,9 @@ def methods(training, options):
 
 
 def jumps(detector, u, y, first, horizon, output, size):
-    """Return {within NEAR, within a window: share of onsets from sample `first` on that are seen; median delay; share without a jump}."""
+    """Return {within NEAR, within a window: share of onsets from sample `first` on that are seen; median
+    delay; share without a jump}.
+    """
     onsets = np.arange(first, len(y) - NEAR + 1)
     faulty = np.repeat(y[None], len(onsets), 0)
     faulty[..., output] += size * (np.arange(len(y)) >= onsets[:, None])
@@ -158,8 +207,13 @@ def jumps(detector, u, y, first, horizon, output, size):
     alarm = np.take_along_axis(np.pad(detector.alarms(u, faulty), beyond), at, 1)
     healthy = np.pad(detector.alarms(u, y)[None], beyond)[0][at]
     delay = np.where(alarm.any(1), alarm.argmax(1) + 1.0, np.inf)
-    return {"onsets": len(onsets), "near": alarm[:, :NEAR].any(1).mean(), "window": alarm.any(1).mean(), "delay": float(np.median(delay)),
-            "no jump": healthy[:, :NEAR].any(1).mean()}  # fmt: skip
+    return {
+        "onsets": len(onsets),
+        "near": alarm[:, :NEAR].any(1).mean(),
+        "window": alarm.any(1).mean(),
+        "delay": float(np.median(delay)),
+        "no jump": healthy[:, :NEAR].any(1).mean(),
+    }
 
 
 def mean(rows):
@@ -173,7 +227,12 @@ def percent(x):
 def table(header, rows):
     widths = [max(len(str(row[i])) for row in (header, *rows)) for i in range(len(header))]
     for row in (header, *rows):
-        print("  ".join(str(cell).ljust(w) if i == 0 else str(cell).rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))))
+        print(
+            "  ".join(
+                str(cell).ljust(w) if i == 0 else str(cell).rjust(w)
+                for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+            )
+        )
     print()
 
 
@@ -183,17 +242,52 @@ def main():
     ends = tested(y, starts, TCLAB["horizon"]) & (np.arange(len(y)) >= half + TCLAB["horizon"])
     rows, found = [], {}
     for name, detectors in methods(training, TCLAB):
-        f = getattr(detectors[0], "about", {}) | {"false alarms": np.mean([d.alarms(u, y)[ends].mean() for d in detectors])}
+        f = getattr(detectors[0], "about", {}) | {
+            "false alarms": np.mean([d.alarms(u, y)[ends].mean() for d in detectors])
+        }
         for output, label in enumerate(("T1", "T2")):
             for size in (2.0, 1.0):
-                f[f"{label} +{size:g}"] = mean([jumps(d, u, y, half, TCLAB["horizon"], output, size) for d in detectors])
+                f[f"{label} +{size:g}"] = mean(
+                    [jumps(d, u, y, half, TCLAB["horizon"], output, size) for d in detectors]
+                )
         found[name], first = f, f["T1 +2"]
-        rows.append((name, percent(f["false alarms"]), percent(first["no jump"]), percent(first["near"]), f"{first['delay']:g}",
-                     *(percent(f[jump][within]) for jump, within in (("T1 +1", "near"), ("T1 +1", "window"), ("T2 +2", "near"),
-                                                                     ("T2 +1", "near")))))  # fmt: skip
+        rows.append(
+            (
+                name,
+                percent(f["false alarms"]),
+                percent(first["no jump"]),
+                percent(first["near"]),
+                f"{first['delay']:g}",
+                *(
+                    percent(f[jump][within])
+                    for jump, within in (
+                        ("T1 +1", "near"),
+                        ("T1 +1", "window"),
+                        ("T2 +2", "near"),
+                        ("T2 +1", "near"),
+                    )
+                ),
+            )
+        )
         shown["TCLab", name] = (detectors[0].alarms(u, y) & ends)[half:]
-    print(f"TCLab: {int(ends.sum())} unseen healthy windows; jumps at {len(y) - NEAR + 1 - half} onsets, seen within {NEAR} samples")
-    table(("method", "false alarms", "no jump", "T1 +2", "median delay", "T1 +1", "T1 +1 in a window", "T2 +2", "T2 +1"), rows)
+    print(
+        f"TCLab: {int(ends.sum())} unseen healthy windows; jumps at {len(y) - NEAR + 1 - half} onsets, seen "
+        f"within {NEAR} samples"
+    )
+    table(
+        (
+            "method",
+            "false alarms",
+            "no jump",
+            "T1 +2",
+            "median delay",
+            "T1 +1",
+            "T1 +1 in a window",
+            "T2 +2",
+            "T2 +1",
+        ),
+        rows,
+    )
     figures["tclab"] = {"options": TCLAB, "windows": int(ends.sum()), "methods": found}
 
     training, unseen = [ahu(20), ahu(21)], {"healthy": ahu(23), "faulty": ahu(12)}
@@ -209,7 +303,10 @@ def main():
             shown[f"AHU {day}", name] = alarm[0] & ends
         found[name] = f
         rows.append((name, percent(f["healthy"]), percent(f["faulty"]), f"{f['faulty first']:g} min"))
-    print("Air-handling unit, occupied hours: 9/23 healthy, 9/12 with a leaking valve; minutes to the first alarm")
+    print(
+        "Air-handling unit, occupied hours: 9/23 healthy, 9/12 with a leaking valve; minutes to the first "
+        "alarm"
+    )
     table(("method", "false alarms 9/23", "alarms 9/12", "first alarm 9/12"), rows)
     figures["ahu"] = {"options": AHU, "methods": found}
     picture(shown)
@@ -222,16 +319,24 @@ def picture(shown):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    titles = {"TCLab": "TCLab, second half of the hybrid run, healthy: every mark is a false alarm",
-              "AHU healthy": "Air-handling unit, 9/23, occupied hours, healthy: every mark is a false alarm",
-              "AHU faulty": "Air-handling unit, 9/12, occupied hours, leaking valve: blank is missed"}  # fmt: skip
+    titles = {
+        "TCLab": "TCLab, second half of the hybrid run, healthy: every mark is a false alarm",
+        "AHU healthy": "Air-handling unit, 9/23, occupied hours, healthy: every mark is a false alarm",
+        "AHU faulty": "Air-handling unit, 9/12, occupied hours, leaking valve: blank is missed",
+    }
     names = list(dict.fromkeys(name for _, name in shown))
     fig = Figure((11, 6.5))
     FigureCanvasAgg(fig)
     for ax, (data, title) in zip(fig.subplots(3, 1), titles.items(), strict=True):
         for i, name in enumerate(names):
             alarm = shown[data, name]
-            ax.vlines(np.flatnonzero(alarm), i - 0.38, i + 0.38, color="#d55e00" if data == "AHU faulty" else "#333333", lw=0.9)
+            ax.vlines(
+                np.flatnonzero(alarm),
+                i - 0.38,
+                i + 0.38,
+                color="#d55e00" if data == "AHU faulty" else "#333333",
+                lw=0.9,
+            )
         ax.set_yticks(range(len(names)), names)
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.set_xlim(0, len(shown[data, names[0]]))

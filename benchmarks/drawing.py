@@ -15,7 +15,10 @@ def draw(results, folder=FIGURES):
     folder.mkdir(exist_ok=True)
     names, sweeps = [], {k: v for k, v in results["sweeps"].items() if "series" in v and v["series"]}
     for name, sweep in sweeps.items():
-        for what, field, unit in (("", "rates", sweep["unit"]), ("_compile", "first call s", "first call, s")):
+        for what, field, unit in (
+            ("", "rates", sweep["unit"]),
+            ("_compile", "first call s", "first call, s"),
+        ):
             figure = Figure((7, 4.2), layout="constrained")
             axes = figure.subplots()
             for who, series in sweep["series"].items():
@@ -25,8 +28,19 @@ def draw(results, folder=FIGURES):
                 points = [(x, v) for x, v in zip(sweep["sizes"], values, strict=False) if v is not None]
                 ours = who.startswith("jaxbound")
                 label = who if what else f"{who}, {'proved' if series['proved'] else 'not proved'}"
-                axes.plot(*zip(*points, strict=True), "o-" if ours else "s--", lw=2 if ours else 1.2, ms=4, label=label)
-            axes.set(xlabel=sweep["x"], ylabel=unit, title=sweep["title"] + (", compilation" if what else ""), yscale="log")
+                axes.plot(
+                    *zip(*points, strict=True),
+                    "o-" if ours else "s--",
+                    lw=2 if ours else 1.2,
+                    ms=4,
+                    label=label,
+                )
+            axes.set(
+                xlabel=sweep["x"],
+                ylabel=unit,
+                title=sweep["title"] + (", compilation" if what else ""),
+                yscale="log",
+            )
             if sweep["x"] == "boxes":
                 axes.set_xscale("log")
             else:
@@ -37,8 +51,12 @@ def draw(results, folder=FIGURES):
     if "limits" in results["sweeps"]:
         figure = Figure((7, 3), layout="constrained")
         axes = figure.subplots()
-        bars = [(f"{who}, {kind}", row["share of the memory limit"]) for kind in ("float64", "float32")
-                for who, row in results["sweeps"]["limits"][kind].items() if who != "one pass"]  # fmt: skip
+        bars = [
+            (f"{who}, {kind}", row["share of the memory limit"])
+            for kind in ("float64", "float32")
+            for who, row in results["sweeps"]["limits"][kind].items()
+            if who != "one pass"
+        ]
         axes.barh(*zip(*bars[::-1], strict=True), color="#1565c0")
         axes.set(xlabel="share of the speed of one pass over the same bytes", xlim=(0, 1))
         names.append(_save(figure, folder / "limits.png"))
@@ -51,25 +69,44 @@ def _save(figure, path):
 
 
 def table(results):
-    """Return the results as lines of a Markdown table: jaxbound's rate beside each peer's, at the ends of each sweep."""
+    """Return the results as lines of a Markdown table: jaxbound's rate beside each peer's, at the ends of
+    each sweep.
+    """
     lines = ["| work | jaxbound | peers in the same run |", "|---|---|---|"]
     for kind in ("float64", "float32"):
         row = results["sweeps"].get("limits", {}).get(kind)
         if row:
-            ours = ", ".join(f"{who} {rate(row[who]['windows/s'])}" for who in ("margins", "detect") if who in row)
-            theirs = ", ".join(f"{who} {rate(r['windows/s'])}" for who, r in row.items() if who not in ("margins", "detect"))
+            ours = ", ".join(
+                f"{who} {rate(row[who]['windows/s'])}" for who in ("margins", "detect") if who in row
+            )
+            theirs = ", ".join(
+                f"{who} {rate(r['windows/s'])}" for who, r in row.items() if who not in ("margins", "detect")
+            )
             lines.append(f"| section 5, horizon 1, {kind}, windows/s | {ours} | {theirs} |")
     for sweep in results["sweeps"].values():
         for at in sorted({0, len(sweep.get("sizes", ())) - 1} & set(range(len(sweep.get("sizes", ()))))):
-            shown = {who: s["rates"][at] for who, s in sweep["series"].items() if at < len(s["rates"]) and s["rates"][at]}
+            shown = {
+                who: s["rates"][at]
+                for who, s in sweep["series"].items()
+                if at < len(s["rates"]) and s["rates"][at]
+            }
             side = lambda ours, shown=shown: ", ".join(
-                f"{who.removeprefix('jaxbound ')} {rate(v)}" for who, v in shown.items() if who.startswith("jaxbound") == ours
+                f"{who.removeprefix('jaxbound ')} {rate(v)}"
+                for who, v in shown.items()
+                if who.startswith("jaxbound") == ours
             )
             if shown:
-                lines.append(f"| {sweep['title']}, {sweep['x']} {sweep['sizes'][at]}, {sweep['unit']} | {side(True)} | {side(False)} |")
+                lines.append(
+                    f"| {sweep['title']}, {sweep['x']} {sweep['sizes'][at]}, {sweep['unit']} | {side(True)} "
+                    f"| {side(False)} |"
+                )
     about = results["machine"]
     here = ", ".join(f"{name} {version}" for name, version in results["peers"].items())
-    lines += ["", f"{about['cpu']}, {about['cores']} cores, {about['device']}, jax {about['jax']}, {results['date']}; {here}."]
+    lines += [
+        "",
+        f"{about['cpu']}, {about['cores']} cores, {about['device']}, jax {about['jax']}, {results['date']}; "
+        f"{here}.",
+    ]
     if results["absent"]:
         lines.append(f"Not installed: {', '.join(results['absent'])}.")
     return lines
@@ -84,7 +121,9 @@ def rate(x):
 
 
 def rewritten(text, lines, markers=MARKERS):
-    """Return a text with the lines between the markers replaced; raises ValueError where it has no markers."""
+    """Return a text with the lines between the markers replaced; raises ValueError where it has no
+    markers.
+    """
     start, end = markers
     if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
         raise ValueError(f"the text needs the two lines {start} and {end}, once each, in this order")

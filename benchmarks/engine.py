@@ -1,12 +1,17 @@
-"""Work spread by dask beside one process: the same bytes, processor seconds, memory, workers killed at random, and on after a death.
+"""Work spread by dask beside one process: the same bytes, processor seconds, memory, workers killed at
+random, and on after a death.
 
-Recordings of three sizes, a fleet and a study are each done by one process and by workers; the largest recording, the fleet and the study
-by workers of which some are killed, and the recording by a command that is killed with its scheduler and given again. Each step says in a
-line what it found, so that a run that is cut short has told something. Processor seconds are those of all processes of a command. The law
-of them by rows keeps apart what workers cost before their first row (imports, kernels from the cache, what is read twice where tasks meet).
+Recordings of three sizes, a fleet and a study are each done by one process and by workers; the largest
+recording, the fleet and the study by workers of which some are killed, and the recording by a command that is
+killed with its scheduler and given again. Each step says in a line what it found, so that a run that is cut
+short has told something. Processor seconds are those of all processes of a command. The law of them by rows
+keeps apart what workers cost before their first row (imports, kernels from the cache, what is read twice
+where tasks meet).
 
-python -m benchmarks.engine [--rows 100000000] [--units 2000] [--samples 10000] [--scenarios 1000000] [--workers 2] [--kills 20]
-    [--minutes 12]: what would begin too late is left out, and said to be; the law needs sizes of four million rows a worker and more
+python -m benchmarks.engine [--rows 100000000] [--units 2000] [--samples 10000] [--scenarios 1000000]
+[--workers 2] [--kills 20]
+    [--minutes 12]: what would begin too late is left out, and said to be; the law needs sizes of four million
+    rows a worker and more
 
 At the default sizes about 5 GB of disk in $TMPDIR, all of it removed at the end.
 """
@@ -38,7 +43,9 @@ PAUSE = 2.0  # seconds that all workers live before one is killed: work has to b
 STARTED = 1.6  # processor seconds after which a worker is no longer one that comes up
 RUNS = 10  # of one command with kills, at most
 AGAIN = 0.4  # of the parts are there when a command is killed
-WRITTEN = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000|[\d.]+ (m?s|min)\b|\d[\d.,]* million")  # what a page says of its own time
+WRITTEN = re.compile(
+    rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000|[\d.]+ (m?s|min)\b|\d[\d.,]* million"
+)  # what a page says of its own time
 CHOOSE = random.Random(18)
 BEGUN = time.perf_counter()
 
@@ -77,12 +84,21 @@ def run(argv, folder, workers=0, kills=0, done=None, die=False):
 
     Args:
         workers: that it starts. kills: of them to kill while it runs, each time after all lived for a while.
-        done: function that says how much is there, from 0 to 1: then some more has to be there before the next kill, too.
+        done: function that says how much is there, from 0 to 1: then some more has to be there before the
+            next kill, too.
         die: whether the command itself is killed, half way.
     """
-    before, start, memory, killed, died = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter(), {}, 0, False
+    before, start, memory, killed, died = (
+        resource.getrusage(resource.RUSAGE_CHILDREN),
+        time.perf_counter(),
+        {},
+        0,
+        False,
+    )
     with open(folder / "stdout", "w+") as said, open(folder / "stderr", "w+") as err:
-        process = subprocess.Popen([sys.executable, "-m", "jaxbound.cli", *map(str, argv)], cwd=folder, stdout=said, stderr=err)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "jaxbound.cli", *map(str, argv)], cwd=folder, stdout=said, stderr=err
+        )
         last, there = time.perf_counter(), 0.0
         while process.poll() is None:
             time.sleep(EVERY)
@@ -98,7 +114,9 @@ def run(argv, folder, workers=0, kills=0, done=None, die=False):
                 process.kill()
                 died = True
         err.seek(0)
-        gave_up = killed > 0 and process.returncode == 2  # killed while they were started: a sentence, and the same command goes on
+        gave_up = (
+            killed > 0 and process.returncode == 2
+        )  # killed while they were started: a sentence, and the same command goes on
         if process.returncode not in (0, 1) and not died and not gave_up:
             raise RuntimeError(err.read())
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -121,7 +139,11 @@ def digest(out):
     whole = hashlib.sha256()
     for p in sorted(out.rglob("*")):
         if p.is_file() and p.suffix in (".parquet", ".csv", ".html") and "report" not in p.name:
-            whole.update(p.name.encode() + WRITTEN.sub(b"", p.read_bytes()) if p.suffix == ".html" else p.name.encode() + p.read_bytes())
+            whole.update(
+                p.name.encode() + WRITTEN.sub(b"", p.read_bytes())
+                if p.suffix == ".html"
+                else p.name.encode() + p.read_bytes()
+            )
     return whole.hexdigest()
 
 
@@ -131,10 +153,12 @@ def parts(folder):
 
 
 def compared(name, argv, folder, workers, kills, done=None, again=False):
-    """Return figures of one command by one process, by workers, with kills, and killed itself half way and given again.
+    """Return figures of one command by one process, by workers, with kills, and killed itself half way and
+    given again.
 
     Args:
-        argv: without --out. done: function of an output folder that says how much is there, from 0 to 1, where that can be told.
+        argv: without --out. done: function of an output folder that says how much is there, from 0 to 1,
+            where that can be told.
         again: whether the command is killed, too.
     """
     out, whole, same = folder / f"{name}-out", "", {}
@@ -153,7 +177,9 @@ def compared(name, argv, folder, workers, kills, done=None, again=False):
         whole = whole or digest(out)
         same[kind] = same.get(kind, True) and digest(out) == whole
         if before is not None:
-            found["of these not made again"] = len(before.items() & parts(out / "verdicts.parquet").items()) / len(before)
+            found["of these not made again"] = len(
+                before.items() & parts(out / "verdicts.parquet").items()
+            ) / len(before)
         shutil.rmtree(out)
         told = f"{figures['seconds']} s, {figures['processor s']} processor s, peak {figures['peak MB']} MB"
         told += f", workers {max(figures['peak MB of each worker'])} MB" if by else ""
@@ -162,7 +188,9 @@ def compared(name, argv, folder, workers, kills, done=None, again=False):
 
     noted("one process")
     noted("workers")
-    found["processor s, workers / one process"] = round(found["workers"]["processor s"] / found["one process"]["processor s"], 3)
+    found["processor s, workers / one process"] = round(
+        found["workers"]["processor s"] / found["one process"]["processor s"], 3
+    )
     say(f"{name}: workers / one process: {found['processor s, workers / one process']} of processor seconds")
     while found["kills"] < kills and len(found.get("workers, some killed", ())) < RUNS:
         noted("workers, some killed", kills=kills - found["kills"], done=part)
@@ -181,7 +209,9 @@ def compared(name, argv, folder, workers, kills, done=None, again=False):
 
 
 def law(rows, seconds, wanted=1e9):
-    """Return (seconds before the first row, seconds a million rows, hours of a core for the rows that are wanted), by least squares."""
+    """Return (seconds before the first row, seconds a million rows, hours of a core for the rows that are
+    wanted), by least squares.
+    """
     slope, start = np.polyfit(np.array(rows) / 1e6, seconds, 1)
     hours = (start + slope * wanted / 1e6) / 3600
     return {
@@ -192,26 +222,41 @@ def law(rows, seconds, wanted=1e9):
 
 
 def laws(figures, sizes):
-    """Return the law of processor seconds by rows of one process and of workers, and the ratio of their slopes; and say it."""
+    """Return the law of processor seconds by rows of one process and of workers, and the ratio of their
+    slopes; and say it.
+    """
     spent = lambda who: [figures[f"{size} rows"][who]["processor s"] for size in sizes]
     found: dict = {who: law(sizes, spent(who)) for who in ("one process", "workers")}
     slopes = [found[who]["s a million rows"] for who in ("workers", "one process")]
     found["a row more, workers / one process"] = round(slopes[0] / slopes[1], 3)
     for who in ("one process", "workers"):
         start, slope, hours = found[who].values()
-        say(f"law of {who}: {start} s + {slope} s a million rows (processor seconds): {hours} h of one core for 10^9 rows")
+        say(
+            f"law of {who}: {start} s + {slope} s a million rows (processor seconds): {hours} h of one core "
+            f"for 10^9 rows"
+        )
     say(f"a row more costs workers {found['a row more, workers / one process']} of what it costs one process")
     return found
 
 
 def main():
-    rows, workers, kills = timing.option("--rows", 100_000_000), timing.option("--workers", 2), timing.option("--kills", 20)
-    units, samples, scenarios = timing.option("--units", 2000), timing.option("--samples", 10_000), timing.option("--scenarios", 10**6)
+    rows, workers, kills = (
+        timing.option("--rows", 100_000_000),
+        timing.option("--workers", 2),
+        timing.option("--kills", 20),
+    )
+    units, samples, scenarios = (
+        timing.option("--units", 2000),
+        timing.option("--samples", 10_000),
+        timing.option("--scenarios", 10**6),
+    )
     end = 60 * timing.option("--minutes", 12)
     sizes, figures, left_out = [rows // 4, rows // 2, rows], {"workers": workers, "load average": load()}, []
 
     def step(name, about, *args, **how):
-        """Do and keep one comparison, if there is time; a rough guess of how long it takes: as long as all before."""
+        """Do and keep one comparison, if there is time; a rough guess of how long it takes: as long as all
+        before.
+        """
         if time.perf_counter() - BEGUN > end * about:
             say(f"{name}: left out, {int(end * (1 - about) / 60)} minutes are wanted for it")
             left_out.append(name)
@@ -221,7 +266,17 @@ def main():
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as folder:
         folder = Path(folder)
         jb.save_model(paper(), folder / "model.toml")
-        study = ["study", "model.toml", "--faults", "y1:bias,y2:bias", "--n", scenarios, "--seed", 1, "--rows"]
+        study = [
+            "study",
+            "model.toml",
+            "--faults",
+            "y1:bias,y2:bias",
+            "--n",
+            scenarios,
+            "--seed",
+            1,
+            "--rows",
+        ]
         step(f"study of {scenarios}", 1, study, folder, workers, max(kills // 5, 1))
         say(f"writing a fleet of {units} units with {samples} samples each")
         (folder / "fleet").mkdir()
@@ -234,9 +289,20 @@ def main():
         for i, size in enumerate(sizes):
             data, largest = linked(folder, f"first {size}", -(-size // FILE)), size == rows
             made = lambda out, count=-(-size // FILE): len(parts(out / "verdicts.partial")) / count
-            step(f"{size} rows", (0.7, 0.6, 0.5)[i], ["detect", "model.toml", data], folder, workers, kills * largest, made, largest)
+            step(
+                f"{size} rows",
+                (0.7, 0.6, 0.5)[i],
+                ["detect", "model.toml", data],
+                folder,
+                workers,
+                kills * largest,
+                made,
+                largest,
+            )
             # fewer parts are fewer tasks, and what tasks read twice would look like a price of rows
-            measured = [size for size in sizes if f"{size} rows" in figures and size >= TASKS * workers * FILE]
+            measured = [
+                size for size in sizes if f"{size} rows" in figures and size >= TASKS * workers * FILE
+            ]
             if len(measured) > 1:
                 figures["processor seconds by rows"] = laws(figures, measured)
     timing.save("engine", figures | {"left out": left_out, "load average at the end": load()})

@@ -1,4 +1,5 @@
-"""No false alarm, and sharp: fault-free windows drawn within bounds, half of them with every unknown at a bound.
+"""No false alarm, and sharp: fault-free windows drawn within bounds, half of them with every unknown at a
+bound.
 
 python -m benchmarks.false_alarms [--windows 20000000]
 """
@@ -18,7 +19,11 @@ from systems import paper  # noqa: E402
 
 RUNS, SAMPLES = 5000, 201
 GUST = dict(disturbance=([[0], [1]], 0.1))
-LONG = {"horizon 20": (paper(), 20), "disturbance, horizon 2": (paper(**GUST), 2), "disturbance, horizon 6": (paper(**GUST), 6)}
+LONG = {
+    "horizon 20": (paper(), 20),
+    "disturbance, horizon 2": (paper(**GUST), 2),
+    "disturbance, horizon 6": (paper(**GUST), 6),
+}
 
 
 def inputs(key, dtype):
@@ -29,7 +34,10 @@ def inputs(key, dtype):
 
 def healthy(model, windows, dtype, horizon):
     """Count verdicts of `windows` fault-free windows, half uniform, half at vertices."""
-    relations, key = jb.parity_relations(model, horizon), jax.random.key(np.random.SeedSequence().entropy % 2**31)
+    relations, key = (
+        jb.parity_relations(model, horizon),
+        jax.random.key(np.random.SeedSequence().entropy % 2**31),
+    )
     counts, nearest, done = np.zeros(4, np.int64), np.inf, 0
     while done < windows:
         for at in ("uniform", "vertices"):
@@ -37,16 +45,24 @@ def healthy(model, windows, dtype, horizon):
             u = inputs(k_u, dtype)
             result = jb.detect(relations, u, jb.simulate(model, u, k_s, at=at).y)
             counts += np.bincount(result.status.ravel(), minlength=4)
-            part = slice(None if relations.frame is None else 20)  # margins has no blocks of long windows in parallel
+            part = slice(
+                None if relations.frame is None else 20
+            )  # margins has no blocks of long windows in parallel
             nearest = min(nearest, float(np.nanmin(jb.margins(relations, u[part], result.y[part]))))
             done += RUNS * (SAMPLES - horizon)
-    return {"windows": int(counts[1:].sum()), "FAULT": int(counts[3]), "UNDECIDED": int(counts[2]), "smallest unproved margin": nearest}
+    return {
+        "windows": int(counts[1:].sum()),
+        "FAULT": int(counts[3]),
+        "UNDECIDED": int(counts[2]),
+        "smallest unproved margin": nearest,
+    }
 
 
 def sharpness(dtype, step, count=200_000):
     """Move windows to a gauge of 1 + step and 1 - step; return the shares proved FAULT and CONSISTENT.
 
-    A window is moved along the ray from an exact trajectory through random data; where the gauge is reached is found by bisection.
+    A window is moved along the ray from an exact trajectory through random data; where the gauge is reached
+    is found by bisection.
     """
     relations = jb.parity_relations(paper())
     rng = np.random.default_rng(0)
@@ -60,10 +76,15 @@ def sharpness(dtype, step, count=200_000):
         low, high = np.zeros(count), np.full(count, 1e6)
         for _ in range(100):
             middle = (low + high) / 2
-            inside = 1 - np.asarray(jb.margins(relations, u, exact + (y - exact) * middle[:, None, None]))[:, 1] < side
+            inside = (
+                1 - np.asarray(jb.margins(relations, u, exact + (y - exact) * middle[:, None, None]))[:, 1]
+                < side
+            )
             low, high = np.where(inside, middle, low), np.where(inside, high, middle)
         moved = exact + (y - exact) * low[:, None, None]
-        shares.append(float(np.mean(jb.detect(relations, u.astype(dtype), moved.astype(dtype)).status[:, 1] == wanted)))
+        shares.append(
+            float(np.mean(jb.detect(relations, u.astype(dtype), moved.astype(dtype)).status[:, 1] == wanted))
+        )
     return {"step": step, "outside FAULT": shares[0], "inside CONSISTENT": shares[1]}
 
 
@@ -72,7 +93,10 @@ if __name__ == "__main__":
     out = {}
     for dtype, steps in ((np.float64, (1e-9, 1e-12)), (np.float32, (1e-2, 1e-3, 1e-4))):
         name = np.dtype(dtype).name
-        out[name] = {"horizon 1": healthy(paper(), windows, dtype, 1), "horizon 3": healthy(paper(), windows // 20, dtype, 3)}
+        out[name] = {
+            "horizon 1": healthy(paper(), windows, dtype, 1),
+            "horizon 3": healthy(paper(), windows // 20, dtype, 3),
+        }
         for case, (model, horizon) in LONG.items():
             out[name][case] = healthy(model, windows // 10, dtype, horizon)
         out[name]["sharpness"] = [sharpness(dtype, step) for step in steps]

@@ -1,13 +1,15 @@
-"""What a user waits for before the first verdict: each verb and family in a process of its own, nothing compiled yet, and all kept.
+"""What a user waits for before the first verdict: each verb and family in a process of its own, nothing
+compiled yet, and all kept.
 
 python -m benchmarks.first_call [--only "joint1;validate"] [--out NAME] [--against NAME] [--counts]
 
-For every case: seconds and CPU seconds of the first call after the imports, once with an empty folder of compiled kernels and once with a
-full one; compilations; instructions of the optimised programs, which do not depend on what else the machine does. Cases that end in a
-number are windows of so many samples and one: how a kernel grows with the horizon. --out: the figures go to benchmarks/NAME.json; of
---only, beside those of the other cases that are there. --against: they are printed beside those of an earlier run, and of the usual NAME
-the table in docs/benchmarks.md is written anew. --counts: only what can be counted, in one process. Commands of the shell
-are measured whole, from start to exit.
+For every case: seconds and CPU seconds of the first call after the imports, once with an empty folder of
+compiled kernels and once with a full one; compilations; instructions of the optimised programs, which do not
+depend on what else the machine does. Cases that end in a number are windows of so many samples and one: how a
+kernel grows with the horizon. --out: the figures go to benchmarks/NAME.json; of --only, beside those of the
+other cases that are there. --against: they are printed beside those of an earlier run, and of the usual NAME
+the table in docs/benchmarks.md is written anew. --counts: only what can be counted, in one process. Commands
+of the shell are measured whole, from start to exit.
 """
 
 import argparse
@@ -38,19 +40,29 @@ BEGIN, END = "<!-- first calls -->\n", "<!-- end of first calls -->\n"
 HORIZONS = (1, 2, 5, 10, 20, 40)
 LARGE = 600  # instructions of a program that takes more than half a second to compile
 
-PLANT = dict(A=[[0.5, 0.25], [0, 0.25]], B=[[0], [1]], C=[[1, 0], [1, 1]], noise=[0.1, 0.1], tolerance=[0.02, 0.02])
+PLANT = dict(
+    A=[[0.5, 0.25], [0, 0.25]], B=[[0], [1]], C=[[1, 0], [1, 1]], noise=[0.1, 0.1], tolerance=[0.02, 0.02]
+)
 GAIN = dict(A=[[0.5]], B=[[1]], C=[[1]], noise=0.1)
 HEATER = dict(
-    A=[[0.95, 0.02, 0.01, 0], [0.02, 0.95, 0, 0.01], [0.03, 0, 0.97, 0], [0, 0.03, 0, 0.97]], B=[[0.05, 0], [0, 0.04], [0, 0], [0, 0]],
-    C=[[0, 0, 1, 0], [0, 0, 0, 1]], noise=[0.3, 0.3], tolerance=[0.01, 0.01])  # fmt: skip
+    A=[[0.95, 0.02, 0.01, 0], [0.02, 0.95, 0, 0.01], [0.03, 0, 0.97, 0], [0, 0.03, 0, 0.97]],
+    B=[[0.05, 0], [0, 0.04], [0, 0], [0, 0]],
+    C=[[0, 0, 1, 0], [0, 0, 0, 1]],
+    noise=[0.3, 0.3],
+    tolerance=[0.01, 0.01],
+)
 POLE = jb.Uncertainty("a", A=[[0.05]])
 POLE_AND_INPUT = [jb.Uncertainty("a", A=[[0.05, 0], [0, 0]]), jb.Uncertainty("b", B=[[0], [0.1]])]
 
 
 def recording(model, samples=400, healthy=False):
-    """Return (u, y): random inputs, errors within their bounds; from half-time on all sensors are wrong, unless it is healthy."""
+    """Return (u, y): random inputs, errors within their bounds; from half-time on all sensors are wrong,
+    unless it is healthy.
+    """
     rng = np.random.default_rng(0)
-    A, B, C, noise, tolerance = (np.array(getattr(model, name), float) for name in ("A", "B", "C", "noise", "tolerance"))
+    A, B, C, noise, tolerance = (
+        np.array(getattr(model, name), float) for name in ("A", "B", "C", "noise", "tolerance")
+    )
     u, x, y = rng.uniform(-1, 1, (samples, model.m)), np.zeros(model.n), np.empty((samples, model.p))
     for k in range(samples):
         y[k] = (1 + tolerance * rng.uniform(-1, 1, model.p)) * (C @ x) + noise * rng.uniform(-1, 1, model.p)
@@ -143,7 +155,9 @@ def growing(name, **more):
 
 
 CASES: dict[str, Callable[[], Callable[[], object]]] = {
-    **growing("joint"), **growing("box", method="box"), **growing("disturbed", disturbance=([[1], [0]], [0.01])),
+    **growing("joint"),
+    **growing("box", method="box"),
+    **growing("disturbed", disturbance=([[1], [0]], [0.01])),
     "short4": lambda: detect(PLANT, 4),
     "heater15": lambda: detect(HEATER, 15),
     "heater15_missing": lambda: detect(HEATER, 15, missing=True),
@@ -157,23 +171,55 @@ CASES: dict[str, Callable[[], Callable[[], object]]] = {
     "linearized": lambda: detect(GAIN, 1, "linearized", uncertainties=[POLE]),
     "bank": lambda: detect(PLANT, relations=jb.structured_relations),
     "residual": residual,
-    "margins1": lambda: margins(1), "margins12": lambda: margins(12),
-    "gradient1": lambda: margins(1, True), "gradient12": lambda: margins(12, True),
-    "validate": lambda: validate(PLANT), "validate_heater": lambda: validate(HEATER),
-    "observer": observe, "unknown_inputs": unknown_inputs, "study": study, "tune": tune, "fit": fit, "monitor": monitor, "explain": explain,
-}  # fmt: skip
+    "margins1": lambda: margins(1),
+    "margins12": lambda: margins(12),
+    "gradient1": lambda: margins(1, True),
+    "gradient12": lambda: margins(12, True),
+    "validate": lambda: validate(PLANT),
+    "validate_heater": lambda: validate(HEATER),
+    "observer": observe,
+    "unknown_inputs": unknown_inputs,
+    "study": study,
+    "tune": tune,
+    "fit": fit,
+    "monitor": monitor,
+    "explain": explain,
+}
 
-ALIKE = ("joint2", "joint5", "joint20", "box2", "box5", "box20", "disturbed1", "disturbed2", "disturbed5", "disturbed20",
-         "heater15_missing", "heater15_disturbed", "constant1", "uncertain2_paving", "gradient12", "validate_heater", "monitor",
-         "explain")  # fmt: skip
-"""Cases that begin with the programs of others: they are compiled when somebody asks, and not counted in the test of every day."""
+ALIKE = (
+    "joint2",
+    "joint5",
+    "joint20",
+    "box2",
+    "box5",
+    "box20",
+    "disturbed1",
+    "disturbed2",
+    "disturbed5",
+    "disturbed20",
+    "heater15_missing",
+    "heater15_disturbed",
+    "constant1",
+    "uncertain2_paving",
+    "gradient12",
+    "validate_heater",
+    "monitor",
+    "explain",
+)
+"""Cases that begin with the programs of others: they are compiled when somebody asks, and not counted in the
+test of every day.
+"""
 
 COMMANDS = {
-    "--version": "--version", "info": "info model.toml", "detect": "detect model.toml run.csv --out report",
-    "detect, validation": "detect model.toml run.csv --out validated --method validation", "explain": "explain report --at 210",
+    "--version": "--version",
+    "info": "info model.toml",
+    "detect": "detect model.toml run.csv --out report",
+    "detect, validation": "detect model.toml run.csv --out validated --method validation",
+    "explain": "explain report --at 210",
     "fit": "fit good.csv --inputs u1 --outputs y1,y2 --out fitted.toml --force",
-    "tune": "tune model.toml good.csv --out tuned.toml --force", "study": "study model.toml --faults y1:bias --n 2000 --out study",
-}  # fmt: skip
+    "tune": "tune model.toml good.csv --out tuned.toml --force",
+    "study": "study model.toml --faults y1:bias --n 2000 --out study",
+}
 
 
 @contextmanager
@@ -193,7 +239,9 @@ def compilations():
 
 
 def measured(name, dumped):
-    """Return the figures of the first call of a case in this process; dumped: the folder that XLA writes its programs to, or None."""
+    """Return the figures of the first call of a case in this process; dumped: the folder that XLA writes its
+    programs to, or None.
+    """
     jax.clear_caches()
     jax.device_put(np.zeros(3)).block_until_ready()
     run = CASES[name]()
@@ -221,9 +269,11 @@ class Enough(BaseException):
 
 
 def lowered(name):
-    """Return [instructions, programs] that the first call of a case hands to the compiler, up to the first of more than LARGE.
+    """Return [instructions, programs] that the first call of a case hands to the compiler, up to the first of
+    more than LARGE.
 
-    That one is not compiled: counting takes a moment, and depends on no machine. A folder of compiled kernels has to be in use.
+    That one is not compiled: counting takes a moment, and depends on no machine. A folder of compiled kernels
+    has to be in use.
     """
     counts, lock = [], threading.Lock()  # the driver may compile in several threads
     with tempfile.TemporaryDirectory() as folder:
@@ -265,26 +315,39 @@ def case(name):
         settings["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
         dump = {"XLA_FLAGS": f"--xla_dump_to={dumped} --xla_dump_hlo_as_text --xla_dump_hlo_pass_re=none"}
         command = [sys.executable, "-m", "benchmarks.first_call", "--case", name]
-        return _asked([*command, "--dumped", str(dumped)], settings | dump)[name] | {"warm": _asked(command, settings)[name]}
+        return _asked([*command, "--dumped", str(dumped)], settings | dump)[name] | {
+            "warm": _asked(command, settings)[name]
+        }
 
 
 def counted(names):
-    """Return the figures of cases of which only counts are wanted: one after the other in a process that forgets what it compiled.
+    """Return the figures of cases of which only counts are wanted: one after the other in a process that
+    forgets what it compiled.
 
     The first of them counts the probe of the device too, some 60 instructions.
     """
     with tempfile.TemporaryDirectory() as folder:
-        dump = {"XLA_FLAGS": f"--xla_dump_to={folder} --xla_dump_hlo_as_text --xla_dump_hlo_pass_re=none", "JAX_COMPILATION_CACHE_DIR": ""}
-        return _asked([sys.executable, "-m", "benchmarks.first_call", "--case", ";".join(names), "--dumped", folder], dump)
+        dump = {
+            "XLA_FLAGS": f"--xla_dump_to={folder} --xla_dump_hlo_as_text --xla_dump_hlo_pass_re=none",
+            "JAX_COMPILATION_CACHE_DIR": "",
+        }
+        return _asked(
+            [sys.executable, "-m", "benchmarks.first_call", "--case", ";".join(names), "--dumped", folder],
+            dump,
+        )
 
 
 def _asked(command, settings):
-    done = subprocess.run(command, env={**os.environ, **settings}, stdout=subprocess.PIPE, check=True, text=True)
+    done = subprocess.run(
+        command, env={**os.environ, **settings}, stdout=subprocess.PIPE, check=True, text=True
+    )
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def commands(names, repeats=3):
-    """Return {command: seconds and CPU seconds, of the first run and the least of the later ones, from start to exit}."""
+    """Return {command: seconds and CPU seconds, of the first run and the least of the later ones, from start
+    to exit}.
+    """
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         model = jb.LinearSystem(**PLANT, dt=0.01, columns={"time": "time"})
@@ -293,8 +356,14 @@ def commands(names, repeats=3):
         table = np.column_stack([0.01 * np.arange(len(u)), u, y])
         for name, rows in (("run.csv", table), ("good.csv", table[: len(u) // 2])):
             np.savetxt(folder / name, rows, delimiter=",", header="time,u1,y1,y2", comments="")
-        kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}  # else Python compiles every file at each start
-        settings = {**kept, "XDG_CACHE_HOME": str(folder / "cache"), "MPLCONFIGDIR": matplotlib.get_cachedir()}
+        kept = {
+            k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"
+        }  # else Python compiles every file at each start
+        settings = {
+            **kept,
+            "XDG_CACHE_HOME": str(folder / "cache"),
+            "MPLCONFIGDIR": matplotlib.get_cachedir(),
+        }
         out = {}
         for name in names:
             runs = []
@@ -302,8 +371,13 @@ def commands(names, repeats=3):
                 if name == "study":
                     subprocess.run(["rm", "-rf", str(folder / "study")], check=True)
                 wall, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-                done = subprocess.run([sys.executable, "-m", "jaxbound.cli", *COMMANDS[name].split()], cwd=folder, env=settings,
-                                      capture_output=True, text=True)  # fmt: skip
+                done = subprocess.run(
+                    [sys.executable, "-m", "jaxbound.cli", *COMMANDS[name].split()],
+                    cwd=folder,
+                    env=settings,
+                    capture_output=True,
+                    text=True,
+                )
                 if done.returncode not in (0, 1):
                     raise RuntimeError(done.stderr)
                 after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -329,7 +403,8 @@ def comparison(before, now):
 def table(before, now):
     """Return the same as Markdown, with the seconds that a first call takes now."""
     rows = [
-        "| first call | seconds, nothing compiled | CPU s before | now | compilations | now | instructions | now | CPU s, all kept | now |"
+        "| first call | seconds, nothing compiled | CPU s before | now | compilations | now | instructions | "
+        "now | CPU s, all kept | now |"
     ]
     rows.append("| --- " * 10 + "|")
     for name, figures in now.items():
@@ -338,7 +413,8 @@ def table(before, now):
         shown += [x.get(key) for key in ("compilations", "instructions") for x in (old, figures)]
         shown += [x.get("warm", {}).get("CPU s") for x in (old, figures)]
         rows.append(
-            f"| {f'`{name}`' if name.startswith('jaxbound') else name} | {' | '.join('' if x is None else str(x) for x in shown)} |"
+            f"| {f'`{name}`' if name.startswith('jaxbound') else name} | "
+            f"{' | '.join('' if x is None else str(x) for x in shown)} |"
         )
     return rows
 
@@ -356,11 +432,25 @@ def main():
     parser = argparse.ArgumentParser("python -m benchmarks.first_call", description=__doc__.split("\n")[0])
     every = [*CASES, *(f"jaxbound {name}" for name in COMMANDS)]
     parser.add_argument("--only", default=";".join(every), metavar="NAME;NAME", help="; ".join(every))
-    parser.add_argument("--out", default=NAME, metavar="NAME", help="benchmarks/NAME.json is written (default: first_call)")
-    parser.add_argument("--against", metavar="NAME", help="benchmarks/NAME.json of an earlier run, to compare with")
-    parser.add_argument("--counts", action="store_true", help="only instructions and compilations, all in one process, no commands")
-    parser.add_argument("--lowered", metavar="FILE", help="count what is handed to the compiler instead, as tests/test_first_call.py does")
-    parser.add_argument("--case", metavar="NAME;NAME", help="what the process of a case, or of several, is asked")
+    parser.add_argument(
+        "--out", default=NAME, metavar="NAME", help="benchmarks/NAME.json is written (default: first_call)"
+    )
+    parser.add_argument(
+        "--against", metavar="NAME", help="benchmarks/NAME.json of an earlier run, to compare with"
+    )
+    parser.add_argument(
+        "--counts",
+        action="store_true",
+        help="only instructions and compilations, all in one process, no commands",
+    )
+    parser.add_argument(
+        "--lowered",
+        metavar="FILE",
+        help="count what is handed to the compiler instead, as tests/test_first_call.py does",
+    )
+    parser.add_argument(
+        "--case", metavar="NAME;NAME", help="what the process of a case, or of several, is asked"
+    )
     parser.add_argument("--dumped", help="and where XLA writes its programs")
     args = parser.parse_args()
     if args.case:

@@ -1,4 +1,5 @@
-"""Seconds of `jaxbound fleet` on units of one shape with numbers of their own; where they go; how often a kernel is traced.
+"""Seconds of `jaxbound fleet` on units of one shape with numbers of their own; where they go; how often a
+kernel is traced.
 
 Every 20th unit has a biased sensor for 200 samples. No healthy unit may have a FAULT.
 
@@ -34,8 +35,14 @@ def unit_model(i):
     """Return a model of the paper's shape with entries of four digits."""
     near = lambda x: float(f"{x * RNG.uniform(0.9, 1.1):.4g}")
     return jb.LinearSystem(
-        [[near(0.8), near(1)], [0, near(0.2)]], [[0], [near(1)]], [[near(1), 0], [near(1), near(1)]],
-        tolerance=[0.02, 0.1], noise=[0.1, 0.01], resolution=0.0005, name=f"unit {i}")  # fmt: skip
+        [[near(0.8), near(1)], [0, near(0.2)]],
+        [[0], [near(1)]],
+        [[near(1), 0], [near(1), near(1)]],
+        tolerance=[0.02, 0.1],
+        noise=[0.1, 0.01],
+        resolution=0.0005,
+        name=f"unit {i}",
+    )
 
 
 def simulate(models, samples):
@@ -69,7 +76,9 @@ def write(folder, models, u, y):
 
 
 def shell(folder, kind):
-    """Return the seconds of one run of the command with an empty compilation cache, on the clock and of all cores, and its table."""
+    """Return the seconds of one run of the command with an empty compilation cache, on the clock and of all
+    cores, and its table.
+    """
     spent = lambda: sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
     program = shutil.which("jaxbound", path=Path(sys.executable).parent) or "jaxbound"
     command = [program, "fleet", f"{kind}.csv", "--out", f"out-{kind}"]

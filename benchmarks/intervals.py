@@ -1,9 +1,10 @@
-"""Sound interval operations against the same formulas without rounding, and against flint, codac and mpmath, in one run.
+"""Sound interval operations against the same formulas without rounding, and against flint, codac and mpmath,
+in one run.
 
 python -m benchmarks.intervals [--count 4000000]
 
-The unrounded peer has the formulas of immrax 0.3.8, whose many dependencies are not needed for them, written here as `UNROUNDED`;
-its sin, a switch of branches under vmap, is replaced by selects that do the same.
+The unrounded peer has the formulas of immrax 0.3.8, whose many dependencies are not needed for them, written
+here as `UNROUNDED`; its sin, a switch of branches under vmap, is replaced by selects that do the same.
 """
 
 import math
@@ -21,7 +22,9 @@ from jaxbound.sets.intervals.interval import Interval
 
 def mul(x, y):
     a, b, c, d = x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]
-    return jnp.minimum(jnp.minimum(a, b), jnp.minimum(c, d)), jnp.maximum(jnp.maximum(a, b), jnp.maximum(c, d))
+    return jnp.minimum(jnp.minimum(a, b), jnp.minimum(c, d)), jnp.maximum(
+        jnp.maximum(a, b), jnp.maximum(c, d)
+    )
 
 
 def div(x, y):
@@ -35,13 +38,19 @@ def sqr(x):
 
 
 def sin(x):
-    """Return the range of sin: at its ends where the cosines agree and half a turn is not exceeded, 1 or -1 otherwise."""
+    """Return the range of sin: at its ends where the cosines agree and half a turn is not exceeded, 1 or -1
+    otherwise.
+    """
     lo, hi = x
     low, high, rises, ends_rising = jnp.sin(lo), jnp.sin(hi), jnp.cos(lo) >= 0, jnp.cos(hi) >= 0
     half, whole = hi - lo <= jnp.pi, hi - lo <= 2 * jnp.pi
     same, least, most = rises == ends_rising, jnp.minimum(low, high), jnp.maximum(low, high)
-    lower = jnp.where(half, jnp.where(same | rises, least, -1), jnp.where(whole & rises & ~ends_rising, least, -1))
-    return lower, jnp.where(half, jnp.where(same | ~rises, most, 1), jnp.where(whole & ~rises & ends_rising, most, 1))
+    lower = jnp.where(
+        half, jnp.where(same | rises, least, -1), jnp.where(whole & rises & ~ends_rising, least, -1)
+    )
+    return lower, jnp.where(
+        half, jnp.where(same | ~rises, most, 1), jnp.where(whole & ~rises & ends_rising, most, 1)
+    )
 
 
 def cut(f):
@@ -54,10 +63,19 @@ def increasing(f):
 
 
 UNROUNDED = SimpleNamespace(
-    add=lambda x, y: (x[0] + y[0], x[1] + y[1]), sub=lambda x, y: (x[0] - y[1], x[1] - y[0]), mul=mul, div=div, sqr=sqr, sin=sin,
-    sqrt=cut(jnp.sqrt), log=cut(jnp.log), exp=increasing(jnp.exp), asin=increasing(jnp.arcsin), atan=increasing(jnp.arctan),
+    add=lambda x, y: (x[0] + y[0], x[1] + y[1]),
+    sub=lambda x, y: (x[0] - y[1], x[1] - y[0]),
+    mul=mul,
+    div=div,
+    sqr=sqr,
+    sin=sin,
+    sqrt=cut(jnp.sqrt),
+    log=cut(jnp.log),
+    exp=increasing(jnp.exp),
+    asin=increasing(jnp.arcsin),
+    atan=increasing(jnp.arctan),
     tanh=increasing(jnp.tanh),
-)  # fmt: skip
+)
 
 
 def compound(ops, x, y, z, one, two):
@@ -70,7 +88,9 @@ BINARY, UNARY = ("add", "sub", "mul", "div"), ("sqr", "sqrt", "exp", "log", "sin
 
 
 def large_arrays(count, dtype):
-    """Time each operation and the compound kernel on arrays; ratio: throughput of jaxbound over the peer's, run by run."""
+    """Time each operation and the compound kernel on arrays; ratio: throughput of jaxbound over the peer's,
+    run by run.
+    """
     peer, rng = UNROUNDED, np.random.default_rng(0)
     raw = []
     for low in (0.1, 0.2, 0.3):
@@ -84,15 +104,23 @@ def large_arrays(count, dtype):
     kernels["compound of 10"] = compound
     table = {}
     for name, kernel in kernels.items():
-        run = jax.jit(lambda *a, kernel=kernel: kernel(sets, *a)), jax.jit(lambda *a, kernel=kernel: kernel(peer, *a))
-        times = [[seconds_of(f, a) for f, a in zip(run, (ours, theirs), strict=True)] for _ in range(16)]  # in turns: a load meets both
+        run = (
+            jax.jit(lambda *a, kernel=kernel: kernel(sets, *a)),
+            jax.jit(lambda *a, kernel=kernel: kernel(peer, *a)),
+        )
+        times = [
+            [seconds_of(f, a) for f, a in zip(run, (ours, theirs), strict=True)] for _ in range(16)
+        ]  # in turns: a load meets both
         first, *rest = np.array(times)
         median, fastest, slowest = np.median(rest, 0), np.min(rest, 0), np.max(rest, 0)
         speed = lambda t: round(count / t / 1e6, 1)
         table[name] = {"ratio": round(float(np.median([b / a for a, b in rest])), 2)}
         for k, side in enumerate(("jaxbound", "unrounded")):
-            table[name][side] = {"million intervals/s": speed(median[k]), "first call s": round(first[k], 3),
-                                 "spread": [speed(slowest[k]), speed(fastest[k])]}  # fmt: skip
+            table[name][side] = {
+                "million intervals/s": speed(median[k]),
+                "first call s": round(first[k], 3),
+                "spread": [speed(slowest[k]), speed(fastest[k])],
+            }
         ratio = table[name]["ratio"]
         print(f"{np.dtype(dtype).name} {name}: {ratio:.2f}", flush=True)
     return table
@@ -131,7 +159,10 @@ def scalar_libraries():
         out["mpmath"] = {**add, **of_first(iv)}, iv.mpf([0.2, 0.4]), iv.mpf([0.4, 0.6])
     except ImportError:
         print("mpmath is not installed")
-    return {library: {op: seconds(f, a, b) for op, f in functions.items()} for library, (functions, a, b) in out.items()}
+    return {
+        library: {op: seconds(f, a, b) for op, f in functions.items()}
+        for library, (functions, a, b) in out.items()
+    }
 
 
 def of_first(library):
@@ -158,14 +189,23 @@ def main():
     for library, times in scalar_libraries().items():
         for op, t in times.items():
             ours = arrays["float64"][op]["jaxbound"]["million intervals/s"]
-            scalar.setdefault(library, {})[op] = {"ratio": round(ours * 1e6 * t, 1), "million intervals/s": round(1e-6 / t, 3)}
+            scalar.setdefault(library, {})[op] = {
+                "ratio": round(ours * 1e6 * t, 1),
+                "million intervals/s": round(1e-6 / t, 3),
+            }
     ratios = {name: {op: row["ratio"] for op, row in table.items()} for name, table in arrays.items()}
-    scalar_ratios = {library: {op: row["ratio"] for op, row in rows.items()} for library, rows in scalar.items()}
+    scalar_ratios = {
+        library: {op: row["ratio"] for op, row in rows.items()} for library, rows in scalar.items()
+    }
     timing.save(
         "intervals",
-        {"ratios": {"to unrounded": ratios, "to one interval at a time": scalar_ratios}, "count": count,
-         "arrays": arrays, "one interval at a time": scalar},
-    )  # fmt: skip
+        {
+            "ratios": {"to unrounded": ratios, "to one interval at a time": scalar_ratios},
+            "count": count,
+            "arrays": arrays,
+            "one interval at a time": scalar,
+        },
+    )
 
 
 if __name__ == "__main__":

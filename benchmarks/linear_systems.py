@@ -1,10 +1,12 @@
-"""Measure solve_interval on 9 x 9 systems against python-flint's ball solver, codac's and intvalpy's eliminations, in one run.
+"""Measure solve_interval on 9 x 9 systems against python-flint's ball solver, codac's and intvalpy's
+eliminations, in one run.
 
     python -m benchmarks.linear_systems [--systems 20000] [--repeats 7] [--few 300]
 
-Codac eliminates without preconditioning, which is our precondition="none"; flint, and codac behind its preconditioner, compare with
-"midpoint". Beside each ratio of times stands the ratio of widths, theirs over ours. CPU time of the process holds on a machine that
-others use. Rounds of all solvers take turns, and the fastest round counts, so that all meet the same neighbours.
+Codac eliminates without preconditioning, which is our precondition="none"; flint, and codac behind its
+preconditioner, compare with "midpoint". Beside each ratio of times stands the ratio of widths, theirs over
+ours. CPU time of the process holds on a machine that others use. Rounds of all solvers take turns, and the
+fastest round counts, so that all meet the same neighbours.
 """
 
 import time
@@ -47,7 +49,9 @@ def flint(M, h):
     from flint import arb, arb_mat
 
     ball = lambda lo, hi: arb((lo + hi) / 2, (hi - lo) / 2 * (1 + 1e-15))
-    pack = lambda lo, hi: arb_mat([[ball(float(a), float(b)) for a, b in zip(r, s, strict=True)] for r, s in zip(lo, hi, strict=True)])
+    pack = lambda lo, hi: arb_mat(
+        [[ball(float(a), float(b)) for a, b in zip(r, s, strict=True)] for r, s in zip(lo, hi, strict=True)]
+    )
     built = [(pack(M[0][k], M[1][k]), pack(h[0][k][:, None], h[1][k][:, None])) for k in range(len(M[0]))]
 
     def one(A, b):
@@ -58,7 +62,12 @@ def flint(M, h):
 
     def run():
         solved = [one(A, b) for A, b in built]
-        return lambda: np.array([np.full(len(M[0][0]), np.inf) if x is None else [2 * float(e.rad()) for e in x.entries()] for x in solved])
+        return lambda: np.array(
+            [
+                np.full(len(M[0][0]), np.inf) if x is None else [2 * float(e.rad()) for e in x.entries()]
+                for x in solved
+            ]
+        )
 
     return run
 
@@ -116,7 +125,9 @@ def fastest(solvers, repeats):
 
 
 def excess(n=4, count=256, widths=(0.001, 0.01, 0.05, 0.2)):
-    """Return the median of width / width of the exact hull - 1 per method and relative width of the coefficients."""
+    """Return the median of width / width of the exact hull - 1 per method and relative width of the
+    coefficients.
+    """
     import jaxbound as jb
 
     rng, table = np.random.default_rng(1), {}
@@ -130,7 +141,8 @@ def excess(n=4, count=256, widths=(0.001, 0.01, 0.05, 0.2)):
         }
         proved = np.all([np.asarray(x.status) == 1 for x in (hull, *row.values())], 0)
         table[f"{100 * width:g} %"] = {"of systems": round(float(proved.mean()), 2)} | {
-            name: float(f"{np.median(np.asarray(x.x.wid)[proved] / np.asarray(hull.x.wid)[proved]) - 1:.2g}") for name, x in row.items()
+            name: float(f"{np.median(np.asarray(x.x.wid)[proved] / np.asarray(hull.x.wid)[proved]) - 1:.2g}")
+            for name, x in row.items()
         }
     return table
 
@@ -142,9 +154,11 @@ def main():
     part = [tuple(end[:few] for end in X) for X in (M, h)]
     solvers, absent, first = {}, [], {}
     for name, build in {
-        "python-flint": lambda: flint(*part), "codac": lambda: codac(*part, False),
-        "codac preconditioned": lambda: codac(*part, True), "intvalpy": lambda: intvalpy(*part),
-    }.items():  # fmt: skip
+        "python-flint": lambda: flint(*part),
+        "codac": lambda: codac(*part, False),
+        "codac preconditioned": lambda: codac(*part, True),
+        "intvalpy": lambda: intvalpy(*part),
+    }.items():
         try:
             solvers[name] = build()
         except ImportError:
@@ -169,10 +183,25 @@ def main():
                     "width": round(float(np.median(theirs[both] / mine[both])), 4),
                 }
         wall, cpu = each(pair)
-        figures[f"{method}, {precondition}"] = {"times faster than": ratios, "systems_per_s": round(1 / wall),
-                                               "systems_per_cpu_s": round(1 / cpu), "first_call_s": round(first[pair], 2)}  # fmt: skip
-    figures["peers_us_a_system"] = {name: [round(1e6 * t, 1) for t in each(name).tolist()] for name in best if name not in METHODS}
-    save("linear_systems", {"systems": count, "size": "9 x 9", "not installed": absent, **figures, "excess width, 4 x 4, median": excess()})
+        figures[f"{method}, {precondition}"] = {
+            "times faster than": ratios,
+            "systems_per_s": round(1 / wall),
+            "systems_per_cpu_s": round(1 / cpu),
+            "first_call_s": round(first[pair], 2),
+        }
+    figures["peers_us_a_system"] = {
+        name: [round(1e6 * t, 1) for t in each(name).tolist()] for name in best if name not in METHODS
+    }
+    save(
+        "linear_systems",
+        {
+            "systems": count,
+            "size": "9 x 9",
+            "not installed": absent,
+            **figures,
+            "excess width, 4 x 4, median": excess(),
+        },
+    )
 
 
 if __name__ == "__main__":

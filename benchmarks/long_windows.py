@@ -1,7 +1,9 @@
-"""Windows a second where circuits are too many to enumerate: jaxbound's exchange search against HiGHS with a reused model.
+"""Windows a second where circuits are too many to enumerate: jaxbound's exchange search against HiGHS with a
+reused model.
 
-Errors are up to three times the bounds, a third of the windows is healthy. Wall time and the CPU time of the process, both as ratios: the
-second holds on a machine that others use too (both cores count, HiGHS uses one). HiGHS answers within its tolerance of 1e-7.
+Errors are up to three times the bounds, a third of the windows is healthy. Wall time and the CPU time of the
+process, both as ratios: the second holds on a machine that others use too (both cores count, HiGHS uses one).
+HiGHS answers within its tolerance of 1e-7.
 
 python -m benchmarks.long_windows [--windows 50000] [--programs 3000]
 """
@@ -22,20 +24,35 @@ from boundary import GUST, SIX  # noqa: E402
 from oracles import MODELS, Plant, Windows, draw  # noqa: E402
 
 FOUR = dict(
-    A=[[1.524825, -0.086529, 1, 0], [0.051043, 0.644157, 0, 1], [-0.527038, 0.080686, 0, 0], [-0.044875, 0.338076, 0, 0]],
+    A=[
+        [1.524825, -0.086529, 1, 0],
+        [0.051043, 0.644157, 0, 1],
+        [-0.527038, 0.080686, 0, 0],
+        [-0.044875, 0.338076, 0, 0],
+    ],
     B=[[-0.000443, 0.001075], [-0.000459, 0.004037], [0.003588, -0.00095], [0.000133, 0.000891]],
-    C=[[1, 0, 0, 0], [0, 1, 0, 0]], noise=1.5)  # fmt: skip
+    C=[[1, 0, 0, 0], [0, 1, 0, 0]],
+    noise=1.5,
+)
 CASES = {
-    "4 states, 2 outputs, s = 15": (FOUR, 15), "section 5, s = 20": (MODELS["paper"], 20), "6 states, 3 outputs, s = 10": (SIX, 10),
-    "section 5 with a disturbance, s = 6": (GUST, 6), "section 5 with a disturbance, s = 20": (GUST, 20),
-}  # fmt: skip
+    "4 states, 2 outputs, s = 15": (FOUR, 15),
+    "section 5, s = 20": (MODELS["paper"], 20),
+    "6 states, 3 outputs, s = 10": (SIX, 10),
+    "section 5 with a disturbance, s = 6": (GUST, 6),
+    "section 5 with a disturbance, s = 20": (GUST, 20),
+}
 
 
 def exchanges(relations, u, y):
-    """Return the mean and the largest number of exchanges that the first windows take, by bisection on the cap."""
+    """Return the mean and the largest number of exchanges that the first windows take, by bisection on the
+    cap.
+    """
     size = relations.test("joint", y.dtype).block
     test, one = relations.reading(y.dtype), np.ones(size)
-    block = [np.ascontiguousarray(np.moveaxis(x[:size, :lags], 0, 2)) for x, lags in ((u, test.lags), (y, relations.horizon + 1))]
+    block = [
+        np.ascontiguousarray(np.moveaxis(x[:size, :lags], 0, 2))
+        for x, lags in ((u, test.lags), (y, relations.horizon + 1))
+    ]
     low, high = np.zeros(size, int), np.full(size, 400)
     while (high - low > 1).any():
         for cap in np.unique((low + high) // 2):
@@ -82,7 +99,9 @@ def figures(spec, s, windows, programs):
         "FAULT": float(np.mean(status == jb.Status.FAULT)),
         "UNDECIDED": int((status == jb.Status.UNDECIDED).sum()),
         "disagreements with HiGHS": len(differ),
-        "disagreements where a strict program is clear": _clear(oracle, u[differ], y[differ], status[differ] == jb.Status.FAULT),
+        "disagreements where a strict program is clear": _clear(
+            oracle, u[differ], y[differ], status[differ] == jb.Status.FAULT
+        ),
     }
 
 
@@ -96,4 +115,7 @@ def _clear(oracle, u, y, fault):
 
 if __name__ == "__main__":
     count, programs = timing.option("--windows", 50_000), timing.option("--programs", 3000)
-    timing.save("long_windows", {"windows": count, **{name: figures(*case, count, programs) for name, case in CASES.items()}})
+    timing.save(
+        "long_windows",
+        {"windows": count, **{name: figures(*case, count, programs) for name, case in CASES.items()}},
+    )

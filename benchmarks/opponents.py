@@ -1,16 +1,22 @@
-"""The opponents: the same strip test and the same paving written well in NumPy, and a linear program a window."""
+"""The opponents: the same strip test and the same paving written well in NumPy, and a linear program a
+window.
+"""
 
 import numpy as np
 
 SUPPORTS = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
-CIRCUITS = np.array([[1, -5, 5, 0], [2, -6, 0, 5], [4, 0, -30, 25], [0, 4, -10, 5]], float)  # section 5, golden p0.static
+CIRCUITS = np.array(
+    [[1, -5, 5, 0], [2, -6, 0, 5], [4, 0, -30, 25], [0, 4, -10, 5]], float
+)  # section 5, golden p0.static
 KNOWN = np.array([0, 5, 25, 5], float)
 TOLERANCE, NOISE = np.array([0.02, 0.1]), np.array([0.1, 0.01])
 RECORDER = 4
 
 
 def naive(u, y):
-    """Margins of section 5 as one would first write them: whole arrays, no blocks, a matrix product for all circuits."""
+    """Margins of section 5 as one would first write them: whole arrays, no blocks, a matrix product for all
+    circuits.
+    """
     half = np.finfo(y.dtype).eps / 2
     Y = np.concatenate([y[:-1], y[1:]], 1)
     rho = NOISE + RECORDER * half * (np.maximum(abs(y[:-1]), abs(y[1:])) + NOISE)
@@ -23,7 +29,9 @@ def naive(u, y):
 
 
 class Blocked:
-    """The same in blocks that stay in cache, every operation in place, each sample's interval worked out once; statuses on request."""
+    """The same in blocks that stay in cache, every operation in place, each sample's interval worked out
+    once; statuses on request.
+    """
 
     def __init__(self, dtype, block=8192):
         self.dtype, self.block = np.dtype(dtype), block
@@ -38,7 +46,12 @@ class Blocked:
         out[0] = 0 if proof else np.nan
         for start in range(0, len(y) - 1, self.block):
             count = min(self.block, len(y) - 1 - start)
-            self._one(u[start : start + count, 0], y[start : start + count + 1], out[start + 1 : start + 1 + count], proof)
+            self._one(
+                u[start : start + count, 0],
+                y[start : start + count + 1],
+                out[start + 1 : start + 1 + count],
+                proof,
+            )
         return out
 
     def _one(self, u, y, out, proof):
@@ -88,7 +101,12 @@ class Blocked:
                     t *= 40 * self.u_round * KNOWN[c]
                     error += t
                 numerator -= denominator
-                np.maximum(out, np.where(numerator > error, 3, np.where(numerator <= -error, 1, 2)), out=out, casting="unsafe")
+                np.maximum(
+                    out,
+                    np.where(numerator > error, 3, np.where(numerator <= -error, 1, 2)),
+                    out=out,
+                    casting="unsafe",
+                )
             else:
                 numerator /= denominator
                 np.copyto(gauge, numerator) if first else np.maximum(gauge, numerator, out=gauge)

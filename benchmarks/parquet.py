@@ -1,4 +1,5 @@
-"""`jaxbound detect` on Parquet larger than one would hold in memory: peak memory, seconds apart, a kill at half, two sizes of a chunk.
+"""`jaxbound detect` on Parquet larger than one would hold in memory: peak memory, seconds apart, a kill at
+half, two sizes of a chunk.
 
 python -m benchmarks.parquet [--rows 20000000] [--file 1000000] [--observer]
 
@@ -30,14 +31,18 @@ START = np.datetime64("2020-01-01T00:00:00", "us")
 
 
 def generate(folder, rows, size):
-    """Write the paper's plant as files of `size` rows that continue each other, with a bias of 0.3 on y1 for 50 samples in each."""
+    """Write the paper's plant as files of `size` rows that continue each other, with a bias of 0.3 on y1 for
+    50 samples in each.
+    """
     model, rng, x = paper(), np.random.default_rng(0), np.zeros(2)
     A, B = (np.array(m, float) for m in (model.A, model.B))
     folder.mkdir(parents=True)
     for i, first in enumerate(range(0, rows, size)):
         n = min(size, rows - first)
         u = np.repeat(rng.uniform(-1, 1, (n // 20 + 1, 1)), 20, 0)[:n]
-        run = jb.simulate(model, u, jax.random.key(i), x0=x, faults=[jb.Fault("y1", "bias", 0.3, n // 2, n // 2 + 50)])
+        run = jb.simulate(
+            model, u, jax.random.key(i), x0=x, faults=[jb.Fault("y1", "bias", 0.3, n // 2, n // 2 + 50)]
+        )
         x = A @ np.asarray(run.x)[-1] + B @ u[-1]
         time = START + 10_000 * np.arange(first, first + n)
         columns = {"time": time, "u1": u[:, 0], **{f"y{j + 1}": np.asarray(run.y)[:, j] for j in range(2)}}
@@ -56,7 +61,9 @@ def run(folder, out, *options):
     start, peak = time.perf_counter(), 0
     with open(folder / "stdout", "w+") as said, open(folder / "stderr", "w+") as err:
         process = subprocess.Popen(command(out, *options), cwd=folder, stdout=said, stderr=err)
-        while process.poll() is None:  # the usage that wait returns would count this process's memory before the program began
+        while (
+            process.poll() is None
+        ):  # the usage that wait returns would count this process's memory before the program began
             peak = max(peak, resident(process.pid))
             time.sleep(0.02)
         seconds = time.perf_counter() - start
@@ -64,7 +71,12 @@ def run(folder, out, *options):
         if process.returncode not in (0, 1):
             raise RuntimeError(err.read())
         found = json.load(said)
-    return {"seconds": round(seconds, 2), "peak MB": round(peak / 1024), "apart": found["seconds"], "counts": found["counts"]}
+    return {
+        "seconds": round(seconds, 2),
+        "peak MB": round(peak / 1024),
+        "apart": found["seconds"],
+        "counts": found["counts"],
+    }
 
 
 def resident(pid, which="VmHWM"):
@@ -90,7 +102,9 @@ def kill_at_half(folder, out, parts):
 def same(a, b):
     """Return whether two folders of verdicts hold the same bytes of time, status, margin and suspect."""
     files = [sorted(p.glob("*.parquet")) for p in (a, b)]
-    return len(files[0]) == len(files[1]) and all(pq.read_table(x).equals(pq.read_table(y)) for x, y in zip(*files, strict=True))
+    return len(files[0]) == len(files[1]) and all(
+        pq.read_table(x).equals(pq.read_table(y)) for x, y in zip(*files, strict=True)
+    )
 
 
 def main():
@@ -106,11 +120,21 @@ def main():
         killed = kill_at_half(folder, "resumed", parts)
         resumed = run(folder, "resumed")
         verdicts = [folder / out / "verdicts.parquet" for out in ("large", "small", "resumed")]
-        timing.save("parquet_observer" if OBSERVER else "parquet", {
-            "rows": rows, "files": -(-rows // size), "stored MB": round(stored / 1e6),
-            "chunk 1000000": whole, "chunk 1000": small, "same verdicts": same(*verdicts[:2]),
-            "killed after parts": [killed, parts], "resumed": resumed, "same verdicts resumed": same(verdicts[0], verdicts[2]),
-            "written MB": round(sum(p.stat().st_size for p in verdicts[0].iterdir()) / 1e6)})  # fmt: skip
+        timing.save(
+            "parquet_observer" if OBSERVER else "parquet",
+            {
+                "rows": rows,
+                "files": -(-rows // size),
+                "stored MB": round(stored / 1e6),
+                "chunk 1000000": whole,
+                "chunk 1000": small,
+                "same verdicts": same(*verdicts[:2]),
+                "killed after parts": [killed, parts],
+                "resumed": resumed,
+                "same verdicts resumed": same(verdicts[0], verdicts[2]),
+                "written MB": round(sum(p.stat().st_size for p in verdicts[0].iterdir()) / 1e6),
+            },
+        )
 
 
 if __name__ == "__main__":

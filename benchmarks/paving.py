@@ -1,5 +1,6 @@
-"""Boxes a second: adaptive bisection of Fig. 1 for 5 000 targets, and the paper's own eight variables of section 5; set inversion
-against codac's SIVIA (pip install codac; a plain Python SIVIA where it is missing); windows with constant tolerances a second.
+"""Boxes a second: adaptive bisection of Fig. 1 for 5 000 targets, and the paper's own eight variables of
+section 5; set inversion against codac's SIVIA (pip install codac; a plain Python SIVIA where it is missing);
+windows with constant tolerances a second.
 
 python -m benchmarks.paving [--targets 5000] [--windows 1000]
 """
@@ -27,7 +28,9 @@ def figure_1(z):
 
 
 def numpy_adaptive(targets, depth=18):
-    """The same frontier in NumPy: batched over targets, level by level, without outward rounding. Returns boxes evaluated."""
+    """The same frontier in NumPy: batched over targets, level by level, without outward rounding. Returns
+    boxes evaluated.
+    """
     lo, hi = (np.repeat(np.array(b)[:, None], len(targets), 1) for b in BOX)
     owner, evaluated = np.arange(len(targets)), 0
     for level in range(depth):
@@ -35,7 +38,12 @@ def numpy_adaptive(targets, depth=18):
         near = np.maximum(np.maximum(lo[0], -hi[0]), 0)
         far = np.maximum(-lo[0], hi[0])
         t = targets[owner].T
-        keep = (2 * near * near + lo[1] <= t[0]) & (t[0] <= 2 * far * far + hi[1]) & (lo[0] - hi[1] <= t[1]) & (t[1] <= hi[0] - lo[1])
+        keep = (
+            (2 * near * near + lo[1] <= t[0])
+            & (t[0] <= 2 * far * far + hi[1])
+            & (lo[0] - hi[1] <= t[1])
+            & (t[1] <= hi[0] - lo[1])
+        )
         lo, hi, owner = np.repeat(lo[:, keep], 2, 1), np.repeat(hi[:, keep], 2, 1), np.repeat(owner[keep], 2)
         axis = level % 2
         middle = (lo[axis, ::2] + hi[axis, ::2]) / 2
@@ -44,7 +52,9 @@ def numpy_adaptive(targets, depth=18):
 
 
 def python_sivia(lo, hi, region, eps):
-    """Set inversion one box at a time: the area of the inner boxes and of inner and boundary boxes. Without outward rounding."""
+    """Set inversion one box at a time: the area of the inner boxes and of inner and boundary boxes. Without
+    outward rounding.
+    """
     (a_lo, b_lo), (a_hi, b_hi) = region
     waiting, inner, boundary = [(lo[0], hi[0], lo[1], hi[1])], 0.0, 0.0
     while waiting:
@@ -66,7 +76,9 @@ def python_sivia(lo, hi, region, eps):
 
 @timing.own_rounding()
 def peer_sivia(regions, eps):
-    """Return the peer's name, its median seconds for all regions, and the areas (inner, outer) that it reaches."""
+    """Return the peer's name, its median seconds for all regions, and the areas (inner, outer) that it
+    reaches.
+    """
     try:
         import codac
     except ImportError:
@@ -75,7 +87,9 @@ def peer_sivia(regions, eps):
     x = codac.VectorVar(2)
     f = codac.AnalyticFunction([x], [2 * codac.sqr(x[0]) + x[1], x[0] - x[1]])
     start = codac.IntervalVector([list(pair) for pair in zip(*BOX, strict=True)])
-    pave = lambda r: codac.sivia(start, f, codac.IntervalVector([list(pair) for pair in zip(*r, strict=True)]), eps)
+    pave = lambda r: codac.sivia(
+        start, f, codac.IntervalVector([list(pair) for pair in zip(*r, strict=True)]), eps
+    )
     area = lambda boxes: sum(b.volume() for b in boxes)
     reached = []
     for r in regions:
@@ -86,7 +100,9 @@ def peer_sivia(regions, eps):
 
 
 def inversion(box, count, eps):
-    """Pave {z : figure_1(z) in a region} for `count` regions until the areas are bracketed as closely as by the peer."""
+    """Pave {z : figure_1(z) in a region} for `count` regions until the areas are bracketed as closely as by
+    the peer.
+    """
     rng = np.random.default_rng(1)
     mid = rng.uniform([2, -3], [8, 0], (count, 2))
     regions = [(tuple(m - 1), tuple(m + 1)) for m in mid]
@@ -95,7 +111,9 @@ def inversion(box, count, eps):
     target = jb.interval(mid - 1, mid + 1)
     volume = lambda b: float(np.prod(np.asarray(b.hi) - np.asarray(b.lo), 1).sum()) / count
     for depth in range(8, 60):
-        run = lambda depth=depth: jb.pave(figure_1, box, target, solutions="all", max_depth=depth, max_boxes=10**9)
+        run = lambda depth=depth: jb.pave(
+            figure_1, box, target, solutions="all", max_depth=depth, max_boxes=10**9
+        )
         found = run()
         if volume(found.boxes) <= goal:
             break
@@ -122,7 +140,12 @@ def constant_tolerance(s, windows):
     y = np.asarray(jb.simulate(paper(), u, key).y) * 1.0
     run = lambda: jb.detect(relations, u, y)
     first, median, *_ = timing.clock(lambda: run().status, 3)
-    return {"windows": windows, "counts": run().counts, "first call s": round(first, 2), "windows/s": round(windows / median)}
+    return {
+        "windows": windows,
+        "counts": run().counts,
+        "first call s": round(first, 2),
+        "windows/s": round(windows / median),
+    }
 
 
 def section_5(windows):
@@ -130,7 +153,9 @@ def section_5(windows):
     rng = np.random.default_rng(0)
     relations = jb.parity_relations(paper())
     u, y = rng.uniform(-1, 1, (400_000, 1)), rng.normal(0, 1, (400_000, 2))
-    only = (jb.detect(relations, u, y).status == jb.Status.FAULT) & (jb.detect(relations, u, y, "box").status != jb.Status.FAULT)
+    only = (jb.detect(relations, u, y).status == jb.Status.FAULT) & (
+        jb.detect(relations, u, y, "box").status != jb.Status.FAULT
+    )
     only[0] = False
     picked = np.flatnonzero(only)[:windows]
     Y = np.concatenate([y[picked - 1], y[picked]], 1)

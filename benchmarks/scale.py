@@ -2,7 +2,8 @@
 
 python -m benchmarks.scale [--rows 100000000] [--windows 10000000]
 
-Virtual devices share the cores of this machine, so more of them cannot be faster: the processor time shows what they cost.
+Virtual devices share the cores of this machine, so more of them cannot be faster: the processor time shows
+what they cost.
 """
 
 import hashlib
@@ -32,7 +33,8 @@ FILE, KINDS, REST = 1_000_000, 3, 400
 
 
 def generate(folder, rows):
-    """Write the paper's plant as files that continue each other, with a bias of 0.3 on y1 for 50 samples in each.
+    """Write the paper's plant as files that continue each other, with a bias of 0.3 on y1 for 50 samples in
+    each.
 
     There are a few kinds of files that take turns: each ends at rest, where the next one begins.
     """
@@ -51,7 +53,9 @@ def generate(folder, rows):
 
 
 def on_devices(windows):
-    """Return figures of this process's devices: first call, wall and processor time of the others, digest of all verdicts."""
+    """Return figures of this process's devices: first call, wall and processor time of the others, digest of
+    all verdicts.
+    """
     rng, out = np.random.default_rng(0), {}
     u, y = (rng.normal(size=(windows, c)) for c in (1, 2))
     relations, bank = jb.parity_relations(paper()), jb.structured_relations(paper())
@@ -70,7 +74,10 @@ def on_devices(windows):
         out[name] = {
             "first call s": round(wall[0], 2),
             "first call, processor s": round(used[0], 2),
-            "million windows/s": [round(windows / t / 1e6, 1) for t in (float(np.median(wall[1:])), max(wall[1:]), min(wall[1:]))],
+            "million windows/s": [
+                round(windows / t / 1e6, 1)
+                for t in (float(np.median(wall[1:])), max(wall[1:]), min(wall[1:]))
+            ],
             "processor s": round(float(np.median(used[1:])), 3),
             "sha256": hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest(),
         }
@@ -79,7 +86,11 @@ def on_devices(windows):
 
 def with_devices(count, windows):
     """Run `on_devices` in a process with so many virtual devices."""
-    env = {**os.environ, "XLA_FLAGS": f"--xla_force_host_platform_device_count={count}", "JAX_PLATFORMS": "cpu"}
+    env = {
+        **os.environ,
+        "XLA_FLAGS": f"--xla_force_host_platform_device_count={count}",
+        "JAX_PLATFORMS": "cpu",
+    }
     argv = [sys.executable, "-m", "benchmarks.scale", "--here", "--windows", str(windows)]
     return json.loads(subprocess.run(argv, env=env, capture_output=True, text=True, check=True).stdout)
 
@@ -130,15 +141,18 @@ def main():
         stored = sum(p.stat().st_size for p in (folder / "run").iterdir())
         part = detect(folder, linked(folder, "fifth", fifth), "fifth out")
         whole = detect(folder, "run", "out")
-    timing.save("scale", {
-        "load average": [round(x, 1) for x in os.getloadavg()],
-        "windows": windows,
-        "same verdicts on all devices": same,
-        "devices": devices,
-        "stored MB": round(stored / 1e6),
-        f"{fifth * FILE} rows": part,
-        f"{rows} rows": whole,
-    })  # fmt: skip
+    timing.save(
+        "scale",
+        {
+            "load average": [round(x, 1) for x in os.getloadavg()],
+            "windows": windows,
+            "same verdicts on all devices": same,
+            "devices": devices,
+            "stored MB": round(stored / 1e6),
+            f"{fifth * FILE} rows": part,
+            f"{rows} rows": whole,
+        },
+    )
 
 
 if __name__ == "__main__":

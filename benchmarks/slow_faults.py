@@ -1,19 +1,24 @@
-"""Who sees a sensor that drifts while the weather changes and the load steps: bounds, a Kalman filter and CUSUM, with the truth known.
+"""Who sees a sensor that drifts while the weather changes and the load steps: bounds, a Kalman filter and
+CUSUM, with the truth known.
 
-    python -m benchmarks.slow_faults        about half an hour of one core; writes slow_faults.json, prints the table
+    python -m benchmarks.slow_faults        about half an hour of one core; writes slow_faults.json, prints
+    the table
 
-The plant: two heated blocks that lose heat to each other and to the air around, which wanders by at most 0.02 degC a sample; a coarse
-thermometer of the air; a load that nobody measures, up to 0.01 degC a sample on each block; heaters that step now and then. Everything
-lies inside the stated bounds, so that sets and windows raise no false alarm by proof. Healthy recordings are of three kinds:
+The plant: two heated blocks that lose heat to each other and to the air around, which wanders by at most 0.02
+degC a sample; a coarse thermometer of the air; a load that nobody measures, up to 0.01 degC a sample on each
+block; heaters that step now and then. Everything lies inside the stated bounds, so that sets and windows
+raise no false alarm by proof. Healthy recordings are of three kinds:
 
     still       errors, air and load drawn anew at each sample, uniform within 0.8 of their bounds
-    changing    the air goes up and down as on a day, and the load stays for 80 samples at one of 0.8 of its bounds
+    changing    the air goes up and down as on a day, and the load stays for 80 samples at one of 0.8 of its
+    bounds
     worst       the same at the bounds themselves, and every sensor at one of its bounds at each sample
 
-The Kalman filter knows the matrices and the variance of everything that is drawn in still weather. A threshold is the largest value that a
-statistic takes on healthy recordings: of the first two kinds, or, where the name ends in "all", of all three, which is what the bounds
-promise. On fresh ones the alarms are counted, and so they are if the threshold was found in still weather alone. Recordings are the same
-for all methods. Windows, whose work is the largest, are looked at at every eighth sample; FIRST samples are nobody's.
+The Kalman filter knows the matrices and the variance of everything that is drawn in still weather. A
+threshold is the largest value that a statistic takes on healthy recordings: of the first two kinds, or, where
+the name ends in "all", of all three, which is what the bounds promise. On fresh ones the alarms are counted,
+and so they are if the threshold was found in still weather alone. Recordings are the same for all methods.
+Windows, whose work is the largest, are looked at at every eighth sample; FIRST samples are nobody's.
 """
 
 import inspect
@@ -29,17 +34,34 @@ from jaxbound.estimation import observer as observers
 
 T, FIRST, ONSET, EVERY = 480, 60, 200, 8
 LEARNT, FRESH, FAULTY = 256, 64, 16
-"""Healthy recordings of a kind that thresholds are found on, and that alarms are counted on; recordings of each fault."""
+"""Healthy recordings of a kind that thresholds are found on, and that alarms are counted on; recordings of
+each fault.
+"""
 LIMITS = np.array([0.01, 0.01, 0.02])
 KINDS = "still", "changing", "worst"
 SIZES = 0.5, 1, 1.5, 2, 3, 4
 RATES = 0.005, 0.02
-AIR = dict(A=[["0.985", "0.005", "0.01"], ["0.005", "0.985", "0.01"], [0, 0, 1]], B=[["0.005", 0], [0, "0.005"], [0, 0]],
-           C=[[1, 0, 0], [0, 1, 0], [0, 0, 1]])  # fmt: skip
-PLANT = jb.LinearSystem(**AIR, dt=10, inputs=["Q1", "Q2"], outputs=["T1", "T2", "air"], noise=["0.3", "0.3", "0.5"],
-                        disturbance=([[1, 0, 0], [0, 1, 0], [0, 0, 1]], ["0.01", "0.01", "0.02"]), name="two blocks")  # fmt: skip
-TRUTH = PLANT.replace(B=[[*b, *g] for b, g in zip(PLANT.B, np.eye(3, dtype=int).tolist(), strict=True)],
-                      D=None, inputs=["Q1", "Q2", "w1", "w2", "w3"], disturbance=None, offset=None)  # fmt: skip
+AIR = dict(
+    A=[["0.985", "0.005", "0.01"], ["0.005", "0.985", "0.01"], [0, 0, 1]],
+    B=[["0.005", 0], [0, "0.005"], [0, 0]],
+    C=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+)
+PLANT = jb.LinearSystem(
+    **AIR,
+    dt=10,
+    inputs=["Q1", "Q2"],
+    outputs=["T1", "T2", "air"],
+    noise=["0.3", "0.3", "0.5"],
+    disturbance=([[1, 0, 0], [0, 1, 0], [0, 0, 1]], ["0.01", "0.01", "0.02"]),
+    name="two blocks",
+)
+TRUTH = PLANT.replace(
+    B=[[*b, *g] for b, g in zip(PLANT.B, np.eye(3, dtype=int).tolist(), strict=True)],
+    D=None,
+    inputs=["Q1", "Q2", "w1", "w2", "w3"],
+    disturbance=None,
+    offset=None,
+)
 """The plant with what disturbs it as inputs, so that it can be given."""
 SHARE = 0.8
 """Of its bounds that a plant uses on most days: what a safety factor of 1.25 leaves."""
@@ -49,7 +71,9 @@ Beyond = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def recordings(kind: str, count: int, seed: int, heater: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return u (N, T, 2), y (N, T, 3) of recordings of a kind; from ONSET on the first heater gives so much of what it is told."""
+    """Return u (N, T, 2), y (N, T, 3) of recordings of a kind; from ONSET on the first heater gives so much
+    of what it is told.
+    """
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     u = np.stack([np.stack([_steps(rng) for _ in range(2)], 1) for _ in range(count)])
     if kind == "still":
@@ -75,7 +99,9 @@ def _steps(rng):
 
 
 def wrong(shape: str, size: float) -> np.ndarray:
-    """Return (T, 3): what T1 shows too much; a jump at ONSET, from the start on, or a drift of so much a sample from ONSET on."""
+    """Return (T, 3): what T1 shows too much; a jump at ONSET, from the start on, or a drift of so much a
+    sample from ONSET on.
+    """
     k = np.arange(T)
     course = {"jump": k >= ONSET, "always": np.ones(T), "drift": np.maximum(k - ONSET + 1, 0)}[shape]
     return size * np.outer(course, [1, 0, 0])
@@ -102,7 +128,9 @@ def observed(**options: object) -> Beyond:
 
 
 def enclosed(**options: object) -> Beyond:
-    """Return `beyond` of an observer that takes the error of T1 for a state: its interval does not hold 0, or nothing is left."""
+    """Return `beyond` of an observer that takes the error of T1 for a state: its interval does not hold 0, or
+    nothing is left.
+    """
     model = jb.with_faults(PLANT, "T1:drift", rate="0.02")
 
     def beyond(u, y):
@@ -114,7 +142,9 @@ def enclosed(**options: object) -> Beyond:
 
 
 class Kalman:
-    """A Kalman filter of the plant, with the variances of what is drawn; bias: with the error of T1 as a state that wanders."""
+    """A Kalman filter of the plant, with the variances of what is drawn; bias: with the error of T1 as a
+    state that wanders.
+    """
 
     def __init__(self, bias: float = 0.0) -> None:
         real = lambda M: np.array([[float(x) for x in row] for row in M])
@@ -127,7 +157,9 @@ class Kalman:
             self.B, self.C = np.pad(self.B, ((0, 1), (0, 0))), np.hstack([self.C, [[1], [0], [0]]])
 
     def run(self, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return innovations (N, T, 3) of covariance 1, and states over their standard deviations (N, T, n)."""
+        """Return innovations (N, T, 3) of covariance 1, and states over their standard deviations (N, T,
+        n).
+        """
         n = len(self.A)
         x, P = np.zeros((len(y), n)), np.diag([1e4] * 3 + [9.0] * (n - 3))
         e, z = np.zeros(y.shape), np.zeros((*y.shape[:2], n))
@@ -153,7 +185,9 @@ def chi_square(samples: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 
 def cusum(drift: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return the statistic of a two-sided CUSUM of each innovation (Page 1954): g = max(0, g + |e| - drift), the largest."""
+    """Return the statistic of a two-sided CUSUM of each innovation (Page 1954): g = max(0, g + |e| - drift),
+    the largest.
+    """
 
     def statistic(u, y):
         e, up, out = Kalman().run(u, y)[0], 0.0, []
@@ -177,27 +211,43 @@ for one in ("zonotope", *getattr(observers, "METHODS", ())):
     how = {"method": one} if "method" in inspect.signature(jb.observe).parameters else {}
     SETS[f"observer, {one}"] = observed(**how)
     SETS[f"with_faults, {one}"] = enclosed(**how)
-STATISTICS = {"chi-square, 1 sample": chi_square(1), "chi-square, sum of 16": chi_square(16), "chi-square, sum of 64": chi_square(64),
-              "CUSUM, k 0.1": cusum(0.1), "CUSUM, k 0.5": cusum(0.5), "Kalman, error a state": bias_state}  # fmt: skip
+STATISTICS = {
+    "chi-square, 1 sample": chi_square(1),
+    "chi-square, sum of 16": chi_square(16),
+    "chi-square, sum of 64": chi_square(64),
+    "CUSUM, k 0.1": cusum(0.1),
+    "CUSUM, k 0.5": cusum(0.5),
+    "Kalman, error a state": bias_state,
+}
 
 
 def row(beyond: Beyond) -> dict:
-    """Return what a method sees of every fault, and its false alarms on fresh healthy recordings of each kind."""
+    """Return what a method sees of every fault, and its false alarms on fresh healthy recordings of each
+    kind.
+    """
     late = np.arange(T) >= FIRST
-    out: dict = {"false alarms": {kind: float((beyond(*recordings(kind, FRESH, 1)) & late).any(1).mean()) for kind in KINDS}}
+    out: dict = {
+        "false alarms": {
+            kind: float((beyond(*recordings(kind, FRESH, 1)) & late).any(1).mean()) for kind in KINDS
+        }
+    }
     u, y = recordings("changing", FAULTY, 2)
     healthy = beyond(u, y) & late
     after = np.arange(T) >= ONSET
     for shape, sizes in (("jump", SIZES), ("always", SIZES), ("drift", RATES)):
         out[shape] = {}
         for size in sizes:
-            out[shape][size] = _seen(beyond(u, y + wrong(shape, size)) & (late if shape == "always" else after), healthy)
+            out[shape][size] = _seen(
+                beyond(u, y + wrong(shape, size)) & (late if shape == "always" else after), healthy
+            )
     out["heater at 80 %"] = _seen(beyond(*recordings("changing", FAULTY, 2, 0.8)) & after, healthy)
     return out
 
 
 def _seen(alarms, healthy):
-    """Return {"share", "delay"} of recordings; one that has an alarm without the fault counts as not seen. delay: median of all."""
+    """Return {"share", "delay"} of recordings; one that has an alarm without the fault counts as not seen.
+    delay: median of all.
+    """
     hit = alarms.any(1) & ~healthy.any(1)
     delay = np.where(hit, alarms.argmax(1) - ONSET, np.inf)
     middle = float(np.sort(delay)[(len(delay) - 1) // 2])
@@ -214,14 +264,25 @@ def smallest(found: dict) -> float | None:
 
 def table(results: dict) -> list[str]:
     """Return the lines of a Markdown table."""
-    lines = ["| method | false alarms: still / changing / worst | jump | always | drift 0.005 | 0.02 | heater at 80 % | us a sample |",
-             "|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    lines = [
+        "| method | false alarms: still / changing / worst | jump | always | drift 0.005 | 0.02 | heater at "
+        "80 % | us a sample |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     shown = lambda x: "never" if x is None else f"{x:g}"
     for name, r in results.items():
         wolf = " / ".join(f"{100 * x:.0f} %" for x in r["false alarms"].values())
         drift = [_reached(d["delay"], rate) for rate, d in r["drift"].items()]
         heater = r["heater at 80 %"]
-        cells = [name, wolf, shown(smallest(r["jump"])), shown(smallest(r["always"])), *drift, shown(heater["delay"]), f"{r['us']:.3g}"]
+        cells = [
+            name,
+            wolf,
+            shown(smallest(r["jump"])),
+            shown(smallest(r["always"])),
+            *drift,
+            shown(heater["delay"]),
+            f"{r['us']:.3g}",
+        ]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
 
@@ -241,7 +302,10 @@ def main() -> None:
         for label, kinds in ((name, KINDS[:2]), (f"{name}, all", KINDS)):
             limits[label] = max(most[kind] for kind in kinds)
             methods[label] = lambda u, y, f=statistic, limit=limits[label]: f(u, y) > limit
-        still[name] = {kind: float((statistic(*recordings(kind, FRESH, 1))[:, FIRST:] > most["still"]).any(1).mean()) for kind in KINDS}
+        still[name] = {
+            kind: float((statistic(*recordings(kind, FRESH, 1))[:, FIRST:] > most["still"]).any(1).mean())
+            for kind in KINDS
+        }
     results = {}
     for name, beyond in methods.items():
         u, y = recordings("still", FAULTY, 3)
@@ -249,9 +313,22 @@ def main() -> None:
         start = time.process_time()
         beyond(u, y)
         spent = 1e6 * (time.process_time() - start) / y[..., 0].size
-        results[name] = row(beyond) | {"us": spent * (EVERY if name.startswith("windows") else 1), "limit": limits.get(name)}
+        results[name] = row(beyond) | {
+            "us": spent * (EVERY if name.startswith("windows") else 1),
+            "limit": limits.get(name),
+        }
         print(table({name: results[name]})[-1], flush=True)
-    print("\n".join(["", *table(results), "", "threshold from still weather alone: recordings with a false alarm", str(still)]))
+    print(
+        "\n".join(
+            [
+                "",
+                *table(results),
+                "",
+                "threshold from still weather alone: recordings with a false alarm",
+                str(still),
+            ]
+        )
+    )
     timing.save("slow_faults", {"methods": results, "threshold from still weather alone": still})
 
 

@@ -1,9 +1,10 @@
-"""Verdicts as the samples come: the same as of the file, how late, how fast, in how much memory, and after a kill.
+"""Verdicts as the samples come: the same as of the file, how late, how fast, in how much memory, and after a
+kill.
 
 python -m benchmarks.stream [--rows 1000000] [--long 100000] [--live 10000] [--realtime] [--observer]
 
-On a busy machine latency is that of the other processes. With --realtime (for root, on Linux) what measures it comes before them.
-With --observer the same of a set observer, on the first model alone.
+On a busy machine latency is that of the other processes. With --realtime (for root, on Linux) what measures
+it comes before them. With --observer the same of a set observer, on the first model alone.
 """
 
 import json
@@ -33,7 +34,9 @@ SHARED = Path(os.environ.get("JAXBOUND_SHARED", ROOT.parent / "shared"))
 
 
 def fitted():
-    """Return the model of a temperature control lab that was fitted to a recording, 4 states; None where it is absent."""
+    """Return the model of a temperature control lab that was fitted to a recording, 4 states; None where it
+    is absent.
+    """
     path = SHARED / "data/tclab/model.json"
     if not path.exists():
         return None
@@ -54,19 +57,39 @@ def write(path, model, rows):
     y[rows // 2 : rows // 2 + 40, 0] += 2 * delta[0]
     form = ["%.3f", *["%.6f"] * model.m, *["%.9f"] * model.p]
     header = ",".join(("time", *model.inputs, *model.outputs))
-    np.savetxt(path, np.column_stack([model.dt * np.arange(rows), u, y]), fmt=form, delimiter=",", header=header, comments="")
+    np.savetxt(
+        path,
+        np.column_stack([model.dt * np.arange(rows), u, y]),
+        fmt=form,
+        delimiter=",",
+        header=header,
+        comments="",
+    )
 
 
 def command(data, horizon, *options):
     program = shutil.which("jaxbound", path=Path(sys.executable).parent)
     program = [program] if program else [sys.executable, "-m", "jaxbound.cli"]
     windows = () if horizon is None else ("--horizon", str(horizon))
-    return [*program, "detect", "model.toml", data, *(("--method", "observer") if OBSERVER else windows), *options]
+    return [
+        *program,
+        "detect",
+        "model.toml",
+        data,
+        *(("--method", "observer") if OBSERVER else windows),
+        *options,
+    ]
 
 
 def start(folder, horizon, *options, stdout=subprocess.DEVNULL):
-    return subprocess.Popen(command("-", horizon, *options), cwd=folder, stdin=subprocess.PIPE, stdout=stdout, stderr=subprocess.DEVNULL,
-                            bufsize=0)  # fmt: skip
+    return subprocess.Popen(
+        command("-", horizon, *options),
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=stdout,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+    )
 
 
 def resident(process):
@@ -113,7 +136,11 @@ def through(folder, horizon, data, rows):
         process.wait()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"seconds": round(time.perf_counter() - begun, 2), "CPU s": round(cpu, 2), "MB after a tenth, a half, all": memory}
+    return {
+        "seconds": round(time.perf_counter() - begun, 2),
+        "CPU s": round(cpu, 2),
+        "MB after a tenth, a half, all": memory,
+    }
 
 
 def killed(folder, horizon, data, rows, again):
@@ -129,7 +156,9 @@ def killed(folder, horizon, data, rows, again):
     feeding.join()
     there = written(out / "verdicts.csv")
     note = json.loads((out / "monitor.jsonl").read_bytes().rsplit(b"\n", 2)[-2])
-    taken = note["memory"]["text"]["number"]  # lines, the header too: a sender that goes on sends what follows
+    taken = note["memory"]["text"][
+        "number"
+    ]  # lines, the header too: a sender that goes on sends what follows
     rest = data if again == "beginning" else b"\n".join(data.split(b"\n")[taken:])
     if again != "beginning" and note["memory"]["text"]["tail"]:
         rest = data.split(b"\n", 1)[0] + b"\n" + rest
@@ -168,7 +197,11 @@ def live(folder, horizon, data, count, *options):
 
 def stepping(relations, data, count):
     """Return the seconds of the first step and the spread of the others."""
-    values = np.loadtxt(data.splitlines()[1 : count + 1], delimiter=",", usecols=range(1, 1 + relations.model.m + relations.model.p))
+    values = np.loadtxt(
+        data.splitlines()[1 : count + 1],
+        delimiter=",",
+        usecols=range(1, 1 + relations.model.m + relations.model.p),
+    )
     u, y = np.split(values, [relations.model.m], 1)
     mon = jb.Monitor(relations)
     state, seconds, cpu = mon.init(), [], []
@@ -178,7 +211,11 @@ def stepping(relations, data, count):
         seconds.append(time.perf_counter() - begun)
         cpu.append(time.process_time() - busy)
     first = seconds[0]
-    return {"first s": round(first, 2), **spread(seconds[len(seconds) // 10 :]), "CPU us, median": round(1e6 * float(np.median(cpu)))}
+    return {
+        "first s": round(first, 2),
+        **spread(seconds[len(seconds) // 10 :]),
+        "CPU us, median": round(1e6 * float(np.median(cpu))),
+    }
 
 
 @contextmanager
@@ -195,7 +232,10 @@ def undisturbed():
 
 
 def spread(seconds):
-    return {f"{name} us": round(1e6 * float(np.percentile(seconds, q))) for name, q in (("p50", 50), ("p99", 99), ("p99.9", 99.9))}
+    return {
+        f"{name} us": round(1e6 * float(np.percentile(seconds, q)))
+        for name, q in (("p50", 50), ("p99", 99), ("p99.9", 99.9))
+    }
 
 
 def measured(model, horizon, rows, count):
@@ -204,7 +244,10 @@ def measured(model, horizon, rows, count):
         folder = Path(folder)
         jb.save_model(model, folder / "model.toml")
         write(folder / "run.csv", model, rows)
-        data, relations = (folder / "run.csv").read_bytes(), jb.observer(model) if OBSERVER else jb.parity_relations(model, horizon)
+        data, relations = (
+            (folder / "run.csv").read_bytes(),
+            jb.observer(model) if OBSERVER else jb.parity_relations(model, horizon),
+        )
         begun = time.perf_counter()
         subprocess.run(command("run.csv", horizon, "--out", "batch"), cwd=folder, stdout=subprocess.DEVNULL)
         batch = time.perf_counter() - begun
@@ -214,10 +257,16 @@ def measured(model, horizon, rows, count):
         same = lambda name: (folder / name / "verdicts.csv").read_bytes() == expected
         figures["same verdicts.csv, byte by byte"] = same("pipe")
         printed = (folder / "stdout").read_bytes()
-        figures["same on stdout"] = printed == expected.replace(b",suspect\n", b"\n").replace(b",true\n", b"\n").replace(b",false\n", b"\n")
+        figures["same on stdout"] = printed == expected.replace(b",suspect\n", b"\n").replace(
+            b",true\n", b"\n"
+        ).replace(b",false\n", b"\n")
         for again in ("beginning", "onwards"):
             there = killed(folder, horizon, data, rows, again)
-            figures[f"killed after, then from the {again}" if again == "beginning" else "killed after, then onwards"] = there
+            figures[
+                f"killed after, then from the {again}"
+                if again == "beginning"
+                else "killed after, then onwards"
+            ] = there
             figures[f"same verdicts.csv, {again}"] = same(f"killed-{again}")
         with undisturbed():
             figures["live at 1 kHz"] = live(folder, horizon, data, count)
@@ -227,11 +276,17 @@ def measured(model, horizon, rows, count):
 
 
 def main():
-    rows, long, count = timing.option("--rows", 1_000_000), timing.option("--long", 100_000), timing.option("--live", 10_000)
+    rows, long, count = (
+        timing.option("--rows", 1_000_000),
+        timing.option("--long", 100_000),
+        timing.option("--live", 10_000),
+    )
     figures = {
         "realtime": "--realtime" in sys.argv,
         "load": [round(x, 1) for x in os.getloadavg()],
-        "section 5, observer" if OBSERVER else "section 5, s = 1": measured(paper(dt=0.001), None, rows, count),
+        "section 5, observer" if OBSERVER else "section 5, s = 1": measured(
+            paper(dt=0.001), None, rows, count
+        ),
     }
     if OBSERVER:
         timing.save("stream_observer", figures)

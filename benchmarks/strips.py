@@ -1,4 +1,5 @@
-"""Windows a second of section 5 (Adrot 2000): jaxbound against blocked NumPy, naive NumPy, HiGHS and the memory bandwidth.
+"""Windows a second of section 5 (Adrot 2000): jaxbound against blocked NumPy, naive NumPy, HiGHS and the
+memory bandwidth.
 
 python -m benchmarks.strips [--windows 10000000]
 """
@@ -53,8 +54,14 @@ def figures(windows, dtype):
     infeasible = program.run(host_u[: few + 1].astype(float), host_y[: few + 1].astype(float))
     rate["HiGHS, reused model"] = few / (time.perf_counter() - start) / 1e6
     table["HiGHS, reused model"] = {"million windows/s": round(rate["HiGHS, reused model"], 4)}
-    agree = float(np.mean((jb.detect(relations, u[: few + 1], y[: few + 1]).status[1:] == jb.Status.FAULT) == infeasible))
-    close = np.nanmax(abs(np.asarray(jb.margins(relations, u[:few], y[:few])) - blocked.run(host_u[:few], host_y[:few])))
+    agree = float(
+        np.mean(
+            (jb.detect(relations, u[: few + 1], y[: few + 1]).status[1:] == jb.Status.FAULT) == infeasible
+        )
+    )
+    close = np.nanmax(
+        abs(np.asarray(jb.margins(relations, u[:few], y[:few])) - blocked.run(host_u[:few], host_y[:few]))
+    )
     margins, detect = rate["jaxbound margins"], rate["jaxbound detect (status and margin)"]
     ratios = {
         "margins / blocked NumPy": margins / rate["numpy blocked margins"],
@@ -91,5 +98,10 @@ def horizons(windows=200_000):
 if __name__ == "__main__":
     count = timing.option("--windows", 10_000_000)
     timing.save(
-        "strips", {"windows": count, **{np.dtype(d).name: figures(count, d) for d in (np.float64, np.float32)}, "horizons": horizons()}
+        "strips",
+        {
+            "windows": count,
+            **{np.dtype(d).name: figures(count, d) for d in (np.float64, np.float32)},
+            "horizons": horizons(),
+        },
     )

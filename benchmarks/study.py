@@ -1,4 +1,5 @@
-"""Scenarios a second of a Monte-Carlo study (section 5, Adrot 2000): the fused kernel, recordings with `detect`, an adversary, and NumPy.
+"""Scenarios a second of a Monte-Carlo study (section 5, Adrot 2000): the fused kernel, recordings with
+`detect`, an adversary, and NumPy.
 
 python -m benchmarks.study [--scenarios 1000000]
 """
@@ -22,7 +23,9 @@ def clocked(run):
 
 
 def in_numpy(scenarios, rng, blocked):
-    """Simulate and test in NumPy, blocks of scenarios side by side; return the FAULT share while the fault acts."""
+    """Simulate and test in NumPy, blocks of scenarios side by side; return the FAULT share while the fault
+    acts.
+    """
     hits = total = 0
     A, noise, tolerance = np.array([[0.8, 1], [0, 0.2]]), np.array([0.1, 0.01]), np.array([0.02, 0.1])
     for first in range(0, scenarios, 512):
@@ -35,7 +38,10 @@ def in_numpy(scenarios, rng, blocked):
             x = x @ A.T
             x[:, 1] += u[k]
         y[100:, :, 0] += 0.2
-        laid = np.ascontiguousarray(u.T).reshape(-1, 1), np.ascontiguousarray(y.transpose(1, 0, 2)).reshape(-1, 2)
+        laid = (
+            np.ascontiguousarray(u.T).reshape(-1, 1),
+            np.ascontiguousarray(y.transpose(1, 0, 2)).reshape(-1, 2),
+        )
         status = blocked.run(*laid, proof=True).reshape(N, SAMPLES)
         hits, total = hits + int((status[:, 101:] == jb.Status.FAULT).sum()), total + N * 99
     return hits / total
@@ -52,8 +58,12 @@ def figures(scenarios):
         wall, cpu, out = clocked(run)
         speed[name] = count * SAMPLES / wall
         table[name] = {
-            "scenarios": count, "s": round(wall, 2), "CPU s": round(cpu, 2), "million samples/s": round(speed[name] / 1e6, 3),
-            "million samples/s of CPU time": round(count * SAMPLES / cpu / 1e6, 3)}  # fmt: skip
+            "scenarios": count,
+            "s": round(wall, 2),
+            "CPU s": round(cpu, 2),
+            "million samples/s": round(speed[name] / 1e6, 3),
+            "million samples/s of CPU time": round(count * SAMPLES / cpu / 1e6, 3),
+        }
         if isinstance(out, float):
             table[name]["rate"] = round(out, 4)
         else:
@@ -62,13 +72,25 @@ def figures(scenarios):
         return out
 
     for at in ("uniform", "vertices"):
-        entry(f"study, {at}", scenarios, lambda at=at: jb.study(model, fault, scenarios, 1, samples=SAMPLES, at=at))
+        entry(
+            f"study, {at}",
+            scenarios,
+            lambda at=at: jb.study(model, fault, scenarios, 1, samples=SAMPLES, at=at),
+        )
     few = max(scenarios // 500, 256)
     long = jb.parity_relations(model, 6)
     jb.study(model, fault, 655, 0, long, samples=SAMPLES)
-    entry("study, windows of 7 samples, through recordings", few, lambda: jb.study(model, fault, few, 1, long, samples=SAMPLES))
+    entry(
+        "study, windows of 7 samples, through recordings",
+        few,
+        lambda: jb.study(model, fault, few, 1, long, samples=SAMPLES),
+    )
     jb.study(model, fault, 256, 0, samples=SAMPLES, at="adversarial")
-    entry("study, adversary of 240 steps", few, lambda: jb.study(model, fault, few, 1, samples=SAMPLES, at="adversarial"))
+    entry(
+        "study, adversary of 240 steps",
+        few,
+        lambda: jb.study(model, fault, few, 1, samples=SAMPLES, at="adversarial"),
+    )
     blocked = opponents.Blocked(np.float64)
     in_numpy(512, np.random.default_rng(0), blocked)
     entry("NumPy, side by side", 10 * few, lambda: in_numpy(10 * few, np.random.default_rng(1), blocked))

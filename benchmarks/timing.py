@@ -1,4 +1,6 @@
-"""Measure and report the same way everywhere: compile apart from run, medians, peers in one process, ratios first."""
+"""Measure and report the same way everywhere: compile apart from run, medians, peers in one process, ratios
+first.
+"""
 
 import ctypes
 import ctypes.util
@@ -17,7 +19,8 @@ jax.config.update("jax_enable_x64", True)
 
 @contextmanager
 def own_rounding():
-    """Keep what a peer does to the processor's rounding mode to a block, or to a function that this decorates.
+    """Keep what a peer does to the processor's rounding mode to a block, or to a function that this
+    decorates.
 
     Importing codac sets it to upward, and so do its functions; jaxbound refuses to prove anything then.
     """
@@ -43,7 +46,10 @@ def clock(run, repeats=7):
 def machine():
     """Return what the figures were measured on."""
     device = jax.devices()[0]
-    name = next((line.split(":")[1].strip() for line in _cpuinfo() if line.startswith("model name")), platform.processor())
+    name = next(
+        (line.split(":")[1].strip() for line in _cpuinfo() if line.startswith("model name")),
+        platform.processor(),
+    )
     return {
         "device": f"{device.platform} {device.device_kind}",
         "cpu": name,

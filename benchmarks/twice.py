@@ -1,9 +1,11 @@
-"""What it costs that every FAULT is decided twice: detect with and without the second decision, processor time by turns, in one run.
+"""What it costs that every FAULT is decided twice: detect with and without the second decision, processor
+time by turns, in one run.
 
 python -m benchmarks.twice [--only "strips;bank"]
 
-Healthy recordings should cost less than 3 % more; where every window is faulty, strips should take as long as blocked NumPy needs for the
-same sums (20 million windows a second on section 5), and searched windows less than 30 % more.
+Healthy recordings should cost less than 3 % more; where every window is faulty, strips should take as long as
+blocked NumPy needs for the same sums (20 million windows a second on section 5), and searched windows less
+than 30 % more.
 """
 
 import sys
@@ -17,9 +19,16 @@ import jaxbound as jb
 from benchmarks import timing
 
 ROUNDS = 5
-SECTION_5 = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
+SECTION_5 = jb.LinearSystem(
+    [[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01]
+)
 DISTURBED = SECTION_5.replace(tolerance=0, disturbance=([[1], [1]], 0.02))
-SHAKY = SECTION_5.replace(uncertainties=[jb.Uncertainty("a", A=[["0.02", 0], [0, "0.01"]]), jb.Uncertainty("b", A=[[0, "0.05"], [0, 0]])])
+SHAKY = SECTION_5.replace(
+    uncertainties=[
+        jb.Uncertainty("a", A=[["0.02", 0], [0, "0.01"]]),
+        jb.Uncertainty("b", A=[[0, "0.05"], [0, 0]]),
+    ]
+)
 CONSTANT = SECTION_5.replace(constant_tolerance=True)
 CASES = {  # name: (relations, method, windows)
     "strips": (lambda: jb.parity_relations(SECTION_5), "joint", 2_000_000),
@@ -42,7 +51,10 @@ def once():
     return (
         patch("jaxbound.consistency.drive.decided_twice", lambda test, judged, *_: judged),
         patch("jaxbound.consistency.twice.Twice.decided", lambda self, margin, *_: np.asarray(margin)),
-        patch("jaxbound.estimation.second_look._doubtful", lambda watch, carry, piece, status: np.zeros(status.shape, bool)),
+        patch(
+            "jaxbound.estimation.second_look._doubtful",
+            lambda watch, carry, piece, status: np.zeros(status.shape, bool),
+        ),
     )
 
 
@@ -82,7 +94,10 @@ def main():
         cells = []
         for y in (healthy, faulty):
             (alone, both), share = compared(relations, method, u, y)
-            cells += [f"{1e6 * alone / count:.3g} / {1e6 * both / count:.3g}", f"{100 * (both / alone - 1):.0f} %"]
+            cells += [
+                f"{1e6 * alone / count:.3g} / {1e6 * both / count:.3g}",
+                f"{100 * (both / alone - 1):.0f} %",
+            ]
         print(f"| {name} | {' | '.join(cells)} | {share:.2f} |", flush=True)
 
 

@@ -1,13 +1,15 @@
-"""Measure jb.validate on the system of Alhaj-Dibo, Maquin, Ragot 2004: windows a second, and what faults of each size do.
+"""Measure jb.validate on the system of Alhaj-Dibo, Maquin, Ragot 2004: windows a second, and what faults of
+each size do.
 
     python -m benchmarks.validation [--recordings 2048] [--joint 128] [--trials 64]
 
-The limit of "sequential": four systems of 9 unknowns whose matrices never change, so that a window is 4 x 9 x 9 x 3 = 972 multiplications
-and additions (the middle of C h, its radius, and what the other unknowns add) and 27 interval products: with four of them a cycle at
-2.5 GHz 0.1 microseconds a core. What is measured besides is the walk through memory between some forty kernels a window.
+The limit of "sequential": four systems of 9 unknowns whose matrices never change, so that a window is 4 x 9 x
+9 x 3 = 972 multiplications and additions (the middle of C h, its radius, and what the other unknowns add) and
+27 interval products: with four of them a cycle at 2.5 GHz 0.1 microseconds a core. What is measured besides
+is the walk through memory between some forty kernels a window.
 
-Faults on y1 in 20..30, on y2 in 50..60, or on both in 20..30, are given in units of the mean width of the first of the paper's systems,
-whose recomputed value is .573 where a fault of 1 is one unit.
+Faults on y1 in 20..30, on y2 in 50..60, or on both in 20..30, are given in units of the mean width of the
+first of the paper's systems, whose recomputed value is .573 where a fault of 1 is one unit.
 """
 
 import time
@@ -39,7 +41,9 @@ def recordings(m, count, seed=0):
     for k in range(T):
         y[:, k] = np.einsum("kij,kj->ki", draw(m.C), x[:, k])
         if k + 1 < T:
-            x[:, k + 1] = np.einsum("kij,kj->ki", draw(m.A), x[:, k]) + np.einsum("kij,kj->ki", draw(m.B), u[:, k])
+            x[:, k + 1] = np.einsum("kij,kj->ki", draw(m.A), x[:, k]) + np.einsum(
+                "kij,kj->ki", draw(m.B), u[:, k]
+            )
     return u, x, y
 
 
@@ -74,12 +78,17 @@ def unit(m, u, y):
     k = np.arange(S, T)
     ends = [[-b * u[:, k - j] for j in (2, 1)] for b in (np.asarray(m.B.lo)[:, 0], np.asarray(m.B.hi)[:, 0])]
     samples = y[:, k - 2], y[:, k - 1][..., :1]
-    right = [np.concatenate([*(f(a, b) for a, b in zip(*ends, strict=True)), *samples], -1) for f in (np.minimum, np.maximum)]
+    right = [
+        np.concatenate([*(f(a, b) for a, b in zip(*ends, strict=True)), *samples], -1)
+        for f in (np.minimum, np.maximum)
+    ]
     return float(jb.solve_interval(stacked(m, S)[:9], jb.interval(*right), "gauss").x.wid.mean()) / 0.573
 
 
 def table(method, count):
-    """Return {place: {size: shares}}: faulty samples found and blamed, sound samples blamed, windows with the state inside."""
+    """Return {place: {size: shares}}: faulty samples found and blamed, sound samples blamed, windows with the
+    state inside.
+    """
     import jaxbound as jb
 
     m = model()
@@ -94,14 +103,23 @@ def table(method, count):
             faulty, fault = np.asarray(found.faulty), np.asarray(found.status) == jb.Status.FAULT
             inside = ((np.asarray(found.state.lo) <= x) & (x <= np.asarray(found.state.hi))).all(-1)[:, S:]
             shares = faulty[truth].mean(), fault[truth.any(-1)].mean(), faulty[~truth].mean(), inside.mean()
-            row = dict(zip(("located", "detected", "wrongly_blamed", "inside"), (round(float(v), 4) for v in shares), strict=True))
+            row = dict(
+                zip(
+                    ("located", "detected", "wrongly_blamed", "inside"),
+                    (round(float(v), 4) for v in shares),
+                    strict=True,
+                )
+            )
             out.setdefault(place, {})[str(size)] = row
             print(f"{method:10s} {place:4s} f={size:<4}", row)
     return out
 
 
 def main():
-    speeds = {"sequential": speed("sequential", option("--recordings", 2048)), "joint": speed("joint", option("--joint", 128), 3)}
+    speeds = {
+        "sequential": speed("sequential", option("--recordings", 2048)),
+        "joint": speed("joint", option("--joint", 128), 3),
+    }
     tables = {method: table(method, option("--trials", 64)) for method in ("sequential", "joint")}
     save("validation", {"speed": speeds, "faults": tables})
 

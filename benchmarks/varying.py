@@ -1,10 +1,11 @@
-"""Is 0 in a zonotope that differs from window to window: jaxbound against NumPy written for whole arrays and HiGHS, in one run; and the
-example of Ploix 2006 against set inversion by codac (pip install codac; left out where it is missing).
+"""Is 0 in a zonotope that differs from window to window: jaxbound against NumPy written for whole arrays and
+HiGHS, in one run; and the example of Ploix 2006 against set inversion by codac (pip install codac; left out
+where it is missing).
 
 python -m benchmarks.varying [--windows 65536]
 
-The arithmetic limit: additions and multiplications of all strips, each determinant once, at what the cores can do at best with the vectors
-that the compiler uses (256 bits, fused). Searches have no such count.
+The arithmetic limit: additions and multiplications of all strips, each determinant once, at what the cores
+can do at best with the vectors that the compiler uses (256 bits, fused). Searches have no such count.
 """
 
 import itertools
@@ -27,7 +28,9 @@ BLOCK = 2**11
 
 
 def numpy_gauge(c, G):
-    """Return the gauge of c (N, r), G (N, r, q): normals of all subsets of r - 1 generators by minors, then two products, whole arrays."""
+    """Return the gauge of c (N, r), G (N, r, q): normals of all subsets of r - 1 generators by minors, then
+    two products, whole arrays.
+    """
     N, r, q = G.shape
     if r == 1:
         return abs(c[:, 0]) / abs(G[:, 0]).sum(1)
@@ -40,12 +43,16 @@ def numpy_gauge(c, G):
         H = np.cross(chosen[..., 0].transpose(0, 2, 1), chosen[..., 1].transpose(0, 2, 1))
     else:
         keep = [[j for j in range(r) if j != i] for i in range(r)]
-        H = np.stack([(-1) ** i * np.linalg.det(np.stack([rows[j] for j in keep[i]], -2)) for i in range(r)], -1)
+        H = np.stack(
+            [(-1) ** i * np.linalg.det(np.stack([rows[j] for j in keep[i]], -2)) for i in range(r)], -1
+        )
     return (abs(H @ c[:, :, None])[..., 0] / abs(H @ G).sum(-1)).max(1)
 
 
 class Program:
-    """HiGHS, one model for all windows: is there |z| <= 1 with G z = -c? Only the coefficients are passed anew."""
+    """HiGHS, one model for all windows: is there |z| <= 1 with G z = -c? Only the coefficients are passed
+    anew.
+    """
 
     def __init__(self, r, q):
         import highspy
@@ -55,7 +62,11 @@ class Program:
             self.solver.setOptionValue(option, value)
         self.model = highspy.HighsLp()
         self.model.num_col_, self.model.num_row_ = q, r
-        self.model.col_cost_, self.model.col_lower_, self.model.col_upper_ = np.zeros(q), -np.ones(q), np.ones(q)
+        self.model.col_cost_, self.model.col_lower_, self.model.col_upper_ = (
+            np.zeros(q),
+            -np.ones(q),
+            np.ones(q),
+        )
         self.model.a_matrix_.start_ = np.arange(q + 1) * r
         self.model.a_matrix_.index_ = np.tile(np.arange(r), q)
 
@@ -90,11 +101,15 @@ def flops(r, q):
     if r > 3:
         return None
     determinant, strips = {1: 0, 2: 3, 3: 5}[r], math.comb(q, r - 1)
-    return math.comb(q, r) * (determinant + r) + strips * (2 * r + {1: 0, 2: 0, 3: 9}[r]) + (q if r == 1 else 0)
+    return (
+        math.comb(q, r) * (determinant + r) + strips * (2 * r + {1: 0, 2: 0, 3: 9}[r]) + (q if r == 1 else 0)
+    )
 
 
 def peak():
-    """Return what the cores can do at best, in 1e9 operations a second: two fused 256-bit operations a cycle."""
+    """Return what the cores can do at best, in 1e9 operations a second: two fused 256-bit operations a
+    cycle.
+    """
     line = next((x for x in open("/proc/cpuinfo") if x.startswith("cpu MHz")), "cpu MHz : 2500")
     return timing.machine()["cores"] * float(line.split(":")[1]) / 1e3 * 16
 
@@ -128,7 +143,9 @@ def figures(windows):
             "first call s": round(first, 1),
             "share outside": round(float((margin < 0).mean()), 3),
             "differs from HiGHS": int(((margin < 0) != infeasible).sum()),
-            "share of the arithmetic limit": round(flops(r, q) / mine / 1e9 / peak(), 3) if flops(r, q) else None,
+            "share of the arithmetic limit": round(flops(r, q) / mine / 1e9 / peak(), 3)
+            if flops(r, q)
+            else None,
         }
         print(f"({r}, {q})", out[f"({r}, {q})"], flush=True)
     return out
@@ -136,7 +153,9 @@ def figures(windows):
 
 @timing.own_rounding()
 def set_inversion(u, y, eps=0.25):
-    """Return which windows of u (T, 1), y (T, 1) no parameters explain, by codac's SIVIA of the relation, and seconds a window."""
+    """Return which windows of u (T, 1), y (T, 1) no parameters explain, by codac's SIVIA of the relation, and
+    seconds a window.
+    """
     import codac
 
     v = codac.VectorVar(3)
@@ -144,7 +163,9 @@ def set_inversion(u, y, eps=0.25):
     out, start = [], time.perf_counter()
     for k in range(2, len(y)):
         a, b, c, d = (float(x) for x in (y[k - 2, 0], y[k - 1, 0], y[k, 0], u[k - 2, 0]))
-        f = codac.AnalyticFunction([v], (0.16 + 0.02 * v[0]) * a - (1 + 0.1 * v[1]) * b + c - (1 + 0.1 * v[2]) * d)
+        f = codac.AnalyticFunction(
+            [v], (0.16 + 0.02 * v[0]) * a - (1 + 0.1 * v[1]) * b + c - (1 + 0.1 * v[2]) * d
+        )
         paving = codac.sivia(box, f, codac.Interval(-1e-12, 1e-12), eps)
         left = [b for b in paving.boxes(codac.PavingInOut.outer) if not b.is_empty()]
         out.append(not left)
@@ -152,7 +173,9 @@ def set_inversion(u, y, eps=0.25):
 
 
 def example(samples=2**20):
-    """Time the example of Ploix 2006: all windows of a long recording, and set inversion for a recording of 100 samples as in the paper."""
+    """Time the example of Ploix 2006: all windows of a long recording, and set inversion for a recording of
+    100 samples as in the paper.
+    """
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from uncertain_systems import model
 
@@ -171,8 +194,14 @@ def example(samples=2**20):
         found, seconds = set_inversion(u[few], y[few])
     except ImportError:
         return out
-    out |= {"codac us a window": round(seconds * 1e6, 1), "windows that differ": int((found != fault).sum()), "faults": int(fault.sum())}
-    return out | {f"ratio {how}": round(seconds * 1e6 / out[f"{how} us a window"]) for how in ("joint", "paving")}
+    out |= {
+        "codac us a window": round(seconds * 1e6, 1),
+        "windows that differ": int((found != fault).sum()),
+        "faults": int(fault.sum()),
+    }
+    return out | {
+        f"ratio {how}": round(seconds * 1e6 / out[f"{how} us a window"]) for how in ("joint", "paving")
+    }
 
 
 if __name__ == "__main__":

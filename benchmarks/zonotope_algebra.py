@@ -1,11 +1,13 @@
-"""Operations on many zonotopes a second: jaxbound, rounded outward, beside plain NumPy, zonoopt, codac and the limit.
+"""Operations on many zonotopes a second: jaxbound, rounded outward, beside plain NumPy, zonoopt, codac and
+the limit.
 
 python -m benchmarks.zonotope_algebra [--sets 100000]
-(pip install zonoopt codac for the others; python -m benchmarks.zonotope_tables puts the figures into docs/benchmarks.md)
+(pip install zonoopt codac for the others; python -m benchmarks.zonotope_tables puts the figures into
+docs/benchmarks.md)
 
-The limit of an operation is the time in which memory moves what it reads and what it writes, at the speed of one pass that doubles all
-generators. NumPy works on the whole batch and is not rounded; zonoopt takes one set at a time and is not rounded; codac maps and adds
-boxes, one at a time, rounded outward.
+The limit of an operation is the time in which memory moves what it reads and what it writes, at the speed of
+one pass that doubles all generators. NumPy works on the whole batch and is not rounded; zonoopt takes one set
+at a time and is not rounded; codac maps and adds boxes, one at a time, rounded outward.
 """
 
 import time
@@ -30,7 +32,12 @@ def one_pass(G):
 
 def work(n, q, rng):
     """Return {operation: (jaxbound for one set, NumPy for all, zonoopt for one)}."""
-    M, v, C, gain = rng.normal(size=(n, n)), rng.normal(size=n), rng.normal(size=(1, n)), rng.normal(size=(n, 1))
+    M, v, C, gain = (
+        rng.normal(size=(n, n)),
+        rng.normal(size=n),
+        rng.normal(size=(1, n)),
+        rng.normal(size=(n, 1)),
+    )
     strip, keep = Interval(jnp.full(1, -1.0), jnp.full(1, 1.0)), 2 * n - n
 
     def girard(c, G):
@@ -47,14 +54,22 @@ def work(n, q, rng):
     twice = lambda c, G: (c + c, np.concatenate([G, G], 2))
     common = lambda c, G: (c, np.concatenate([M @ G, -G], 2), c - c @ M.T)
     return {
-        "linear_map": (lambda Z: sets.linear_map(M, Z, v), lambda c, G: (c @ M.T + v, M @ G), lambda z, Z: z.affine_map(Z, M, v)),
+        "linear_map": (
+            lambda Z: sets.linear_map(M, Z, v),
+            lambda c, G: (c @ M.T + v, M @ G),
+            lambda z, Z: z.affine_map(Z, M, v),
+        ),
         "minkowski_sum": (lambda Z: sets.minkowski_sum(Z, Z), twice, lambda z, Z: z.minkowski_sum(Z, Z)),
-        "reduce_order girard": (lambda Z: sets.reduce_order(Z, 2), girard, lambda z, Z: Z.reduce_order(2 * n)),
+        "reduce_order girard": (
+            lambda Z: sets.reduce_order(Z, 2),
+            girard,
+            lambda z, Z: Z.reduce_order(2 * n),
+        ),
         "reduce_order last": (lambda Z: sets.reduce_order(Z, 2, "last"), None, None),
         "strip_intersection": (lambda Z: sets.strip_intersection(Z, strip, C, gain), meet, None),
         "intersection": (lambda Z: sets.intersection(Z, Z, M), common, lambda z, Z: z.intersection(Z, Z, M)),
         "interval_hull": (sets.interval_hull, lambda c, G: np.abs(G).sum(2), lambda z, Z: Z.bounding_box()),
-    }  # fmt: skip
+    }
 
 
 def boxes(n, rng):
@@ -63,7 +78,10 @@ def boxes(n, rng):
     if codac is None:
         return {}
     with timing.own_rounding():
-        matrix, box = codac.IntervalMatrix(np.stack([M, M], 2).tolist()), codac.IntervalVector([[-1.0, 1.0]] * n)
+        matrix, box = (
+            codac.IntervalMatrix(np.stack([M, M], 2).tolist()),
+            codac.IntervalVector([[-1.0, 1.0]] * n),
+        )
     return {"linear_map": lambda: matrix * box, "minkowski_sum": lambda: box + box}
 
 
@@ -113,7 +131,13 @@ def against(calls, ours):
 if __name__ == "__main__":
     count = timing.option("--sets", 100_000)
     here, absent = peers.present()
-    timing.save("zonotope_algebra", {
-        "peers": {name: here.get(name, "not installed") for name in ("zonoopt", "codac")},
-        **{f"{n} x {q}": figures(max(count // less, 100), n, q) for n, q, less in ((2, 8, 1), (4, 20, 2), (20, 60, 40))},
-    })  # fmt: skip
+    timing.save(
+        "zonotope_algebra",
+        {
+            "peers": {name: here.get(name, "not installed") for name in ("zonoopt", "codac")},
+            **{
+                f"{n} x {q}": figures(max(count // less, 100), n, q)
+                for n, q, less in ((2, 8, 1), (4, 20, 2), (20, 60, 40))
+            },
+        },
+    )

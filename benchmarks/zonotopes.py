@@ -1,16 +1,20 @@
-"""Is a point in a zonotope, is a constrained zonotope empty: jaxbound against HiGHS with a reused model, and whoever else is installed.
+"""Is a point in a zonotope, is a constrained zonotope empty: jaxbound against HiGHS with a reused model, and
+whoever else is installed.
 
 python -m benchmarks.zonotopes [--largest 1000] [--sets 5000] [--seconds 3] [--processor]
-(pip install zonoopt linrax mpax for the others; what is absent is reported as absent; pycvxset was on no index at hand)
-python -m benchmarks.zonotope_tables puts the figures into docs/benchmarks.md.
+(pip install zonoopt linrax mpax for the others; what is absent is reported as absent; pycvxset was on no
+index at hand) python -m benchmarks.zonotope_tables puts the figures into docs/benchmarks.md.
 
---processor measures seconds of the processor in place of the clock's: for a machine that others use as well. All are kept to one thread
-of OpenBLAS, as HiGHS is to one of its own: a second one only helps, if at all, where nothing else runs.
+--processor measures seconds of the processor in place of the clock's: for a machine that others use as well.
+All are kept to one thread of OpenBLAS, as HiGHS is to one of its own: a second one only helps, if at all,
+where nothing else runs.
 
-Generators are normal, twice as many as dimensions; points lie on rays drawn afresh, at a known factor of the boundary, as many inside as
-outside: "far" 5 to 50 % away from it, "near" within 1e-6 (1e-9 to 1e-6). The factor at the boundary is the middle of jaxbound's two proved
-bounds, "known within" half their distance (checked against HiGHS in tests/sets/zonotopes); no point is nearer than twice that. An answer
-is wrong if it is not that of the factor; a peer that says nothing, or fails, is counted apart.
+Generators are normal, twice as many as dimensions; points lie on rays drawn afresh, at a known factor of the
+boundary, as many inside as
+outside: "far" 5 to 50 % away from it, "near" within 1e-6 (1e-9 to 1e-6). The factor at the boundary is the
+middle of jaxbound's two proved bounds, "known within" half their distance (checked against HiGHS in
+tests/sets/zonotopes); no point is nearer than twice that. An answer is wrong if it is not that of the factor;
+a peer that says nothing, or fails, is counted apart.
 """
 
 import os
@@ -40,7 +44,9 @@ now = time.process_time if "--processor" in sys.argv else time.perf_counter
 
 
 class Program:
-    """HiGHS, one model for all points of a set: is there |x| <= 1 with M x = d? Only the right-hand side is passed anew."""
+    """HiGHS, one model for all points of a set: is there |x| <= 1 with M x = d? Only the right-hand side is
+    passed anew.
+    """
 
     def __init__(self, M):
         import highspy
@@ -62,7 +68,9 @@ class Program:
     def __call__(self, d):
         """Return 1 if there is one, -1 if not, 0 if HiGHS does not say."""
         self.highs.changeRowsBounds(len(d), self.rows, d, d)
-        self.highs.setOptionValue("time_limit", self.highs.getRunTime() + PATIENCE)  # its clock counts all runs
+        self.highs.setOptionValue(
+            "time_limit", self.highs.getRunTime() + PATIENCE
+        )  # its clock counts all runs
         self.highs.run()
         return self.says.get(self.highs.getModelStatus(), 0)
 
@@ -76,7 +84,9 @@ def zonoopt(M):
 
 def linrax(M):
     solve, q = importlib.import_module("linrax").linprog, M.shape[1]
-    run = jax.jit(lambda d: solve(jnp.zeros(q), jnp.eye(q), jnp.full(q, 2.0), jnp.asarray(M), d + M.sum(1))[1].success)
+    run = jax.jit(
+        lambda d: solve(jnp.zeros(q), jnp.eye(q), jnp.full(q, 2.0), jnp.asarray(M), d + M.sum(1))[1].success
+    )
     return lambda d: 1 if run(d) else -1
 
 
@@ -86,7 +96,9 @@ def mpax(M):
     empty = jnp.zeros((0, q)), jnp.zeros(0)
     run = jax.jit(
         lambda d: (
-            solver.optimize(peer.create_lp(jnp.zeros(q), jnp.asarray(M), d, *empty, -jnp.ones(q), jnp.ones(q), False)).termination_status
+            solver.optimize(
+                peer.create_lp(jnp.zeros(q), jnp.asarray(M), d, *empty, -jnp.ones(q), jnp.ones(q), False)
+            ).termination_status
         )
     )
     return lambda d: {2: 1, 3: -1}.get(int(run(d)), 0)  # 2 optimal, 3 infeasible
@@ -107,12 +119,18 @@ def versions():
 
 
 def drawn(rng, M, d, near):
-    """Move d (S, N, m) to known factors of the boundary of M [-1, 1]^q; return (them, the factors, what these are known within)."""
+    """Move d (S, N, m) to known factors of the boundary of M [-1, 1]^q; return (them, the factors, what these
+    are known within).
+    """
     image = proof.image(M)
     found = gauges.gauge_bounds(image, image.scaled(d), tight=True)
     middle = (found.upper + found.lower) / 2
     within = float(((found.upper - found.lower) / (2 * middle)).max())
-    away = np.maximum(10.0 ** rng.uniform(-8.9, -6, middle.shape), 2 * within) if near else rng.uniform(0.05, 0.5, middle.shape)
+    away = (
+        np.maximum(10.0 ** rng.uniform(-8.9, -6, middle.shape), 2 * within)
+        if near
+        else rng.uniform(0.05, 0.5, middle.shape)
+    )
     t = 1 + np.where(np.arange(middle.size).reshape(middle.shape) % 2, 1, -1) * away
     return d * (t / middle)[..., None], t, within
 
@@ -129,7 +147,10 @@ def clock(run, repeats):
 
 def judged(answers, t):
     expected = np.where(t > 1, -1, 1)
-    return {"decided": round(float((answers != 0).mean()), 4), "wrong": int(((answers != 0) & (answers != expected)).sum())}
+    return {
+        "decided": round(float((answers != 0).mean()), 4),
+        "wrong": int(((answers != 0) & (answers != expected)).sum()),
+    }
 
 
 def peer_row(make, M, d, t, ours):
@@ -171,11 +192,24 @@ def containment(n, many_sets, near, rng):
         few = max(1, min(S, 5))
         start = now()
         answers = np.array(
-            [[program(v) for v in points] for program, points in ((Program(g), points) for g, points in zip(G[:few], d, strict=False))]
+            [
+                [program(v) for v in points]
+                for program, points in ((Program(g), points) for g, points in zip(G[:few], d, strict=False))
+            ]
         )
-        return row | {"HiGHS": {**beside((now() - start) / answers.size, ours), "of": answers.size, **judged(answers, t[:few])}}
+        return row | {
+            "HiGHS": {
+                **beside((now() - start) / answers.size, ours),
+                "of": answers.size,
+                **judged(answers, t[:few]),
+            }
+        }
     row["HiGHS"] = peer_row(Program, G[0], d[0], t[0], ours)
-    return row | ({name: peer_row(make, G[0], d[0, :50], t[0, :50], ours) for name, make in PEERS.items()} if n <= 100 else {})
+    return row | (
+        {name: peer_row(make, G[0], d[0, :50], t[0, :50], ours) for name, make in PEERS.items()}
+        if n <= 100
+        else {}
+    )
 
 
 def emptiness(n, q, k, count, rng):
@@ -189,7 +223,11 @@ def emptiness(n, q, k, count, rng):
     start = now()
     theirs = np.array([Program(np.asarray(C.constraints[i]))(np.asarray(C.offsets[i])) for i in range(few)])
     seconds = (now() - start) / few
-    row = {"us a test": round(median / count * 1e6, 1), "known within": float(f"{within:.2g}"), **judged(-answers, t)}
+    row = {
+        "us a test": round(median / count * 1e6, 1),
+        "known within": float(f"{within:.2g}"),
+        **judged(-answers, t),
+    }
     return row | {"HiGHS": {**beside(seconds, median / count), "of": few, **judged(theirs, t[:few])}}
 
 
@@ -199,11 +237,21 @@ if __name__ == "__main__":
     for n in [n for n in (*DIMENSIONS, *LARGE) if n <= largest]:
         for many_sets in (False, True)[: 2 if n <= 100 else 1]:
             for near in (False, True):
-                name = f"{n} dimensions, {'100 sets x 10 points' if many_sets else 'one set'}, {'within 1e-6' if near else 'far'}"
+                name = (
+                    f"{n} dimensions, {'100 sets x 10 points' if many_sets else 'one set'}, "
+                    f"{'within 1e-6' if near else 'far'}"
+                )
                 table[name] = containment(n, many_sets, near, rng)
                 print(f"{now() - begin:.0f} s:", name, table[name], flush=True)
     for shape in ((2, 6, 1), (5, 15, 5), (20, 60, 20)):
         name = "emptiness, {} states, {} generators, {} constraints".format(*shape)
         table[name] = emptiness(*shape, timing.option("--sets", 5000), rng)
         print(f"{now() - begin:.0f} s:", name, table[name], flush=True)
-    timing.save("zonotopes", {"peers": versions(), "seconds": "of the processor" if now is time.process_time else "of the clock", **table})
+    timing.save(
+        "zonotopes",
+        {
+            "peers": versions(),
+            "seconds": "of the processor" if now is time.process_time else "of the clock",
+            **table,
+        },
+    )

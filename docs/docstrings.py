@@ -12,7 +12,9 @@ SECTIONS = ("Encloses", "Source", "Returns", "Fields", "Attributes", "Costs")
 
 
 class Sections(griffe.Extension):
-    """Turns `Encloses:`, `Source:` and the like into paragraphs, and `Example:` into the section that shows code."""
+    """Turns `Encloses:`, `Source:` and the like into paragraphs, and `Example:` into the section that shows
+    code.
+    """
 
     def on_object(self, *, obj, **_):
         """Rewrite the docstring of an object that was found."""
@@ -28,9 +30,15 @@ def arguments(text):
 
 
 def entries(text, names):
-    """Return (name, text) of each parameter in such a section, where one line may tell of several: "u (T, m), y (T, p): samples"."""
+    """Return (name, text) of each parameter in such a section, where one line may tell of several: "u (T, m),
+    y (T, p): samples".
+    """
     item = rf"\*{{0,2}}(?:{'|'.join(map(re.escape, names))})(?: \([^()]*\))*"
-    heads = list(re.finditer(rf"(?:^|\n|(?<=[.;,] )|(?<=[.;,]\n))({item}(?:,\s{item})*):\s", text)) if names else []
+    heads = (
+        list(re.finditer(rf"(?:^|\n|(?<=[.;,] )|(?<=[.;,]\n))({item}(?:,\s{item})*):\s", text))
+        if names
+        else []
+    )
     found = []
     for head, after in zip(heads, [*heads[1:], None], strict=False):
         words = " ".join(text[head.end() : after.start() if after else None].split()).rstrip(";,")
@@ -40,7 +48,9 @@ def entries(text, names):
 
 
 def readable(text, names=()):
-    """Return a docstring with an entry for each parameter, and paragraphs in place of sections that Google's style does not have."""
+    """Return a docstring with an entry for each parameter, and paragraphs in place of sections that Google's
+    style does not have.
+    """
     if found := entries(arguments(text), names):
         told = "".join(f"    {name}: {words}\n" for name, words in found)
         text = re.sub(ARGUMENTS, lambda _: f"Args:\n{told}\n", text)
@@ -52,7 +62,9 @@ def readable(text, names=()):
             out += ["", "Examples:"]
         elif found:
             body = []
-            inside = lambda line, begun=bool(found[3]): bool(line.strip()) if begun else not line.strip() or line.startswith("    ")
+            inside = lambda line, begun=bool(found[3]): (
+                bool(line.strip()) if begun else not line.strip() or line.startswith("    ")
+            )
             while i + 1 < len(lines) and inside(lines[i + 1]):
                 i += 1
                 body.append(lines[i])

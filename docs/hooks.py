@@ -1,12 +1,13 @@
-"""What the pages take from elsewhere: sections of the README, the help of the commands, the notebooks and the project's other files.
+"""What the pages take from elsewhere: sections of the README, the help of the commands, the notebooks and the
+project's other files.
 
 - `<!-- README: Heading -->`: the section of README.md under that heading, without it
 - `<!-- HELP: detect -->`: what `jaxbound detect --help` prints
 - `<!-- FIGURES -->`: the figures that `python -m benchmarks` has drawn, if there are any
 - `<!-- GALLERY -->`: the notebooks, each with its question and its first picture
 
-Notebooks become pages, with what they printed and drew when they were last executed. Equations between dollars become MathML, which
-browsers draw themselves: the pages need no network.
+Notebooks become pages, with what they printed and drew when they were last executed. Equations between
+dollars become MathML, which browsers draw themselves: the pages need no network.
 """
 
 import base64
@@ -54,7 +55,9 @@ def on_page_markdown(markdown, page, config, files):
 
 def on_post_page(output, page, config):
     """Take the script that lets search work from a folder from the pages themselves, not from elsewhere."""
-    return output.replace("https://unpkg.com/iframe-worker/shim", "../" * page.file.src_uri.count("/") + "folder_search.js")
+    return output.replace(
+        "https://unpkg.com/iframe-worker/shim", "../" * page.file.src_uri.count("/") + "folder_search.js"
+    )
 
 
 def on_post_template(output_content, template_name, config):
@@ -64,7 +67,9 @@ def on_post_template(output_content, template_name, config):
 
 @cache
 def notebook(path):
-    """Return (Markdown, {file name: PNG}) of a notebook: its texts, its code, and what that printed and drew."""
+    """Return (Markdown, {file name: PNG}) of a notebook: its texts, its code, and what that printed and
+    drew.
+    """
     parts, pictures = [], {}
     for number, cell in enumerate(json.loads(path.read_text())["cells"]):
         text = "".join(cell["source"])
@@ -77,7 +82,9 @@ def notebook(path):
                 parts.append(f"![drawn by the code above]({name})")
             elif data["text/plain"]:
                 parts.append(f"```text\n{''.join(data['text/plain']).rstrip()}\n```")
-    return "\n\n".join([*parts, f"[This page as a notebook]({path.name}), executed by a test of the project."]) + "\n", pictures
+    return "\n\n".join(
+        [*parts, f"[This page as a notebook]({path.name}), executed by a test of the project."]
+    ) + "\n", pictures
 
 
 def gallery(up):
@@ -86,16 +93,24 @@ def gallery(up):
     for path in NOTEBOOKS:
         text, pictures = notebook(path)
         heading, paragraph = text.split("\n\n")[:2]
-        picture = f"[![{path.stem}]({up}notebooks/{next(iter(pictures))}){{ width=220 }}]({up}notebooks/{path.stem}.md)" if pictures else ""
-        sentence = re.split(r"(?<=[.?!:])\s", " ".join(paragraph.split()))[0].replace("**Question.**", "").strip()
-        rows.append(
-            f"| {picture} | [**{heading.lstrip('# ')}**]({up}notebooks/{path.stem}.md)<br>{sentence if len(sentence) > 3 else ''} |"
+        picture = ""
+        if pictures:
+            image = f"![{path.stem}]({up}notebooks/{next(iter(pictures))}){{ width=220 }}"
+            picture = f"[{image}]({up}notebooks/{path.stem}.md)"
+        sentence = (
+            re.split(r"(?<=[.?!:])\s", " ".join(paragraph.split()))[0].replace("**Question.**", "").strip()
         )
+        if len(sentence) <= 3:
+            sentence = ""
+        link = f"[**{heading.lstrip('# ')}**]({up}notebooks/{path.stem}.md)"
+        rows.append(f"| {picture} | {link}<br>{sentence} |")
     return "\n".join(rows)
 
 
 def equations(markdown):
-    """Return Markdown whose equations, between dollars and outside of code, are MathML: what needs no script and no network."""
+    """Return Markdown whose equations, between dollars and outside of code, are MathML: what needs no script
+    and no network.
+    """
     from latex2mathml.converter import convert
 
     def drawn(match):
@@ -107,7 +122,12 @@ def equations(markdown):
         return f'<div class="equation">{mathml}</div>' if block else mathml
 
     code = r"(?P<code>^```.*?^```[^\n]*$|`[^`\n]+`)"
-    return re.sub(code + r"|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^$\s](?:[^$\n]*[^$\s])?)\$", drawn, markdown, flags=re.M | re.S)
+    return re.sub(
+        code + r"|\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^$\s](?:[^$\n]*[^$\s])?)\$",
+        drawn,
+        markdown,
+        flags=re.M | re.S,
+    )
 
 
 def section(heading):
@@ -121,12 +141,17 @@ def section(heading):
 
 def figures(up):
     """Return the figures of the benchmarks as images, or a sentence that says how to draw them."""
-    found = [f"![{p.stem.replace('_', ', ')}]({up}benchmarks/figures/{p.name})" for p in sorted(FIGURES.glob("*.png"))]
+    found = [
+        f"![{p.stem.replace('_', ', ')}]({up}benchmarks/figures/{p.name})"
+        for p in sorted(FIGURES.glob("*.png"))
+    ]
     return "\n\n".join(found) or "There are no figures yet: `python -m benchmarks` draws them."
 
 
 def moved(text, up):
-    """Return text of the README with links that work from a page `up` folders deep; a file that is not published is only named."""
+    """Return text of the README with links that work from a page `up` folders deep; a file that is not
+    published is only named.
+    """
 
     def link(match):
         mark, words, target = match.groups()
@@ -134,7 +159,10 @@ def moved(text, up):
             return match[0]
         if target.startswith("docs/"):
             return f"{mark}[{words}]({up}{target.removeprefix('docs/')})"
-        published = target.startswith(("notebooks/", "benchmarks/figures/")) or target in ("CONTRIBUTING.md", "CHANGELOG.md")
+        published = target.startswith(("notebooks/", "benchmarks/figures/")) or target in (
+            "CONTRIBUTING.md",
+            "CHANGELOG.md",
+        )
         return f"{mark}[{words}]({up}{target})" if published else words
 
     return re.sub(r"(!?)\[([^\]\n]*)\]\(([^)\s]+)\)", link, text)

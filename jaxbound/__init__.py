@@ -7,7 +7,17 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxbound import certificates, consistency, diagnosis, estimation, models, relations, runs, sets, studies  # noqa: F401
+    from jaxbound import (  # noqa: F401
+        certificates,
+        consistency,
+        diagnosis,
+        estimation,
+        models,
+        relations,
+        runs,
+        sets,
+        studies,
+    )
     from jaxbound.consistency.monitor import Monitor
     from jaxbound.diagnosis.compensation import compensation
     from jaxbound.diagnosis.detectability import detectable
@@ -48,15 +58,58 @@ if TYPE_CHECKING:
     from jaxbound.studies.tuning.tuning import tune
 
 __all__ = [
-    "Fault", "LinearSystem", "Monitor", "MultiModel", "Recording", "Status", "Uncertainty", "compensation", "detect", "detect_dataset",
-    "detectable", "evaluate", "fit", "from_control", "from_scipy", "inclusion", "interval", "interval_system", "isolability", "linearize",
-    "load_model", "margins", "membership", "observe", "observer", "parity_relations", "pave", "plot", "read", "redundancy", "residual",
-    "save_model", "sets", "signatures", "simulate", "solve_interval", "strips", "structured_relations", "study", "suggest_lags", "tune",
-    "unknown_inputs", "use_cache", "validate", "with_faults", "zonotope",
-]  # fmt: skip
+    "Fault",
+    "LinearSystem",
+    "Monitor",
+    "MultiModel",
+    "Recording",
+    "Status",
+    "Uncertainty",
+    "compensation",
+    "detect",
+    "detect_dataset",
+    "detectable",
+    "evaluate",
+    "fit",
+    "from_control",
+    "from_scipy",
+    "inclusion",
+    "interval",
+    "interval_system",
+    "isolability",
+    "linearize",
+    "load_model",
+    "margins",
+    "membership",
+    "observe",
+    "observer",
+    "parity_relations",
+    "pave",
+    "plot",
+    "read",
+    "redundancy",
+    "residual",
+    "save_model",
+    "sets",
+    "signatures",
+    "simulate",
+    "solve_interval",
+    "strips",
+    "structured_relations",
+    "study",
+    "suggest_lags",
+    "tune",
+    "unknown_inputs",
+    "use_cache",
+    "validate",
+    "with_faults",
+    "zonotope",
+]
 __version__ = "0.2.0"
 
-_HOMES = {  # where a name is imported from when it is first asked for; types of results live in rooms, and answer at the top too
+# where a name is imported from when it is first asked for; types of results live in rooms, and answer at the
+# top too
+_HOMES = {
     "consistency.monitor": "Monitor",
     "diagnosis.compensation": "compensation",
     "diagnosis.detectability": "detectable",

@@ -1,7 +1,8 @@
-"""A monitor as scikit-learn's outlier detectors are used: fit, predict, decision_function. Needs scikit-learn: `jaxbound[sklearn]`.
+"""A monitor as scikit-learn's outlier detectors are used: fit, predict, decision_function. Needs
+scikit-learn: `jaxbound[sklearn]`.
 
-Rows are samples in the order of time, and a row is judged with the samples before it: unlike other detectors', verdicts depend on that
-order, and -1 is a proof as long as the bounds are true.
+Rows are samples in the order of time, and a row is judged with the samples before it: unlike other
+detectors', verdicts depend on that order, and -1 is a proof as long as the bounds are true.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,9 @@ try:
     from sklearn.base import BaseEstimator, OutlierMixin
     from sklearn.utils.validation import check_is_fitted, validate_data
 except ImportError as why:
-    raise ImportError("jaxbound.sklearn needs scikit-learn 1.6 or newer: pip install 'jaxbound[sklearn]'") from why
+    raise ImportError(
+        "jaxbound.sklearn needs scikit-learn 1.6 or newer: pip install 'jaxbound[sklearn]'"
+    ) from why
 
 __all__ = ["Detector"]
 
@@ -29,19 +32,24 @@ class Detector(OutlierMixin, BaseEstimator):
     """Proved fault detection with the methods of scikit-learn's outlier detectors.
 
     Args:
-        model: a LinearSystem with bounds that an engineer knows: `fit` then learns nothing, it looks whether the columns fit. None: `fit`
-            finds a nominal model and bounds from X, which must be healthy, by `jaxbound.fit`.
-        inputs, outputs: numbers of the columns of X, or their names in a DataFrame. outputs None: all columns that are no inputs; with a
-            model, first its inputs and then its outputs, or by name in a DataFrame.
-        method: of `detect`. order, horizon, safety, held_out, fitting: of `jaxbound.fit` (its `method`), horizon also of a model.
+        model: a LinearSystem with bounds that an engineer knows: `fit` then learns nothing, it looks whether
+            the columns fit. None: `fit` finds a nominal model and bounds from X, which must be healthy, by
+            `jaxbound.fit`.
+        inputs, outputs: numbers of the columns of X, or their names in a DataFrame. outputs None: all columns
+            that are no inputs; with a model, first its inputs and then its outputs, or by name in a
+            DataFrame.
+        method: of `detect`. order, horizon, safety, held_out, fitting: of `jaxbound.fit` (its `method`),
+            horizon also of a model.
 
-    Fields after `fit`: model_: the LinearSystem. relations_: its relations. offset_: 0.0, what decision_function subtracts.
+    Fields after `fit`: model_: the LinearSystem. relations_: its relations. offset_: 0.0, what
+    decision_function subtracts.
 
-    Rows follow each other in time; a gap in the times of a table begins anew. The first rows, as many as the horizon, and rows with missing
-    samples (NaN) have no verdict: they count as inliers, of score 0.
+    Rows follow each other in time; a gap in the times of a table begins anew. The first rows, as many as the
+    horizon, and rows with missing samples (NaN) have no verdict: they count as inliers, of score 0.
 
-    Encloses: a row of -1 is proved: no behaviour within the bounds explains its window. A healthy plant never gives one while the bounds
-    hold, however many rows there are; bounds that were fitted from data are no more than an estimate of what is healthy.
+    Encloses: a row of -1 is proved: no behaviour within the bounds explains its window. A healthy plant never
+    gives one while the bounds hold, however many rows there are; bounds that were fitted from data are no
+    more than an estimate of what is healthy.
 
     Example:
         >>> import jaxbound as jb
@@ -80,10 +88,12 @@ class Detector(OutlierMixin, BaseEstimator):
         return tags
 
     def fit(self, X: Any, y: Any = None) -> "Detector":
-        """Find a model and bounds of healthy rows X (T, columns), or check that a given model fits them. y is ignored.
+        """Find a model and bounds of healthy rows X (T, columns), or check that a given model fits them. y is
+        ignored.
 
         Raises:
-            ValueError: columns that are not there, infinite numbers, too few rows, an output that stands still; see `jaxbound.fit`.
+            ValueError: columns that are not there, infinite numbers, too few rows, an output that stands
+                still; see `jaxbound.fit`.
         """
         rows = self._rows(X, reset=True)
         self._places = self._columns(rows.shape[1])
@@ -91,11 +101,24 @@ class Detector(OutlierMixin, BaseEstimator):
             self.model_ = self.model
             self.relations_ = parity_relations(self.model, self.horizon)
         else:
-            names = [str(name) for name in getattr(self, "feature_names_in_", [f"x{i}" for i in range(rows.shape[1])])]
+            names = [
+                str(name)
+                for name in getattr(self, "feature_names_in_", [f"x{i}" for i in range(rows.shape[1])])
+            ]
             inputs, outputs = ([names[i] for i in places] for places in self._places)
-            given = X if hasattr(self, "feature_names_in_") else tuple(rows[:, places] for places in self._places)
-            self.model_ = fit_model(given, self.order, self.horizon, inputs=inputs, outputs=outputs, safety=self.safety,
-                                    held_out=self.held_out, method=self.fitting)  # fmt: skip
+            given = (
+                X if hasattr(self, "feature_names_in_") else tuple(rows[:, places] for places in self._places)
+            )
+            self.model_ = fit_model(
+                given,
+                self.order,
+                self.horizon,
+                inputs=inputs,
+                outputs=outputs,
+                safety=self.safety,
+                held_out=self.held_out,
+                method=self.fitting,
+            )
             self.relations_ = parity_relations(self.model_)
         self.offset_ = 0.0
         return self
@@ -110,7 +133,9 @@ class Detector(OutlierMixin, BaseEstimator):
         return detect(self.relations_, u, y, method=self.method)
 
     def decision_function(self, X: Any) -> np.ndarray:
-        """Return (T,) scores: below 0 exactly where a fault is proved, then the margin; else the margin, 0 where there is none."""
+        """Return (T,) scores: below 0 exactly where a fault is proved, then the margin; else the margin, 0
+        where there is none.
+        """
         res = self.detect(X)
         fault, margin = res.status == Status.FAULT, np.nan_to_num(np.asarray(res.margin, np.float64), nan=0.0)
         return np.where(fault, np.minimum(margin, -np.finfo(np.float64).tiny), np.maximum(margin, 0.0))
@@ -125,7 +150,14 @@ class Detector(OutlierMixin, BaseEstimator):
 
     def _rows(self, X, reset):
         """Return the rows as an array of floats, checked as scikit-learn does."""
-        return validate_data(self, X, reset=reset, dtype=np.float64, ensure_all_finite="allow-nan", ensure_min_samples=2 if reset else 1)
+        return validate_data(
+            self,
+            X,
+            reset=reset,
+            dtype=np.float64,
+            ensure_all_finite="allow-nan",
+            ensure_min_samples=2 if reset else 1,
+        )
 
     def _columns(self, count):
         """Return (numbers of the columns of the inputs, of the outputs)."""
@@ -134,13 +166,19 @@ class Detector(OutlierMixin, BaseEstimator):
             m, p = self.model.m, self.model.p
             if names or count == m + p:
                 return list(range(m)), list(range(m, m + p))
-            raise ValueError(f"X has {count} columns, the model {m} inputs and {p} outputs: say which they are by inputs= and outputs=")
+            raise ValueError(
+                f"X has {count} columns, the model {m} inputs and {p} outputs: say which they are by inputs= "
+                f"and outputs="
+            )
         inputs = [self._place(column, names, count) for column in self.inputs]
         others = [i for i in range(count) if i not in inputs]
-        outputs = others if self.outputs is None else [self._place(column, names, count) for column in self.outputs]
+        outputs = (
+            others if self.outputs is None else [self._place(column, names, count) for column in self.outputs]
+        )
         if self.model is not None and (len(inputs), len(outputs)) != (self.model.m, self.model.p):
             raise ValueError(
-                f"the model has {self.model.m} inputs and {self.model.p} outputs, {len(inputs)} and {len(outputs)} columns are given"
+                f"the model has {self.model.m} inputs and {self.model.p} outputs, {len(inputs)} and "
+                f"{len(outputs)} columns are given"
             )
         return inputs, outputs
 
@@ -149,7 +187,8 @@ class Detector(OutlierMixin, BaseEstimator):
         if isinstance(column, str):
             if column not in names:
                 raise ValueError(
-                    f"X has no column {column!r}" + (f": it has {', '.join(map(str, names))}" if names else " by name: give numbers")
+                    f"X has no column {column!r}"
+                    + (f": it has {', '.join(map(str, names))}" if names else " by name: give numbers")
                 )
             return names.index(column)
         if not 0 <= column < count:

@@ -1,4 +1,6 @@
-"""What holds for every family of windows: a Monitor says what detect says, and certificates stand without jaxbound."""
+"""What holds for every family of windows: a Monitor says what detect says, and certificates stand without
+jaxbound.
+"""
 
 import json
 
@@ -9,7 +11,8 @@ import jaxbound as jb
 
 
 def monitor_agrees(relations, u, y, res):
-    """Insist that a Monitor says the same as a Result, bit for bit; in blocks as long as those of detect, whose kernels are compiled.
+    """Insist that a Monitor says the same as a Result, bit for bit; in blocks as long as those of detect,
+    whose kernels are compiled.
 
     Short blocks are those of test_monitor and test_whole_numbers.
     """
@@ -21,7 +24,9 @@ def monitor_agrees(relations, u, y, res):
 
 
 def certificates_hold(res):
-    """Insist that the first FAULT and the first CONSISTENT window of a Result have certificates that fractions alone confirm."""
+    """Insist that the first FAULT and the first CONSISTENT window of a Result have certificates that
+    fractions alone confirm.
+    """
     for name in ("FAULT", "CONSISTENT"):
         c = res.explain(int(np.argmax(res.status == jb.Status[name])))
         assert c.proves.name == name

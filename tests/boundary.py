@@ -9,10 +9,19 @@ import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 
 SIX = dict(
-    A=[[0.62, 0.11, 0, 0, -0.05, 0], [-0.2, 0.55, 0.1, 0, 0, 0.03], [0, 0.3, 0.71, -0.12, 0, 0], [0.04, 0, 0.2, 0.48, 0.25, 0],
-       [0, 0, -0.1, 0.3, 0.66, 0.08], [0.1, 0, 0, 0, 0.2, 0.9]],
-    B=[[1], [0], [0], [0.5], [0], [0]], C=[[1, 0, 0, 0, 0, 0.3], [0, 0, 1, 0, 0, 0], [0, 0, 0, 0.4, 1, 0]],
-    tolerance=[0.01, 0, 0.05], noise=[0.1, 0.2, 0.05])  # fmt: skip
+    A=[
+        [0.62, 0.11, 0, 0, -0.05, 0],
+        [-0.2, 0.55, 0.1, 0, 0, 0.03],
+        [0, 0.3, 0.71, -0.12, 0, 0],
+        [0.04, 0, 0.2, 0.48, 0.25, 0],
+        [0, 0, -0.1, 0.3, 0.66, 0.08],
+        [0.1, 0, 0, 0, 0.2, 0.9],
+    ],
+    B=[[1], [0], [0], [0.5], [0], [0]],
+    C=[[1, 0, 0, 0, 0, 0.3], [0, 0, 1, 0, 0, 0], [0, 0, 0, 0.4, 1, 0]],
+    tolerance=[0.01, 0, 0.05],
+    noise=[0.1, 0.2, 0.05],
+)
 GUST = MODELS["paper"] | dict(disturbance=([[0], [1]], 0.05))
 LEAK = MODELS["offsets"] | dict(disturbance=([["0.3"], [1]], [[0, "0.2"]]))
 
@@ -26,8 +35,13 @@ def numbers(name, shared):
 
 
 def prepared(model, horizon, count, rng, dtype=np.float64, **drawn):
-    """Return relations, oracle, u, y: windows (count, s + 1, .), a third of them near the boundary by 1e-8 to 1e-2."""
-    relations, oracle = jb.parity_relations(jb.LinearSystem(**model), horizon=horizon), Windows(Plant(**model), horizon, dtype)
+    """Return relations, oracle, u, y: windows (count, s + 1, .), a third of them near the boundary by 1e-8 to
+    1e-2.
+    """
+    relations, oracle = (
+        jb.parity_relations(jb.LinearSystem(**model), horizon=horizon),
+        Windows(Plant(**model), horizon, dtype),
+    )
     u, centre, y = draw(oracle.plant, horizon, count, rng, **drawn)
     near = slice(0, count // 3)
     factor = at_boundary(relations, u[near], centre[near], y[near])
@@ -41,11 +55,15 @@ def moved(centre, y, factor):
 
 
 def at_boundary(relations, u, centre, y, steps=12):
-    """Return the factors (N,) at which centre + factor (y - centre) comes to the boundary (about; 1 where it never does)."""
+    """Return the factors (N,) at which centre + factor (y - centre) comes to the boundary (about; 1 where it
+    never does).
+    """
     factor = np.ones(len(y))
     for _ in range(steps):
         gauge = 1 - last(jb.detect(relations, u, moved(centre, y, factor)).margin)
-        factor = np.where(np.isfinite(gauge) & (gauge > 1e-6) & (gauge != 1), factor / np.maximum(gauge, 1e-6), factor)
+        factor = np.where(
+            np.isfinite(gauge) & (gauge > 1e-6) & (gauge != 1), factor / np.maximum(gauge, 1e-6), factor
+        )
     return np.where(np.isfinite(factor) & (factor < 1e6), factor, 1)
 
 
@@ -55,7 +73,9 @@ def last(x):
 
 
 def agree(status, slack, sure=1e-9):
-    """Compare with the program's answer wherever its margin exceeds `sure`; return the share of those that are FAULT."""
+    """Compare with the program's answer wherever its margin exceeds `sure`; return the share of those that
+    are FAULT.
+    """
     clear = abs(slack) > sure
     assert clear.mean() > 0.99
     np.testing.assert_array_equal(status[clear], np.where(slack > 0, Status.FAULT, Status.CONSISTENT)[clear])

@@ -1,4 +1,6 @@
-"""The checker as tests of certificates call it: on the model and the samples that the certificate itself shows."""
+"""The checker as tests of certificates call it: on the model and the samples that the certificate itself
+shows.
+"""
 
 from jaxbound.certificates.checker.claim import numbers
 from jaxbound.certificates.checker.proof import confirm

@@ -18,17 +18,24 @@ SHARED = Path(os.environ.get("JAXBOUND_SHARED", Path(__file__).resolve().parents
 
 
 def pytest_configure(config):
-    """Keep compiled kernels beside pytest's own cache: two workers, and the slow tests after the others, compile each once.
+    """Keep compiled kernels beside pytest's own cache: two workers, and the slow tests after the others,
+    compile each once.
 
     Hypothesis draws from the test's name too, but for JAXBOUND_SEED=fresh.
     """
-    gc.set_threshold(20_000, 20, 20)  # a twelfth of all time went into looking for garbage among what jax keeps
-    hypothesis.settings.register_profile("named", derandomize=os.environ.get("JAXBOUND_SEED") != "fresh", deadline=None)
+    gc.set_threshold(
+        20_000, 20, 20
+    )  # a twelfth of all time went into looking for garbage among what jax keeps
+    hypothesis.settings.register_profile(
+        "named", derandomize=os.environ.get("JAXBOUND_SEED") != "fresh", deadline=None
+    )
     hypothesis.settings.load_profile("named")
     if not hasattr(config, "cache"):  # pytest was told to keep none
         return
     jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("kernels")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # small ones too: eager code is made of them
+    jax.config.update(
+        "jax_persistent_cache_min_compile_time_secs", 0
+    )  # small ones too: eager code is made of them
 
 
 @pytest.fixture
@@ -41,7 +48,9 @@ def kernels(monkeypatch):
 
 @pytest.fixture(scope="session")
 def shared():
-    """Return a function that finds a file of the shared folder and skips the test, saying so, where it is absent."""
+    """Return a function that finds a file of the shared folder and skips the test, saying so, where it is
+    absent.
+    """
 
     def find(name):
         path = SHARED / name
@@ -60,13 +69,17 @@ def golden(shared):
 
 @pytest.fixture
 def rng(request):
-    """Return a generator seeded by the test's name, or by JAXBOUND_SEED: a number, or "fresh" for a new one, printed to repeat it."""
+    """Return a generator seeded by the test's name, or by JAXBOUND_SEED: a number, or "fresh" for a new one,
+    printed to repeat it.
+    """
     return np.random.default_rng(_seed(request.node))
 
 
 @pytest.fixture(scope="module")
 def module_seed(request):
-    """Return the seed, below 2^31, of what the tests of a file share: from the file's name, or from JAXBOUND_SEED."""
+    """Return the seed, below 2^31, of what the tests of a file share: from the file's name, or from
+    JAXBOUND_SEED.
+    """
     return _seed(request.node) % 2**31
 
 
@@ -79,7 +92,9 @@ def _seed(node):
 
 @pytest.fixture(scope="session")
 def case(tmp_path_factory):
-    """Return a function that gives a recording larger than a chunk, and what `detect` finds in it: see `streaming_case.cases`."""
+    """Return a function that gives a recording larger than a chunk, and what `detect` finds in it: see
+    `streaming_case.cases`.
+    """
     from streaming_case import cases
 
     return cases(tmp_path_factory)

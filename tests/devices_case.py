@@ -1,4 +1,5 @@
-"""What several devices find: run with XLA_FLAGS=--xla_force_host_platform_device_count=8, prints digests for some of them.
+"""What several devices find: run with XLA_FLAGS=--xla_force_host_platform_device_count=8, prints digests for
+some of them.
 
 python devices_case.py BLOCK SAMPLES COUNTS case [case ...]
 """
@@ -37,16 +38,26 @@ def both(result):
 
 
 CASES = {
-    "one sensor": lambda u, y: both(jb.detect(jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)), None, y[:, :1])),
+    "one sensor": lambda u, y: both(
+        jb.detect(jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)), None, y[:, :1])
+    ),
     "joint": lambda u, y: both(jb.detect(jb.parity_relations(paper()), u, y)),
-    "float32": lambda u, y: both(jb.detect(jb.parity_relations(paper()), u.astype(np.float32), y.astype(np.float32))),
+    "float32": lambda u, y: both(
+        jb.detect(jb.parity_relations(paper()), u.astype(np.float32), y.astype(np.float32))
+    ),
     "box": lambda u, y: both(jb.detect(jb.parity_relations(paper(), 2), u, y, method="box")),
-    "batch": lambda u, y: both(jb.detect(jb.parity_relations(paper(), 2), u.reshape(5, -1, 1), y.reshape(5, -1, 2))),
+    "batch": lambda u, y: both(
+        jb.detect(jb.parity_relations(paper(), 2), u.reshape(5, -1, 1), y.reshape(5, -1, 2))
+    ),
     "margins": lambda u, y: (jb.margins(jb.parity_relations(paper()), u, y),),
-    "bank": lambda u, y: (lambda found: (found.words, *both(found)))(jb.detect(jb.structured_relations(paper()), u, y)),
+    "bank": lambda u, y: (lambda found: (found.words, *both(found)))(
+        jb.detect(jb.structured_relations(paper()), u, y)
+    ),
     "long windows": lambda u, y: both(jb.detect(jb.parity_relations(paper(), 20), u, y)),
-    "unknown inputs": lambda u, y: tuple(jax.tree.leaves(jb.unknown_inputs(paper(unknown_inputs=[[1], [0]]), u, y).values)),
-}  # fmt: skip
+    "unknown inputs": lambda u, y: tuple(
+        jax.tree.leaves(jb.unknown_inputs(paper(unknown_inputs=[[1], [0]]), u, y).values)
+    ),
+}
 
 
 def digests(cases, block, samples, counts):
@@ -60,7 +71,9 @@ def digests(cases, block, samples, counts):
             chosen = tuple(jax.local_devices()[:count])
             drive.usable_devices = unproved.usable_devices = lambda chosen=chosen: chosen
             arrays = [np.asarray(x) for x in CASES[case](u, y)]
-            found.setdefault(case, []).append(hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest())
+            found.setdefault(case, []).append(
+                hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest()
+            )
         found[case].append(len(np.unique(arrays[0])))
     found["compiled"] = devices._on_mesh._cache_size()
     return found

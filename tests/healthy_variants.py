@@ -1,6 +1,8 @@
-"""Healthy recordings, simulated in exact fractions with every bound kept, and written in as many ways as people and programs do.
+"""Healthy recordings, simulated in exact fractions with every bound kept, and written in as many ways as
+people and programs do.
 
-Nothing of jaxbound is used to make them. A Variant is drawn from a seed alone: what the recording is, how it is written and who reads it.
+Nothing of jaxbound is used to make them. A Variant is drawn from a seed alone: what the recording is, how it
+is written and who reads it.
 """
 
 import csv
@@ -43,14 +45,24 @@ C = [[1, 0], [1, 1]]
 """
 READERS = ("file", "pipe", "parquet", "pandas", "polars", "arrow", "xarray", "fleet", "state")
 FIRST = datetime.datetime(2024, 2, 28, 23, 59, 30)  # over midnight and into a leap day
-STAMPS = ("%Y-%m-%d %H:%M:%S", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%dT%H:%M:%SZ", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y%m%d%H%M%S",
-          "%d-%b-%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f")  # fmt: skip
+STAMPS = (
+    "%Y-%m-%d %H:%M:%S",
+    "%Y-%m-%dT%H:%M:%S",
+    "%Y-%m-%dT%H:%M:%SZ",
+    "%d.%m.%Y %H:%M:%S",
+    "%m/%d/%Y %H:%M:%S",
+    "%Y%m%d%H%M%S",
+    "%d-%b-%Y %H:%M:%S",
+    "%Y/%m/%d %H:%M:%S.%f",
+)
 MISSING = ("", "", " ", "NaN", "nan", "NA", "N/A", "null", "None")
 REMARKS = ("fine", "", "shift 2", 'a 5" pipe', "it's on", "a\u2028b", "x\x0by", "\u201cok\u201d", "`", "'")
 
 
 def simulated(draw, samples, fault=False):
-    """Return (u, y): lists of decimals as Fractions; each error lies within its bounds, often at their ends."""
+    """Return (u, y): lists of decimals as Fractions; each error lies within its bounds, often at their
+    ends.
+    """
     x, level, us, ys = [F(draw.randint(-20, 20), 10) for _ in A], F(0), [], []
     for k in range(samples):
         if draw.random() < 0.3:
@@ -70,7 +82,9 @@ def simulated(draw, samples, fault=False):
 
 
 def inward(value, true):
-    """Return a decimal between a value and the true one, close to the value; where there is none, that next to the true one."""
+    """Return a decimal between a value and the true one, close to the value; where there is none, that next
+    to the true one.
+    """
     scaled = value * 10**DIGITS
     whole = scaled.__floor__() if value >= true else scaled.__ceil__()
     near = F(whole, 10**DIGITS)
@@ -86,7 +100,9 @@ def decimal(x):
 
 @dataclass
 class Variant:
-    """One recording. Fields: reader; u, y, seconds: of its rows, None where missing; time: how it is written; draw: for the rest."""
+    """One recording. Fields: reader; u, y, seconds: of its rows, None where missing; time: how it is written;
+    draw: for the rest.
+    """
 
     seed: int
     fault: bool = False
@@ -101,7 +117,20 @@ class Variant:
         self.reader = READERS[self.seed % len(READERS)]
         samples = draw.choice((40, 60, 61))
         us, ys = simulated(draw, samples, self.fault)
-        self.time = draw.choice(("seconds", "seconds", "offset", "epoch", "epoch ms", "stamps", "stamps", "two columns", "clock", "none"))
+        self.time = draw.choice(
+            (
+                "seconds",
+                "seconds",
+                "offset",
+                "epoch",
+                "epoch ms",
+                "stamps",
+                "stamps",
+                "two columns",
+                "clock",
+                "none",
+            )
+        )
         if self.reader == "state" and self.time in ("none", "clock"):
             self.time = "stamps"
         keep = range(samples)
@@ -124,7 +153,13 @@ class Variant:
         at = self.rows // 2
         for span in (slice(0, at), slice(at, None)):
             part = Variant(self.seed, self.fault)
-            part.u, part.y, part.seconds, part.time, part.order = self.u[span], self.y[span], self.seconds[span], self.time, "kept"
+            part.u, part.y, part.seconds, part.time, part.order = (
+                self.u[span],
+                self.y[span],
+                self.seconds[span],
+                self.time,
+                "kept",
+            )
             part.rows = len(part.seconds)
             parts.append(part)
         return parts
@@ -151,7 +186,11 @@ class Variant:
             text = {"padded": f" {text}", "plus": text if x < 0 else f"+{text}"}.get(style, text)
             return text.replace(".", ",") if comma else text
 
-        columns = {"u1": list(map(number, self.u)), "y1": [number(v[0]) for v in self.y], "y2": [number(v[1]) for v in self.y]}
+        columns = {
+            "u1": list(map(number, self.u)),
+            "y1": [number(v[0]) for v in self.y],
+            "y2": [number(v[1]) for v in self.y],
+        }
         columns |= self._times(draw)
         for i in range(draw.choice((0, 0, 1, 2))):
             columns[f"remark {i}"] = [draw.choice(REMARKS) for _ in range(self.rows)]
@@ -179,7 +218,10 @@ class Variant:
         if self.time == "epoch ms":
             return {"timestamp": [str(1000 * (epoch + s)) for s in self.seconds]}
         if self.time == "two columns":
-            return {"Date": [m.strftime("%Y-%m-%d") for m in moments], "Time": [m.strftime("%H:%M:%S") for m in moments]}
+            return {
+                "Date": [m.strftime("%Y-%m-%d") for m in moments],
+                "Time": [m.strftime("%H:%M:%S") for m in moments],
+            }
         if self.time == "clock":
             return {"time": [m.strftime("%H:%M:%S") for m in moments]}
         form = draw.choice(STAMPS)
@@ -195,7 +237,14 @@ class Variant:
         spoilt = draw.random() < 0.06
         if spoilt:
             at = draw.randrange(1, len(rows))
-            rows[at] = draw.choice((f'"{rows[at]}', rows[at].replace(delimiter, f'{delimiter}"', 1), rows[at] + delimiter + "1", "what"))
+            rows[at] = draw.choice(
+                (
+                    f'"{rows[at]}',
+                    rows[at].replace(delimiter, f'{delimiter}"', 1),
+                    rows[at] + delimiter + "1",
+                    "what",
+                )
+            )
         if draw.random() < 0.15:
             at = draw.randrange(2, len(rows))
             rows.insert(at, draw.choice(("", " ")))
@@ -212,9 +261,15 @@ class Variant:
         return draw.choice((b"", b"", b"\xef\xbb\xbf")) + text.encode()
 
     def frame(self):
-        """Return ({column: list}, index or None): numbers as floats, NaN where missing; the index is of times."""
+        """Return ({column: list}, index or None): numbers as floats, NaN where missing; the index is of
+        times.
+        """
         value = lambda x: float("nan") if x is None else float(x)
-        columns = {"u1": list(map(value, self.u)), "y1": [value(v[0]) for v in self.y], "y2": [value(v[1]) for v in self.y]}
+        columns = {
+            "u1": list(map(value, self.u)),
+            "y1": [value(v[0]) for v in self.y],
+            "y2": [value(v[1]) for v in self.y],
+        }
         moments = [FIRST + datetime.timedelta(seconds=s) for s in self.seconds]
         if self.time == "none":
             return columns, None
@@ -235,12 +290,19 @@ class Variant:
         made = {name: pa.array(x, kind, from_pandas=nulls) for name, x in columns.items() if name != "time"}
         times = index if index is not None else columns.get("time")
         if times is not None:
-            made[draw.choice(("time", "t") if self.time in ("seconds", "offset") else ("time", "when"))] = pa.array(times)
+            made[draw.choice(("time", "t") if self.time in ("seconds", "offset") else ("time", "when"))] = (
+                pa.array(times)
+            )
         order = pa.array(self.arranged(list(range(self.rows))))
         table = pa.table(made).take(order)
         if draw.random() < 0.5:
             path = Path(folder) / "run.parquet"
-            pq.write_table(table, path, row_group_size=draw.choice((7, 1000)), compression=draw.choice(("snappy", "zstd", "none")))
+            pq.write_table(
+                table,
+                path,
+                row_group_size=draw.choice((7, 1000)),
+                compression=draw.choice(("snappy", "zstd", "none")),
+            )
             return path
         path = Path(folder) / "run"
         path.mkdir()

@@ -11,16 +11,33 @@ SOURCES = ("viprchk.cpp", "CMakeConfig.hpp")
 
 
 def built(find, folder):
-    """Return the VIPR checker, built in a folder; skip the test where it cannot be. find: a function that finds a shared file."""
+    """Return the VIPR checker, built in a folder; skip the test where it cannot be. find: a function that
+    finds a shared file.
+    """
     compiler, program = shutil.which("g++"), folder / "viprchk"
     if compiler is None:
         pytest.skip("there is no g++ to build the VIPR checker with")
     for name in SOURCES:
         shutil.copy(find(f"external/vipr/{name}"), folder)
-    headers = subprocess.run([compiler, "-E", "-x", "c++", "-"], input="#include <gmpxx.h>", capture_output=True, text=True)
+    headers = subprocess.run(
+        [compiler, "-E", "-x", "c++", "-"], input="#include <gmpxx.h>", capture_output=True, text=True
+    )
     if headers.returncode:
-        pytest.skip("the headers of GMP in C++ are not here (Debian: libgmp-dev): the VIPR checker cannot be built")
-    build = [compiler, "-O1", "-DNDEBUG", "-std=c++14", f"-I{folder}", str(folder / SOURCES[0]), "-o", str(program), "-lgmpxx", "-lgmp"]
+        pytest.skip(
+            "the headers of GMP in C++ are not here (Debian: libgmp-dev): the VIPR checker cannot be built"
+        )
+    build = [
+        compiler,
+        "-O1",
+        "-DNDEBUG",
+        "-std=c++14",
+        f"-I{folder}",
+        str(folder / SOURCES[0]),
+        "-o",
+        str(program),
+        "-lgmpxx",
+        "-lgmp",
+    ]
     subprocess.run(build, check=True, capture_output=True)
     return program
 
@@ -30,7 +47,11 @@ def vipr_confirms(program: Path, text: str, folder: Path) -> bool:
     file = folder / "certificate.vipr"
     file.write_text(text)
     ran = subprocess.run([program, file], capture_output=True, text=True)
-    return ran.returncode == 0 and "Successfully verified" in ran.stdout and "Successfully" in ran.stdout.rsplit("Processing", 1)[-1]
+    return (
+        ran.returncode == 0
+        and "Successfully verified" in ran.stdout
+        and "Successfully" in ran.stdout.rsplit("Processing", 1)[-1]
+    )
 
 
 def z3_says(text: str) -> str:

@@ -1,4 +1,6 @@
-"""The experiment of golden with uncertain parameters: runs of 100 samples, a change of C at samples 10 to 39 and 60 to 89."""
+"""The experiment of golden with uncertain parameters: runs of 100 samples, a change of C at samples 10 to 39
+and 60 to 89.
+"""
 
 import numpy as np
 from uncertain_systems import model
@@ -12,18 +14,32 @@ def inputs(rng, runs, samples=100):
 
 
 def record(rng, name, runs, at, samples=100, dC=None, **changes):
-    """Return (u, y) of runs of a system, from rest; dC is added to C at golden's faulty samples; changes: noise and the like."""
+    """Return (u, y) of runs of a system, from rest; dC is added to C at golden's faulty samples; changes:
+    noise and the like.
+    """
     m, u = model(name, **changes), inputs(rng, runs, samples)
     numbers = lambda a: np.array([[float(x) for x in row] for row in a])
     draw = (lambda *s: rng.uniform(-1, 1, s)) if at == "uniform" else (lambda *s: rng.choice([-1.0, 1.0], s))
     tolerance, noise = (np.array([float(x) for x in bound]) for bound in (m.tolerance, m.noise))
     lo, hi = numbers(m.disturbance).T if m.g else np.zeros((2, 0))
-    push = ((lo + hi) / 2 + (hi - lo) / 2 * draw(runs, samples, m.g)) @ numbers(m.G).T if m.g else np.zeros((runs, samples, m.n))
-    values = [draw(runs, samples) if p.varying else np.repeat(draw(runs, 1), samples, 1) for p in m.uncertainties]
+    push = (
+        ((lo + hi) / 2 + (hi - lo) / 2 * draw(runs, samples, m.g)) @ numbers(m.G).T
+        if m.g
+        else np.zeros((runs, samples, m.n))
+    )
+    values = [
+        draw(runs, samples) if p.varying else np.repeat(draw(runs, 1), samples, 1) for p in m.uncertainties
+    ]
     now = {}
     for letter in "ABC":
-        parts = [(v, numbers(p.on(letter))) for v, p in zip(values, m.uncertainties, strict=True) if p.on(letter) is not None]
-        now[letter] = numbers(getattr(m, letter)) + sum((v[..., None, None] * d for v, d in parts), np.zeros((runs, samples, 1, 1)))
+        parts = [
+            (v, numbers(p.on(letter)))
+            for v, p in zip(values, m.uncertainties, strict=True)
+            if p.on(letter) is not None
+        ]
+        now[letter] = numbers(getattr(m, letter)) + sum(
+            (v[..., None, None] * d for v, d in parts), np.zeros((runs, samples, 1, 1))
+        )
     now["C"] = now["C"] + np.zeros((runs, samples, 1, 1))
     now["C"][:, FAULTY] += np.zeros(()) if dC is None else np.asarray(dC, float)
     x, y = np.zeros((runs, m.n, 1)), np.empty((runs, samples, m.p))

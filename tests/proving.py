@@ -1,4 +1,5 @@
-"""Every public name that proves something, with a call of it, and those that prove nothing on a device; `python proving.py` tries all.
+"""Every public name that proves something, with a call of it, and those that prove nothing on a device;
+`python proving.py` tries all.
 
 A name that is in neither table fails `test_probe.py`: whoever adds one says which it is.
 """
@@ -23,7 +24,9 @@ def square(z):
 
 
 def doors():
-    """Return {name: a call that proves something}; what it needs is built here, so that only the call itself can refuse."""
+    """Return {name: a call that proves something}; what it needs is built here, so that only the call itself
+    can refuse.
+    """
     r, unsure, y = jb.parity_relations(MODEL), jb.parity_relations(UNSURE), np.array([[0.05], [0.0], [0.05]])
     box, M = jb.interval(np.zeros(1), np.ones(1)), jb.interval_system([[0.5]], None, [[1]])
     Z, F = jb.zonotope([0.0], [[1.0]]), jb.inclusion(square)
@@ -66,13 +69,39 @@ def dataset(relations):
 
 EXACT_OR_UNPROVED = {
     # values; their methods speak of what was proved already, or in exact rationals
-    "Fault", "LinearSystem", "MultiModel", "Recording", "Status", "Uncertainty", "read",
+    "Fault",
+    "LinearSystem",
+    "MultiModel",
+    "Recording",
+    "Status",
+    "Uncertainty",
+    "read",
     # exact rationals on the host
-    "detectable", "from_control", "from_scipy", "interval", "interval_system", "isolability", "load_model", "parity_relations",
-    "redundancy", "residual", "save_model", "signatures", "strips", "structured_relations", "with_faults", "zonotope",
+    "detectable",
+    "from_control",
+    "from_scipy",
+    "interval",
+    "interval_system",
+    "isolability",
+    "load_model",
+    "parity_relations",
+    "redundancy",
+    "residual",
+    "save_model",
+    "signatures",
+    "strips",
+    "structured_relations",
+    "with_faults",
+    "zonotope",
     # no proof is claimed; evaluate compares residuals with a hull, as sure as the hull is
-    "evaluate", "margins", "plot", "sets", "simulate", "suggest_lags", "use_cache",
-}  # fmt: skip
+    "evaluate",
+    "margins",
+    "plot",
+    "sets",
+    "simulate",
+    "suggest_lags",
+    "use_cache",
+}
 
 
 def answers():

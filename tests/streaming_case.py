@@ -1,4 +1,6 @@
-"""A recording larger than a chunk, for tests of streaming: the paper's plant with faults, holes, a gap and a clock that goes back."""
+"""A recording larger than a chunk, for tests of streaming: the paper's plant with faults, holes, a gap and a
+clock that goes back.
+"""
 
 import functools
 
@@ -30,7 +32,9 @@ def simulated():
 
 
 def recording(dtype=np.float64, holes=60):
-    """Return (t, u, y): N samples with two faults, a stuck sensor, missing samples, a gap and a clock that goes back."""
+    """Return (t, u, y): N samples with two faults, a stuck sensor, missing samples, a gap and a clock that
+    goes back.
+    """
     rng = np.random.default_rng(0)
     u, y = map(np.array, simulated())
     y[700:800, 0] = y[700, 0]
@@ -48,7 +52,9 @@ def write(folder, t, u, y, cuts=(1000, 1003, 4500), groups=700):
     for i, (a, b) in enumerate(zip((0, *cuts), (*cuts, N), strict=True)):
         columns = {"t": t[a:b], "u1": u[a:b, 0], "y1": y[a:b, 0], "y2": y[a:b, 1]}
         pq.write_table(
-            pa.table({k: pa.array(x, from_pandas=True) for k, x in columns.items()}), folder / f"{i}.parquet", row_group_size=groups
+            pa.table({k: pa.array(x, from_pandas=True) for k, x in columns.items()}),
+            folder / f"{i}.parquet",
+            row_group_size=groups,
         )
     return folder
 
@@ -72,16 +78,25 @@ def shrink(monkeypatch):
 
 
 def cases(tmp_path_factory):
-    """Return a function that gives (relations, folder of Parquet, Result in one piece, Recording) of a model; each is made once."""
+    """Return a function that gives (relations, folder of Parquet, Result in one piece, Recording) of a model;
+    each is made once.
+    """
     made = {}
 
     def get(name, dtype=np.float64):
         if (name, dtype) not in made:
             model, horizon, method = MODELS[name]()
             r = jb.parity_relations(model, horizon)
-            folder = write(tmp_path_factory.mktemp("data") / "run", *recording(dtype, 2 if horizon == 20 else 60))
+            folder = write(
+                tmp_path_factory.mktemp("data") / "run", *recording(dtype, 2 if horizon == 20 else 60)
+            )
             whole = read(folder, model)
-            made[name, dtype] = r, folder, jb.detect(r, whole.u, whole.y, method=method, starts=whole.starts), whole
+            made[name, dtype] = (
+                r,
+                folder,
+                jb.detect(r, whole.u, whole.y, method=method, starts=whole.starts),
+                whole,
+            )
         return made[name, dtype]
 
     return get

@@ -10,7 +10,17 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from benchmarks import drawing, intervals, linear_systems, paving, peers, sweeps, timing, varying, zonotope_tables
+from benchmarks import (
+    drawing,
+    intervals,
+    linear_systems,
+    paving,
+    peers,
+    sweeps,
+    timing,
+    varying,
+    zonotope_tables,
+)
 
 RESULTS = {
     "machine": {"cpu": "a CPU", "cores": 2, "device": "cpu", "jax": "0"},
@@ -18,20 +28,39 @@ RESULTS = {
     "peers": {"NumPy": "2"},
     "absent": {"codac": "no"},
     "sweeps": {
-        "limits": {"float64": {"one pass": {"windows/s": 2e8, "share of the memory limit": 1.0},
-                               "margins": {"windows/s": 1e8, "share of the memory limit": 0.5}}, "float32": {}},
-        "horizon": {"title": "a plant", "x": "horizon", "unit": "windows/s", "sizes": [1, 8], "failed": {}, "series": {
-            "jaxbound detect": {"proved": True, "rates": [5e7, 123456.0], "first call s": [1, 2]},
-            "HiGHS": {"proved": False, "rates": [6000.0], "first call s": [0]}}},
+        "limits": {
+            "float64": {
+                "one pass": {"windows/s": 2e8, "share of the memory limit": 1.0},
+                "margins": {"windows/s": 1e8, "share of the memory limit": 0.5},
+            },
+            "float32": {},
+        },
+        "horizon": {
+            "title": "a plant",
+            "x": "horizon",
+            "unit": "windows/s",
+            "sizes": [1, 8],
+            "failed": {},
+            "series": {
+                "jaxbound detect": {"proved": True, "rates": [5e7, 123456.0], "first call s": [1, 2]},
+                "HiGHS": {"proved": False, "rates": [6000.0], "first call s": [0]},
+            },
+        },
     },
-}  # fmt: skip
+}
 
 
 def test_table_has_a_line_for_the_ends_of_each_sweep():
     lines = drawing.table(RESULTS)
-    assert lines[2] == "| section 5, horizon 1, float64, windows/s | margins 100 million | one pass 200 million |"
+    assert (
+        lines[2]
+        == "| section 5, horizon 1, float64, windows/s | margins 100 million | one pass 200 million |"
+    )
     assert "| a plant, horizon 1, windows/s | detect 50 million | HiGHS 6 thousand |" in lines
-    assert "| a plant, horizon 8, windows/s | detect 123 thousand |  |" in lines and lines[-1] == "Not installed: codac."
+    assert (
+        "| a plant, horizon 8, windows/s | detect 123 thousand |  |" in lines
+        and lines[-1] == "Not installed: codac."
+    )
 
 
 def test_only_the_lines_between_the_markers_are_rewritten():
@@ -66,7 +95,9 @@ def test_figures_are_drawn(tmp_path):
     pytest.importorskip("matplotlib")
     fewer = RESULTS | {"sweeps": {"horizon": RESULTS["sweeps"]["horizon"]}}
     names = drawing.draw(fewer, tmp_path)
-    assert names == ["horizon.png", "horizon_compile.png"] and all((tmp_path / n).stat().st_size > 5000 for n in names)
+    assert names == ["horizon.png", "horizon_compile.png"] and all(
+        (tmp_path / n).stat().st_size > 5000 for n in names
+    )
 
 
 UPWARD = 0x800
@@ -74,27 +105,38 @@ LIBRARY = ctypes.CDLL(ctypes.util.find_library("m"))
 
 
 class RoundsUpward(MagicMock):
-    """Stands in for codac: the import, and each call of whatever it has, sets the processor to round upward."""
+    """Stands in for codac: the import, and each call of whatever it has, sets the processor to round
+    upward.
+    """
 
     def _mock_call(self, *args, **options):
         LIBRARY.fesetround(UPWARD)
         return super()._mock_call(*args, **options)
 
 
-ONE = (np.ones((2, 1, 1)),) * 2, (np.ones((2, 1)),) * 2  # two systems of one unknown: the ends of the matrix, and of the right side
+ONE = (
+    (np.ones((2, 1, 1)),) * 2,
+    (np.ones((2, 1)),) * 2,
+)  # two systems of one unknown: the ends of the matrix, and of the right side
 CODAC = {
     "peers": lambda: peers.load("codac"),
     "paving": lambda: paving.peer_sivia([((0.0, 0.0), (1.0, 1.0))], 0.1),
     "varying": lambda: varying.set_inversion(np.ones((4, 1)), np.ones((4, 1))),
     "intervals": lambda: intervals.scalar_libraries(),
     "linear systems": lambda: linear_systems.fastest({"codac": linear_systems.codac(*ONE, True)}, 1),
-    "sweeps": lambda: sweeps.Series("title", "x", "unit", (1,)).time("codac", 1, 1, lambda: bool(sys.modules["codac"].eval()), True, 1),
+    "sweeps": lambda: sweeps.Series("title", "x", "unit", (1,)).time(
+        "codac", 1, 1, lambda: bool(sys.modules["codac"].eval()), True, 1
+    ),
 }
 
 
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="the numbers of the modes are those of this processor family")
+@pytest.mark.skipif(
+    platform.machine() != "x86_64", reason="the numbers of the modes are those of this processor family"
+)
 @pytest.mark.parametrize("benchmark", CODAC)
-def test_a_peer_that_leaves_the_processor_rounding_upward_leaves_it_so_for_itself_only(benchmark, monkeypatch):
+def test_a_peer_that_leaves_the_processor_rounding_upward_leaves_it_so_for_itself_only(
+    benchmark, monkeypatch
+):
     peer = RoundsUpward()
     monkeypatch.setitem(sys.modules, "codac", peer)
     monkeypatch.setattr(sweeps.jax, "clear_caches", lambda: None)  # the other tests' too, ten seconds' work

@@ -1,4 +1,6 @@
-"""The pages: their commands run and print what is shown, every public name is documented, links lead somewhere, they build."""
+"""The pages: their commands run and print what is shown, every public name is documented, links lead
+somewhere, they build.
+"""
 
 import contextlib
 import importlib.util
@@ -71,7 +73,10 @@ def test_every_parameter_has_an_entry(docstrings):
 
 
 def test_a_line_that_tells_of_several_parameters_becomes_several_entries(docstrings):
-    text = "Args:\n    u (T, m), y (T, p): samples; see u.\n        None: no n. n: few,\n        most. at: once; *more: rest\n\nReturns: x"
+    text = (
+        "Args:\n    u (T, m), y (T, p): samples; see u.\n        None: no n. n: few,\n        most. at: "
+        "once; *more: rest\n\nReturns: x"
+    )
     found = docstrings.entries(docstrings.arguments(text), ["u", "y", "n", "at", "more"])
     seen = [("u", "(T, m) samples; see u. None: no n."), ("y", "(T, p) samples; see u. None: no n.")]
     assert found == [*seen, ("n", "few, most."), ("at", "once"), ("more", "rest")]
@@ -92,7 +97,11 @@ def test_sections_taken_from_the_readme_are_there():
 def test_docstrings_become_paragraphs_and_examples(docstrings):
     text = "Do it.\n\nReturns:\n    A thing: good.\n\nEncloses: all\n    of it.\n\nExample:\n    >>> 1\n    1"
     out = docstrings.readable(text)
-    assert "**Returns**  A thing: good." in out and "**Encloses**  all of it." in out.replace("\n", " ") and "Examples:\n    >>> 1" in out
+    assert (
+        "**Returns**  A thing: good." in out
+        and "**Encloses**  all of it." in out.replace("\n", " ")
+        and "Examples:\n    >>> 1" in out
+    )
 
 
 def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
@@ -101,9 +110,14 @@ def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
     for path, thing in documented():
         if not inspect.isclass(thing):
             continue
-        lists = re.findall(r"\*\*(?:Fields|Attributes)\*\*\n\n((?:- .*\n?)+)", docstrings.readable(inspect.getdoc(thing) or ""))
+        lists = re.findall(
+            r"\*\*(?:Fields|Attributes)\*\*\n\n((?:- .*\n?)+)",
+            docstrings.readable(inspect.getdoc(thing) or ""),
+        )
         names = [
-            name for entry in "".join(lists).splitlines() for name in re.findall(r"\w+", (re.match("- `([^`]+)`", entry) or [0, ""])[1])
+            name
+            for entry in "".join(lists).splitlines()
+            for name in re.findall(r"\w+", (re.match("- `([^`]+)`", entry) or [0, ""])[1])
         ]
         known = {*dir(thing), *getattr(thing, "__annotations__", {}), *inspect.signature(thing).parameters}
         if others := [name for name in names if name not in known]:
@@ -115,7 +129,17 @@ def test_every_entry_of_a_list_of_fields_is_a_field(docstrings):
 def test_pages_build_without_a_warning(tmp_path):
     for package in ("mkdocs", "material", "mkdocstrings"):
         pytest.importorskip(package)
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", ROOT / "mkdocs.yml", "-d", tmp_path / "site"]
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "-f",
+        ROOT / "mkdocs.yml",
+        "-d",
+        tmp_path / "site",
+    ]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert "jaxbound.LinearSystem" in (tmp_path / "site" / "api" / "models.html").read_text()
@@ -132,18 +156,26 @@ BLOCK = re.compile(r"(?P<mark><!-- not run: [^>]+ -->\n)?^```(?P<kind>\w+)\n(?P<
 
 
 def blocks(page):
-    """Yield (kind, text, text that is shown as printed or None, whether it is run) of each block of commands of a page."""
+    """Yield (kind, text, text that is shown as printed or None, whether it is run) of each block of commands
+    of a page.
+    """
     found = list(BLOCK.finditer(page.read_text()))
     for block, after in zip(found, [*found[1:], None], strict=False):
         shown = None
-        if after is not None and after["kind"] == "text" and not page.read_text()[block.end() : after.start()].strip():
+        if (
+            after is not None
+            and after["kind"] == "text"
+            and not page.read_text()[block.end() : after.start()].strip()
+        ):
             shown = after["text"]
         if block["kind"] in ("sh", "python"):
             yield block["kind"], block["text"], shown, block["mark"] is None
 
 
 def differs(shown, printed):
-    """Return the first line that is shown and not printed, or None. A line "..." is any lines, "..." in a line any characters of it."""
+    """Return the first line that is shown and not printed, or None. A line "..." is any lines, "..." in a
+    line any characters of it.
+    """
     lines = [" ".join(line.split()) for line in printed.splitlines()]
     at, skip = 0, False
     for wanted in (" ".join(line.split()) for line in shown.splitlines() if line.strip()):
@@ -161,19 +193,34 @@ def differs(shown, printed):
 
 
 def test_what_is_shown_is_compared_but_for_what_is_marked_as_left_out():
-    assert differs("a  b\n...\nd", "a b\n\nc\nc\nd\n") is None and differs("a\n...", "a\nb") is None and differs("x 1...", "x 1.25") is None
-    for shown, printed in (("a", "a\nb"), ("a\nb", "a"), ("...\nd", "a\nc"), ("a\nd", "a\nc\nd"), ("x 2...", "x 1.25"), ("a.b", "axb")):
+    assert (
+        differs("a  b\n...\nd", "a b\n\nc\nc\nd\n") is None
+        and differs("a\n...", "a\nb") is None
+        and differs("x 1...", "x 1.25") is None
+    )
+    for shown, printed in (
+        ("a", "a\nb"),
+        ("a\nb", "a"),
+        ("...\nd", "a\nc"),
+        ("a\nd", "a\nc\nd"),
+        ("x 2...", "x 1.25"),
+        ("a.b", "axb"),
+    ):
         assert differs(shown, printed)
 
 
 def typed(command, place):
-    """Run one line of a shell in this process, or in bash where it has a pipe; return what it printed, its place and its exit codes."""
+    """Run one line of a shell in this process, or in bash where it has a pipe; return what it printed, its
+    place and its exit codes.
+    """
     from jaxbound.cli import main
 
     line, codes = re.sub(r"\s+# .*", "", command), []
     if " | " in line:
         shim = f'jaxbound() {{ {shlex.quote(sys.executable)} -m jaxbound.cli "$@"; }}; '
-        done = subprocess.run(["bash", "-c", shim + line], cwd=place, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["bash", "-c", shim + line], cwd=place, capture_output=True, text=True, check=False
+        )
         return done.stdout, place, [done.returncode]
     printed = io.StringIO()
     for part in line.split(" && "):
@@ -210,7 +257,10 @@ def follow(page, place, blocks_run=None):
                 more, place, codes = typed(command, place)
                 printed += more
                 stated = re.search(r"exit code (\d)", command)
-                assert all(code == int(stated[1]) if stated else code in (0, 1) for code in codes), (command, codes)
+                assert all(code == int(stated[1]) if stated else code in (0, 1) for code in codes), (
+                    command,
+                    codes,
+                )
         wrong = differs(shown, printed) if shown is not None else None
         assert not wrong, f"{page.name}\n{text}\n{wrong}"
         run += 1
@@ -238,10 +288,14 @@ def empty(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory):
-    """Return the folder that the first page leaves: the example, its fitted model, two recordings in a folder."""
+    """Return the folder that the first page leaves: the example, its fitted model, two recordings in a
+    folder.
+    """
     import pandas as pd
 
-    fitted = next(text for _, text, *_ in blocks(ROOT / "docs" / "start.md") if text.startswith("jaxbound fit"))
+    fitted = next(
+        text for _, text, *_ in blocks(ROOT / "docs" / "start.md") if text.startswith("jaxbound fit")
+    )
     with pytest.MonkeyPatch.context() as monkeypatch:
         at_a_prompt(tmp_path_factory.mktemp("laboratory"), monkeypatch)
         for command in ("jaxbound example heater", "cd heater", fitted.replace("\\\n", " ").strip()):
@@ -265,7 +319,9 @@ def test_every_command_of_the_first_pages_runs_in_an_empty_folder(page, empty):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [p.name for p in PAGES if p.name not in ("start.md",) and any(run for *_, run in blocks(p))])
+@pytest.mark.parametrize(
+    "page", [p.name for p in PAGES if p.name not in ("start.md",) and any(run for *_, run in blocks(p))]
+)
 def test_every_command_of_the_other_pages_runs_beside_the_laboratory(page, laboratory, empty):
     follow(next(p for p in PAGES if p.name == page), shutil.copytree(laboratory, empty / laboratory.name))
 
@@ -280,11 +336,20 @@ def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_it
     from jaxbound.models import modelfile
 
     page = (ROOT / "docs" / "commands.md").read_text()
-    assert re.findall("<!-- HELP: (\\w+) -->", page) == re.findall("^## (\\w+)$", page, re.M) and set(commands()) == set(
-        re.findall("^## (\\w+)$", page, re.M)
-    )
-    known = [modelfile.TOP, modelfile.STATE, modelfile.INPUT, modelfile.OUTPUT, modelfile.DISTURBANCE, modelfile.AVERAGE,
-             modelfile.UNCERTAINTY, modelfile.MATRICES, modelfile.PROVENANCE]  # fmt: skip
+    assert re.findall("<!-- HELP: (\\w+) -->", page) == re.findall("^## (\\w+)$", page, re.M) and set(
+        commands()
+    ) == set(re.findall("^## (\\w+)$", page, re.M))
+    known = [
+        modelfile.TOP,
+        modelfile.STATE,
+        modelfile.INPUT,
+        modelfile.OUTPUT,
+        modelfile.DISTURBANCE,
+        modelfile.AVERAGE,
+        modelfile.UNCERTAINTY,
+        modelfile.MATRICES,
+        modelfile.PROVENANCE,
+    ]
     sections = re.split("^## .+$", (ROOT / "docs" / "modelfile.md").read_text(), flags=re.M)[1:]
     for keys, section in zip(known, sections, strict=True):
         assert sorted(re.findall("^\\| `(\\w+)` \\| \\S", section, re.M)) == sorted(keys)
@@ -296,7 +361,10 @@ def test_the_first_page_says_as_a_file_how_to_install():
     (commands, *_) = re.findall("^```sh\n(.+?)^```", install, re.M | re.S)
     for part in re.split(r" && |\n", commands)[:2]:
         assert part in readme, part  # one way, on both pages
-    assert ". .venv/bin/activate" in commands and "run `jaxbound COMMAND --help`" in (ROOT / "docs" / "commands.md").read_text()
+    assert (
+        ". .venv/bin/activate" in commands
+        and "run `jaxbound COMMAND --help`" in (ROOT / "docs" / "commands.md").read_text()
+    )
 
 
 LINK = re.compile(r"\[[^\]\n]*\]\(([^)\s#]+)(#[^)\s]*)?\)")
@@ -305,13 +373,19 @@ LINK = re.compile(r"\[[^\]\n]*\]\(([^)\s#]+)(#[^)\s]*)?\)")
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES], ids=lambda p: p.name)
 def test_links_lead_to_files(page):
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
-    targets = [target for target, _ in LINK.findall(re.sub(r"`[^`\n]+`", "", text)) if not target.startswith(("http://", "https://"))]
+    targets = [
+        target
+        for target, _ in LINK.findall(re.sub(r"`[^`\n]+`", "", text))
+        if not target.startswith(("http://", "https://"))
+    ]
     places = [page.parent, ROOT] if page.parent.name == "docs" else [page.parent]
     assert not [target for target in targets if not any((place / target).exists() for place in places)]
 
 
 def anchors(page):
-    """Return the anchors of a page: its headings as words between hyphens, and the paths of the names that it documents."""
+    """Return the anchors of a page: its headings as words between hyphens, and the paths of the names that it
+    documents.
+    """
     text = page.read_text()
     headings = re.findall(r"^#+ (.+)$", text, re.M)
     words = {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}

@@ -1,6 +1,8 @@
-"""What the first call of every verb hands to the compiler, which is nearly all that a user waits for: it must not grow unseen.
+"""What the first call of every verb hands to the compiler, which is nearly all that a user waits for: it must
+not grow unseen.
 
-Instructions and programs are counted, not seconds: they depend on no machine. After a change that is worth it:
+Instructions and programs are counted, not seconds: they depend on no machine. After a change that is worth
+it:
 
     python -m benchmarks.first_call --lowered tests/first_call.json
 """
@@ -18,13 +20,21 @@ from benchmarks import first_call
 
 ROOT = Path(__file__).parents[1]
 TABLE = json.loads((ROOT / "tests/first_call.json").read_text())
-MEASURED = (ROOT / "benchmarks/first_call.json", ROOT / "benchmarks/first_call_before.json")  # the latest that there is
+MEASURED = (
+    ROOT / "benchmarks/first_call.json",
+    ROOT / "benchmarks/first_call_before.json",
+)  # the latest that there is
 
 
 def counted(tmp_path, *options):
     kept = jax.config.jax_compilation_cache_dir or str(tmp_path / "kernels")
     settings = {"JAX_COMPILATION_CACHE_DIR": kept, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
-    subprocess.run([sys.executable, "-m", "benchmarks.first_call", *options], cwd=ROOT, env={**os.environ, **settings}, check=True)
+    subprocess.run(
+        [sys.executable, "-m", "benchmarks.first_call", *options],
+        cwd=ROOT,
+        env={**os.environ, **settings},
+        check=True,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +46,12 @@ def found(tmp_path_factory):
 
 def grown(now, table):
     """Return a sentence for each case whose instructions or programs are more than half as many again."""
-    return [f"{name}: {found} instead of {before} {what}"
-            for name in table for found, before, what in zip(now[name], table[name], ("instructions", "programs"), strict=True)
-            if found > 1.5 * before]  # fmt: skip
+    return [
+        f"{name}: {found} instead of {before} {what}"
+        for name in table
+        for found, before, what in zip(now[name], table[name], ("instructions", "programs"), strict=True)
+        if found > 1.5 * before
+    ]
 
 
 def test_no_first_call_hands_half_as_much_again_to_the_compiler(found):
@@ -62,7 +75,10 @@ def test_the_table_of_first_calls_stands_between_its_marks():
         {"a": {"CPU s": 2.0, "instructions": 9}},
         {"a": {"s": 0.5, "CPU s": 1.0, "warm": {"CPU s": 0.1}}, "jaxbound b": {"s": 1, "CPU s": 2}},
     )
-    assert found[2:] == ["| a | 0.5 | 2.0 | 1.0 |  |  | 9 |  |  | 0.1 |", "| `jaxbound b` | 1 |  | 2 |  |  |  |  |  |  |"]
+    assert found[2:] == [
+        "| a | 0.5 | 2.0 | 1.0 |  |  | 9 |  |  | 0.1 |",
+        "| `jaxbound b` | 1 |  | 2 |  |  |  |  |  |  |",
+    ]
     page = written(PAGE.read_text(), found)
     assert page.count(found[2]) == 1 and written(page, found) == page and found[2] not in written(page, [])
     with pytest.raises(ValueError, match="has no lines"):
@@ -72,14 +88,21 @@ def test_the_table_of_first_calls_stands_between_its_marks():
 LARGE = [name for name in first_call.CASES if name.endswith(("20", "40"))]
 
 
-@pytest.mark.parametrize("cases", [
-    pytest.param([name for name in first_call.CASES if name not in LARGE], id="all", marks=pytest.mark.slow),
-    pytest.param(LARGE, id="20 samples and more", marks=pytest.mark.long),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "cases",
+    [
+        pytest.param(
+            [name for name in first_call.CASES if name not in LARGE], id="all", marks=pytest.mark.slow
+        ),
+        pytest.param(LARGE, id="20 samples and more", marks=pytest.mark.long),
+    ],
+)
 def test_no_optimised_program_grows_by_half(cases, tmp_path):
     counted(tmp_path, "--counts", "--out", str(tmp_path / "now"), "--only", ";".join(cases))
     now = json.loads((tmp_path / "now.json").read_text())["cases"]
     pair = lambda figures: [figures["instructions"], figures["compilations"]]
     latest = json.loads(next(path for path in MEASURED if path.exists()).read_text())["cases"]
-    table = {name: pair(figures) for name, figures in latest.items() if "instructions" in figures and name in now}
+    table = {
+        name: pair(figures) for name, figures in latest.items() if "instructions" in figures and name in now
+    }
     assert table and grown({name: pair(now[name]) for name in table}, table) == []

@@ -1,6 +1,8 @@
-"""Nothing that a user can give ends with exit code 70: files that are none, fields of every type, names of every kind.
+"""Nothing that a user can give ends with exit code 70: files that are none, fields of every type, names of
+every kind.
 
-Most of it is refused before anything is compiled. Every refusal is one sentence of bearable length without control characters.
+Most of it is refused before anything is compiled. Every refusal is one sentence of bearable length without
+control characters.
 """
 
 import os
@@ -15,13 +17,77 @@ from jaxbound.models.modelfile import template
 
 HEAD = "time,Pump [%],level,flow\n"
 ROWS = "".join(f"{k},50,{1 + k / 100},{0.1 * k}\n" for k in range(6))
-VALUES = ["0", "-1", "1.5", "nan", "-inf", "1e400", "1e-400", "9" * 400, "9" * 5000, "true", '""', '"x"', '"=1+1"', '"1/0"', "[]",
-          "[[]]", "[[1, 2]]", "[[[1]]]", "[1]", "{}", "{name = 1}", '["a", "a"]', '[{name = "a"}]', "1979-05-27", "[[1], [1, 2]]",
-          '"\\u001b[2J"', '"\\u0000"', '"$x_"', "0x10", '[["1", "x"]]', "[true]", '"' + "n" * 5000 + '"']  # fmt: skip
-FIELDS = ["name", "dt", "horizon", "time", "where", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty",
-          "decouple", "matrices", "provenance", "unknown"]  # fmt: skip
-INNER = ["name", "unit", "column", "offset", "tolerance", "noise", "resolution", "bound", "varying", "between", "A", "B", "C", "D", "G",
-         "F", "D_v", "E"]  # fmt: skip
+VALUES = [
+    "0",
+    "-1",
+    "1.5",
+    "nan",
+    "-inf",
+    "1e400",
+    "1e-400",
+    "9" * 400,
+    "9" * 5000,
+    "true",
+    '""',
+    '"x"',
+    '"=1+1"',
+    '"1/0"',
+    "[]",
+    "[[]]",
+    "[[1, 2]]",
+    "[[[1]]]",
+    "[1]",
+    "{}",
+    "{name = 1}",
+    '["a", "a"]',
+    '[{name = "a"}]',
+    "1979-05-27",
+    "[[1], [1, 2]]",
+    '"\\u001b[2J"',
+    '"\\u0000"',
+    '"$x_"',
+    "0x10",
+    '[["1", "x"]]',
+    "[true]",
+    '"' + "n" * 5000 + '"',
+]
+FIELDS = [
+    "name",
+    "dt",
+    "horizon",
+    "time",
+    "where",
+    "constant_tolerance",
+    "states",
+    "inputs",
+    "outputs",
+    "disturbances",
+    "uncertainty",
+    "decouple",
+    "matrices",
+    "provenance",
+    "unknown",
+]
+INNER = [
+    "name",
+    "unit",
+    "column",
+    "offset",
+    "tolerance",
+    "noise",
+    "resolution",
+    "bound",
+    "varying",
+    "between",
+    "A",
+    "B",
+    "C",
+    "D",
+    "G",
+    "F",
+    "D_v",
+    "E",
+]
 BYTES = [
     b"",
     b"\0",
@@ -70,7 +136,10 @@ def refused(capsys, args):
     assert code in (0, 1, 2, 3), (args, code, err)
     if code == 2:
         assert 10 < len(err) < 2300 and err.startswith("jaxbound: "), (args, err[:300])
-    assert not any(ord(c) < 32 and c != "\n" or 127 <= ord(c) < 160 for c in out + err), (args, repr(err[:300]))
+    assert not any(ord(c) < 32 and c != "\n" or 127 <= ord(c) < 160 for c in out + err), (
+        args,
+        repr(err[:300]),
+    )
     return code
 
 
@@ -86,7 +155,24 @@ def here(tmp_path_factory):
 def test_any_bytes_as_a_recording_are_refused_in_a_sentence(here, capsys, data):
     (here / "x.csv").write_bytes(data)
     assert refused(capsys, ["detect", here / "m.toml", here / "x.csv", "--out", here / "out"]) == 2
-    assert refused(capsys, ["fit", here / "x.csv", "--outputs", "level", "--order", "1", "--horizon", "3", "--out", here / "f.toml"]) == 2
+    assert (
+        refused(
+            capsys,
+            [
+                "fit",
+                here / "x.csv",
+                "--outputs",
+                "level",
+                "--order",
+                "1",
+                "--horizon",
+                "3",
+                "--out",
+                here / "f.toml",
+            ],
+        )
+        == 2
+    )
 
 
 @pytest.mark.parametrize("data", BYTES[:20], ids=lambda b: f"{b[:12]!r}-{len(b)}")
@@ -119,7 +205,9 @@ def test_model_files_with_any_field_of_any_type_give_a_page_or_a_sentence(here, 
         refused(capsys, ["info", here / "x.toml"])
 
 
-@pytest.mark.parametrize("text", ["x = " + "[" * 2000, "a" + ".a" * 1000 + " = 1", "dt = " + "9" * 5000, "[" * 300, "dt = 1\n" * 2])
+@pytest.mark.parametrize(
+    "text", ["x = " + "[" * 2000, "a" + ".a" * 1000 + " = 1", "dt = " + "9" * 5000, "[" * 300, "dt = 1\n" * 2]
+)
 def test_model_files_nested_or_long_without_end_are_refused_in_a_sentence(here, capsys, text):
     (here / "x.toml").write_text(text)
     assert refused(capsys, ["info", here / "x.toml"]) == 2
@@ -195,11 +283,17 @@ def test_paths_that_are_no_files_are_refused_in_a_sentence(here, capsys):
         "n" * 5000,
     ]
     for path in strange:
-        for args in (["info", path], ["detect", path, file, "--out", here / "o"], ["detect", m, path, "--out", here / "o"],
-                     ["fleet", path, "--out", here / "o"], ["tune", m, path, "--out", here / "t.toml"],
-                     ["tune", path, file, "--out", here / "t.toml"],
-                     ["explain", path, "--at", "1"], ["fit", path, "--outputs", "level", "--out", here / "f.toml"],
-                     ["study", path, "--faults", "y1:bias", "--out", here / "o"]):  # fmt: skip
+        for args in (
+            ["info", path],
+            ["detect", path, file, "--out", here / "o"],
+            ["detect", m, path, "--out", here / "o"],
+            ["fleet", path, "--out", here / "o"],
+            ["tune", m, path, "--out", here / "t.toml"],
+            ["tune", path, file, "--out", here / "t.toml"],
+            ["explain", path, "--at", "1"],
+            ["fit", path, "--outputs", "level", "--out", here / "f.toml"],
+            ["study", path, "--faults", "y1:bias", "--out", here / "o"],
+        ):
             assert refused(capsys, args) == 2, args
 
 
@@ -207,7 +301,13 @@ def test_options_of_any_size_are_refused_in_a_sentence(here, capsys):
     m, r, endless = here / "m.toml", here / "r.csv", "9" * 30
     for option in ("--horizon", "--chunk"):
         assert refused(capsys, ["detect", m, r, "--out", here / "o", option, endless]) == 2
-    for option, value in (("--horizon", endless), ("--steps", "x"), ("--safety", "nan"), ("--calibrate", "2"), ("--optimizer", endless)):
+    for option, value in (
+        ("--horizon", endless),
+        ("--steps", "x"),
+        ("--safety", "nan"),
+        ("--calibrate", "2"),
+        ("--optimizer", endless),
+    ):
         assert refused(capsys, ["tune", m, r, "--out", here / "t.toml", option, value]) == 2
     for option, value in (
         ("--order", endless),
@@ -219,9 +319,18 @@ def test_options_of_any_size_are_refused_in_a_sentence(here, capsys):
     ):
         assert refused(capsys, ["fit", r, "--outputs", "level", "--out", here / "f.toml", option, value]) == 2
     for option, value in (
-        ("--samples", endless), ("--sizes", f"0:1:{endless}"), ("--horizon", endless), ("--onset", "nan:1"), ("--input-range", "inf:1"),
-        ("--faults", "x" * 100_000), ("--at", "\x1b[2J"), ("--hold", "0")):  # fmt: skip
-        assert refused(capsys, ["study", m, "--faults", "level:bias", "--out", here / "s", option, value]) == 2
+        ("--samples", endless),
+        ("--sizes", f"0:1:{endless}"),
+        ("--horizon", endless),
+        ("--onset", "nan:1"),
+        ("--input-range", "inf:1"),
+        ("--faults", "x" * 100_000),
+        ("--at", "\x1b[2J"),
+        ("--hold", "0"),
+    ):
+        assert (
+            refused(capsys, ["study", m, "--faults", "level:bias", "--out", here / "s", option, value]) == 2
+        )
     assert refused(capsys, ["info", m, "--horizon", endless]) == 2
     assert refused(capsys, ["explain", here, "--at", endless]) == 2
     assert refused(capsys, ["\x1b[2J" * 1000]) == 2
@@ -239,7 +348,8 @@ def test_many_more_model_files_and_recordings_give_a_page_or_a_sentence(here, ca
         for _ in range(draw.randint(1, 20)):
             i = draw.randrange(len(data))
             data[i : i + draw.randint(0, 3)] = bytes(
-                draw.choice((0, 9, 10, 13, 34, 44, 59, 61, draw.randrange(256))) for _ in range(draw.randint(0, 3))
+                draw.choice((0, 9, 10, 13, 34, 44, 59, 61, draw.randrange(256)))
+                for _ in range(draw.randint(0, 3))
             )
         with tempfile.NamedTemporaryFile(suffix=".csv") as f:
             f.write(data), f.flush()

@@ -1,4 +1,6 @@
-"""A healthy recording is never called faulty and loses no row, however it is written and whoever reads it; what cannot be read is said."""
+"""A healthy recording is never called faulty and loses no row, however it is written and whoever reads it;
+what cannot be read is said.
+"""
 
 import argparse
 import json
@@ -64,8 +66,17 @@ class Bench:
         data = v.text()
         cuts = sorted(v.draw.randrange(len(data)) for _ in range(v.draw.choice((0, 3, 40))))
         pieces = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
-        args = argparse.Namespace(model=self.folder / "model.toml", data="-", out=place / "out", state=None, horizon=None, lags=None,
-                                  method="joint", min_coverage=0.5, json=False)  # fmt: skip
+        args = argparse.Namespace(
+            model=self.folder / "model.toml",
+            data="-",
+            out=place / "out",
+            state=None,
+            horizon=None,
+            lags=None,
+            method="joint",
+            min_coverage=0.5,
+            json=False,
+        )
         try:
             pipe.follow(args, pieces)
         except pipe.Refused as e:
@@ -128,7 +139,9 @@ class Bench:
         return (total if whole or total["FAULT"] else None), " ".join(said for _, said in found)
 
     def check(self, v):
-        """Judge a healthy Variant and count; note where it is called faulty, or rows are lost without a word."""
+        """Judge a healthy Variant and count; note where it is called faulty, or rows are lost without a
+        word.
+        """
         counts, said = self.judge(v)
         self.found[v.reader] += 1
         self.found["rows"] += v.rows
@@ -157,8 +170,15 @@ def run(bench, seeds):
     for seed in seeds:
         bench.check(Variant(seed))
     found = bench.found
-    assert {found[reader] for reader in READERS} <= {len(seeds) // len(READERS), len(seeds) // len(READERS) + 1}
-    assert found["refused"] < 0.3 * len(seeds) and found["judged"] > 0.6 * found["rows"] and found["decided"] > 0.5 * found["judged"]
+    assert {found[reader] for reader in READERS} <= {
+        len(seeds) // len(READERS),
+        len(seeds) // len(READERS) + 1,
+    }
+    assert (
+        found["refused"] < 0.3 * len(seeds)
+        and found["judged"] > 0.6 * found["rows"]
+        and found["decided"] > 0.5 * found["judged"]
+    )
     assert not bench.wrong, (len(bench.wrong), bench.wrong[:30])
     print(f"{len(seeds)} variants, 0 FAULT: {dict(found)}")
 

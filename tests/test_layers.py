@@ -1,4 +1,6 @@
-"""The house: a folder is a floor, imports point down, nothing goes round in a circle, what is public is documented."""
+"""The house: a folder is a floor, imports point down, nothing goes round in a circle, what is public is
+documented.
+"""
 
 import ast
 import inspect
@@ -11,15 +13,33 @@ import pytest
 import jaxbound as jb
 
 PACKAGE = Path(jb.__file__).parent
-FLOORS = ("exact", "recordings", "sets", "models", "consistency", "relations", "certificates", "estimation", "diagnosis", "studies",
-          "sklearn", "plots", "runs", "reports", "cli")  # fmt: skip
+FLOORS = (
+    "exact",
+    "recordings",
+    "sets",
+    "models",
+    "consistency",
+    "relations",
+    "certificates",
+    "estimation",
+    "diagnosis",
+    "studies",
+    "sklearn",
+    "plots",
+    "runs",
+    "reports",
+    "cli",
+)
 ROOMS = {
     "certificates": {"checker"},
     "sets": {"floats", "intervals", "strips", "inclusion", "linear_systems", "paving", "zonotopes"},
     "studies": {"identification", "tuning", "montecarlo"},
     "reports": {"templates"},
 }
-FILES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): p for p in sorted(PACKAGE.rglob("*.py"))}
+FILES = {
+    ".".join(p.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): p
+    for p in sorted(PACKAGE.rglob("*.py"))
+}
 OUTSIDE = "__init__"  # the public names: whoever asks for one of them from inside wants the version
 
 
@@ -71,15 +91,25 @@ def folder(name):
 
 
 def test_every_folder_is_known():
-    folders = {str(p.relative_to(PACKAGE)) for p in PACKAGE.rglob("*") if p.is_dir() and p.name != "__pycache__"}
-    assert folders - {*FLOORS, *(f"{floor}/{room}" for floor, rooms in ROOMS.items() for room in rooms)} == set()
-    assert {p.name for p in PACKAGE.iterdir() if p.is_file()} <= {"__init__.py", "py.typed", "sklearn.py"}  # an optional face
+    folders = {
+        str(p.relative_to(PACKAGE)) for p in PACKAGE.rglob("*") if p.is_dir() and p.name != "__pycache__"
+    }
+    assert (
+        folders - {*FLOORS, *(f"{floor}/{room}" for floor, rooms in ROOMS.items() for room in rooms)} == set()
+    )
+    assert {p.name for p in PACKAGE.iterdir() if p.is_file()} <= {
+        "__init__.py",
+        "py.typed",
+        "sklearn.py",
+    }  # an optional face
 
 
 @pytest.mark.parametrize("name", [n for n in GRAPH if n != OUTSIDE])
 def test_imports_point_down(name):
     for other in GRAPH[name] - {OUTSIDE}:
-        assert FLOORS.index(other.split(".")[0]) <= FLOORS.index(name.split(".")[0]), f"{name} imports {other} from a floor above"
+        assert FLOORS.index(other.split(".")[0]) <= FLOORS.index(name.split(".")[0]), (
+            f"{name} imports {other} from a floor above"
+        )
 
 
 def test_no_files_in_a_circle():
@@ -95,7 +125,9 @@ def test_no_folders_in_a_circle():
 
 
 def test_a_circle_is_found():
-    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"] and circle({"a": {"b"}, "b": set()}) == []
+    assert (
+        circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"] and circle({"a": {"b"}, "b": set()}) == []
+    )
 
 
 @pytest.mark.parametrize("path", FILES.values(), ids=FILES)
@@ -103,7 +135,17 @@ def test_no_private_jax(path):
     assert "jax._src" not in path.read_text()
 
 
-ROOMS_OF_TYPES = [jb.certificates, jb.consistency, jb.diagnosis, jb.estimation, jb.models, jb.relations, jb.runs, jb.sets, jb.studies]
+ROOMS_OF_TYPES = [
+    jb.certificates,
+    jb.consistency,
+    jb.diagnosis,
+    jb.estimation,
+    jb.models,
+    jb.relations,
+    jb.runs,
+    jb.sets,
+    jb.studies,
+]
 
 
 @pytest.mark.parametrize("module", [jb, *ROOMS_OF_TYPES], ids=lambda m: m.__name__)
@@ -122,17 +164,25 @@ def test_the_top_has_verbs_and_what_is_constructed_and_types_of_results_live_in_
     verbs = {name for home, names in jb._HOMES.items() if "." in home for name in names.split()}
     assert len(jb.__all__) <= 46 and verbs | {"sets"} == set(jb.__all__) <= set(dir(jb))
     assert jb.Result is jb.diagnosis.Result and jb.Certificate is jb.certificates.Certificate
-    assert all(getattr(jb, name) is getattr(getattr(jb, room), name) for room, names in types.items() for name in names)
+    assert all(
+        getattr(jb, name) is getattr(getattr(jb, room), name)
+        for room, names in types.items()
+        for name in names
+    )
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = jb.nothing
-    seen = {name.rpartition(".")[2] for name in imported(FILES[OUTSIDE])}  # what type checkers and the pages read
+    seen = {
+        name.rpartition(".")[2] for name in imported(FILES[OUTSIDE])
+    }  # what type checkers and the pages read
     assert verbs - {"sets"} <= seen, verbs - seen
 
 
 def test_import_loads_nothing_heavy_beyond_jax():
     code = (
-        "import sys, jax; before = set(sys.modules); import jaxbound; [getattr(jaxbound, name) for name in jaxbound.__all__];"
-        "print([m for m in set(sys.modules) - before if m.split('.')[0] in ('pandas', 'matplotlib', 'pyarrow', 'rich', 'scipy', 'jinja2')])"
+        "import sys, jax; before = set(sys.modules); import jaxbound; [getattr(jaxbound, name) for name in "
+        "jaxbound.__all__];"
+        "print([m for m in set(sys.modules) - before if m.split('.')[0] in ('pandas', 'matplotlib', "
+        "'pyarrow', 'rich', 'scipy', 'jinja2')])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "[]"
@@ -140,7 +190,8 @@ def test_import_loads_nothing_heavy_beyond_jax():
 
 def test_import_makes_no_arrays_and_changes_no_configuration():
     code = (
-        "import jax; before = dict(jax.config.values); import jaxbound as jb; [getattr(jb, name) for name in jb.__all__];"
+        "import jax; before = dict(jax.config.values); import jaxbound as jb; [getattr(jb, name) for name in "
+        "jb.__all__];"
         "print(len(jax.live_arrays()), len(before) > 20 and dict(jax.config.values) == before)"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
@@ -148,6 +199,9 @@ def test_import_makes_no_arrays_and_changes_no_configuration():
 
 
 def test_import_itself_loads_nothing_not_even_jax():
-    code = "import sys; import jaxbound; print([name for name in ('jax', 'numpy') if name in sys.modules], jaxbound.__version__)"
+    code = (
+        "import sys; import jaxbound; print([name for name in ('jax', 'numpy') if name in sys.modules], "
+        "jaxbound.__version__)"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.split() == ["[]", jb.__version__]

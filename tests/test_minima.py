@@ -1,4 +1,6 @@
-"""What pyproject.toml states: each package that is imported, and one lowest version of each, that `make lowest` then tests."""
+"""What pyproject.toml states: each package that is imported, and one lowest version of each, that `make
+lowest` then tests.
+"""
 
 import ast
 import subprocess
@@ -13,20 +15,40 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 def imported(path):
     for node in ast.walk(ast.parse(path.read_text())):
         modules = (
-            [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module] if isinstance(node, ast.ImportFrom) else []
+            [a.name for a in node.names]
+            if isinstance(node, ast.Import)
+            else [node.module]
+            if isinstance(node, ast.ImportFrom)
+            else []
         )
         yield from (m.split(".")[0] for m in modules)
 
 
 def test_every_package_that_is_imported_is_declared():
     declared = {requirement.partition(">=")[0] for requirement in PROJECT["dependencies"]}
-    found = {name for path in (ROOT / "jaxbound").rglob("*.py") for name in imported(path)} - set(sys.stdlib_module_names) - {"jaxbound"}
-    extras = {"sklearn", *(requirement.partition(">=")[0] for requirement in PROJECT["optional-dependencies"]["dask"])}
+    found = (
+        {name for path in (ROOT / "jaxbound").rglob("*.py") for name in imported(path)}
+        - set(sys.stdlib_module_names)
+        - {"jaxbound"}
+    )
+    extras = {
+        "sklearn",
+        *(requirement.partition(">=")[0] for requirement in PROJECT["optional-dependencies"]["dask"]),
+    }
     assert found == declared | extras  # what not everybody needs
 
 
 def test_each_lowest_version_is_stated_once():
-    lines = subprocess.run([sys.executable, ROOT / ".ci" / "lowest.py"], capture_output=True, text=True, check=True).stdout.split()
+    lines = subprocess.run(
+        [sys.executable, ROOT / ".ci" / "lowest.py"], capture_output=True, text=True, check=True
+    ).stdout.split()
     names = [line.partition("==")[0] for line in lines]
-    assert len(set(names)) == len(names) == len(PROJECT["dependencies"]) + len(PROJECT["optional-dependencies"]["test"])
-    assert all(version[0].isdigit() and set(version) <= set("0123456789.") for version in (line.partition("==")[2] for line in lines))
+    assert (
+        len(set(names))
+        == len(names)
+        == len(PROJECT["dependencies"]) + len(PROJECT["optional-dependencies"]["test"])
+    )
+    assert all(
+        version[0].isdigit() and set(version) <= set("0123456789.")
+        for version in (line.partition("==")[2] for line in lines)
+    )

@@ -1,4 +1,6 @@
-"""What is handed on: the archive of the sources holds what its tests need, the README works on an index page, versions agree."""
+"""What is handed on: the archive of the sources holds what its tests need, the README works on an index page,
+versions agree.
+"""
 
 import importlib.util
 import re
@@ -23,7 +25,12 @@ def test_every_folder_and_file_of_the_sources_is_in_the_archive():
         name for line in re.findall(r"^include (.+)", stated, re.M) for name in line.split()
     }
     kept = {"jaxbound", "pyproject.toml", "setup.py", "MANIFEST.in"}  # by setuptools itself
-    made = {line.strip("/") for line in (ROOT / ".gitignore").read_text().split()} | {".git", "PKG-INFO", "setup.cfg", "shared"}
+    made = {line.strip("/") for line in (ROOT / ".gitignore").read_text().split()} | {
+        ".git",
+        "PKG-INFO",
+        "setup.cfg",
+        "shared",
+    }
     there = {p.name for p in ROOT.iterdir() if not p.name.endswith((".egg-info", "_cache", ".pyc"))}
     assert there - kept - made <= taken and taken <= there
 
@@ -32,7 +39,9 @@ def test_the_readme_has_no_link_that_leads_nowhere_on_an_index_page():
     text = "![p](a/b.png)\n[docs](docs/x.md) [web](https://a.b/c) `jb.x`"
     assert description(text, None) == "\ndocs [web](https://a.b/c) `jb.x`"
     assert description(text, "https://host/r") == (
-        "![p](https://host/r/raw/main/a/b.png)\n[docs](https://host/r/blob/main/docs/x.md) [web](https://a.b/c) `jb.x`")  # fmt: skip
+        "![p](https://host/r/raw/main/a/b.png)\n[docs](https://host/r/blob/main/docs/x.md) "
+        "[web](https://a.b/c) `jb.x`"
+    )
     assert not re.findall(r"\]\((?!https?:|#)", description((ROOT / "README.md").read_text(), None))
 
 
@@ -45,7 +54,10 @@ def test_versions_and_licence_are_stated_alike():
 def test_continuous_integration_calls_what_is_there():
     text = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.M)
-    assert {"lowest", "newest"} <= set(targets) and set(re.findall(r"which: (\w+)", text)) == {"lowest", "newest"}
+    assert {"lowest", "newest"} <= set(targets) and set(re.findall(r"which: (\w+)", text)) == {
+        "lowest",
+        "newest",
+    }
     assert all((ROOT / script).is_file() for script in re.findall(r"run: (\.ci/\w+)", text))
 
 

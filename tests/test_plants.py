@@ -1,4 +1,6 @@
-"""A monitor by three commands on two real plants, fit, tune, detect, and what it makes of recordings that it has not seen."""
+"""A monitor by three commands on two real plants, fit, tune, detect, and what it makes of recordings that it
+has not seen.
+"""
 
 import csv
 
@@ -28,12 +30,21 @@ def shell(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_temperature_lab(shell, shared, tmp_path):
-    """No FAULT on the half of a run that nobody has seen; jumps of 2 degC within 5 samples always, of 1 degC in 80 % of all onsets."""
+    """No FAULT on the half of a run that nobody has seen; jumps of 2 degC within 5 samples always, of 1 degC
+    in 80 % of all onsets.
+    """
     prbs, hybrid = shared("data/tclab/mimo_prbs_3s.csv"), shared("data/tclab/mimo_hybrid_3s.csv")
     header, *rows = hybrid.read_text().splitlines()
     (tmp_path / "first.csv").write_text("\n".join([header, *rows[:HALF]]))
     (tmp_path / "second.csv").write_text("\n".join([header, *rows[HALF:]]))
-    signals = "--inputs", "Q1=Heater 1,Q2=Heater 2", "--outputs", "T1=Temperature 1,T2=Temperature 2", "--horizon", 14
+    signals = (
+        "--inputs",
+        "Q1=Heater 1,Q2=Heater 2",
+        "--outputs",
+        "T1=Temperature 1,T2=Temperature 2",
+        "--horizon",
+        14,
+    )
     assert shell("fit", prbs, "first.csv", *signals, "--out", "lab.toml") == 0
     assert shell("tune", "lab.toml", prbs, "first.csv", "--out", "tuned.toml") == 0
     assert shell("detect", "tuned.toml", "second.csv", "--out", "report") == 0
@@ -55,21 +66,30 @@ def test_temperature_lab(shell, shared, tmp_path):
 @pytest.mark.long
 @pytest.mark.parametrize("method", ["filters", "auto"])
 def test_air_handling_unit(shell, shared, tmp_path, method):
-    """Fitted to two healthy days: no FAULT on a third, every window FAULT on the day on which the heating valve leaks.
+    """Fitted to two healthy days: no FAULT on a third, every window FAULT on the day on which the heating
+    valve leaks.
 
-    The signals, their order and horizon were chosen on the two days alone, by fitting one and looking at the residuals of the other.
+    The signals, their order and horizon were chosen on the two days alone, by fitting one and looking at the
+    residuals of the other.
     """
     lines = shared("data/ahu/szvav_four_days.csv").read_text().splitlines()
     for day in (12, 20, 21, 23):
-        (tmp_path / f"{day}.csv").write_text("\n".join([lines[0], *(x for x in lines if x.startswith(f"9/{day}/2017"))]))
+        (tmp_path / f"{day}.csv").write_text(
+            "\n".join([lines[0], *(x for x in lines if x.startswith(f"9/{day}/2017"))])
+        )
     name = lambda text: f"`AHU: {text}`"
     fan, cooling = name("Supply Air Fan Speed Control Signal"), name("Cooling Coil Valve Control Signal")
-    inputs = (f"heat={name('Heating Coil Valve Control Signal')},cool={cooling},cool2={cooling}**2,fan={fan},"
-              f"Tmix={name('Mixed Air Temperature')},Tret={name('Return Air Temperature')}")  # fmt: skip
+    inputs = (
+        f"heat={name('Heating Coil Valve Control Signal')},cool={cooling},cool2={cooling}**2,fan={fan},"
+        f"Tmix={name('Mixed Air Temperature')},Tret={name('Return Air Temperature')}"
+    )
     flow = f"flow={fan}*({name('Supply Air Temperature')}-{name('Mixed Air Temperature')})"
     occupied = f"`Occupancy Mode Indicator`==1 and {name('Supply Air Fan Status')}==1"
     options = "--order", 2, "--direct", "--horizon", 30, "--method", method, "--where", occupied
-    assert shell("fit", "20.csv", "21.csv", "--inputs", inputs, "--outputs", flow, *options, "--out", "ahu.toml") == 0
+    assert (
+        shell("fit", "20.csv", "21.csv", "--inputs", inputs, "--outputs", flow, *options, "--out", "ahu.toml")
+        == 0
+    )
     assert shell("tune", "ahu.toml", "20.csv", "21.csv", "--out", "tuned.toml") == 0
     found = {}
     for day in (23, 12):

@@ -1,4 +1,6 @@
-"""What an object shows at a prompt and in a notebook: a few lines, whatever it holds. The table is printed with -s."""
+"""What an object shows at a prompt and in a notebook: a few lines, whatever it holds. The table is printed
+with -s.
+"""
 
 import dataclasses
 import enum
@@ -18,19 +20,38 @@ from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.monitor import MonitorState, Verdict
 from jaxbound.recordings.objecttext import readable
 
-ROOMS = (jb.certificates, jb.consistency, jb.diagnosis, jb.estimation, jb.models, jb.relations, jb.runs, jb.sets, jb.studies, jb)
+ROOMS = (
+    jb.certificates,
+    jb.consistency,
+    jb.diagnosis,
+    jb.estimation,
+    jb.models,
+    jb.relations,
+    jb.runs,
+    jb.sets,
+    jb.studies,
+    jb,
+)
 ABSTRACT = (WindowTest, jb.consistency.Observer, jb.certificates.WindowCertificate)
 LONG = np.zeros((1000, 400))
 
 
 def public_classes():
-    every = {thing for room in ROOMS for name in room.__all__ if inspect.isclass(thing := getattr(room, name))}
-    plain = [c for c in every if issubclass(c, enum.Enum | float) or (issubclass(c, tuple) and not hasattr(c, "_fields"))]
+    every = {
+        thing for room in ROOMS for name in room.__all__ if inspect.isclass(thing := getattr(room, name))
+    }
+    plain = [
+        c
+        for c in every
+        if issubclass(c, enum.Enum | float) or (issubclass(c, tuple) and not hasattr(c, "_fields"))
+    ]
     return sorted((c for c in every if c not in (*plain, *ABSTRACT)), key=lambda c: c.__name__)
 
 
 def filled(kind):
-    """Return an object of a class whose fields are all as large as they come, for those that tell their fields alone."""
+    """Return an object of a class whose fields are all as large as they come, for those that tell their
+    fields alone.
+    """
     thing = object.__new__(kind)
     for f in dataclasses.fields(kind):
         object.__setattr__(thing, f.name, LONG)
@@ -44,26 +65,52 @@ def things():
     r, model = res.relations, paper()
     bank = jb.structured_relations(model)
     wide = jb.LinearSystem(
-        np.eye(2).tolist(), None, [[1, 0]] * 90, noise=0.1, outputs=[f"a rather long name of a sensor {i}" for i in range(90)]
+        np.eye(2).tolist(),
+        None,
+        [[1, 0]] * 90,
+        noise=0.1,
+        outputs=[f"a rather long name of a sensor {i}" for i in range(90)],
     )
-    uncertain = jb.parity_relations(jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("p", A=[[0.05]])]), 1)
+    uncertain = jb.parity_relations(
+        jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("p", A=[[0.05]])]), 1
+    )
     fitted = object.__new__(jb.studies.Fitted)
     check = filled(jb.studies.FitCheck)
     object.__setattr__(check, "sentences", ("a sentence " * 40,) * 30)
     fitted.__init__(wide, check)
     study = filled(jb.studies.StudyResult)
     vars(study).update(trials=(), tallies=(), scenarios=10**6, at="random")
-    real = [res, recording, r, model, bank, wide, uncertain, fitted, study, res.explain(103), res.alarms()[0], jb.Monitor(r),
-            jb.Fault("y1", "bias", 1.0), jb.Uncertainty("p", A=[[0.05]]), jb.detect(bank, res.u, res.y), found_in().found,
-            Judged(LONG, LONG), Verdict(LONG, LONG),
-            jb.signatures(bank), MonitorState(LONG, LONG, np.int64(0), np.int64(0), np.float64(0))]  # fmt: skip
+    real = [
+        res,
+        recording,
+        r,
+        model,
+        bank,
+        wide,
+        uncertain,
+        fitted,
+        study,
+        res.explain(103),
+        res.alarms()[0],
+        jb.Monitor(r),
+        jb.Fault("y1", "bias", 1.0),
+        jb.Uncertainty("p", A=[[0.05]]),
+        jb.detect(bank, res.u, res.y),
+        found_in().found,
+        Judged(LONG, LONG),
+        Verdict(LONG, LONG),
+        jb.signatures(bank),
+        MonitorState(LONG, LONG, np.int64(0), np.int64(0), np.float64(0)),
+    ]
     return {type(thing): thing for thing in real}
 
 
 @pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)
 def test_every_public_object_is_told_in_less_than_two_kilobytes(kind, things):
     special = any(hasattr(kind, name) for name in ("_head", "_rows")) or not dataclasses.is_dataclass(kind)
-    if kind not in things and (special or "__repr__" in vars(kind) and kind.__repr__.__module__ != "jaxbound.recordings.objecttext"):
+    if kind not in things and (
+        special or "__repr__" in vars(kind) and kind.__repr__.__module__ != "jaxbound.recordings.objecttext"
+    ):
         assert kind._repr_html_ and kind.__repr__ is not object.__repr__
         return
     thing = things[kind] if kind in things else filled(kind)
@@ -75,14 +122,21 @@ def test_every_public_object_is_told_in_less_than_two_kilobytes(kind, things):
 
 def test_a_result_says_what_was_found():
     res, recording = biased()
-    assert repr(res).splitlines()[0] == f"Result (300,): {', '.join(f'{n} {name}' for name, n in res.counts.items() if n)}"
+    assert (
+        repr(res).splitlines()[0]
+        == f"Result (300,): {', '.join(f'{n} {name}' for name, n in res.counts.items() if n)}"
+    )
     assert "joint, windows of 2 samples" in repr(res) and "u (300, 1), y (300, 2) float64" in repr(res)
-    assert repr(recording).splitlines()[0] == "Recording of run.csv: 300 samples, u (300, 1), y (300, 2) float64"
+    assert (
+        repr(recording).splitlines()[0] == "Recording of run.csv: 300 samples, u (300, 1), y (300, 2) float64"
+    )
     assert "MISSING" in repr(jb.detect(res.relations, np.zeros((2, 3, 1)), np.full((2, 3, 2), np.nan)))
 
 
 def test_small_objects_are_told_as_python_builds_them():
-    assert repr(jb.Fault("y1", "bias", 1.0)).startswith("Fault(signal='y1', kind='bias'") and "\n" not in repr(jb.Fault("y1", "bias", 1.0))
+    assert repr(jb.Fault("y1", "bias", 1.0)).startswith(
+        "Fault(signal='y1', kind='bias'"
+    ) and "\n" not in repr(jb.Fault("y1", "bias", 1.0))
     assert repr(jb.interval(np.zeros(2), np.ones(2))).startswith("Interval(lo=")
 
 
@@ -107,4 +161,8 @@ def test_names_are_escaped_in_a_notebook():
 
     evil = "<script>alert(1)</script>\x1b[2J"
     page = Named(evil, np.zeros(100))._repr_html_()
-    assert "<script" not in page and "&lt;script&gt;" in page and "\x1b" not in page + repr(Named(evil, np.zeros(100)))
+    assert (
+        "<script" not in page
+        and "&lt;script&gt;" in page
+        and "\x1b" not in page + repr(Named(evil, np.zeros(100)))
+    )

@@ -1,4 +1,6 @@
-"""Every draw of a test can be repeated: from a seed of its own, or of its name; nothing from fresh entropy."""
+"""Every draw of a test can be repeated: from a seed of its own, or of its name; nothing from fresh
+entropy.
+"""
 
 import ast
 from pathlib import Path
@@ -9,7 +11,10 @@ import pytest
 SEEDED = {"default_rng", "Generator", "PCG64", "SeedSequence", "Random", "RandomState"}
 FRESH = {"urandom", "uuid1", "uuid4", "token_bytes", "token_hex", "randbytes", "SystemRandom", "entropy"}
 CLOCKS = {"time", "time_ns", "perf_counter", "perf_counter_ns", "monotonic"}
-MODULES = {"random": {"Random"}, "np.random": {"default_rng", "Generator", "PCG64", "SeedSequence", "RandomState"}}
+MODULES = {
+    "random": {"Random"},
+    "np.random": {"default_rng", "Generator", "PCG64", "SeedSequence", "RandomState"},
+}
 ALLOWED = {"conftest.py"}  # where JAXBOUND_SEED=fresh is read
 
 
@@ -35,20 +40,40 @@ def fresh_draws(text):
 
 def test_no_test_draws_from_fresh_entropy():
     folder = Path(__file__).parent
-    found = [(p.name, *draw) for p in sorted(folder.rglob("*.py")) if p.name not in ALLOWED for draw in fresh_draws(p.read_text())]
+    found = [
+        (p.name, *draw)
+        for p in sorted(folder.rglob("*.py"))
+        if p.name not in ALLOWED
+        for draw in fresh_draws(p.read_text())
+    ]
     assert found == [] and any(fresh_draws((folder / "conftest.py").read_text()))
 
 
-@pytest.mark.parametrize("line", [
-    "np.random.default_rng()", "rng = default_rng(None)", "np.random.default_rng(int(np.random.SeedSequence().entropy))", "random.random()",
-    "np.random.normal(size=3)", "jax.random.key(time.time_ns())", "os.urandom(8)", "random.Random()",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "line",
+    [
+        "np.random.default_rng()",
+        "rng = default_rng(None)",
+        "np.random.default_rng(int(np.random.SeedSequence().entropy))",
+        "random.random()",
+        "np.random.normal(size=3)",
+        "jax.random.key(time.time_ns())",
+        "os.urandom(8)",
+        "random.Random()",
+    ],
+)
 def test_a_new_fresh_draw_would_be_found(line):
     assert list(fresh_draws(line))
 
 
 @pytest.mark.parametrize(
-    "line", ["np.random.default_rng(3)", "jax.random.normal(key)", "random.Random(11)", "jax.random.key(int(rng.integers(9)))"]
+    "line",
+    [
+        "np.random.default_rng(3)",
+        "jax.random.normal(key)",
+        "random.Random(11)",
+        "jax.random.key(int(rng.integers(9)))",
+    ],
 )
 def test_seeded_draws_are_left_alone(line):
     assert not list(fresh_draws(line))

@@ -1,4 +1,6 @@
-"""The detector that scikit-learn's users try first: what it says is what `detect` says, and it behaves as their estimators do."""
+"""The detector that scikit-learn's users try first: what it says is what `detect` says, and it behaves as
+their estimators do.
+"""
 
 import subprocess
 import sys
@@ -20,9 +22,11 @@ from sklearn.utils.estimator_checks import estimator_checks_generator  # noqa: E
 from jaxbound.sklearn import Detector  # noqa: E402
 
 EXPECTED = {
-    "check_methods_sample_order_invariance": "rows are samples in the order of time: a row is judged with those before it",
+    "check_methods_sample_order_invariance": "rows are samples in the order of time: a row is judged with "
+    "those before it",
     "check_methods_subset_invariance": "the same: rows alone, or in pieces, have no samples before them",
-    "check_outliers_train": "bounds that explain all rows they were fitted on leave no outlier among them, the check wants one",
+    "check_outliers_train": "bounds that explain all rows they were fitted on leave no outlier among them, "
+    "the check wants one",
     "check_outliers_fit_predict": "the same",
 }
 CHEAP = Detector(order=1, horizon=2, fitting="least squares", held_out=0)
@@ -50,20 +54,27 @@ def test_a_margin_below_zero_without_a_proof_is_no_outlier(run):
     _, X = run
     bank = Detector(paper(), method="box").fit(X)
     res = bank.detect(X)
-    assert ((bank.predict(X) == -1) == (res.status == FAULT)).all() and np.isfinite(bank.decision_function(X)).all()
+    assert ((bank.predict(X) == -1) == (res.status == FAULT)).all() and np.isfinite(
+        bank.decision_function(X)
+    ).all()
 
 
 def test_columns_are_taken_by_number_or_by_name(run):
     pd = pytest.importorskip("pandas")
     res, X = run
     said = Detector(paper()).fit(X).predict(X)
-    np.testing.assert_array_equal(Detector(paper(), inputs=[2], outputs=[1, 0]).fit(X[:, ::-1]).predict(X[:, ::-1]), said)
+    np.testing.assert_array_equal(
+        Detector(paper(), inputs=[2], outputs=[1, 0]).fit(X[:, ::-1]).predict(X[:, ::-1]), said
+    )
     frame = pd.DataFrame(X, columns=["u1", "y1", "y2"])
     named = Detector(paper()).fit(frame)
     np.testing.assert_array_equal(named.predict(frame), said)
     assert list(named.feature_names_in_) == ["u1", "y1", "y2"]
-    for given, X_, says in ((dict(inputs=["flow"]), frame, "no column 'flow'"), (dict(inputs=[5]), X, "columns 0 to 2, not 5"),
-                            (dict(model=paper()), X[:, :2], "X has 2 columns, the model 1 inputs and 2 outputs")):  # fmt: skip
+    for given, X_, says in (
+        (dict(inputs=["flow"]), frame, "no column 'flow'"),
+        (dict(inputs=[5]), X, "columns 0 to 2, not 5"),
+        (dict(model=paper()), X[:, :2], "X has 2 columns, the model 1 inputs and 2 outputs"),
+    ):
         with pytest.raises(ValueError, match=says):
             Detector(**given).fit(X_)
 
@@ -84,7 +95,11 @@ def test_a_detector_without_a_model_learns_one_and_explains_what_it_learnt_from(
 
 
 def test_without_scikit_learn_there_is_a_sentence():
-    code = "import sys; sys.modules['sklearn'] = None\ntry:\n    import jaxbound.sklearn\nexcept ImportError as why:\n    print(why)"
+    code = (
+        "import sys; sys.modules['sklearn'] = None\ntry:\n    import jaxbound.sklearn\nexcept "
+        "ImportError "
+        "as why:\n    print(why)"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "jaxbound.sklearn needs scikit-learn 1.6 or newer: pip install 'jaxbound[sklearn]'"
 

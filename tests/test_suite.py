@@ -1,4 +1,6 @@
-"""The tests themselves: each can fail. An assertion that only an `if` may reach is none where that is never true."""
+"""The tests themselves: each can fail. An assertion that only an `if` may reach is none where that is never
+true.
+"""
 
 import ast
 import textwrap
@@ -33,13 +35,27 @@ def reached(statements):
 
 
 def vacuous(source):
-    """Return {line: why} of tests that pass where nothing was asserted, and of assertions that hold whatever happens."""
+    """Return {line: why} of tests that pass where nothing was asserted, and of assertions that hold whatever
+    happens.
+    """
     found = {}
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_") and any(map(asserts, node.body)) and not reached(node.body):
-            found[node.lineno] = f"{node.name}: every assertion is under an if; count those that were reached, and assert the count"
+        if (
+            isinstance(node, ast.FunctionDef)
+            and node.name.startswith("test_")
+            and any(map(asserts, node.body))
+            and not reached(node.body)
+        ):
+            found[node.lineno] = (
+                f"{node.name}: every assertion is under an if; count those that were reached, and assert the "
+                f"count"
+            )
         if isinstance(node, ast.Assert) and isinstance(node.test, ast.IfExp):
-            arms = [arm for arm in (node.test.body, node.test.orelse) if isinstance(arm, ast.Constant) and arm.value]
+            arms = [
+                arm
+                for arm in (node.test.body, node.test.orelse)
+                if isinstance(arm, ast.Constant) and arm.value
+            ]
             if arms:
                 found[node.lineno] = "an assertion of a constant: put the assertion under an if"
     return found
@@ -50,8 +66,19 @@ def test_tests_can_fail(path):
     assert not vacuous(path.read_text())
 
 
-BAD = ["if x:\n    assert y", "for x in z:\n    if x:\n        check(y)", "assert y if x else True", "if x:\n    assert y\nelse:\n    pass"]
-GOOD = ["assert y", "if x:\n    assert y\nelse:\n    assert z", "if x:\n    assert y\nassert n", "with pytest.raises(E):\n    f()", "f()"]
+BAD = [
+    "if x:\n    assert y",
+    "for x in z:\n    if x:\n        check(y)",
+    "assert y if x else True",
+    "if x:\n    assert y\nelse:\n    pass",
+]
+GOOD = [
+    "assert y",
+    "if x:\n    assert y\nelse:\n    assert z",
+    "if x:\n    assert y\nassert n",
+    "with pytest.raises(E):\n    f()",
+    "f()",
+]
 
 
 @pytest.mark.parametrize("body", [*BAD, *GOOD])

@@ -1,4 +1,6 @@
-"""Types: what is public says what it takes and returns, and the checker of a user who installs the package sees it."""
+"""Types: what is public says what it takes and returns, and the checker of a user who installs the package
+sees it.
+"""
 
 import ast
 import importlib.resources
@@ -15,7 +17,9 @@ def unannotated(body, method=False):
     for node in body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             yield from (f"{node.name}.{name}" for name in unannotated(node.body, method=True))
-        if isinstance(node, ast.FunctionDef) and (not node.name.startswith("_") or (method and node.name.startswith("__"))):
+        if isinstance(node, ast.FunctionDef) and (
+            not node.name.startswith("_") or (method and node.name.startswith("__"))
+        ):
             a = node.args
             given = [*a.posonlyargs, *a.args, *a.kwonlyargs, *(x for x in (a.vararg, a.kwarg) if x)][method:]
             if node.returns is None or any(x.annotation is None for x in given):
@@ -28,7 +32,10 @@ def test_what_is_public_says_its_types(path):
 
 
 def test_a_missing_annotation_is_found():
-    source = "def f(x: int, *y) -> int: ...\ndef g(x: int): ...\nclass C:\n    @property\n    def size(self): ...\ndef _h(x): ..."
+    source = (
+        "def f(x: int, *y) -> int: ...\ndef g(x: int): ...\nclass C:\n    @property\n    def "
+        "size(self): ...\ndef _h(x): ..."
+    )
     assert list(unannotated(ast.parse(source).body)) == ["f", "g", "C.size"]
 
 

@@ -1,6 +1,8 @@
-"""Models with uncertain parameters: those of Ploix 2006 and of the golden values, and an exact plant that knows no line of jaxbound.
+"""Models with uncertain parameters: those of Ploix 2006 and of the golden values, and an exact plant that
+knows no line of jaxbound.
 
-Golden states sizes, ranks and relations of its systems, not their matrices; these were found from its relations and give all of its sizes.
+Golden states sizes, ranks and relations of its systems, not their matrices; these were found from its
+relations and give all of its sizes.
 """
 
 from fractions import Fraction
@@ -36,7 +38,11 @@ def _constant(*parameters):
 
 SYSTEMS = {  # name in golden: (matrices, parameters, samples in a window)
     "n2p1_paper_h3": (EXAMPLE, [THETA, VT], 3),
-    "n2p1_Btwo_h3": (dict(EXAMPLE, B=[[0.5], [1]]), [THETA, VT, dict(name="b", B=[[0.1], [0]], varying=False)], 3),
+    "n2p1_Btwo_h3": (
+        dict(EXAMPLE, B=[[0.5], [1]]),
+        [THETA, VT, dict(name="b", B=[[0.1], [0]], varying=False)],
+        3,
+    ),
     "n3p2_var2_h2": (dict(THREE, C=TWO_OUTPUTS), [A2, C3], 2),
     "n3p2_inv2_h2": (dict(THREE, C=TWO_OUTPUTS), _constant(A2, C3), 2),
     "n3p2_var2_h3": (dict(THREE, C=TWO_OUTPUTS), [A2, C3], 3),
@@ -50,7 +56,8 @@ SYSTEMS = {  # name in golden: (matrices, parameters, samples in a window)
     "n3p1_var2_h4": (dict(THREE, C=ONE_OUTPUT), [A3, B1], 4),
 }
 
-TWO = "two relations"  # not golden's: the smallest with more than one relation and errors of every kind, compiled in seconds
+# not golden's: the smallest with more than one relation and errors of every kind, compiled in seconds
+TWO = "two relations"
 ERRORS = dict(noise=[0.02], tolerance=[0.01], disturbance=([[0.1], [0]], [[-0.05, 0.1]]))
 ALL = SYSTEMS | {TWO: (EXAMPLE | ERRORS, _constant(THETA, VT), 4)}
 
@@ -67,7 +74,9 @@ def relations(name, **changes):
 
 
 def trajectory(matrices, parameters, values, x, u, w=(), G=None, v=(), F=None, D_v=None):
-    """Return the exact true outputs of a plant whose parameters have the values[(name, sample or None)], in user's units."""
+    """Return the exact true outputs of a plant whose parameters have the values[(name, sample or None)], in
+    user's units.
+    """
 
     def now(letter, k):
         out = [list(row) for row in fractions(matrices[letter])]

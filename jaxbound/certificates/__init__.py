@@ -1,4 +1,6 @@
-"""Exact proofs of one window, for people and as JSON: one file a kind of relation, each registers what it proves."""
+"""Exact proofs of one window, for people and as JSON: one file a kind of relation, each registers what it
+proves.
+"""
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.interface import WindowCertificate, certify
@@ -7,4 +9,12 @@ from jaxbound.certificates.residual_certificate import ResidualCertificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.certificates.verification import verify
 
-__all__ = ["Certificate", "LongCertificate", "ResidualCertificate", "UncertainCertificate", "WindowCertificate", "certify", "verify"]
+__all__ = [
+    "Certificate",
+    "LongCertificate",
+    "ResidualCertificate",
+    "UncertainCertificate",
+    "WindowCertificate",
+    "certify",
+    "verify",
+]

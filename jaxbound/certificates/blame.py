@@ -1,9 +1,10 @@
-"""Which single sensor could be wrong, and by how much at least? The smallest error of one sensor that would explain a FAULT window.
+"""Which single sensor could be wrong, and by how much at least? The smallest error of one sensor that would
+explain a FAULT window.
 
-An error of up to e in the samples of one output is a noise bound larger by e, on that output alone. Each relation that is violated gives a
-bound from below: the e at which it just holds. The relation most violated at that e gives the next, until none is violated: there are
-finitely many, so the last bound is the smallest error, exactly. A relation without the sensor that is violated says that no error of it
-explains the window.
+An error of up to e in the samples of one output is a noise bound larger by e, on that output alone. Each
+relation that is violated gives a bound from below: the e at which it just holds. The relation most violated
+at that e gives the next, until none is violated: there are finitely many, so the last bound is the smallest
+error, exactly. A relation without the sensor that is violated says that no error of it explains the window.
 """
 
 from dataclasses import dataclass
@@ -19,8 +20,10 @@ ZERO = Fraction(0)
 
 @dataclass(frozen=True)
 class SensorError:
-    """Fields: output, its number; size: the smallest error that explains the window, in the unit of the output, None where no error does;
-    h: the relation that proves it, violated by any smaller one; enough: size rounded up; z: unknowns that explain the window with it.
+    """Fields: output, its number; size: the smallest error that explains the window, in the unit of the
+    output, None where no error does;
+    h: the relation that proves it, violated by any smaller one; enough: size rounded up; z: unknowns that
+    explain the window with it.
     """
 
     output: int
@@ -61,7 +64,9 @@ def _error_that_holds(window, h, i):
     """Return the error of output i at which a relation just holds, or None if it does not use that output."""
     _, residual, width = window.relation(h)
     h = h if residual < 0 else tuple(-x for x in h)
-    reach = width - abs(residual)  # of the relation beyond zero: negative while violated, and increasing in the error
+    reach = width - abs(
+        residual
+    )  # of the relation beyond zero: negative while violated, and increasing in the error
     sigma, terms = window.tolerance[i], []
     for j, (d, rho) in enumerate(window.readings()):
         if j % window.model.p == i and h[j]:
@@ -75,7 +80,9 @@ def _error_that_holds(window, h, i):
         return None
     reach -= sum(a * stretched(c, sigma) for a, c in terms)
     at = lambda e: reach + steady * e + sum(a * stretched(c + e, sigma) for a, c in terms)
-    low = max((-c for _, c in terms if c < 0 and at(-c) < 0), default=ZERO)  # slopes change where a reading's limit is zero
+    low = max(
+        (-c for _, c in terms if c < 0 and at(-c) < 0), default=ZERO
+    )  # slopes change where a reading's limit is zero
     slope = steady + sum(a / (1 - sigma if c + low >= 0 else 1 + sigma) for a, c in terms)
     return low - at(low) / slope
 

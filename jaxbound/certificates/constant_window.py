@@ -1,10 +1,12 @@
-"""A window whose sensor tolerances keep one value: exact rationals over unknowns and gains g_i = 1 / (1 + theta_i), one an output.
+"""A window whose sensor tolerances keep one value: exact rationals over unknowns and gains g_i = 1 / (1 +
+theta_i), one an output.
 
-    g_i (d_j - rho_j) <= (E z + K U)_j <= g_i (d_j + rho_j),   1 / (1 + sigma_i) <= g_i <= 1 / (1 - sigma_i)      j: samples of output i
+    g_i (d_j - rho_j) <= (E z + K U)_j <= g_i (d_j + rho_j),   1 / (1 + sigma_i) <= g_i <= 1 / (1 - sigma_i)
+    j: samples of output i
 
-is linear in (z, g). If nothing keeps all of it, one combination h of the rows, with h E = 0, shows that for all gains at once: the sum
-over i of g_i (h d -+ |h| rho)_i, whose ends lie at those of g, does not hold h K U (Farkas' lemma, the sums over z and over a reading's
-two sides carried out).
+is linear in (z, g). If nothing keeps all of it, one combination h of the rows, with h E = 0, shows that for
+all gains at once: the sum over i of g_i (h d -+ |h| rho)_i, whose ends lie at those of g, does not hold h K U
+(Farkas' lemma, the sums over z and over a reading's two sides carried out).
 
 Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999.
 """
@@ -27,7 +29,9 @@ class ConstantWindow(ExactWindow):
     """An ExactWindow with one gain an output."""
 
     def solve(self, start: Any = None) -> Explanation:
-        """Return the Explanation of this window: factor > 1 where no unknowns and gains keep all rows, its size that of no bound."""
+        """Return the Explanation of this window: factor > 1 where no unknowns and gains keep all rows, its
+        size that of no bound.
+        """
         (E, K), missing, p = self.forms, self.missing_inputs, self.model.p
         unknowns = [(*e, *(k[j] for j in missing)) for e, k in zip(E, K, strict=True)]
         own = lambda i, value: tuple(value if j == i else ZERO for j in range(p))
@@ -61,7 +65,9 @@ class ConstantWindow(ExactWindow):
         return Explanation(best.t, tuple(h), *self.relation(h), best.z[: len(unknowns[0])], best.reference)
 
     def relation(self, h: Sequence[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, Fraction]:
-        """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample, under any gains."""
+        """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample, under
+        any gains.
+        """
         p, low, high = self.model.p, ZERO, ZERO
         used = [(j, h[j], d, rho) for j, (d, rho) in enumerate(self.readings()) if h[j] and d is not None]
         for i in range(p):
@@ -93,7 +99,9 @@ class ConstantWindow(ExactWindow):
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z and some gains keep every row within its limits."""
         rest = slice(len(self.y), None)
-        inside = all(lo <= v <= hi for (lo, hi), v in zip(self.limits[rest], self.rows_at(z)[rest], strict=True))
+        inside = all(
+            lo <= v <= hi for (lo, hi), v in zip(self.limits[rest], self.rows_at(z)[rest], strict=True)
+        )
         return inside and self.gains(z) is not None
 
     def _ends(self, i):

@@ -1,12 +1,15 @@
-"""One window of a model with uncertain parameters in exact rationals: ranges of its relations over boxes, and zeros of them.
+"""One window of a model with uncertain parameters in exact rationals: ranges of its relations over boxes, and
+zeros of them.
 
-With parameters |v_i| <= size_i and rows z_j = mid_j + rad_j e_j, |e_j| <= 1, relation k of a healthy window says
+With parameters |v_i| <= size_i and rows z_j = mid_j + rad_j e_j, |e_j| <= 1, relation k of a healthy window
+says
 
     p_k(v, e) = P_k(v) + sum_j e_j Q_kj(v) = 0,     P_k = N_k(v) mid - K_k(v) U,   Q_kj = N_kj(v) rad_j.
 
-Polynomials are {alpha: Fraction}. Over a box of v, a direction h over the relations gives the range of h p, from which 0 is absent only if
-no v in the box explains the window. It is bounded monomial by monomial around the middle of the box, or, where no variable has an
-exponent above 1, exactly at the vertices, where h P -+ sum_j |h Q_j| has its extremes.
+Polynomials are {alpha: Fraction}. Over a box of v, a direction h over the relations gives the range of h p,
+from which 0 is absent only if no v in the box explains the window. It is bounded monomial by monomial around
+the middle of the box, or, where no variable has an exponent above 1, exactly at the vertices, where h P -+
+sum_j |h Q_j| has its extremes.
 """
 
 import math
@@ -47,7 +50,9 @@ class FixedWindow(ExactWindow):
 
 @dataclass(frozen=True, eq=False)
 class PolynomialWindow:
-    """Relations and samples of one window. Fields: relations, that need no missing sample; window; bounds of the uncertainties."""
+    """Relations and samples of one window. Fields: relations, that need no missing sample; window; bounds of
+    the uncertainties.
+    """
 
     relations: UncertainRelations
     window: ExactWindow
@@ -76,7 +81,9 @@ class PolynomialWindow:
                         Q[j][k][alpha] = x * rad[j]
         return P, Q
 
-    def spread(self, h: Sequence[Fraction], lo: Sequence[Fraction], hi: Sequence[Fraction], vertices: bool) -> tuple[Fraction, Fraction]:
+    def spread(
+        self, h: Sequence[Fraction], lo: Sequence[Fraction], hi: Sequence[Fraction], vertices: bool
+    ) -> tuple[Fraction, Fraction]:
         """Return (low, high), which holds h p over the box lo <= v <= hi and all e: exact if `vertices`."""
         P, Q = self.parts
         whole, noise = _mixed(h, P), [_mixed(h, q) for q in Q if any(q)]
@@ -86,7 +93,11 @@ class PolynomialWindow:
                 middle, reach = _at(whole, v), sum(abs(_at(q, v)) for q in noise)
                 ends += [middle - reach, middle + reach]
             return min(ends), max(ends)
-        middle, radius = zip(*(((b + a) / 2, (b - a) / 2) for a, b in zip(lo, hi, strict=True)), strict=True) if lo else ((), ())
+        middle, radius = (
+            zip(*(((b + a) / 2, (b - a) / 2) for a, b in zip(lo, hi, strict=True)), strict=True)
+            if lo
+            else ((), ())
+        )
         low, high = _span(_on_box(whole, middle, radius))
         reach = sum(max(map(abs, _span(_on_box(q, middle, radius)))) for q in noise)
         return low - reach, high + reach
@@ -99,7 +110,9 @@ class PolynomialWindow:
         n, g = model.n, model.g * s
         rows = [(*e[:n], *x, *e[n:]) for e, x in zip(E, V, strict=True)]
         width = len(rows[0]) - n - g
-        rows += [(ZERO,) * n + tuple(ONE if i == j else ZERO for j in range(g)) + (ZERO,) * width for i in range(g)]
+        rows += [
+            (ZERO,) * n + tuple(ONE if i == j else ZERO for j in range(g)) + (ZERO,) * width for i in range(g)
+        ]
         K = tuple(H) + (((ZERO,) * len(w.u),) * g)
         known = [ZERO if x is None else x - model.offset["u"][j % model.m] for j, x in enumerate(w.u)]
         names = {f: getattr(w, f) for f in ExactWindow.__dataclass_fields__}
@@ -107,7 +120,9 @@ class PolynomialWindow:
         return FixedWindow(**names, forms=(tuple(rows), K), variables=tuple(v))
 
     def zero_between(self, lo_end: tuple, hi_end: tuple) -> tuple[Fraction, ...]:
-        """Return v where the single relation vanishes on the way from (v, e) with p <= 0 to (v, e) with p >= 0, nearly."""
+        """Return v where the single relation vanishes on the way from (v, e) with p <= 0 to (v, e) with p >=
+        0, nearly.
+        """
         P, Q = self.parts[0][0], [q[0] for q in self.parts[1]]
         below, above = ZERO, ONE
         (v0, e0), (v1, e1) = lo_end, hi_end
@@ -120,7 +135,9 @@ class PolynomialWindow:
         return mix(v0, v1, below)
 
     def ends(self) -> list[tuple]:
-        """Return ((v, e) where the single relation is least over the box, (v, e) where it is largest): multi-affine relations only."""
+        """Return ((v, e) where the single relation is least over the box, (v, e) where it is largest):
+        multi-affine relations only.
+        """
         P, Q = self.parts[0][0], [q[0] for q in self.parts[1]]
         found = []
         for v in product(*((-x, x) for x in self.size)):
@@ -131,7 +148,8 @@ class PolynomialWindow:
         return [(v, e) for _, v, e in (min(found, key=lambda x: x[0]), max(found, key=lambda x: x[0]))]
 
     def near(self, v: np.ndarray, e: np.ndarray) -> tuple[Fraction, ...] | None:
-        """Return v near the given one, within its box, where p(v, e) = 0 almost exactly for some e, or None: Newton's method, exact values.
+        """Return v near the given one, within its box, where p(v, e) = 0 almost exactly for some e, or None:
+        Newton's method, exact values.
 
         Args: v (floats, in units of size), e (floats, one for each row).
         """
@@ -140,7 +158,10 @@ class PolynomialWindow:
         for _ in range(REFINEMENTS):
             point = [a * s for a, s in zip(x[:n], self.size, strict=True)]
             noise = [(b, q) for b, q in zip(x[n:], Q, strict=True) if b]
-            p = [_at(row, point) + sum((b * _at(q[k], point) for b, q in noise), ZERO) for k, row in enumerate(P)]
+            p = [
+                _at(row, point) + sum((b * _at(q[k], point) for b, q in noise), ZERO)
+                for k, row in enumerate(P)
+            ]
             J, room = self._slopes(list(map(float, x))), np.maximum(1 - np.abs(list(map(float, x))), 0)
             scale = np.abs(J) @ room
             if not (scale > 0).all():
@@ -158,15 +179,24 @@ class PolynomialWindow:
         P, Q = self.parts
         n, size = len(self.size), list(map(float, self.size))
         v, e = [a * s for a, s in zip(x, size, strict=False)], x[n:]
-        power = lambda alpha, i: math.prod(a**b for l, (a, b) in enumerate(zip(v, alpha, strict=True)) if b and l != i)
-        slope = lambda f, i: sum(float(c) * a[i] * v[i] ** (a[i] - 1) * power(a, i) for a, c in f.items() if a[i]) * size[i]
+        power = lambda alpha, i: math.prod(
+            a**b for l, (a, b) in enumerate(zip(v, alpha, strict=True)) if b and l != i
+        )
+        slope = lambda f, i: (
+            sum(float(c) * a[i] * v[i] ** (a[i] - 1) * power(a, i) for a, c in f.items() if a[i]) * size[i]
+        )
         value = lambda f: sum(float(c) * power(a, None) for a, c in f.items())
-        by_v = [[slope(f, i) + sum(b * slope(q[k], i) for b, q in zip(e, Q, strict=True) if b) for i in range(n)] for k, f in enumerate(P)]
+        by_v = [
+            [slope(f, i) + sum(b * slope(q[k], i) for b, q in zip(e, Q, strict=True) if b) for i in range(n)]
+            for k, f in enumerate(P)
+        ]
         return np.array([[*row, *(value(q[k]) for q in Q)] for k, row in enumerate(by_v)])
 
 
 def polynomial_window(relations: UncertainRelations, u: np.ndarray, y: np.ndarray) -> PolynomialWindow:
-    """Return the PolynomialWindow of samples u (s+1, m), y (s+1, p); the relations must need none that is missing."""
+    """Return the PolynomialWindow of samples u (s+1, m), y (s+1, p); the relations must need none that is
+    missing.
+    """
     bounds = rounding.round_up(np.asarray(relations.bounds["parameters"], np.float64), y.dtype)
     return PolynomialWindow(relations, exact_window(relations, u, y), tuple(map(Fraction, bounds.tolist())))
 
@@ -187,7 +217,13 @@ def _mixed(h, polynomials):
 
 def _at(polynomial, v):
     """Return the value at v."""
-    return sum((c * math.prod((x**e for x, e in zip(v, alpha, strict=True) if e), start=ONE) for alpha, c in polynomial.items()), ZERO)
+    return sum(
+        (
+            c * math.prod((x**e for x, e in zip(v, alpha, strict=True) if e), start=ONE)
+            for alpha, c in polynomial.items()
+        ),
+        ZERO,
+    )
 
 
 def _on_box(polynomial, middle, radius):

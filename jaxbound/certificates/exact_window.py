@@ -1,10 +1,13 @@
-"""One window in exact rationals: what its samples and bounds say, and how far the model is from explaining them.
+"""One window in exact rationals: what its samples and bounds say, and how far the model is from explaining
+them.
 
-    (Y, w) = E z + K U,   z = (first state, disturbances, unknown inputs, missing inputs)      rows: true outputs Y, disturbances w
+    (Y, w) = E z + K U,   z = (first state, disturbances, unknown inputs, missing inputs)      rows: true
+    outputs Y, disturbances w
     lo <= (Y, w) <= hi                                                           what samples and bounds say
 
-The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y = (1 + theta) t + delta with |theta| <= sigma,
-|delta| <= rho says t in [-f(rho - y), f(rho + y)], f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma).
+The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y = (1 + theta) t + delta with
+|theta| <= sigma, |delta| <= rho says t in [-f(rho - y), f(rho + y)], f(v) = v / (1 - sigma) for v > 0, else v
+/ (1 + sigma).
 """
 
 from collections.abc import Iterable, Sequence
@@ -32,8 +35,9 @@ ZERO = Fraction(0)
 class Explanation:
     """The nearest that a window comes to its bounds.
 
-    Fields: factor, on all bounds, at which it just becomes consistent; h, k: the tightest relation h (Y, w) = k U of an exact plant (zeros
-    where there is none); residual, width: its value at the middles and the largest that the bounds allow, factor = |residual| / width;
+    Fields: factor, on all bounds, at which it just becomes consistent; h, k: the tightest relation h (Y, w) =
+    k U of an exact plant (zeros where there is none); residual, width: its value at the middles and the
+    largest that the bounds allow, factor = |residual| / width;
     z: unknowns that keep all rows within factor times their bounds; reference: a start for a similar window.
     """
 
@@ -50,10 +54,11 @@ class Explanation:
 class ExactWindow:
     """The samples and bounds of one window, every number a Fraction.
 
-    Fields: model, horizon; u (l,) and y ((s+1)p,): the recorded samples time-major, None where missing; tolerance, noise, resolution (p,);
-    disturbance (g, 2); unit: the roundoff of the recording's float type; floor: its smallest normal number, in every bound; drive: what
-    the inputs that are there make of each row; error (p,): what is allowed to a sensor beyond its bounds. average (a,): bounds of averages;
-    whole ((s+1)p,): all samples, also those that only averages look at; lags: of the relations.
+    Fields: model, horizon; u (l,) and y ((s+1)p,): the recorded samples time-major, None where missing;
+    tolerance, noise, resolution (p,); disturbance (g, 2); unit: the roundoff of the recording's float type;
+    floor: its smallest normal number, in every bound; drive: what the inputs that are there make of each row;
+    error (p,): what is allowed to a sensor beyond its bounds. average (a,): bounds of averages; whole
+    ((s+1)p,): all samples, also those that only averages look at; lags: of the relations.
     """
 
     model: LinearSystem
@@ -84,30 +89,52 @@ class ExactWindow:
         return replace(self, u=u, drive=tuple(dot(row, known) for row in self.forms[1]))
 
     def readings(self) -> list[tuple[Fraction | None, Fraction]]:
-        """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest |delta|."""
+        """Return (d, rho) of each sample: its deviation from the offset (None where missing) and the largest
+        |delta|.
+        """
         p = self.model.p
         out: list[tuple[Fraction | None, Fraction]] = [(None, ZERO)] * len(self.y)
         for i in range(p):
             samples = self.y[i::p]
-            rho = self.noise[i] + self.resolution[i] + self.recorded(i) + self.floor + (self.error[i] if self.error else 0)
+            rho = (
+                self.noise[i]
+                + self.resolution[i]
+                + self.recorded(i)
+                + self.floor
+                + (self.error[i] if self.error else 0)
+            )
             for j, v in enumerate(samples):
                 out[j * p + i] = None if v is None else v - self.model.offset["y"][i], rho
         return out
 
     def recorded(self, i: int) -> Fraction:
-        """Return what the recorder may have rounded away of a sample of output i: by the largest one that is looked at."""
+        """Return what the recorder may have rounded away of a sample of output i: by the largest one that is
+        looked at.
+        """
         samples = [v for v in self.y[i :: self.model.p] if v is not None]
-        runs = (rows for _, rows in _runs(self.model, self.horizon) if self.looked(rows) and rows[0] < len(self.y))
+        runs = (
+            rows for _, rows in _runs(self.model, self.horizon) if self.looked(rows) and rows[0] < len(self.y)
+        )
         samples += [self.whole[j] for rows in runs if rows[0] % self.model.p == i for j in rows]
-        return RECORDER_ULPS * self.unit * (max((abs(v) for v in samples if v is not None), default=ZERO) + self.noise[i])
+        return (
+            RECORDER_ULPS
+            * self.unit
+            * (max((abs(v) for v in samples if v is not None), default=ZERO) + self.noise[i])
+        )
 
     def looked(self, rows: tuple) -> bool:
         """Return whether an average of these rows is looked at."""
-        return rows[0] >= len(self.y) or self.lags is None or self.horizon - rows[-1] // self.model.p in self.lags
+        return (
+            rows[0] >= len(self.y)
+            or self.lags is None
+            or self.horizon - rows[-1] // self.model.p in self.lags
+        )
 
     @cached_property
     def runs(self) -> tuple:
-        """(number of the average, rows that it combines, or None where it is not looked at or a sample is missing) of each average row."""
+        """(number of the average, rows that it combines, or None where it is not looked at or a sample is
+        missing) of each average row.
+        """
         found = []
         for a, rows in _runs(self.model, self.horizon):
             there = rows[0] >= len(self.y) or all(self.whole[j] is not None for j in rows)
@@ -139,7 +166,9 @@ class ExactWindow:
         return out + [self.averaged(j) for j in range(len(self.runs))]
 
     def solve(self, start: Any = None) -> Explanation:
-        """Return the Explanation of this window. `start`: the reference of a similar one (same samples missing)."""
+        """Return the Explanation of this window. `start`: the reference of a similar one (same samples
+        missing).
+        """
         rows = tuple(i for i, x in enumerate(self.limits) if x is not None)
         ends = [self.limits[i] for i in rows]
         best = chebyshev(
@@ -166,7 +195,9 @@ class ExactWindow:
 
     @property
     def constant(self) -> bool:
-        """Whether a tolerance keeps one value over the window: then samples together say more than these limits (`ConstantWindow`)."""
+        """Whether a tolerance keeps one value over the window: then samples together say more than these
+        limits (`ConstantWindow`).
+        """
         return self.model.constant_tolerance and any(self.tolerance)
 
     @property
@@ -182,16 +213,23 @@ class ExactWindow:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample."""
         used = [(x, *self.limits[i]) for i, x in enumerate(h) if x]
         middle = dot([x / 2 for x, _, _ in used] * 2, [lo for _, lo, _ in used] + [hi for _, _, hi in used])
-        width = dot([abs(x) / 2 for x, _, _ in used] * 2, [-lo for _, lo, _ in used] + [hi for _, _, hi in used])
+        width = dot(
+            [abs(x) / 2 for x, _, _ in used] * 2, [-lo for _, lo, _ in used] + [hi for _, _, hi in used]
+        )
         return self.action(h), middle - dot(h, self.drive), width
 
     def rows_at(self, z: Sequence[Fraction]) -> tuple[Fraction, ...]:
         """Return the true (Y, w), in deviations, that unknowns z = (x, w, v, missing inputs) give."""
         (E, K), missing = self.forms, self.missing_inputs
-        return tuple(dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d)) for e, k, d in zip(E, K, self.drive, strict=True))
+        return tuple(
+            dot((*e, *(k[j] for j in missing), Fraction(1)), (*z, d))
+            for e, k, d in zip(E, K, self.drive, strict=True)
+        )
 
     def gains(self, z: Sequence[Fraction]) -> tuple[Fraction, ...] | None:
-        """Return the gains, the same in all samples of an output, with which unknowns z keep every reading: none here."""
+        """Return the gains, the same in all samples of an output, with which unknowns z keep every reading:
+        none here.
+        """
         return ()
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
@@ -203,16 +241,22 @@ def dot(a: Iterable[Fraction], b: Iterable[Fraction]) -> Fraction:
     """Return the sum of products exactly: one common denominator, so that nothing is reduced in between."""
     pairs = [(x, y) for x, y in zip(a, b, strict=True) if x and y]
     common = lcm(*(x.denominator * y.denominator for x, y in pairs))
-    return Fraction(sum(x.numerator * y.numerator * (common // (x.denominator * y.denominator)) for x, y in pairs), common)
+    return Fraction(
+        sum(x.numerator * y.numerator * (common // (x.denominator * y.denominator)) for x, y in pairs), common
+    )
 
 
 def stretched(v: Fraction, sigma: Fraction) -> Fraction:
-    """Return f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma): the largest t of a reading, increasing in v."""
+    """Return f(v) = v / (1 - sigma) for v > 0, else v / (1 + sigma): the largest t of a reading, increasing
+    in v.
+    """
     return v / (1 - sigma) if v > 0 else v / (1 + sigma)
 
 
 def exact_window(relations: Any, u: np.ndarray, y: np.ndarray) -> ExactWindow:
-    """Return the ExactWindow of samples u (s+1, m), y (s+1, p). The bounds are those that the kernel takes, to the last bit."""
+    """Return the ExactWindow of samples u (s+1, m), y (s+1, p). The bounds are those that the kernel takes,
+    to the last bit.
+    """
     model, fields = relations.model, exact_samples(relations, u, y)
     known = [ZERO if v is None else v - model.offset["u"][j % model.m] for j, v in enumerate(fields["u"])]
     return ExactWindow(**fields, drive=tuple(dot(row, known) for row in _forms(model, relations.horizon)[1]))
@@ -232,11 +276,20 @@ def exact_samples(relations: Any, u: np.ndarray, y: np.ndarray) -> dict[str, Any
     if relations.lags is not None:
         y = np.where(np.isin(s - np.arange(s + 1), relations.lags)[:, None], y, np.nan).astype(dtype)
     return {
-        "model": model, "horizon": s, "u": inputs, "y": exactly(y), "tolerance": upward(bounds["tolerance"]),
-        "noise": upward(bounds["noise"]), "resolution": upward(list(model.resolution)),
-        "disturbance": tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)), "unit": Fraction(float(np.finfo(dtype).eps)) / 2,
-        "floor": Fraction(float(np.finfo(dtype).tiny)), "average": upward(bounds.get("average", ())), "whole": whole,
-        "lags": relations.lags}  # fmt: skip
+        "model": model,
+        "horizon": s,
+        "u": inputs,
+        "y": exactly(y),
+        "tolerance": upward(bounds["tolerance"]),
+        "noise": upward(bounds["noise"]),
+        "resolution": upward(list(model.resolution)),
+        "disturbance": tuple(zip(exactly(down), upward(pairs[:, 1]), strict=True)),
+        "unit": Fraction(float(np.finfo(dtype).eps)) / 2,
+        "floor": Fraction(float(np.finfo(dtype).tiny)),
+        "average": upward(bounds.get("average", ())),
+        "whole": whole,
+        "lags": relations.lags,
+    }
 
 
 @lru_cache(maxsize=16)

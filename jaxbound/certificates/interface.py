@@ -1,4 +1,6 @@
-"""What a certificate is, and who gives one: `certify` is chosen by the type of the relations, registered in the file of each kind."""
+"""What a certificate is, and who gives one: `certify` is chosen by the type of the relations, registered in
+the file of each kind.
+"""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -24,12 +26,16 @@ class WindowCertificate:
 
     @property
     def proves(self) -> Status:
-        """FAULT or CONSISTENT: what is proved here, also where the method of the detection left it UNDECIDED."""
+        """FAULT or CONSISTENT: what is proved here, also where the method of the detection left it
+        UNDECIDED.
+        """
         raise NotImplementedError
 
     @property
     def errors(self) -> Mapping[str, float]:
-        """{output: the smallest error of that sensor alone that would explain the window}; empty where that is not known."""
+        """{output: the smallest error of that sensor alone that would explain the window}; empty where that
+        is not known.
+        """
         return {}
 
     @property
@@ -38,17 +44,23 @@ class WindowCertificate:
         return ()
 
     def _head(self):
-        return f"{type(self).__name__} of window {self.at if len(self.at) != 1 else self.at[0]}: {self.status.name}"
+        return (
+            f"{type(self).__name__} of window {self.at if len(self.at) != 1 else self.at[0]}: "
+            f"{self.status.name}"
+        )
 
     def _rows(self):
         return {"why": str(self)}
 
     def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
-        """Return what a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names apart from them.
+        """Return what a check needs, ready for JSON: numbers as exact text ("0.1", "1/3"), names apart from
+        them.
 
         Args:
-            times: text of the time of each of the s + 1 samples; None leaves them out. sample: what to call the last one; None: `at`.
-            errors: False leaves out the smallest single-sensor errors of a FAULT, which take most of the time.
+            times: text of the time of each of the s + 1 samples; None leaves them out. sample: what to call
+                the last one; None: `at`.
+            errors: False leaves out the smallest single-sensor errors of a FAULT, which take most of the
+                time.
         """
         raise NotImplementedError
 
@@ -67,11 +79,12 @@ class WindowCertificate:
     def to_vipr(self) -> str:
         """Return the proof as VIPR 1.0, which independent checkers of exact linear proofs take.
 
-        Every inequality of the window is written out; a FAULT ends in the combination of them that cannot hold, a CONSISTENT shows a
-        solution.
+        Every inequality of the window is written out; a FAULT ends in the combination of them that cannot
+        hold, a CONSISTENT shows a solution.
 
         Raises:
-            NotImplementedError: a FAULT of a model with uncertain parameters, whose inequalities are not linear; a residual.
+            NotImplementedError: a FAULT of a model with uncertain parameters, whose inequalities are not
+                linear; a residual.
 
         Example:
             >>> import jaxbound as jb
@@ -83,7 +96,8 @@ class WindowCertificate:
         return vipr(self.to_dict(errors=False))
 
     def to_smt2(self) -> str:
-        """Return the inequalities of the window as an SMT-LIB 2 script, by which solvers decide anew: FAULT is unsat, CONSISTENT sat.
+        """Return the inequalities of the window as an SMT-LIB 2 script, by which solvers decide anew: FAULT
+        is unsat, CONSISTENT sat.
 
         The logic is QF_LRA, with uncertain parameters QF_NRA.
 
@@ -101,20 +115,32 @@ class WindowCertificate:
 
 
 @singledispatch
-def certify(relations: Any, u: Any, y: Any, method: str = "joint", status: Status | None = None, at: tuple | None = None) -> Any:
+def certify(
+    relations: Any,
+    u: Any,
+    y: Any,
+    method: str = "joint",
+    status: Status | None = None,
+    at: tuple | None = None,
+) -> Any:
     """Prove the verdict of one window.
 
     Args:
-        relations: as for `detect`. u (s+1, m), y (s+1, p): the samples, arrays of floats. method: of the detection.
-        status: what the detection said; None: what exact numbers say. at: what to call the window, a tuple; default (s,).
+        relations: as for `detect`. u (s+1, m), y (s+1, p): the samples, arrays of floats. method: of the
+            detection.
+        status: what the detection said; None: what exact numbers say. at: what to call the window, a tuple;
+            default (s,).
 
     Returns:
         A WindowCertificate.
 
     Raises:
-        ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one behaviour cannot prove.
+        ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one
+            behaviour cannot prove.
     """
-    raise NotImplementedError(f"certificates are given for relations that detect knows, not {type(relations).__name__}")
+    raise NotImplementedError(
+        f"certificates are given for relations that detect knows, not {type(relations).__name__}"
+    )
 
 
 def explain(result: Any, at: int | tuple) -> Any:
@@ -129,8 +155,11 @@ def explain(result: Any, at: int | tuple) -> Any:
 
 
 @singledispatch
-def evidence(relations: Any, result: Any, at: tuple, status: Status) -> tuple[Any, str, np.ndarray, np.ndarray]:
-    """Return (relations, method, u, y): the window whose certificate explains the verdict of a Result at an index, chosen by its relations.
+def evidence(
+    relations: Any, result: Any, at: tuple, status: Status
+) -> tuple[Any, str, np.ndarray, np.ndarray]:
+    """Return (relations, method, u, y): the window whose certificate explains the verdict of a Result at an
+    index, chosen by its relations.
 
     Raises:
         NotImplementedError: no window proves it.

@@ -1,15 +1,18 @@
-"""Certificates of long windows: what contradicts all samples since an observer began, as one relation among them.
+"""Certificates of long windows: what contradicts all samples since an observer began, as one relation among
+them.
 
-An observer moves a set through time and meets it with each sample by multipliers of its own. Followed backward, these say how much each
-sample and each disturbance counts: one relation h Y + g w = k U that holds for every behaviour, whatever the first state, and that the
-samples violate. The multipliers that violate it most are the dual of a linear program over the same samples, sparse in all states; it is
-solved in floats. Rounded to short numbers, and corrected where the first state would be left over, they are exact, and what they prove is
-checked in fractions: nothing rests on the program.
+An observer moves a set through time and meets it with each sample by multipliers of its own. Followed
+backward, these say how much each sample and each disturbance counts: one relation h Y + g w = k U that holds
+for every behaviour, whatever the first state, and that the samples violate. The multipliers that violate it
+most are the dual of a linear program over the same samples, sparse in all states; it is solved in floats.
+Rounded to short numbers, and corrected where the first state would be left over, they are exact, and what
+they prove is checked in fractions: nothing rests on the program.
 
-    q = h_j C + q A backward,   g_j = -(q after j) G,   k_j = h_j D + (q after j) B,   0 = q + x,   x: of bounds of the first state
+    q = h_j C + q A backward,   g_j = -(q after j) G,   k_j = h_j D + (q after j) B,   0 = q + x,   x: of
+    bounds of the first state
 
-With unknown inputs also h_j D_v + (q after j) F = 0: the multipliers of the outputs that they are taken out by follow from the others, see
-`models.unknown_directions`.
+With unknown inputs also h_j D_v + (q after j) F = 0: the multipliers of the outputs that they are taken out
+by follow from the others, see `models.unknown_directions`.
 """
 
 from collections.abc import Sequence
@@ -39,10 +42,11 @@ DIGITS = 30
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """What is proved of horizon + 1 samples in a row, in the place of relations: bounds of a model, and perhaps of the first state.
+    """What is proved of horizon + 1 samples in a row, in the place of relations: bounds of a model, and
+    perhaps of the first state.
 
-    Fields: model, without averages or uncertainties; horizon; bounds: as of `parity_relations`; first: ((lo, hi), ..) of the first state,
-    or None; lags: None.
+    Fields: model, without averages or uncertainties; horizon; bounds: as of `parity_relations`; first: ((lo,
+    hi), ..) of the first state, or None; lags: None.
     """
 
     model: LinearSystem
@@ -53,7 +57,9 @@ class Stretch:
 
 
 def stretch(model: LinearSystem, horizon: int, first: Sequence | None = None) -> Stretch:
-    """Return the Stretch of a model. first: (n, 2) floats or Fractions, bounds of the state of its first sample, or None."""
+    """Return the Stretch of a model. first: (n, 2) floats or Fractions, bounds of the state of its first
+    sample, or None.
+    """
     plain = model.replace(averages=()) if model.averages else model
     ends = None if first is None else tuple((Fraction(lo), Fraction(hi)) for lo, hi in first)
     return Stretch(plain, horizon, model_bounds(plain), ends)
@@ -66,8 +72,8 @@ class LongWindow(ExactWindow):
     first: tuple | None = None
 
     def backward(self, h: Sequence[Fraction]) -> tuple[tuple, tuple, tuple]:
-        """Return (x (n,), g (s g,), k (l,)): what multipliers h ((s+1) p,) of the outputs leave of the first state, the disturbances and
-        the inputs.
+        """Return (x (n,), g (s g,), k (l,)): what multipliers h ((s+1) p,) of the outputs leave of the first
+        state, the disturbances and the inputs.
         """
         m, p, inputs = self.model, self.model.p, len(self.u) // max(self.model.m, 1)
         q: tuple = (ZERO,) * m.n
@@ -84,7 +90,9 @@ class LongWindow(ExactWindow):
         return q, tuple(g), tuple(k)
 
     def relation(self, h: Sequence[Fraction]) -> tuple[tuple[Fraction, ...], Fraction, Fraction]:
-        """Return (k, residual, width) of a relation h of outputs and disturbances, with what it leaves of a first state that has bounds."""
+        """Return (k, residual, width) of a relation h of outputs and disturbances, with what it leaves of a
+        first state that has bounds.
+        """
         left, _, k = self.backward(h[: len(self.y)])
         if self.first is None and any(left):
             raise ValueError("the relation leaves the first state over")
@@ -92,13 +100,17 @@ class LongWindow(ExactWindow):
             raise ValueError("the relation leaves an unknown input over")
         used = [(x, *ends) for x, ends in zip(h, self.limits, strict=True) if x]
         used += [(-x, *ends) for x, ends in zip(left, self.first or (), strict=False) if x]
-        known = [ZERO if v is None else v - self.model.offset["u"][j % self.model.m] for j, v in enumerate(self.u)]
+        known = [
+            ZERO if v is None else v - self.model.offset["u"][j % self.model.m] for j, v in enumerate(self.u)
+        ]
         ends = [x * (lo + hi) / 2 for x, lo, hi in used], [abs(x) * (hi - lo) / 2 for x, lo, hi in used]
         total = lambda terms: dot(terms, [Fraction(1)] * len(terms))
         return k, total(ends[0]) - dot(k, known), total(ends[1])
 
     def multipliers(self) -> tuple[Fraction, ...]:
-        """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing of a free first state."""
+        """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing
+        of a free first state.
+        """
         _, floats = _program(self)
         largest = max(np.abs(floats).max(initial=0), 1e-300)
         h = [Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats]
@@ -111,7 +123,9 @@ class LongWindow(ExactWindow):
         return tuple(h)
 
     def _corrected(self, h, taken):
-        """Return multipliers changed in as many places as there are states, so that the first state does not count."""
+        """Return multipliers changed in as many places as there are states, so that the first state does not
+        count.
+        """
         (plant, hidden, _), p = taken, self.model.p
         seen: list[Sequence[Fraction]] = []
         wanted: list[int] = []
@@ -126,12 +140,16 @@ class LongWindow(ExactWindow):
         left = [[x] for x in self._without_unknown(h, taken)[1]]
         if len(seen) == plant.n - hidden:
             across = linalg.matmul(seen, linalg.transpose(seen))
-            for at, (x,) in zip(wanted, linalg.matmul(linalg.inverse(across), linalg.matmul(seen, left)), strict=True):
+            for at, (x,) in zip(
+                wanted, linalg.matmul(linalg.inverse(across), linalg.matmul(seen, left)), strict=True
+            ):
                 h[at] -= x
         return h
 
     def _taken_out(self):
-        """Return (model with a state for what acts on outputs at once, dimensions that no output shows, H of each sample or None)."""
+        """Return (model with a state for what acts on outputs at once, dimensions that no output shows, H of
+        each sample or None).
+        """
         m, p, plant = self.model, self.model.p, with_direct_states(self.model)
         found = unknown_directions(plant)
         if found is None:
@@ -144,7 +162,9 @@ class LongWindow(ExactWindow):
         return plant, len(found.hidden), H
 
     def _without_unknown(self, h, taken):
-        """Return (multipliers h with those changed that take unknown inputs out, what they leave of the first state)."""
+        """Return (multipliers h with those changed that take unknown inputs out, what they leave of the first
+        state).
+        """
         (plant, _, H), p, h = taken, self.model.p, list(h)
         A, C, q = linalg.transpose(plant.A), linalg.transpose(plant.C), (ZERO,) * plant.n
         for j in range(self.horizon, -1, -1):
@@ -162,7 +182,9 @@ class LongWindow(ExactWindow):
         for i in range(j, -1, -1):
             if H[i] is not None:
                 through = linalg.matmul(linalg.matmul(rows, H[i]), plant.C)
-                rows = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(rows, through, strict=True)]
+                rows = [
+                    [x - y for x, y in zip(*pair, strict=True)] for pair in zip(rows, through, strict=True)
+                ]
             rows = linalg.matmul(rows, plant.A) if i else rows
         return rows
 
@@ -181,7 +203,9 @@ class LongWindow(ExactWindow):
 
 
 def exceeds(about: Stretch, u: np.ndarray, y: np.ndarray) -> float:
-    """Return about the factor on all bounds at which samples u (s+1, m), y (s+1, p) can just be explained: > 1 where they contradict."""
+    """Return about the factor on all bounds at which samples u (s+1, m), y (s+1, p) can just be explained: >
+    1 where they contradict.
+    """
     return _program(_long_window(about, u, y))[0]
 
 
@@ -191,13 +215,18 @@ def _long_window(about: Stretch, u: np.ndarray, y: np.ndarray) -> LongWindow:
 
 
 def _program(window: LongWindow) -> tuple[float, np.ndarray]:
-    """Return (factor, multipliers of the outputs ((s+1) p,)) in floats, from a linear program in all states and disturbances."""
+    """Return (factor, multipliers of the outputs ((s+1) p,)) in floats, from a linear program in all states
+    and disturbances.
+    """
     from scipy.optimize import linprog
     from scipy.sparse import csr_array, eye_array, hstack, kron, vstack
 
     m, s = window.model, window.horizon
     names = ("A", "B", "C", "D", "G", "F", "D_v")
-    A, B, C, D, G, F, D_v = (np.array([[float(x) for x in row] for row in getattr(m, a)]).reshape(len(getattr(m, a)), -1) for a in names)
+    A, B, C, D, G, F, D_v = (
+        np.array([[float(x) for x in row] for row in getattr(m, a)]).reshape(len(getattr(m, a)), -1)
+        for a in names
+    )
     n, g, p, free = m.n, m.g, m.p, (s + 1) * (m.n + m.d)
     inputs = np.zeros((s + 1, m.m))
     offset = [float(x) for x in m.offset["u"]]
@@ -207,7 +236,8 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     ends = np.array([[float(v) for v in window.limits[i]] for i in there]).reshape(-1, 2)
     w_ends = np.array([[float(v) for v in pair] for pair in window.disturbance] * s).reshape(-1, 2)
     w_mid, w_rad = w_ends.mean(1), np.diff(w_ends, axis=1)[:, 0] / 2
-    # scaled: states by nothing, disturbances by their half-widths; variables (states, unknown inputs, disturbances, factor)
+    # scaled: states by nothing, disturbances by their half-widths; variables (states, unknown inputs,
+    # disturbances, factor)
     moves = pushed = None
     if s:
         steps = kron(eye_array(s, s + 1), A) - kron(eye_array(s, s + 1, k=1), np.eye(n))
@@ -216,21 +246,30 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
         pushed = -(inputs[:s] @ B.T + (w_mid.reshape(s, g) @ G.T if g else 0)).ravel()
     mid, rad = ends.mean(1), np.diff(ends, axis=1)[:, 0] / 2
     through = (inputs @ D.T).ravel()[there] if D.size else np.zeros(len(there))
-    seen = _diagonal(1 / rad) @ csr_array(hstack([kron(eye_array(s + 1), C), kron(eye_array(s + 1), D_v)]))[there]
+    seen = (
+        _diagonal(1 / rad)
+        @ csr_array(hstack([kron(eye_array(s + 1), C), kron(eye_array(s + 1), D_v)]))[there]
+    )
     ones = lambda count: -np.ones((count, 1))
     sides = [hstack([sign * seen, csr_array((len(there), s * g)), ones(len(there))]) for sign in (1, -1)]
     right = [sign * (mid - through) / rad for sign in (1, -1)]
     if g:
-        sides += [hstack([csr_array((s * g, free)), sign * eye_array(s * g), ones(s * g)]) for sign in (1, -1)]
+        sides += [
+            hstack([csr_array((s * g, free)), sign * eye_array(s * g), ones(s * g)]) for sign in (1, -1)
+        ]
         right += [np.zeros(s * g)] * 2
     if window.first is not None:
         x = np.array([[float(v) for v in pair] for pair in window.first])
         middle, half = x.mean(1), np.diff(x, axis=1)[:, 0] / 2
-        sides += [hstack([sign * eye_array(n, free), csr_array((n, s * g)), -half[:, None]]) for sign in (1, -1)]
+        sides += [
+            hstack([sign * eye_array(n, free), csr_array((n, s * g)), -half[:, None]]) for sign in (1, -1)
+        ]
         right += [sign * middle for sign in (1, -1)]
     cost = np.append(np.zeros(free + s * g), 1.0)
     ends_of_all = [(None, None)] * (free + s * g) + [(0, None)]
-    found = linprog(cost, vstack(sides), np.concatenate(right), moves, pushed, bounds=ends_of_all, method="highs")
+    found = linprog(
+        cost, vstack(sides), np.concatenate(right), moves, pushed, bounds=ends_of_all, method="highs"
+    )
     if found.status != 0:
         return 0.0, np.zeros((s + 1) * p)
     marks, count = found.ineqlin.marginals, len(there)
@@ -248,9 +287,11 @@ def _diagonal(x):
 @readable
 @dataclass(frozen=True, eq=False)
 class LongCertificate(Certificate):
-    """A Certificate of many samples: one relation among all since an observer began, or among the last of them.
+    """A Certificate of many samples: one relation among all since an observer began, or among the last of
+    them.
 
-    Fields: as of a Certificate. Which sensor alone could be wrong is not worked out: errors and candidates are empty.
+    Fields: as of a Certificate. Which sensor alone could be wrong is not worked out: errors and candidates
+    are empty.
     """
 
     window: LongWindow
@@ -272,7 +313,9 @@ class LongCertificate(Certificate):
 
     def _document(self, verdict, numbers, times, sample):
         w = self.window
-        return super()._document(verdict, numbers if w.first is None else {"first_state": w.first, **numbers}, times, sample)
+        return super()._document(
+            verdict, numbers if w.first is None else {"first_state": w.first, **numbers}, times, sample
+        )
 
 
 @certify.register
@@ -283,7 +326,10 @@ def _(relations: Stretch, u, y, method="joint", status=None, at=None):
     h = (*rows, *window.backward(rows)[1])
     k, residual, width = window.relation(h)
     if not any(h) or not width or abs(residual) <= width:
-        raise NotImplementedError(f"no relation of these {relations.horizon + 1} samples is found that proves the FAULT at {at[-1]} alone")
+        raise NotImplementedError(
+            f"no relation of these {relations.horizon + 1} samples is found that proves the FAULT at "
+            f"{at[-1]} alone"
+        )
     factor = abs(residual) / width
     found = Explanation(factor, h, k, residual, width, (), ())
     text = relation_text(window.model, window.horizon, h, k)

@@ -14,14 +14,20 @@ MATRICES = ("A", "B", "C", "D", "G", "F", "D_v")
 
 
 def plain_model(model: LinearSystem) -> dict[str, Any]:
-    """Return the numbers of a LinearSystem, matrices at the middle of its parameters, as `checker.claim.claimed` takes them."""
+    """Return the numbers of a LinearSystem, matrices at the middle of its parameters, as
+    `checker.claim.claimed` takes them.
+    """
     averages = []
     for average in model.averages:
         measured, number = average.place(model.outputs)
-        averages.append({"output": measured, "number": number, "weights": average.weights, "bound": average.bound})
+        averages.append(
+            {"output": measured, "number": number, "weights": average.weights, "bound": average.bound}
+        )
     uncertainties = []
     for parameter in model.uncertainties:
-        uncertainties.append({letter: parameter.on(letter) for letter in "ABCD"} | {"varying": parameter.varying})
+        uncertainties.append(
+            {letter: parameter.on(letter) for letter in "ABCD"} | {"varying": parameter.varying}
+        )
     return {letter: getattr(model, letter) for letter in MATRICES} | {
         "offset_u": model.offset["u"],
         "offset_y": model.offset["y"],
@@ -36,8 +42,12 @@ def plain_model(model: LinearSystem) -> dict[str, Any]:
     }
 
 
-def plain_names(model: LinearSystem, sample: int | list[int], times: Sequence[str] | None = None) -> dict[str, Any]:
-    """Return the names in a certificate of the window that ends at a sample. times: of its samples, as text, or None."""
+def plain_names(
+    model: LinearSystem, sample: int | list[int], times: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """Return the names in a certificate of the window that ends at a sample. times: of its samples, as text,
+    or None.
+    """
     names: dict[str, Any] = {"model": model.name}
     names |= {kind: list(getattr(model, kind)) for kind in ("states", "inputs", "outputs")}
     names["units"] = dict(model.units)

@@ -1,6 +1,8 @@
-"""The certificate of one verdict on a user's own residual: the unknowns that explain a window, or that a bisection left none.
+"""The certificate of one verdict on a user's own residual: the unknowns that explain a window, or that a
+bisection left none.
 
-It is no proof that fractions alone can check: that needs the function, which is a program. It says what to check.
+It is no proof that fractions alone can check: that needs the function, which is a program. It says what to
+check.
 """
 
 from collections.abc import Sequence
@@ -28,8 +30,9 @@ PROGRAM = "a residual is a program of its user, no system of inequalities: no ot
 class ResidualCertificate(WindowCertificate):
     """Why a window of a residual has its verdict.
 
-    Fields: status; at; relations: the Residual; u, y: the samples; witness: Interval (n,) that is proved to hold values of the unknowns
-    that explain the window, or None; evaluated: boxes it took. errors, candidates: empty, no sensor is known to be wrong.
+    Fields: status; at; relations: the Residual; u, y: the samples; witness: Interval (n,) that is proved to
+    hold values of the unknowns that explain the window, or None; evaluated: boxes it took. errors,
+    candidates: empty, no sensor is known to be wrong.
     """
 
     status: Status
@@ -59,16 +62,34 @@ class ResidualCertificate(WindowCertificate):
         return f"{end} after {self.evaluated} boxes"
 
     def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
-        """Return the samples, the box of the unknowns and, if there is one, the box within it that holds an explanation."""
+        """Return the samples, the box of the unknowns and, if there is one, the box within it that holds an
+        explanation.
+        """
         exact = lambda x: [Fraction(float(v)) for v in np.asarray(x)]
         box = lambda b: {"lo": exact(b.lo), "hi": exact(b.hi)}
-        numbers = {"u": list(map(exact, self.u)), "y": list(map(exact, self.y)), "box": box(self.relations.box),
-                   "witness": None if self.witness is None else box(self.witness), "evaluated": Fraction(self.evaluated)}  # fmt: skip
+        numbers = {
+            "u": list(map(exact, self.u)),
+            "y": list(map(exact, self.y)),
+            "box": box(self.relations.box),
+            "witness": None if self.witness is None else box(self.witness),
+            "evaluated": Fraction(self.evaluated),
+        }
         model = self.relations.model
-        names = {"model": model.name, "inputs": model.inputs, "outputs": model.outputs, "relation": self.relation,
-                 "sample": list(self.at) if sample is None else sample, "times": None if times is None else list(times)}  # fmt: skip
-        return {"certificate": self.proves.name, "statement": str(self), "status": self.status.name, "names": names,
-                "numbers": texts(numbers)}  # fmt: skip
+        names = {
+            "model": model.name,
+            "inputs": model.inputs,
+            "outputs": model.outputs,
+            "relation": self.relation,
+            "sample": list(self.at) if sample is None else sample,
+            "times": None if times is None else list(times),
+        }
+        return {
+            "certificate": self.proves.name,
+            "statement": str(self),
+            "status": self.status.name,
+            "names": names,
+            "numbers": texts(numbers),
+        }
 
     def to_vipr(self) -> str:
         """Raise NotImplementedError: the residual is a program."""

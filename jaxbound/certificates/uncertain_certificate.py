@@ -1,8 +1,9 @@
 """The certificate of one verdict on a model with uncertain parameters, in exact rational arithmetic.
 
-FAULT: a tree of boxes of the parameters, a leaf for each with a direction h over the relations: 0 is not in the range of h p over it
-(`exact_polynomials`). Mostly the whole box is the only leaf. CONSISTENT: parameters at which what is left, a linear window, is explained by
-a first state and noise. Floats only propose boxes, directions and points.
+FAULT: a tree of boxes of the parameters, a leaf for each with a direction h over the relations: 0 is not in
+the range of h p over it (`exact_polynomials`). Mostly the whole box is the only leaf. CONSISTENT: parameters
+at which what is left, a linear window, is explained by a first state and noise. Floats only propose boxes,
+directions and points.
 """
 
 from collections.abc import Sequence
@@ -36,8 +37,9 @@ PART = parametric_windows.SEARCHED
 class Leaf:
     """A box of the parameters that explains nothing.
 
-    Fields: lo, hi: the box, in half-widths of the parameters; direction: the numbers h of a combination of the relations; low, high: what
-    holds all its values over the box, without 0; vertices: whether these are the extremes over all vertices, or bounds of each monomial.
+    Fields: lo, hi: the box, in half-widths of the parameters; direction: the numbers h of a combination of
+    the relations; low, high: what holds all its values over the box, without 0; vertices: whether these are
+    the extremes over all vertices, or bounds of each monomial.
     """
 
     lo: tuple
@@ -65,9 +67,12 @@ class UncertainCertificate(Witnessed, WindowCertificate):
 
     Fields:
         status: of the window, as detected. at: the index at which it ends, a tuple.
-        relations: the UncertainRelations that the proof is about: for a window with missing samples those without them.
-        proof: for FAULT a Leaf, or a Cut with more of them: no parameters and errors within bounds explain the window; else None.
-        window: the samples and bounds; for CONSISTENT at the parameters of the witness. z: its unknowns, or None.
+        relations: the UncertainRelations that the proof is about: for a window with missing samples those
+            without them.
+        proof: for FAULT a Leaf, or a Cut with more of them: no parameters and errors within bounds explain
+            the window; else None.
+        window: the samples and bounds; for CONSISTENT at the parameters of the witness. z: its unknowns, or
+            None.
         bounds: of the parameters, in half-widths.
         state, outputs, disturbances, unknown_inputs, inputs: of the witness, as in `Certificate`.
         errors, candidates: empty, the smallest errors of single sensors are not known here.
@@ -85,7 +90,9 @@ class UncertainCertificate(Witnessed, WindowCertificate):
 
     @property
     def proves(self) -> Status:
-        """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it UNDECIDED."""
+        """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it
+        UNDECIDED.
+        """
         return Status.CONSISTENT if self.proof is None else Status.FAULT
 
     @cached_property
@@ -95,7 +102,9 @@ class UncertainCertificate(Witnessed, WindowCertificate):
 
     @property
     def parameters(self) -> Any:
-        """{(name, sample of the window, or None for a constant one): value in the unit of `between`} of the witness, or None."""
+        """{(name, sample of the window, or None for a constant one): value in the unit of `between`} of the
+        witness, or None.
+        """
         if self.z is None:
             return None
         by_name = {u.name: u for u in self.relations.model.uncertainties}
@@ -104,14 +113,19 @@ class UncertainCertificate(Witnessed, WindowCertificate):
 
     @property
     def relation(self) -> str:
-        """The combination of relations that is violated, as text; "" where it differs from part to part of the box."""
+        """The combination of relations that is violated, as text; "" where it differs from part to part of
+        the box.
+        """
         if len(self.leaves) != 1:
             return ""
         lines = self.relations.text().split("\n")
         if len(lines) == 1:
             return lines[0].split(": ", 1)[1]
         terms = [(x, f"r{k + 1}") for k, x in enumerate(self.leaves[0].direction) if x]
-        text = "".join(f" {'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{float(abs(x)):.6g} '}{name}" for x, name in terms)
+        text = "".join(
+            f" {'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{float(abs(x)):.6g} '}{name}"
+            for x, name in terms
+        )
         return text[3:] + " = 0" if text[1] == "+" else "-" + text[3:] + " = 0"
 
     def __str__(self) -> str:
@@ -119,32 +133,55 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         if self.z is not None:
             s = self.relations.horizon
             at = lambda lag: "" if lag is None else f"[k-{s - lag}]" if lag < s else "[k]"
-            values = ", ".join(f"{name}{at(lag)} = {float(x):.6g}" for (name, lag), x in self.parameters.items())
-            return f"explained by {values} and the first state ({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
+            values = ", ".join(
+                f"{name}{at(lag)} = {float(x):.6g}" for (name, lag), x in self.parameters.items()
+            )
+            return (
+                f"explained by {values} and the first state "
+                f"({', '.join(f'{float(x):.6g}' for x in self.state or ())})"
+            )
         if len(self.leaves) == 1:
             (leaf,) = self.leaves
-            return f"{main_terms(self.relation)} cannot hold: its left side is in [{float(leaf.low):.6g}, {float(leaf.high):.6g}]"
-        return f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their box contradicts the relations"
+            return (
+                f"{main_terms(self.relation)} cannot hold: its left side is in [{float(leaf.low):.6g}, "
+                f"{float(leaf.high):.6g}]"
+            )
+        return (
+            f"no parameters within their bounds explain it: each of {len(self.leaves)} parts of their "
+            f"box "
+            f"contradicts the relations"
+        )
 
     def to_dict(self, times: Sequence[str] | None = None, sample: Any = None, errors: bool = True) -> dict:
-        """Return everything that a check needs, ready for JSON: as `Certificate.to_dict`, whose `errors` are not known here.
+        """Return everything that a check needs, ready for JSON: as `Certificate.to_dict`, whose `errors` are
+        not known here.
 
-        numbers.uncertainties: what each parameter multiplies, its bound, whether it varies. numbers.variables: the parameter and the sample
-        (null: constant) that each variable v is. A polynomial is a list of [coefficient, number of a variable, ..], with a variable squared
-        twice.
+        numbers.uncertainties: what each parameter multiplies, its bound, whether it varies.
+        numbers.variables: the parameter and the sample (null: constant) that each variable v is. A polynomial
+        is a list of [coefficient, number of a variable, ..], with a variable squared twice.
         """
         r, parameters = self.relations, self.window.model.uncertainties
-        variables = [(u.name, lag) for u in parameters for lag in (range(r.horizon + 1) if u.varying else [None])]
+        variables = [
+            (u.name, lag) for u in parameters for lag in (range(r.horizon + 1) if u.varying else [None])
+        ]
         names, number = [u.name for u in parameters], [Fraction(variables.index(v)) for v in r.variables]
         chosen = dict(zip(r.variables, self.window.variables, strict=True)) if self.z is not None else {}
         numbers = {
-            "uncertainties": [{letter: u.on(letter) for letter in "ABCD"} | {"bound": bound, "varying": Fraction(int(u.varying))}
-                              for u, bound in zip(parameters, self.bounds, strict=True)],
-            "variables": [[Fraction(names.index(name)), None if lag is None else Fraction(lag)] for name, lag in variables],
-            "relations": [self._polynomial_dict(k, number) for k in range(r.count)] if self.proof is not None else [],
+            "uncertainties": [
+                {letter: u.on(letter) for letter in "ABCD"}
+                | {"bound": bound, "varying": Fraction(int(u.varying))}
+                for u, bound in zip(parameters, self.bounds, strict=True)
+            ],
+            "variables": [
+                [Fraction(names.index(name)), None if lag is None else Fraction(lag)]
+                for name, lag in variables
+            ],
+            "relations": [self._polynomial_dict(k, number) for k in range(r.count)]
+            if self.proof is not None
+            else [],
             "proof": None if self.proof is None else _tree(self.proof, number),
             "parameters": None if self.z is None else [chosen.get(v, Fraction(0)) for v in variables],
-        }  # fmt: skip
+        }
         return self._document(self.proves, numbers, times, sample)
 
     def _polynomial_dict(self, k, number):
@@ -152,8 +189,11 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         r, model = self.relations, self.relations.model
         rows = (r.horizon + 1) * model.p
         row = lambda matrix, span: [_flat(matrix, k, j, number) for j in span]
-        return {"h": rows_of(row(r.N, range(rows)), model.p), "g": self._every_sample(row(r.N, range(rows, r.N.columns)), [[]] * model.g),
-                "k": self._every_sample(row(r.K, range(r.K.columns)), [[]] * model.m)}  # fmt: skip
+        return {
+            "h": rows_of(row(r.N, range(rows)), model.p),
+            "g": self._every_sample(row(r.N, range(rows, r.N.columns)), [[]] * model.g),
+            "k": self._every_sample(row(r.K, range(r.K.columns)), [[]] * model.m),
+        }
 
 
 @certify.register
@@ -168,23 +208,35 @@ def _(relations: UncertainRelations, u, y, method="joint", status=None, at=None)
     proof, point = _proof(p, u, y, status, BOXES if method == "paving" or status == Status.FAULT else 1)
     if proof is None and point is None:
         hint = "" if method == "paving" else "; method 'paving' goes on where this one stops"
-        raise NotImplementedError(f"neither a contradiction nor a behaviour is at hand for window {at[-1]}{hint}")
+        raise NotImplementedError(
+            f"neither a contradiction nor a behaviour is at hand for window {at[-1]}{hint}"
+        )
     window, z = (p.window, None) if point is None else point
     proved = Status.CONSISTENT if proof is None else Status.FAULT
-    return UncertainCertificate(proved if status is None else Status(status), at, relations, proof, window, z, p.bounds)
+    return UncertainCertificate(
+        proved if status is None else Status(status), at, relations, proof, window, z, p.bounds
+    )
 
 
 def _proof(p, u, y, status, budget):
     """Return (proof, None) or (None, (FixedWindow, z)), or (None, None) if neither was found."""
     r, lo = p.relations, tuple(-x for x in p.size)
-    whole, few = (lo, p.size), polynomials.multiaffine(p.relations.exponents) and len(p.size) <= parametric_windows.VERTICES
+    whole, few = (
+        (lo, p.size),
+        polynomials.multiaffine(p.relations.exponents) and len(p.size) <= parametric_windows.VERTICES,
+    )
     fault, consistent = status != Status.CONSISTENT, status != Status.FAULT
     alone = [tuple(Fraction(int(k == i)) for i in range(r.count)) for k in range(r.count)]
     if fault:
         for h in alone:
             if (leaf := _leaf(p, h, *whole, few)) is not None:
                 return leaf, None
-    if consistent and r.count == 1 and few and (point := _explained(p, p.zero_between(*p.ends()))) is not None:
+    if (
+        consistent
+        and r.count == 1
+        and few
+        and (point := _explained(p, p.zero_between(*p.ends()))) is not None
+    ):
         return None, point
     boxes = _Boxes(p, u, y)
     _, start, h = boxes.whole()
@@ -268,7 +320,11 @@ class _Boxes:
             margin, start, h, axis, inside = (np.concatenate(x, -1) for x in zip(*said, strict=True))
             left, new = [], []
             for k, place in enumerate(places):
-                leaf = _directed(self.p, h[:, k], exact(lo[:, k]), exact(hi[:, k])) if fault and margin[k] < 0 else None
+                leaf = (
+                    _directed(self.p, h[:, k], exact(lo[:, k]), exact(hi[:, k]))
+                    if fault and margin[k] < 0
+                    else None
+                )
                 if leaf is not None:
                     place.append(leaf)
                     continue
@@ -289,8 +345,12 @@ class _Boxes:
     def _part(self, terms, lo, hi, consistent):
         """Return (margin, start, h, axis, whether a point is proved to exist) of boxes (n, N)."""
         count = lo.shape[1]
-        mid, radius = (np.pad(x, ((0, 0), (0, PART - count)), mode="edge") for x in (0.5 * (lo + hi), 0.5 * (hi - lo)))
-        said = parametric_windows.on_boxes(self.test, terms, mid, radius, np.arange(PART, dtype=np.int32), consistent)
+        mid, radius = (
+            np.pad(x, ((0, 0), (0, PART - count)), mode="edge") for x in (0.5 * (lo + hi), 0.5 * (hi - lo))
+        )
+        said = parametric_windows.on_boxes(
+            self.test, terms, mid, radius, np.arange(PART, dtype=np.int32), consistent
+        )
         return [np.asarray(said[k])[..., :count] for k in (1, 4, 5, 6, 2)]
 
 
@@ -311,8 +371,18 @@ def _leaves(proof):
 def _tree(proof, number):
     """Return a proof as a tree of numbers."""
     if isinstance(proof, Leaf):
-        return {"direction": proof.direction, "vertices": Fraction(int(proof.vertices)), "low": proof.low, "high": proof.high}
-    return {"variable": number[proof.variable], "at": proof.at, "below": _tree(proof.below, number), "above": _tree(proof.above, number)}
+        return {
+            "direction": proof.direction,
+            "vertices": Fraction(int(proof.vertices)),
+            "low": proof.low,
+            "high": proof.high,
+        }
+    return {
+        "variable": number[proof.variable],
+        "at": proof.at,
+        "below": _tree(proof.below, number),
+        "above": _tree(proof.above, number),
+    }
 
 
 def _flat(matrix, k, j, number):

@@ -17,7 +17,9 @@ __all__ = ["Witnessed", "rows_of"]
 
 
 class Witnessed:
-    """A certificate of .window, an ExactWindow, with .z, the unknowns of a behaviour that explains it, or None."""
+    """A certificate of .window, an ExactWindow, with .z, the unknowns of a behaviour that explains it, or
+    None.
+    """
 
     window: Any
     z: tuple | None
@@ -35,21 +37,32 @@ class Witnessed:
         if self.z is None:
             return None
         p, offset = self.window.model.p, self.window.model.offset["y"]
-        return rows_of([v + offset[i % p] for i, v in enumerate(self.window.rows_at(self.z)[: len(self.window.y)])], p)
+        return rows_of(
+            [v + offset[i % p] for i, v in enumerate(self.window.rows_at(self.z)[: len(self.window.y)])], p
+        )
 
     @property
     def disturbances(self) -> Any:
         """The disturbances of the witness, a tuple of s rows, or None."""
         w = self.window
-        return None if self.z is None else rows_of(self.z[w.model.n : w.model.n + w.model.g * w.horizon], w.model.g) or ((),) * w.horizon
+        return (
+            None
+            if self.z is None
+            else rows_of(self.z[w.model.n : w.model.n + w.model.g * w.horizon], w.model.g)
+            or ((),) * w.horizon
+        )
 
     @property
     def unknown_inputs(self) -> Any:
-        """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once), or None."""
+        """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once),
+        or None.
+        """
         if self.z is None:
             return None
         w = self.window
-        return rows_of(self.z[w.model.n + w.model.g * w.horizon : len(self.z) - len(w.missing_inputs)], w.model.d)
+        return rows_of(
+            self.z[w.model.n + w.model.g * w.horizon : len(self.z) - len(w.missing_inputs)], w.model.d
+        )
 
     @property
     def inputs(self) -> Any:
@@ -59,23 +72,39 @@ class Witnessed:
         w = self.window
         found = dict(zip(w.missing_inputs, self.z[len(self.z) - len(w.missing_inputs) :], strict=True))
         offset = w.model.offset["u"]
-        filled = [found.get(j, Fraction(0)) + offset[j % w.model.m] if v is None else v for j, v in enumerate(w.u)]
+        filled = [
+            found.get(j, Fraction(0)) + offset[j % w.model.m] if v is None else v for j, v in enumerate(w.u)
+        ]
         return rows_of(filled, w.model.m)
 
     def _document(self, verdict, numbers, times, sample):
-        """Return a certificate ready for JSON: the model, samples and bounds, the numbers of the proof, and their sum."""
+        """Return a certificate ready for JSON: the model, samples and bounds, the numbers of the proof, and
+        their sum.
+        """
         w, model = self.window, self.window.model
         numbers = {
-            "A": model.A, "B": model.B, "C": model.C, "D": model.D, "G": model.G, "F": model.F, "D_v": model.D_v,
-            "offset_u": model.offset["u"], "offset_y": model.offset["y"], "tolerance": w.tolerance, "noise": w.noise,
+            "A": model.A,
+            "B": model.B,
+            "C": model.C,
+            "D": model.D,
+            "G": model.G,
+            "F": model.F,
+            "D_v": model.D_v,
+            "offset_u": model.offset["u"],
+            "offset_y": model.offset["y"],
+            "tolerance": w.tolerance,
+            "noise": w.noise,
             "resolution": w.resolution,
-            "disturbance": w.disturbance, "recorder": RECORDER_ULPS * w.unit, "floor": w.floor,
+            "disturbance": w.disturbance,
+            "recorder": RECORDER_ULPS * w.unit,
+            "floor": w.floor,
             **({} if w.lags is None else {"lags": tuple(map(Fraction, w.lags))}),
             **self._averages(),
-            "u": self._every_sample(w.u, [None] * model.m), "y": rows_of(w.y, model.p),
+            "u": self._every_sample(w.u, [None] * model.m),
+            "y": rows_of(w.y, model.p),
             "witness": None if self.z is None else self._witness_dict(self.z),
             **numbers,
-        }  # fmt: skip
+        }
         everything = list(all_numbers(numbers))
         numbers["sum"] = dot(everything, [Fraction(1)] * len(everything))
         names = plain_names(model, list(self.at) if sample is None else sample, times)
@@ -83,16 +112,23 @@ class Witnessed:
         return {"certificate": verdict.name, "statement": said, "names": names, "numbers": texts(numbers)}
 
     def _averages(self):
-        """Return what bounds say of averages: {"averages": one each}, {"runs": rows that count}, nothing without any."""
+        """Return what bounds say of averages: {"averages": one each}, {"runs": rows that count}, nothing
+        without any.
+        """
         w, model = self.window, self.window.model
         if not model.averages:
             return {}
         places = [a.place(model.outputs) for a in model.averages]
-        told = [{"output": Fraction(measured), "number": Fraction(number), "weights": a.weights, "bound": b}
-                for a, b, (measured, number) in zip(model.averages, w.average, places, strict=True)]  # fmt: skip
+        told = [
+            {"output": Fraction(measured), "number": Fraction(number), "weights": a.weights, "bound": b}
+            for a, b, (measured, number) in zip(model.averages, w.average, places, strict=True)
+        ]
         first = lambda rows: rows[0] // model.p if rows[0] < len(w.y) else (rows[0] - len(w.y)) // model.g
         runs = window_runs(model, w.horizon)
-        ends = [{"average": Fraction(a), "first": Fraction(first(rows)) if w.looked(rows) else None} for a, rows in runs]
+        ends = [
+            {"average": Fraction(a), "first": Fraction(first(rows)) if w.looked(rows) else None}
+            for a, rows in runs
+        ]
         return {"averages": told, "runs": ends, "all_y": rows_of(w.whole, model.p)}
 
     def _with(self, z):
@@ -105,12 +141,18 @@ class Witnessed:
         flat = lambda rows: [x for row in rows for x in row]
         w, other = self.window, self._with(z)
         gains = {"gains": w.gains(z)} if w.gains(z) else {}
-        return gains | {"state": other.state, "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
-                "unknown_inputs": self._every_sample(flat(other.unknown_inputs), [Fraction(0)] * w.model.d),
-                "inputs": self._every_sample(flat(other.inputs), w.model.offset["u"]), "outputs": other.outputs}  # fmt: skip
+        return gains | {
+            "state": other.state,
+            "disturbances": self._every_sample(flat(other.disturbances), [lo for lo, _ in w.disturbance]),
+            "unknown_inputs": self._every_sample(flat(other.unknown_inputs), [Fraction(0)] * w.model.d),
+            "inputs": self._every_sample(flat(other.inputs), w.model.offset["u"]),
+            "outputs": other.outputs,
+        }
 
     def _every_sample(self, values, last):
-        """Return flat values as s + 1 rows; the last sample's, where the window does not depend on them, are `last`."""
+        """Return flat values as s + 1 rows; the last sample's, where the window does not depend on them, are
+        `last`.
+        """
         rows = rows_of(values, len(last)) if last else ((),) * (self.window.horizon + 1)
         return (*rows, tuple(last)) if len(rows) == self.window.horizon else rows
 
@@ -137,7 +179,9 @@ def texts(tree: Any) -> Any:
 
 
 def _text(x):
-    """Return an exact number as text that Fraction reads: a decimal where a short one is exact, else "p/q"."""
+    """Return an exact number as text that Fraction reads: a decimal where a short one is exact, else
+    "p/q".
+    """
     with localcontext() as context:
         context.prec = 60
         short = Decimal(x.numerator) / Decimal(x.denominator)

@@ -1,7 +1,7 @@
 """The demonstration: section 5 of Adrot, Maquin, Ragot 2000, from model and data to a report.
 
-A second-order plant with two imperfect sensors and three faults: A, sensor 2 becomes less precise (16 % instead of 10 %), B, extra noise
-of +- 0.35 on sensor 1, C, a bias of 0.2 on sensor 1.
+A second-order plant with two imperfect sensors and three faults: A, sensor 2 becomes less precise (16 %
+instead of 10 %), B, extra noise of +- 0.35 on sensor 1, C, a bias of 0.2 on sensor 1.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,27 @@ from jaxbound.plots.figures import figure_1, figure_2
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["FAULTS", "REFERENCE", "demo_model", "demo_run", "detection_rates", "rate_table", "sections", "write_run"]
+__all__ = [
+    "FAULTS",
+    "REFERENCE",
+    "demo_model",
+    "demo_run",
+    "detection_rates",
+    "rate_table",
+    "sections",
+    "write_run",
+]
 
 SAMPLES, HOLD = 201, 20
-FAULTS = (Fault("y2", "tolerance", 0.16, 20, 60), Fault("y1", "noise", 0.35, 80, 120), Fault("y1", "bias", 0.2, 140, 180))
+FAULTS = (
+    Fault("y2", "tolerance", 0.16, 20, 60),
+    Fault("y1", "noise", 0.35, 80, 120),
+    Fault("y1", "bias", 0.2, 140, 180),
+)
 REFERENCE = {"A": (0.150, 0.063), "B": (0.230, 0.187), "C": (0.257, 0.238)}
-"""Share of windows wholly inside each fault that are detected (joint test, box test): 5000 runs of an independent NumPy program."""
+"""Share of windows wholly inside each fault that are detected (joint test, box test): 5000 runs of an
+independent NumPy program.
+"""
 
 
 def demo_model() -> LinearSystem:
@@ -38,13 +53,26 @@ def demo_model() -> LinearSystem:
         r2: 4 y2[k-1] - 10 y1[k] + 5 y2[k] - 5 u1[k-1] = 0
     """
     return LinearSystem(
-        [["0.8", "1"], ["0", "0.2"]], [[0], [1]], [[1, 0], [1, 1]], dt="0.01", tolerance=["0.02", "0.1"], noise=["0.1", "0.01"],
-        columns={"time": "time"}, name="Adrot 2000, section 5",
-        provenance={"model": "paper", "tolerance": "paper", "noise": "paper", "resolution": "simulated data: none"})  # fmt: skip
+        [["0.8", "1"], ["0", "0.2"]],
+        [[0], [1]],
+        [[1, 0], [1, 1]],
+        dt="0.01",
+        tolerance=["0.02", "0.1"],
+        noise=["0.1", "0.01"],
+        columns={"time": "time"},
+        name="Adrot 2000, section 5",
+        provenance={
+            "model": "paper",
+            "tolerance": "paper",
+            "noise": "paper",
+            "resolution": "simulated data: none",
+        },
+    )
 
 
 def demo_run(key: jax.Array, runs: int | None = None) -> Trajectory:
-    """Simulate runs with the three faults: u piecewise constant in [-1, 1], 201 samples, unknowns uniform in their bounds.
+    """Simulate runs with the three faults: u piecewise constant in [-1, 1], 201 samples, unknowns uniform in
+    their bounds.
 
     Args:
         key: a jax.random key. runs: None for one recording, else a batch of so many.
@@ -64,11 +92,12 @@ def detection_rates(
     """Count how often each fault is detected, by the joint test and by testing each residual alone.
 
     Args:
-        runs: how many simulated runs. key: a jax.random key. progress: called with the share of the work done.
+        runs: how many simulated runs. key: a jax.random key. progress: called with the share of the work
+            done.
 
     Returns:
-        ({"A": (joint, box), "B": .., "C": ..}, (false alarms, windows without a fault)); a rate is the share of the windows whose
-        samples all have the fault.
+        ({"A": (joint, box), "B": .., "C": ..}, (false alarms, windows without a fault)); a rate is the share
+        of the windows whose samples all have the fault.
     """
     report = progress or (lambda share: None)
     relations, run = parity_relations(demo_model()), demo_run(key, runs)
@@ -94,7 +123,15 @@ def rate_table(rates: dict[str, tuple[float, ...]]) -> list[tuple[str, ...]]:
     about = {"A": "A: tolerance of y2 16 %", "B": "B: noise of y1 0.35", "C": "C: bias of y1 0.2"}
     rows: list[tuple[str, ...]] = [("fault", "joint test", "reference", "each residual alone", "reference")]
     for name, (joint, box) in rates.items():
-        rows.append((about[name], f"{joint:.3f}", f"{REFERENCE[name][0]:.3f}", f"{box:.3f}", f"{REFERENCE[name][1]:.3f}"))
+        rows.append(
+            (
+                about[name],
+                f"{joint:.3f}",
+                f"{REFERENCE[name][0]:.3f}",
+                f"{box:.3f}",
+                f"{REFERENCE[name][1]:.3f}",
+            )
+        )
     return rows
 
 
@@ -106,9 +143,16 @@ def write_run(path: Path, run: Trajectory) -> None:
 
 
 def sections(
-    directory: Path, run: Trajectory, res: Result, rates: dict[str, tuple[float, ...]], false_alarms: int, clean: int, runs: int
+    directory: Path,
+    run: Trajectory,
+    res: Result,
+    rates: dict[str, tuple[float, ...]],
+    false_alarms: int,
+    clean: int,
+    runs: int,
 ) -> list[tuple]:
-    """Write the two figures of the paper into a folder; return them and the detection rates as sections of the report.
+    """Write the two figures of the paper into a folder; return them and the detection rates as sections of
+    the report.
 
     Args:
         directory: where figure_1.png and figure_2.png go. run: from `demo_run`, res: its Result.
@@ -118,15 +162,30 @@ def sections(
     for name, data in pictures.items():
         (directory / name).write_bytes(data)
     return [
-        ("The run", pictures["figure_2.png"],
-         "Fig. 2 of the paper, redrawn: measurements and the true combinations of states behind them; grey where a fault is present; "
-         "below, what is proved. The paper does not print its data, so the run is a new one.", None),
-        ("How often are these faults seen?", None,
-         f"Share of windows wholly inside each fault that are proved faulty, over {runs} simulated runs, beside the rates of an "
-         f"independent program over 5000 runs. False alarms of the joint test: {false_alarms} in {clean} windows without a fault.",
-         rate_table(rates)),
-        ("Why all residuals together", pictures["figure_1.png"],
-         "Fig. 1 of the paper, redrawn from computation: residuals that share unknowns cannot take every combination of values in their "
-         "box. Left: the set they can take, its box and two pavings. Right: the boxes that the adaptive test visits to judge one point.",
-         None),
-    ]  # fmt: skip
+        (
+            "The run",
+            pictures["figure_2.png"],
+            "Fig. 2 of the paper, redrawn: measurements and the true combinations of states behind them; "
+            "grey where a fault is present; "
+            "below, what is proved. The paper does not print its data, so the run is a new one.",
+            None,
+        ),
+        (
+            "How often are these faults seen?",
+            None,
+            f"Share of windows wholly inside each fault that are proved faulty, over {runs} simulated runs, "
+            f"beside the rates of an "
+            f"independent program over 5000 runs. False alarms of the joint test: {false_alarms} in {clean} "
+            f"windows without a fault.",
+            rate_table(rates),
+        ),
+        (
+            "Why all residuals together",
+            pictures["figure_1.png"],
+            "Fig. 1 of the paper, redrawn from computation: residuals that share unknowns cannot take every "
+            "combination of values in their "
+            "box. Left: the set they can take, its box and two pavings. Right: the boxes that the adaptive "
+            "test visits to judge one point.",
+            None,
+        ),
+    ]

@@ -48,7 +48,12 @@ FORMER = (
     "residuals.png",
     *(f"output{i}.png" for i in range(1, 13)),
 )  # pictures of an earlier version, which do not belong to a new report
-COLOUR = {"no fault": "bold green", "fault": "bold red", "too little evidence": "bold yellow", OUTSIDE: "bold yellow"}
+COLOUR = {
+    "no fault": "bold green",
+    "fault": "bold red",
+    "too little evidence": "bold yellow",
+    OUTSIDE: "bold yellow",
+}
 
 
 def run_detect(args: argparse.Namespace) -> int:
@@ -63,7 +68,9 @@ def run_detect(args: argparse.Namespace) -> int:
     if args.state is not None:
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
     if args.method not in (*METHODS, OBSERVER, VALIDATION):
-        raise Refused(f"--method must be one of {', '.join((*METHODS, OBSERVER, VALIDATION))}, not {args.method!r}")
+        raise Refused(
+            f"--method must be one of {', '.join((*METHODS, OBSERVER, VALIDATION))}, not {args.method!r}"
+        )
     with door(OSError):
         kind = kind_of(args.data)
     refuse_shares(args, kind)
@@ -82,7 +89,11 @@ def run_detect(args: argparse.Namespace) -> int:
             (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html"),
             (args.model, args.data),
         )
-        with door(), output_folder(args.out, names, inputs) as folder, progress_bars(("relations", "test", "report")) as step:
+        with (
+            door(),
+            output_folder(args.out, names, inputs) as folder,
+            progress_bars(("relations", "test", "report")) as step,
+        ):
             found = _stream(args, folder, step)
     elif args.chunk is not None:
         raise Refused(f"--chunk is for Parquet: {args.data} is read as a whole")
@@ -92,7 +103,9 @@ def run_detect(args: argparse.Namespace) -> int:
 
 
 def _report(args, how, stages):
-    """Let `how` read a recording as a whole, test it and write its report; return what the conclusion needs."""
+    """Let `how` read a recording as a whole, test it and write its report; return what the conclusion
+    needs.
+    """
     names, inputs = (*file_names(), "report.html"), (args.model, args.data)
     with door(OSError), output_folder(args.out, names, inputs) as folder:
         with folder.work() as work, progress_bars(stages) as step:
@@ -103,7 +116,9 @@ def _report(args, how, stages):
 
 
 def _stream(args, folder, step):
-    """Test a Parquet recording chunk by chunk and write everything into the OutputFolder; return what the conclusion needs."""
+    """Test a Parquet recording chunk by chunk and write everything into the OutputFolder; return what the
+    conclusion needs.
+    """
     source, relations = opened(args, step)
     seconds: dict[str, float] = {}
     try:
@@ -124,12 +139,22 @@ def _stream(args, folder, step):
             res = summarised(found, found.alarms, found.label, args.min_coverage, hints, sizes, bool(reaches))
             about = relations.model, args.data, source.content, args.method, relations.horizon
             write_all(work, Outcome(found, None, found.alarms, res, *about, observer_options(args)))
-            write_report(work, found, found, found.alarms, res, seconds=seconds,
-                         progress=lambda share: step("report", 0.4 + 0.6 * share))  # fmt: skip
+            write_report(
+                work,
+                found,
+                found,
+                found.alarms,
+                res,
+                seconds=seconds,
+                progress=lambda share: step("report", 0.4 + 0.6 * share),
+            )
     except KeyboardInterrupt:
         if done := kept(args.out / PARTIAL, source.samples):
             share, where = percent(done / source.samples), args.out / PARTIAL
-            raise Interrupted(f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from there") from None
+            raise Interrupted(
+                f"interrupted: {share} of the verdicts are kept in {where}; the same command goes on from "
+                f"there"
+            ) from None
         raise
     publish(folder)
     for name in ("verdicts.csv", *FORMER):
@@ -158,11 +183,30 @@ def _evaluate(args, work, step, extra=lambda res: ()):
     hints = dict.fromkeys((*res.hints, *reaches, *again_hints(res), *ending_hints(res, alarms, sizes)))
     found = summarised(res, alarms, recording.label, args.min_coverage, hints, sizes, bool(reaches))
     with ThreadPoolExecutor(1) as beside:  # a million verdicts are written while the pictures are drawn
-        outcome = Outcome(res, recording, alarms, found, model, args.data, held, args.method, relations.horizon, observer_options(args))
+        outcome = Outcome(
+            res,
+            recording,
+            alarms,
+            found,
+            model,
+            args.data,
+            held,
+            args.method,
+            relations.horizon,
+            observer_options(args),
+        )
         tables = beside.submit(write_all, work, outcome)
         step("report", 0.1)
-        write_report(work, res, recording, alarms, found, seconds=seconds, extra=extra(res),
-                     progress=lambda share: step("report", 0.1 + 0.8 * share))  # fmt: skip
+        write_report(
+            work,
+            res,
+            recording,
+            alarms,
+            found,
+            seconds=seconds,
+            extra=extra(res),
+            progress=lambda share: step("report", 0.1 + 0.8 * share),
+        )
         tables.result()
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
@@ -177,23 +221,37 @@ def _validate(args, work, step):
         source = open_source(args.data, model)
         held, recording = source.content, source.read(progress=lambda share: step("read", share))
         if args.lags is not None:
-            raise ValueError(f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn")
+            raise ValueError(
+                f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn"
+            )
         horizon = least_horizon(model.n, model.p) if args.horizon is None else args.horizon
         _complete(args.data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
         found = validate(model, recording, horizon=horizon)
-        res = Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon))
+        res = Validated(
+            model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon)
+        )
     step("test", 1.0)
     alarms = res.alarms(*args.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    first = f"the first {horizon + 1} {'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
-    assumed = [f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"]
+    first = (
+        f"the first {horizon + 1} "
+        f"{'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
+    )
+    assumed = [
+        f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
+    ]
     if model.m:
-        assumed.append("inputs are taken as recorded: where an actuator did something else, a healthy sensor is named")
+        assumed.append(
+            "inputs are taken as recorded: where an actuator did something else, a healthy sensor is named"
+        )
     if res.first_fault is not None:
-        assumed.append(f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only if "
-                       "every faulty sample was found: a band may follow a sensor that stays wrong")  # fmt: skip
+        assumed.append(
+            f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only "
+            f"if "
+            "every faulty sample was found: a band may follow a sensor that stays wrong"
+        )
     reaches = outgrown(model, res, "validation")
     hints = (*recording.hints, *bound_hints(model), *reaches, *assumed)
     summary = summarised(res, alarms, recording.label, args.min_coverage, hints, outgrown=bool(reaches))
@@ -204,7 +262,9 @@ def _validate(args, work, step):
 
 
 def _complete(data, recording, horizon):
-    """Raise ValueError if a sample that validation cannot do without is missing; where nothing is known there is a gap, which it can."""
+    """Raise ValueError if a sample that validation cannot do without is missing; where nothing is known there
+    is a gap, which it can.
+    """
     u, y, needs = recording.u, recording.y, "every sample of every input is needed"
     known = ~(np.isnan(u).any(1) & np.isnan(y).all(1))
     lost = [(recording.inputs, np.isnan(u) & known[:, None], needs)]
@@ -213,10 +273,14 @@ def _complete(data, recording, horizon):
         lost.append((recording.outputs, np.isnan(y[: horizon + 1]), begin))
     for names, missing, why in lost:
         for k, j in np.argwhere(missing)[:1]:
-            raise ValueError(f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}")
+            raise ValueError(
+                f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}"
+            )
 
 
-def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, seconds: dict[str, float]) -> int:
+def conclude(
+    args: argparse.Namespace, summary: Summary, model: LinearSystem, seconds: dict[str, float]
+) -> int:
     """Print what was found and return the exit code."""
     if args.json:
         rounded = {k: round(v, 3) for k, v in seconds.items()}
@@ -227,32 +291,61 @@ def conclude(args: argparse.Namespace, summary: Summary, model: LinearSystem, se
     rows = [
         (
             "samples" if found.remembers else "windows",
-            ", ".join(f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]),
+            ", ".join(
+                f"{counts[s]} {s}" for s in ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING") if counts[s]
+            ),
         )
     ]
     if found.remembers:
-        rows.append(("tested", f"{percent(found.tested)} of {found.windows} samples, by an observer of all samples before them"))
+        rows.append(
+            (
+                "tested",
+                f"{percent(found.tested)} of {found.windows} samples, by an observer of all samples before "
+                f"them",
+            )
+        )
     elif found.faulty is None:
         by = f"by the {found.method} test over {found.horizon + 1} samples each"
         rows.append(("decided", f"{percent(found.decided)} of {found.windows} windows, {by}"))
     else:
-        rows.append(("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor"))
+        rows.append(
+            ("faulty", ", ".join(f"{name} in {n} samples" for name, n in found.faulty.items()) or "no sensor")
+        )
     proved = counts["FAULT"] and found.faulty is None and not model.uncertainties
     command = f"jaxbound explain {shlex.quote(str(args.out))} --at "
     first = summary.first_alarm
     rows.append(("alarms", f"{found.alarms}" + (f", the first at {first}" if found.alarms else "")))
     if proved and found.alarms and re.fullmatch(r"\S+ s|\d{4}-\d\d-\d\d[ T][\d:.]+", first):
-        rows[-1] = ("alarms", f"{rows[-1][1]}: {command}{shlex.quote(first.removesuffix(' s') + 's' * first.endswith(' s'))}")
+        rows[-1] = (
+            "alarms",
+            f"{rows[-1][1]}: {command}{shlex.quote(first.removesuffix(' s') + 's' * first.endswith(' s'))}",
+        )
     if np.isfinite(summary.margin):
         at, margin = cast(Window, summary.worst).time, summary.margin
-        what = f"bounds needed: {times(1 - margin)} the stated ones" if margin < 0 else f"{percent(1 - margin)} of the bounds are used"
+        what = (
+            f"bounds needed: {times(1 - margin)} the stated ones"
+            if margin < 0
+            else f"{percent(1 - margin)} of the bounds are used"
+        )
         if found.remembers:
-            what = f"beyond what the samples before allow by {times(1 - margin)}" if margin < 0 else f"{percent(1 - margin)} of it is used"
-        rows.append(("worst" if found.remembers else "worst window" if margin < 0 else "tightest", f"{at}: margin {margin:.3g}, {what}"))
+            what = (
+                f"beyond what the samples before allow by {times(1 - margin)}"
+                if margin < 0
+                else f"{percent(1 - margin)} of it is used"
+            )
+        rows.append(
+            (
+                "worst" if found.remembers else "worst window" if margin < 0 else "tightest",
+                f"{at}: margin {margin:.3g}, {what}",
+            )
+        )
     if proved:
         rows.append(("proof" if summary.verdict == "fault" else "why", f"{command}{found.at}"))
     rows += [("hint", h) for h in summary.hints]
-    rows += [("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())), ("report", str(args.out / "report.html"))]
+    rows += [
+        ("seconds", ", ".join(f"{name} {s:.1f}" for name, s in seconds.items())),
+        ("report", str(args.out / "report.html")),
+    ]
     show(summary.sentence, COLOUR[summary.verdict], rows)
     return summary.exit_code
 
@@ -270,21 +363,45 @@ def run_demo(args: argparse.Namespace) -> int:
     threading.Thread(target=_load_plotting, daemon=True).start()
     names = ("model.toml", "run.csv", *file_names(), "report.html", "figure_1.png", "figure_2.png")
     stages = ("simulate", "read", "relations", "test", "report")
-    with door(OSError), output_folder(args.out, names) as folder, folder.work() as work, progress_bars(stages) as step:
+    with (
+        door(OSError),
+        output_folder(args.out, names) as folder,
+        folder.work() as work,
+        progress_bars(stages) as step,
+    ):
         with door():
             usable_device()
         run = demo.demo_run(jax.random.key(2000))
-        rates, (false_alarms, clean) = demo.detection_rates(args.runs, jax.random.key(5), lambda share: step("simulate", share))
+        rates, (false_alarms, clean) = demo.detection_rates(
+            args.runs, jax.random.key(5), lambda share: step("simulate", share)
+        )
         save_model(demo.demo_model(), work / "model.toml")
         demo.write_run(work / "run.csv", run)
 
-        detecting = argparse.Namespace(model=work / "model.toml", data=work / "run.csv", horizon=None, lags=None, method="joint",
-                                       alarm=(1, 1), order=None, latched=False,
-                                       min_coverage=0.5)  # fmt: skip
+        detecting = argparse.Namespace(
+            model=work / "model.toml",
+            data=work / "run.csv",
+            horizon=None,
+            lags=None,
+            method="joint",
+            alarm=(1, 1),
+            order=None,
+            latched=False,
+            min_coverage=0.5,
+        )
         extra = lambda res: demo.sections(work, run, res, rates, false_alarms, clean, args.runs)
         found, *_ = _evaluate(detecting, work, step, extra)
-    again = ["jaxbound", "detect", *(str(args.out / f) for f in ("model.toml", "run.csv")), "--out", str(args.out)]
-    rows = [("false alarms", f"{false_alarms} in {clean} windows without a fault ({args.runs} runs)"),
-            ("report", str(args.out / "report.html")), ("try it", shlex.join(again))]  # fmt: skip
+    again = [
+        "jaxbound",
+        "detect",
+        *(str(args.out / f) for f in ("model.toml", "run.csv")),
+        "--out",
+        str(args.out),
+    ]
+    rows = [
+        ("false alarms", f"{false_alarms} in {clean} windows without a fault ({args.runs} runs)"),
+        ("report", str(args.out / "report.html")),
+        ("try it", shlex.join(again)),
+    ]
     show(f"Section 5 of Adrot, Maquin, Ragot 2000. {found.sentence}", "bold", rows, demo.rate_table(rates))
     return 0

@@ -29,7 +29,9 @@ def engine_of(args: argparse.Namespace) -> Iterator["Client | None"]:
 
 
 def refuse_engine(args: argparse.Namespace, why: str) -> None:
-    """Raise Refused if --scheduler or --workers is given where nothing can be spread. why: the sentence behind the option's name."""
+    """Raise Refused if --scheduler or --workers is given where nothing can be spread. why: the sentence
+    behind the option's name.
+    """
     for option, given in (("--scheduler", args.scheduler), ("--workers", args.workers)):
         if given is not None:
             raise Refused(f"{option} {why}")

@@ -1,8 +1,12 @@
-"""The command `jaxbound example`: recordings to try the other commands on, simulated, so that what is true of them is known.
+"""The command `jaxbound example`: recordings to try the other commands on, simulated, so that what is true of
+them is known.
 
-heater  a laboratory of two heaters and two sensors, like the small ones that teach control: three healthy recordings and one in which
-        a sensor jumps; truth.toml is the model that made them, with the bounds within which everything was drawn
-tank    the model file that `jaxbound info --template` prints, and a recording in which its level sensor reads too much for a minute
+heater  a laboratory of two heaters and two sensors, like the small ones that teach control: three healthy
+recordings and one in which
+        a sensor jumps; truth.toml is the model that made them, with the bounds within which everything was
+        drawn
+tank    the model file that `jaxbound info --template` prints, and a recording in which its level sensor reads
+too much for a minute
 """
 
 import argparse
@@ -26,7 +30,8 @@ JUMP, ONSET = 0.8, 60  # degC added to T1, from which sample of jump.csv on
 
 
 def heater_model() -> LinearSystem:
-    """Return the laboratory: heaters H1 and H2 in %, their temperatures as states, sensors T1 and T2 that follow with a lag of 20 s.
+    """Return the laboratory: heaters H1 and H2 in %, their temperatures as states, sensors T1 and T2 that
+    follow with a lag of 20 s.
 
     Example:
         >>> heater_model()
@@ -34,12 +39,27 @@ def heater_model() -> LinearSystem:
     """
     return LinearSystem(
         [[0.976, 0.006, 0, 0], [0.006, 0.976, 0, 0], [0.14, 0, 0.86, 0], [0, 0.14, 0, 0.86]],
-        [[0.016, 0.0], [0.0, 0.009], [0.0, 0.0], [0.0, 0.0]], [[0, 0, 1, 0], [0, 0, 0, 1]], dt=3,
-        noise=0.1, resolution=0.005, disturbance=([[1, 0], [0, 1], [0, 0], [0, 0]], 0.01),
-        inputs=["Q1", "Q2"], outputs=["T1", "T2"], states=["H1", "H2", "S1", "S2"],
-        units={"Q1": "%", "Q2": "%", "T1": "degC", "T2": "degC"}, offset={"y": 21},
-        columns={"Q1": "Heater 1", "Q2": "Heater 2", "T1": "Temperature 1", "T2": "Temperature 2", "time": "Time (s)"}, name="two heaters",
-        provenance={name: "simulated: true" for name in ("model", "noise", "resolution", "disturbance")})  # fmt: skip
+        [[0.016, 0.0], [0.0, 0.009], [0.0, 0.0], [0.0, 0.0]],
+        [[0, 0, 1, 0], [0, 0, 0, 1]],
+        dt=3,
+        noise=0.1,
+        resolution=0.005,
+        disturbance=([[1, 0], [0, 1], [0, 0], [0, 0]], 0.01),
+        inputs=["Q1", "Q2"],
+        outputs=["T1", "T2"],
+        states=["H1", "H2", "S1", "S2"],
+        units={"Q1": "%", "Q2": "%", "T1": "degC", "T2": "degC"},
+        offset={"y": 21},
+        columns={
+            "Q1": "Heater 1",
+            "Q2": "Heater 2",
+            "T1": "Temperature 1",
+            "T2": "Temperature 2",
+            "time": "Time (s)",
+        },
+        name="two heaters",
+        provenance={name: "simulated: true" for name in ("model", "noise", "resolution", "disturbance")},
+    )
 
 
 def _heater(folder):
@@ -47,7 +67,9 @@ def _heater(folder):
     model = heater_model()
     save_model(model, folder / "truth.toml")
     for number in (1, 2, 3):
-        levels = np.random.default_rng(number).integers(0, 17, (20, 2)) * 5.0  # each heater gets a new level every 30 to 90 s
+        levels = (
+            np.random.default_rng(number).integers(0, 17, (20, 2)) * 5.0
+        )  # each heater gets a new level every 30 to 90 s
         lasts = np.random.default_rng(10 + number).integers(10, 31, (20, 2))
         u = np.stack([np.repeat(levels[:, i], lasts[:, i])[:201] for i in (0, 1)], 1)
         for name, faults in (("jump.csv", [Fault("T1", "bias", JUMP, ONSET)]), (f"healthy_{number}.csv", [])):
@@ -61,13 +83,18 @@ def _heater(folder):
         ("healthy_2.csv", "the same on another day"),
         ("healthy_3.csv", "and another one, kept for the test"),
         ("jump.csv", f"healthy_3.csv with {JUMP:g} degC added to T1 from sample {ONSET}, {3 * ONSET} s, on"),
-        ("units.csv", "a table of two units for jaxbound fleet, with the model that jaxbound fit is to write"),
+        (
+            "units.csv",
+            "a table of two units for jaxbound fleet, with the model that jaxbound fit is to write",
+        ),
         ("truth.toml", "the model that made them, with the bounds within which everything was drawn"),
     ]
 
 
 def _tank(folder):
-    """Write the template of a model file and a recording to it in which the level reads too much for a minute."""
+    """Write the template of a model file and a recording to it in which the level reads too much for a
+    minute.
+    """
     (folder / "tank.toml").write_text(template(), encoding="utf-8")
     model = load_model(folder / "tank.toml")
     u = 50 + np.repeat(np.random.default_rng(1).integers(0, 6, (15, 1)) / 2, 20, 0)
@@ -75,28 +102,45 @@ def _tank(folder):
     _write(folder / "tank.csv", model, u, np.asarray(run.y))
     return [
         ("tank.toml", "the commented model file of jaxbound info --template"),
-        ("tank.csv", "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s: windows of 16 samples show all of it"),
+        (
+            "tank.csv",
+            "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s: windows of 16 "
+            "samples show all of it",
+        ),
     ]
 
 
 EXAMPLES: dict[str, tuple[str, Callable[[Path], list[tuple[str, str]]], tuple[str, ...], str]] = {
-    "heater": ("a laboratory with two heaters: three healthy recordings, one with a fault", _heater,
-               ("healthy_1.csv", "healthy_2.csv", "healthy_3.csv", "jump.csv", "units.csv", "truth.toml"),
-               "jaxbound fit healthy_1.csv healthy_2.csv --inputs \"Q1=Heater 1,Q2=Heater 2\" "
-               "--outputs \"T1=Temperature 1,T2=Temperature 2\" --out plant.toml"),
-    "tank": ("a model file to fill in, with a recording to it", _tank, ("tank.toml", "tank.csv"),
-             "jaxbound detect tank.toml tank.csv --horizon 15 --out report/"),
-}  # fmt: skip
+    "heater": (
+        "a laboratory with two heaters: three healthy recordings, one with a fault",
+        _heater,
+        ("healthy_1.csv", "healthy_2.csv", "healthy_3.csv", "jump.csv", "units.csv", "truth.toml"),
+        'jaxbound fit healthy_1.csv healthy_2.csv --inputs "Q1=Heater 1,Q2=Heater 2" '
+        '--outputs "T1=Temperature 1,T2=Temperature 2" --out plant.toml',
+    ),
+    "tank": (
+        "a model file to fill in, with a recording to it",
+        _tank,
+        ("tank.toml", "tank.csv"),
+        "jaxbound detect tank.toml tank.csv --horizon 15 --out report/",
+    ),
+}
 """By name: what it is, the function that writes it into a folder, its files, and what to try first."""
 
 
 def _write(path, model, u, y):
-    """Write a recording as CSV, time first; an output is rounded by no more than its resolution, without one it stands in full."""
+    """Write a recording as CSV, time first; an output is rounded by no more than its resolution, without one
+    it stands in full.
+    """
     places = [-math.floor(math.log10(2 * r)) if r else None for r in map(float, model.resolution)]
-    text = lambda row: ",".join(repr(float(x)) if n is None else f"{x:.{n}f}" for x, n in zip(row, places, strict=True))
+    text = lambda row: ",".join(
+        repr(float(x)) if n is None else f"{x:.{n}f}" for x, n in zip(row, places, strict=True)
+    )
     names = [model.column(name) for name in (*model.inputs, *model.outputs)]
     rows = [f"{k * model.dt:g},{','.join(f'{x:g}' for x in u[k])},{text(y[k])}" for k in range(len(y))]
-    path.write_text("\n".join([",".join([model.columns.get("time", "Time (s)"), *names]), *rows]) + "\n", encoding="utf-8")
+    path.write_text(
+        "\n".join([",".join([model.columns.get("time", "Time (s)"), *names]), *rows]) + "\n", encoding="utf-8"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

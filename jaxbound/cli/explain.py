@@ -1,6 +1,7 @@
 """The command `jaxbound explain`: the certificate of one window of a report, for people and as JSON.
 
-Only the samples of that window are read again (a CSV file: all), tested as they were, and proved anew in exact rationals.
+Only the samples of that window are read again (a CSV file: all), tested as they were, and proved anew in
+exact rationals.
 """
 
 import argparse
@@ -34,7 +35,8 @@ def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]
     """Return (Certificate, sample number, labels of the times of the window) of one window of a report.
 
     Args:
-        directory: that `jaxbound detect` wrote. at: the sample at which the window ends, as text: its number, or its time.
+        directory: that `jaxbound detect` wrote. at: the sample at which the window ends, as text: its number,
+            or its time.
 
     Raises:
         OSError, ValueError, NotImplementedError: with a sentence for the user.
@@ -43,21 +45,31 @@ def certificate_of(directory: str | Path, at: str) -> tuple[Any, int, list[str]]
 
 
 def _certified(directory, at):
-    """Return what `certificate_of` does, and a sentence, or "", where the number that was asked for could be meant as a time."""
+    """Return what `certificate_of` does, and a sentence, or "", where the number that was asked for could be
+    meant as a time.
+    """
     model, data, method, horizon, options = load_run(Path(directory))
     if method == VALIDATION:
-        raise ValueError(f"{directory} was validated, where a verdict rests on all samples before it: there is a certificate of a window "
-                         "only by other methods: jaxbound detect --method joint, to another folder")  # fmt: skip
+        raise ValueError(
+            f"{directory} was validated, where a verdict rests on all samples before it: there is a "
+            f"certificate of a window "
+            "only by other methods: jaxbound detect --method joint, to another folder"
+        )
     source = open_source(data, model)
     axis = _Axis(source)
     k = axis.find(at)
     if k < horizon:
-        raise ValueError(f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}")
+        raise ValueError(
+            f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}"
+        )
     try:
         if method == OBSERVER:
             found, part = refuted_again(observer(model, **options), source, k)
         else:
-            relations, part = parity_relations(model, horizon if model.lags is None else None), source.read(k - horizon, k + 1)
+            relations, part = (
+                parity_relations(model, horizon if model.lags is None else None),
+                source.read(k - horizon, k + 1),
+            )
             if part.across(horizon)[horizon]:
                 raise ValueError("a window across a gap in time is MISSING")
             found = certify(relations, part.u, part.y, method)
@@ -79,12 +91,16 @@ class _Axis:
         return self._one(k).label(0)
 
     def find(self, text):
-        """Return the number of the sample that a text names: a whole number is a sample, anything else a time."""
+        """Return the number of the sample that a text names: a whole number is a sample, anything else a
+        time.
+        """
         text = text.strip()
         if text.removeprefix("-").isdecimal():
             if not 0 <= int(text) < self.samples:
                 other = f"; for the time write --at {text}s" if self.also_a_time(text) else ""
-                raise ValueError(f"there is no sample {text}: the recording has {self.samples}, numbered from 0{other}")
+                raise ValueError(
+                    f"there is no sample {text}: the recording has {self.samples}, numbered from 0{other}"
+                )
             return int(text)
         if (k := self.source.find(text)) is not None:
             return k
@@ -101,11 +117,16 @@ class _Axis:
         return near
 
     def also_a_time(self, text):
-        """Return a sentence where the number of a sample is a time of the recording, too, and of another sample; else ""."""
+        """Return a sentence where the number of a sample is a time of the recording, too, and of another
+        sample; else "".
+        """
         text = text.strip()
         if not text.isdecimal() or self.stamped or not self.label(0).endswith(" s"):
             return ""
-        if not self._time(0) <= int(text) <= self._time(self.samples - 1) or self.label(min(int(text), self.samples - 1)) == f"{text} s":
+        if (
+            not self._time(0) <= int(text) <= self._time(self.samples - 1)
+            or self.label(min(int(text), self.samples - 1)) == f"{text} s"
+        ):
             return ""
         return f"sample {text}; for the time write --at {text}s"
 
@@ -128,7 +149,8 @@ class _Axis:
 def run(args: argparse.Namespace) -> int:
     """Run `jaxbound explain DIR --at TIME [--json]`; return the exit code.
 
-    Prints the certificate readably and writes it to DIR/certificate-SAMPLE.json; with --json, prints that JSON and writes nothing.
+    Prints the certificate readably and writes it to DIR/certificate-SAMPLE.json; with --json, prints that
+    JSON and writes nothing.
     """
     with door():
         certificate, k, labels, asked = _certified(args.report, args.at)
@@ -146,14 +168,21 @@ def run(args: argparse.Namespace) -> int:
     headline, rows, table = readable(certificate, k, labels)
     if not whole:
         rows = [(name, main_terms(text)) for name, text in rows]
-        rows.append(("all of it", f"--all: every coefficient, and what the {len(labels)} samples say, {len(table) - 1} rows"))
+        rows.append(
+            (
+                "all of it",
+                f"--all: every coefficient, and what the {len(labels)} samples say, {len(table) - 1} rows",
+            )
+        )
     if asked:
         rows.insert(0, ("asked for", asked))
     show(headline, "bold", [*rows, ("certificate", str(path))], table if whole else None, last=True)
     return 0
 
 
-def readable(certificate: Any, k: int, labels: Sequence[str]) -> tuple[str, list[tuple[str, str]], list[tuple[str, ...]]]:
+def readable(
+    certificate: Any, k: int, labels: Sequence[str]
+) -> tuple[str, list[tuple[str, str]], list[tuple[str, ...]]]:
     """Return (headline, rows of (name, text), table with its header first) of a certificate, for people."""
     c, model = certificate, certificate.window.model
     unit = lambda name: f" {model.unit(name)}" if model.unit(name) else ""
@@ -163,18 +192,42 @@ def readable(certificate: Any, k: int, labels: Sequence[str]) -> tuple[str, list
     if isinstance(c, UncertainCertificate):
         rows = _uncertain(c, unit)
     elif fault:
-        rows = [("violated", c.relation), ("", f"is {number(c.residual)} at the samples, and the bounds allow ± {number(c.width)}"),
-                ("bounds needed", f"{'at least ' if c.window.constant else ''}{factor_text(float(c.factor))} the stated ones")]  # fmt: skip
+        rows = [
+            ("violated", c.relation),
+            ("", f"is {number(c.residual)} at the samples, and the bounds allow ± {number(c.width)}"),
+            (
+                "bounds needed",
+                f"{'at least ' if c.window.constant else ''}{factor_text(float(c.factor))} the stated ones",
+            ),
+        ]
         for name, e in c.errors.items():
-            said = "no error of this sensor alone explains the window" if e == math.inf else (
-                f"an error of {number(e)}{unit(name)} of this sensor alone would explain the window, no smaller one: the least, "
-                "not the size of the fault")  # fmt: skip
+            said = (
+                "no error of this sensor alone explains the window"
+                if e == math.inf
+                else (
+                    f"an error of {number(e)}{unit(name)} of this sensor alone would explain the window, no "
+                    f"smaller one: the least, "
+                    "not the size of the fault"
+                )
+            )
             rows.append((f"{name} wrong?", said))
-        rows += [(f"{name} wrong?", "an actuator that did something else than was recorded would alone explain the window")
-                 for name in c.candidates if name in model.inputs]  # fmt: skip
+        rows += [
+            (
+                f"{name} wrong?",
+                "an actuator that did something else than was recorded would alone explain the window",
+            )
+            for name in c.candidates
+            if name in model.inputs
+        ]
     else:
-        state = ", ".join(f"{name} {number(x)}{unit(name)}" for name, x in zip(model.states, c.state, strict=True))
-        rows = [("tightest", c.relation), ("", f"{percent(float(c.factor))} of the bounds are used"), ("first state", state)]
+        state = ", ".join(
+            f"{name} {number(x)}{unit(name)}" for name, x in zip(model.states, c.state, strict=True)
+        )
+        rows = [
+            ("tightest", c.relation),
+            ("", f"{percent(float(c.factor))} of the bounds are used"),
+            ("first state", state),
+        ]
         if model.g:
             rows.append(("disturbance", "; ".join(", ".join(map(number, row)) for row in c.disturbances)))
         if model.d:
@@ -185,20 +238,42 @@ def readable(certificate: Any, k: int, labels: Sequence[str]) -> tuple[str, list
 def _uncertain(c, unit):
     """Return the rows (name, text) of a certificate of a model with uncertain parameters."""
     if c.z is None:
-        rows = [("violated", c.relation or f"a combination of relations in each of {len(c.leaves)} parts of the parameters' box")]
+        rows = [
+            (
+                "violated",
+                c.relation
+                or f"a combination of relations in each of {len(c.leaves)} parts of the parameters' box",
+            )
+        ]
         if len(c.leaves) == 1:
             (leaf,) = c.leaves
-            rows.append(("", f"is in [{number(leaf.low)}, {number(leaf.high)}] at these samples, whatever the parameters"))
+            rows.append(
+                (
+                    "",
+                    f"is in [{number(leaf.low)}, {number(leaf.high)}] at these samples, whatever the "
+                    f"parameters",
+                )
+            )
         return rows
     s = c.relations.horizon
     at = lambda lag: "" if lag is None else f"[k-{s - lag}]" if lag < s else "[k]"
-    rows = [("parameters", ", ".join(f"{name}{at(lag)} {number(x)}" for (name, lag), x in c.parameters.items()))]
+    rows = [
+        ("parameters", ", ".join(f"{name}{at(lag)} {number(x)}" for (name, lag), x in c.parameters.items()))
+    ]
     model = c.window.model
-    return [*rows, ("first state", ", ".join(f"{n} {number(x)}{unit(n)}" for n, x in zip(model.states, c.state, strict=True)))]
+    return [
+        *rows,
+        (
+            "first state",
+            ", ".join(f"{n} {number(x)}{unit(n)}" for n, x in zip(model.states, c.state, strict=True)),
+        ),
+    ]
 
 
 def _samples(c, labels):
-    """Return the table of the samples: what was read, what it says of the true value, and its part in the proof."""
+    """Return the table of the samples: what was read, what it says of the true value, and its part in the
+    proof.
+    """
     w, model = c.window, c.window.model
     if c.z is None and isinstance(c, UncertainCertificate):
         rows: list[tuple[str, ...]] = [("time", "signal", "reading", "true value from", "to")]
@@ -230,12 +305,16 @@ def _samples(c, labels):
                     when, what = labels[i // model.g], f"w{i % model.g + 1}"
                 else:
                     a, run = w.runs[i - model.g * w.horizon]
-                    when = labels[run[-1] // model.p if run[-1] < len(w.y) else (run[-1] - len(w.y)) // model.g]
+                    when = labels[
+                        run[-1] // model.p if run[-1] < len(w.y) else (run[-1] - len(w.y)) // model.g
+                    ]
                     what = model.averages[a].text
                 rows.append((when, what, "", number(lo), number(hi), number(x)))
     return rows
 
 
 def number(x: Any) -> str:
-    """Return an exact number as a reader wants it: the smallest normal number, which widens every radius, is nothing."""
+    """Return an exact number as a reader wants it: the smallest normal number, which widens every radius, is
+    nothing.
+    """
     return f"{float(x) if abs(x) > 1e-300 else 0.0:.6g}"

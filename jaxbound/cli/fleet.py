@@ -25,13 +25,33 @@ __all__ = ["run", "write_fleet"]
 UNITS = "units"  # the folder of their pages
 SHOWING = ("fault", OUTSIDE)
 COLOUR = {
-    "fault": "bold red", "not tested": "bold magenta", OUTSIDE: "bold yellow", "too little evidence": "bold yellow",
+    "fault": "bold red",
+    "not tested": "bold magenta",
+    OUTSIDE: "bold yellow",
+    "too little evidence": "bold yellow",
     "no fault": "bold green",
-}  # fmt: skip
+}
 PAGES = 100  # faulty units that get a page of their own
 SHOWN = 10  # units in the table on the terminal
-FIELDS = ("unit", "verdict", "margin", "factor", "FAULT", "CONSISTENT", "UNDECIDED", "MISSING", "decided", "alarms", "first_alarm", "worst",
-          "sentence", "hints", "model", "recording", "ended")  # fmt: skip
+FIELDS = (
+    "unit",
+    "verdict",
+    "margin",
+    "factor",
+    "FAULT",
+    "CONSISTENT",
+    "UNDECIDED",
+    "MISSING",
+    "decided",
+    "alarms",
+    "first_alarm",
+    "worst",
+    "sentence",
+    "hints",
+    "model",
+    "recording",
+    "ended",
+)
 
 
 def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str = "fleet") -> None:
@@ -42,18 +62,37 @@ def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str
     """
     ordered = worst_first(results)
     number = lambda x: "" if math.isnan(x) else repr(float(x))
-    with open(Path(directory) / "fleet.csv", "w", newline="", encoding="utf-8", errors="backslashreplace") as f:
+    with open(
+        Path(directory) / "fleet.csv", "w", newline="", encoding="utf-8", errors="backslashreplace"
+    ) as f:
         table = csv.writer(f, lineterminator="\n")
         table.writerow(FIELDS)
         for r in ordered:
             found = r.summary
-            texts = (found.first_alarm, found.worst.time if found.worst else "", found.sentence, " | ".join(found.hints))
+            texts = (
+                found.first_alarm,
+                found.worst.time if found.worst else "",
+                found.sentence,
+                " | ".join(found.hints),
+            )
             files = str(r.unit.model), str(r.unit.recording)
             counts = (found.counts[name] for name in FIELDS[4:8])
-            table.writerow((
-                cell(r.unit.name), r.verdict, number(r.margin), number(1 - r.margin), *counts, number(found.decided), found.alarms,
-                *map(cell, (*texts, *files)), found.last_ended))  # fmt: skip
-    (Path(directory) / "fleet.html").write_text(fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8")
+            table.writerow(
+                (
+                    cell(r.unit.name),
+                    r.verdict,
+                    number(r.margin),
+                    number(1 - r.margin),
+                    *counts,
+                    number(found.decided),
+                    found.alarms,
+                    *map(cell, (*texts, *files)),
+                    found.last_ended,
+                )
+            )
+    (Path(directory) / "fleet.html").write_text(
+        fleet_page(ordered, fleet_verdict(results), title), encoding="utf-8"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,14 +106,20 @@ def run(args: argparse.Namespace) -> int:
     results = []
     stopped: Interrupted | None = None
     inputs = [args.manifest, *(path for unit in units for path in (unit.model, unit.recording))]
-    with door(OSError), output_folder(args.out, ("fleet.csv", "fleet.html", UNITS), inputs) as folder, folder.work() as work:
+    with (
+        door(OSError),
+        output_folder(args.out, ("fleet.csv", "fleet.html", UNITS), inputs) as folder,
+        folder.work() as work,
+    ):
         folder.remove(UNITS)  # pages of an earlier run
         try:
             with progress_bars(("units",)) as step, engine_of(args) as client:
                 how = args.method, args.horizon, args.alarm, args.min_coverage
                 report, pages = lambda share: step("units", share), _Pages(work)
                 more = _options(args), client, args.state
-                for result in detect_fleet(units, *how, report, args.lags, pages if client is None else None, *more):
+                for result in detect_fleet(
+                    units, *how, report, args.lags, pages if client is None else None, *more
+                ):
                     results.append(result)
                 if client is not None:  # which units get a page is known once all are tested
                     faulty = [r.unit for r in results if r.verdict in SHOWING][:PAGES]
@@ -86,7 +131,9 @@ def run(args: argparse.Namespace) -> int:
             done = len(results)
             results += [UnitResult.untested(unit, "interrupted before its turn") for unit in units[done:]]
             write_fleet(work, results, args.manifest.stem)
-            stopped = Interrupted(f"interrupted: {done} of {len(units)} units were tested; {args.out / 'fleet.csv'} has them")
+            stopped = Interrupted(
+                f"interrupted: {done} of {len(units)} units were tested; {args.out / 'fleet.csv'} has them"
+            )
         else:
             write_fleet(work, results, args.manifest.stem)
     if stopped is not None:
@@ -100,7 +147,8 @@ def _options(args):
 
 
 class _Pages:
-    """Writes the pages of units with a fault, as many as have room, into a folder; a call returns the name of a page.
+    """Writes the pages of units with a fault, as many as have room, into a folder; a call returns the name of
+    a page.
 
     Args:
         work: the folder of the run, in which they get one of their own.
@@ -136,8 +184,12 @@ def _conclude(args, results):
     for r in ordered[:SHOWN]:
         margin = "" if math.isnan(r.margin) else f"{r.margin:.3g}"
         faults, s = str(r.summary.counts["FAULT"]), r.summary
-        table.append((r.unit.name, r.verdict, margin, faults, percent(s.decided), s.first_alarm, s.last_ended))
-    rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in ordered if r.verdict == "not tested"][:SHOWN]
+        table.append(
+            (r.unit.name, r.verdict, margin, faults, percent(s.decided), s.first_alarm, s.last_ended)
+        )
+    rows = [
+        ("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in ordered if r.verdict == "not tested"
+    ][:SHOWN]
     rows += [("", f"and {len(ordered) - SHOWN} more units")] if len(ordered) > SHOWN else []
     rows += [("table", str(args.out / "fleet.csv")), ("page", str(args.out / "fleet.html"))]
     show(sentence, COLOUR[verdict], rows, table)

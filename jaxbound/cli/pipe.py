@@ -1,6 +1,7 @@
 """The command `jaxbound detect MODEL.toml -`: verdicts on lines of CSV as they come through a pipe.
 
-What is there is read, judged as one burst and printed: one sample where the sender is slow, thousands where it is ahead.
+What is there is read, judged as one burst and printed: one sample where the sender is slow, thousands where
+it is ahead.
 """
 
 import argparse
@@ -56,8 +57,13 @@ def run(args: argparse.Namespace) -> int:
     """Run `jaxbound detect MODEL.toml -`; return the exit code."""
     if args.method == VALIDATION:
         raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of -")
-    options = {"--chunk": args.chunk is not None, "--alarm": args.alarm != (1, 1), "--part": args.part is not None, "--merge": args.merge,
-               "--overlap": args.overlap is not None}  # fmt: skip
+    options = {
+        "--chunk": args.chunk is not None,
+        "--alarm": args.alarm != (1, 1),
+        "--part": args.part is not None,
+        "--merge": args.merge,
+        "--overlap": args.overlap is not None,
+    }
     for option, given in options.items():
         if given:
             raise Refused(f"{option} is for recordings: give a file instead of -")
@@ -71,11 +77,13 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
     """Judge bytes as they come; return the exit code.
 
     Args:
-        args: .model, .horizon, .method, .out, .state (paths or None), .min_coverage, .json. chunks: iterable of bytes; None in it ends the
-            run as a signal does. whole: the last line is complete without a line end, as in a file; in a pipe half of a number may be.
+        args: .model, .horizon, .method, .out, .state (paths or None), .min_coverage, .json. chunks: iterable
+            of bytes; None in it ends the run as a signal does. whole: the last line is complete without a
+            line end, as in a file; in a pipe half of a number may be.
 
     Raises:
-        Refused: a model, a header, a sampling period or a state that does not fit, a method without a Monitor.
+        Refused: a model, a header, a sampling period or a state that does not fit, a method without a
+            Monitor.
     """
     with door(), _place(args) as folder:
         stated = load_model(args.model)
@@ -97,9 +105,15 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
 
 @contextmanager
 def _place(args):
-    """Make --out a folder whose verdicts this command may write, and see to it that nothing that is read is written."""
+    """Make --out a folder whose verdicts this command may write, and see to it that nothing that is read is
+    written.
+    """
     inputs = [Path(args.model), *([Path("/dev/stdin")] if stat.S_ISREG(os.fstat(0).st_mode) else [])]
-    with nullcontext() if args.out is None else output_folder(args.out, file_names(whole=False), inputs) as folder:
+    with (
+        nullcontext()
+        if args.out is None
+        else output_folder(args.out, file_names(whole=False), inputs) as folder
+    ):
         if args.state is not None:
             refuse_targets({"--state": Path(args.state)}, inputs, force=True)
         if folder is None:
@@ -108,7 +122,9 @@ def _place(args):
         state = args.out / STATE if args.state is None else Path(args.state)
         if os.path.realpath(state) == os.path.realpath(args.out / VERDICTS):
             raise Refused(f"--state {state} is where the verdicts are written: give another name")
-        folder.check((VERDICTS, STATE), foreign=not state.exists())  # a state tells whether the verdicts are its own
+        folder.check(
+            (VERDICTS, STATE), foreign=not state.exists()
+        )  # a state tells whether the verdicts are its own
         yield folder
         folder.settle(VERDICTS, STATE)
 
@@ -117,7 +133,10 @@ class _Run:
     """One run: what it counts, says and remembers."""
 
     def __init__(self, args, monitor, journal, stated):
-        self.hints, self.outgrown = bound_hints(stated, monitor.relations), bool(outgrown(stated, monitor.relations))
+        self.hints, self.outgrown = (
+            bound_hints(stated, monitor.relations),
+            bool(outgrown(stated, monitor.relations)),
+        )
         before = journal.before or {}
         self.args, self.monitor, self.journal, self.spoken = args, monitor, journal, {}
         self.header = b"" if args.json else b"time,status,margin\n"
@@ -126,15 +145,28 @@ class _Run:
         self.state = from_texts(empty, before["state"]) if before else empty
         self.horizon = forgets_after(monitor.relations)
         counts = dict.fromkeys(NAMES, 0)
-        nothing = {"counts": counts, "aside": 0, "recent": [], "left out": 0, "first": None, "worst": None, "last": None}
+        nothing = {
+            "counts": counts,
+            "aside": 0,
+            "recent": [],
+            "left out": 0,
+            "first": None,
+            "worst": None,
+            "last": None,
+        }
         self.found = before.get("found", nothing | {"on": 0, "on before": 0, "endings": {}})
 
     def to_the_end(self, chunks, whole):
         m = self.monitor.relations.model
         window = self.monitor.relations.horizon + 1
-        self.monitor.run(self.monitor.init(), np.zeros((window, m.m)), np.zeros((window, m.p)))  # compiled before a sample waits for it
+        self.monitor.run(
+            self.monitor.init(), np.zeros((window, m.m)), np.zeros((window, m.p))
+        )  # compiled before a sample waits for it
         if self.journal.before is not None:
-            say(f"going on after {self.text.clock.samples} samples, the last at {self._label(self.found['last'])}")
+            say(
+                f"going on after {self.text.clock.samples} samples, the last at "
+                f"{self._label(self.found['last'])}"
+            )
             self.emit(self._printed(self.journal.pending))
         ended, data = True, b""
         for data in chunks:
@@ -176,7 +208,9 @@ class _Run:
             reach = np.concatenate([np.array(found["recent"], bool), piece.excluded])
             before, ends = np.cumsum(np.append(0, reach)), np.arange(len(found["recent"]), len(reach))
             warm = max(s - self.text.clock.samples + len(status), 0)  # of these windows are none
-            found["aside"] += int(np.count_nonzero((before[ends + 1] > before[np.maximum(ends - s, 0)])[warm:]))
+            found["aside"] += int(
+                np.count_nonzero((before[ends + 1] > before[np.maximum(ends - s, 0)])[warm:])
+            )
             found["recent"] = reach[len(reach) - min(s, len(reach)) :].tolist()
         text = self.text.reader.is_text
         when = lambda k: piece.written[k].as_py().strip() if text else float(piece.time[k])
@@ -190,7 +224,11 @@ class _Run:
             worst = int(fault[np.argmin(np.nan_to_num(verdict.margin[fault], nan=0.0))])
             found["first"] = when(int(fault[0])) if found["first"] is None else found["first"]
             if found["worst"] is None or verdict.margin[worst] < found["worst"][1]:
-                found["worst"] = [when(worst), float(verdict.margin[worst]), self.text.clock.samples - len(status) + worst]
+                found["worst"] = [
+                    when(worst),
+                    float(verdict.margin[worst]),
+                    self.text.clock.samples - len(status) + worst,
+                ]
 
     def _printed(self, rows):
         """Return rows of verdicts.csv as they go to stdout."""
@@ -201,11 +239,16 @@ class _Run:
         on, out = self.found["on before"], []
         for t, status, margin, _ in csv.reader(io.StringIO(rows.decode())):
             on, ended = _followed(on, Status[status], self.horizon)
-            out.append(json.dumps({"time": when(t), "status": status, "margin": number(margin), "ended": ended}) + "\n")
+            out.append(
+                json.dumps({"time": when(t), "status": status, "margin": number(margin), "ended": ended})
+                + "\n"
+            )
         return "".join(out).encode()
 
     def emit(self, data):
-        """Print, with the header before the first; where a reader has gone away, go on only if the verdicts are written elsewhere too."""
+        """Print, with the header before the first; where a reader has gone away, go on only if the verdicts
+        are written elsewhere too.
+        """
         if not data:
             return
         data, self.header = self.header + data, b""
@@ -242,26 +285,47 @@ class _Run:
         where, counted = (lambda k: f"sample {k}"), (lambda k: "counted from 0")
         hints = [*seam_hints(clock, counted, where), irregular(clock, counted, where), *self.hints]
         lost = found["left out"]
-        hints.append(f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them" if lost else "")
+        hints.append(
+            f"{lost} line{'s' * (lost != 1)} could not be read: left out, and no window spans them"
+            if lost
+            else ""
+        )
         counts, observes = found["counts"], remembers(relations)
         at, margin, sample = found["worst"] or (None, np.nan, -1)
         if not latched(relations):
             hints += unfit(counts, np.nan if observes else margin, "samples" if observes else "windows")
         alarms = sum(found["endings"].values()) + bool(found["on"])
         every = filter(None, (*hints, *endings_said(found["endings"], alarms)))
-        numbers = Evidence(self.monitor.method, relations.horizon, clock.samples, counts, found["aside"], at, margin, None, alarms,
-                           found["endings"], remembers=observes, outgrown=self.outgrown)  # fmt: skip
+        numbers = Evidence(
+            self.monitor.method,
+            relations.horizon,
+            clock.samples,
+            counts,
+            found["aside"],
+            at,
+            margin,
+            None,
+            alarms,
+            found["endings"],
+            remembers=observes,
+            outgrown=self.outgrown,
+        )
         verdict, sentence = said(numbers, self._label, self.args.min_coverage)
         said_of_it = unsaid(every, sentence)
         for hint in said_of_it:
             say(hint)
-        say(f"{sentence} {clock.samples} samples: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}")
+        say(
+            f"{sentence} {clock.samples} samples: "
+            f"{', '.join(f'{n} {name}' for name, n in counts.items() if n)}"
+        )
         worst = None if at is None else Window(sample, self._label(at), margin)
         return Summary(verdict, sentence, numbers, worst, hints=said_of_it, model=relations.model.name)
 
 
 def _followed(on, status, horizon):
-    """Return (FAULT windows in a row up to this one, why the alarm that they were is over, None if none ended here)."""
+    """Return (FAULT windows in a row up to this one, why the alarm that they were is over, None if none ended
+    here).
+    """
     if status == FAULT:
         return on + 1, None
     after = np.array([NO_DATA if status == Status.MISSING else OTHER])
@@ -276,10 +340,17 @@ def _rows(written, verdict):
     if len(written) <= FEW and (not texts or is_plain(written)):  # by hand, which is sooner done
         times = written.to_pylist() if texts else map(_number, written.tolist())
         return "".join(
-            f"{when},{NAMES[status]},{_number(margin)},{'true' if status == FAULT or margin < 0 else 'false'}\n"
-            for when, status, margin in zip(times, verdict.status.tolist(), verdict.margin.tolist(), strict=True)
+            f"{when},{NAMES[status]},{_number(margin)},"
+            f"{'true' if status == FAULT or margin < 0 else 'false'}\n"
+            for when, status, margin in zip(
+                times, verdict.status.tolist(), verdict.margin.tolist(), strict=True
+            )
         ).encode()
-    columns = {"time": written if texts else to_arrow(written), "status": words(NAMES, verdict.status), "margin": to_arrow(verdict.margin)}
+    columns = {
+        "time": written if texts else to_arrow(written),
+        "status": words(NAMES, verdict.status),
+        "margin": to_arrow(verdict.margin),
+    }
     sink = pa.BufferOutputStream()
     write_rows(sink, columns | {"suspect": to_arrow(suspected(verdict.status, verdict.margin))})
     return sink.getvalue().to_pybytes()
@@ -318,7 +389,9 @@ def _chunks(fd, stopped, woken):
 
 @contextmanager
 def _signals():
-    """Give (an event that SIGINT, SIGTERM and SIGHUP set, a file descriptor that can be read then): nothing is interrupted half-way."""
+    """Give (an event that SIGINT, SIGTERM and SIGHUP set, a file descriptor that can be read then): nothing
+    is interrupted half-way.
+    """
     stopped, (woken, waker) = threading.Event(), os.pipe()
     os.set_blocking(waker, False)
     ends = [n for n in ENDS if signal.getsignal(n) != signal.SIG_IGN]  # nohup

@@ -37,16 +37,39 @@ def run(args: argparse.Namespace) -> int:
         raise Refused(f"--onset needs two whole numbers lo:hi, not {args.onset!r}")
     faults = [f.strip() for f in args.faults.split(",") if f.strip()]
     stages = progress_bars(("relations", "study", "report"))
-    with door(), output_folder(args.out, NAMES, (args.model,)) as folder, stages as step, engine_of(args) as client:
+    with (
+        door(),
+        output_folder(args.out, NAMES, (args.model,)) as folder,
+        stages as step,
+        engine_of(args) as client,
+    ):
         model = load_model(args.model)
         usable_device()
         model, relations = window_relations(model, args, "--samples", args.samples, step)
         span = span[0] if span is not None and len(span) == 1 else span
         onset = None if onset is None else tuple(map(int, onset[0]))
-        by, progress = "joint" if args.method == OBSERVER else args.method, _Announced(args, lambda share: step("study", share))
+        by, progress = (
+            "joint" if args.method == OBSERVER else args.method,
+            _Announced(args, lambda share: step("study", share)),
+        )
         res = study(
-            model, faults, args.n, args.seed, relations, samples=args.samples, sizes=sizes, onset=onset, at=args.at, input_range=span,
-            hold=args.hold, method=by, progress=progress, out=args.out, rows=args.rows, client=client)  # fmt: skip
+            model,
+            faults,
+            args.n,
+            args.seed,
+            relations,
+            samples=args.samples,
+            sizes=sizes,
+            onset=onset,
+            at=args.at,
+            input_range=span,
+            hold=args.hold,
+            method=by,
+            progress=progress,
+            out=args.out,
+            rows=args.rows,
+            client=client,
+        )
         counted = time.perf_counter() - start
         step("report", 0.2)
         with folder.work() as work:
@@ -88,7 +111,9 @@ def _sizes(text):
             return np.linspace(float(lo), float(hi), int(count)).tolist()
         return [float(x) for x in text.split(",")]
     except ValueError:
-        raise Refused(f"--sizes needs lo:hi:count, like 0.1:1:10, or numbers with commas, not {text!r}") from None
+        raise Refused(
+            f"--sizes needs lo:hi:count, like 0.1:1:10, or numbers with commas, not {text!r}"
+        ) from None
 
 
 def _pairs(option, text):
@@ -132,11 +157,22 @@ def _conclude(args, res, seconds):
         known = lambda x: None if isinstance(x, float) and not np.isfinite(x) else x
         columns = {name: list(map(known, x.tolist())) for name, x in study_table(res).items()}
         cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        told = {"scenarios": res.scenarios, "samples": res.samples, "at": res.at, "horizon": res.horizon, "false_alarms": false,
-                "clean_windows": clean, "cells": cells, "report": str(args.out / "report.html")}  # fmt: skip
+        told = {
+            "scenarios": res.scenarios,
+            "samples": res.samples,
+            "at": res.at,
+            "horizon": res.horizon,
+            "false_alarms": false,
+            "clean_windows": clean,
+            "cells": cells,
+            "report": str(args.out / "report.html"),
+        }
         write(json.dumps(told, indent=1, default=float) + "\n")
         return
-    speed = f"{res.scenarios * res.samples / max(seconds, 1e-9) / 1e6:.3g} million samples a second on {jax.local_device_count()} device"
+    speed = (
+        f"{res.scenarios * res.samples / max(seconds, 1e-9) / 1e6:.3g} million samples a second on "
+        f"{jax.local_device_count()} device"
+    )
     rows = [
         ("study", sentence(res)),
         ("columns", COLUMNS),

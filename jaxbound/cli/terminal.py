@@ -1,4 +1,6 @@
-"""What every command does at the terminal: refuse in one sentence, show a bar for each stage, print what was found."""
+"""What every command does at the terminal: refuse in one sentence, show a bar for each stage, print what was
+found.
+"""
 
 import io
 import os
@@ -13,11 +15,36 @@ from contextvars import ContextVar
 from jaxbound.recordings.plaintext import clipped, printable
 from jaxbound.runs.refusals import Refused, Stopped
 
-__all__ = ["BAD_INPUT", "ENDS", "INTERNAL", "INTERRUPTED", "LOUDNESS", "NORMAL", "OK", "QUIET", "VERBOSE", "door", "nobody_reads",
-           "progress_bars", "say", "show", "stoppable", "system_trouble", "usable_device", "write"]  # fmt: skip
+__all__ = [
+    "BAD_INPUT",
+    "ENDS",
+    "INTERNAL",
+    "INTERRUPTED",
+    "LOUDNESS",
+    "NORMAL",
+    "OK",
+    "QUIET",
+    "VERBOSE",
+    "door",
+    "nobody_reads",
+    "progress_bars",
+    "say",
+    "show",
+    "stoppable",
+    "system_trouble",
+    "usable_device",
+    "write",
+]
 
-ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))  # signals that ask for the end
-OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # exit codes of every command; those of verdicts: `detecting.CODES`
+ENDS = tuple(
+    getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)
+)  # signals that ask for the end
+OK, BAD_INPUT, INTERNAL, INTERRUPTED = (
+    0,
+    2,
+    70,
+    130,
+)  # exit codes of every command; those of verdicts: `detecting.CODES`
 QUIET, NORMAL, VERBOSE = 0, 1, 2
 LOUDNESS: ContextVar[int] = ContextVar("loudness", default=NORMAL)
 """How much a command says: -q the first line of its conclusion, -v more than it would."""
@@ -46,10 +73,15 @@ def system_trouble(e: BaseException) -> str:
 def stoppable() -> Iterator[list[int]]:
     """Let SIGTERM and SIGHUP end a command as Ctrl-C does; yields a list that gets the number of the signal.
 
-    What is ignored stays ignored (`nohup`). A second signal does not disturb the cleaning up of the first; Ctrl-C does.
+    What is ignored stays ignored (`nohup`). A second signal does not disturb the cleaning up of the first;
+    Ctrl-C does.
     """
     caught = []
-    names = {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL} if threading.current_thread() is threading.main_thread() else ()
+    names = (
+        {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL}
+        if threading.current_thread() is threading.main_thread()
+        else ()
+    )
 
     def stop(number, frame):
         caught.append(number)
@@ -68,7 +100,9 @@ def stoppable() -> Iterator[list[int]]:
 
 @contextmanager
 def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], object]]:
-    """Show a bar for each stage on a terminal's stderr, elsewhere a line now and then; yields a function of (stage, share)."""
+    """Show a bar for each stage on a terminal's stderr, elsewhere a line now and then; yields a function of
+    (stage, share).
+    """
     if sys.stderr is None or LOUDNESS.get() == QUIET:
         yield lambda stage, share: None
         return
@@ -76,9 +110,22 @@ def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], obje
         yield _Lines().step
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (TextColumn("{task.description:>8}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description:>8}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         tasks = {stage: bars.add_task(stage, total=1.0) for stage in stages}
         yield lambda stage, share: bars.update(tasks[stage], completed=share)
@@ -103,7 +150,8 @@ class _Lines:
 
 
 def write(text: str) -> None:
-    """Write to stdout; a reader that has gone away, or a closed stdout, is no trouble: the exit code stays what it is.
+    """Write to stdout; a reader that has gone away, or a closed stdout, is no trouble: the exit code stays
+    what it is.
 
     Raises:
         Refused: a full device.
@@ -112,7 +160,9 @@ def write(text: str) -> None:
         return
     try:
         encoding = sys.stdout.encoding or "utf-8"
-        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))  # letters that it cannot show
+        sys.stdout.write(
+            text.encode(encoding, "backslashreplace").decode(encoding)
+        )  # letters that it cannot show
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
         nobody_reads()
@@ -135,7 +185,8 @@ def show(
     text: str = "",
     last: bool = False,
 ) -> None:
-    """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names are not markup.
+    """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names
+    are not markup.
 
     With -q the headline alone. Args: last: the table stands behind the pairs.
     """
@@ -145,7 +196,10 @@ def show(
     from rich.table import Table
     from rich.text import Text
 
-    page, shown = io.StringIO(), Console()  # what rich itself writes to stdout, a full or closed one would break
+    page, shown = (
+        io.StringIO(),
+        Console(),
+    )  # what rich itself writes to stdout, a full or closed one would break
     terminal = shown.is_terminal
     console = Console(file=page, force_terminal=terminal, width=shown.width if terminal else 160)
     grid = Table.grid(padding=(0, 2))
@@ -175,7 +229,9 @@ def say(sentence: str) -> None:
     from rich.console import Console
 
     with suppress(OSError):  # there is no place left to say it
-        Console(stderr=True).print(f"jaxbound: {printable(clipped(sentence))}", soft_wrap=True, markup=False, highlight=False)
+        Console(stderr=True).print(
+            f"jaxbound: {printable(clipped(sentence))}", soft_wrap=True, markup=False, highlight=False
+        )
 
 
 def usable_device() -> None:
@@ -187,5 +243,8 @@ def usable_device() -> None:
     try:
         jax.default_backend()
     except RuntimeError:
-        raise ValueError(f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS')} names no device of this machine: unset it, or use cpu") from None
+        raise ValueError(
+            f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS')} names no device of this machine: unset it, or "
+            f"use cpu"
+        ) from None
     refuse_unverified()

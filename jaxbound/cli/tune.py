@@ -28,7 +28,11 @@ def run(args: argparse.Namespace) -> int:
     """Run `jaxbound tune`; return the exit code."""
     state = args.out.with_name(args.out.name + ".state.npz")
     inputs = [args.model, *args.healthy, *args.faulty]
-    refuse_targets({"--out": args.out, "--plot": args.plot}, inputs, args.force or (state.exists() and _unfinished(args.out)))
+    refuse_targets(
+        {"--out": args.out, "--plot": args.plot},
+        inputs,
+        args.force or (state.exists() and _unfinished(args.out)),
+    )
     refuse_targets({"the state of --out,": state}, inputs, force=True)
     chosen = None if args.bounds is None else [name.strip() for name in args.bounds.split(",")]
     with door(), progress_bars(("read", "relations", "tune")) as step:
@@ -38,8 +42,18 @@ def run(args: argparse.Namespace) -> int:
         longest = int(np.argmax([r.samples for r in recordings]))
         model, relations = window_relations(model, args, files[longest], recordings[longest].samples, step)
         healthy, faulty = recordings[: len(args.healthy)], recordings[len(args.healthy) :] or None
-        res = tune(relations, healthy, faulty, _optimizer(args.optimizer, args.steps), args.steps, bounds=chosen, safety=args.safety,
-                   calibrate=args.calibrate, progress=lambda share: step("tune", share), state=state)  # fmt: skip
+        res = tune(
+            relations,
+            healthy,
+            faulty,
+            _optimizer(args.optimizer, args.steps),
+            args.steps,
+            bounds=chosen,
+            safety=args.safety,
+            calibrate=args.calibrate,
+            progress=lambda share: step("tune", share),
+            state=state,
+        )
         with whole(args.out) as f:
             f.write(_text_of(res))
         if args.plot:
@@ -51,14 +65,19 @@ def run(args: argparse.Namespace) -> int:
     else:
         _tell(res, args, hints)
     if res.stopped:
-        say(f"stopped after {res.steps} of {args.steps} steps: {args.out} has the best bounds until then; the same command goes on")
+        say(
+            f"stopped after {res.steps} of {args.steps} steps: {args.out} has the best bounds until then; "
+            f"the same command goes on"
+        )
         return INTERRUPTED
     state.unlink(missing_ok=True)
     return 0
 
 
 def _text_of(res):
-    """Return the model file: that of an interrupted search begins with a line by which the next call knows that nobody has changed it."""
+    """Return the model file: that of an interrupted search begins with a line by which the next call knows
+    that nobody has changed it.
+    """
     text = model_text(res.model).encode()
     return MARK % hashlib.sha256(text).hexdigest().encode() + text if res.stopped else text
 
@@ -83,7 +102,11 @@ def _optimizer(name, steps):
 def _entries(res):
     """Yield (name, start, smallest, written), texts: of every bound that moved."""
     model, relations = res.model, res.relations
-    signals = {"tolerance": model.outputs, "noise": model.outputs, "disturbance": tuple(f"w{j + 1}" for j in range(model.g))}
+    signals = {
+        "tolerance": model.outputs,
+        "noise": model.outputs,
+        "disturbance": tuple(f"w{j + 1}" for j in range(model.g)),
+    }
     written = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": model.disturbance}
     for kind, now in relations.bounds.items():
         names = signals.get(kind, tuple(u.name for u in model.uncertainties))
@@ -91,7 +114,11 @@ def _entries(res):
             if not any(name.endswith(f"{kind} of {signal}") for name in res.names):
                 continue
             exact = written[kind][i] if kind in written else Fraction(repr(float(now[i])))
-            yield f"{kind} of {signal}", *(_text(x[kind][i]) for x in (res.start, res.smallest)), _exact(exact)
+            yield (
+                f"{kind} of {signal}",
+                *(_text(x[kind][i]) for x in (res.start, res.smallest)),
+                _exact(exact),
+            )
 
 
 def _text(x):
@@ -107,22 +134,52 @@ def _summary(res, args, hints):
     plain = lambda bounds: {kind: np.asarray(x).tolist() for kind, x in bounds.items()}
     risk = res.risk
     return {
-        "out": str(args.out), "horizon": res.relations.horizon, "scale": res.scale, "safety": res.safety, "bounds": plain(res.bounds),
-        "smallest": plain(res.smallest), "start": plain(res.start), "steps": res.steps, "stopped": res.stopped, "healthy": res.counts,
-        "faulty": res.faulty_counts, "caught": res.caught, "least_margin": float(np.nanmin(res.margin)),
-        "risk": {"blocks": risk.blocks, "windows_in_a_block": risk.length, "average": risk.average, "rate": risk.rate,
-                 "confidence": risk.confidence, "guide_only": risk.guide, "text": risk.text},
-        "notes": list(res.notes), "hints": hints}  # fmt: skip
+        "out": str(args.out),
+        "horizon": res.relations.horizon,
+        "scale": res.scale,
+        "safety": res.safety,
+        "bounds": plain(res.bounds),
+        "smallest": plain(res.smallest),
+        "start": plain(res.start),
+        "steps": res.steps,
+        "stopped": res.stopped,
+        "healthy": res.counts,
+        "faulty": res.faulty_counts,
+        "caught": res.caught,
+        "least_margin": float(np.nanmin(res.margin)),
+        "risk": {
+            "blocks": risk.blocks,
+            "windows_in_a_block": risk.length,
+            "average": risk.average,
+            "rate": risk.rate,
+            "confidence": risk.confidence,
+            "guide_only": risk.guide,
+            "text": risk.text,
+        },
+        "notes": list(res.notes),
+        "hints": hints,
+    }
 
 
 def _tell(res, args, hints):
     """Print what was found."""
     counted = lambda counts: ", ".join(f"{n} {name}" for name, n in counts.items() if n)
     rows = [
-        ("scale", f"{res.scale:.9g} times the starting bounds: no smaller ones in this direction explain the healthy data"),
+        (
+            "scale",
+            f"{res.scale:.9g} times the starting bounds: no smaller ones in this direction explain the "
+            f"healthy data",
+        ),
         ("safety", f"{res.safety:g}, on top of the smallest bounds" + ("" if res.safety > 1 else " (none)")),
-        ("healthy", f"{counted(res.counts)} windows of {res.relations.horizon + 1} samples, by the proved test"),
-        *([("faulty", f"{counted(res.faulty_counts)}: {res.caught:.1%} proved faulty")] if res.faulty_counts else []),
+        (
+            "healthy",
+            f"{counted(res.counts)} windows of {res.relations.horizon + 1} samples, by the proved test",
+        ),
+        *(
+            [("faulty", f"{counted(res.faulty_counts)}: {res.caught:.1%} proved faulty")]
+            if res.faulty_counts
+            else []
+        ),
         ("steps", str(res.steps)),
         ("written", str(args.out) + (f" and {args.plot}" if args.plot else "")),
         ("elsewhere", res.statement),

@@ -21,7 +21,8 @@ __all__ = ["Validated"]
 class Validated:
     """A Validation of one recording with what a report needs beside it.
 
-    Fields: model: LinearSystem. horizon: windows have horizon + 1 samples. y: (T, p) as recorded. found: Validation, NumPy inside.
+    Fields: model: LinearSystem. horizon: windows have horizon + 1 samples. y: (T, p) as recorded. found:
+    Validation, NumPy inside.
     aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
     """
 
@@ -44,7 +45,11 @@ class Validated:
     @property
     def blamed(self) -> dict[str, int]:
         """{output: number of its faulty samples}, those without any left out."""
-        return {name: int(n) for name, n in zip(self.model.outputs, np.asarray(self.found.faulty).sum(0), strict=True) if n}
+        return {
+            name: int(n)
+            for name, n in zip(self.model.outputs, np.asarray(self.found.faulty).sum(0), strict=True)
+            if n
+        }
 
     @property
     def first_fault(self) -> int | None:
@@ -58,7 +63,9 @@ class Validated:
 
     def explain(self, at: int) -> NoReturn:
         """Refuse: there is no certificate of a verdict that rests on all samples before it."""
-        raise NotImplementedError("validation has no certificate of a single window: its verdict rests on all samples before it")
+        raise NotImplementedError(
+            "validation has no certificate of a single window: its verdict rests on all samples before it"
+        )
 
     def stretches(self) -> list[tuple[int, int, int]]:
         """Return [(index of the output, first, last sample)] of the faulty stretches, in order of time."""
@@ -79,12 +86,16 @@ def _(res, alarms):
 
 @columns_of.register
 def _(res: Validated):
-    """Return status, and for each output whether it is faulty, its band and its corrected value; the states' bands.
+    """Return status, and for each output whether it is faulty, its band and its corrected value; the states'
+    bands.
 
     A bound that is not known, as in the first samples, is blank.
     """
     blank = lambda x: to_arrow(np.where(np.isfinite(x), x, np.nan))
-    band = lambda name, x, i: {f"{name}.lo": blank(np.asarray(x.lo)[:, i]), f"{name}.hi": blank(np.asarray(x.hi)[:, i])}
+    band = lambda name, x, i: {
+        f"{name}.lo": blank(np.asarray(x.lo)[:, i]),
+        f"{name}.hi": blank(np.asarray(x.hi)[:, i]),
+    }
     columns = {"status": words([s.name for s in Status], res.status)}
     found = res.found
     for i, name in enumerate(res.model.outputs):
@@ -92,7 +103,9 @@ def _(res: Validated):
         known = np.isfinite(lo) & np.isfinite(hi)
         columns[f"faulty.{name}"] = to_arrow(np.asarray(found.faulty)[:, i])
         columns |= band(f"output.{name}", found.output, i)
-        columns[f"corrected.{name}"] = blank(np.where(known, np.where(known, lo, 0) / 2 + np.where(known, hi, 0) / 2, np.nan))
+        columns[f"corrected.{name}"] = blank(
+            np.where(known, np.where(known, lo, 0) / 2 + np.where(known, hi, 0) / 2, np.nan)
+        )
         columns |= band(f"corrected.{name}", found.corrected, i)
     for i, name in enumerate(res.model.states):
         columns |= band(f"state.{name}", found.state, i)

@@ -13,7 +13,8 @@ __all__ = ["run"]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `jaxbound verify CERTIFICATE.json --model MODEL.toml --data DATA`; return the exit code: 0 confirmed, 1 not confirmed.
+    """Run `jaxbound verify CERTIFICATE.json --model MODEL.toml --data DATA`; return the exit code: 0
+    confirmed, 1 not confirmed.
 
     Only the samples of the window are read (a CSV file: all).
     """
@@ -25,7 +26,10 @@ def run(args: argparse.Namespace) -> int:
         _, last, count = window_of(document)
         begin = last + 1 - count
         if begin < 0 or (source.samples is not None and last >= source.samples):
-            raise ValueError(f"{args.data} has no {count} samples that end at sample {last}: it has {source.samples}, numbered from 0")
+            raise ValueError(
+                f"{args.data} has no {count} samples that end at sample {last}: it has {source.samples}, "
+                f"numbered from 0"
+            )
         with door(OSError):
             part = source.read(begin, last + 1)
         verify(document, model, part, begin=begin)

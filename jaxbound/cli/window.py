@@ -1,4 +1,6 @@
-"""What a command tests by: windows of the model, those that --horizon or --lags ask for, or a set observer."""
+"""What a command tests by: windows of the model, those that --horizon or --lags ask for, or a set
+observer.
+"""
 
 import argparse
 from collections.abc import Callable
@@ -15,10 +17,12 @@ OBSERVER, JOINT = "observer", "joint"
 
 
 def observer_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Return what the arguments of a command say of an observer, as `jb.observer` takes it: only what differs from its defaults.
+    """Return what the arguments of a command say of an observer, as `jb.observer` takes it: only what differs
+    from its defaults.
 
     Args:
-        args: .method, and of an observer .horizon, .order, .observer, .span (None: the default), .latched; other methods have none.
+        args: .method, and of an observer .horizon, .order, .observer, .span (None: the default), .latched;
+            other methods have none.
     """
     if args.method != OBSERVER:
         return {}
@@ -36,12 +40,15 @@ def refuse_options(args: argparse.Namespace) -> None:
             raise ValueError(f"--span is for --observer {JOINT}")
         if args.span is not None and args.span % 2:
             raise ValueError(f"--span needs an even number of samples, not {args.span}")
-    elif given := [option for option in ("order", "latched", "observer", "span") if getattr(args, option, None)]:
+    elif given := [
+        option for option in ("order", "latched", "observer", "span") if getattr(args, option, None)
+    ]:
         raise ValueError(f"--{given[0]} is for --method {OBSERVER}")
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:
-    """Return the model with the lags that are asked for, or without its own where a horizon is: so it is kept beside what was found.
+    """Return the model with the lags that are asked for, or without its own where a horizon is: so it is kept
+    beside what was found.
 
     Raises:
         ValueError: no lags.
@@ -52,13 +59,19 @@ def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | N
 
 
 def window_relations(
-    model: LinearSystem, args: argparse.Namespace, source: object, samples: int | None, step: Callable[[str, float], object]
+    model: LinearSystem,
+    args: argparse.Namespace,
+    source: object,
+    samples: int | None,
+    step: Callable[[str, float], object],
 ) -> tuple[LinearSystem, Any]:
-    """Return (model, relations) of the windows that a command asks for, or (model, observer) with --method observer.
+    """Return (model, relations) of the windows that a command asks for, or (model, observer) with --method
+    observer.
 
     Args:
-        args: .horizon, .lags, and where the command has them .method, .order, .latched, .observer, .span. source, samples: name and length
-            of the recording, None where nobody knows. step: told how far relations are.
+        args: .horizon, .lags, and where the command has them .method, .order, .latched, .observer, .span.
+            source, samples: name and length of the recording, None where nobody knows. step: told how far
+                relations are.
 
     Raises:
         ValueError: a recording without a whole window, windows without a relation; no observer.

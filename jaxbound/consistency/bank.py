@@ -39,12 +39,18 @@ class BankTest(WindowTest):
         super().__init__(relations, "box", dtype)
         if relations.model.constant_tolerance:
             raise NotImplementedError(
-                "a bank is tested with tolerances drawn anew each sample: leave constant_tolerance out, it is wider then"
+                "a bank is tested with tolerances drawn anew each sample: leave constant_tolerance out, it "
+                "is wider then"
             )
         if relations.model.averages:
-            raise NotImplementedError("a bank looks at single samples: leave averages out, its bounds are wider then")
+            raise NotImplementedError(
+                "a bank looks at single samples: leave averages out, its bounds are wider then"
+            )
         if relations.count > MOST:
-            raise ValueError(f"a bank of {relations.count} relations is more than is tested at once, {MOST}: choose fewer parts")
+            raise ValueError(
+                f"a bank of {relations.count} relations is more than is tested at once, {MOST}: choose fewer "
+                f"parts"
+            )
 
     @cached_property
     def reading(self) -> Any:
@@ -74,16 +80,22 @@ class BankTest(WindowTest):
         return Judged(status_of_words(words, self.relations.count), margin, words)
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (relations, N) bool: which relations contradict which windows, in NumPy; see `WindowTest.contradicted`."""
+        """Return (relations, N) bool: which relations contradict which windows, in NumPy; see
+        `WindowTest.contradicted`.
+        """
         return self._host.contradicted(u, y, starts)
 
     def withdrawn(
         self, judged: Judged, at: np.ndarray, contradicted: np.ndarray, u: np.ndarray, y: np.ndarray
     ) -> tuple[Judged, np.ndarray]:
-        """Return the verdicts with UNDECIDED in place of FAULT for relations that are not contradicted; see `WindowTest.withdrawn`."""
+        """Return the verdicts with UNDECIDED in place of FAULT for relations that are not contradicted; see
+        `WindowTest.withdrawn`.
+        """
         r, s = self.relations, self.horizon
         words = np.array(judged.words)
-        words[-1] &= np.uint32(2 ** (2 * ((r.count - 1) % PACKED + 1)) - 1)  # where there is no relation nothing is said
+        words[-1] &= np.uint32(
+            2 ** (2 * ((r.count - 1) % PACKED + 1)) - 1
+        )  # where there is no relation nothing is said
         flat = words.reshape(len(words), -1)
         doubtful = np.zeros(len(at), bool)
         for number, proved in enumerate(contradicted):
@@ -99,7 +111,9 @@ class BankTest(WindowTest):
             doubtful[open_] = True
         status = status_of_words(words, r.count)
         nothing = (judged.status == Status.FAULT) & (status != Status.FAULT)
-        return Judged(status, np.where(nothing, 0, judged.margin).astype(judged.margin.dtype), words), doubtful
+        return Judged(
+            status, np.where(nothing, 0, judged.margin).astype(judged.margin.dtype), words
+        ), doubtful
 
     @cached_property
     def _exact_reading(self):
@@ -111,7 +125,9 @@ class BankTest(WindowTest):
         return host_strips(r.reading(np.float64, "box"), r.W, r.K, self.dtype)
 
     def margins(self, given: Recording) -> jax.Array:
-        """Return the unproved margins (..., T) of the relation of each window that is tightest; see `WindowTest.margins`."""
+        """Return the unproved margins (..., T) of the relation of each window that is tightest; see
+        `WindowTest.margins`.
+        """
         return StripsTest(self.relations, "box", self.dtype).margins(given)
 
 
@@ -123,8 +139,12 @@ def bank_windows(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]
 
 
 def status_of_words(words: np.ndarray, count: int) -> np.ndarray:
-    """Return the status (...) of a bank from its words: it proves FAULT, and CONSISTENT where it is a single relation."""
+    """Return the status (...) of a bank from its words: it proves FAULT, and CONSISTENT where it is a single
+    relation.
+    """
     fault = (words & (words << np.uint32(1)) & HIGH != 0).any(0)
     inside = Status.CONSISTENT if count == 1 else Status.UNDECIDED
-    status = np.where(fault, np.int8(Status.FAULT), np.where((words != 0).any(0), np.int8(inside), np.int8(Status.MISSING)))
+    status = np.where(
+        fault, np.int8(Status.FAULT), np.where((words != 0).any(0), np.int8(inside), np.int8(Status.MISSING))
+    )
     return np.where((count == 1) & ~fault & (words[0] == Status.UNDECIDED), np.int8(Status.UNDECIDED), status)

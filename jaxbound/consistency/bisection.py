@@ -1,7 +1,8 @@
 """Verdicts on a user's own residual: adaptive bisection of its unknowns, all windows on one list of boxes.
 
-CONSISTENT is proved for the samples that are computed with: as recorded, in the type of y. FAULT is proved for all samples within what a
-recording rounds away, like everywhere in this library: a window that only its last digits put outside is UNDECIDED.
+CONSISTENT is proved for the samples that are computed with: as recorded, in the type of y. FAULT is proved
+for all samples within what a recording rounds away, like everywhere in this library: a window that only its
+last digits put outside is UNDECIDED.
 """
 
 import dataclasses
@@ -31,7 +32,9 @@ BUDGET = 1000
 
 @dataclass(frozen=True)
 class _Thick:
-    """The residual over boxes and intervals of samples, as a function of Intervals: it can exclude, and needs no slopes of the samples."""
+    """The residual over boxes and intervals of samples, as a function of Intervals: it can exclude, and needs
+    no slopes of the samples.
+    """
 
     f: Callable
 
@@ -40,7 +43,8 @@ class _Thick:
 
 
 class BisectionTest(WindowTest):
-    """Bisects the unknowns of a residual: FAULT and CONSISTENT are proofs. No gauge is measured, the margin is NaN.
+    """Bisects the unknowns of a residual: FAULT and CONSISTENT are proofs. No gauge is measured, the margin
+    is NaN.
 
     Args:
         budget: boxes that may be evaluated for a window; None: `BUDGET`.
@@ -73,11 +77,18 @@ class BisectionTest(WindowTest):
         return [(status, np.full(len(status), np.nan, self.dtype)) for status in found]
 
     def margins(self, given: Recording) -> jax.Array:
-        """Raise: a residual is any function of its unknowns, and what is no set of half-widths has no common factor on them."""
-        raise NotImplementedError("a residual has no margin: its unknowns are a box, with no common factor on half-widths to be found")
+        """Raise: a residual is any function of its unknowns, and what is no set of half-widths has no common
+        factor on them.
+        """
+        raise NotImplementedError(
+            "a residual has no margin: its unknowns are a box, with no common factor on half-widths to be "
+            "found"
+        )
 
     def _judged(self, U, Y):
-        """Return the status of windows (N, s + 1, channels), their number filled up to one of two sizes, which alone are compiled."""
+        """Return the status of windows (N, s + 1, channels), their number filled up to one of two sizes,
+        which alone are compiled.
+        """
         size = self.short if len(Y) <= self.short else self.block
         status = search(self.relations, U, Y, self.budget, size).status.copy()
         outside = np.flatnonzero(status == Status.FAULT)
@@ -99,21 +110,37 @@ def search(relations: Any, U: np.ndarray, Y: np.ndarray, budget: int, size: int 
 
 
 def _exclude(relations, U, Y, budget, size):
-    """Exclude unknowns for all samples that round to the recorded ones, and all inputs that round to what is computed with."""
+    """Exclude unknowns for all samples that round to the recorded ones, and all inputs that round to what is
+    computed with.
+    """
     samples, slip = recorded(Y, RECORDER_ULPS + 2), 2 * input_slip(U)  # 2: for this computation
-    return _pave(relations, _Thick(relations.f), (U - slip, U + slip, *samples), budget, size, solutions="none", cut="widest")
+    return _pave(
+        relations,
+        _Thick(relations.f),
+        (U - slip, U + slip, *samples),
+        budget,
+        size,
+        solutions="none",
+        cut="widest",
+    )
 
 
 def _pave(relations, f, windows, budget, size, **options):
-    """Pave for every window, their number filled up to `size` by targets that are empty, which the first box excludes."""
+    """Pave for every window, their number filled up to `size` by targets that are empty, which the first box
+    excludes.
+    """
     count, dtype = len(windows[0]), np.result_type(relations.box.dtype, windows[-1].dtype)
     box = Interval(*(np.asarray(end).astype(dtype) for end in (relations.box.lo, relations.box.hi)))
     args = tuple(np.concatenate([x, np.zeros((size - count, *x.shape[1:]), x.dtype)]) for x in windows)
-    filler = np.repeat((np.arange(size) >= count)[:, None], relations.shape(windows[0].shape[-1], windows[-1].shape[-1]), 1)
+    filler = np.repeat(
+        (np.arange(size) >= count)[:, None], relations.shape(windows[0].shape[-1], windows[-1].shape[-1]), 1
+    )
     target = Interval(np.where(filler, np.inf, 0).astype(dtype), np.where(filler, -np.inf, 0).astype(dtype))
     depth = box.shape[0] * (np.finfo(dtype).nmant + 1) // 2
     found = pave(f, box, target, max_boxes=budget, max_depth=depth, args=args, **options)
-    return dataclasses.replace(found, status=np.asarray(found.status)[:count], evaluated=found.evaluated[:count])
+    return dataclasses.replace(
+        found, status=np.asarray(found.status)[:count], evaluated=found.evaluated[:count]
+    )
 
 
 @dataclass(frozen=True)
@@ -129,6 +156,8 @@ class flat:
 
 
 def recorded(y: Any, ulps: float) -> tuple[Any, Any]:
-    """Return (lo, hi) of what was recorded as y (N, s + 1, p): samples are known to so many unit roundoffs of the largest in the window."""
+    """Return (lo, hi) of what was recorded as y (N, s + 1, p): samples are known to so many unit roundoffs of
+    the largest in the window.
+    """
     spread = ulps * rounding.unit(y.dtype) * np.abs(y).max(1, keepdims=True) + 2 * rounding.tiny(y.dtype)
     return y - spread, y + spread

@@ -1,14 +1,19 @@
-"""Sensor tolerances that keep one value over a window: search the gains, keep the exact strips for everything else.
+"""Sensor tolerances that keep one value over a window: search the gains, keep the exact strips for everything
+else.
 
-A reading is y = (1 + theta_i) t + delta, theta_i the same in all samples of output i, so the set of explanations is no zonotope. But
-for given gains g_i = 1 / (1 + theta_i) it is one, whose strips are linear in g: per circuit h (with k on the inputs)
+A reading is y = (1 + theta_i) t + delta, theta_i the same in all samples of output i, so the set of
+explanations is no zonotope. But for given gains g_i = 1 / (1 + theta_i) it is one, whose strips are linear in
+g: per circuit h (with k on the inputs)
 
-    |sum_i g_i a_i - b| <= sum_i g_i e_i,    a_i = sum_j h_ij d_ij,  e_i = sum_j |h_ij| rho_i,  b = k v,    d = y - offset      (strip)
+    |sum_i g_i a_i - b| <= sum_i g_i e_i,  a_i = sum_j h_ij d_ij,  e_i = sum_j |h_ij| rho_i,
+    b = k v,  d = y - offset                                                          (strip)
 
-Disturbances are rows with the gain 1. A box of gains is narrowed by every strip to where it can hold; nothing left proves FAULT, a point
-that keeps all strips proves CONSISTENT, and what is neither is cut in two: one list of boxes of p gains for all windows of a recording.
+Disturbances are rows with the gain 1. A box of gains is narrowed by every strip to where it can hold; nothing
+left proves FAULT, a point that keeps all strips proves CONSISTENT, and what is neither is cut in two: one
+list of boxes of p gains for all windows of a recording.
 
-Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999; narrowing by linear inequalities: Davis 1987.
+Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999; narrowing by linear
+inequalities: Davis 1987.
 """
 
 import dataclasses
@@ -41,36 +46,48 @@ OPEN = 4  # beside the Status of a window: to be searched on
 
 
 class ConstantTest(WindowTest):
-    """Searches for gains, the same in all samples of a window, that explain it: FAULT and CONSISTENT are proofs.
+    """Searches for gains, the same in all samples of a window, that explain it: FAULT and CONSISTENT are
+    proofs.
 
-    The sign of the margin is that of the verdict, its size that of the best gains found: 1 - t, t not below the true factor, but seldom
-    30 % above it.
+    The sign of the margin is that of the verdict, its size that of the best gains found: 1 - t, t not below
+    the true factor, but seldom 30 % above it.
     """
 
     @property
     def block(self) -> int:
-        """How many windows are judged at once: fewer where there are many strips, all of which are kept for a block."""
+        """How many windows are judged at once: fewer where there are many strips, all of which are kept for a
+        block.
+        """
         shape = self.reading.shape
         entries = len(shape.h) * 2 * (len(self.reading.noise) + 2)
         return min(BLOCK, max(2**5, 2 ** int(np.log2(HELD / (entries * self.dtype.itemsize)))))
 
-    short = property(lambda self: self.block, doc="How many windows are judged at once where there are few: another size, other bits.")
+    short = property(
+        lambda self: self.block,
+        doc="How many windows are judged at once where there are few: another size, other bits.",
+    )
 
     def judge(self, run: Callable, blocks: list) -> list:
         """Return (status, margin, open) of windows, each by one box of gains."""
         said = ((np.asarray(status), margin) for status, margin in run(_first, blocks))
         return [(status, margin, status == OPEN) for status, margin in said]
 
-    def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
+    def settle(
+        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+    ) -> None:
         """Cut the box of gains of those windows that it does not decide as a whole."""
         if len(left):
             status, margin = outs
             at = left + self.horizon
             status[at] = self._search(u, y, left)
-            margin[at] = np.where(status[at] == Status.UNDECIDED, 0, signed(margin[at], status[at] == Status.CONSISTENT))
+            margin[at] = np.where(
+                status[at] == Status.UNDECIDED, 0, signed(margin[at], status[at] == Status.CONSISTENT)
+            )
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (N,) bool: which windows one strip contradicts whatever the gains, in NumPy; see `WindowTest.contradicted`."""
+        """Return (N,) bool: which windows one strip contradicts whatever the gains, in NumPy; see
+        `WindowTest.contradicted`.
+        """
         return self._host.contradicted(u, y, starts).any(0)
 
     @cached_property
@@ -81,23 +98,36 @@ class ConstantTest(WindowTest):
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
-        raise NotImplementedError("margins has no fast path for constant_tolerance, whose gains are searched for: use detect(...).margin")
+        raise NotImplementedError(
+            "margins has no fast path for constant_tolerance, whose gains are searched for: use "
+            "detect(...).margin"
+        )
 
     def _search(self, u, y, starts):
         """Return the status of windows that one box of gains does not decide."""
         test, given = self.reading, gather(u, y, starts, self.lags, self.horizon)
         on_device = jax.device_put(test)
         lo, hi = (np.asarray(x) for x in gain_bounds(test, np)[:2])
-        judge = lambda lo, hi, owner: _boxes(on_device, *(x[..., owner] for x in given), lo, hi)  # any number of windows compiles once
-        found = explore(judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(min(2**10, self.block),))
-        status = np.where(np.bincount(found.owner, minlength=len(starts)) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+        judge = lambda lo, hi, owner: _boxes(
+            on_device, *(x[..., owner] for x in given), lo, hi
+        )  # any number of windows compiles once
+        found = explore(
+            judge, lo, hi, len(starts), DEPTH, BOXES, "kernel", first=True, sizes=(min(2**10, self.block),)
+        )
+        status = np.where(
+            np.bincount(found.owner, minlength=len(starts)) == 0,
+            np.int8(Status.FAULT),
+            np.int8(Status.UNDECIDED),
+        )
         status[found.proofs[2]] = Status.CONSISTENT
         missing = np.isnan(given[0]).any((0, 1)) if given[0].size else np.zeros(len(starts), bool)
         return np.where((status == Status.CONSISTENT) & missing, np.int8(Status.UNDECIDED), status)
 
 
 def gain_bounds(test: Any, xp: Any) -> tuple:
-    """Return (lo, hi, inner_lo, inner_hi): a box of gains that holds [1 / (1 + sigma), 1 / (1 - sigma)], and one inside it that holds 1."""
+    """Return (lo, hi, inner_lo, inner_hi): a box of gains that holds [1 / (1 + sigma), 1 / (1 - sigma)], and
+    one inside it that holds 1.
+    """
     u4 = 4 * rounding.unit(test.noise.dtype)
     low, high = 1 / (1 + test.tolerance), 1 / (1 - test.tolerance)
     fixed = test.tolerance == 0
@@ -113,7 +143,9 @@ def _first(test, u, y):
     strips, silent = _strips(test, u, y)
     lo, hi = (jnp.repeat(end[:, None], y.shape[2], 1) for end in gain_bounds(test, jnp)[:2])
     out, fits, present, _, _, point, _ = _judge(test, strips, lo, hi)
-    status = jnp.where(out, Status.FAULT, jnp.where(fits, jnp.where(silent, Status.UNDECIDED, Status.CONSISTENT), OPEN))
+    status = jnp.where(
+        out, Status.FAULT, jnp.where(fits, jnp.where(silent, Status.UNDECIDED, Status.CONSISTENT), OPEN)
+    )
     margin = 1 - _factor(test, strips, point)
     margin = jnp.where(status == OPEN, margin, signed(margin, fits))
     return jnp.where(present, status, Status.MISSING).astype(jnp.int8), jnp.where(present, margin, jnp.nan)
@@ -122,8 +154,11 @@ def _first(test, u, y):
 def signed(margin: Any, inside: Any) -> Any:
     """Give a margin the sign that was proved."""
     least = 1e-6
-    return np.where(inside, np.maximum(margin, least), np.minimum(margin, -least)) if isinstance(margin, np.ndarray) else jnp.where(
-        inside, jnp.maximum(margin, least), jnp.minimum(margin, -least))  # fmt: skip
+    return (
+        np.where(inside, np.maximum(margin, least), np.minimum(margin, -least))
+        if isinstance(margin, np.ndarray)
+        else jnp.where(inside, jnp.maximum(margin, least), jnp.minimum(margin, -least))
+    )
 
 
 @kernel
@@ -137,8 +172,8 @@ def _boxes(test, u, y, lo, hi):
 class _Strip(NamedTuple):
     """One circuit over N windows, or all of them with one axis more in front.
 
-    Fields: a, e (g, N), an entry a gain; b (N,); slack (N,), what rounding may change in one side; usable (N,), where that is small
-    enough to compare; absent (N,), where a sample is missing.
+    Fields: a, e (g, N), an entry a gain; b (N,); slack (N,), what rounding may change in one side; usable
+    (N,), where that is small enough to compare; absent (N,), where a sample is missing.
     """
 
     a: jax.Array
@@ -150,14 +185,20 @@ class _Strip(NamedTuple):
 
 
 def _strips(test, u, y):
-    """Return (strips of all circuits, whether a missing input silences one) of windows u (lags, m, N), y (s + 1, p, N)."""
+    """Return (strips of all circuits, whether a missing input silences one) of windows u (lags, m, N), y (s +
+    1, p, N).
+    """
     rows = dataclasses.replace(test, tolerance=jnp.zeros_like(test.tolerance)).block(u, y)
-    strips = jax.lax.map(lambda circuit: _strip(test, rows, *circuit), (test.shape.rows, test.shape.h, test.shape.k))
+    strips = jax.lax.map(
+        lambda circuit: _strip(test, rows, *circuit), (test.shape.rows, test.shape.h, test.shape.k)
+    )
     return strips, test.silenced(rows[3])
 
 
 def _strip(test, rows, support, h, k) -> _Strip:
-    """Return the strip of one circuit; sums are loops, so that what compiles is small whatever the horizon."""
+    """Return the strip of one circuit; sums are loops, so that what compiles is small whatever the
+    horizon.
+    """
     mid, rad, scale, known, known_scale = rows
     p, outputs, windows = len(test.noise), len(test.noise) * (test.horizon + 1), mid.shape[1]
     gains = p + min(1, len(test.disturbance))
@@ -166,7 +207,11 @@ def _strip(test, rows, support, h, k) -> _Strip:
     def term(j, total):
         a, e, magnitude = total
         i, share = support[j], jnp.where(jnp.arange(gains) == gain[j], h[j], 0)[:, None]
-        return a + share * mid[i][None], e + jnp.abs(share) * rad[i][None], magnitude + jnp.abs(h[j]) * scale[i]
+        return (
+            a + share * mid[i][None],
+            e + jnp.abs(share) * rad[i][None],
+            magnitude + jnp.abs(h[j]) * scale[i],
+        )
 
     def reach(j, total):  # a missing value counts only where it is used
         b, magnitude = total
@@ -175,17 +220,21 @@ def _strip(test, rows, support, h, k) -> _Strip:
 
     none = jnp.zeros((gains, windows), mid.dtype)
     a, e, magnitude = jax.lax.fori_loop(0, len(h), term, (none, none, none[0]))
-    b, magnitude = jax.lax.fori_loop(0, len(k), reach, (none[0], magnitude)) if len(k) else (none[0], magnitude)
+    b, magnitude = (
+        jax.lax.fori_loop(0, len(k), reach, (none[0], magnitude)) if len(k) else (none[0], magnitude)
+    )
     slack, usable = _slack(test, magnitude)
     return _Strip(a, e, b, slack, usable, jnp.isnan(magnitude))
 
 
 def _slack(test, magnitude):
-    """Return what rounding may change in one side of a strip, for any gains that count, and where that is small enough to compare.
+    """Return what rounding may change in one side of a strip, for any gains that count, and where that is
+    small enough to compare.
 
-    A strip here has no more roundings than in `rounding.residual_error`, with the row g d for m: 3 u g (|y| + |offset|) instead of
-    5 u (1 + sigma) (..), then the coefficient, the product and the sum. Narrowing adds the sum over gains, a difference and a quotient;
-    the factor 2 covers them for up to as many gains as terms.
+    A strip here has no more roundings than in `rounding.residual_error`, with the row g d for m: 3 u g (|y| +
+    |offset|) instead of 5 u (1 + sigma) (..), then the coefficient, the product and the sum. Narrowing adds
+    the sum over gains, a difference and a quotient; the factor 2 covers them for up to as many gains as
+    terms.
     """
     terms = test.shape.h.shape[1] + test.shape.k.shape[1] + len(test.noise)
     gamma, floor = rounding.residual_error(terms, magnitude.dtype)
@@ -203,14 +252,18 @@ def _fold(step, carry, strips):
 def _judge(test, strips, lo, hi):
     """Judge one box of gains (g, N) for each window: (out, fits, present, lo, hi, point, axis).
 
-    out: proved that no gains of the box keep all strips. fits: the gains `point`, within the tolerance, are proved to keep them. present:
-    some circuit has all its data. lo, hi: the box without parts where a strip fails. axis: the gain that moves the strips most.
+    out: proved that no gains of the box keep all strips. fits: the gains `point`, within the tolerance, are
+    proved to keep them. present: some circuit has all its data. lo, hi: the box without parts where a strip
+    fails. axis: the gain that moves the strips most.
     """
 
     def narrow(carry, strip):
         lo, hi, out = carry
         usable = strip.usable
-        for slope, least in ((strip.a + strip.e, strip.b - strip.slack), (strip.e - strip.a, -strip.b - strip.slack)):
+        for slope, least in (
+            (strip.a + strip.e, strip.b - strip.slack),
+            (strip.e - strip.a, -strip.b - strip.slack),
+        ):
             lo, hi, missed = narrowed(lo, hi, jnp.where(usable[None], slope, 0), jnp.where(usable, least, -1))
             out = out | missed
         return lo, hi, out
@@ -233,7 +286,9 @@ def _dot(x, y):
     return jnp.sum(x * y, 0)
 
 
-def narrowed(lo: jax.Array, hi: jax.Array, slope: jax.Array, least: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def narrowed(
+    lo: jax.Array, hi: jax.Array, slope: jax.Array, least: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the box without parts where sum_i g_i slope_i < least, and whether nothing is left."""
     most = jnp.maximum(lo * slope, hi * slope)
     total = jnp.sum(most, 0)
@@ -247,10 +302,12 @@ def narrowed(lo: jax.Array, hi: jax.Array, slope: jax.Array, least: jax.Array) -
 def _factor(test, strips, guess):
     """Return t, the factor on all bounds at which the best gains found explain a window; not rounded.
 
-    Bisection between a factor that some gains reach and one that is taken to be too small: where narrowing the gains by it leaves
-    nothing, or the middle of what it leaves does not reach it.
+    Bisection between a factor that some gains reach and one that is taken to be too small: where narrowing
+    the gains by it leaves nothing, or the middle of what it leaves does not reach it.
     """
-    sigma = jnp.concatenate([test.tolerance, jnp.zeros_like(test.noise, shape=min(1, len(test.disturbance)))])[:, None]
+    sigma = jnp.concatenate(
+        [test.tolerance, jnp.zeros_like(test.noise, shape=min(1, len(test.disturbance)))]
+    )[:, None]
 
     def factor(g):
         own = jnp.max(jnp.where(sigma > 0, jnp.abs(1 / g - 1) / jnp.where(sigma > 0, sigma, 1), 0), 0)

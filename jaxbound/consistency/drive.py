@@ -1,7 +1,9 @@
-"""The one driver of windows: a WindowTest over a Recording, in blocks of a fixed size: recordings of any length share a compilation.
+"""The one driver of windows: a WindowTest over a Recording, in blocks of a fixed size: recordings of any
+length share a compilation.
 
-The recordings of a batch are laid end to end; windows across two of them, or across a gap, are MISSING like any warm-up. Short windows are
-tested on contiguous stretches, since gathering costs the speed of the memory; others are gathered, only those that count.
+The recordings of a batch are laid end to end; windows across two of them, or across a gap, are MISSING like
+any warm-up. Short windows are tested on contiguous stretches, since gathering costs the speed of the memory;
+others are gathered, only those that count.
 """
 
 import contextlib
@@ -32,8 +34,11 @@ AHEAD = 3  # groups of blocks that are under way at once
 AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many
 
 
-def drive(test: WindowTest | Observer, given: Recording, progress: Callable | None = None, size: int | None = None) -> Any:
-    """Return the verdicts (..., T) of all windows of a recording, or of a batch of one length; of an Observer what it judges of one.
+def drive(
+    test: WindowTest | Observer, given: Recording, progress: Callable | None = None, size: int | None = None
+) -> Any:
+    """Return the verdicts (..., T) of all windows of a recording, or of a batch of one length; of an Observer
+    what it judges of one.
 
     Args:
         test: from `relations.test`, or an Observer. progress: called with the share of the work done.
@@ -44,8 +49,17 @@ def drive(test: WindowTest | Observer, given: Recording, progress: Callable | No
     return windows(test, given.u, given.y, given.starts, progress, size)
 
 
-def windows(test: WindowTest, u: Any, y: Any, starts: np.ndarray, progress: Callable | None = None, size: int | None = None) -> Any:
-    """Return what `drive` does of a Recording of these samples, u (..., T, m), y (..., T, p), with these starts."""
+def windows(
+    test: WindowTest,
+    u: Any,
+    y: Any,
+    starts: np.ndarray,
+    progress: Callable | None = None,
+    size: int | None = None,
+) -> Any:
+    """Return what `drive` does of a Recording of these samples, u (..., T, m), y (..., T, p), with these
+    starts.
+    """
     s, shape = test.horizon, y.shape[:-1]
     u, y = _end_to_end(u), _end_to_end(y)
     gone: np.ndarray | slice
@@ -60,7 +74,9 @@ def windows(test: WindowTest, u: Any, y: Any, starts: np.ndarray, progress: Call
     judged = test.judged([out.reshape(shape) for out in outs])
     if test.twice or is_outside_xla() or not isinstance(judged, Judged):
         return judged
-    return decided_twice(test, judged, u, y, lambda ends: _contradicted(test, u, y, ends - s, size or test.block))
+    return decided_twice(
+        test, judged, u, y, lambda ends: _contradicted(test, u, y, ends - s, size or test.block)
+    )
 
 
 def _contradicted(test, u, y, starts, size):
@@ -69,11 +85,16 @@ def _contradicted(test, u, y, starts, size):
     if not test.replayed:
         return test.exactly(found, u, y, starts)
     left = np.flatnonzero(~found)
-    size = max(size, AGAIN) if len(left) >= AGAIN and test.block < AGAIN else size  # another one is another program to write down
+    size = (
+        max(size, AGAIN) if len(left) >= AGAIN and test.block < AGAIN else size
+    )  # another one is another program to write down
     for first in range(0, len(left), size):
         chosen = left[first : first + size]
         at = starts[chosen, None] + np.arange(test.horizon + 1)
-        with outside_xla(), contextlib.suppress(NotImplementedError):  # a primitive of a newer jax: then nothing is confirmed
+        with (
+            outside_xla(),
+            contextlib.suppress(NotImplementedError),
+        ):  # a primitive of a newer jax: then nothing is confirmed
             judged = windows(test, u[at], y[at], NOWHERE, size=size)
             found[chosen] = judged.status[:, -1] == Status.FAULT
     return found
@@ -162,7 +183,9 @@ def _gathered(test, u, y, length, gone, size, report):
 
 
 def _over_windows(test, u, y, starts, outs, size, report):
-    """Judge the windows that start at `starts`, write what is found, and return the starts of those that are left open."""
+    """Judge the windows that start at `starts`, write what is found, and return the starts of those that are
+    left open.
+    """
     s, devices = test.horizon, usable_devices()[: None if len(starts) > size else 1]
     devices = devices[:1] if is_outside_xla() else devices
     together = size * len(devices) if test.sharded else size
@@ -172,7 +195,9 @@ def _over_windows(test, u, y, starts, outs, size, report):
 
     def work(_, group):
         parts = [group[i : i + size] for i in range(0, len(group), size)]
-        full = [c.take(np.arange(size), mode="clip") if test.padded else c for c in parts]  # the last window again and again
+        full = [
+            c.take(np.arange(size), mode="clip") if test.padded else c for c in parts
+        ]  # the last window again and again
         return list(zip(parts, test.judge(run, [gather(u, y, c, test.lags, s) for c in full]), strict=True))
 
     def beside(number, group, wide, default):
@@ -201,7 +226,9 @@ def _over_windows(test, u, y, starts, outs, size, report):
                 left.append(collect(pending.pop(0)))
         left += [collect(judged) for judged in pending]
     else:
-        wide = jax.dtypes.canonicalize_dtype(float) == np.float64  # of this thread, perhaps, like the default device
+        wide = (
+            jax.dtypes.canonicalize_dtype(float) == np.float64
+        )  # of this thread, perhaps, like the default device
         job = partial(beside, wide=bool(wide), default=default_device())
         with ThreadPoolExecutor(workers) as pool:  # compiled code runs outside the interpreter's lock
             left = [collect(found) for found in pool.map(job, numbers, groups)]

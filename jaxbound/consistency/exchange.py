@@ -1,7 +1,9 @@
-"""Verdicts for relations whose circuits are too many to enumerate: the exchange search of `sets.strips.separation` over blocks of windows.
+"""Verdicts for relations whose circuits are too many to enumerate: the exchange search of
+`sets.strips.separation` over blocks of windows.
 
-Windows are gathered into blocks of one fixed size. Those that a first, short search leaves open are gathered again and searched on; those
-that lack a sample on which the search is built get an exact frame without it, shared by all windows that it fits.
+Windows are gathered into blocks of one fixed size. Those that a first, short search leaves open are gathered
+again and searched on; those that lack a sample on which the search is built get an exact frame without it,
+shared by all windows that it fits.
 """
 
 import dataclasses
@@ -26,7 +28,15 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import separation
 
-__all__ = ["PATIENCE", "ExchangeTest", "candidates", "exchange_margins", "imaged", "rounded_frame", "verdicts"]
+__all__ = [
+    "PATIENCE",
+    "ExchangeTest",
+    "candidates",
+    "exchange_margins",
+    "imaged",
+    "rounded_frame",
+    "verdicts",
+]
 
 CONSISTENT, UNDECIDED, FAULT = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
 PATIENCE = 10
@@ -34,24 +44,29 @@ PATIENCE = 10
 LARGE = 2048
 """Numbers of a window that an exchange changes, above which fewer stand side by side."""
 FINER = (1.0, 3e-4, 1e-5, 0.03, 0.0, 0.3, 1e-4, 3e-6, 3e-3)
-"""Searches after which a window stays undecided, see `separation_search`: one in some thousands needs more than the first."""
+"""Searches after which a window stays undecided, see `separation_search`: one in some thousands needs more
+than the first.
+"""
 
 
 class ExchangeTest(WindowTest):
-    """Searches for the combination of relations that speaks most against a window, or the behaviour that explains it.
+    """Searches for the combination of relations that speaks most against a window, or the behaviour that
+    explains it.
 
-    Both verdicts are proofs. Windows that a first, short search leaves open are searched on; those that lack a sample on which the search
-    is built get an exact frame without it, shared by all windows that it fits.
+    Both verdicts are proofs. Windows that a first, short search leaves open are searched on; those that lack
+    a sample on which the search is built get an exact frame without it, shared by all windows that it fits.
 
     Args:
-        reading: how kernels read a window, with the frame of this search; None: that of the relations. steps, finer: of
-            `separation.separation_search`.
+        reading: how kernels read a window, with the frame of this search; None: that of the relations. steps,
+            finer: of `separation.separation_search`.
     """
 
     threads = twice = True
     short = 16  # the work grows with the block
 
-    def __init__(self, relations: Any, dtype: Any, reading: Any = None, steps: int | None = None, finer: float = 1.0) -> None:
+    def __init__(
+        self, relations: Any, dtype: Any, reading: Any = None, steps: int | None = None, finer: float = 1.0
+    ) -> None:
         super().__init__(relations, "joint", dtype)
         self.finer = finer
         if reading is not None:
@@ -74,12 +89,16 @@ class ExchangeTest(WindowTest):
         return ((self.dtype, np.nan),)
 
     def judge(self, run: Callable, blocks: list) -> list:
-        """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real arrays, as proofs need."""
+        """Return (margin, open): proofs, in a second kernel, of what a first one finds; between them are real
+        arrays, as proofs need.
+        """
         ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
         searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
         judged = run(verdicts, [(one, *found) for one, found in zip(ones, searched, strict=True)])
         decided = (
-            self._twice.decided(margin, partial(self._by_hints, block, found), partial(self._contradicted, block, found))
+            self._twice.decided(
+                margin, partial(self._by_hints, block, found), partial(self._contradicted, block, found)
+            )
             for block, found, (margin, _) in zip(blocks, searched, judged, strict=True)
         )
         return [(margin, ~np.asarray(settled)) for margin, (_, settled) in zip(decided, judged, strict=True)]
@@ -89,12 +108,20 @@ class ExchangeTest(WindowTest):
         return Twice(self.block)
 
     def _by_hints(self, block, found, at):
-        """Return the margins of some windows of a block, in NumPy from their samples, by what the search found for them."""
-        one, (u, y), (h, d, done) = np.ones(len(at), self.dtype), (x[..., at] for x in block), (np.asarray(x)[..., at] for x in found[:3])
+        """Return the margins of some windows of a block, in NumPy from their samples, by what the search
+        found for them.
+        """
+        one, (u, y), (h, d, done) = (
+            np.ones(len(at), self.dtype),
+            (x[..., at] for x in block),
+            (np.asarray(x)[..., at] for x in found[:3]),
+        )
         return verdicts(self.constants, one, h, d, done, *imaged(self.constants, one, u, y))[0]
 
     def _contradicted(self, block, found, at):
-        """Return which windows of a block the combinations that the search found contradict; see `contradicted_by`."""
+        """Return which windows of a block the combinations that the search found contradict; see
+        `contradicted_by`.
+        """
         if self.reading.filters:
             return np.zeros(len(at), bool)
         u, y = (x[..., at] for x in block)
@@ -107,17 +134,27 @@ class ExchangeTest(WindowTest):
             values = np.where(nothing & (abs(margin[at]) > 0), margin[at], values)
         margin[at] = values
 
-    def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
-        """Decide what rounding leaves open far from the boundary, then search on with frames that fit the samples that are there."""
+    def settle(
+        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+    ) -> None:
+        """Decide what rounding leaves open far from the boundary, then search on with frames that fit the
+        samples that are there.
+        """
         (margin,), s = outs, self.horizon
         self._whole_numbers(u, y, margin)
         k = len(self.relations.frame.inner)
         for frame, chosen in self._frames(u, y, left):
             starts = left[chosen]
             own = frame is self.relations.frame
-            reading = self.reading if own else dataclasses.replace(self.reading, shape=rounded_frame(self.relations, frame, self.dtype))
+            reading = (
+                self.reading
+                if own
+                else dataclasses.replace(self.reading, shape=rounded_frame(self.relations, frame, self.dtype))
+            )
             for finer in FINER:
-                starts = again(ExchangeTest(self.relations, self.dtype, reading, PATIENCE * (k + 10), finer), starts)
+                starts = again(
+                    ExchangeTest(self.relations, self.dtype, reading, PATIENCE * (k + 10), finer), starts
+                )
                 starts = starts[margin[starts + s] == 0]  # what is proved needs no other search
                 if not len(starts):
                     break
@@ -125,7 +162,9 @@ class ExchangeTest(WindowTest):
     def judged(self, outs: list) -> Judged:
         """Return the verdicts that the margins say."""
         (margin,) = outs
-        return Judged(CONSISTENT * (margin > 0) + UNDECIDED * (margin == 0) + FAULT * (margin < 0), margin)  # NaN: MISSING, which is 0
+        return Judged(
+            CONSISTENT * (margin > 0) + UNDECIDED * (margin == 0) + FAULT * (margin < 0), margin
+        )  # NaN: MISSING, which is 0
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
@@ -138,14 +177,18 @@ class ExchangeTest(WindowTest):
         starts = starts[whole_numbers.thin(self.reading, *self._gather(u, y, starts))]
         for frame, chosen in self._frames(u, y, starts):
             windows = gather(u, y, starts[chosen], self.lags, self.horizon)
-            margin[starts[chosen] + self.horizon] = whole_numbers.exact_search(self.relations, self.reading, frame, *windows)
+            margin[starts[chosen] + self.horizon] = whole_numbers.exact_search(
+                self.relations, self.reading, frame, *windows
+            )
 
     def _gather(self, u, y, starts):
         u, y = gather(u, y, starts, self.lags, self.horizon)
         return u, self.reading.seen(y)
 
     def _frames(self, u, y, starts):
-        """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it has."""
+        """Return [(exact frame, numbers of windows)]: for every window a frame whose inner rows and inputs it
+        has.
+        """
         if not len(starts):
             return []
         gathered = gather(u, y, starts, self.lags, self.horizon)
@@ -155,7 +198,10 @@ class ExchangeTest(WindowTest):
         frames, numbers = [self.relations.frame], []
         by_inputs: dict[tuple[int, ...], list[int]] = {(): [0]}
         for pattern in patterns:
-            gone, inputs = set(np.flatnonzero(pattern[:rows]).tolist()), tuple(np.flatnonzero(pattern[rows:]).tolist())
+            gone, inputs = (
+                set(np.flatnonzero(pattern[:rows]).tolist()),
+                tuple(np.flatnonzero(pattern[rows:]).tolist()),
+            )
             number = next((i for i in by_inputs.get(inputs, ()) if _fits(frames[i], gone, inputs)), None)
             if number is None:
                 number = len(frames)
@@ -168,7 +214,9 @@ class ExchangeTest(WindowTest):
 
 @jax.jit
 def exchange_margins(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): NaN where data are missing."""
+    """Return the unproved margins (T - s,) of one recording u (T, m), y (T, p): NaN where data are
+    missing.
+    """
     return _given_margins(test, u, y)
 
 
@@ -177,17 +225,23 @@ def _given_margins(test: Any, u: jax.Array, y: jax.Array, best: jax.Array | None
     if best is None:
         found = _over_blocks(lambda *rows: separation.separation_margin(test.shape, *rows), test, u, y)
     else:
-        found = _over_blocks(lambda mid, rad, known, best: separation.margin_of(best, mid, rad, known), test, u, y, best)
+        found = _over_blocks(
+            lambda mid, rad, known, best: separation.margin_of(best, mid, rad, known), test, u, y, best
+        )
     return found.reshape(-1)[: y.shape[0] - test.horizon]
 
 
 def _best(test: Any, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the combinations (blocks, rows + l, N) that speak most against each window: margins and their derivatives follow from them."""
+    """Return the combinations (blocks, rows + l, N) that speak most against each window: margins and their
+    derivatives follow from them.
+    """
     return _over_blocks(lambda *rows: separation.separation_best(test.shape, *rows), test, u, y)
 
 
 def _over_blocks(kernel, test, u, y, *more):
-    """Return what kernel(mid, rad, known, *one of each of more) gives of all windows of a recording, block after block."""
+    """Return what kernel(mid, rad, known, *one of each of more) gives of all windows of a recording, block
+    after block.
+    """
     count, size = y.shape[0] - test.horizon, _block_of(test.shape)
     blocks = -(-count // size)
     fill = lambda x: jnp.pad(x, ((0, blocks * size - count), (0, 0)), mode="edge")
@@ -195,7 +249,9 @@ def _over_blocks(kernel, test, u, y, *more):
 
     def one_block(given):
         first, *rest = given
-        take = lambda x, lags: jnp.moveaxis(x[first + jnp.arange(lags)[:, None] + jnp.arange(size)[None]], 1, 2)
+        take = lambda x, lags: jnp.moveaxis(
+            x[first + jnp.arange(lags)[:, None] + jnp.arange(size)[None]], 1, 2
+        )
         mid, rad, _, known, _ = test.block(take(u, test.lags), take(y, test.horizon + 1))
         return kernel(mid, rad, known, *rest)
 
@@ -204,7 +260,9 @@ def _over_blocks(kernel, test, u, y, *more):
 
 @kernel
 def candidates(given: Any, one: jax.Array, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ...]:
-    """Return the combinations (h, d, done) that speak most against each window of a block, and their `Image`; nothing is proved yet."""
+    """Return the combinations (h, d, done) that speak most against each window of a block, and their `Image`;
+    nothing is proved yet.
+    """
     test, steps, finer = given
     image = _imaged(given, one, u, y)
     return *separation.separation_search(test.shape, image, one, steps, finer), *image
@@ -221,7 +279,9 @@ imaged = kernel(_imaged)
 
 
 @kernel
-def verdicts(given: Any, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array) -> tuple[jax.Array, jax.Array]:
+def verdicts(
+    given: Any, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled) of the windows of a block, proved from what `candidates` found."""
     test, *_ = given
     return separation.separation_verdict(test.shape, separation.Image(*image), one, h, d, done)
@@ -242,6 +302,10 @@ def rounded_frame(relations: Any, frame: linalg.Frame, dtype: Any) -> separation
 
 
 def _fits(frame, gone, inputs):
-    """Say whether a frame serves windows without the rows `gone` and the inputs `inputs`, which it was made without."""
+    """Say whether a frame serves windows without the rows `gone` and the inputs `inputs`, which it was made
+    without.
+    """
     relations = zip(frame.used, frame.outer, frame.K, strict=True)
-    return gone.isdisjoint(frame.inner) and not any(row[b] for used, j, row in relations if used and j not in gone for b in inputs)
+    return gone.isdisjoint(frame.inner) and not any(
+        row[b] for used, j, row in relations if used and j not in gone for b in inputs
+    )

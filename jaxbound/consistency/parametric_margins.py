@@ -1,12 +1,15 @@
-"""Numbers to tune by, for models with uncertain parameters: how far out a window is, and what the linearized test lacks. No proofs.
+"""Numbers to tune by, for models with uncertain parameters: how far out a window is, and what the linearized
+test lacks. No proofs.
 
-The margin is that of the joint test, 1 - t with t = min { max_j |z_j| : c + G z = 0 } = max over h of |h c| / sum_j |h g_j|. Its derivative
-is that of a linear program, h (dc + dG z) / sum_j |h g_j| with both optima held. The compensation that a window needs is the largest excess
-of |h c| over sum_j |h g_j| beside sum_i |h_i|,
+The margin is that of the joint test, 1 - t with t = min { max_j |z_j| : c + G z = 0 } = max over h of |h c| /
+sum_j |h g_j|. Its derivative is that of a linear program, h (dc + dG z) / sum_j |h g_j| with both optima
+held. The compensation that a window needs is the largest excess of |h c| over sum_j |h g_j| beside sum_i
+|h_i|,
 
     e = max over h of (|h c| - sum_j |h g_j|) / sum_i |h_i|,
 
-found by Newton's method: h is the worst direction of the set widened by the e so far, a convex problem with finitely many h.
+found by Newton's method: h is the worst direction of the set widened by the e so far, a convex problem with
+finitely many h.
 Source: Dinkelbach 1967.
 """
 
@@ -42,7 +45,8 @@ STEPS = 30
 def parametric_margins(relations: Any, u: Any, y: Any) -> jax.Array:
     """Return the unproved margins (..., T), NaN where a window has no usable data. See `consistency.margins`.
 
-    Where u or y are traced nobody knows what is missing: windows that lack a sample which a relation needs are NaN.
+    Where u or y are traced nobody knows what is missing: windows that lack a sample which a relation needs
+    are NaN.
     """
     shape, s = y.shape[:-1], relations.horizon
     u, y = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
@@ -61,7 +65,9 @@ def parametric_margins(relations: Any, u: Any, y: Any) -> jax.Array:
 
 
 def needed_compensation(relations: Any, given: Recording, share: float) -> Any:
-    """Return the least compensation that is enough for all windows of a Recording but a share of them; see `compensation`."""
+    """Return the least compensation that is enough for all windows of a Recording but a share of them; see
+    `compensation`.
+    """
     u, y, across = np.asarray(given.u), np.asarray(given.y), given.across(relations.horizon)
     T = y.shape[-2]
     u, y = (x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y))
@@ -73,19 +79,25 @@ def needed_compensation(relations: Any, given: Recording, share: float) -> Any:
     ]
     needs = np.sort(np.concatenate([*parts, np.zeros(0)]))
     if not len(needs):
-        raise ValueError(f"no window of {relations.horizon + 1} samples has data: nothing says what compensation is needed")
+        raise ValueError(
+            f"no window of {relations.horizon + 1} samples has data: nothing says what compensation is needed"
+        )
     return float(needs[len(needs) - 1 - math.floor(share * len(needs))])
 
 
 def _over_blocks(kernel, relations, u, y, starts):
-    """Return what a kernel says of the windows that start at `starts`: compiled blocks, one loop inside where something is traced."""
+    """Return what a kernel says of the windows that start at `starts`: compiled blocks, one loop inside where
+    something is traced.
+    """
     kind = judged_by(relations, "joint")
     block = SEARCHED if kind == "zonotope" else BLOCK
     test = relations.reading(y.dtype)
     filled = np.concatenate([starts, np.repeat(starts[:1], -len(starts) % block)]).reshape(-1, block)
     if not any(isinstance(x, jax.core.Tracer) for x in (u, y, *relations.bounds.values())):
         test = jax.device_put(test)
-        return jnp.concatenate([kernel(test, *samples_of(test, u, y, chosen), kind) for chosen in filled])[: len(starts)]
+        return jnp.concatenate([kernel(test, *samples_of(test, u, y, chosen), kind) for chosen in filled])[
+            : len(starts)
+        ]
     u, y = jnp.asarray(u), jnp.asarray(y)
 
     def one_block(first):
@@ -96,7 +108,9 @@ def _over_blocks(kernel, relations, u, y, starts):
 
 
 def _margins(test, u, y, kind):
-    """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N): outside of a trace by what `detect` has compiled already."""
+    """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N): outside of a trace by what `detect`
+    has compiled already.
+    """
     if any(isinstance(x, jax.core.Tracer) for x in (u, y, *jax.tree.leaves(test))):
         return _smooth_margins(test, u, y, kind)
     terms = terms_of(test, u, y)

@@ -1,14 +1,18 @@
-"""Verdicts on windows of a model with uncertain parameters: refuted by strips or at vertices, explained by a point, else bisected.
+"""Verdicts on windows of a model with uncertain parameters: refuted by strips or at vertices, explained by a
+point, else bisected.
 
-A window is a system of polynomials p(v, e) = 0 in parameters v and noises e within [-1, 1] (`PolynomialReading.polynomials`).
+A window is a system of polynomials p(v, e) = 0 in parameters v and noises e within [-1, 1]
+(`PolynomialReading.polynomials`).
 
-FAULT: a direction separates 0 from a zonotope around all values of p, each neglected monomial a variable of its own, or 0 is outside the
-range of a single multi-affine relation. CONSISTENT: a zero of p is proved to exist near a point that a search found, or the range of a
-single relation has both signs; both need relations that are proved to say all. What is neither is UNDECIDED; `paving` cuts the box of
-parameters until one of the two proofs holds on every part.
+FAULT: a direction separates 0 from a zonotope around all values of p, each neglected monomial a variable of
+its own, or 0 is outside the range of a single multi-affine relation. CONSISTENT: a zero of p is proved to
+exist near a point that a search found, or the range of a single relation has both signs; both need relations
+that are proved to say all. What is neither is UNDECIDED; `paving` cuts the box of parameters until one of the
+two proofs holds on every part.
 
-A window that lacks samples is tested by relations made for it: those without the lost rows, the lost inputs being unknown. All that are
-no more than those of a whole window, in monomials that the loss of one sample brings about, share one compiled shape.
+A window that lacks samples is tested by relations made for it: those without the lost rows, the lost inputs
+being unknown. All that are no more than those of a whole window, in monomials that the loss of one sample
+brings about, share one compiled shape.
 
 Source: Ploix, Adrot 2006, sections 3-4; golden "Sound test".
 """
@@ -28,9 +32,25 @@ from jaxbound.sets.strips import polynomials, varying
 from jaxbound.sets.strips.gauge import gauge_search
 
 __all__ = [
-    "BLOCK", "LEAST", "SEARCHED", "VERTICES", "at_vertices", "bisected", "candidates", "cases", "concluded", "farthest", "finite",
-    "judged_by", "judged_whole", "linear_image", "on_boxes", "on_whole", "samples_of", "terms_of",
-]  # fmt: skip
+    "BLOCK",
+    "LEAST",
+    "SEARCHED",
+    "VERTICES",
+    "at_vertices",
+    "bisected",
+    "candidates",
+    "cases",
+    "concluded",
+    "farthest",
+    "finite",
+    "judged_by",
+    "judged_whole",
+    "linear_image",
+    "on_boxes",
+    "on_whole",
+    "samples_of",
+    "terms_of",
+]
 
 BLOCK = 2**11
 """Windows at once where each relation is a formula."""
@@ -47,15 +67,20 @@ SHARE = 0.99
 LEAST = 1e-6
 
 
-def cases(relations: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
-    """Yield (relations, numbers of the windows that they fit): windows that lack the same samples lack the same rows and inputs.
+def cases(
+    relations: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray
+) -> Iterator[tuple[Any, np.ndarray]]:
+    """Yield (relations, numbers of the windows that they fit): windows that lack the same samples lack the
+    same rows and inputs.
 
-    Beyond `PATTERNS` patterns, the rarest windows come with None. Windows that have no relation left are not mentioned.
+    Beyond `PATTERNS` patterns, the rarest windows come with None. Windows that have no relation left are not
+    mentioned.
     """
     if not len(starts):
         return
     inputs, outputs = (
-        np.isnan(x).reshape(-1, len(starts)).T for x in gather(u, y, starts, relations.reading(y.dtype).window.lags, relations.horizon)
+        np.isnan(x).reshape(-1, len(starts)).T
+        for x in gather(u, y, starts, relations.reading(y.dtype).window.lags, relations.horizon)
     )
     lost, rows = np.concatenate([outputs, inputs], 1), outputs.shape[1]
     whole = ~lost.any(1)
@@ -70,13 +95,17 @@ def cases(relations: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> I
     if rare.any():
         yield None, broken[rare]
     for number in order[:PATTERNS]:
-        case = relations.without(*(set(np.flatnonzero(x).tolist()) for x in np.split(patterns[number], [rows])))
+        case = relations.without(
+            *(set(np.flatnonzero(x).tolist()) for x in np.split(patterns[number], [rows]))
+        )
         if case is not None:
             yield case, broken[which.ravel() == number]
 
 
 def samples_of(test: Any, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Any:
-    """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become 0."""
+    """Return the samples (lags, m, N) and (s + 1, p, N) of windows; unneeded ones that are missing become
+    0.
+    """
     return finite(gather(u, y, starts, test.window.lags, test.horizon))
 
 
@@ -89,7 +118,11 @@ def judged_by(relations: Any, method: str) -> str:
     """Return how a block is judged: "vertices", "zonotope", "linearized" or "box"."""
     if method in ("linearized", "box"):
         return method
-    exact = relations.count == 1 and polynomials.multiaffine(relations.exponents) and len(relations.variables) <= VERTICES
+    exact = (
+        relations.count == 1
+        and polynomials.multiaffine(relations.exponents)
+        and len(relations.variables) <= VERTICES
+    )
     return "vertices" if exact else "zonotope"
 
 
@@ -125,11 +158,17 @@ def terms_of(test: Any, u: Any, y: Any) -> Any:
 
 
 def linear_image(test: Any, terms: Any, allowance: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (c, G, error) of the whole box of parameters without all that is of order 2; `allowance` is a generator in each row."""
+    """Return (c, G, error) of the whole box of parameters without all that is of order 2; `allowance` is a
+    generator in each row.
+    """
     value, spread, rad, error = terms
     c, G = polynomials.image(value, spread, rad, test.exponents, linear=True)
     own = jnp.broadcast_to(jnp.asarray(allowance, c.dtype), (len(c),))[:, None] * jnp.ones_like(c)
-    return c, jnp.concatenate([G, jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)], 1), error
+    return (
+        c,
+        jnp.concatenate([G, jnp.where(np.eye(len(c), dtype=bool)[:, :, None], own[:, None], 0)], 1),
+        error,
+    )
 
 
 @kernel
@@ -156,7 +195,9 @@ def at_vertices(test: Any, terms: Any, proved: Any) -> tuple[jax.Array, jax.Arra
 
 @kernel
 def _box(test, terms, proved):
-    """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the sum of all its parts."""
+    """Return (status, margin) where each relation is tested alone: by its vertices if it has few, else by the
+    sum of all its parts.
+    """
     value, spread, rad, error = terms
     few = polynomials.multiaffine(test.exponents) and len(test.size) <= VERTICES
     worst = jnp.full_like(value[0, 0], jnp.inf)
@@ -164,17 +205,23 @@ def _box(test, terms, proved):
     for k in range(value.shape[0]):
         row = slice(k, k + 1)
         if few:
-            margin, holds = polynomials.vertex_margin(value[row], spread[row], rad, test.exponents, error[row])
+            margin, holds = polynomials.vertex_margin(
+                value[row], spread[row], rad, test.exponents, error[row]
+            )
             inside = inside & holds
         else:
-            margin = varying.strip_margins(*polynomials.image(value[row], spread[row], rad, test.exponents), error[row])
+            margin = varying.strip_margins(
+                *polynomials.image(value[row], spread[row], rad, test.exponents), error[row]
+            )
             inside = inside & False
         worst = jnp.minimum(worst, margin)
     return _status(worst, inside), worst
 
 
 def _outside(c, G, error, h):
-    """Return the margin, < 0 is a proof: by all strips where they are few or h is None, else by the direction h, an array."""
+    """Return the margin, < 0 is a proof: by all strips where they are few or h is None, else by the direction
+    h, an array.
+    """
     few = h is None or varying.strip_count(*G.shape[:2])
     return varying.strip_margins(c, G, error) if few else varying.refutes(c, G, error, h)
 
@@ -188,35 +235,52 @@ def farthest(c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @kernel
 def candidates(test: Any, terms: Any, mid: Any, radius: Any, owner: Any) -> tuple:
-    """Return (terms, c, G, h, start, axis) of boxes mid +- radius (n, N) of windows `owner`: what `concluded` proves something by.
+    """Return (terms, c, G, h, start, axis) of boxes mid +- radius (n, N) of windows `owner`: what `concluded`
+    proves something by.
 
-    The image is c + G [-1, 1]^q, up to the error; start (v, e) and h are candidates for a point and a direction; axis is where to cut.
+    The image is c + G [-1, 1]^q, up to the error; start (v, e) and h are candidates for a point and a
+    direction; axis is where to cut.
     """
     value, spread, rad, error = terms
     value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
     c, G = polynomials.image(value, spread, rad, test.exponents, mid, radius)
     h, z = farthest(c, G)
     start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(test, z)])
-    return (value, spread, rad, error), c, G, h, start, jnp.argmax(polynomials.bends(value, test.exponents, radius), 0)
+    return (
+        (value, spread, rad, error),
+        c,
+        G,
+        h,
+        start,
+        jnp.argmax(polynomials.bends(value, test.exponents, radius), 0),
+    )
 
 
 @kernel
-def concluded(test: Any, terms: Any, c: jax.Array, G: jax.Array, h: jax.Array, start: jax.Array, proved: Any) -> tuple[jax.Array, ...]:
-    """Return (status, margin, found, open) of boxes: refuted by a direction or strips, explained by a zero near a start.
+def concluded(
+    test: Any, terms: Any, c: jax.Array, G: jax.Array, h: jax.Array, start: jax.Array, proved: Any
+) -> tuple[jax.Array, ...]:
+    """Return (status, margin, found, open) of boxes: refuted by a direction or strips, explained by a zero
+    near a start.
 
-    Everything is an array here, so that the compiler cannot round a candidate anew for each of its uses. proved: whether the relations say
-    all, so that a zero is an explanation.
+    Everything is an array here, so that the compiler cannot round a candidate anew for each of its uses.
+    proved: whether the relations say all, so that a zero is an explanation.
     """
     margin = _outside(c, G, terms[3], h)
     found = _explained(test, terms, start, proved & (margin >= 0))
-    return _status(margin, found), jnp.where(found, jnp.maximum(margin, LEAST), margin), found, ~(margin < 0) & ~found
+    return (
+        _status(margin, found),
+        jnp.where(found, jnp.maximum(margin, LEAST), margin),
+        found,
+        ~(margin < 0) & ~found,
+    )
 
 
 def _explained(test, terms, start, wanted):
     """Return where a zero is proved to exist near start, among the windows where that is wanted.
 
-    Newton's method moves a point towards a zero and never onto the sides of the box, where it would have no room left. It is carried by a
-    loop, so that values, slopes and proof are of one point.
+    Newton's method moves a point towards a zero and never onto the sides of the box, where it would have no
+    room left. It is carried by a loop, so that values, slopes and proof are of one point.
     """
     value, spread, rad, error = terms
     order = max(1, *map(sum, test.exponents))
@@ -230,7 +294,9 @@ def _explained(test, terms, start, wanted):
 
     first = jnp.clip(start, -SHARE, SHARE)
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(newton, 0, (first,))[1])
-    z, p, J, bend, R = jax.lax.fori_loop(0, jnp.where(jnp.any(wanted), NEWTON + 1, 0), newton, (first, nothing))[1]
+    z, p, J, bend, R = jax.lax.fori_loop(
+        0, jnp.where(jnp.any(wanted), NEWTON + 1, 0), newton, (first, nothing)
+    )[1]
     J_error = jnp.broadcast_to((order * error)[:, None], J.shape)
     return wanted & varying.holds(p, error, J, J_error, z, R, bend)
 
@@ -249,7 +315,9 @@ def on_whole(test: Any, terms: Any, proved: Any) -> tuple:
 
 
 def bisected(test: Any, samples: Any, proved: bool, budget: int) -> np.ndarray:
-    """Return the status of windows, at most a block, by bisection of their parameters, in blocks of boxes as large as those of windows."""
+    """Return the status of windows, at most a block, by bisection of their parameters, in blocks of boxes as
+    large as those of windows.
+    """
     count, n, dtype = samples[1].shape[-1], len(test.size), samples[1].dtype
     samples = [np.concatenate([x, np.repeat(x[..., :1], SEARCHED - count, -1)], -1) for x in samples]
     on_device = jax.device_put(test)
@@ -258,11 +326,15 @@ def bisected(test: Any, samples: Any, proved: bool, budget: int) -> np.ndarray:
 
     def judge(lo, hi, owner):
         mid = 0.5 * (lo + hi)
-        found, keep, _, _, axis = on_boxes(on_device, terms, mid, np.maximum(hi - mid, mid - lo) * grow, owner, proved)[2:]
+        found, keep, _, _, axis = on_boxes(
+            on_device, terms, mid, np.maximum(hi - mid, mid - lo) * grow, owner, proved
+        )[2:]
         return Verdicts(keep, found, (mid, mid), None, axis) if proved else Verdicts(keep, axis=axis)
 
     one = np.ones(n, dtype)
     found = explore(judge, -one, one, count, 200, budget, "kernel", first=True, sizes=(SEARCHED,))
-    status = np.where(np.bincount(found.owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+    status = np.where(
+        np.bincount(found.owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED)
+    )
     status[found.proofs[2]] = Status.CONSISTENT
     return status

@@ -1,6 +1,7 @@
 """What a kernel needs of uncertain relations, and the polynomials of every window.
 
-With the true outputs and disturbances z_j = mid_j + rad_j xi_j, |xi_j| <= 1, a healthy window satisfies for some v in the box
+With the true outputs and disturbances z_j = mid_j + rad_j xi_j, |xi_j| <= 1, a healthy window satisfies for
+some v in the box
 
     sum over alpha of v^alpha (N_alpha z - K_alpha U) = 0.
 
@@ -27,10 +28,11 @@ __all__ = ["PolynomialReading"]
 class PolynomialReading:
     """Uncertain relations in floats: arrays are traced, so models of one shape share a compilation.
 
-    Fields: window, how rows z are read; N (count, K, R) and K (count, K, l), nearest to the exact coefficients; size (nv,), the bounds
-    |v_i| <= size_i; exponents, K tuples of which the first is all zeros; noisy, the rows whose xi_j is kept as a variable: the others
-    are known to a few units roundoff, which count as rounding. spare (count,): 1 for a row that says nothing, its own e within [-1, 1]
-    being 0; None: there is none.
+    Fields: window, how rows z are read; N (count, K, R) and K (count, K, l), nearest to the exact
+    coefficients; size (nv,), the bounds |v_i| <= size_i; exponents, K tuples of which the first is all zeros;
+    noisy, the rows whose xi_j is kept as a variable: the others are known to a few units roundoff, which
+    count as rounding. spare (count,): 1 for a row that says nothing, its own e within [-1, 1] being 0; None:
+    there is none.
     """
 
     window: Reading
@@ -52,9 +54,11 @@ class PolynomialReading:
         return self.N.shape[0]
 
     def filled(self, count: int, exponents: tuple, noisy: tuple) -> Self:
-        """Return the same relations in a larger shape, which others share with them: what is compiled for one is compiled for all.
+        """Return the same relations in a larger shape, which others share with them: what is compiled for one
+        is compiled for all.
 
-        Monomials that do not occur have the coefficient 0; a row beyond the relations says that a number of its own is 0.
+        Monomials that do not occur have the coefficient 0; a row beyond the relations says that a number of
+        its own is 0.
         """
         place, more = [exponents.index(a) for a in self.exponents], count - self.count
 
@@ -64,35 +68,49 @@ class PolynomialReading:
             return out
 
         spare: Any = np.append(np.zeros(self.count, self.N.dtype), np.ones(more, self.N.dtype))
-        return dataclasses.replace(self, N=wide(self.N), K=wide(self.K), exponents=exponents, noisy=noisy, spare=spare)
+        return dataclasses.replace(
+            self, N=wide(self.N), K=wide(self.K), exponents=exponents, noisy=noisy, spare=spare
+        )
 
     def polynomials(self, u: jax.Array, y: jax.Array) -> Any:
-        """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within [-1, 1].
+        """Return (value, error, spread, rad): the relations of every window as polynomials in v and xi within
+        [-1, 1].
 
-        A window is consistent with the relations iff for some |v_i| <= 1 and |xi_j| <= 1, all relations k at once,
+        A window is consistent with the relations iff for some |v_i| <= 1 and |xi_j| <= 1, all relations k at
+        once,
 
             sum_a value[k, a] v^exponents[a] + sum_j (sum_a spread[k, a, j] v^exponents[a]) rad[j] xi_j = 0.
 
         Args:
-            u: (lags or more, m, N) and y: (s + 1, p, N), samples of N windows as recorded, NaN where missing; one dtype.
+            u: (lags or more, m, N) and y: (s + 1, p, N), samples of N windows as recorded, NaN where missing;
+                one dtype.
 
         Returns:
-            value (count, K, N), where value[k, 0] is NaN if relation k needs a missing sample (what else is said of k then means nothing);
-            error (count, K, N); spread (count, K, R') and rad (R', N) for the noisy rows, and behind them for what is spare.
+            value (count, K, N), where value[k, 0] is NaN if relation k needs a missing sample (what else is
+            said of k then means nothing); error (count, K, N); spread (count, K, R') and rad (R', N) for the
+            noisy rows, and behind them for what is spare.
 
-        Encloses: with coefficients and bounds as exact as the model's, in real arithmetic, the value of relation k at v and xi is within
-        sum_a error[k, a] |v^exponents[a]| of the above. With an infinite sample all errors are infinite.
+        Encloses: with coefficients and bounds as exact as the model's, in real arithmetic, the value of
+        relation k at v and xi is within sum_a error[k, a] |v^exponents[a]| of the above. With an infinite
+        sample all errors are infinite.
 
-        Proof: value is a sum of products as in `rounding.residual_error`, each factor of size^alpha one more rounding of a coefficient;
-        a coefficient or product that is flushed costs tiny times the magnitudes that it multiplies, which `floor` counts. The bound is
-        taken twice: for value, and for the noise terms, whose magnitudes are part of `scale`.
+        Proof: value is a sum of products as in `rounding.residual_error`, each factor of size^alpha one more
+        rounding of a coefficient; a coefficient or product that is flushed costs tiny times the magnitudes
+        that it multiplies, which `floor` counts. The bound is taken twice: for value, and for the noise
+        terms, whose magnitudes are part of `scale`.
         """
         mid, rad, scale, known, known_scale = self.window.block(u[: self.window.lags], y)
         N, coefficients = self._scaled(self.N), self._scaled(jnp.concatenate([self.N, -self.K], 2))
         x, magnitude = jnp.concatenate([mid, known]), jnp.concatenate([scale, known_scale])
         gone = jnp.isnan(magnitude)
-        fine = jnp.isfinite(x) & jnp.isfinite(magnitude)  # then the radius is finite: it is part of the magnitude
-        x, magnitude, rad = jnp.where(fine, x, 0), jnp.where(fine, magnitude, 0), jnp.where(fine[: len(rad)], rad, 0)
+        fine = jnp.isfinite(x) & jnp.isfinite(
+            magnitude
+        )  # then the radius is finite: it is part of the magnitude
+        x, magnitude, rad = (
+            jnp.where(fine, x, 0),
+            jnp.where(fine, magnitude, 0),
+            jnp.where(fine[: len(rad)], rad, 0),
+        )
         broken = jnp.any(~fine & ~gone, 0)
         times = lambda a, b: total(a[:, :, j, None] * b[j][None, None] for j in range(len(b)))
         value, size = times(coefficients, x), times(abs(coefficients), magnitude)
@@ -103,14 +121,19 @@ class PolynomialReading:
         error = jnp.where(broken[None, None], jnp.inf, 2 * (gamma * size + floor))
         quiet = [j for j in range(mid.shape[0]) if j not in self.noisy]
         if quiet:
-            rest = jnp.sum(jnp.sum(abs(N[:, :, np.array(quiet)]), 1)[..., None] * rad[np.array(quiet)][None], 1)
+            rest = jnp.sum(
+                jnp.sum(abs(N[:, :, np.array(quiet)]), 1)[..., None] * rad[np.array(quiet)][None], 1
+            )
             error = error.at[:, 0].add((1 + gamma) * rest)
         noisy = np.array(self.noisy, int)
         value = value.at[:, 0].set(jnp.where(absent, jnp.nan, value[:, 0]))
         spread, rad = N[:, :, noisy], rad[noisy]
         if self.spare is not None:
             own = jnp.where(np.arange(N.shape[1])[:, None] == 0, jnp.diag(self.spare)[:, None], 0)
-            spread, rad = jnp.concatenate([spread, own], 2), jnp.concatenate([rad, jnp.ones_like(value[:, 0])])
+            spread, rad = (
+                jnp.concatenate([spread, own], 2),
+                jnp.concatenate([rad, jnp.ones_like(value[:, 0])]),
+            )
         return value, error, spread, rad
 
     def _scaled(self, coefficients):
@@ -126,4 +149,6 @@ class PolynomialReading:
         power = jnp.ones((), self.size.dtype)
         for _ in range(order):
             power = power * jnp.maximum(1, jnp.max(self.size, initial=0))
-        return self.window.lift * (1 + jnp.max(abs(self.N), initial=0) + jnp.max(abs(self.K), initial=0)) * power
+        return (
+            self.window.lift * (1 + jnp.max(abs(self.N), initial=0) + jnp.max(abs(self.K), initial=0)) * power
+        )

@@ -17,9 +17,13 @@ from jaxbound.sets.strips.strips import Strips
 __all__ = ["Filter", "Reading", "forms", "gather"]
 
 Filter: TypeAlias = tuple[bool, int, tuple[float, ...]]
-"""A combination of consecutive samples: whether of an output or of a disturbance, its number, weights, the oldest sample first."""
+"""A combination of consecutive samples: whether of an output or of a disturbance, its number, weights, the
+oldest sample first.
+"""
 AVERAGING = 16
-"""Terms of an average that the error bound of one row pays for, with a magnitude as large again: see `Reading.block`."""
+"""Terms of an average that the error bound of one row pays for, with a magnitude as large again: see
+`Reading.block`.
+"""
 
 
 @jax.tree_util.register_dataclass
@@ -27,8 +31,9 @@ AVERAGING = 16
 class Reading:
     """Everything a kernel needs of a relation: arrays are traced, so models of one shape share a compilation.
 
-    Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise, resolution, offset_y (p,);
-    disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window; looks: at outputs so many samples before the
+    Fields: shape, the Strips of a few circuits or the Frame of an exchange search; tolerance, noise,
+    resolution, offset_y (p,); disturbance (g, 2); offset_u (m,); horizon; lags, the samples of u in a window;
+    looks: at outputs so many samples before the
     last, None: at all. average (a,), filters: bounds of averages and what they combine.
     """
 
@@ -75,15 +80,24 @@ class Reading:
     def absent(self, y: np.ndarray) -> np.ndarray:
         """Return (rows, N) bool: which rows of windows y (s + 1, p, N) lack a sample."""
         N, gone = y.shape[2], np.isnan(y)
-        parts = [np.isnan(self.seen(y)).reshape(-1, N), np.zeros((self.horizon * len(self.disturbance), N), bool)]
+        parts = [
+            np.isnan(self.seen(y)).reshape(-1, N),
+            np.zeros((self.horizon * len(self.disturbance), N), bool),
+        ]
         for (measured, i, weights), ends in zip(self.filters, self.ends(), strict=True):
             for end in ends:
                 lost = gone[end + 1 - len(weights) : end + 1, i].any(0) if measured else np.zeros(N, bool)
-                parts.append((lost | (measured and self.looks is not None and self.horizon - end not in self.looks))[None])
+                parts.append(
+                    (lost | (measured and self.looks is not None and self.horizon - end not in self.looks))[
+                        None
+                    ]
+                )
         return np.concatenate(parts)
 
     def silenced(self, known: list) -> jax.Array:
-        """Say which windows lack a known value that some circuit needs: the circuits that are left do not describe their set exactly."""
+        """Say which windows lack a known value that some circuit needs: the circuits that are left do not
+        describe their set exactly.
+        """
         strips: Any = self.shape  # or a bank: what has circuits on known values
         silenced = jnp.zeros_like(known[0], bool) if len(known) else jnp.zeros((), bool)
         for b, value in enumerate(known):
@@ -91,7 +105,9 @@ class Reading:
         return silenced
 
     def stretch(self, u: jax.Array, y: jax.Array) -> tuple:
-        """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`; as arrays for strips that run in a scan."""
+        """Return the rows of all windows of a stretch, u (N + s, m), y (N + s, p): see `rows`; as arrays for
+        strips that run in a scan.
+        """
         if self.filters or isinstance(self.shape, Strips) and self.shape.supports is None:
             return self.block(*self.windows(u, y))
         count = y.shape[0] - self.horizon
@@ -101,31 +117,50 @@ class Reading:
         )
 
     def windows(self, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the samples u (lags, m, N), y (s + 1, p, N) of all windows of a stretch, u (N + s, m), y (N + s, p)."""
+        """Return the samples u (lags, m, N), y (s + 1, p, N) of all windows of a stretch, u (N + s, m), y (N
+        + s, p).
+        """
         count = y.shape[0] - self.horizon
-        take = lambda x, lags: jax.lax.map(lambda j: jax.lax.dynamic_slice_in_dim(x.T, j, count, 1), jnp.arange(lags))
+        take = lambda x, lags: jax.lax.map(
+            lambda j: jax.lax.dynamic_slice_in_dim(x.T, j, count, 1), jnp.arange(lags)
+        )
         return take(u, self.lags), take(y, self.horizon + 1)
 
     def block(self, u: jax.Array, y: jax.Array) -> tuple:
-        """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few operations, whatever s."""
+        """Return the rows of N windows u (lags, m, N), y (s + 1, p, N) as arrays (rows, N), (l, N): few
+        operations, whatever s.
+        """
         whole, y = y, self.seen(y)
         taken = whole if self.looks is None else jnp.where(self.used()[:, :, None], whole, jnp.nan)
         largest = jnp.max(jnp.where(jnp.isnan(taken), 0, abs(taken)), 0, keepdims=True)
-        tolerance, noise, resolution, offset = (x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y))
-        rows = [x.reshape(-1, y.shape[2]) for (x,) in sensor.true_value([y], tolerance, noise, resolution, offset, largest)]
+        tolerance, noise, resolution, offset = (
+            x[None, :, None] for x in (self.tolerance, self.noise, self.resolution, self.offset_y)
+        )
+        rows = [
+            x.reshape(-1, y.shape[2])
+            for (x,) in sensor.true_value([y], tolerance, noise, resolution, offset, largest)
+        ]
         if self.horizon and len(self.disturbance):
-            rows = [jnp.concatenate([x, *[w] * self.horizon]) for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)]
+            rows = [
+                jnp.concatenate([x, *[w] * self.horizon])
+                for x, w in zip(rows, self._disturbance(y[0, 0]), strict=True)
+            ]
         for number in range(len(self.filters)):
-            rows = [jnp.concatenate(pair) for pair in zip(rows, self._averaged(number, whole, largest[0]), strict=True)]
+            rows = [
+                jnp.concatenate(pair)
+                for pair in zip(rows, self._averaged(number, whole, largest[0]), strict=True)
+            ]
         known = [u - self.offset_u[None, :, None], abs(u) + abs(self.offset_u)[None, :, None]]
         return *rows, *(x.reshape(-1, y.shape[2]) for x in known)
 
     def _averaged(self, number, y, largest):
-        """Return (mid, rad, scale) of the runs of one average, (runs, N) each, NaN in mid and scale where a sample is missing.
+        """Return (mid, rad, scale) of the runs of one average, (runs, N) each, NaN in mid and scale where a
+        sample is missing.
 
-        The middle, a sum of n products, is off by (n + 4) u S and the radius by (n + 8) u S with S the magnitude of all its terms and the
-        radius together; a magnitude of (2 + n / 16) S has `rounding.residual_error` pay for that: 32 u (1 + n / 16) S beyond what it pays
-        for any row. What underflows costs less than the floor in the radius.
+        The middle, a sum of n products, is off by (n + 4) u S and the radius by (n + 8) u S with S the
+        magnitude of all its terms and the radius together; a magnitude of (2 + n / 16) S has
+        `rounding.residual_error` pay for that: 32 u (1 + n / 16) S beyond what it pays for any row. What
+        underflows costs less than the floor in the radius.
         """
         measured, i, weights = self.filters[number]
         dtype, N, n, runs = y.dtype, y.shape[2], len(weights), max(len(self.ends()[number]), 0)
@@ -135,7 +170,9 @@ class Reading:
             rad = bound * one
             return 0 * one, rad, (2 + n / AVERAGING) * rad
         unit = rounding.unit(dtype)
-        rho = self.resolution[i] + sensor.RECORDER_ULPS * unit * (jnp.minimum(largest[i], np.finfo(dtype).max) + self.noise[i])
+        rho = self.resolution[i] + sensor.RECORDER_ULPS * unit * (
+            jnp.minimum(largest[i], np.finfo(dtype).max) + self.noise[i]
+        )
         d, size = y[:, i] - self.offset_y[i], abs(y[:, i]) + abs(self.offset_y[i])
         factors = np.asarray(weights, dtype)
 
@@ -146,7 +183,9 @@ class Reading:
 
         mid, magnitude = jax.lax.fori_loop(0, n, add, (0 * one, 0 * one))
         rad = bound * one + np.asarray(total, dtype) * rho[None]
-        looked = np.array([self.looks is None or self.horizon - end in self.looks for end in self.ends()[number]])[:, None]
+        looked = np.array(
+            [self.looks is None or self.horizon - end in self.looks for end in self.ends()[number]]
+        )[:, None]
         scale = jnp.where(looked, (2 + n / AVERAGING) * (magnitude + rad), jnp.nan)
         return jnp.where(jnp.isnan(scale), jnp.nan, mid), rad, scale
 
@@ -154,18 +193,31 @@ class Reading:
         """Return (mid, rad, scale) of one sample of the disturbances, (g, N) each."""
         lo, hi, one = self.disturbance[:, 0], self.disturbance[:, 1], jnp.ones_like(like)
         tiny = rounding.tiny(like.dtype)
-        return [x[:, None] * one[None] for x in (0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, abs(lo) + abs(hi) + tiny)]
+        return [
+            x[:, None] * one[None]
+            for x in (0.5 * (lo + hi), 0.5 * (hi - lo) + tiny, abs(lo) + abs(hi) + tiny)
+        ]
 
     def rows(self, u: Any, y: Any) -> tuple:
-        """Return (mid, rad, scale, known, known_scale), lists of (N,), of windows with the samples u[lag][input], y[lag][output].
+        """Return (mid, rad, scale, known, known_scale), lists of (N,), of windows with the samples
+        u[lag][input], y[lag][output].
 
         Rows are the true outputs, time-major, then the disturbances w_k .. w_{k+s-1}.
         """
         per_output, nothing = [], jnp.full_like(y[0][0], jnp.nan)
         for i in range(len(self.noise)):
-            samples = [now[i] if self.looks is None or self.horizon - j in self.looks else nothing for j, now in enumerate(y)]
-            per_output.append(sensor.true_value(samples, self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]))
-        mid, rad, scale = ([output[part][j] for j in range(self.horizon + 1) for output in per_output] for part in range(3))
+            samples = [
+                now[i] if self.looks is None or self.horizon - j in self.looks else nothing
+                for j, now in enumerate(y)
+            ]
+            per_output.append(
+                sensor.true_value(
+                    samples, self.tolerance[i], self.noise[i], self.resolution[i], self.offset_y[i]
+                )
+            )
+        mid, rad, scale = (
+            [output[part][j] for j in range(self.horizon + 1) for output in per_output] for part in range(3)
+        )
         if len(self.disturbance):
             for rows, w in zip((mid, rad, scale), self._disturbance(jnp.ones_like(y[0][0])), strict=True):
                 rows.extend([*w] * self.horizon)
@@ -175,14 +227,18 @@ class Reading:
 
 
 def gather(u: np.ndarray, y: np.ndarray, starts: np.ndarray, lags: int, horizon: int) -> tuple:
-    """Return the samples u (lags, m, N), y (s + 1, p, N) of windows that start at samples of u (T, m), y (T, p)."""
+    """Return the samples u (lags, m, N), y (s + 1, p, N) of windows that start at samples of u (T, m), y (T,
+    p).
+    """
     rows = starts + np.arange(horizon + 1)[:, None]
     taken = lambda x, rows: x.take(rows, 0).transpose(0, 2, 1).copy()  # x[rows] is ten times slower
     return taken(u, rows[:lags]), taken(y, rows)
 
 
 def forms(kernel: Callable, relations: Any, test: Callable, u: Any, y: Any, starts: Any) -> tuple:
-    """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; NaN where there is no window."""
+    """Return the arrays (..., T, count) that kernel(test(dtype), u (T, m), y (T, p)) makes of recordings; NaN
+    where there is no window.
+    """
     given = Recording.of(relations.model, u, y, starts)
     u, y = jax.device_put((given.u, given.y))  # jnp.asarray compiles a copy for each shape
     if y.shape[-2] <= relations.horizon:

@@ -1,4 +1,6 @@
-"""Short windows: every circuit, or every relation alone, is a strip, tested over contiguous samples in one pass."""
+"""Short windows: every circuit, or every relation alone, is a strip, tested over contiguous samples in one
+pass.
+"""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -22,7 +24,9 @@ __all__ = ["StripsTest", "verdicts"]
 
 
 class StripsTest(WindowTest):
-    """Tests windows circuit by circuit ("joint": both verdicts are proofs) or relation by relation ("box")."""
+    """Tests windows circuit by circuit ("joint": both verdicts are proofs) or relation by relation
+    ("box").
+    """
 
     gathered = False
     replayed = False
@@ -36,7 +40,9 @@ class StripsTest(WindowTest):
         """Return (status, margin) of stretches of samples."""
         return run(verdicts, blocks)
 
-    def settle(self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable) -> None:
+    def settle(
+        self, u: np.ndarray, y: np.ndarray, outs: list, left: np.ndarray, again: Callable, progress: Callable
+    ) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary."""
         status, margin = outs
         whole_numbers.settle(self.relations, self.reading, self.method, u, y, status, margin, progress)
@@ -75,7 +81,9 @@ def verdicts(test: Any, u: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Arra
     """Return (status, margin) of the windows of one stretch of samples, tested circuit by circuit."""
     mid, rad, scale, known, known_scale = test.stretch(u, y)
     margin = strip_verdict(test.shape, mid, rad, scale, known, known_scale, test.lift)
-    margin = jax.lax.optimization_barrier(margin)  # else the compiler works out everything once for each of the two results
+    margin = jax.lax.optimization_barrier(
+        margin
+    )  # else the compiler works out everything once for each of the two results
     status = status_of(margin)
     unsure = test.silenced(known) & (status == Status.CONSISTENT)
     return jnp.where(unsure, Status.UNDECIDED, status).astype(jnp.int8), margin
@@ -87,4 +95,6 @@ def _margins(test, u, y):
     return strip_margin(test.shape, mid, rad, known)
 
 
-_smooth_margins = jax.checkpoint(_margins)  # to keep what a derivative needs of every window takes longer, and much longer to compile
+_smooth_margins = jax.checkpoint(
+    _margins
+)  # to keep what a derivative needs of every window takes longer, and much longer to compile

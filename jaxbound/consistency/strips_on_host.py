@@ -1,16 +1,20 @@
-"""Strips once more, in NumPy: which of them contradict a window, from the samples, with nothing that XLA has worked out.
+"""Strips once more, in NumPy: which of them contradict a window, from the samples, with nothing that XLA has
+worked out.
 
-A row i lies in [lo_i, hi_i]: a true output, by its reading y = (1 + theta) t + delta with |theta| <= sigma, |delta| <= rho, between
--f(rho - d) and f(rho + d), d = y - offset, f(v) = max(v / (1 - sigma), v / (1 + sigma)); a disturbance or an average by its bound. So
+A row i lies in [lo_i, hi_i]: a true output, by its reading y = (1 + theta) t + delta with |theta| <= sigma,
+|delta| <= rho, between -f(rho - d) and f(rho + d), d = y - offset, f(v) = max(v / (1 - sigma), v / (1 +
+sigma)); a disturbance or an average by its bound. So
 
-    least = sum_i min(h_i lo_i, h_i hi_i) - k v  <=  0  <=  sum_i max(h_i lo_i, h_i hi_i) - k v = most                  (strip)
+    least = sum_i min(h_i lo_i, h_i hi_i) - k v  <=  0  <=  sum_i max(h_i lo_i, h_i hi_i) - k v = most
+    (strip)
 
 in every behaviour, and least > error or most < -error contradicts.
 
-**The error.** Sums are in float64, one rounding u an operation. d is off by 2 u (|y| + |offset|), f(rho + d) by 8 u S with
-S = (|y| + |offset| + rho) / (1 - sigma): 5 for f and the sum, 1 for rho. A product with a rounded h adds 2, a sum of N terms N - 1:
-together less than half of what `rounding.residual_error` states for N terms. S, and what the recorder rounded away, are those of the
-largest sample of a block: never too small, and one number for all its windows.
+**The error.** Sums are in float64, one rounding u an operation. d is off by 2 u (|y| + |offset|), f(rho + d)
+by 8 u S with S = (|y| + |offset| + rho) / (1 - sigma): 5 for f and the sum, 1 for rho. A product with a
+rounded h adds 2, a sum of N terms N - 1: together less than half of what `rounding.residual_error` states for
+N terms. S, and what the recorder rounded away, are those of the largest sample of a block: never too small,
+and one number for all its windows.
 """
 
 from collections.abc import Iterator
@@ -34,7 +38,8 @@ DENSE = 4
 class _Row:
     """Where a row is found.
 
-    Fields: kind: "output", "disturbance" or "average"; number: of that; shift: samples from the first one of the window.
+    Fields: kind: "output", "disturbance" or "average"; number: of that; shift: samples from the first one of
+    the window.
     """
 
     kind: str
@@ -58,9 +63,11 @@ class _Series:
 class HostStrips:
     """Strips and the bounds of a relation in float64, for NumPy. Build it with `host_strips`.
 
-    Fields: strips: ((numbers of rows, coefficients, numbers of inputs, coefficients), ..), one a strip; rows: of a window, in order;
-    reading: in float64; recorded: the float type of the recording; gains: ((lo, hi), ..) of g = 1 / (1 + theta), one an output, where
-    tolerances keep one value over a window: rows are then those of g = 1, and it multiplies their sum.
+    Fields: strips: ((numbers of rows, coefficients, numbers of inputs, coefficients), ..), one a strip; rows:
+    of a window, in order;
+    reading: in float64; recorded: the float type of the recording; gains: ((lo, hi), ..) of g = 1 / (1 +
+    theta), one an output, where tolerances keep one value over a window: rows are then those of g = 1, and it
+    multiplies their sum.
     """
 
     strips: tuple
@@ -70,7 +77,9 @@ class HostStrips:
     gains: tuple = ()
 
     def contradicted(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Return (strips, N) bool: which strips contradict the windows of u (T, m), y (T, p) that start at `starts`, in rising order."""
+        """Return (strips, N) bool: which strips contradict the windows of u (T, m), y (T, p) that start at
+        `starts`, in rising order.
+        """
         out = np.zeros((len(self.strips), len(starts)), bool)
         first = 0
         with np.errstate(all="ignore"):
@@ -140,9 +149,12 @@ class HostStrips:
         sigma, offset, noise = float(r.tolerance[i]), float(r.offset_y[i]), float(r.noise[i])
         largest = _largest(y)
         tiny = float(rounding.tiny(np.float64))
-        rho = (noise + float(r.resolution[i]) + RECORDER_ULPS * float(rounding.unit(self.recorded)) * (largest + noise) + 4 * tiny) * (
-            1 + 1e-15
-        )
+        rho = (
+            noise
+            + float(r.resolution[i])
+            + RECORDER_ULPS * float(rounding.unit(self.recorded)) * (largest + noise)
+            + 4 * tiny
+        ) * (1 + 1e-15)
         lo, hi = _between(y - offset if offset else y, rho, 0 if self.gains else sigma)
         return _Series(lo, hi, (largest + abs(offset) + rho) / (1 - sigma))
 
@@ -186,7 +198,9 @@ class HostStrips:
 
 
 def _between(d, rho, sigma):
-    """Return the ends of the true values, in deviations, behind readings d that are off by rho and a share sigma."""
+    """Return the ends of the true values, in deviations, behind readings d that are off by rho and a share
+    sigma.
+    """
     above, below = d + rho, d - rho
     if not np.any(sigma):
         return below, above
@@ -203,8 +217,9 @@ def contradicted_by(test: Any, frame: Any, u: np.ndarray, y: np.ndarray, h: np.n
     """Return (N,) bool: which windows are contradicted by combinations of their relations.
 
     Args:
-        test: the Reading, without averages. frame: its Frame. u (lags, m, N), y (s + 1, p, N): the samples of the windows. h (c, N): the
-            combinations, of outer rows; whatever they are, what is said here is proved, with the error of `rounding.search_error`.
+        test: the Reading, without averages. frame: its Frame. u (lags, m, N), y (s + 1, p, N): the samples of
+            the windows. h (c, N): the combinations, of outer rows; whatever they are, what is said here is
+            proved, with the error of `rounding.search_error`.
     """
     R, K, h = (np.asarray(x, np.float64) for x in (frame.R, frame.K, h))
     outer, inner, N = np.asarray(frame.outer), np.asarray(frame.inner), h.shape[1]
@@ -214,7 +229,9 @@ def contradicted_by(test: Any, frame: Any, u: np.ndarray, y: np.ndarray, h: np.n
     across = np.stack([np.bincount(of, h * column[here], N) for column in R.T])
     there, also = np.nonzero(across)
     weights = np.concatenate([h, -across[there, also]])
-    least, most = windows.sums(np.concatenate([outer[here], inner[there]]), np.concatenate([of, also]), weights)
+    least, most = windows.sums(
+        np.concatenate([outer[here], inner[there]]), np.concatenate([of, also]), weights
+    )
     value = np.bincount(of, h * windows.reached(K[here], of), N)
     size = windows.size[outer] + np.abs(R) @ windows.size[inner] + np.abs(K) @ windows.known_size
     gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), y.dtype))
@@ -249,7 +266,9 @@ class _Windows:
         self.known_size = np.tile(top(top(np.abs(u)).T.astype(np.float64)) + np.abs(offset_u), len(u))
 
     def reached(self, k: np.ndarray, of: np.ndarray) -> np.ndarray:
-        """Return what inputs do (entries,): k (entries, l) of so many windows; a missing input counts only where it is used."""
+        """Return what inputs do (entries,): k (entries, l) of so many windows; a missing input counts only
+        where it is used.
+        """
         known = self._known[of]
         missing = np.isnan(known)
         if missing.any():
@@ -271,19 +290,25 @@ class _Windows:
         return np.bincount(of, np.minimum(below, above), N), np.bincount(of, np.maximum(below, above), N)
 
 
-def host_strips(reading: Any, exact_h: Any, exact_k: Any, recorded: Any, constant: bool = False) -> HostStrips:
+def host_strips(
+    reading: Any, exact_h: Any, exact_k: Any, recorded: Any, constant: bool = False
+) -> HostStrips:
     """Return HostStrips of exact rows h over the rows of a window and k over its inputs.
 
     Args:
-        reading: of the relations, in float64. recorded: the float type of the recording. constant: whether tolerances keep one value over
-            a window.
+        reading: of the relations, in float64. recorded: the float type of the recording. constant: whether
+            tolerances keep one value over a window.
     """
     numbers = lambda row: tuple(i for i, x in enumerate(row) if x)
     floats = lambda row: tuple(float(rounding.fraction_to_float(x)) for x in row if x)
-    strips = tuple((numbers(h), floats(h), numbers(k), floats(k)) for h, k in zip(exact_h, exact_k, strict=True))
+    strips = tuple(
+        (numbers(h), floats(h), numbers(k), floats(k)) for h, k in zip(exact_h, exact_k, strict=True)
+    )
     gains: tuple = ()
     if constant:
-        gains = tuple((1 / (1 + t) * (1 - 1e-15), 1 / (1 - t) * (1 + 1e-15)) for t in map(float, reading.tolerance))
+        gains = tuple(
+            (1 / (1 + t) * (1 - 1e-15), 1 / (1 - t) * (1 + 1e-15)) for t in map(float, reading.tolerance)
+        )
     return HostStrips(strips, tuple(_rows(reading)), reading, np.dtype(recorded), gains)
 
 

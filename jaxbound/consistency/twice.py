@@ -1,8 +1,9 @@
 """Every FAULT is decided twice: by XLA, and from the samples in NumPy, before anybody sees it.
 
-XLA copies wrongly at times: a part of an array from the wrong place, a number that another thread has not written yet. No bound on
-rounding covers that. So a FAULT is only what both say; where NumPy says no, the window is UNDECIDED and a warning tells what to report.
-Of the CONSISTENT windows a few are looked at too: one that NumPy refutes says that something is broken.
+XLA copies wrongly at times: a part of an array from the wrong place, a number that another thread has not
+written yet. No bound on rounding covers that. So a FAULT is only what both say; where NumPy says no, the
+window is UNDECIDED and a warning tells what to report. Of the CONSISTENT windows a few are looked at too: one
+that NumPy refutes says that something is broken.
 """
 
 import warnings
@@ -30,12 +31,15 @@ class Doubtful(RuntimeWarning):
     """What XLA proved could not be proved again outside XLA: the verdict is UNDECIDED."""
 
 
-def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray, contradicted: Callable) -> Judged:
+def decided_twice(
+    test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray, contradicted: Callable
+) -> Judged:
     """Return the verdicts of windows with those UNDECIDED that a second look does not confirm.
 
     Args:
-        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples. contradicted: of the numbers of the samples at which
-            windows end, which of these contradict their bounds, found without XLA: see `WindowTest.contradicted`.
+        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples. contradicted: of the
+            numbers of the samples at which windows end, which of these contradict their bounds, found without
+                XLA: see `WindowTest.contradicted`.
     """
     status = judged.status.reshape(-1)
     faulty = np.flatnonzero(status == Status.FAULT) if status.max(initial=0) == Status.FAULT else NOWHERE
@@ -43,11 +47,17 @@ def decided_twice(test: WindowTest, judged: Judged, u: np.ndarray, y: np.ndarray
         judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
         if doubtful.any():
             first = int(faulty[doubtful.argmax()])
-            warn_doubtful(f"{int(doubtful.sum())} of {len(faulty)} windows are FAULT by XLA, the first of them ends at sample {first}")
+            warn_doubtful(
+                f"{int(doubtful.sum())} of {len(faulty)} windows are FAULT by XLA, the first of them ends at "
+                f"sample {first}"
+            )
     some = _some_healthy(status)
     if len(some) and (wrong := np.atleast_2d(test.contradicted(u, y, some - test.horizon)).any(0)).any():
         first = int(some[wrong.argmax()])
-        warn_doubtful(f"{int(wrong.sum())} of {len(some)} windows are CONSISTENT by XLA, the first of them ends at sample {first}")
+        warn_doubtful(
+            f"{int(wrong.sum())} of {len(some)} windows are CONSISTENT by XLA, the first of them ends at "
+            f"sample {first}"
+        )
         judged.status.reshape(-1)[some[wrong]] = Status.UNDECIDED
         judged.margin.reshape(-1)[some[wrong]] = 0
     return judged
@@ -64,7 +74,8 @@ def _some_healthy(status):
 
 
 class Twice:
-    """Decides windows of a block a second time by what a search found for them: hints, with which no search is needed.
+    """Decides windows of a block a second time by what a search found for them: hints, with which no search
+    is needed.
 
     Args:
         block: how many windows a block has.
@@ -74,12 +85,16 @@ class Twice:
         self.block = block
         self.passed = 0
 
-    def decided(self, margin: Any, again: Callable[[np.ndarray], Any], contradicted: Callable | None = None) -> np.ndarray:
+    def decided(
+        self, margin: Any, again: Callable[[np.ndarray], Any], contradicted: Callable | None = None
+    ) -> np.ndarray:
         """Return the margins of a block with 0 in place of a proof that NumPy does not confirm.
 
         Args:
-            margin: (N,), its sign proved by XLA. again: of numbers of windows in the block, their margins, proved in NumPy.
-            contradicted: a shorter way to see which of them are FAULT; what it does not see is asked of `again`.
+            margin: (N,), its sign proved by XLA. again: of numbers of windows in the block, their margins,
+                proved in NumPy.
+            contradicted: a shorter way to see which of them are FAULT; what it does not see is asked of
+                `again`.
         """
         margin = np.asarray(margin)
         if is_outside_xla():
@@ -110,9 +125,12 @@ class Twice:
 
 def warn_doubtful(what: str) -> None:
     """Warn of verdicts that NumPy does not confirm, with a line for a report."""
-    versions = f"jax {jax.__version__}, jaxlib {version('jaxlib')}, numpy {np.__version__}, {jax.default_backend()}"
+    versions = (
+        f"jax {jax.__version__}, jaxlib {version('jaxlib')}, numpy {np.__version__}, {jax.default_backend()}"
+    )
     warnings.warn(
-        f"{what}: NumPy does not confirm it from the samples, so they are UNDECIDED. XLA may have computed or copied wrongly; "
+        f"{what}: NumPy does not confirm it from the samples, so they are UNDECIDED. XLA may have computed "
+        f"or copied wrongly; "
         f"please report it with the model, these samples and this line: {versions}",
         Doubtful,
         stacklevel=2,

@@ -1,4 +1,6 @@
-"""Margins without proof, of contiguous samples: the fast path of `margins`, differentiable where something is traced."""
+"""Margins without proof, of contiguous samples: the fast path of `margins`, differentiable where something is
+traced.
+"""
 
 import math
 from collections.abc import Callable
@@ -25,21 +27,28 @@ def is_traced(*trees: Any) -> bool:
 
 
 def stretch_block(reading: Any) -> int:
-    """Return how many windows a kernel takes at once from contiguous samples: a function of the shape of the test alone."""
+    """Return how many windows a kernel takes at once from contiguous samples: a function of the shape of the
+    test alone.
+    """
     if isinstance(reading.shape, Strips) and reading.shape.supports is None:
         return 2**12  # their rows are arrays, which should stay in the cache: twice as fast as 2**14
     return 2**16 if not isinstance(reading.shape, Frame) and len(reading.shape.h) <= UNROLLED else 2**14
 
 
 QUICK = {"xla_cpu_use_fusion_emitters": False}
-"""XLA's former way to write loops for a CPU: a search compiles in half of the time and runs as fast. No proof rests on what runs so."""
+"""XLA's former way to write loops for a CPU: a search compiles in half of the time and runs as fast. No proof
+rests on what runs so.
+"""
 
 
-def unproved_margins(test: WindowTest, kernel: Callable, smooth: Callable, given: Recording, search: Callable | None = None) -> jax.Array:
-    """Return the margins (..., T) that a jitted kernel(reading, u (N + s, m), y (N + s, p)) gives; see `WindowTest.margins`.
+def unproved_margins(
+    test: WindowTest, kernel: Callable, smooth: Callable, given: Recording, search: Callable | None = None
+) -> jax.Array:
+    """Return the margins (..., T) that a jitted kernel(reading, u (N + s, m), y (N + s, p)) gives; see
+    `WindowTest.margins`.
 
-    smooth: the same, to be differentiated. search: of the same arguments, what smooth takes last and nothing is differentiated through:
-    compiled alone, once for values and derivatives.
+    smooth: the same, to be differentiated. search: of the same arguments, what smooth takes last and nothing
+    is differentiated through: compiled alone, once for values and derivatives.
     """
     reading, devices = test.reading, usable_devices()
     if not is_traced(given.u, given.y, reading) and (devices[0].platform == "cpu" or len(devices) > 1):
@@ -49,15 +58,21 @@ def unproved_margins(test: WindowTest, kernel: Callable, smooth: Callable, given
 
 
 @partial(jax.jit, static_argnums=0)
-def _whole(kernel: Callable, reading: Any, u: jax.Array, y: jax.Array, gone: np.ndarray, *found: jax.Array) -> jax.Array:
-    """Return the margins (..., T) of recordings u (..., T, m), y (..., T, p), NaN where `gone` (T,): one program, none op by op."""
+def _whole(
+    kernel: Callable, reading: Any, u: jax.Array, y: jax.Array, gone: np.ndarray, *found: jax.Array
+) -> jax.Array:
+    """Return the margins (..., T) of recordings u (..., T, m), y (..., T, p), NaN where `gone` (T,): one
+    program, none op by op.
+    """
     shape = y.shape[:-1]
     margin = jnp.pad(kernel(reading, *_flat(u, y), *found), (reading.horizon, 0)).reshape(shape)
     return jnp.where(gone.reshape((1,) * (y.ndim - 2) + gone.shape), jnp.nan, margin)
 
 
 def _searched(search: Callable, *given: Any) -> jax.Array:
-    """Return search(*given) as constants for a derivative: where jax.grad alone traces, what it finds are numbers."""
+    """Return search(*given) as constants for a derivative: where jax.grad alone traces, what it finds are
+    numbers.
+    """
     given = jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, given)
     if is_traced(given):
         return _alone(search, *given)

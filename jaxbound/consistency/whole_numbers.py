@@ -1,13 +1,17 @@
-"""Windows that rounding leaves open far from the boundary, decided in whole numbers: exact, whatever the scales.
+"""Windows that rounding leaves open far from the boundary, decided in whole numbers: exact, whatever the
+scales.
 
-Where a sensor has no noise, its bound is what the recorder rounds away: as thin as the rounding of a residual in floats, which then decides
-nothing. Samples and bounds are floats, coefficients rationals, so that a test multiplied by all denominators compares integers. Rows i are
-known up to lo_i <= t_i <= hi_i, as in `exact_window`; the bounds' floor, the smallest normal number, is left out of every CONSISTENT.
+Where a sensor has no noise, its bound is what the recorder rounds away: as thin as the rounding of a residual
+in floats, which then decides nothing. Samples and bounds are floats, coefficients rationals, so that a test
+multiplied by all denominators compares integers. Rows i are known up to lo_i <= t_i <= hi_i, as in
+`exact_window`; the bounds' floor, the smallest normal number, is left out of every CONSISTENT.
 
-    strips      |sum_i h_i (hi_i + lo_i) - 2 k v| <= sum_i |h_i| (hi_i - lo_i)                      for all of them, or not
-    search      as in `separation`: h and d need only be nearly right and come from floats; z = m_outer - R m_inner - K v does not
+    strips      |sum_i h_i (hi_i + lo_i) - 2 k v| <= sum_i |h_i| (hi_i - lo_i)      for all of them, or not
+    search      as in `separation`: h and d need only be nearly right and come from floats; z = m_outer - R
+    m_inner - K v does not
 
-Blocks of windows at once, as NumPy arrays of Python's integers: some microseconds a strip, so only windows with such a set come here.
+Blocks of windows at once, as NumPy arrays of Python's integers: some microseconds a strip, so only windows
+with such a set come here.
 """
 
 from collections.abc import Callable
@@ -31,7 +35,9 @@ from jaxbound.sets.strips.strips import status_of
 __all__ = ["exact_search", "exact_strips", "settle", "thin"]
 
 THIN = {np.dtype(np.float64): 2.0**26, np.dtype(np.float32): 2.0**12}
-"""A bound is thin where it is less than so many roundoffs of its sample: a margin is then uncertain by 1e-6, or in float32 by 0.01."""
+"""A bound is thin where it is less than so many roundoffs of its sample: a margin is then uncertain by 1e-6,
+or in float32 by 0.01.
+"""
 UNDECIDED = np.int8(Status.UNDECIDED)  # an enumeration would be three times as slow to compare
 BLOCK = 2**12
 SEARCHES = (1.0, 3e-4, 0.03)
@@ -39,7 +45,8 @@ SEARCHES = (1.0, 3e-4, 0.03)
 
 
 def thin(test: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Say which windows u (lags, m, N), y (s + 1, p, N) have a bound so small that rounding leaves some far from the boundary open.
+    """Say which windows u (lags, m, N), y (s + 1, p, N) have a bound so small that rounding leaves some far
+    from the boundary open.
 
     So do windows whose sums may overflow, or bounds near underflow.
     """
@@ -47,18 +54,24 @@ def thin(test: Any, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     size, least = np.fmax.reduce(np.abs(y), 0), np.fmin.reduce(np.abs(y - about(test.offset_y)), 0)
     bound = about(test.noise) + about(test.resolution) + about(test.tolerance) * least
     small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(about(test.offset_y)))).all(0)
-    small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0) | (bound < 2.0**40 * rounding.tiny(y.dtype)).any(0)
+    small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0) | (bound < 2.0**40 * rounding.tiny(y.dtype)).any(
+        0
+    )
     return small & ~np.isinf(y).any((0, 1)) & ~np.isinf(u).any((0, 1))
 
 
 def _wide(test, y):
-    """Say whether no window of a recording is thin, by its largest sample and the smallest bound: cheaper than a look at each."""
+    """Say whether no window of a recording is thin, by its largest sample and the smallest bound: cheaper
+    than a look at each.
+    """
     top = max(float(y.max()), -float(y.min()))  # compiled for whole registers, which fmax is not
     if np.isnan(top):
         top = max(float(np.fmax.reduce(y, None)), -float(np.fmin.reduce(y, None)))
     bound = (np.asarray(test.noise, np.float64) + np.asarray(test.resolution, np.float64)).min()
     scale = top + np.abs(np.asarray(test.offset_y, np.float64)).max()
-    enough = max(THIN[y.dtype] * float(rounding.unit(y.dtype)) * scale, 2.0**40 * float(rounding.tiny(y.dtype)))
+    enough = max(
+        THIN[y.dtype] * float(rounding.unit(y.dtype)) * scale, 2.0**40 * float(rounding.tiny(y.dtype))
+    )
     return top < float(np.sqrt(np.finfo(y.dtype).max)) and bound > 1.01 * enough
 
 
@@ -72,10 +85,12 @@ def settle(
     margin: np.ndarray,
     progress: Callable | None = None,
 ) -> None:
-    """Decide what strips of NumPy recordings u (T, m), y (T, p) left open though it may be far from the boundary.
+    """Decide what strips of NumPy recordings u (T, m), y (T, p) left open though it may be far from the
+    boundary.
 
     Args:
-        method: "joint" or "box". status, margin: (T,), changed in place. progress: called with the share done, if this takes a while.
+        method: "joint" or "box". status, margin: (T,), changed in place. progress: called with the share
+            done, if this takes a while.
     """
     s = test.horizon
     open_ = status == UNDECIDED
@@ -85,7 +100,11 @@ def settle(
     if len(left):
         left = left[thin(test, *gather(u, y, left - s, test.lags, s))]
     if len(left):
-        strips = (relations.circuits, relations.circuits_known) if method == "joint" else (relations.W, relations.K)
+        strips = (
+            (relations.circuits, relations.circuits_known)
+            if method == "joint"
+            else (relations.W, relations.K)
+        )
         for first in range(0, len(left), BLOCK):
             part = left[first : first + BLOCK]
             margin[part] = exact_strips(relations, test, strips, *gather(u, y, part - s, test.lags, s))
@@ -95,10 +114,12 @@ def settle(
 
 
 def exact_strips(relations: Any, test: Any, strips: tuple, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return (N,) margins: > 0 inside, < 0 outside, both proved; 0: a missing input silences a strip; NaN: no strip has its data.
+    """Return (N,) margins: > 0 inside, < 0 outside, both proved; 0: a missing input silences a strip; NaN: no
+    strip has its data.
 
     Args:
-        relations: a ParityRelation; test: its Reading, whose bounds count. strips: (h, k), exact rows over (Y, w) and over U.
+        relations: a ParityRelation; test: its Reading, whose bounds count. strips: (h, k), exact rows over
+            (Y, w) and over U.
         u (lags, m, N), y (s + 1, p, N): samples of N windows, NaN where missing.
     """
     return _strips(_rows_of(relations.model, test, u, y), strips, y.dtype)
@@ -111,16 +132,21 @@ def exact_search(relations: Any, test: Any, frame: Any, u: np.ndarray, y: np.nda
         frame: the `exact.Frame` of windows that miss these samples. The others as for `exact_strips`.
     """
     parts = [slice(i, i + BLOCK) for i in range(0, y.shape[2], BLOCK)]
-    return np.concatenate([_searched(_rows_of(relations.model, test, u[..., part], y[..., part]), frame, y.dtype) for part in parts])
+    return np.concatenate(
+        [
+            _searched(_rows_of(relations.model, test, u[..., part], y[..., part]), frame, y.dtype)
+            for part in parts
+        ]
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """Rows in integers, to be divided by `scale`, and multiplied by their entry of `factor`.
 
-    Fields: twice, spread: hi + lo and hi - lo of each row, arrays (N,) of integers; factor: Fractions; known, slip (l, N): v and how far
-    it may be off; absent (rows, N), missing (l, N): bool; scale: an integer; floor: a Fraction, at least what is left out of a row's
-    half-width.
+    Fields: twice, spread: hi + lo and hi - lo of each row, arrays (N,) of integers; factor: Fractions; known,
+    slip (l, N): v and how far it may be off; absent (rows, N), missing (l, N): bool; scale: an integer;
+    floor: a Fraction, at least what is left out of a row's half-width.
     """
 
     twice: list
@@ -140,7 +166,10 @@ def _rows_of(model, test, u, y):
     whole_y, y = y, test.seen(y)
     used = np.where(test.used()[:, :, None], whole_y, np.nan)
     shift = -int(np.log2(float(RECORDER_ULPS * rounding.unit(y.dtype))))  # a power of two
-    bounds = [np.asarray(x, np.float64) for x in (test.noise, test.resolution, np.ravel(test.disturbance), test.average)]
+    bounds = [
+        np.asarray(x, np.float64)
+        for x in (test.noise, test.resolution, np.ravel(test.disturbance), test.average)
+    ]
     slip = input_slip(np.where(np.isnan(u), 0, u))
     whole = lcm(*(x.denominator for x in (*model.offset["u"], *model.offset["y"])))
     power = max(0, shift + max(map(_places, (u, slip, used, *bounds))))
@@ -159,7 +188,9 @@ def _rows_of(model, test, u, y):
         for j in range(samples):
             d = Y[j, i] - offset["y"][i]
             above, below = rho + d, rho - d
-            hi = above * either[(above > 0).astype(int)]  # times (1 - sigma)(1 + sigma) and the denominator of sigma
+            hi = (
+                above * either[(above > 0).astype(int)]
+            )  # times (1 - sigma)(1 + sigma) and the denominator of sigma
             lo = -below * either[(below > 0).astype(int)]
             twice[j * p + i], spread[j * p + i] = hi + lo, hi - lo
             factor[j * p + i] = Fraction(sigma.denominator, over * under)
@@ -199,7 +230,9 @@ def _strips(rows, strips, dtype):
         common = lcm(*(x.denominator for x in exact))
         exact = [int(x * common) for x in exact]
         middle = _total(x * rows.twice[i] for i, x in zip(support, exact, strict=False))
-        middle = abs(middle - _total(2 * x * rows.known[b] for b, x in zip(inputs, exact[len(support) :], strict=True)))
+        middle = abs(
+            middle - _total(2 * x * rows.known[b] for b, x in zip(inputs, exact[len(support) :], strict=True))
+        )
         width = _total(abs(x) * rows.spread[i] for i, x in zip(support, exact, strict=False))
         slip = _total(2 * abs(x) * rows.slip[b] for b, x in zip(inputs, exact[len(support) :], strict=True))
         floor = ceil(2 * rows.floor * sum(abs(h[i]) for i in support) * common * rows.scale)
@@ -214,23 +247,40 @@ def _searched(rows, frame, dtype):
     """Search in floats, from exact z and radii, and compare in integers what is found."""
     c, k, N = len(frame.outer), len(frame.inner), rows.absent.shape[1]
     inner, outer = list(frame.inner), list(frame.outer)
-    common = lcm(*(x.denominator for x in rows.factor), *(x.denominator for row in (*frame.R, *frame.K) for x in row))
+    common = lcm(
+        *(x.denominator for x in rows.factor), *(x.denominator for row in (*frame.R, *frame.K) for x in row)
+    )
     R, K = ([[int(x * common) for x in row] for row in M] for M in (frame.R, frame.K))
     share = [int(x * common) for x in rows.factor]
-    twice, spread = ([x * f for x, f in zip(values, share, strict=True)] for values in (rows.twice, rows.spread))
+    twice, spread = (
+        [x * f for x, f in zip(values, share, strict=True)] for values in (rows.twice, rows.spread)
+    )
     unit = 2 * rows.scale * common  # of twice and spread; z and outer radii are larger by `common` once more
-    z = [common * twice[j] - _total(x * twice[i] for x, i in zip(R[a], inner, strict=True) if x)
-         - _total(2 * x * common * v for x, v in zip(K[a], rows.known, strict=True) if x) for a, j in enumerate(outer)]  # fmt: skip
-    slip = [_total(2 * abs(x) * common * v for x, v in zip(row, rows.slip, strict=True) if x) + np.zeros(N, object) for row in K]
+    z = [
+        common * twice[j]
+        - _total(x * twice[i] for x, i in zip(R[a], inner, strict=True) if x)
+        - _total(2 * x * common * v for x, v in zip(K[a], rows.known, strict=True) if x)
+        for a, j in enumerate(outer)
+    ]
+    slip = [
+        _total(2 * abs(x) * common * v for x, v in zip(row, rows.slip, strict=True) if x)
+        + np.zeros(N, object)
+        for row in K
+    ]
     present = np.array(frame.used, bool)[:, None] & ~rows.absent[outer]
     real = ~rows.absent[inner]
     lacking = np.array([[bool(x) for x in row] for row in R], int).reshape(c, k) @ ~real
-    lacking = lacking + np.array([[bool(x) for x in row] for row in K], int).reshape(c, len(rows.known)) @ rows.missing
+    lacking = (
+        lacking
+        + np.array([[bool(x) for x in row] for row in K], int).reshape(c, len(rows.known)) @ rows.missing
+    )
     usable = (np.where(present, lacking, 0).sum(0) == 0) & present.any(0)
     top = max(abs(int(v)) for values in (z, *spread) for v in np.ravel(values))
     fold = 1 << max(0, top.bit_length() - (unit * common).bit_length() - 900)  # so that floats hold z / fold
     least = float(rounding.tiny(np.float64)) * 2.0**20
-    floats = lambda values, over, fill, where: np.where(where, np.array([_quotient(v, over) for v in values]).reshape(len(values), N), fill)
+    floats = lambda values, over, fill, where: np.where(
+        where, np.array([_quotient(v, over) for v in values]).reshape(len(values), N), fill
+    )
     z_float = floats(z, unit * common * fold, 0.0, present)
     r_outer = np.maximum(floats([spread[j] for j in outer], unit * fold, 1.0, present), least)
     r_inner = np.maximum(floats([spread[i] for i in inner], unit * fold, 1.0, real), least)
@@ -245,7 +295,9 @@ def _searched(rows, frame, dtype):
             given = (x[:, part] for x in (z_float, r_outer, r_inner, present))
             h, d, _ = map(np.asarray, _candidates(R_float, *given, np.ones(len(part)), finer))
             take = lambda values, part=part: [v[part] for v in values]
-            z_i, slip_i, s_outer, s_inner = map(take, (z, slip, [spread[j] for j in outer], [spread[i] for i in inner]))
+            z_i, slip_i, s_outer, s_inner = map(
+                take, (z, slip, [spread[j] for j in outer], [spread[i] for i in inner])
+            )
             h, d = np.where(present[:, part] & np.isfinite(h), h, 0), np.where(np.isfinite(d), d, 0)
             power = _places(h)
             h_i = _integers(h, power)
@@ -272,14 +324,19 @@ def _searched(rows, frame, dtype):
 
 @jax.jit
 def _candidates(R, z, r_outer, r_inner, present, one, finer):
-    radius, counts = jnp.concatenate([r_outer, r_inner]), jnp.concatenate([present, jnp.ones_like(r_inner, bool)])
+    radius, counts = (
+        jnp.concatenate([r_outer, r_inner]),
+        jnp.concatenate([present, jnp.ones_like(r_inner, bool)]),
+    )
     return separation.exchange_search(R, z, radius, counts, one, 20 * (len(r_inner) + 10), finer)
 
 
 def _signed(margin, out, inside, dtype):
     """Give margins the sign that was proved, 0 where none was."""
     least = np.finfo(dtype).eps
-    return np.where(out, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0)).astype(dtype)
+    return np.where(out, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0)).astype(
+        dtype
+    )
 
 
 def _total(parts):
@@ -310,4 +367,6 @@ def _places(x):
 def _integers(x, power):
     """Return finite floats times 2^power, which makes them integers, as an array of Python's."""
     mantissa, exponent = np.frexp(np.asarray(x, np.float64))
-    return (mantissa * 2.0**53).astype(np.int64).astype(object) << np.where(mantissa == 0, 0, exponent + (power - 53)).astype(object)
+    return (mantissa * 2.0**53).astype(np.int64).astype(object) << np.where(
+        mantissa == 0, 0, exponent + (power - 53)
+    ).astype(object)

@@ -19,13 +19,15 @@ def decided_again(res: Any, count: int = COUNT, seed: int = 0) -> int:
     """Decide windows of a Result again on the CPU.
 
     Args:
-        res: a Result of windows. count: how many windows, drawn at random from those with data. seed: of the draw.
+        res: a Result of windows. count: how many windows, drawn at random from those with data. seed: of the
+            draw.
 
     Returns:
         How many were decided again; 0 for an observer, whose verdicts rest on all samples before.
 
     Raises:
-        RuntimeError: a window is FAULT in one place and CONSISTENT in the other. UNDECIDED contradicts nothing.
+        RuntimeError: a window is FAULT in one place and CONSISTENT in the other. UNDECIDED contradicts
+            nothing.
 
     Example:
         >>> import jaxbound as jb
@@ -48,16 +50,22 @@ def decided_again(res: Any, count: int = COUNT, seed: int = 0) -> int:
     proved = lambda x: (x == Status.FAULT) | (x == Status.CONSISTENT)
     wrong = proved(first) & proved(second) & (first != second)
     if wrong.any():
-        k, names = tuple(map(int, some[np.argmax(wrong)])), [Status(int(x[np.argmax(wrong)])).name for x in (first, second)]
+        k, names = (
+            tuple(map(int, some[np.argmax(wrong)])),
+            [Status(int(x[np.argmax(wrong)])).name for x in (first, second)],
+        )
         raise RuntimeError(
-            f"{int(wrong.sum())} of {len(some)} windows were decided otherwise on the CPU, first the one that ends at {k[-1]}: {names[0]}, "
+            f"{int(wrong.sum())} of {len(some)} windows were decided otherwise on the CPU, first the one "
+            f"that ends at {k[-1]}: {names[0]}, "
             f"there {names[1]}: this device proves nothing, run with JAX_PLATFORMS=cpu and please report it"
         )
     return len(some)
 
 
 def again_hints(res: Any) -> tuple[str, ...]:
-    """Return the sentence of a report on windows that were decided again; none where the CPU judged all of them. See `decided_again`."""
+    """Return the sentence of a report on windows that were decided again; none where the CPU judged all of
+    them. See `decided_again`.
+    """
     devices = judged_elsewhere()
     return again_said(devices, decided_again(res)) if devices else ()
 
@@ -69,5 +77,14 @@ def judged_elsewhere() -> str:
 
 
 def again_said(devices: str, count: int) -> tuple[str, ...]:
-    """Return the sentence on so many windows that were judged on devices and decided again; none if there are no such."""
-    return (f"judged on {devices}; {count} windows drawn at random were decided again on the CPU, and none differs",) if count else ()
+    """Return the sentence on so many windows that were judged on devices and decided again; none if there are
+    no such.
+    """
+    return (
+        (
+            f"judged on {devices}; {count} windows drawn at random were decided again on the CPU, and none "
+            f"differs",
+        )
+        if count
+        else ()
+    )

@@ -49,16 +49,19 @@ NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 class Alarm:
     """A stretch of FAULT windows.
 
-    Fields: start, end: first and last sample (inclusive); windows: how many are FAULT; depth: the worst margin (< 0), reached
-    at sample `worst`; recording: index of the recording in a batch, () for a single one; result: what the alarm was found in; ended: why it
-    is over, of which no verdict is a proof, one of
+    Fields: start, end: first and last sample (inclusive); windows: how many are FAULT; depth: the worst
+    margin (< 0), reached at sample `worst`; recording: index of the recording in a batch, () for a single
+    one; result: what the alarm was found in; ended: why it is over, of which no verdict is a proof, one of
 
     - "still on at the last sample", "no data after it";
-    - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first one, so a fault that lasts
+    - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first
+    one, so a fault that lasts
       would look the same. From which size on a lasting one is sure to be seen: `detectable`;
-    - "seen beyond its onset and no longer: repaired or hidden": a window without the onset is FAULT too, so the fault was seen while it
+    - "seen beyond its onset and no longer: repaired or hidden": a window without the onset is FAULT too, so
+    the fault was seen while it
       lasted; now it is gone, or noise within the bounds hides it;
-    - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and may take what lasts for the
+    - "the observer began anew behind it: repaired or lasting": an observer forgets what was contradicted, and
+    may take what lasts for the
       state;
     - "a gap ended it, FAULT stays until one: repaired or lasting": of an observer with restart=False.
     """
@@ -76,21 +79,28 @@ class Alarm:
     def certificate(self) -> Any:
         """The Certificate of the worst window, worked out at the first call."""
         if self.result is None:
-            raise ValueError("this alarm came without the result it was found in: ask that to explain its worst window")
+            raise ValueError(
+                "this alarm came without the result it was found in: ask that to explain its worst window"
+            )
         return self.result.explain((*self.recording, self.worst) if self.recording else self.worst)
 
     @property
     def errors(self) -> dict[str, Any]:
-        """{output: the smallest error of that sensor alone that would explain the worst window}, exact; see `Certificate.errors`."""
+        """{output: the smallest error of that sensor alone that would explain the worst window}, exact; see
+        `Certificate.errors`.
+        """
         return self.certificate.errors
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """The outputs whose sensor alone could be wrong in the worst window, the most plausible first, then inputs whose actuator could.
+        """The outputs whose sensor alone could be wrong in the worst window, the most plausible first, then
+        inputs whose actuator could.
 
         Of any other signal it is proved that no error of it alone explains the alarm.
         """
-        if hasattr(self.result, "remaining"):  # a bank of relations says it of all windows of the alarm at once
+        if hasattr(
+            self.result, "remaining"
+        ):  # a bank of relations says it of all windows of the alarm at once
             return self.result.remaining(self.start, self.end, self.recording)
         return self.certificate.candidates
 
@@ -108,8 +118,8 @@ def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: in
     """See `Result.alarms`. Array operations over time; the loop is over alarms.
 
     Args:
-        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no window; of an
-            observer None, or LATCHED.
+        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no
+            window; of an observer None, or LATCHED.
     """
     check_rule(k, n, hold, clear)
     shape = result.status.shape
@@ -124,7 +134,8 @@ def group_alarms(result: Any, k: int, n: int, hold: int, clear: int, horizon: in
         codes = endings(first, last, follows(missing[row], columns[1]), horizon)
         rows = zip(*(x.tolist() for x in columns), codes.tolist(), strict=True)
         alarms += [
-            Alarm(start, end, windows, depth, worst, recording, result, ENDINGS[code]) for start, end, windows, depth, worst, code in rows
+            Alarm(start, end, windows, depth, worst, recording, result, ENDINGS[code])
+            for start, end, windows, depth, worst, code in rows
         ]
     return alarms
 
@@ -140,17 +151,22 @@ def forgets_after(relations: Any) -> int | None:
 
 
 def follows(missing: np.ndarray, end: ArrayLike) -> np.ndarray:
-    """Return what comes after the alarms that end at samples `end`; missing: (T,) bool, windows without data."""
+    """Return what comes after the alarms that end at samples `end`; missing: (T,) bool, windows without
+    data.
+    """
     return np.append(np.where(missing, NO_DATA, OTHER), NO_SAMPLE)[np.asarray(end, int) + 1]
 
 
-def endings(first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, horizon: int | None) -> np.ndarray:
+def endings(
+    first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, horizon: int | None
+) -> np.ndarray:
     """Return for each alarm the number of its entry in ENDINGS.
 
     Args:
-        first, last: its first and last FAULT window. after: NO_SAMPLE, NO_DATA or OTHER. horizon: of the windows. The onset is no later
-            than `first`, and a window that ends at `first + horizon` or later has no sample before that. None: of an
-            observer, which leaves what it contradicts only to begin anew; LATCHED: only at a gap.
+        first, last: its first and last FAULT window. after: NO_SAMPLE, NO_DATA or OTHER. horizon: of the
+            windows. The onset is no later than `first`, and a window that ends at `first + horizon` or later
+            has no sample before that. None: of an observer, which leaves what it contradicts only to begin
+            anew; LATCHED: only at a gap.
     """
     if horizon is None or horizon == LATCHED:
         return np.where(after == NO_SAMPLE, 0, ENDINGS.index(BEGAN_ANEW if horizon is None else GAP))
@@ -158,10 +174,16 @@ def endings(first: int | np.ndarray, last: int | np.ndarray, after: np.ndarray, 
 
 
 def stretches(
-    fault: np.ndarray, margin: np.ndarray, k: int, n: int, hold: int, clear: int, before: Sequence[bool] | np.ndarray = ()
+    fault: np.ndarray,
+    margin: np.ndarray,
+    k: int,
+    n: int,
+    hold: int,
+    clear: int,
+    before: Sequence[bool] | np.ndarray = (),
 ) -> tuple[np.ndarray, ...]:
-    """Return (start, end, windows, depth, worst, first, last) of the alarms of one recording, an array each: as in `Alarm`, and the first
-    and the last FAULT window that made it.
+    """Return (start, end, windows, depth, worst, first, last) of the alarms of one recording, an array each:
+    as in `Alarm`, and the first and the last FAULT window that made it.
 
     Args:
         fault: (T,) bool. margin: (T,). k, n, hold, clear: see `Result.alarms`.
@@ -171,7 +193,9 @@ def stretches(
     on = np.flatnonzero(count[n:] - count[:-n] >= k)
     if not len(on):
         return on, on, on, margin[on], on, on, on
-    breaks = np.flatnonzero(np.diff(on) > hold + clear)  # the quiet samples between two on-samples: their distance - 1
+    breaks = np.flatnonzero(
+        np.diff(on) > hold + clear
+    )  # the quiet samples between two on-samples: their distance - 1
     starts = on[np.concatenate([[0], breaks + 1])]
     ends = np.minimum(on[np.concatenate([breaks, [len(on) - 1]])] + hold, len(fault) - 1)
     lengths = ends - starts + 1

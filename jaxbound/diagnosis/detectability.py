@@ -1,14 +1,18 @@
-"""Which faults are guaranteed to be seen? The smallest constant fault that no noise, disturbance or unknown input can hide.
+"""Which faults are guaranteed to be seen? The smallest constant fault that no noise, disturbance or unknown
+input can hide.
 
-A fault f shifts the rows of a window by f phi. Two behaviours can share a recording iff their rows differ by at most the two half-widths,
+A fault f shifts the rows of a window by f phi. Two behaviours can share a recording iff their rows differ by
+at most the two half-widths,
 
-    |f phi - E z| <= 2 r  for some z,        so f is always seen iff f t > 2, t = min over z of max_i |phi_i - (E z)_i| / r_i,
+    |f phi - E z| <= 2 r  for some z,
+    so f is always seen iff f t > 2,  t = min over z of max_i |phi_i - (E z)_i| / r_i,
 
-a Chebyshev problem whose dual is the relation that sees the fault best. Where f < 2 / t, the errors that are half the difference hide it.
+a Chebyshev problem whose dual is the relation that sees the fault best. Where f < 2 / t, the errors that are
+half the difference hide it.
 
-With a tolerance sigma a reading says less the larger it is, and a bias of the reading is one of the true value within e (1 -+ sigma) f,
-e = 1 / (1 - sigma^2): r is taken at the end of the operating range, and widened by e sigma f / 2 on the rows of the faulty sensor. The size
-is then enough, but not the smallest.
+With a tolerance sigma a reading says less the larger it is, and a bias of the reading is one of the true
+value within e (1 -+ sigma) f, e = 1 / (1 - sigma^2): r is taken at the end of the operating range, and
+widened by e sigma f / 2 on the rows of the faulty sensor. The size is then enough, but not the smallest.
 """
 
 import math
@@ -41,19 +45,23 @@ __all__ = ["GuaranteedSize", "always_seen", "detectable", "operating_reach", "vi
 
 ZERO = Fraction(0)
 ROUNDING = RECORDER_ULPS + 256
-"""Unit roundoffs of a reading that a verdict may lose: what the recording rounds away, and the error bounds of up to some 100 terms."""
+"""Unit roundoffs of a reading that a verdict may lose: what the recording rounds away, and the error bounds
+of up to some 100 terms.
+"""
 NEGLIGIBLE = 10**6
 SETTLED = 4
 """Longer windows that bring less than 0.1 % after which the search for the best horizon ends."""
 EFFORT = 10**6
-"""Cubed rows of a window, times signals, up to which `always_seen` works: about a second of exact arithmetic."""
+"""Cubed rows of a window, times signals, up to which `always_seen` works: about a second of exact
+arithmetic.
+"""
 
 
 class GuaranteedSize(float):
     """A size of a fault, in the unit of its signal; inf where no size is guaranteed to be seen.
 
-    Attributes: horizon: of the window that sees it; relation: as text, the one that sees it best; sizes: {horizon: size} of all that were
-    tried.
+    Attributes: horizon: of the window that sees it; relation: as text, the one that sees it best; sizes:
+    {horizon: size} of all that were tried.
     """
 
     horizon: int
@@ -74,21 +82,25 @@ def detectable(
     Args:
         model: a LinearSystem; with method "observer" also an `observer`, whose settings then count.
         fault: the name of an output or input, or a Fault of kind "bias"; its size and times do not matter.
-        horizon: of the window, which the fault must fill; None: that of the model, or its lags, or up to where longer windows see no
-            smaller faults.
+        horizon: of the window, which the fault must fill; None: that of the model, or its lags, or up to
+            where longer windows see no smaller faults.
         lags: of the window in place of horizon, as for `parity_relations`.
-        operating_range: largest |reading - offset| of the outputs, one number, one per output or {output: number}, with the fault.
-            Needed with a tolerance;
-            without one, readings are assumed below a million times the bounds, so that the rounding of the recording does not matter.
-        method: "joint": of windows. "observer": of a set observer that has settled when the fault begins, a bias or a drift (its size is a
-            sample's), on a certain model without tolerances; no horizon, operating_range or lags.
+        operating_range: largest |reading - offset| of the outputs, one number, one per output or {output:
+            number}, with the fault. Needed with a tolerance;
+            without one, readings are assumed below a million times the bounds, so that the rounding of the
+            recording does not matter.
+        method: "joint": of windows. "observer": of a set observer that has settled when the fault begins, a
+            bias or a drift (its size is a sample's), on a certain model without tolerances; no horizon,
+            operating_range or lags.
 
     Returns:
-        A GuaranteedSize, a float: `detect` with method "joint", in float64, calls every complete window FAULT throughout which a bias of
-        this size or more, of either sign, acts on the signal, whatever the state, noise, disturbances and unknown inputs. Without
-        tolerances no smaller number has this property (but for rounding); with them a smaller one may. With "observer" a size from
-        which on the observer finds FAULT within .horizon samples of the onset, whatever the errors: worked out in floats from one
-        recording (`observer_sizes`), so a number to plan by, while each FAULT is a proof; .sizes: {samples since the onset: size}.
+        A GuaranteedSize, a float: `detect` with method "joint", in float64, calls every complete window FAULT
+        throughout which a bias of this size or more, of either sign, acts on the signal, whatever the state,
+        noise, disturbances and unknown inputs. Without tolerances no smaller number has this property (but
+        for rounding); with them a smaller one may. With "observer" a size from which on the observer finds
+        FAULT within .horizon samples of the onset, whatever the errors: worked out in floats from one
+        recording (`observer_sizes`), so a number to plan by, while each FAULT is a proof; .sizes: {samples
+        since the onset: size}.
 
     Raises:
         ValueError: a signal that the model does not have, an operating range that is missing or not positive.
@@ -104,16 +116,22 @@ def detectable(
     if method == SetObserver.method or isinstance(model, SetObserver):
         return _observed(model, fault, (horizon, operating_range, lags))
     if method != "joint":
-        raise ValueError(f"method must be joint or {SetObserver.method}, not {method!r}: sizes of others are counted by jb.study")
+        raise ValueError(
+            f"method must be joint or {SetObserver.method}, not {method!r}: sizes of others are counted by "
+            f"jb.study"
+        )
     model = as_model(model)
     signal, kind = (fault.signal, fault.kind) if isinstance(fault, Fault) else (fault, "bias")
     if signal not in model.outputs + model.inputs:
-        raise ValueError(f"the model has no signal {signal!r}: it has {listed(model.outputs + model.inputs, str)}")
+        raise ValueError(
+            f"the model has no signal {signal!r}: it has {listed(model.outputs + model.inputs, str)}"
+        )
     if kind != "bias":
         raise NotImplementedError(f"guaranteed sizes are known for faults of kind 'bias', not {kind!r}")
     if model.uncertainties:
         raise NotImplementedError(
-            "guaranteed sizes of an uncertain model are not implemented: leave its uncertainties out, or decouple them"
+            "guaranteed sizes of an uncertain model are not implemented: leave its uncertainties out, or "
+            "decouple them"
         )
     reach = operating_reach(model, operating_range)
     if horizon is None and lags is None:
@@ -145,7 +163,9 @@ def detectable(
 def _observed(model, fault, windows):
     """Return the GuaranteedSize of a set observer."""
     if any(x is not None for x in windows):
-        raise ValueError("horizon, operating_range and lags are for windows: an observer looks at every sample")
+        raise ValueError(
+            "horizon, operating_range and lags are for windows: an observer looks at every sample"
+        )
     watch = model if isinstance(model, SetObserver) else observer(as_model(model))
     fault = fault if isinstance(fault, Fault) else Fault(fault)
     names = watch.model.outputs + watch.model.inputs
@@ -155,19 +175,26 @@ def _observed(model, fault, windows):
     out = GuaranteedSize(size)
     best = np.maximum.accumulate(phi)
     out.horizon, out.relation = delay, ""
-    out.sizes = {k: 2 / float(best[k]) for k in range(delay + 1) if best[k] > 0 and (k == 0 or best[k] > best[k - 1])}
+    out.sizes = {
+        k: 2 / float(best[k]) for k in range(delay + 1) if best[k] > 0 and (k == 0 or best[k] > best[k - 1])
+    }
     return out
 
 
-def always_seen(relations: Any, method: str = "joint", readings: ArrayLike | None = None) -> dict[str, float] | None:
-    """Return {signal: size of a lasting error from which on every complete window that it fills is FAULT}; inf: no size is sure to be seen.
+def always_seen(
+    relations: Any, method: str = "joint", readings: ArrayLike | None = None
+) -> dict[str, float] | None:
+    """Return {signal: size of a lasting error from which on every complete window that it fills is FAULT};
+    inf: no size is sure to be seen.
 
     Args:
-        relations: from `parity_relations`. method: of the test. readings: (T, p), NaN where missing: with a tolerance, how large they get.
+        relations: from `parity_relations`. method: of the test. readings: (T, p), NaN where missing: with a
+            tolerance, how large they get.
 
     Returns:
-        The sizes of `detectable` at the horizon of the relations, outputs first; None where they are not known: another method than
-        "joint", an uncertain model, or windows so long that more than about a second would be spent.
+        The sizes of `detectable` at the horizon of the relations, outputs first; None where they are not
+        known: another method than "joint", an uncertain model, or windows so long that more than about a
+            second would be spent.
 
     Example:
         >>> from jaxbound import LinearSystem
@@ -186,8 +213,13 @@ def always_seen(relations: Any, method: str = "joint", readings: ArrayLike | Non
         if readings is None or not np.size(readings):
             return None
         offset = np.array(model.offset["y"], float)
-        reach = np.fmax.reduce(abs(np.asarray(readings, float) - offset), axis=0, initial=np.finfo(np.float32).tiny).tolist()
-    return {signal: float(detectable(model, signal, operating_range=reach, **relations.window)) for signal in signals}
+        reach = np.fmax.reduce(
+            abs(np.asarray(readings, float) - offset), axis=0, initial=np.finfo(np.float32).tiny
+        ).tolist()
+    return {
+        signal: float(detectable(model, signal, operating_range=reach, **relations.window))
+        for signal in signals
+    }
 
 
 def _text(model, s, h):
@@ -198,19 +230,28 @@ def _text(model, s, h):
 
 
 def operating_reach(model: LinearSystem, given: Any) -> tuple[Fraction, ...]:
-    """Return the largest reading (deviation from the offset) of each output as a Fraction, from `operating_range` of `detectable`."""
+    """Return the largest reading (deviation from the offset) of each output as a Fraction, from
+    `operating_range` of `detectable`.
+    """
     if given is None:
         if any(model.tolerance):
             raise ValueError(
-                "a tolerance makes a sensor less certain the larger its readings are: give operating_range, the largest of them"
+                "a tolerance makes a sensor less certain the larger its readings are: give operating_range, "
+                "the largest of them"
             )
-        most = max((*model.noise, *model.resolution, *(max(abs(lo), abs(hi)) for lo, hi in model.disturbance)), default=ZERO)
+        most = max(
+            (*model.noise, *model.resolution, *(max(abs(lo), abs(hi)) for lo, hi in model.disturbance)),
+            default=ZERO,
+        )
         return (NEGLIGIBLE * most,) * model.p
     if isinstance(given, Mapping) or hasattr(given, "index") and hasattr(given, "keys"):
         given = [given[find_column(name, list(given.keys()), "operating_range")] for name in model.outputs]
     given = np.broadcast_to(np.asarray(given, object), (model.p,)) if np.ndim(given) == 0 else given
     if len(given) != model.p:
-        raise ValueError(f"operating_range needs one number, or one for each of {listed(model.outputs, str)}: {len(given)} given")
+        raise ValueError(
+            f"operating_range needs one number, or one for each of {listed(model.outputs, str)}: "
+            f"{len(given)} given"
+        )
     reach = tuple(linalg.rational(x) for x in given)
     if min(reach) <= 0:
         raise ValueError(f"operating_range must be positive, not {float(min(reach)):g}")
@@ -218,7 +259,8 @@ def operating_reach(model: LinearSystem, given: Any) -> tuple[Fraction, ...]:
 
 
 def visible_sizes(relations: Any, operating_range: Any = None) -> np.ndarray:
-    """Return the smallest constant fault of each signal that each relation alone is guaranteed to see, (R, N): outputs, then inputs.
+    """Return the smallest constant fault of each signal that each relation alone is guaranteed to see, (R,
+    N): outputs, then inputs.
 
     Args:
         relations: a Redundancy, or a ParityRelation. operating_range: as for `detectable`.
@@ -244,23 +286,40 @@ def _least(h, shift, widths, spread):
     return dot(map(abs, h), widths) / slope if slope > 0 else None
 
 
-def window_shift(model: LinearSystem, signal: str, s: int, reach: Sequence[Fraction]) -> tuple[list, list, list]:
-    """Return for each row of a window: its shift by a fault of size 1, twice its half-width, and what the fault adds to that."""
+def window_shift(
+    model: LinearSystem, signal: str, s: int, reach: Sequence[Fraction]
+) -> tuple[list, list, list]:
+    """Return for each row of a window: its shift by a fault of size 1, twice its half-width, and what the
+    fault adds to that.
+    """
     _, K = window.unknowns(model, s)
     unit, floor = Fraction(1, 2**53), Fraction(float(np.finfo(np.float64).tiny))
     stretch = [1 / (1 - t * t) for t in model.tolerance]
     widths, rows = [], (s + 1) * model.p
     for i in range(model.p):
-        rho = model.noise[i] + model.resolution[i] + ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i]) + floor
+        rho = (
+            model.noise[i]
+            + model.resolution[i]
+            + ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i])
+            + floor
+        )
         widths.append(2 * stretch[i] * (rho + model.tolerance[i] * max(reach[i], rho)))
     widths = widths * (s + 1) + [hi - lo + 2 * floor for lo, hi in model.disturbance] * s
     runs = [(model.averages[a], run) for a, run in window.runs(model, s)]
     for average, run in runs:
         size, i = sum(map(abs, average.weights), ZERO), run[0] % model.p
-        worn = ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i]) + model.resolution[i] if run[0] < rows else ZERO
+        worn = (
+            ROUNDING * unit * (reach[i] + abs(model.offset["y"][i]) + model.noise[i]) + model.resolution[i]
+            if run[0] < rows
+            else ZERO
+        )
         widths.append(2 * (average.bound + size * worn + 10 * (len(run) + size) * floor))
     if signal not in model.outputs:
-        return [sum(row[model.inputs.index(signal) :: model.m], ZERO) for row in K], widths, [ZERO] * len(widths)
+        return (
+            [sum(row[model.inputs.index(signal) :: model.m], ZERO) for row in K],
+            widths,
+            [ZERO] * len(widths),
+        )
     i = model.outputs.index(signal)
     shift = [stretch[i] if j < rows and j % model.p == i else ZERO for j in range(len(widths) - len(runs))]
     shift += [dot(average.weights, [shift[j] for j in run]) for average, run in runs]
@@ -268,7 +327,9 @@ def window_shift(model: LinearSystem, signal: str, s: int, reach: Sequence[Fract
 
 
 def _size(model, signal, s, reach, lags):
-    """Return the smallest size that a window of horizon s always sees, None where none is, and the relation that sees it."""
+    """Return the smallest size that a window of horizon s always sees, None where none is, and the relation
+    that sees it.
+    """
     E = window.unknowns(model, s)[0]
     seen = window.seen_rows(model, s, range(s + 1) if lags is None else lags)
     shift, widths, spread = ([x[i] for i in seen] for x in window_shift(model, signal, s, reach))
@@ -278,7 +339,12 @@ def _size(model, signal, s, reach, lags):
         return None, None
     f = 1 / best.t if not any(spread) else NEGLIGIBLE / best.t
     while True:  # each relation that is violated at f gives a smaller f at which it just holds: finitely many
-        best = chebyshev(space, [f * x for x in shift], [w + f * x for w, x in zip(widths, spread, strict=True)], best.reference)
+        best = chebyshev(
+            space,
+            [f * x for x in shift],
+            [w + f * x for w, x in zip(widths, spread, strict=True)],
+            best.reference,
+        )
         if best.t < 1 or (best.t == 1 and size is None and any(spread)):
             return size, None
         f = _least(best.h, shift, widths, spread)

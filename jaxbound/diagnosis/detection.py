@@ -31,48 +31,62 @@ def detect(
     """Decide for every window whether any behaviour inside the bounds explains it.
 
     Args:
-        relations: from `parity_relations` or `residual`; or a bank from `structured_relations` or `redundancy`, whose relations are
-            tested one by one: the Result then knows .violated and the .candidates, the single faults that can explain it.
-        u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or tables with the model's columns, see `Recording.of`. NaN marks a missing
-            sample. u is None for a model without inputs. Leading axes are recordings of their own. y None: u is a table of both.
-        method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs. "box" tests each
-            relation alone: FAULT is a proof, CONSISTENT only with a single relation, else UNDECIDED. "paving" is the paper's
-            adaptive bisection over the unknowns themselves: FAULT is a proof, anything else UNDECIDED (but see uncertain parameters).
-            A residual is always decided by bisection of its unknowns: FAULT and CONSISTENT are proofs.
-            With uncertain parameters both proofs of "joint" hold too, but what it neither refutes nor explains is UNDECIDED, until "paving"
-            bisects the parameters. "linearized" is the paper's test, which proves nothing: UNDECIDED, and .suspect where it is outside.
-        budget: for "paving", (q, boxes a window): stop at r > q - 1; default (3, 100_000). For a residual, or with uncertain parameters,
-            boxes a window; default 1000, or 10 000.
+        relations: from `parity_relations` or `residual`; or a bank from `structured_relations` or
+            `redundancy`, whose relations are tested one by one: the Result then knows .violated and the
+            .candidates, the single faults that can explain it.
+        u: (..., T, m) inputs, y: (..., T, p) outputs; arrays, or tables with the model's columns, see
+            `Recording.of`. NaN marks a missing sample. u is None for a model without inputs. Leading axes are
+            recordings of their own. y None: u is a table of both.
+        method: "joint" tests the exact set of all relations together: FAULT and CONSISTENT are both proofs.
+            "box" tests each relation alone: FAULT is a proof, CONSISTENT only with a single relation, else
+            UNDECIDED. "paving" is the paper's adaptive bisection over the unknowns themselves: FAULT is a
+            proof, anything else UNDECIDED (but see uncertain parameters). A residual is always decided by
+            bisection of its unknowns: FAULT and CONSISTENT are proofs. With uncertain parameters both proofs
+            of "joint" hold too, but what it neither refutes nor explains is UNDECIDED, until "paving" bisects
+            the parameters. "linearized" is the paper's test, which proves nothing: UNDECIDED, and .suspect
+            where it is outside.
+        budget: for "paving", (q, boxes a window): stop at r > q - 1; default (3, 100_000). For a residual, or
+            with uncertain parameters, boxes a window; default 1000, or 10 000.
         progress: called with the share of the work done, after each block.
-        starts: numbers of the samples that do not follow the one before, after a gap for example: windows across are MISSING. The gaps
-            that the times of a table show are found, and rows that are in disorder or of another period refused, as of a file.
-        compensation: for "linearized", what each relation may be off by for the terms that it neglects, one number or one a relation.
+        starts: numbers of the samples that do not follow the one before, after a gap for example: windows
+            across are MISSING. The gaps that the times of a table show are found, and rows that are in
+            disorder or of another period refused, as of a file.
+        compensation: for "linearized", what each relation may be off by for the terms that it neglects, one
+            number or one a relation.
 
     Returns:
-        A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends at sample k. The
-        first `horizon` entries are MISSING. A window with missing samples is judged by the circuits that do not need them;
-        with a missing input these prove FAULT, but not CONSISTENT. Where bounds are as thin as the rounding of floats, as those of a
-        sensor without noise are, "joint" and "box" decide in whole numbers: exact, but some 10 to 100 microseconds a window.
+        A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
+        at sample k. The first `horizon` entries are MISSING. A window with missing samples is judged by the
+        circuits that do not need them; with a missing input these prove FAULT, but not CONSISTENT. Where
+        bounds are as thin as the rounding of floats, as those of a sensor without noise are, "joint" and
+        "box" decide in whole numbers: exact, but some 10 to 100 microseconds a window.
 
     Raises:
         TypeError: no relations; samples inside jit, vmap or grad.
-        ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite sample, an unknown method,
-            starts that are no sample numbers.
-        RuntimeError: where rounding has not been verified: all devices but CPU, so far, fast-math flags, another rounding mode.
+        ValueError: shapes or columns that do not fit, another sampling period than the model's, an infinite
+            sample, an unknown method, starts that are no sample numbers.
+        RuntimeError: where rounding has not been verified: all devices but CPU, so far, fast-math flags,
+            another rounding mode.
 
     Source: Adrot, Maquin, Ragot 2000, section 4; exactness of "joint": W box(mu) is a zonotope.
 
     Example:
         >>> import jaxbound as jb
-        >>> m = jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
+        >>> A, B, C = [[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]]
+        >>> m = jb.LinearSystem(A, B, C, tolerance=[0.02, 0.1], noise=[0.1, 0.01])
         >>> jb.detect(jb.parity_relations(m), [[0.0], [0.0]], [[0.0, 0.0], [0.5, 0.0]]).status
         array([0, 3], dtype=int8)
     """
     if not hasattr(relations, "test"):
-        raise TypeError(f"detect needs relations, not {type(relations).__name__}: detect(parity_relations(model), u, y)")
+        raise TypeError(
+            f"detect needs relations, not {type(relations).__name__}: detect(parity_relations(model), u, y)"
+        )
     if isinstance(u, jax.core.Tracer) or isinstance(y, jax.core.Tracer):
-        raise TypeError("detect drives compiled kernels from the host and cannot run inside jit, vmap or grad: give it arrays, a batch of "
-                        "recordings at once; inside, use margins, which is differentiable and proves nothing")  # fmt: skip
+        raise TypeError(
+            "detect drives compiled kernels from the host and cannot run inside jit, vmap or grad: give it "
+            "arrays, a batch of "
+            "recordings at once; inside, use margins, which is differentiable and proves nothing"
+        )
     kind, (relations, given) = relations, relations.recording(u, y, starts)
     refuse_unverified()
     given = replace(given, u=np.asarray(given.u), y=np.asarray(given.y))
@@ -86,16 +100,19 @@ def detect(
 
 
 def margins(relations: Any, u: Any, y: Any = None, starts: ArrayLike = ()) -> jax.Array:
-    """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window just becomes consistent.
+    """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window
+    just becomes consistent.
 
-    The fast path: not rounded, no proof claimed. Differentiable in `relations.bounds`, y and u, under jit, vmap and grad.
+    The fast path: not rounded, no proof claimed. Differentiable in `relations.bounds`, y and u, under jit,
+    vmap and grad.
 
     Args:
         relations, u, y, starts: as for `detect`.
 
     Returns:
-        (..., T): > 0 inside, < 0 outside, NaN where the window has no usable data (the first `horizon` entries). With uncertain
-        parameters t is that of the joint test, not above the true factor: > 0 says only that the test does not refute the window.
+        (..., T): > 0 inside, < 0 outside, NaN where the window has no usable data (the first `horizon`
+        entries). With uncertain parameters t is that of the joint test, not above the true factor: > 0 says
+        only that the test does not refute the window.
 
     Raises:
         ValueError: as `detect`.
@@ -109,7 +126,10 @@ def margins(relations: Any, u: Any, y: Any = None, starts: ArrayLike = ()) -> ja
         Array([20.], dtype=float...)
     """
     if not hasattr(relations, "test"):
-        raise TypeError(f"margins needs relations from parity_relations, not {type(relations).__name__}; detect(...).margin has them")
+        raise TypeError(
+            f"margins needs relations from parity_relations, not {type(relations).__name__}; "
+            f"detect(...).margin has them"
+        )
     relations, given = relations.recording(u, y, starts)
     if given.y.shape[-2] <= relations.horizon:
         return jnp.full(given.y.shape[:-1], jnp.nan, given.y.dtype)

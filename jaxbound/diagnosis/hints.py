@@ -19,16 +19,25 @@ NEARLY_ALL = 0.9
 
 
 def bound_hints(model: Any, relations: Any = None) -> list[str]:
-    """Return sentences on bounds that nobody can mean, and on those that were found for shorter windows than these.
+    """Return sentences on bounds that nobody can mean, and on those that were found for shorter windows than
+    these.
 
     Args:
-        model: as it was read: with the horizon or lags that its bounds were found for; nothing is said of other kinds.
+        model: as it was read: with the horizon or lags that its bounds were found for; nothing is said of
+            other kinds.
         relations: or an observer, what it is tested by; None: windows of the model.
     """
     if not isinstance(model, LinearSystem):
         return []
-    bare = [s for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True) if not any(b)]
-    none = f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error there is a FAULT"
+    bare = [
+        s
+        for s, *b in zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True)
+        if not any(b)
+    ]
+    none = (
+        f"the model states no tolerance, noise or resolution for {', '.join(bare)}: any measuring error "
+        f"there is a FAULT"
+    )
     rows = zip(model.outputs, model.tolerance, model.noise, model.resolution, strict=True)
     rounded = [s for s, tolerance, noise, resolution in rows if resolution and not (tolerance or noise)]
     have = "have" if len(rounded) > 1 else "has"
@@ -37,12 +46,17 @@ def bound_hints(model: Any, relations: Any = None) -> list[str]:
 
 
 def outgrown(model: LinearSystem, relations: Any = None, looks_back: str = "") -> list[str]:
-    """Return a sentence, or none, on bounds from data that a test reaches beyond: they were found for shorter windows.
+    """Return a sentence, or none, on bounds from data that a test reaches beyond: they were found for shorter
+    windows.
 
     Args:
-        model, relations: as for `bound_hints`. looks_back: what looks back on all samples; "": an observer alone does.
+        model, relations: as for `bound_hints`. looks_back: what looks back on all samples; "": an observer
+            alone does.
     """
-    known, found = model.lags[-1] if model.lags else model.horizon, " ".join(map(str, model.provenance.values()))
+    known, found = (
+        model.lags[-1] if model.lags else model.horizon,
+        " ".join(map(str, model.provenance.values())),
+    )
     if relations is None or known is None or not ("fitted" in found or "tuned" in found):
         return []
     looks_back = looks_back or ("an observer" if remembers(relations) else "")
@@ -57,7 +71,9 @@ def outgrown(model: LinearSystem, relations: Any = None, looks_back: str = "") -
 
 
 def fit_hints(result: Any) -> list[str]:
-    """Return a sentence, or none, on each recording of a Result that the model or its bounds seem not to fit."""
+    """Return a sentence, or none, on each recording of a Result that the model or its bounds seem not to
+    fit.
+    """
     relations, out = result.relations, []
     if latched(relations):  # one fault, and all that follows is FAULT
         return []
@@ -68,7 +84,9 @@ def fit_hints(result: Any) -> list[str]:
         worst = float(seen.min()) if len(seen) else np.nan
         counts = {s.name: int(np.count_nonzero(status == s)) for s in Status}
         which = f"recording {', '.join(map(str, at))}: " if at else ""
-        out += [which + said for said in unfit(counts, worst, "samples" if remembers(relations) else "windows")]
+        out += [
+            which + said for said in unfit(counts, worst, "samples" if remembers(relations) else "windows")
+        ]
     return out
 
 
@@ -76,7 +94,8 @@ def unfit(counts: Mapping[str, int], margin: float, what: str = "windows") -> li
     """Return a sentence, or none, where all windows with data are FAULT, or nearly all.
 
     Args:
-        counts: {status name: number of windows}. margin: of the worst, NaN: not known. what: "windows" or "samples".
+        counts: {status name: number of windows}. margin: of the worst, NaN: not known. what: "windows" or
+            "samples".
     """
     faults = counts["FAULT"]
     tested = faults + counts["CONSISTENT"] + counts["UNDECIDED"]
@@ -87,6 +106,9 @@ def unfit(counts: Mapping[str, int], margin: float, what: str = "windows") -> li
         wider = times(1 - margin).removesuffix(" times")
         by = f": all bounds times about {wider} would make every window consistent"
     if faults == tested:
-        return [f"every one of the {faults} {what} with data is FAULT: the model or its bounds do not fit this recording{by}"]
+        return [
+            f"every one of the {faults} {what} with data is FAULT: the model or its bounds do not fit this "
+            f"recording{by}"
+        ]
     many = f"{faults} of {tested} {what} with data ({percent(faults / tested)}) are FAULT"
     return [f"{many}: a fault lasts all through, or the model or its bounds do not fit this recording{by}"]

@@ -1,8 +1,9 @@
 """How far back should a window look? Lags that see a lasting fault, and what each choice is worth.
 
-A lasting fault hides behind a first state that nobody knows for about as long as the plant remembers it: the slowest time constant. Fewer
-samples, the farther back the fewer, see nearly as much as all of them, at a fraction of the work; disturbances of every step between make
-a window forget, whatever it looks at. Sizes here come from linear programs in floats: they help to choose, `detectable` proves.
+A lasting fault hides behind a first state that nobody knows for about as long as the plant remembers it: the
+slowest time constant. Fewer samples, the farther back the fewer, see nearly as much as all of them, at a
+fraction of the work; disturbances of every step between make a window forget, whatever it looks at. Sizes
+here come from linear programs in floats: they help to choose, `detectable` proves.
 """
 
 import math
@@ -29,8 +30,8 @@ ENOUGH = 1.25
 class SuggestedLags(tuple):
     """Lags, a tuple for `parity_relations(model, lags=...)`.
 
-    Attributes: sizes: {lags: {signal: size}} of all that were tried, the longest first: about the size from which on a constant fault that
-    fills the window is always seen (`detectable` proves it), inf for never.
+    Attributes: sizes: {lags: {signal: size}} of all that were tried, the longest first: about the size from
+    which on a constant fault that fills the window is always seen (`detectable` proves it), inf for never.
     """
 
     sizes: dict[tuple[int, ...], dict[str, float]]
@@ -40,28 +41,38 @@ class SuggestedLags(tuple):
         signals = tuple(next(iter(self.sizes.values())))
         head = ["", "span", "looks", *signals]
         shown = lambda size: "never" if math.isinf(size) else f"{size:.3g}"
-        lines = [["*" if lags == self else "", str(lags[-1] + 1), str(len(lags)), *map(shown, found.values())]
-                 for lags, found in self.sizes.items()]  # fmt: skip
+        lines = [
+            ["*" if lags == self else "", str(lags[-1] + 1), str(len(lags)), *map(shown, found.values())]
+            for lags, found in self.sizes.items()
+        ]
         width = [max(len(line[i]) for line in (head, *lines)) for i in range(len(head))]
-        return "\n".join(" ".join(cell.rjust(w) for cell, w in zip(line, width, strict=True)).rstrip() for line in (head, *lines))
+        return "\n".join(
+            " ".join(cell.rjust(w) for cell, w in zip(line, width, strict=True)).rstrip()
+            for line in (head, *lines)
+        )
 
 
-def suggest_lags(model: ModelLike, count: int = 16, longest: int | None = None, operating_range: Any = None) -> SuggestedLags:
+def suggest_lags(
+    model: ModelLike, count: int = 16, longest: int | None = None, operating_range: Any = None
+) -> SuggestedLags:
     """Suggest the lags of windows that see lasting faults of a plant.
 
     Args:
         model: a LinearSystem without uncertainties.
         count: so many samples at most are looked at: 0, 1, 2 and then farther and farther back.
-        longest: the longest span that is tried, in samples; None: the slowest time constant of the plant, of an integrating or unstable
-            one its fastest but 64 samples at least.
+        longest: the longest span that is tried, in samples; None: the slowest time constant of the plant, of
+            an integrating or unstable one its fastest but 64 samples at least.
         operating_range: as for `detectable`, needed with tolerances.
 
     Returns:
-        SuggestedLags: the shortest span of those that see within 25 % of what the best sees, with a table of all. Bounds must hold over the
-        whole span: those that were found for short windows may be too tight for long ones (`jb.tune(..., lags)` or `jb.fit(lags=...)`).
+        SuggestedLags: the shortest span of those that see within 25 % of what the best sees, with a table of
+            all. Bounds must hold over the
+        whole span: those that were found for short windows may be too tight for long ones (`jb.tune(...,
+            lags)` or `jb.fit(lags=...)`).
 
     Raises:
-        ValueError: no whole number >= 2 of samples, an operating range that is missing, no span with a relation.
+        ValueError: no whole number >= 2 of samples, an operating range that is missing, no span with a
+            relation.
         NotImplementedError: an uncertain model.
 
     Example:
@@ -72,7 +83,9 @@ def suggest_lags(model: ModelLike, count: int = 16, longest: int | None = None, 
     """
     model = as_model(model)
     if model.uncertainties:
-        raise NotImplementedError("lags are for models without uncertainties: leave them out, or decouple them")
+        raise NotImplementedError(
+            "lags are for models without uncertainties: leave them out, or decouple them"
+        )
     if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 2:
         raise ValueError(f"count must be a whole number of samples >= 2, not {count!r}")
     reach = operating_reach(model, operating_range)
@@ -85,7 +98,10 @@ def suggest_lags(model: ModelLike, count: int = 16, longest: int | None = None, 
         top //= 2
     seen = {lags: found for lags, found in sizes.items() if any(map(math.isfinite, found.values()))}
     if not seen:
-        raise ValueError("no window of these spans is sure to see a lasting fault, whatever its size: its bounds or disturbances hide it")
+        raise ValueError(
+            "no window of these spans is sure to see a lasting fault, whatever its size: its bounds or "
+            "disturbances hide it"
+        )
     score = {lags: _score(found, list(seen.values())) for lags, found in seen.items()}
     best = min(score.values())
     chosen = min((lags for lags in seen if score[lags] <= best + math.log(ENOUGH)), key=lambda lags: lags[-1])
@@ -95,7 +111,9 @@ def suggest_lags(model: ModelLike, count: int = 16, longest: int | None = None, 
 
 
 def slowest(model: LinearSystem) -> float:
-    """Return the slowest time constant of a plant in samples, inf if it integrates or is unstable, 0 without states."""
+    """Return the slowest time constant of a plant in samples, inf if it integrates or is unstable, 0 without
+    states.
+    """
     if not model.n:
         return 0.0
     poles = np.abs(np.linalg.eigvals(np.array([[float(x) for x in row] for row in model.A])))
@@ -126,7 +144,9 @@ def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Any) -> dict[str, 
 
     s = lags[-1]
     seen = window.seen_rows(model, s, lags)
-    E = np.array([[float(x) for x in row] for i, row in enumerate(window.unknowns(model, s)[0]) if i in set(seen)])
+    E = np.array(
+        [[float(x) for x in row] for i, row in enumerate(window.unknowns(model, s)[0]) if i in set(seen)]
+    )
     E = csr_array(E / np.maximum(np.abs(E).max(0, initial=0), 1e-300))  # of columns that grow out of reach
     found = {}
     for name in model.outputs + model.inputs:
@@ -141,7 +161,9 @@ def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Any) -> dict[str, 
 
 
 def _score(found: Mapping[str, float], others: list) -> float:
-    """Return the mean logarithm of sizes over the smallest of each signal; what is never seen counts ten times the worst."""
+    """Return the mean logarithm of sizes over the smallest of each signal; what is never seen counts ten
+    times the worst.
+    """
     total, signals = 0.0, [name for name in found if any(math.isfinite(o[name]) for o in others)]
     for name in signals:
         finite = [o[name] for o in others if math.isfinite(o[name])]

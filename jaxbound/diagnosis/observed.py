@@ -22,19 +22,24 @@ __all__ = ["ObserverResult"]
 class ObserverResult(Result):
     """A Result of a set observer: entry k rests on all samples from where the observer began to sample k.
 
-    FAULT: they contradict the model and its bounds, a proof. UNDECIDED: they are not refuted. MISSING: the state is not known yet, or there
-    is no sample. margin: as of an Observation, of sample k given those before.
+    FAULT: they contradict the model and its bounds, a proof. UNDECIDED: they are not refuted. MISSING: the
+    state is not known yet, or there is no sample. margin: as of an Observation, of sample k given those
+    before.
     """
 
     @cached_property
     def observation(self) -> Observation:
-        """The Observation of the same samples, worked out at the first call: bands of states and outputs, and since when."""
+        """The Observation of the same samples, worked out at the first call: bands of states and outputs, and
+        since when.
+        """
         given = Recording.of(self.relations.signals, self.u, self.y, self.starts)
         return jax.tree.map(np.asarray, drive(self.relations.telling(enclosures=True), given))
 
     @cached_property
     def readings(self) -> Interval:
-        """(..., T, p): what healthy sensors may show as far as the samples before tell. Not rounded outward: for pictures."""
+        """(..., T, p): what healthy sensors may show as far as the samples before tell. Not rounded outward:
+        for pictures.
+        """
         predicted, model = self.observation.predicted, self.relations.model
         rho, sigma = self.relations.bounds["noise"], self.relations.bounds["tolerance"]
         zero = model.offset["y"]

@@ -34,15 +34,18 @@ class Result:
     """Verdicts of all windows; entry k belongs to the window that ends at sample k.
 
     Fields:
-        status: (..., T) int8, see `Status`. FAULT is a proof; so is CONSISTENT for method "joint" (or a single relation).
-        margin: (..., T), 1 - t with t the common factor on all half-widths at which the window just becomes consistent; t = 3: the
-            bounds would have to be three times as wide. For method "box" of the worst residual alone. NaN where MISSING.
+        status: (..., T) int8, see `Status`. FAULT is a proof; so is CONSISTENT for method "joint" (or a
+            single relation).
+        margin: (..., T), 1 - t with t the common factor on all half-widths at which the window just becomes
+            consistent; t = 3: the bounds would have to be three times as wide. For method "box" of the worst
+            residual alone. NaN where MISSING.
         method, relations: as given to `detect`.
         u, y: the recording as it was tested.
         index: the index of the DataFrame that y came from, or None.
         starts: numbers of the samples that do not follow the one before: windows across are MISSING.
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
-        recorded: what was to be said of a recording that came from a file, its .hints; None: it came as arrays.
+        recorded: what was to be said of a recording that came from a file, its .hints; None: it came as
+            arrays.
     """
 
     status: np.ndarray
@@ -57,7 +60,10 @@ class Result:
     recorded: tuple | None = field(default=None, kw_only=True, repr=False)
 
     def _head(self):
-        return f"{type(self).__name__} {self.status.shape}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
+        return (
+            f"{type(self).__name__} {self.status.shape}: "
+            f"{', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
+        )
 
     def _rows(self):
         rows = {"method": _tested(self)}
@@ -84,12 +90,13 @@ class Result:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands still, when and
-        how long; bounds that are not stated, or were found for shorter windows; whether model and bounds fit at all;
-        which signal seems to be in another unit than the model's. A report shows the same.
+        """Sentences for whoever acts on the verdicts: where the recording was split, which signal stands
+        still, when and how long; bounds that are not stated, or were found for shorter windows; whether model
+        and bounds fit at all; which signal seems to be in another unit than the model's. A report shows the
+        same.
 
-        A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for each of its
-        recordings.
+        A frozen or saturated sensor can look consistent. No verdict uses these. A batch has a sentence for
+        each of its recordings.
         """
         said = self._of_the_recording() if self.recorded is None else self.recorded
         model = self.relations.model
@@ -101,7 +108,10 @@ class Result:
         out = []
         if len(self.starts):
             first = label(int(self.starts[0]))
-            out.append(f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are MISSING")
+            out.append(
+                f"the recording is split in {len(self.starts) + 1}, first at {first}: windows across are "
+                f"MISSING"
+            )
         for at in np.ndindex(self.status.shape[:-1]):
             which = f"recording {', '.join(map(str, at))}: " if at else ""
             model, u, y = self.relations.model, self.u[at], self.y[at]
@@ -114,8 +124,8 @@ class Result:
     def alarms(self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1) -> list[Alarm]:
         """Group FAULT windows into alarms; the verdicts themselves stay as they are.
 
-        An alarm starts where k of the last n windows are FAULT, stays on for `hold` samples after that ceases, and ends once `clear`
-        samples in a row are quiet.
+        An alarm starts where k of the last n windows are FAULT, stays on for `hold` samples after that
+        ceases, and ends once `clear` samples in a row are quiet.
 
         Args:
             k, n: 1 <= k <= n. hold: >= 0. clear: >= 1. All in samples.
@@ -126,19 +136,24 @@ class Result:
         Raises:
             ValueError: numbers outside these ranges.
         """
-        horizon = 0 if self.relations is None else forgets_after(self.relations)  # of residuals that a user worked out nothing is known
+        horizon = (
+            0 if self.relations is None else forgets_after(self.relations)
+        )  # of residuals that a user worked out nothing is known
         return group_alarms(self, k, n, hold, clear, horizon)
 
     def explain(self, at: int | tuple[int, ...]) -> Any:
-        """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in exact rationals.
+        """Return the Certificate of the window that ends at index `at` (an int, or a tuple for a batch), in
+        exact rationals.
 
-        For FAULT the violated relation with its coefficients, bounds and excess, and .errors, the smallest error of each sensor alone that
-        would explain the window; for CONSISTENT a behaviour that explains it. .to_json() is complete in itself. With uncertain
-        parameters an UncertainCertificate: ranges of polynomials, or parameters that explain the window. Of a residual a
-        ResidualCertificate, with an Interval of unknowns that explains a CONSISTENT window.
+        For FAULT the violated relation with its coefficients, bounds and excess, and .errors, the smallest
+        error of each sensor alone that would explain the window; for CONSISTENT a behaviour that explains it.
+        .to_json() is complete in itself. With uncertain parameters an UncertainCertificate: ranges of
+        polynomials, or parameters that explain the window. Of a residual a ResidualCertificate, with an
+        Interval of unknowns that explains a CONSISTENT window.
 
         Raises:
-            ValueError: the window is MISSING. NotImplementedError: with uncertain parameters a window for which neither proof is
+            ValueError: the window is MISSING. NotImplementedError: with uncertain parameters a window for
+                which neither proof is
             found.
 
         Example:
@@ -158,9 +173,14 @@ class Result:
         import pandas as pd
 
         if self.status.ndim != 1:
-            raise ValueError(f"to_pandas is for one recording, this result has the shape {self.status.shape}: build a frame for each")
+            raise ValueError(
+                f"to_pandas is for one recording, this result has the shape {self.status.shape}: build a "
+                f"frame for each"
+            )
         names = pd.Categorical.from_codes(self.status, [s.name for s in Status])
-        return pd.DataFrame({"status": names, "margin": self.margin, "suspect": self.suspect}, index=self.index)
+        return pd.DataFrame(
+            {"status": names, "margin": self.margin, "suspect": self.suspect}, index=self.index
+        )
 
 
 def _tested(res):
@@ -172,5 +192,7 @@ def _tested(res):
 
 @singledispatch
 def result_of(relations: Any, judged: Judged, *about: Any, **more: Any) -> Result:
-    """Return the Result of what `detect` was given: method, relations, u, y, index, starts and aside beside the verdicts `judged`."""
+    """Return the Result of what `detect` was given: method, relations, u, y, index, starts and aside beside
+    the verdicts `judged`.
+    """
     return Result(judged.status, judged.margin, *about, **more)

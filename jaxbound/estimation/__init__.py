@@ -8,5 +8,15 @@ from jaxbound.estimation.unknown_inputs import UnknownInputs
 from jaxbound.estimation.validation import Validation
 from jaxbound.estimation.validation_observer import ValidationObserver
 
-__all__ = ["ConstrainedObserver", "ConstrainedState", "JointObserver", "JointState", "Observation", "ObserverState", "SetObserver",
-           "UnknownInputs", "Validation", "ValidationObserver"]  # fmt: skip
+__all__ = [
+    "ConstrainedObserver",
+    "ConstrainedState",
+    "JointObserver",
+    "JointState",
+    "Observation",
+    "ObserverState",
+    "SetObserver",
+    "UnknownInputs",
+    "Validation",
+    "ValidationObserver",
+]

@@ -1,8 +1,10 @@
-"""The observer that carries a constrained zonotope: what samples say is kept as equations, until there are too many of them.
+"""The observer that carries a constrained zonotope: what samples say is kept as equations, until there are
+too many of them.
 
-A zonotope forgets of every sample what its shape cannot say; a constrained zonotope keeps the last equations and what is left of older
-ones (`constrained_steps`). Whether anything is left of it is a small linear program, which `sets.zonotopes` searches and proves. A zonotope
-of as many generators goes with it (`SetObserver`): it begins, and holds where rounding takes too much.
+A zonotope forgets of every sample what its shape cannot say; a constrained zonotope keeps the last equations
+and what is left of older ones (`constrained_steps`). Whether anything is left of it is a small linear
+program, which `sets.zonotopes` searches and proves. A zonotope of as many generators goes with it
+(`SetObserver`): it begins, and holds where rounding takes too much.
 
 Source: Scott, Raimondo, Marseglia, Braatz 2016.
 """
@@ -32,7 +34,9 @@ HULLS, SEARCH = 256, 12
 
 @readable
 class ConstrainedState(NamedTuple):
-    """What the observer carries on. Fields: carry, samples: as of `ObserverState`; held: of `constrained_steps`, recordings last."""
+    """What the observer carries on. Fields: carry, samples: as of `ObserverState`; held: of
+    `constrained_steps`, recordings last.
+    """
 
     carry: zonotope_steps.Carry
     samples: np.int64
@@ -48,7 +52,9 @@ class ConstrainedObserver(SetObserver):
 
     usual_order = 5.0
 
-    def __init__(self, model: Any, order: float, weight: Any, *given: Any, constraints: int = 8, **more: Any) -> None:
+    def __init__(
+        self, model: Any, order: float, weight: Any, *given: Any, constraints: int = 8, **more: Any
+    ) -> None:
         super().__init__(model, order, 1.0, *given, **more)
         if self._unknown is not None:
             raise ValueError("method 'constrained' takes no unknown inputs: use zonotope, strips or joint")
@@ -107,16 +113,22 @@ class ConstrainedObserver(SetObserver):
             again = np.zeros_like(refuted)
             again[:, lanes] = new & (np.cumsum(new, 0) == 1)
             margin[:, lanes] = np.where(later, less, margin[:, lanes])
-            for whole, part in zip(jax.tree.leaves((after, found)), jax.tree.leaves((done, told)), strict=True):
+            for whole, part in zip(
+                jax.tree.leaves((after, found)), jax.tree.leaves((done, told)), strict=True
+            ):
                 whole[..., lanes] = part
             refuted |= again
         carry, held = after
         gone = refuted[-1]
-        carry = carry._replace(age=np.where(gone, -1, carry.age).astype(np.int32), ready=np.where(gone, 0, carry.ready))
+        carry = carry._replace(
+            age=np.where(gone, -1, carry.age).astype(np.int32), ready=np.where(gone, 0, carry.ready)
+        )
         return (carry, held._replace(on=held.on & ~gone)), _lower(found, refuted, margin)
 
     def _lasting(self, lasting, after, found, wrong, margin, fresh):
-        """Return (state, Found) where a FAULT stays until a gap; behind it no program is asked, wherever a piece ends."""
+        """Return (state, Found) where a FAULT stays until a gap; behind it no program is asked, wherever a
+        piece ends.
+        """
         carry, held = after
         behind = np.zeros_like(wrong)
         for k in range(len(wrong)):
@@ -127,7 +139,9 @@ class ConstrainedObserver(SetObserver):
         return (carry._replace(empty=carry.empty | lasting), held), found._replace(status=status)
 
     def _looked_at(self, found, asked):
-        """Return (wrong, margin), (T, N) each, and put the ends of states into Found where they are wanted."""
+        """Return (wrong, margin), (T, N) each, and put the ends of states into Found where they are
+        wanted.
+        """
         wrong, margin = _refuted(asked, self._system.n)
         if self.enclosures:
             there = np.nonzero(asked.on & ~wrong & (found.status != Status.FAULT) & (found.age > 0))
@@ -148,7 +162,9 @@ class ConstrainedObserver(SetObserver):
             u, y, slip, fresh = map(cut, known_of)
             known = zonotope_steps.read(numbers, u, y, slip, fresh, rounded)
             carry, held = jax.tree.map(cut, state)
-            out = constrained_steps.follow(numbers, start, carry, held, known, T, 2 * self.enclosures, self.restart)
+            out = constrained_steps.follow(
+                numbers, start, carry, held, known, T, 2 * self.enclosures, self.restart
+            )
             return jax.tree.map(np.asarray, out)
 
         done = in_blocks(job, count, BLOCK)
@@ -163,17 +179,23 @@ METHODS["constrained"] = ConstrainedObserver
 
 def _lower(found, wrong, margin):
     """Return Found with what linear programs have refuted."""
-    low = np.where(wrong | (found.status != Status.FAULT), np.minimum(margin, found.margin), found.margin).astype(found.margin.dtype)
+    low = np.where(
+        wrong | (found.status != Status.FAULT), np.minimum(margin, found.margin), found.margin
+    ).astype(found.margin.dtype)
     return found._replace(status=np.where(wrong, np.int8(Status.FAULT), found.status), margin=low)
 
 
 def _rows(asked, at):
     """Return (b, A, s) in float64, sets first, of the rows A xi = b +- s of samples `at`."""
-    return tuple(np.ascontiguousarray(np.moveaxis(x, -1, 1)[at], np.float64) for x in (-asked.h, asked.H, asked.r))
+    return tuple(
+        np.ascontiguousarray(np.moveaxis(x, -1, 1)[at], np.float64) for x in (-asked.h, asked.H, asked.r)
+    )
 
 
 def _refuted(asked, n):
-    """Return (wrong, margin), (T, N) each: where no xi in the unit box has all rows below the first n at 0, and 1 - t there."""
+    """Return (wrong, margin), (T, N) each: where no xi in the unit box has all rows below the first n at 0,
+    and 1 - t there.
+    """
     wrong, margin = np.zeros(asked.on.shape, bool), np.full(asked.on.shape, np.inf)
     at = np.nonzero(asked.on)
     if len(at[0]):
@@ -192,7 +214,8 @@ def _refuted(asked, n):
 
 
 def _value_and_reach(b, A, s, l, g):
-    """Return (value, reach), (S, d) each: l b, and at least |(g - l A) xi| + |l| s with all that rounding may add to both.
+    """Return (value, reach), (S, d) each: l b, and at least |(g - l A) xi| + |l| s with all that rounding may
+    add to both.
 
     b, s (S, k), A (S, k, q), l (S, d, k), g (S, d, q) or 0.
     """
@@ -201,13 +224,17 @@ def _value_and_reach(b, A, s, l, g):
     with np.errstate(all="ignore"):
         size = np.abs(l)
         reach = np.abs(g - l @ A).sum(-1) + (size * s[:, None]).sum(-1)
-        whole = (np.abs(g).sum(-1) if np.ndim(g) else 0) + (size * (np.abs(b) + np.abs(A).sum(2) + s)[:, None]).sum(-1)
+        whole = (np.abs(g).sum(-1) if np.ndim(g) else 0) + (
+            size * (np.abs(b) + np.abs(A).sum(2) + s)[:, None]
+        ).sum(-1)
         least = terms * floor * (1 + size.max(-1)) * (1 + np.abs(b).max(1) + np.abs(A).max((1, 2)))[:, None]
         return (l * b[:, None]).sum(-1), (reach + gamma * whole + least) * (1 + 1e-9)
 
 
 def _hulls(rows, n):
-    """Return ends -lo, hi (S, 2 n) of the first n rows, of middle -b, over all xi in the unit box that have the others at 0."""
+    """Return ends -lo, hi (S, 2 n) of the first n rows, of middle -b, over all xi in the unit box that have
+    the others at 0.
+    """
     parts = [slice(first, first + HULLS) for first in range(0, len(rows[0]), HULLS)]
     return np.concatenate([_hull(tuple(x[some] for x in rows), n) for some in parts])
 
@@ -215,10 +242,15 @@ def _hulls(rows, n):
 def _hull(rows, n):
     """Return the ends of some sets. For every l: g xi <= l b + |g - l A|_1, the dual program.
 
-    The l are those of least squares, each entry weighted by 1 / |g - l A| of the one before (Lawson 1961), with the slope b.
+    The l are those of least squares, each entry weighted by 1 / |g - l A| of the one before (Lawson 1961),
+    with the slope b.
     """
     b, A, s = rows
-    g, c, r = np.concatenate([-A[:, :n], A[:, :n]], 1), np.concatenate([b[:, :n], -b[:, :n]], 1), np.tile(s[:, :n], 2)
+    g, c, r = (
+        np.concatenate([-A[:, :n], A[:, :n]], 1),
+        np.concatenate([b[:, :n], -b[:, :n]], 1),
+        np.tile(s[:, :n], 2),
+    )
     b, A, s = b[:, n:], A[:, n:], s[:, n:]
     size = np.abs(g).sum(2, keepdims=True) + 1e-300
     l, best = np.zeros((*g.shape[:2], A.shape[1])), np.full(g.shape[:2], np.inf)

@@ -1,18 +1,24 @@
-"""One step of an observer that carries constrained zonotopes: all recordings side by side on the last axis, one loop over time.
+"""One step of an observer that carries constrained zonotopes: all recordings side by side on the last axis,
+one loop over time.
 
-A set is {x = c + G xi + diag(r) eta : 0 in -b + A xi + diag(s) eta}, |xi|, |eta| <= 1. Its rows stand one above the other, h = [c; -b],
-H = [G; A] with q columns, r = [r; s], n + k of them; r holds what rounding adds. Everything below is done to rows.
+A set is {x = c + G xi + diag(r) eta : 0 in -b + A xi + diag(s) eta}, |xi|, |eta| <= 1. Its rows stand one
+above the other, h = [c; -b], H = [G; A] with q columns, r = [r; s], n + k of them; r holds what rounding
+adds. Everything below is done to rows.
 
-**A sample** |m_i - C_i x - D_i v| <= s_i appends a row and a column, and loses nothing. The rows are handed out: whoever proves that no
-xi has all rows below the first n at 0 refutes the samples.
-**Constraints** beyond k are eliminated, each by one column: any multiple of a row that is 0 may be added to the others; the column becomes
-0 in all of them and what it was bounded by is forgotten. Before, rows are turned into those of an elimination with full pivoting, where the
-columns that little is forgotten of show; and columns are narrowed to the interval that each row alone leaves them (Scott et al., 4.2).
-**Columns** beyond q are those that n + k others express with least loss: T R with |R| small, replaced by T diag(1 + sum |R|). So is r.
+**A sample** |m_i - C_i x - D_i v| <= s_i appends a row and a column, and loses nothing. The rows are handed
+out: whoever proves that no xi has all rows below the first n at 0 refutes the samples.
+**Constraints** beyond k are eliminated, each by one column: any multiple of a row that is 0 may be added to
+the others; the column becomes 0 in all of them and what it was bounded by is forgotten. Before, rows are
+turned into those of an elimination with full pivoting, where the columns that little is forgotten of show;
+and columns are narrowed to the interval that each row alone leaves them (Scott et al., 4.2). **Columns**
+beyond q are those that n + k others express with least loss: T R with |R| small, replaced by T diag(1 + sum
+|R|). So is r.
 
-All of these hold for any multipliers, intervals and R: what floats make of them is bounded and added to r, as in `zonotope_steps`.
+All of these hold for any multipliers, intervals and R: what floats make of them is bounded and added to r, as
+in `zonotope_steps`.
 
-Sources: Scott, Raimondo, Marseglia, Braatz 2016, sections 3 and 4; Yang, Scott 2018 (which columns are expressed by others).
+Sources: Scott, Raimondo, Marseglia, Braatz 2016, sections 3 and 4; Yang, Scott 2018 (which columns are
+expressed by others).
 """
 
 from typing import Any, NamedTuple
@@ -34,7 +40,9 @@ SMALL = 2.0**-24
 
 
 class Held(NamedTuple):
-    """Sets before a sample is looked at. Fields: h (n + k, N), H (n + k, q, N), r (n + k, N); on (N,): whether there is one."""
+    """Sets before a sample is looked at. Fields: h (n + k, N), H (n + k, q, N), r (n + k, N); on (N,):
+    whether there is one.
+    """
 
     h: Any
     H: Any
@@ -43,8 +51,8 @@ class Held(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Rows with each of T samples: 0 in h + H xi + diag(r) eta. Fields: h, r (T, rows, N), H (T, rows, q + p, N), on (T, N): whether there
-    are any. The first n rows are the state.
+    """Rows with each of T samples: 0 in h + H xi + diag(r) eta. Fields: h, r (T, rows, N), H (T, rows, q + p,
+    N), on (T, N): whether there are any. The first n rows are the state.
     """
 
     h: Any
@@ -55,20 +63,37 @@ class Asked(NamedTuple):
 
 def nothing(n: int, k: int, q: int, N: int, dtype: np.dtype) -> Held:
     """Return the Held of N recordings before the first sample, on the host."""
-    return Held(np.zeros((n + k, N), dtype), np.zeros((n + k, q, N), dtype), np.zeros((n + k, N), dtype), np.zeros(N, bool))
+    return Held(
+        np.zeros((n + k, N), dtype),
+        np.zeros((n + k, q, N), dtype),
+        np.zeros((n + k, N), dtype),
+        np.zeros(N, bool),
+    )
 
 
 @kernel(static_argnames=("enclosures",), compiler_options={"xla_cpu_multi_thread_eigen": False})
 def follow(
-    plant: steps.Numbers, start: steps.Start | None, carry: steps.Carry, held: Held, known: steps.Read, stop: int, enclosures: int,
+    plant: steps.Numbers,
+    start: steps.Start | None,
+    carry: steps.Carry,
+    held: Held,
+    known: steps.Read,
+    stop: int,
+    enclosures: int,
     restart: jax.Array | bool,
-) -> tuple[steps.Carry, Held, steps.Found, Asked]:  # fmt: skip
-    """Follow N recordings over the first `stop` of these samples, zonotopes (one weight) beside; args and Found as of theirs."""
+) -> tuple[steps.Carry, Held, steps.Found, Asked]:
+    """Follow N recordings over the first `stop` of these samples, zonotopes (one weight) beside; args and
+    Found as of theirs.
+    """
     (R, q, N), (T, p, _), dtype = held.H.shape, known.mid.shape, known.mid.dtype
     n = len(plant.A)
     room = lambda *shape, dtype=dtype: jnp.zeros((T, *shape, N), dtype)
     found = steps.Found(
-        room(dtype=jnp.int8), room(), room(dtype=jnp.int32), room(2 * n * min(enclosures, 1)), room(4 * p * (enclosures // 2))
+        room(dtype=jnp.int8),
+        room(),
+        room(dtype=jnp.int32),
+        room(2 * n * min(enclosures, 1)),
+        room(4 * p * (enclosures // 2)),
     )
     asked = Asked(room(R + p), room(R + p, q + p), room(R + p), room(dtype=bool))
     g = _Bounds(R + p, q + p + plant.W.shape[1] + R, plant.B.shape[1], dtype)
@@ -91,7 +116,9 @@ def follow(
         bounded = jnp.all(jnp.abs(h) + jnp.sum(jnp.abs(H), 1) + r <= g.most, 0)
         on = held.on & alive & ~gone & bounded & (carry.age >= 0)
         clean = lambda x: jnp.where(_like(on, x), x, 0)
-        put = lambda old, new: jax.tree.map(lambda a, b: jax.lax.dynamic_update_index_in_dim(a, b, k, 0), old, new)
+        put = lambda old, new: jax.tree.map(
+            lambda a, b: jax.lax.dynamic_update_index_in_dim(a, b, k, 0), old, new
+        )
         return carry, Held(clean(h), clean(H), clean(r), on), put(found, told), put(asked, out)
 
     return jax.lax.fori_loop(0, stop, step, (carry, held, found, asked))
@@ -104,7 +131,10 @@ class _Bounds:
         wide, terms = dtype == np.float64, 4 * (rows + columns + inputs + 16)
         self.gamma = rounding.product_error(terms, dtype)[0]
         self.up = np.asarray(1 + 4 * terms * float(rounding.unit(dtype)), dtype)
-        self.least, self.most = np.asarray(2.0**-500 if wide else 2.0**-46, dtype), np.asarray(2.0**300 if wide else 2.0**40, dtype)
+        self.least, self.most = (
+            np.asarray(2.0**-500 if wide else 2.0**-46, dtype),
+            np.asarray(2.0**300 if wide else 2.0**40, dtype),
+        )
 
     def grown(self, *terms):
         """Return at least the sum of terms >= 0."""
@@ -118,7 +148,9 @@ def _dot(M, X):
 
 def _each(M, X):
     """Return M X for M (r, n, N), X (n, q, N) or (n, N), recording by recording."""
-    add = lambda i, out: out + jax.lax.dynamic_index_in_dim(M, i, 1).reshape(len(M), *[1] * (X.ndim - 2), -1) * X[i][None]
+    add = lambda i, out: (
+        out + jax.lax.dynamic_index_in_dim(M, i, 1).reshape(len(M), *[1] * (X.ndim - 2), -1) * X[i][None]
+    )
     return jax.lax.fori_loop(0, len(X), add, jnp.zeros((len(M), *X.shape[1:]), X.dtype))
 
 
@@ -136,30 +168,50 @@ def _from_zonotope(held, carry, where):
     below = len(held.h) - len(carry.c)
     full = lambda x: jnp.concatenate([x, jnp.zeros((below, *x.shape[1:]), x.dtype)])
     pick = lambda new, old: jnp.where(_like(where, old), full(new), old)
-    return Held(pick(carry.c, held.h), pick(carry.G, held.H), pick(carry.r, held.r), (held.on | where) & (carry.age >= 0))
+    return Held(
+        pick(carry.c, held.h),
+        pick(carry.G, held.H),
+        pick(carry.r, held.r),
+        (held.on | where) & (carry.age >= 0),
+    )
 
 
 def _met(plant, held, now, g):
-    """Return (h, H, r, seen (p, N)) with a row and a column for each output, nothing but zeros where it is missing."""
+    """Return (h, H, r, seen (p, N)) with a row and a column for each output, nothing but zeros where it is
+    missing.
+    """
     n, (_, _, N), p = len(plant.A), held.H.shape, len(now.mid)
     direct = _sums(plant.D) + jnp.sum(plant.wide_D, 1) > 0
     seen = jnp.isfinite(now.rad) & (now.known[None] | ~direct[:, None])
     c, G, r = held.h[:n], held.H[:n], held.r[:n]
     size, v = jnp.abs(c) + _sums(G) + r, jnp.where(now.known[None], now.v, 0)
-    mid, rad, C, D = jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0), jnp.abs(plant.C), jnp.abs(plant.D)
+    mid, rad, C, D = (
+        jnp.where(seen, now.mid, 0),
+        jnp.where(seen, now.rad, 0),
+        jnp.abs(plant.C),
+        jnp.abs(plant.D),
+    )
     value, rows = _dot(plant.C, c) + _dot(plant.D, v) - mid, _dot(plant.C, G)
-    off = _dot(C, r) + _dot(plant.wide_C + g.gamma * C, size) + _dot(plant.wide_D + g.gamma * D, jnp.abs(v)) + g.gamma * jnp.abs(mid)
+    off = (
+        _dot(C, r)
+        + _dot(plant.wide_C + g.gamma * C, size)
+        + _dot(plant.wide_D + g.gamma * D, jnp.abs(v))
+        + g.gamma * jnp.abs(mid)
+    )
     off = g.grown(off, _dot(D, jnp.where(now.known[None], now.slip, 0)))
     share = stored(jnp.where(seen, 1 / (rad + 2.0**-20 * _sums(rows) + g.least), 0))
     value, rows, own = share * value, share[:, None] * rows, share * rad
     off = jnp.where(seen, g.grown(share * off, g.gamma * (jnp.abs(value) + _sums(rows) + own)), 0)
-    columns = jnp.concatenate([jnp.zeros((len(held.h), p, N), rows.dtype), jnp.eye(p, dtype=rows.dtype)[:, :, None] * own[:, None]])
+    columns = jnp.concatenate(
+        [jnp.zeros((len(held.h), p, N), rows.dtype), jnp.eye(p, dtype=rows.dtype)[:, :, None] * own[:, None]]
+    )
     H = jnp.concatenate([jnp.concatenate([held.H, rows]), columns], 1)
     return *stored((jnp.concatenate([held.h, value]), H, jnp.concatenate([held.r, off]))), seen
 
 
 def _pivoted(M, wide):
-    """Return (M, columns (r, N), done (r, N)) after an elimination of the rows of M (r, .., N), full pivots among the first `wide` columns.
+    """Return (M, columns (r, N), done (r, N)) after an elimination of the rows of M (r, .., N), full pivots
+    among the first `wide` columns.
 
     columns: the pivot's of each row; done: whether there was one. In plain floats, no claim.
     """
@@ -172,7 +224,9 @@ def _pivoted(M, wide):
     def step(_, state):
         M, columns, done, free = state
         key = jnp.where(~done[:, None] & free[None], jnp.abs(M[:, :wide]), 0)
-        best = jnp.max((jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | number, (0, 1)) & bits(below)
+        best = jnp.max((jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | number, (0, 1)) & bits(
+            below
+        )
         i, j = best // wide, best % wide
         here, there = of_row == i[None], of_column == j[None]
         row = jnp.sum(jnp.where(here[:, None], M, 0), 0)
@@ -182,7 +236,12 @@ def _pivoted(M, wide):
         row = row / jnp.where(good, pivot, 1)[None]
         new = jnp.where(here[:, None], row[None], M - column[:, None] * row[None])
         mark = here & good[None]
-        return jnp.where(_like(good, M), new, M), jnp.where(mark, j[None], columns), done | mark, free & ~(there & good[None])
+        return (
+            jnp.where(_like(good, M), new, M),
+            jnp.where(mark, j[None], columns),
+            done | mark,
+            free & ~(there & good[None]),
+        )
 
     begin = M, jnp.zeros((rows, N), bits), jnp.zeros((rows, N), bool), jnp.ones((wide, N), bool)
     return jax.lax.fori_loop(0, rows, step, begin)[:3]
@@ -229,14 +288,20 @@ def _fewer_rows(n, p, h, H, r, g):
         pivot = jnp.sum(jnp.where(there, row, 0), 0, keepdims=True)
         f = jnp.sum(jnp.where(there[None], H, 0), 1) / jnp.where(pivot != 0, pivot, 1)
         f = stored(jnp.where(here | (pivot == 0), 0, f))
-        whole = jnp.abs(h) + _sums(H) + jnp.abs(f) * (jnp.abs(of_row(h)) + jnp.sum(jnp.abs(row), 0, keepdims=True))
+        whole = (
+            jnp.abs(h)
+            + _sums(H)
+            + jnp.abs(f) * (jnp.abs(of_row(h)) + jnp.sum(jnp.abs(row), 0, keepdims=True))
+        )
         r = g.grown(r, jnp.abs(f) * of_row(r), g.gamma * whole)
         gone = there & (pivot != 0)
         h, H = h - f * of_row(h), jnp.where(gone[None], 0, H - f[:, None] * row[None])
         drop = lambda x: jnp.where(
             (at == last).reshape(-1, *[1] * (x.ndim - 1)),
             0,
-            jnp.where(here.reshape(len(at), *[1] * (x.ndim - 2), N), jax.lax.dynamic_index_in_dim(x, last, 0), x),
+            jnp.where(
+                here.reshape(len(at), *[1] * (x.ndim - 2), N), jax.lax.dynamic_index_in_dim(x, last, 0), x
+            ),
         )
         return drop(h), drop(H), drop(r)
 
@@ -249,16 +314,24 @@ def _moved(plant, h, H, r, now, g):
     n, N, A, v = len(plant.A), h.shape[-1], jnp.abs(plant.A), jnp.abs(now.v)
     c, G = h[:n], H[:n]
     size, lift = jnp.abs(c) + _sums(G) + r[:n], lambda x: x[:, None]
-    off = _dot(plant.wide_A + g.gamma * A, size) + _dot(plant.wide_B + g.gamma * jnp.abs(plant.B), v) + _dot(jnp.abs(plant.B), now.slip)
+    off = (
+        _dot(plant.wide_A + g.gamma * A, size)
+        + _dot(plant.wide_B + g.gamma * jnp.abs(plant.B), v)
+        + _dot(jnp.abs(plant.B), now.slip)
+    )
     off = g.grown(_dot(A, r[:n]), off, lift(plant.wide_w + g.gamma * jnp.abs(plant.w)))
     c = _dot(plant.A, c) + _dot(plant.B, now.v) + lift(plant.w)
     W = jnp.concatenate([plant.W, jnp.zeros((len(h) - n, plant.W.shape[1]), plant.W.dtype)])
-    H = jnp.concatenate([jnp.concatenate([_dot(plant.A, G), H[n:]]), jnp.broadcast_to(W[:, :, None], (*W.shape, N))], 1)
+    H = jnp.concatenate(
+        [jnp.concatenate([_dot(plant.A, G), H[n:]]), jnp.broadcast_to(W[:, :, None], (*W.shape, N))], 1
+    )
     return stored((jnp.concatenate([c, h[n:]]), H, jnp.concatenate([off, r[n:]])))
 
 
 def _fewer_columns(h, H, r, q, g):
-    """Return (h, H (.., q, N), r) of a set that holds this one: columns, and r, that others express with least loss."""
+    """Return (h, H (.., q, N), r) of a set that holds this one: columns, and r, that others express with
+    least loss.
+    """
     R, Q, N = H.shape
     size = _sums(H)
     share = (1 / jnp.where(size > 0, size, 1))[:, None]
@@ -269,12 +342,16 @@ def _fewer_columns(h, H, r, q, g):
     far = jnp.abs(X[:, :Q])
     loss = jnp.prod(1 + far, 0) - 1 - jnp.sum(far, 0)
     loss = jnp.maximum(loss, 0) + jnp.sum(jnp.abs(H), 0) * SMALL  # columns of zeros first
-    loss = jnp.where(base, jnp.inf, jnp.where(loss < 2.0**100, loss, 2.0**100))  # those that others are expressed by stay, whatever NaN
+    loss = jnp.where(
+        base, jnp.inf, jnp.where(loss < 2.0**100, loss, 2.0**100)
+    )  # those that others are expressed by stay, whatever NaN
     bits, below = (np.int64 if H.dtype == np.float64 else np.int32), power(Q) - 1
     key = (jax.lax.bitcast_convert_type(loss, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
     order = jnp.sort(key, 0) & bits(below)
     kept = jnp.take_along_axis(H, order[None, Q - q :], 1)
-    gone = jnp.sum((order[: Q - q, None] == jnp.arange(Q, dtype=bits)[None, :, None]).astype(jnp.int32), 0) > 0
+    gone = (
+        jnp.sum((order[: Q - q, None] == jnp.arange(Q, dtype=bits)[None, :, None]).astype(jnp.int32), 0) > 0
+    )
     X = jnp.where(jnp.concatenate([gone, jnp.ones((R, N), bool)])[None], X, 0)
     X = jnp.where(jnp.all(jnp.abs(X) < 2.0**20, (0, 1), keepdims=True), X, 0)
     T = jnp.where(done[None], jnp.take_along_axis(H, columns[None], 1), 0)

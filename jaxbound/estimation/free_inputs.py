@@ -1,7 +1,9 @@
-"""What unknown inputs leave known of a zonotope, and how a sample takes them out of it: `models.unknown_directions`, in floats.
+"""What unknown inputs leave known of a zonotope, and how a sample takes them out of it:
+`models.unknown_directions`, in floats.
 
-A sample says m - C x - D v = delta, |delta| <= s, of the state x = x_0 + (anything of S). So x is M x_0 + H (m - D v - delta) but for what
-no output shows: the errors of the outputs that are used up become generators, and what other outputs say is met with them.
+A sample says m - C x - D v = delta, |delta| <= s, of the state x = x_0 + (anything of S). So x is M x_0 + H
+(m - D v - delta) but for what no output shows: the errors of the outputs that are used up become generators,
+and what other outputs say is met with them.
 """
 
 from typing import Any, NamedTuple
@@ -14,11 +16,12 @@ __all__ = ["Free", "known_again"]
 
 
 class Free(NamedTuple):
-    """What unknown inputs leave known, see `models.unknown_directions`, ways to take them out of a sample on the last axis.
+    """What unknown inputs leave known, see `models.unknown_directions`, ways to take them out of a sample on
+    the last axis.
 
-    Fields: M (n, n, k), H (n, p, k) and wide_M, wide_H, what entries may be more or less; used (p, k): the outputs of a way; before,
-    after (n,): states of which nothing is known before and after a sample; shown (p,): outputs that they act on; first (): whether a
-    first state was given in bounds, all of it.
+    Fields: M (n, n, k), H (n, p, k) and wide_M, wide_H, what entries may be more or less; used (p, k): the
+    outputs of a way; before, after (n,): states of which nothing is known before and after a sample; shown
+    (p,): outputs that they act on; first (): whether a first state was given in bounds, all of it.
     """
 
     M: Any
@@ -32,12 +35,16 @@ class Free(NamedTuple):
     first: Any
 
 
-def known_again(free: Free, g: Any, known: tuple, size: Any, sample: tuple, seen: Any, whole: Any) -> tuple[tuple, Any, Any]:
-    """Return (the set of M x_0 + H m, the outputs (p, N) that are left to look at, where not all of S can be taken out).
+def known_again(
+    free: Free, g: Any, known: tuple, size: Any, sample: tuple, seen: Any, whole: Any
+) -> tuple[tuple, Any, Any]:
+    """Return (the set of M x_0 + H m, the outputs (p, N) that are left to look at, where not all of S can be
+    taken out).
 
     Args:
-        g: bounds of rounding, of sums of n + p terms. known: (c (n, N), G (n, q + p, N), r (n, N)) of x_0, the last p columns to be filled;
-            size (n, N): bounds of |x_0|. sample: (m, s, D v, what that may be off by), each (p, N); seen (p, N): outputs that are there.
+        g: bounds of rounding, of sums of n + p terms. known: (c (n, N), G (n, q + p, N), r (n, N)) of x_0,
+            the last p columns to be filled; size (n, N): bounds of |x_0|. sample: (m, s, D v, what that may
+            be off by), each (p, N); seen (p, N): outputs that are there.
         whole (N,): where x_0 is the state itself.
     """
     (c, G, r), (mid, rad, through, loose) = known, sample

@@ -9,7 +9,9 @@ __all__ = ["emptied", "joined"]
 
 
 def joined(found: Found) -> Found:
-    """Return what sets side by side (.., lanes, N) say together: what one refutes is refuted, the state is in all of them."""
+    """Return what sets side by side (.., lanes, N) say together: what one refutes is refuted, the state is in
+    all of them.
+    """
     if found.status.shape[-2] == 1:
         return Found(*(x[..., 0, :] for x in found))
     age = np.where((found.age > 0).all(-2), found.age.max(-2), 0)
@@ -17,13 +19,19 @@ def joined(found: Found) -> Found:
 
 
 def emptied(found: Found, before: np.ndarray | None) -> Found:
-    """Return what was found without ends, NaN, where nothing is left: behind a FAULT that stays, and where sets have nothing in common.
+    """Return what was found without ends, NaN, where nothing is left: behind a FAULT that stays, and where
+    sets have nothing in common.
 
     Args:
-        found: of T samples, (T, .., N). before: (N,), which recordings were refuted before these, where a FAULT stays; else None.
+        found: of T samples, (T, .., N). before: (N,), which recordings were refuted before these, where a
+            FAULT stays; else None.
     """
     fault = found.status == Status.FAULT
-    left = np.ones_like(fault) if before is None else ~(fault & np.concatenate([np.broadcast_to(before, fault[:1].shape), fault[:-1]]))
+    left = (
+        np.ones_like(fault)
+        if before is None
+        else ~(fault & np.concatenate([np.broadcast_to(before, fault[:1].shape), fault[:-1]]))
+    )
     kept = []
     for ends in (found.states, *np.split(found.outputs, 2, 1)):
         least, most = np.split(ends, 2, 1)

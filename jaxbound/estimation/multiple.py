@@ -1,4 +1,6 @@
-"""Multiple models whose partial outputs are all measured: every sub-model is validated alone, and one verdict is made of all."""
+"""Multiple models whose partial outputs are all measured: every sub-model is validated alone, and one verdict
+is made of all.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,16 +26,21 @@ __all__ = ["validate_parts"]
 _held = jax.lax.optimization_barrier
 
 
-def validate_parts(model: MultiModel, u: Any, y: Any, x0: Interval | None, validate: Callable, starts: ArrayLike = ()) -> Any:
+def validate_parts(
+    model: MultiModel, u: Any, y: Any, x0: Interval | None, validate: Callable, starts: ArrayLike = ()
+) -> Any:
     """Validate every sub-model by its own partial outputs, and weigh what is found.
 
     Args:
-        model: a MultiModel with partial=True. u: (..., T, m) or None. y: (..., T, L, p): C_i x_i as measured, for each of L sub-models.
-        x0: Interval (..., n) of all states, or None. starts: as for `validate`, a function of (sub-model, u, y (..., T, p), x0=, starts=).
+        model: a MultiModel with partial=True. u: (..., T, m) or None. y: (..., T, L, p): C_i x_i as measured,
+            for each of L sub-models.
+        x0: Interval (..., n) of all states, or None. starts: as for `validate`, a function of (sub-model, u,
+            y (..., T, p), x0=, starts=).
 
     Returns:
-        A Validation: state of all sub-models; output, residual and corrected weighted as y is, of sum_i mu_i C_i x_i; faulty where a
-        sensor is in any sub-model; status FAULT where any is, MISSING or CONSISTENT where all are.
+        A Validation: state of all sub-models; output, residual and corrected weighted as y is, of sum_i mu_i
+        C_i x_i; faulty where a sensor is in any sub-model; status FAULT where any is, MISSING or CONSISTENT
+        where all are.
 
     Raises:
         ValueError: y or x0 of another shape, weights that are none.
@@ -42,19 +49,29 @@ def validate_parts(model: MultiModel, u: Any, y: Any, x0: Interval | None, valid
     """
     p = model.models[0].p
     count = len(model.models)
-    inputs, outputs = model.models[0].inputs, tuple(f"{i + 1}.{name}" for i, m in enumerate(model.models) for name in m.outputs)
+    inputs, outputs = (
+        model.models[0].inputs,
+        tuple(f"{i + 1}.{name}" for i, m in enumerate(model.models) for name in m.outputs),
+    )
     y = as_table(y, "y", outputs)
     if not is_table(y) and y is not None:
         if (shape := np.shape(y))[-2:] != (count, p) or len(shape) < 3:
-            raise ValueError(f"y must have shape (..., T, {count}, {p}), each sub-model's own outputs: its shape is {shape}")
+            raise ValueError(
+                f"y must have shape (..., T, {count}, {p}), each sub-model's own outputs: its shape is "
+                f"{shape}"
+            )
         y = floats(y, "y").reshape(*shape[:-2], count * p)
-    given = Recording.of(Signals(inputs, outputs, {}), u, y, starts, narrow=False)  # in the type it was recorded in
+    given = Recording.of(
+        Signals(inputs, outputs, {}), u, y, starts, narrow=False
+    )  # in the type it was recorded in
     u, y = np.asarray(given.u), np.asarray(given.y).reshape(*given.y.shape[:-1], count, p)
     states = np.cumsum([0, *(m.n for m in model.models)])
     if x0 is not None and (x0 := interval(x0)).shape[-1:] != (model.n,):
         raise ValueError(f"x0 needs one interval for each of {model.n} states: its shape is {x0.shape}")
     first = lambda i: None if x0 is None else x0[..., states[i] : states[i + 1]]
-    local = [validate(m, u, y[..., i, :], x0=first(i), starts=given.starts) for i, m in enumerate(model.models)]
+    local = [
+        validate(m, u, y[..., i, :], x0=first(i), starts=given.starts) for i, m in enumerate(model.models)
+    ]
     output, residual, corrected = _weighed(
         model.mu(np.asarray(u, model.models[0].A.dtype)), [(v.output, v.residual, v.corrected) for v in local]
     )
@@ -75,7 +92,9 @@ def validate_parts(model: MultiModel, u: Any, y: Any, x0: Interval | None, valid
 @kernel
 def _weighed(mu, local):
     """Return sum_i mu_i x_i for each of the Intervals x_i that the sub-models have."""
-    weigh = lambda *parts: interval_sum(_held(Interval(*(jnp.stack(e) for e in zip(*_ends(mu, parts), strict=True)))), axis=0)
+    weigh = lambda *parts: interval_sum(
+        _held(Interval(*(jnp.stack(e) for e in zip(*_ends(mu, parts), strict=True)))), axis=0
+    )
     return tuple(weigh(*parts) for parts in zip(*local, strict=True))
 
 

@@ -1,8 +1,9 @@
-"""Set observers: at every sample an enclosure of the state from everything since the start, and a proof when nothing is left of it.
+"""Set observers: at every sample an enclosure of the state from everything since the start, and a proof when
+nothing is left of it.
 
-A window forgets what came before it; an observer does not. The set of states that all samples so far allow is carried on as a zonotope
-(`zonotope_steps`): moved by the model, met with what each sample says. Where it is proved empty, no behaviour within the bounds explains
-the samples since it began: a FAULT.
+A window forgets what came before it; an observer does not. The set of states that all samples so far allow is
+carried on as a zonotope (`zonotope_steps`): moved by the model, met with what each sample says. Where it is
+proved empty, no behaviour within the bounds explains the samples since it began: a FAULT.
 """
 
 import copy
@@ -21,7 +22,15 @@ from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.blocks import in_blocks
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.second_look import decided_twice
-from jaxbound.estimation.zonotope_numbers import ROUNDED, first_set, free_numbers, least_horizon, numbers, price, start
+from jaxbound.estimation.zonotope_numbers import (
+    ROUNDED,
+    first_set,
+    free_numbers,
+    least_horizon,
+    numbers,
+    price,
+    start,
+)
 from jaxbound.models.intervals import as_intervals
 from jaxbound.models.sensor import input_slip
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
@@ -36,12 +45,17 @@ from jaxbound.sets.zonotopes.zonotope import Zonotope
 __all__ = ["Observation", "ObserverState", "SetObserver", "observe", "observer"]
 
 BLOCK = 32
-"""Sets side by side in the one kernel there is: they should stay in the cache. It is filled up, since kernels of other shapes round
+"""Sets side by side in the one kernel there is: they should stay in the cache. It is filled up, since kernels
+of other shapes round
 otherwise: what is said of a recording would depend on what stands beside it."""
 EVEN = 8
-"""Recordings in a block are a multiple of it: vectors have no rest, so that a recording's place in it does not matter."""
+"""Recordings in a block are a multiple of it: vectors have no rest, so that a recording's place in it does
+not matter.
+"""
 WEIGHTS = (1.0, 30.0, 1000.0)
-"""Sets side by side where nothing else is asked for: one for what is sudden, two for what lasts and what is slow."""
+"""Sets side by side where nothing else is asked for: one for what is sudden, two for what lasts and what is
+slow.
+"""
 BESIDE = 128
 """Recordings side by side where many are evaluated in NumPy."""
 PIECE = 16
@@ -55,17 +69,19 @@ class Observation:
     """What `observe` found, time first.
 
     Fields:
-        status (..., T) int8, see `Status`: FAULT is a proof that no behaviour explains all samples from `since` to this one. CONSISTENT
-            that one does: a trajectory, of method "joint" with x0 alone. UNDECIDED: neither is proved. MISSING: nothing to test against
-            (the state is not known yet), or no sample.
-        margin (..., T): 1 - t, t the factor on the set before this sample and on its own bounds at which the two would just touch, by the
-            worst output: < 0 where FAULT. It is about this sample given those before, not comparable with the margin of a window. NaN where
-            nothing was tested.
+        status (..., T) int8, see `Status`: FAULT is a proof that no behaviour explains all samples from
+            `since` to this one. CONSISTENT that one does: a trajectory, of method "joint" with x0 alone.
+            UNDECIDED: neither is proved. MISSING: nothing to test against (the state is not known yet), or no
+                sample.
+        margin (..., T): 1 - t, t the factor on the set before this sample and on its own bounds at which the
+            two would just touch, by the worst output: < 0 where FAULT. It is about this sample given those
+            before, not comparable with the margin of a window. NaN where nothing was tested.
         since (..., T) int: the first sample that the enclosure rests on; -1: there is none.
-        state Interval (..., T, n): holds the state of every behaviour that explains the samples from `since` on, this one included; entire
-            where there is none. Of a FAULT: what the samples before it allowed. NaN, like the others, where nothing is left: behind a FAULT
-            that stays (restart=False).
-        predicted Interval (..., T, p): what a perfect sensor would show as far as the samples before this one tell. output: with it.
+        state Interval (..., T, n): holds the state of every behaviour that explains the samples from `since`
+            on, this one included; entire where there is none. Of a FAULT: what the samples before it allowed.
+            NaN, like the others, where nothing is left: behind a FAULT that stays (restart=False).
+        predicted Interval (..., T, p): what a perfect sensor would show as far as the samples before this one
+        tell. output: with it.
     """
 
     status: Any
@@ -78,48 +94,64 @@ class Observation:
 
 @readable
 class ObserverState(NamedTuple):
-    """What a set observer carries on. Fields: carry: of the kernels, recordings on the last axis; samples: how many there were."""
+    """What a set observer carries on. Fields: carry: of the kernels, recordings on the last axis; samples:
+    how many there were.
+    """
 
     carry: steps.Carry
     samples: np.int64
 
 
 def observer(
-    model: Any, order: float | None = None, weight: float | Sequence[float] = WEIGHTS, restart: bool = True,
-    x0: Interval | Zonotope | None = None, horizon: int | None = None, method: str = "zonotope", window: int = 32, constraints: int = 8,
-) -> "SetObserver":  # fmt: skip
+    model: Any,
+    order: float | None = None,
+    weight: float | Sequence[float] = WEIGHTS,
+    restart: bool = True,
+    x0: Interval | Zonotope | None = None,
+    horizon: int | None = None,
+    method: str = "zonotope",
+    window: int = 32,
+    constraints: int = 8,
+) -> "SetObserver":
     """Return an observer of a model, for `observe`, `detect`, `Monitor` and the shell.
 
     Args:
-        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance, unknown inputs) or an `interval_system`. Unknown inputs
-            are taken out of each sample by as many outputs as show them, what is left is tested. States that they move unseen are entire
-            ("joint" refuses these). A sample where too few outputs are there for it ends the enclosure. Bounds of averages are used by
-            "joint" alone, of runs that lie in a window and without unknown inputs; the others look at single samples.
-        order: generators of the zonotope for each state, >= 1: more is sharper and slower. With constraints, how many more there are than
-            these. None: 20; 5 with constraints.
-        weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its generators; above 1 the
-            observer believes a sample less and remembers longer, so that lasting and slow faults show. Several numbers: as many sets side
-            by side, whose verdicts and intervals hold together; they cost as much more.
-        restart: True: the sample after a contradiction begins anew, MISSING until the state is known again. False: a FAULT stays until a
-            gap, since what contradicts once contradicts for good.
-        x0: Interval (n,) or Zonotope that holds the state at the very first sample; it need not be narrow. None: it can be anything, and is
-            found from the first horizon + 1 samples in a row that are whole.
+        model: a LinearSystem (uncertain parameters, tolerance, noise, disturbance, unknown inputs) or an
+            `interval_system`. Unknown inputs are taken out of each sample by as many outputs as show them,
+            what is left is tested. States that they move unseen are entire ("joint" refuses these). A sample
+            where too few outputs are there for it ends the enclosure. Bounds of averages are used by "joint"
+            alone, of runs that lie in a window and without unknown inputs; the others look at single samples.
+        order: generators of the zonotope for each state, >= 1: more is sharper and slower. With constraints,
+            how many more there are than these. None: 20; 5 with constraints.
+        weight: of the samples' bounds in the gain, > 0. 1 makes the set least, in the sum of squares of its
+            generators; above 1 the observer believes a sample less and remembers longer, so that lasting and
+            slow faults show. Several numbers: as many sets side by side, whose verdicts and intervals hold
+            together; they cost as much more.
+        restart: True: the sample after a contradiction begins anew, MISSING until the state is known again.
+            False: a FAULT stays until a gap, since what contradicts once contradicts for good.
+        x0: Interval (n,) or Zonotope that holds the state at the very first sample; it need not be narrow.
+            None: it can be anything, and is found from the first horizon + 1 samples in a row that are whole.
         horizon: of these; None: the least that shows all states.
-        method: "zonotope", fast. "strips": one set, least after every sample, whatever weight is. "joint": with the zonotopes, every window
-            of up to `window` samples is tested exactly, its first state within what the samples before it allow: sees what lasts and
-            what is slow almost as well as all samples together could, and costs .3 to 5 milliseconds a sample. With x0 it says CONSISTENT
-            where it has a trajectory through all samples. "constrained": a constrained zonotope, which keeps the last equations of samples
-            and what is left of older ones: nearly as sharp as "joint", in a half to a third of its time; one set, whatever weight is.
-        window: samples, even; of "joint" alone. constraints: equations that are kept, >= 1; of "constrained" alone.
+        method: "zonotope", fast. "strips": one set, least after every sample, whatever weight is. "joint":
+            with the zonotopes, every window of up to `window` samples is tested exactly, its first state
+            within what the samples before it allow: sees what lasts and what is slow almost as well as all
+            samples together could, and costs .3 to 5 milliseconds a sample. With x0 it says CONSISTENT where
+            it has a trajectory through all samples. "constrained": a constrained zonotope, which keeps the
+            last equations of samples and what is left of older ones: nearly as sharp as "joint", in a half to
+                a third of its time; one set, whatever weight is.
+        window: samples, even; of "joint" alone. constraints: equations that are kept, >= 1; of "constrained"
+            alone.
 
     Raises:
-        ValueError: states that the outputs do not show and no x0, an x0 that is not bounded or does not fit, an order below 1, a weight
-            that is not positive; unknown inputs that explain whatever the outputs show, or with parameters that act on C.
+        ValueError: states that the outputs do not show and no x0, an x0 that is not bounded or does not fit,
+            an order below 1, a weight that is not positive; unknown inputs that explain whatever the outputs
+            show, or with parameters that act on C.
         TypeError: no model.
 
     Encloses: every state of every behaviour within the bounds that explains all samples since it began.
 
-    Source: Alamo, Bravo, Camacho 2005; Combastel 2015; Girard 2005; see `zonotope_steps`. Unknown inputs: `models.unknown_directions`.
+    Source: Alamo, Bravo, Camacho 2005; Combastel 2015; Girard 2005; see `zonotope_steps`. Unknown inputs:
+    `models.unknown_directions`.
 
     Example:
         >>> import jaxbound as jb
@@ -132,24 +164,35 @@ def observer(
 
 
 def observe(
-    model: Any, u: Any, y: Any = None, order: float | None = None, weight: float | Sequence[float] = WEIGHTS, restart: bool = True,
-    x0: Interval | Zonotope | None = None, horizon: int | None = None, starts: ArrayLike = (), method: str = "zonotope",
-    window: int = 32, constraints: int = 8,
-) -> Observation:  # fmt: skip
-    """Enclose the state at every sample by what all samples since the start allow, and prove where nothing is left.
+    model: Any,
+    u: Any,
+    y: Any = None,
+    order: float | None = None,
+    weight: float | Sequence[float] = WEIGHTS,
+    restart: bool = True,
+    x0: Interval | Zonotope | None = None,
+    horizon: int | None = None,
+    starts: ArrayLike = (),
+    method: str = "zonotope",
+    window: int = 32,
+    constraints: int = 8,
+) -> Observation:
+    """Enclose the state at every sample by what all samples since the start allow, and prove where nothing is
+    left.
 
     Args:
         model, order, weight, restart, x0, horizon, method, window, constraints: as for `observer`.
         u: (..., T, m) or None.
-        y: (..., T, p), tables as for `detect`; recordings on leading axes run side by side. A missing output says nothing; a missing
-            input begins anew.
+        y: (..., T, p), tables as for `detect`; recordings on leading axes run side by side. A missing output
+            says nothing; a missing input begins anew.
         starts: as for `detect`: the observer begins anew there.
 
     Returns:
         An Observation.
 
     Raises:
-        ValueError: as `observer`, and shapes that do not fit. RuntimeError: where rounding has not been verified.
+        ValueError: as `observer`, and shapes that do not fit. RuntimeError: where rounding has not been
+            verified.
 
     Encloses: as `observer`.
 
@@ -172,7 +215,10 @@ def _made(method, window, constraints, model, order, weight, *given):
     """Return the observer of a method."""
     if method not in ("zonotope", "strips", *METHODS):
         raise ValueError(f"method must be one of zonotope, strips, {', '.join(METHODS)}, not {method!r}")
-    kind, own = METHODS.get(method, SetObserver), {"joint": {"window": window}, "constrained": {"constraints": constraints}}
+    kind, own = (
+        METHODS.get(method, SetObserver),
+        {"joint": {"window": window}, "constrained": {"constraints": constraints}},
+    )
     order = kind.usual_order if order is None else order
     return kind(model, order, 1.0 if method == "strips" else weight, *given, **own.get(method, {}))
 
@@ -181,8 +227,8 @@ def _made(method, window, constraints, model, order, weight, *given):
 class SetObserver(Observer):
     """Carries the set of states that all samples since the start allow. Build it with `observer`.
 
-    Fields: model; order; weights; restart; horizon: samples without a verdict at the start, or None; enclosures: whether `fold` returns an
-    Observation, else verdicts alone.
+    Fields: model; order; weights; restart; horizon: samples without a verdict at the start, or None;
+    enclosures: whether `fold` returns an Observation, else verdicts alone.
     """
 
     method = "observer"
@@ -191,7 +237,14 @@ class SetObserver(Observer):
     usual_order = 20.0
 
     def __init__(
-        self, model: Any, order: float, weight: Any, restart: bool, x0: Any, horizon: int | None, enclosures: bool = False
+        self,
+        model: Any,
+        order: float,
+        weight: Any,
+        restart: bool,
+        x0: Any,
+        horizon: int | None,
+        enclosures: bool = False,
     ) -> None:
         refuse_unverified()
         self.model, self.order, self.restart, self.enclosures = model, float(order), bool(restart), enclosures
@@ -202,20 +255,33 @@ class SetObserver(Observer):
         if not order >= 1:
             raise ValueError(f"the order of an observer must be at least 1: it is {order!r}")
         self.weights = np.atleast_1d(np.asarray(weight, np.float64))
-        if self.weights.ndim > 1 or not len(self.weights) or not ((self.weights > 0) & np.isfinite(self.weights)).all():
+        if (
+            self.weights.ndim > 1
+            or not len(self.weights)
+            or not ((self.weights > 0) & np.isfinite(self.weights)).all()
+        ):
             raise ValueError(f"weight must be a positive number, or several: it is {weight!r}")
         self._x0 = None if x0 is None else first_set(x0, getattr(model, "n", 0), self.order, self._dtype)
-        if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
+        if horizon is not None and (
+            isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0
+        ):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
         price(system.n, system.p, horizon)
         h = least_horizon(self._plant, system, self._unknown) if horizon is None else int(horizon)
-        if horizon is None and h is not None and h * system.p > system.n:  # more than the least that was priced
+        if (
+            horizon is None and h is not None and h * system.p > system.n
+        ):  # more than the least that was priced
             price(system.n, system.p, h)
         self._start = None if h is None else start(self._plant, system, h, self._dtype, self._unknown)
         if self._start is None and x0 is None:
             if h is None:
-                raise ValueError("the outputs do not show all states, however long one looks: give x0, bounds of the first state")
-            raise ValueError(f"{h + 1} samples do not show all states, or the parameters are too uncertain for it: give x0")
+                raise ValueError(
+                    "the outputs do not show all states, however long one looks: give x0, bounds of the "
+                    "first state"
+                )
+            raise ValueError(
+                f"{h + 1} samples do not show all states, or the parameters are too uncertain for it: give x0"
+            )
         self._past = 0 if self._start is None or h is None else h
         self.horizon = 0 if x0 is not None else self._past
 
@@ -247,14 +313,22 @@ class SetObserver(Observer):
         """Return (this observer, the Recording of its signals)."""
         return self, Recording.of(self.signals, u, y, starts).finite()
 
-    def test(self, method: str = "joint", dtype: Any = None, budget: Any = None, compensation: ArrayLike = 0.0) -> "SetObserver":
+    def test(
+        self, method: str = "joint", dtype: Any = None, budget: Any = None, compensation: ArrayLike = 0.0
+    ) -> "SetObserver":
         """Return the observer that gives verdicts alone; an observer knows one method.
 
         Raises:
             ValueError: another method than "observer" (or "joint", the default), a budget or a compensation.
         """
-        if method not in ("joint", self.method) or budget is not None or np.any(np.asarray(compensation) != 0):
-            raise ValueError("an observer takes neither method nor budget nor compensation: they belong to windows")
+        if (
+            method not in ("joint", self.method)
+            or budget is not None
+            or np.any(np.asarray(compensation) != 0)
+        ):
+            raise ValueError(
+                "an observer takes neither method nor budget nor compensation: they belong to windows"
+            )
         return self.telling(enclosures=False)
 
     def telling(self, enclosures: bool) -> "SetObserver":
@@ -265,7 +339,9 @@ class SetObserver(Observer):
 
     def margins(self, given: Recording) -> NoReturn:
         """Raise NotImplementedError: an observer has no derivative."""
-        raise NotImplementedError("margins are those of windows: detect(observer, ..).margin has what an observer says")
+        raise NotImplementedError(
+            "margins are those of windows: detect(observer, ..).margin has what an observer says"
+        )
 
     @property
     def _dtype(self):
@@ -282,7 +358,9 @@ class SetObserver(Observer):
         return jax.device_put((self._numbers, self._start))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: x for name, x in vars(self).items() if name != "_placed"}  # to another process, with other devices
+        return {
+            name: x for name, x in vars(self).items() if name != "_placed"
+        }  # to another process, with other devices
 
     @cached_property
     def _generators(self):
@@ -296,12 +374,16 @@ class SetObserver(Observer):
         m = self._system
         carry = steps.unknown((m.n, self._generators, m.p, m.m, self._past), self.weights.astype(self._dtype))
         if self._x0 is not None:
-            carry = _known(carry, *(np.pad(x, ((0, m.n - self.model.n), *[(0, 0)] * (x.ndim - 1))) for x in self._x0))
+            carry = _known(
+                carry, *(np.pad(x, ((0, m.n - self.model.n), *[(0, 0)] * (x.ndim - 1))) for x in self._x0)
+            )
         return ObserverState(carry, np.int64(0))
 
     @property
     def shown_after(self) -> float:
-        """How many samples have passed when a sample alone can contradict those before; inf where samples do not show the state."""
+        """How many samples have passed when a sample alone can contradict those before; inf where samples do
+        not show the state.
+        """
         return np.inf if self._start is None else self._past
 
     def continued(self, carry: Any) -> "SetObserver":
@@ -311,7 +393,9 @@ class SetObserver(Observer):
         return watch
 
     def fold(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
-        """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry, Observation or Judged)."""
+        """Take the next samples (..., T, .) of a recording, or of recordings side by side; return (carry,
+        Observation or Judged).
+        """
         return decided_twice(self, carry, piece)
 
     def judged(self, carry: Any, piece: Recording) -> tuple[Any, Any]:
@@ -322,7 +406,9 @@ class SetObserver(Observer):
         return ObserverState(past, carry.samples + T), self._told(found, lead, T, carry)
 
     def _given(self, carry, piece):
-        """Return (leading shape, how many recordings, (u, y, slip of u, all (T, ., N), fresh (T, N), unit roundoff of y)) of a piece."""
+        """Return (leading shape, how many recordings, (u, y, slip of u, all (T, ., N), fresh (T, N), unit
+        roundoff of y)) of a piece.
+        """
         piece.finite()
         u, y = np.asarray(piece.u), np.asarray(piece.y)
         *lead, T, p = y.shape
@@ -330,7 +416,9 @@ class SetObserver(Observer):
         followed = carry.carry.c.shape[-1] // len(self.weights)
         if followed not in (1, count):
             raise ValueError(f"this observer follows {followed} recordings, y holds {count}")
-        last = lambda x: (np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1) if count > 1 else x.reshape(T, -1, 1)).astype(self._dtype)
+        last = lambda x: (
+            np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1) if count > 1 else x.reshape(T, -1, 1)
+        ).astype(self._dtype)
         fresh = np.zeros((T, count), bool)
         fresh[np.asarray(piece.starts, np.int64)] = True
         if piece.excluded is not None:
@@ -339,12 +427,18 @@ class SetObserver(Observer):
         return lead, count, (last(u), last(y), last(input_slip(u)), fresh, np.asarray(rounded, self._dtype))
 
     def _followed(self, past, count, u, y, slip, fresh, rounded):
-        """Return (Carry, Found (T, .., N), the Read or nothing) of samples as of `_given`; a carry of one recording is that of all."""
+        """Return (Carry, Found (T, .., N), the Read or nothing) of samples as of `_given`; a carry of one
+        recording is that of all.
+        """
         lanes, room = len(self.weights), self._room
-        room = max(room, BESIDE) if is_outside_xla() and count > room else room  # NumPy rounds alike whatever is beside
+        room = (
+            max(room, BESIDE) if is_outside_xla() and count > room else room
+        )  # NumPy rounds alike whatever is beside
         if count == 1:  # nothing to cut: who follows a recording sample by sample is in a hurry
             full = lambda x: np.repeat(np.asarray(x), room, -1)
-            past, found, known = self._block(jax.tree.map(full, past), [full(x) for x in (u, y, slip, fresh)], rounded)
+            past, found, known = self._block(
+                jax.tree.map(full, past), [full(x) for x in (u, y, slip, fresh)], rounded
+            )
             past = jax.tree.map(lambda x: np.array(np.asarray(x)[..., ::room]), past)
             known = jax.tree.map(lambda x: x[..., :1], known)
             return past, joined(steps.Found(*(x[..., ::room, None] for x in found))), known
@@ -367,7 +461,9 @@ class SetObserver(Observer):
         return max(BLOCK // len(self.weights) // EVEN, 1) * EVEN
 
     def _block(self, carry, samples, rounded):
-        """Follow some recordings side by side, piece by piece; return (Carry, where it was worked out, Found, Read or None)."""
+        """Follow some recordings side by side, piece by piece; return (Carry, where it was worked out, Found,
+        Read or None).
+        """
         T, first, (numbers, start) = len(samples[0]), 0, self._placed
         parts: list = []
         how = len(self.weights), 2 if self.enclosures else int(self.hulls), self.restart, self.hulls
@@ -381,19 +477,25 @@ class SetObserver(Observer):
         return carry, found, known
 
     def _told(self, found, lead, T, carry):
-        """Return the Observation, or the verdicts, of arrays with time first and recordings last, behind what was carried."""
+        """Return the Observation, or the verdicts, of arrays with time first and recordings last, behind what
+        was carried.
+        """
         shaped = lambda x: (np.moveaxis(x, -1, 0) if x.shape[-1] > 1 else x).reshape(*lead, T, *x.shape[1:-1])
         status, margin, age = (shaped(x) for x in found[:3])
         if not self.enclosures:
             return Judged(status, margin)
         since = np.where(age > 0, int(carry.samples) + np.arange(T) - age + 1, -1)
-        before: Any = None if self.restart else np.asarray(carry.carry.empty).reshape(len(self.weights), -1).any(0)
+        before: Any = (
+            None if self.restart else np.asarray(carry.carry.empty).reshape(len(self.weights), -1).any(0)
+        )
         found = emptied(found, before)
         n, p = self._system.n, self._system.p
         ends = lambda x, width: Interval(-x[..., :width], x[..., width:])
         states, outputs = shaped(found.states), shaped(found.outputs)
         state = jax.tree.map(lambda x: x[..., : self.model.n], ends(states, n))
-        return Observation(status, margin, since, state, ends(outputs[..., : 2 * p], p), ends(outputs[..., 2 * p :], p))
+        return Observation(
+            status, margin, since, state, ends(outputs[..., : 2 * p], p), ends(outputs[..., 2 * p :], p)
+        )
 
 
 def _filled(x, length):

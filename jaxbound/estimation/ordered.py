@@ -1,7 +1,8 @@
-"""Sums in one order: of a recording they are the same bits, whatever stands beside it and however it lies in memory.
+"""Sums in one order: of a recording they are the same bits, whatever stands beside it and however it lies in
+memory.
 
-NumPy adds pairwise where an axis of one recording lies last, and libraries of matrix products choose another kernel for each shape. In
-blocks of one size, in one order of memory, NumPy's own loops treat all lanes alike.
+NumPy adds pairwise where an axis of one recording lies last, and libraries of matrix products choose another
+kernel for each shape. In blocks of one size, in one order of memory, NumPy's own loops treat all lanes alike.
 """
 
 import numpy as np

@@ -1,4 +1,6 @@
-"""Parallelotopes {x : lo <= D x <= hi} that hold what sets of states do, rounded outward, recordings on the last axis."""
+"""Parallelotopes {x : lo <= D x <= hi} that hold what sets of states do, rounded outward, recordings on the
+last axis.
+"""
 
 from typing import Any
 
@@ -14,27 +16,38 @@ __all__ = ["OFF", "ROUNDED", "lasting", "parallelotope", "principal", "strip", "
 SLOW = 0.1
 """Share of a mode that is left, above which a strip bounds it."""
 ROUNDED, OFF = 1 + 1e-9, 1e-12
-"""Above what rounding does to the sums of a few hundred numbers >= 0 in float64; share of magnitudes above what it does to any."""
+"""Above what rounding does to the sums of a few hundred numbers >= 0 in float64; share of magnitudes above
+what it does to any.
+"""
 
 
 def lasting(A: np.ndarray, C: np.ndarray, steps: int) -> np.ndarray:
-    """Return directions T (t, n) to bound beside a parallelotope's: slow modes, and what the outputs will show. None of a single state.
+    """Return directions T (t, n) to bound beside a parallelotope's: slow modes, and what the outputs will
+    show. None of a single state.
 
     Args:
         A (n, n), C (p, n): of the plant. steps: until then. A mode is slow if more than `SLOW` of it is left.
     """
     values, V = np.linalg.eig(A.T)
-    slow = [v.real if x.imag >= 0 else v.imag for x, v in zip(values, V.T, strict=True) if abs(x) ** steps > SLOW]
+    slow = [
+        v.real if x.imag >= 0 else v.imag for x, v in zip(values, V.T, strict=True) if abs(x) ** steps > SLOW
+    ]
     rows: list[np.ndarray] = []
     for row in (*slow, *(C @ np.linalg.matrix_power(A, steps))):
         length = np.linalg.norm(row)
-        if len(A) > 1 and 0 < length < np.inf and all(abs(row @ other) < (1 - 1e-6) * length for other in rows):
+        if (
+            len(A) > 1
+            and 0 < length < np.inf
+            and all(abs(row @ other) < (1 - 1e-6) * length for other in rows)
+        ):
             rows.append(row / length)
     return np.reshape(rows, (-1, len(A)))
 
 
 def template(D: np.ndarray, c: np.ndarray, G: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (lo, hi), each (r, N), of D x over the sets c (k, n, N), G (k, n, q, N), r (k, n, N), all of which hold x, rounded outward."""
+    """Return (lo, hi), each (r, N), of D x over the sets c (k, n, N), G (k, n, q, N), r (k, n, N), all of
+    which hold x, rounded outward.
+    """
     c, G, r = (x.astype(np.float64) for x in (c, G, r))
     mid, size = mapped(D, c, 1), np.abs(D)
     reach = added(np.abs(mapped(D, G, 1)), 2) + mapped(size, r, 1)
@@ -53,8 +66,18 @@ def strip(lo: np.ndarray, hi: np.ndarray, dtype: Any) -> tuple[np.ndarray, np.nd
     return near, rounding.round_up(np.where(bounded, rad, np.inf), dtype)
 
 
-def parallelotope(D: np.ndarray, back: np.ndarray, lo: np.ndarray, hi: np.ndarray, reach: np.ndarray, strips: tuple, dtype: Any) -> Prior:
-    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach, and strips: x = back (D x) + (I - back D) x."""
+def parallelotope(
+    D: np.ndarray,
+    back: np.ndarray,
+    lo: np.ndarray,
+    hi: np.ndarray,
+    reach: np.ndarray,
+    strips: tuple,
+    dtype: Any,
+) -> Prior:
+    """Return the Prior that holds every x with lo <= D x <= hi and |x| <= reach, and strips: x = back (D x) +
+    (I - back D) x.
+    """
     mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
     rad = (rad + OFF * np.abs(mid)) * ROUNDED
     c, S = mapped(back, mid), back[:, :, None] * rad[None]
@@ -69,7 +92,8 @@ def parallelotope(D: np.ndarray, back: np.ndarray, lo: np.ndarray, hi: np.ndarra
 
 
 def principal(x: Numbers, steps: int, blocks: int, dtype: Any) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return (D, back), (n, n) each, back about the inverse of D, after 0, 1, .. blocks: principal directions of a Kalman filter.
+    """Return (D, back), (n, n) each, back about the inverse of D, after 0, 1, .. blocks: principal directions
+    of a Kalman filter.
 
     Any would do; these are rounded as they come. x: the model, in float64; steps: samples of a block.
     """

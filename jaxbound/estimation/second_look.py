@@ -1,8 +1,9 @@
 """A FAULT of a set observer, decided a second time outside XLA: see `consistency.twice`.
 
-The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 4 of them, then 16, 64, 256, 1024, as far
-back as it began, knowing nothing of the state before. What contradicts then contradicts. Only what rests on more samples than these, or
-on samples of a piece before that nobody keeps, begins with the set that XLA carried to there.
+The observer follows the last samples before a FAULT once more, its kernels evaluated in NumPy: 4 of them,
+then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. What contradicts then
+contradicts. Only what rests on more samples than these, or on samples of a piece before that nobody keeps,
+begins with the set that XLA carried to there.
 """
 
 import copy
@@ -31,7 +32,9 @@ BESIDE = 128
 
 @dataclass(frozen=True)
 class _Doubt:
-    """A FAULT to be decided again. Fields: recording; begin, end: the first sample that it rests on, in its piece, and its own."""
+    """A FAULT to be decided again. Fields: recording; begin, end: the first sample that it rests on, in its
+    piece, and its own.
+    """
 
     recording: int
     begin: int
@@ -39,7 +42,8 @@ class _Doubt:
 
 
 def decided_twice(watch: Any, carry: Any, piece: Recording) -> tuple[Any, Any]:
-    """Return what `watch.judged` does, with UNDECIDED in place of a FAULT that is not proved outside XLA; a warning tells of them.
+    """Return what `watch.judged` does, with UNDECIDED in place of a FAULT that is not proved outside XLA; a
+    warning tells of them.
 
     Where one is taken back the observer goes on knowing nothing: what XLA carried is not to be trusted.
 
@@ -73,10 +77,15 @@ def _doubtful(watch, carry, piece, status):
     gone = np.zeros(flat.shape, bool)
     for doubt in left:
         behind = flat[doubt.recording, doubt.end :] != Status.FAULT
-        count = 1 if watch.restart else int(np.append(behind, True).argmax())  # a FAULT that stays goes as a whole
+        count = (
+            1 if watch.restart else int(np.append(behind, True).argmax())
+        )  # a FAULT that stays goes as a whole
         gone[doubt.recording, doubt.end : doubt.end + count] = True
     if left:
-        warn_doubtful(f"{len(left)} samples are FAULT by an observer in XLA, the first of them is sample {left[0].end} of its piece")
+        warn_doubtful(
+            f"{len(left)} samples are FAULT by an observer in XLA, the first of them is sample {left[0].end} "
+            f"of its piece"
+        )
     return gone.reshape(status.shape)
 
 
@@ -109,7 +118,9 @@ def _by_samples(watch, piece, doubts, length):
     """Return those of the FAULTs that so many last samples show, as a set."""
     u, y = _beside(piece)
     cut = lambda x, doubt: x[doubt.recording, max(doubt.begin, doubt.end - length + 1) : doubt.end + 1]
-    filled = lambda part: np.concatenate([np.full((length - len(part), part.shape[1]), np.nan, part.dtype), part])
+    filled = lambda part: np.concatenate(
+        [np.full((length - len(part), part.shape[1]), np.nan, part.dtype), part]
+    )
     found: set[_Doubt] = set()
     watch = _forgetful(watch)
     for first in range(0, len(doubts), BESIDE):
@@ -123,7 +134,9 @@ def _by_samples(watch, piece, doubts, length):
 
 
 def _by_carry(watch, carry, piece, doubt):
-    """Say whether a FAULT is seen again from what XLA carried to a sample not long before it, or to the piece."""
+    """Say whether a FAULT is seen again from what XLA carried to a sample not long before it, or to the
+    piece.
+    """
     alone, own = _of_recording(piece, doubt.recording), _carried_of(watch, carry, doubt.recording)
     near = max(0, doubt.end + 1 - LENGTHS[-1])
     if near:
@@ -150,8 +163,11 @@ def _carried_of(watch, carry, number):
     if count == 1:
         return carry
     own = carry._replace(carry=jax.tree.map(lambda x: _lanes(watch, x)[..., number], carry.carry))
-    rest = {name: jax.tree.map(lambda x: np.asarray(x)[..., number : number + 1], x) for name, x in carry._asdict().items()
-            if name not in ("carry", "samples")}  # fmt: skip
+    rest = {
+        name: jax.tree.map(lambda x: np.asarray(x)[..., number : number + 1], x)
+        for name, x in carry._asdict().items()
+        if name not in ("carry", "samples")
+    }
     return own._replace(**rest)
 
 

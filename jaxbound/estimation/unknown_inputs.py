@@ -1,10 +1,11 @@
 """What did the unknown input do? An interval for it at every sample, from windows that determine it.
 
-An unknown input v is determined by a window if some h gives h E = e_v, with E as in `models.window.unknowns`: then v = h (Y, w) - k U for
-an exact plant, and the samples' intervals give one for v. Every vector of minimal support among these h is used, so that the intersection
-of their intervals is all that the window says of v.
+An unknown input v is determined by a window if some h gives h E = e_v, with E as in `models.window.unknowns`:
+then v = h (Y, w) - k U for an exact plant, and the samples' intervals give one for v. Every vector of minimal
+support among these h is used, so that the intersection of their intervals is all that the window says of v.
 
-Source: Ragot 1993, (4b), whose left inverse N of F is one such h; the intersection over circuits is the exact projection.
+Source: Ragot 1993, (4b), whose left inverse N of F is one such h; the intersection over circuits is the exact
+projection.
 """
 
 import dataclasses
@@ -43,9 +44,10 @@ KEPT = 48
 class UnknownInputs:
     """Intervals of the unknown inputs.
 
-    Fields: values: Interval (..., T, d); entry k encloses v[k]. It is entire where v[k] is not determined, as at the end of a recording,
-    and empty (lo = inf, hi = -inf) where no value explains the samples. horizon: of the windows. lags: for each unknown input, how many
-    samples after it its window ends; None where it is never determined.
+    Fields: values: Interval (..., T, d); entry k encloses v[k]. It is entire where v[k] is not determined, as
+    at the end of a recording, and empty (lo = inf, hi = -inf) where no value explains the samples. horizon:
+    of the windows. lags: for each unknown input, how many samples after it its window ends; None where it is
+    never determined.
     """
 
     values: Interval
@@ -65,8 +67,8 @@ def unknown_inputs(
 
     Args:
         model: a LinearSystem with unknown inputs. u, y: (..., T, m) and (..., T, p) as for `detect`.
-        horizon: windows of horizon + 1 samples; None: one more than the shortest that determines all that can be determined. Longer ones
-            are tighter, and take more time.
+        horizon: windows of horizon + 1 samples; None: one more than the shortest that determines all that can
+            be determined. Longer ones are tighter, and take more time.
         progress: called with the share of the work done.
         starts: as for `detect`: no window across says anything.
 
@@ -76,7 +78,8 @@ def unknown_inputs(
     Encloses: every v[k] of every behaviour within the bounds that gives these samples, rounding included.
 
     Raises:
-        ValueError: a model without unknown inputs, none of them determined by windows of this horizon, a horizon that is too long.
+        ValueError: a model without unknown inputs, none of them determined by windows of this horizon, a
+            horizon that is too long.
         NotImplementedError: an uncertain model.
 
     Example:
@@ -92,11 +95,15 @@ def unknown_inputs(
         raise ValueError("the model has no unknown inputs")
     if model.uncertainties:
         raise NotImplementedError(
-            "unknown inputs of an uncertain model are not estimated yet: leave its uncertainties out, or decouple them"
+            "unknown inputs of an uncertain model are not estimated yet: leave its uncertainties out, or "
+            "decouple them"
         )
     horizon, positions = _positions(model, horizon)
     if not any(x is not None for x in positions):
-        raise ValueError(f"no window of horizon {horizon} determines an unknown input: other unknown inputs or the state can do the same")
+        raise ValueError(
+            f"no window of horizon {horizon} determines an unknown input: other unknown inputs or the state "
+            f"can do the same"
+        )
     given = Recording.of(model, u, y, starts).finite()
     y = np.asarray(given.y)
     lo, hi = (np.full((*y.shape[:-1], model.d), side, y.dtype) for side in (-np.inf, np.inf))
@@ -115,7 +122,9 @@ def unknown_inputs(
 
 
 def _positions(model, horizon):
-    """Return (horizon, for each unknown input the last sample of a window at which it is determined, or None)."""
+    """Return (horizon, for each unknown input the last sample of a window at which it is determined, or
+    None).
+    """
     if horizon is not None:
         if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0:
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
@@ -140,13 +149,18 @@ def _determined(model, s):
 
 
 def _test(model, s, position, j, dtype):
-    """Return a WindowTest whose strips are ways to work out v_j at a position of the window: h (Y, w) - k U = v."""
+    """Return a WindowTest whose strips are ways to work out v_j at a position of the window: h (Y, w) - k U =
+    v.
+    """
     E, K = window.unknowns(model, s)
     column = model.n + model.g * s + position * model.d + j
     extended = (*E, tuple(Fraction(int(c == column)) for c in range(len(E[0]))))
     rank = linalg.rank(E)
     if comb(len(extended), rank + 1) > 10 * SUBSETS:
-        raise ValueError(f"windows of horizon {s} are too long to work out the unknown inputs of this model: choose a shorter horizon")
+        raise ValueError(
+            f"windows of horizon {s} are too long to work out the unknown inputs of this model: choose a "
+            f"shorter horizon"
+        )
     found = [tuple(-x / h[-1] for x in h[:-1]) for h in linalg.circuits(extended) if h[-1]]
     half = [*[float(a + b) or 1.0 for a, b in zip(model.noise, model.resolution, strict=True)] * (s + 1)]
     half += [float(hi - lo) / 2 for lo, hi in model.disturbance] * s

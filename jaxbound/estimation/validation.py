@@ -1,13 +1,15 @@
 """Data validation: where can the state be, which sensor does not fit, and what should it have said?
 
-Every window is an interval linear system in its states (`models.intervals.stacked`). The states found so far, propagated by the model,
-are a box; the newest samples are tested against it one by one and together; a sensor that does not fit is left out from there on, and the
-interval that the state gives for its output stands in for it.
+Every window is an interval linear system in its states (`models.intervals.stacked`). The states found so far,
+propagated by the model, are a box; the newest samples are tested against it one by one and together; a sensor
+that does not fit is left out from there on, and the interval that the state gives for its output stands in
+for it.
 
-What is promised: if the first window is fault-free (or x0 holds), the parameters are within bounds and every faulty sample was found, the
-true state is inside. A fault too small to be proved is accepted, and may move the enclosure past the true state. Nobody can promise more.
-In the first window the newest samples are tested against its older ones; a fault in these is taken for the truth, until what comes
-contradicts it: then the recording is marked FAULT, but sound sensors may be blamed.
+What is promised: if the first window is fault-free (or x0 holds), the parameters are within bounds and every
+faulty sample was found, the true state is inside. A fault too small to be proved is accepted, and may move
+the enclosure past the true state. Nobody can promise more. In the first window the newest samples are tested
+against its older ones; a fault in these is taken for the truth, until what comes contradicts it: then the
+recording is marked FAULT, but sound sensors may be blamed.
 
 Source: Alhaj-Dibo, Maquin, Ragot 2004.
 """
@@ -54,13 +56,15 @@ BLOCK = {"joint": 32, "sequential": 512}
 class Validation:
     """What `validate` found, time first: entry k comes from the window that ends at sample k.
 
-    Fields: state Interval (..., T, n). output Interval (..., T, p): what a perfect sensor would show. residual Interval (..., T, p): the
-    sample minus what the samples before it allow. faulty (..., T, p) bool: sensors whose residual excludes 0, that contradict the samples
-    before them in a sharper test, or without which alone a contradiction of all sensors ends. corrected Interval (..., T, p): `output`,
-    where a sample was accepted also within what it says; corrected.mid is the point value. status (..., T) int8, see `Status`: FAULT is
-    a proof that not all samples of the window fit the model, those before being as accepted (if nobody is to blame, its newest samples
-    are left out); UNDECIDED: nothing was proved; MISSING: no sample, and the first s. CONSISTENT is never said: it would need a behaviour
-    from the first sample on that explains all, and an enclosure holds points that none reaches. `detect` proves it, window by window.
+    Fields: state Interval (..., T, n). output Interval (..., T, p): what a perfect sensor would show.
+    residual Interval (..., T, p): the sample minus what the samples before it allow. faulty (..., T, p) bool:
+    sensors whose residual excludes 0, that contradict the samples before them in a sharper test, or without
+    which alone a contradiction of all sensors ends. corrected Interval (..., T, p): `output`, where a sample
+    was accepted also within what it says; corrected.mid is the point value. status (..., T) int8, see
+    `Status`: FAULT is a proof that not all samples of the window fit the model, those before being as
+    accepted (if nobody is to blame, its newest samples are left out); UNDECIDED: nothing was proved; MISSING:
+    no sample, and the first s. CONSISTENT is never said: it would need a behaviour from the first sample on
+    that explains all, and an enclosure holds points that none reaches. `detect` proves it, window by window.
     """
 
     state: Interval
@@ -84,27 +88,33 @@ def validate(
     """Enclose the state over time, find the sensor that does not fit, and say what it should have shown.
 
     Args:
-        model: `interval_system(...)`, a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no unknown inputs), or a
-            MultiModel (its .state holds the states of all sub-models; joint only, unless its partial outputs are measured).
-        u: (..., T, m) or None. y: (..., T, p), or (..., T, L, p) for the partial outputs of a MultiModel; NaN: that sample is absent.
-            Recordings on leading axes run side by side. Tables as for `detect`; partial outputs are called like "1.y1", "2.y1" there.
+        model: `interval_system(...)`, a LinearSystem (uncertain parameters, tolerance, noise, disturbance; no
+            unknown inputs), or a MultiModel (its .state holds the states of all sub-models; joint only,
+            unless its partial outputs are measured).
+        u: (..., T, m) or None. y: (..., T, p), or (..., T, L, p) for the partial outputs of a MultiModel;
+            NaN: that sample is absent. Recordings on leading axes run side by side. Tables as for `detect`;
+                partial outputs are called like "1.y1", "2.y1" there.
         horizon: s of windows of s + 1 samples; None: the smallest with s >= n / p and p (s + 1) > n.
-        method: "joint": the newest samples, the older ones and the propagated state at once, by the hull of their linear programs.
-            "sequential": the paper's square systems, one for each further row, against a reference; wider, faster.
-        x0: Interval (..., n) that holds the first state. None: the first window is taken to be fault-free, and must be complete.
-        correction: what stands in for a faulty sample. "interval": all that the state allows there. "centre": the middle of it, as if it
-            had been measured; the paper's, and not a proof: the true state may be outside, `faulty` is a suspicion, and nothing is FAULT.
-        starts: as for `detect`. What comes behind a gap is a recording of its own: it begins with its first complete window, taken to be
-            fault-free; x0 is that of the first.
+        method: "joint": the newest samples, the older ones and the propagated state at once, by the hull of
+            their linear programs. "sequential": the paper's square systems, one for each further row, against
+            a reference; wider, faster.
+        x0: Interval (..., n) that holds the first state. None: the first window is taken to be fault-free,
+            and must be complete.
+        correction: what stands in for a faulty sample. "interval": all that the state allows there. "centre":
+            the middle of it, as if it had been measured; the paper's, and not a proof: the true state may be
+            outside, `faulty` is a suspicion, and nothing is FAULT.
+        starts: as for `detect`. What comes behind a gap is a recording of its own: it begins with its first
+            complete window, taken to be fault-free; x0 is that of the first.
 
     Returns:
         A Validation.
 
-    Encloses: every state of every behaviour within the bounds that gives the samples accepted as sound, rounding included; nothing with
-    correction="centre".
+    Encloses: every state of every behaviour within the bounds that gives the samples accepted as sound,
+    rounding included; nothing with correction="centre".
 
     Raises:
-        ValueError: shapes that do not fit, a first window that does not bound the state, an unknown method. TypeError: no model.
+        ValueError: shapes that do not fit, a first window that does not bound the state, an unknown method.
+            TypeError: no model.
 
     Source: Alhaj-Dibo, Maquin, Ragot 2004, (6)-(11).
 
@@ -125,26 +135,34 @@ def validate(
     u, y, s, n = np.asarray(given.u), np.asarray(given.y, slides.m.A.dtype), slides.s, slides.m.n
     run = partial(slides, recorded=given.y.dtype)
     T = y.shape[-2]
-    left_out = (np.isnan(u).any(-1) & np.isnan(y).all(-1)).reshape(-1, T).all(0)  # nothing is known there: like a gap
+    left_out = (
+        (np.isnan(u).any(-1) & np.isnan(y).all(-1)).reshape(-1, T).all(0)
+    )  # nothing is known there: like a gap
     left_out |= False if given.excluded is None else given.excluded
     seams = np.union1d(given.starts, around(left_out)) if left_out.any() else given.starts
     if not np.isfinite(u[..., ~left_out, :]).all():
         gone = (~np.isfinite(u[..., ~left_out, :])).sum()
         raise ValueError(f"validate needs every input: {gone} samples of u are missing or infinite")
     if np.isinf(y).any():
-        raise ValueError(f"y must be numbers, or NaN where a sample is absent: {np.isinf(y).sum()} are infinite")
+        raise ValueError(
+            f"y must be numbers, or NaN where a sample is absent: {np.isinf(y).sum()} are infinite"
+        )
     if T <= s:
         raise ValueError(f"horizon must be a whole number >= 1 with more samples than it ({T}), not {s!r}")
     gapless = not len(seams) or seams[0] > s
     if x0 is None and gapless and np.isnan(y[..., : s + 1, :]).any():
-        raise ValueError(f"the first {s + 1} samples must be complete, or x0 must say where the first state is")
+        raise ValueError(
+            f"the first {s + 1} samples must be complete, or x0 must say where the first state is"
+        )
     if not len(seams):
         return run(u, y, x0=x0)[0]
     return _piecewise(run, u, y, x0, seams, left_out, s, n)
 
 
 def prepared(model: Any, horizon: int | None, method: str, correction: str) -> tuple[Any, "_Slide"]:
-    """Return (the signals that are read, what validates them) of a model; the rest as for `validate`, which says what is refused."""
+    """Return (the signals that are read, what validates them) of a model; the rest as for `validate`, which
+    says what is refused.
+    """
     several = isinstance(model, MultiModel)
     m = model.joined() if several else as_intervals(model)
     if method not in ("joint", "sequential"):
@@ -157,17 +175,26 @@ def prepared(model: Any, horizon: int | None, method: str, correction: str) -> t
     if isinstance(s, bool) or not isinstance(s, (int, np.integer)) or s < 1:
         raise ValueError(f"horizon must be a whole number >= 1, not {s!r}")
     if method == "sequential" and s * m.p < m.n:
-        raise ValueError(f"the square systems need a horizon of at least n / p ({-(-m.n // m.p)}), not {s}: see (9) of the paper")
+        raise ValueError(
+            f"the square systems need a horizon of at least n / p ({-(-m.n // m.p)}), not {s}: see (9) of "
+            f"the paper"
+        )
     signals = model if hasattr(model, "columns") and not several else Signals(m.inputs, m.outputs, {})
     return signals, _Slide(model if several else None, m, int(s), method, correction == "centre")
 
 
 class _Slide:
-    """Validates recordings side by side, without a gap. multiple: a MultiModel, or None; m: the IntervalSystem."""
+    """Validates recordings side by side, without a gap. multiple: a MultiModel, or None; m: the
+    IntervalSystem.
+    """
 
     def __init__(self, multiple, m, s, method, centre):
         self.multiple, self.m, self.s, self.method, self.centre = multiple, m, s, method, centre
-        signals = {name: getattr(m, name) for name in "ABCDw"} | {"u0": m.offset["u"], "y0": m.offset["y"], "factor": _factor(m)}
+        signals = {name: getattr(m, name) for name in "ABCDw"} | {
+            "u0": m.offset["u"],
+            "y0": m.offset["y"],
+            "factor": _factor(m),
+        }
         if m.moves and method == "joint":
             signals |= {"H": m.moves[2], "d": m.moves[3]}
         self.plant = {name: ends(x) for name, x in signals.items()}
@@ -181,13 +208,16 @@ class _Slide:
     @cached_property
     def systems(self):
         """The square systems of the sequential method, or None."""
-        return prepare(self.M, self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
+        return (
+            prepare(self.M, self.m.p * (self.s + 1) - self.m.n + 1) if self.method == "sequential" else None
+        )
 
     def __call__(self, u, y, recorded, x0=None, before=None, earlier=None):
         """Return what `judged` does, with UNDECIDED in place of a FAULT that is not seen again outside XLA.
 
-        Searches for bounds end elsewhere where numbers are rounded otherwise: that FAULT samples in a row begin with one that NumPy sees,
-        or that it sees one among those before, is enough, and where it sees none nothing is warned of.
+        Searches for bounds end elsewhere where numbers are rounded otherwise: that FAULT samples in a row
+        begin with one that NumPy sees, or that it sees one among those before, is enough, and where it sees
+        none nothing is warned of.
         """
         result, after = self.judged(u, y, recorded, x0, before, earlier)
         faulty = np.asarray(result.status) == Status.FAULT
@@ -205,8 +235,8 @@ class _Slide:
     def _seen_again(self, u, y, recorded, x0, before, earlier, faulty):
         """Return which samples are FAULT where this is worked out again.
 
-        Outside XLA are `PIECE` samples from a FAULT on, then from the next one behind them, `AGAIN` times at most. What comes before each
-        is judged by XLA, by the program that is compiled.
+        Outside XLA are `PIECE` samples from a FAULT on, then from the next one behind them, `AGAIN` times at
+        most. What comes before each is judged by XLA, by the program that is compiled.
         """
         s, T, seen, stop = self.s, y.shape[-2], faulty.copy(), 0
         some = faulty.reshape(-1, T).any(0)
@@ -220,21 +250,27 @@ class _Slide:
             if first:
                 _, carry = self.judged(u, y, recorded, x0, before, earlier, upto=first)
                 begin, start = first - s, None
-                past = y[..., :begin, :] if earlier is None else np.concatenate([earlier, y[..., :begin, :]], -2)
+                past = (
+                    y[..., :begin, :] if earlier is None else np.concatenate([earlier, y[..., :begin, :]], -2)
+                )
                 known = past[..., -s:, :]
             with outside_xla():
-                piece, _ = self.judged(u[..., begin:stop, :], y[..., begin:stop, :], recorded, start, carry, known)
+                piece, _ = self.judged(
+                    u[..., begin:stop, :], y[..., begin:stop, :], recorded, start, carry, known
+                )
             seen[..., first:stop] = np.asarray(piece.status)[..., first - begin :] == Status.FAULT
         return seen
 
     def judged(self, u, y, recorded, x0=None, before=None, earlier=None, upto=None):
-        """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the model.
+        """Return (Validation, what goes on from here) of u (..., T, m), y (..., T, p) in the type of the
+        model.
 
         Args:
             recorded: the float type in which y was rounded.
-            before: what this returned, to go on: then the first s samples are those before the new ones. earlier: y of the s before
-                these, which say how large samples get in the windows of the first.
-            upto: what goes on is from behind so many samples, and what is found of others means nothing; None: from behind all.
+            before: what this returned, to go on: then the first s samples are those before the new ones.
+                earlier: y of the s before these, which say how large samples get in the windows of the first.
+            upto: what goes on is from behind so many samples, and what is found of others means nothing;
+                None: from behind all.
         """
         m, s, dtype = self.m, self.s, y.dtype
         *lead, T, _ = y.shape
@@ -247,7 +283,9 @@ class _Slide:
             x0 = ends(jax.tree.map(lambda a: np.broadcast_to(a, (*lead, m.n)), x0), -2)
         known = y if earlier is None else np.concatenate([earlier, y], -2)
         error = largest_error(known, m.noise, recorded, s)[..., known.shape[-2] - T :, :]
-        pushed = ends(Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype)), -3)  # a point, unless it had to be narrowed
+        pushed = ends(
+            Interval(rounding.round_down(u, dtype), rounding.round_up(u, dtype)), -3
+        )  # a point, unless it had to be narrowed
         weight = ends(self.multiple.columns(u.astype(dtype)), -3) if self.multiple else None
         flat = lambda a: None if a is None else a.reshape(count, *a.shape[len(lead) :])
         given = (*(flat(_filled_up(a)) for a in (pushed, y, error, weight)), flat(x0), before)
@@ -260,10 +298,30 @@ class _Slide:
             known, systems = said(self.plant, u, y, error), shared
             if carry is None:
                 if self.multiple and start is None:
-                    systems = _first_window(interval_of(np.asarray(weighted(M, weight[:, : s + 1], m.p))), m.p)
-                first = Said(*(jnp.asarray(np.asarray(a)[: s + 1] if a is known.absent else np.asarray(a)[:, : s + 1]) for a in known))
+                    systems = _first_window(
+                        interval_of(np.asarray(weighted(M, weight[:, : s + 1], m.p))), m.p
+                    )
+                first = Said(
+                    *(
+                        jnp.asarray(
+                            np.asarray(a)[: s + 1] if a is known.absent else np.asarray(a)[:, : s + 1]
+                        )
+                        for a in known
+                    )
+                )
                 carry = begun(self.plant, systems, first, start, s, m.n, self.method, self.centre)
-            return slide(self.plant, M, self.systems, known, weight, carry, T if upto is None else upto, s, self.method, self.centre)
+            return slide(
+                self.plant,
+                M,
+                self.systems,
+                known,
+                weight,
+                carry,
+                T if upto is None else upto,
+                s,
+                self.method,
+                self.centre,
+            )
 
         after, found, blamed = _blocks(kernel, given, count, min(BLOCK[self.method], power(count)))
         found, wrong = (a[:, :T].reshape(*lead, T, *a.shape[2:]) for a in (found, blamed))
@@ -271,7 +329,10 @@ class _Slide:
         state, output, residual, corrected = (Interval(-a[..., 0, :], a[..., 1, :]) for a in parts)
         bounded = np.isfinite(found[..., s, :, : m.n]).all((-1, -2))
         if not bounded.all():
-            raise ValueError(f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer horizon")
+            raise ValueError(
+                f"{(~bounded).sum()} of {count} first windows do not bound the state: give x0, or a longer "
+                f"horizon"
+            )
         absent = np.isnan(y)
         for end in (residual.lo, residual.hi):
             end[..., s:, :][absent[..., s:, :]] = np.nan
@@ -285,8 +346,12 @@ class _Slide:
 def _factor(m):
     """Return 1 / (1 + theta) for the relative errors of the sensors."""
     theta = [Fraction(v) for v in rounding.round_up(m.tolerance, m.A.dtype).tolist()]
-    return Interval(*(f(np.array([1 / (1 + sign * v) for v in theta], object), m.A.dtype)
-                      for f, sign in ((rounding.round_down, 1), (rounding.round_up, -1))))  # fmt: skip
+    return Interval(
+        *(
+            f(np.array([1 / (1 + sign * v) for v in theta], object), m.A.dtype)
+            for f, sign in ((rounding.round_down, 1), (rounding.round_up, -1))
+        )
+    )
 
 
 def _filled_up(a):
@@ -299,14 +364,25 @@ def _filled_up(a):
 
 def nothing_said(shape: tuple[int, ...], n: int, p: int, dtype: np.dtype) -> Validation:
     """Return a Validation of samples (*shape) of which nothing is known: every interval is entire."""
-    entire = lambda size: Interval(np.full((*shape, size), -np.inf, dtype), np.full((*shape, size), np.inf, dtype))
-    return Validation(entire(n), entire(p), entire(p), np.zeros((*shape, p), bool), entire(p), np.full(shape, Status.MISSING, np.int8))
+    entire = lambda size: Interval(
+        np.full((*shape, size), -np.inf, dtype), np.full((*shape, size), np.inf, dtype)
+    )
+    return Validation(
+        entire(n),
+        entire(p),
+        entire(p),
+        np.zeros((*shape, p), bool),
+        entire(p),
+        np.full(shape, Status.MISSING, np.int8),
+    )
 
 
 def _piecewise(run, u, y, x0, starts, left_out, s, n):
-    """Validate what lies between gaps, each piece as a recording of its own; where there is none, every interval is entire.
+    """Validate what lies between gaps, each piece as a recording of its own; where there is none, every
+    interval is entire.
 
-    Pieces are filled up behind their end to few lengths, with absent samples: few compilations, and no sample tells of those before it.
+    Pieces are filled up behind their end to few lengths, with absent samples: few compilations, and no sample
+    tells of those before it.
     """
     batch, (T, p) = y.shape[:-2], y.shape[-2:]
     whole = (~np.isnan(y)).all(-1).reshape(-1, T).all(0)
@@ -315,18 +391,28 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
         if a == b or left_out[a]:
             continue
         known = x0 is not None and a == 0
-        complete = np.convolve(whole[a:b], np.ones(s + 1, int), "valid") == s + 1 if b - a > s else np.zeros(0, bool)
+        complete = (
+            np.convolve(whole[a:b], np.ones(s + 1, int), "valid") == s + 1 if b - a > s else np.zeros(0, bool)
+        )
         if known and b - a > s or complete.any():
             begin = a if known else a + int(complete.argmax())
             groups.setdefault((known, max(16, power(b - begin))), []).append((begin, b))
     if not groups:
-        raise ValueError(f"no stretch of {s + 1} complete samples in a row: the windows reach across gaps, or samples are missing in all")
+        raise ValueError(
+            f"no stretch of {s + 1} complete samples in a row: the windows reach across gaps, or samples are "
+            f"missing in all"
+        )
     out = nothing_said((*batch, T), n, p, y.dtype)
     for (known, length), pieces in groups.items():
-        rows = np.minimum(np.array([a for a, _ in pieces])[:, None] + np.arange(length), np.array([b for _, b in pieces])[:, None] - 1)
+        rows = np.minimum(
+            np.array([a for a, _ in pieces])[:, None] + np.arange(length),
+            np.array([b for _, b in pieces])[:, None] - 1,
+        )
         behind = np.arange(length) >= np.array([b - a for a, b in pieces])[:, None]
         take = lambda x, rows=rows: np.moveaxis(x[..., rows, :], -3, 0)
-        some = np.where(behind.reshape(len(pieces), *[1] * len(batch), length, 1), np.nan, take(y)).astype(y.dtype)
+        some = np.where(behind.reshape(len(pieces), *[1] * len(batch), length, 1), np.nan, take(y)).astype(
+            y.dtype
+        )
         found, _ = run(take(u), some, x0=x0 if known else None)
         for to, value in zip(jax.tree.leaves(out), jax.tree.leaves(found), strict=True):
             for i, (a, b) in enumerate(pieces):
@@ -336,13 +422,17 @@ def _piecewise(run, u, y, x0, starts, left_out, s, n):
 
 
 def least_horizon(n: int, p: int) -> int:
-    """Return the smallest s with s >= n / p and p (s + 1) > n, for n states and p outputs. Source: (9) of the paper, section 2."""
+    """Return the smallest s with s >= n / p and p (s + 1) > n, for n states and p outputs. Source: (9) of the
+    paper, section 2.
+    """
     s = max(-(-n // p), 1)
     return s + (p * (s + 1) <= n)
 
 
 def _first_window(M, p):
-    """Prepare the rows of the first window as one system, without the newest samples if that will do: so these can be tested against it."""
+    """Prepare the rows of the first window as one system, without the newest samples if that will do: so
+    these can be tested against it.
+    """
     if M.shape[0] - p >= M.shape[1]:
         older = prepare(jax.tree.map(lambda a: a[:-p], M))
         if np.isfinite(older.scale.lo).all():
@@ -351,7 +441,9 @@ def _first_window(M, p):
 
 
 def _blocks(kernel, given, count, size):
-    """Run a kernel on blocks. What is given and returned has recordings on its first axis, the kernel has them on the last."""
+    """Run a kernel on blocks. What is given and returned has recordings on its first axis, the kernel has
+    them on the last.
+    """
 
     def block(chosen):
         found = kernel(*jax.tree.map(lambda a: np.moveaxis(a[chosen], 0, -1), given))

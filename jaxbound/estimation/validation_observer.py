@@ -1,4 +1,6 @@
-"""Data validation as an Observer: pieces of a recording as they come, each validated from where the one before ended."""
+"""Data validation as an Observer: pieces of a recording as they come, each validated from where the one
+before ended.
+"""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -18,7 +20,8 @@ __all__ = ["ValidationObserver", "ValidationState"]
 
 
 class ValidationState(NamedTuple):
-    """What goes on from sample to sample. Fields: u, y: the last samples, at most 2 s; after: of the last window, None before the first;
+    """What goes on from sample to sample. Fields: u, y: the last samples, at most 2 s; after: of the last
+    window, None before the first;
     first: whether the first of these samples is the very first, of which x0 speaks.
     """
 
@@ -35,8 +38,8 @@ class ValidationObserver(Observer):
     Args:
         model, horizon, method, x0, correction: as for `validate`; x0 is that of the very first sample.
 
-    After a gap it begins anew, with the first complete window. What is said of a window is what `validate` says of the whole recording,
-    up to the last digits: how large samples get is known up to now alone.
+    After a gap it begins anew, with the first complete window. What is said of a window is what `validate`
+    says of the whole recording, up to the last digits: how large samples get is known up to now alone.
 
     Raises:
         ValueError: as `validate`.
@@ -51,14 +54,21 @@ class ValidationObserver(Observer):
         >>> y[5, 1] += 2
         >>> carry, found = observer.init(), []
         >>> for k in range(8):
-        ...     carry, judged = observer.fold(carry, Recording.of(observer.signals, np.ones((1, 1)), y[k : k + 1]))
+        ...     sample = Recording.of(observer.signals, np.ones((1, 1)), y[k : k + 1])
+    ...     carry, judged = observer.fold(carry, sample)
         ...     found.append(judged.faulty[0].tolist())
         >>> found[5]
         [False, True]
     """
 
-    def __init__(self, model: Any, horizon: int | None = None, method: str = "joint", x0: Interval | None = None,
-                 correction: str = "interval") -> None:  # fmt: skip
+    def __init__(
+        self,
+        model: Any,
+        horizon: int | None = None,
+        method: str = "joint",
+        x0: Interval | None = None,
+        correction: str = "interval",
+    ) -> None:
         refuse_unverified()
         self.signals, self._slide = prepared(model, horizon, method, correction)
         self.horizon, self.x0 = self._slide.s, x0
@@ -66,19 +76,30 @@ class ValidationObserver(Observer):
     def init(self) -> ValidationState:
         """Return the state before the first sample."""
         m, dtype = self._slide.m, self._slide.m.A.dtype
-        return ValidationState(np.zeros((0, m.B.shape[1]), dtype), np.zeros((0, m.C.shape[0]), dtype), None, True)
+        return ValidationState(
+            np.zeros((0, m.B.shape[1]), dtype), np.zeros((0, m.C.shape[0]), dtype), None, True
+        )
 
     def fold(self, carry: ValidationState, piece: Recording) -> tuple[ValidationState, Validation]:
         """Take the next samples (T, .) of a recording; return (carry, Validation of these samples)."""
         piece.finite()
-        u, y = np.asarray(piece.u), np.asarray(piece.y)  # as recorded: what was rounded away, or is narrowed, counts
+        u, y = (
+            np.asarray(piece.u),
+            np.asarray(piece.y),
+        )  # as recorded: what was rounded away, or is narrowed, counts
         if len(carry.y) and carry.y.dtype != y.dtype:
-            raise ValueError(f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type")
+            raise ValueError(
+                f"y is in {y.dtype}, the samples before are in {carry.y.dtype}: a recording has one type"
+            )
         if y.ndim != 2:
-            raise ValueError(f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}")
+            raise ValueError(
+                f"an observer follows one recording: y must have shape (T, {y.shape[-1]}), not {y.shape}"
+            )
         gone = np.isnan(u).any(-1) & np.isnan(y).all(-1)
         if (np.isnan(u).any(-1) & ~gone).any():
-            raise ValueError(f"validation needs every input: {int(np.isnan(u).sum())} samples of u are missing")
+            raise ValueError(
+                f"validation needs every input: {int(np.isnan(u).sum())} samples of u are missing"
+            )
         seams = np.union1d(piece.starts, around(gone)) if gone.any() else piece.starts
         parts = []
         for a, b in zip([0, *seams.tolist()], [*seams.tolist(), len(y)], strict=True):
@@ -103,7 +124,9 @@ class ValidationObserver(Observer):
             found, after = slide(u[cut:], exact[cut:], before=carry.after, earlier=exact[:cut])
         else:
             whole = (~np.isnan(y)).all(-1)
-            ready = np.convolve(whole, np.ones(s + 1, int), "valid") == s + 1 if len(y) > s else np.zeros(0, bool)
+            ready = (
+                np.convolve(whole, np.ones(s + 1, int), "valid") == s + 1 if len(y) > s else np.zeros(0, bool)
+            )
             if not (ready.any() or (known and len(y) > s)):
                 keep = 0 if known else max(len(y) - s, 0)
                 return ValidationState(u[keep:], y[keep:], None, carry.first and not keep), self._nothing(new)

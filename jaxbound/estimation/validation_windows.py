@@ -1,7 +1,8 @@
 """Sliding windows of data validation: one loop over time, all recordings side by side on the last axis.
 
-A window holds s + 1 samples. It starts from the box of the window before, moved on by the model; the newest samples are tested against it;
-what does not fit is left out, here and in the windows to come, and what the box implies stands in for it.
+A window holds s + 1 samples. It starts from the box of the window before, moved on by the model; the newest
+samples are tested against it; what does not fit is left out, here and in the windows to come, and what the
+box implies stands in for it.
 """
 
 from collections.abc import Mapping
@@ -26,7 +27,8 @@ STEPS = 20
 class Carry(NamedTuple):
     """What goes on from window to window of N recordings.
 
-    Fields: X (2, (s+1) n, N) ends that hold the states of the next window. gone (s, p, N): its samples but the newest that are left out.
+    Fields: X (2, (s+1) n, N) ends that hold the states of the next window. gone (s, p, N): its samples but
+    the newest that are left out.
     moved: these samples, ends (2, s, p, N), if any may have been moved; else None.
     """
 
@@ -36,7 +38,9 @@ class Carry(NamedTuple):
 
 
 class Said(NamedTuple):
-    """What samples say of the model's signals. Fields: absent (T, p, N); ends (2, T, ., N) of C x, H u + d, B u + w, and D u + y0."""
+    """What samples say of the model's signals. Fields: absent (T, p, N); ends (2, T, ., N) of C x, H u + d, B
+    u + w, and D u + y0.
+    """
 
     absent: jax.Array
     seen: jax.Array
@@ -50,7 +54,8 @@ def said(plant: Mapping[str, jax.Array], u: jax.Array, y: jax.Array, error: jax.
     """Return what T samples say.
 
     Args:
-        plant: ends of A, B, C, D, w, u0, y0, factor, perhaps H, d (see `IntervalSystem`); factor: 1 / (1 + theta).
+        plant: ends of A, B, C, D, w, u0, y0, factor, perhaps H, d (see `IntervalSystem`); factor: 1 / (1 +
+            theta).
         u: ends (2, T, m, N). y, error: (T, p, N), see `sensor.largest_error`.
     """
     absent = jnp.isnan(y)
@@ -58,23 +63,36 @@ def said(plant: Mapping[str, jax.Array], u: jax.Array, y: jax.Array, error: jax.
     v = subtracted(u, lift("u0"))
     wide = lambda x: jnp.broadcast_to(x, (2, u.shape[1], x.shape[2], u.shape[3]))
     nothing = jnp.zeros((2, 1, 1, 1), y.dtype)
-    on = lambda name: total(product(plant[name][:, None, ..., None], v[:, :, None]), axis=3) if u.shape[2] else nothing
+    on = lambda name: (
+        total(product(plant[name][:, None, ..., None], v[:, :, None]), axis=3) if u.shape[2] else nothing
+    )
     through = on("D")
     point = jnp.where(absent, 0, y)[None] * jnp.asarray([-1, 1], y.dtype)[:, None, None, None]
     seen = product(added(subtracted(point, lift("y0")), error[None]), lift("factor"))
     drive = added(on("B"), lift("w"))
     pushed = added(on("H"), lift("d")) if "H" in plant else drive
-    return Said(absent, *stored((subtracted(seen, through), wide(pushed), wide(drive), wide(added(through, lift("y0"))))))
+    return Said(
+        absent,
+        *stored((subtracted(seen, through), wide(pushed), wide(drive), wide(added(through, lift("y0"))))),
+    )
 
 
 @kernel(static_argnames=("s", "n", "method", "centre"))
 def begun(
-    plant: Mapping[str, jax.Array], systems: Any, known: Said, start: jax.Array | None, s: int, n: int, method: str, centre: bool
+    plant: Mapping[str, jax.Array],
+    systems: Any,
+    known: Said,
+    start: jax.Array | None,
+    s: int,
+    n: int,
+    method: str,
+    centre: bool,
 ) -> Carry:
     """Return the Carry before the first window, of what s + 1 samples say.
 
     Args:
-        systems: for "joint" without a start the first window's rows as one system, perhaps without the newest samples.
+        systems: for "joint" without a start the first window's rows as one system, perhaps without the newest
+            samples.
         start: ends (2, n, N) that hold the first state; None: it comes from the first window.
     """
     if start is not None:
@@ -105,14 +123,20 @@ def slide(
     """Validate N recordings, the windows that end at samples s, s + 1, .., stop - 1.
 
     Args:
-        plant: as for `said`. M: ends (2, r, (s+1) n, 1), see `intervals.stacked`. systems: the square systems of M for "sequential".
-        known: what `said` returned for T samples. weight: None or ends (2, T, n, N) that multiply the columns of C.
-        carry: from `begun`, or what this returned for the samples up to the first s of these, to go on from there.
-        centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for sound: nothing is proved then.
+        plant: as for `said`. M: ends (2, r, (s+1) n, 1), see `intervals.stacked`. systems: the square systems
+            of M for "sequential".
+        known: what `said` returned for T samples. weight: None or ends (2, T, n, N) that multiply the columns
+            of C.
+        carry: from `begun`, or what this returned for the samples up to the first s of these, to go on from
+            there.
+        centre: whether a faulty sample is moved to the middle of what it should have shown, and taken for
+            sound: nothing is proved then.
 
     Returns:
-        (carry, found, blamed): ends found (T, 2, n + 3 p, N) of states, outputs, residuals and corrected samples; blamed (T, p + 1, N)
-        bool: the faulty sensors, and whether the samples contradict the model. Infinite and False before the first window and from stop on.
+        (carry, found, blamed): ends found (T, 2, n + 3 p, N) of states, outputs, residuals and corrected
+        samples; blamed (T, p + 1, N)
+        bool: the faulty sensors, and whether the samples contradict the model. Infinite and False before the
+            first window and from stop on.
     """
     n, p, (T, _, N) = plant["A"].shape[1], plant["C"].shape[1], known.absent.shape
 
@@ -131,7 +155,11 @@ def slide(
         residual = stored(subtracted(newest[:, 0], implied[:, s]))
         alone = ((residual[0] < 0) | (residual[1] < 0)) & ~gone[s]
         gone = gone.at[s].set(gone[s] | alone)
-        h = stored(jnp.concatenate([_rows(negative(_part(known.pushed, k - s, s))), _rows(jnp.where(gone, implied, samples))], 1))
+        h = stored(
+            jnp.concatenate(
+                [_rows(negative(_part(known.pushed, k - s, s))), _rows(jnp.where(gone, implied, samples))], 1
+            )
+        )
         if method == "joint":
             rows = M if weight is None else weighted(M, _part(weight, k - s, s + 1), p)
             X, together, unclear = _joint(rows, p, h, X)
@@ -147,7 +175,9 @@ def slide(
             gone = gone.at[s].set(gone[s] & ~faulty)
             moved = jnp.concatenate([samples[:, 1:s], newest + jnp.stack([-shift, shift])[:, None]], 1)
         through = known.through[:, k]
-        out = stored(jnp.concatenate([X[:, s * n :], added(output, through), residual, added(corrected, through)], 1))
+        out = stored(
+            jnp.concatenate([X[:, s * n :], added(output, through), residual, added(corrected, through)], 1)
+        )
         wrong = jnp.concatenate([faulty, (jnp.any(faulty, 0) | unclear)[None]])
         X = jnp.concatenate([X[:, n:], _predict(plant, X[:, s * n :], known.drive[:, k])], 1)
         return Carry(X, gone[1:], moved), found.at[k].set(out), blamed.at[k].set(wrong)
@@ -157,7 +187,9 @@ def slide(
 
 
 def weighted(M: jax.Array, weight: jax.Array, p: int) -> jax.Array:
-    """Multiply the columns of the C rows of M, ends (2, r, (s+1) n, 1), the last p (s+1), by weight (2, s+1, n, N)."""
+    """Multiply the columns of the C rows of M, ends (2, r, (s+1) n, 1), the last p (s+1), by weight (2, s+1,
+    n, N).
+    """
     _, s, _, N = weight.shape
     moves = M[:, : -p * s]
     moves = jnp.broadcast_to(moves, (*moves.shape[:3], N))
@@ -188,13 +220,15 @@ def _mid(x):
 def _joint(M, p, h, X):
     """Tighten the box by all rows. Where they contradict each other, by fewer of the newest p rows.
 
-    All but one are tried, then none, then (p > 2) one alone. To blame is a row without which alone the contradiction ends, and one that
-    alone contradicts the older rows and the box, if these agree. Returns the states, who is blamed, and where there is a contradiction
-    but nobody to blame.
+    All but one are tried, then none, then (p > 2) one alone. To blame is a row without which alone the
+    contradiction ends, and one that alone contradicts the older rows and the box, if these agree. Returns the
+    states, who is blamed, and where there is a contradiction but nobody to blame.
     """
     r, (_, n, N) = M.shape[1], X.shape
     eye = np.eye(p, dtype=bool)
-    kept = jnp.asarray(np.concatenate([np.ones((1, p), bool), ~eye, np.zeros((1, p), bool), eye if p > 2 else eye[:0]]))
+    kept = jnp.asarray(
+        np.concatenate([np.ones((1, p), bool), ~eye, np.zeros((1, p), bool), eye if p > 2 else eye[:0]])
+    )
     implied = _transform(M[:, r - p :], X)  # what the box says of the newest rows adds nothing
     newest = h[:, r - p :]
 
@@ -221,10 +255,11 @@ def _joint(M, p, h, X):
 
 
 def _sequential(systems, p, h, X):
-    """Compare the newest row's systems with the reference: the box and the systems of older rows. Source: step i of the paper.
+    """Compare the newest row's systems with the reference: the box and the systems of older rows. Source:
+    step i of the paper.
 
-    Returns as `_joint`; older rows that contradict the box are a fault of nobody in particular, as are newest ones that only contradict
-    each other.
+    Returns as `_joint`; older rows that contradict the box are a fault of nobody in particular, as are newest
+    ones that only contradict each other.
     """
     boxes = jnp.moveaxis(stored(solutions(systems, interval_of(h))), 1, 0)  # (q, 2, n, N)
     old, new = boxes[:-p], boxes[-p:]

@@ -1,22 +1,26 @@
-"""The linear program of one window whose first state lies in a set, solved in plain floats: multipliers of its samples, no claim.
+"""The linear program of one window whose first state lies in a set, solved in plain floats: multipliers of
+its samples, no claim.
 
-A window has states x_0 = c + S xi, x_(j+1) = A x_j + W w_j + .., and samples |e_j - C x_j| <= s_j of L steps, e_j and x_j less what the
-middle of everything predicts. All unknowns have the size 1:
+A window has states x_0 = c + S xi, x_(j+1) = A x_j + W w_j + .., and samples |e_j - C x_j| <= s_j of L steps,
+e_j and x_j less what the middle of everything predicts. All unknowns have the size 1:
 
     z = (xi, w, v),    v_j = (e_j - C x_j) / s_j,    every |z_i| <= 1,
 
 and perhaps rows a = m + F_v v + F_w w of these, averages over several samples, that are at most 1 as well.
 
-Two questions, both by a primal-dual interior point method (Mizuno, Todd, Ye 1993; Wright 1997, chapter 5, its path at a fixed pace):
+Two questions, both by a primal-dual interior point method (Mizuno, Todd, Ye 1993; Wright 1997, chapter 5, its
+path at a fixed pace):
 
     gauge      t = min max_i |z_i|: below 1 the window is explained, above it is not
     support    max d x_J of one state, over all that explains the window
 
-Its Newton steps are least-squares problems with weights, so one is a Kalman filter forward and its adjoint backward (Bryson, Frazier
-1963): work and memory grow with the length of the window alone, and sets of windows lie side by side on the last axis. Averages are met
-behind it, all at once (Woodbury): one more right-hand side each.
+Its Newton steps are least-squares problems with weights, so one is a Kalman filter forward and its adjoint
+backward (Bryson, Frazier 1963): work and memory grow with the length of the window alone, and sets of windows
+lie side by side on the last axis. Averages are met behind it, all at once (Woodbury): one more right-hand
+side each.
 
-What comes out are multipliers, one a sample. Any numbers will do for the proof (`window_proof`); these are nearly the best ones.
+What comes out are multipliers, one a sample. Any numbers will do for the proof (`window_proof`); these are
+nearly the best ones.
 """
 
 import math
@@ -36,16 +40,19 @@ STEPS = 40
 START = 0.3
 """Complementarity at which a support begins: directions are such that it is about 1."""
 SOFT = 2.0**-20, 2.0**-10
-"""Added to the weights of what averages hold, in float64 and float32: what nothing else holds would move without end before they do."""
+"""Added to the weights of what averages hold, in float64 and float32: what nothing else holds would move
+without end before they do.
+"""
 
 
 class Window(NamedTuple):
     """N windows of L steps, whose samples are R rows in order of time.
 
-    Fields: A (n, n); W (n, g); S (n, k, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s infinite where there is no
-    sample; step (R,): its j; last (R,): whether it is the last row of a step, which each has; ends (L,): the numbers of these rows.
-    scale (L, g, N): factors of W after each step, or None. averages: (F_v (a, R), F_w (a, L g), m (a, N), b (a, N)), or None: at most 1 is
-    m + (F_v s v + F_w w) / b, b infinite where nothing is said.
+    Fields: A (n, n); W (n, g); S (n, k, N); c (R, n), e, s (R, N): |e - c x_j| <= s of a row at step j, s
+    infinite where there is no sample; step (R,): its j; last (R,): whether it is the last row of a step,
+    which each has; ends (L,): the numbers of these rows. scale (L, g, N): factors of W after each step, or
+    None. averages: (F_v (a, R), F_w (a, L g), m (a, N), b (a, N)), or None: at most 1 is m + (F_v s v + F_w
+    w) / b, b infinite where nothing is said.
     """
 
     A: Any
@@ -62,7 +69,9 @@ class Window(NamedTuple):
 
 
 def split(z: Any, window: Window) -> tuple[Any, Any, Any]:
-    """Return xi (k, .., N), w (L, g, .., N), v (R, .., N) of all unknowns z (K, .., N); what the last w does is not looked at."""
+    """Return xi (k, .., N), w (L, g, .., N), v (R, .., N) of all unknowns z (K, .., N); what the last w does
+    is not looked at.
+    """
     k, g, L = window.S.shape[1], window.W.shape[1], len(window.ends)
     after = k + L * g
     return z[:k], z[k:after].reshape(L, g, *z.shape[1:]), z[after : after + len(window.c)]
@@ -75,7 +84,8 @@ def middle(window: Window) -> np.ndarray:
 
 
 def followed(window: Window, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (z (K, N), off (N,)): the unknowns of the trajectory that the xi and w of z make, and how far the v of z are from its own.
+    """Return (z (K, N), off (N,)): the unknowns of the trajectory that the xi and w of z make, and how far
+    the v of z are from its own.
 
     A search moves them side by side; where samples differ by many digits, it may lose the trajectory.
     """
@@ -107,7 +117,9 @@ def _dot(M, X):
 
 
 def _solved(window, D, rho, d, J):
-    """Return (dz, pulls), as `_followed`, with the rows of averages behind theirs: (D da - rho) / b is the pull of one."""
+    """Return (dz, pulls), as `_followed`, with the rows of averages behind theirs: (D da - rho) / b is the
+    pull of one.
+    """
     if window.averages is None:
         return _followed(window, D, rho, d, J)
     (F_v, F_w, _, b), (_, k, N) = window.averages, rho.shape
@@ -138,22 +150,29 @@ def _solved(window, D, rho, d, J):
     x = jax.lax.fori_loop(0, a, step, M)[:, a:]
     near, x = x / jnp.where(root > 0, root, 1), root * x
     less = lambda X: X[:, :k] - jnp.sum(X[:, k:, None] * x[None], 1)
-    return jnp.concatenate([less(z), jnp.where(root > 0, near, less(values))]), jnp.concatenate([less(pulls), (x - rho[-a:]) / b[:, None]])
+    return jnp.concatenate([less(z), jnp.where(root > 0, near, less(values))]), jnp.concatenate(
+        [less(pulls), (x - rho[-a:]) / b[:, None]]
+    )
 
 
 def _followed(window, D, rho, d, J):
-    """Return (dz (K, k, N), pulls (R, k, N)): dz minimises sum_i D_i dz_i^2 / 2 - sum_i rho_i dz_i - d dx_J over the trajectories.
+    """Return (dz (K, k, N), pulls (R, k, N)): dz minimises sum_i D_i dz_i^2 / 2 - sum_i rho_i dz_i - d dx_J
+    over the trajectories.
 
-    A pull is (D dv - rho) / s, what a sample does to the states, without the digits that this formula would lose.
+    A pull is (D dv - rho) / s, what a sample does to the states, without the digits that this formula would
+    lose.
 
-    D (K, N), zero where there is no sample; rho (K, k, N); d (n, k, N), J (N,) the step of the state that d speaks of.
+    D (K, N), zero where there is no sample; rho (K, k, N); d (n, k, N), J (N,) the step of the state that d
+    speaks of.
     """
     A, W, S, c, _, s, step, last, ends, scale, _ = window
     n = len(A)
     D_xi, D_w, D_v = split(D, window)
     rho_xi, rho_w, rho_v = split(rho, window)
     s = jnp.where(jnp.isfinite(s), s, 1)[:, None]
-    beside = lambda P, x: jnp.concatenate([P, x], 1)  # covariance and mean are moved, and met with samples, as one
+    beside = lambda P, x: jnp.concatenate(
+        [P, x], 1
+    )  # covariance and mean are moved, and met with samples, as one
 
     def moved(M, j):
         pulled = jnp.sum(M[:, :n, None] * d[None], 1)  # a pull is like one more sample
@@ -161,7 +180,9 @@ def _followed(window, D, rho, d, J):
         w, more = D_w[j][:, None], rho_w[j]
         if scale is not None:
             w, more = w / scale[j][:, None] ** 2, more / scale[j][:, None]
-        P = jnp.sum(M[:, None, :n] * A[None, :, :, None], 2) + jnp.sum(W[:, None, :, None] * W[None, :, :, None] / w[None, None, :, 0], 2)
+        P = jnp.sum(M[:, None, :n] * A[None, :, :, None], 2) + jnp.sum(
+            W[:, None, :, None] * W[None, :, :, None] / w[None, None, :, 0], 2
+        )
         return beside(0.5 * (P + jnp.swapaxes(P, 0, 1)), M[:, n:] + _dot(W, more / w))
 
     def forward(M, now):
@@ -182,7 +203,9 @@ def _followed(window, D, rho, d, J):
         pull = gain[n:] + jnp.sum(gain[:n, None] * q, 0)
         return q + c[:, None, None] * pull[None], (into, pull)
 
-    q, (into, pulls) = jax.lax.scan(backward, jnp.zeros((n, *rho_xi.shape[1:]), rho_xi.dtype), (c, gains, step, last), reverse=True)
+    q, (into, pulls) = jax.lax.scan(
+        backward, jnp.zeros((n, *rho_xi.shape[1:]), rho_xi.dtype), (c, gains, step, last), reverse=True
+    )
     xi = rho_xi + jnp.sum(S[:, :, None] * q[:, None], 0)
     into = into[ends] if scale is None else into[ends] * scale[:, :, None]
     w, v = rho_w + into, rho_v + s * pulls
@@ -190,12 +213,14 @@ def _followed(window, D, rho, d, J):
     return jnp.concatenate([xi, w.reshape(-1, *xi.shape[1:]), v]) / seen, pulls
 
 
-def searched(window: Window, z: Any, close: float, d: Any = None, J: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def searched(
+    window: Window, z: Any, close: float, d: Any = None, J: Any = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (multipliers (R + a, N), t (N,), z (K, N)) of the windows, t the largest |z_i|.
 
     Args:
-        z (K, N): where to begin, a trajectory with its v; all |z_i| < 1 for a support. d (n, N), J (N,): the direction and step of a
-            support; None for a gauge. close: gap at which a window is done, relative.
+        z (K, N): where to begin, a trajectory with its v; all |z_i| < 1 for a support. d (n, N), J (N,): the
+            direction and step of a support; None for a gauge. close: gap at which a window is done, relative.
     """
     gauge, (K, N), dtype = d is None, z.shape, window.e.dtype
     there = np.ones((K, N), bool)
@@ -209,7 +234,12 @@ def searched(window: Window, z: Any, close: float, d: Any = None, J: Any = None)
     pull = np.zeros((len(window.A), 2, N)) if gauge else np.stack([d, np.zeros_like(d)], 1)
     J = np.zeros(N) if gauge else J
     begin = tuple(np.asarray(x, dtype) for x in (z, t[None], up / size, down / size, mu[None]))
-    weight, z = map(np.asarray, _path(window, there, begin, np.asarray(pull, dtype), J.astype(np.int32), gauge, np.asarray(close, dtype)))
+    weight, z = map(
+        np.asarray,
+        _path(
+            window, there, begin, np.asarray(pull, dtype), J.astype(np.int32), gauge, np.asarray(close, dtype)
+        ),
+    )
     return np.where(np.isfinite(weight), weight, 0), np.abs(np.where(there, z, 0)).max(0), z
 
 
@@ -240,7 +270,12 @@ def _path(window, there, begin, pull, J, gauge, close):
         length = lambda far: jnp.where(finished, 0, jnp.minimum(1, 0.95 / jnp.where(far > 0, far, 1)))
         alpha, beta = length(far), length(far_dual)
         move = lambda x, dx, by: x + jnp.where(by > 0, by * dx, 0)
-        z, up, down, t = move(z, dz, alpha), move(up, d_up, beta), move(down, d_down, beta), move(t, dt, alpha)
+        z, up, down, t = (
+            move(z, dz, alpha),
+            move(up, d_up, beta),
+            move(down, d_down, beta),
+            move(t, dt, alpha),
+        )
         weight = jnp.where(finished, weight, -pulls[:, 0] - pulls[:, 1] * dt)
         whole, gap = sums(up + down, up * (t - z) + down * (t + z))
         whole = jnp.where(gauge, whole, 1)
@@ -253,6 +288,18 @@ def _path(window, there, begin, pull, J, gauge, close):
     going = lambda state: (state[-1] < STEPS) & ~jnp.all(state[-2])
     z, t, up, down, mu = begin
     z, *_, weight, _, _ = jax.lax.while_loop(
-        going, step, (z, t, up, down, mu, jnp.ones_like(t), jnp.zeros((rows, *t.shape[1:]), t.dtype), jnp.zeros(t.shape, bool), 0)
+        going,
+        step,
+        (
+            z,
+            t,
+            up,
+            down,
+            mu,
+            jnp.ones_like(t),
+            jnp.zeros((rows, *t.shape[1:]), t.dtype),
+            jnp.zeros(t.shape, bool),
+            0,
+        ),
     )
     return weight, z

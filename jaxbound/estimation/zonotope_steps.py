@@ -1,21 +1,24 @@
-"""One step of a set observer: zonotopes that hold the state, all recordings side by side on the last axis, one loop over time.
+"""One step of a set observer: zonotopes that hold the state, all recordings side by side on the last axis,
+one loop over time.
 
-A set is {c + G xi + diag(r) eta}, |xi|, |eta| <= 1, with q generators in G; r holds what rounding adds until it becomes a generator.
+A set is {c + G xi + diag(r) eta}, |xi|, |eta| <= 1, with q generators in G; r holds what rounding adds until
+it becomes a generator.
 
 **A sample** says |m - C x - D v| <= s of one output (`sensor.true_value`). For every number L, x lies in
-c + L (m - C c - D v) + (I - L C) G xi + L s delta, |delta| <= 1. Taken is the L that makes the sum of squares of all generators least,
-L = R C' / (C R C' + s^2) with R = G G': one output after the other, it is the gain of the Kalman filter. With weight s^2 in place of s^2,
-weight > 1, samples count less: the set is wider, and what is slow shows for longer. Several weights go side by side, each a recording of
-its own; what one of them refutes is refuted.
-**A step of time** maps the set by A and adds generators of the disturbances. Then the smallest generators (1-norm less the largest entry)
-go into a box, if there are more than q.
+c + L (m - C c - D v) + (I - L C) G xi + L s delta, |delta| <= 1. Taken is the L that makes the sum of squares
+of all generators least, L = R C' / (C R C' + s^2) with R = G G': one output after the other, it is the gain
+of the Kalman filter. With weight s^2 in place of s^2, weight > 1, samples count less: the set is wider, and
+what is slow shows for longer. Several weights go side by side, each a recording of its own; what one of them
+refutes is refuted. **A step of time** maps the set by A and adds generators of the disturbances. Then the
+smallest generators (1-norm less the largest entry) go into a box, if there are more than q.
 
-**Rounding.** Every result above is off by less than gamma (|c| + sum_j |G_j| + r + ..), with the magnitudes of all that it is computed
-from, see `product_error`; the sum of these bounds, and what intervals instead of numbers in A, B, C, D add, goes into r. Numbers beyond
-2^300 (float32: 2^40) end the enclosure, as if the state were not known; below it no product overflows, and 2^-500 (2^-46) covers what
-underflows.
+**Rounding.** Every result above is off by less than gamma (|c| + sum_j |G_j| + r + ..), with the magnitudes
+of all that it is computed from, see `product_error`; the sum of these bounds, and what intervals instead of
+numbers in A, B, C, D add, goes into r. Numbers beyond 2^300 (float32: 2^40) end the enclosure, as if the
+state were not known; below it no product overflows, and 2^-500 (2^-46) covers what underflows.
 
-Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel 2015 (its gain); Girard 2005 (which generators stay).
+Sources: Alamo, Bravo, Camacho 2005 (strips, Theorem 4 and section 5); Combastel 2015 (its gain); Girard 2005
+(which generators stay).
 """
 
 from functools import reduce
@@ -33,14 +36,27 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
-__all__ = ["Carry", "Found", "Numbers", "Read", "Start", "begun_anew", "follow", "read", "sample", "step_of_time", "unknown"]
+__all__ = [
+    "Carry",
+    "Found",
+    "Numbers",
+    "Read",
+    "Start",
+    "begun_anew",
+    "follow",
+    "read",
+    "sample",
+    "step_of_time",
+    "unknown",
+]
 
 
 class Numbers(NamedTuple):
     """A model in floats.
 
-    Fields: A (n, n), B (n, m), C (p, n), D (p, m) and wide_A, .., what entries may be more or less; W (n, g) columns of disturbances,
-    w (n,) their middle, wide_w (n,) what these may be off by; u0 (m,), wide_u0; tolerance, noise, y0 (p,). free: unknown inputs, or None.
+    Fields: A (n, n), B (n, m), C (p, n), D (p, m) and wide_A, .., what entries may be more or less; W (n, g)
+    columns of disturbances, w (n,) their middle, wide_w (n,) what these may be off by; u0 (m,), wide_u0;
+    tolerance, noise, y0 (p,). free: unknown inputs, or None.
     """
 
     A: Any
@@ -65,8 +81,8 @@ class Numbers(NamedTuple):
 class Start(NamedTuple):
     """The state x of the newest sample from the last h + 1 alone: x = K m + U v + w + W xi - K s delta.
 
-    Fields: K (n, (h+1) p), U (n, (h+1) m), w (n,), W (n, h g), the oldest sample first; wide_K, wide_U, wide (n,): what x may be off by for
-    each |m| + s and |v|, and beside.
+    Fields: K (n, (h+1) p), U (n, (h+1) m), w (n,), W (n, h g), the oldest sample first; wide_K, wide_U, wide
+    (n,): what x may be off by for each |m| + s and |v|, and beside.
     """
 
     K: Any
@@ -79,8 +95,9 @@ class Start(NamedTuple):
 
 
 class Read(NamedTuple):
-    """What T samples say. Fields: mid, rad (T, p, N), radius infinite where there is none; v, slip (T, m, N) inputs less their offset, and
-    what they may be off by; whole (T, N): whether every output is there; known: every input; fresh: does not follow the sample before.
+    """What T samples say. Fields: mid, rad (T, p, N), radius infinite where there is none; v, slip (T, m, N)
+    inputs less their offset, and what they may be off by; whole (T, N): whether every output is there; known:
+    every input; fresh: does not follow the sample before.
     """
 
     mid: Any
@@ -95,8 +112,9 @@ class Read(NamedTuple):
 class Carry(NamedTuple):
     """What goes on from sample to sample: the set before a sample is looked at, and the last samples.
 
-    Fields: c (n, N), G (n, q, N), r (n, N); age (N,): samples that the set rests on, -1 where there is none; empty (N,): contradicted;
-    mid, rad (h, p, N), v, slip (h, m, N): the last samples; ready (N,): how many of these are whole and follow each other. weight (N,).
+    Fields: c (n, N), G (n, q, N), r (n, N); age (N,): samples that the set rests on, -1 where there is none;
+    empty (N,): contradicted; mid, rad (h, p, N), v, slip (h, m, N): the last samples; ready (N,): how many of
+    these are whole and follow each other. weight (N,).
     """
 
     c: Any
@@ -113,23 +131,40 @@ class Carry(NamedTuple):
 
 
 def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Carry:
-    """Return the Carry of recordings before the first sample, on the host. sizes: n, q, p, m, h; weight (N,), in the dtype of all."""
+    """Return the Carry of recordings before the first sample, on the host. sizes: n, q, p, m, h; weight (N,),
+    in the dtype of all.
+    """
     (n, q, p, m, h), N, dtype = sizes, len(weight), weight.dtype
     zero = lambda *shape: np.zeros((*shape, N), dtype)
     last = zero(h, p), zero(h, p), zero(h, m), zero(h, m)
-    return Carry(zero(n), zero(n, q), zero(n), np.full(N, -1, np.int32), np.zeros(N, bool), *last, np.zeros(N, np.int32), weight)
+    return Carry(
+        zero(n),
+        zero(n, q),
+        zero(n),
+        np.full(N, -1, np.int32),
+        np.zeros(N, bool),
+        *last,
+        np.zeros(N, np.int32),
+        weight,
+    )
 
 
 @kernel
-def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array) -> Read:
-    """Return what samples u, slip (T, m, N), y (T, p, N) say. rounded: the unit roundoff of the type that y was recorded in."""
+def read(
+    plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax.Array, rounded: jax.Array
+) -> Read:
+    """Return what samples u, slip (T, m, N), y (T, p, N) say. rounded: the unit roundoff of the type that y
+    was recorded in.
+    """
     mid, rad = [], []
     gamma, floor = rounding.residual_error(8, y.dtype)
     for i in range(y.shape[1]):
         sample = y[:, i]
         size = jnp.where(jnp.isnan(sample), 0, jnp.abs(sample))
         noise = plant.noise[i] + RECORDER_ULPS * rounded * (size + plant.noise[i])
-        (middle,), (radius,), (scale,) = true_value([sample], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size)
+        (middle,), (radius,), (scale,) = true_value(
+            [sample], plant.tolerance[i], noise, jnp.zeros_like(noise), plant.y0[i], size
+        )
         gone = jnp.isnan(sample) | ~(scale < _largest(y.dtype))
         mid.append(jnp.where(gone, 0, middle))
         rad.append(jnp.where(gone, jnp.inf, radius + gamma * scale + floor * (1 + lift(plant.tolerance))))
@@ -138,7 +173,10 @@ def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax
     known = jnp.all(jnp.abs(u) < _largest(u.dtype), 1)
     v = jnp.where(jnp.isnan(u), 0, u) - all_along(plant.u0)
     off = (
-        slip + all_along(plant.wide_u0) + 4 * rounding.unit(u.dtype) * (jnp.abs(u) + jnp.abs(all_along(plant.u0))) + rounding.tiny(u.dtype)
+        slip
+        + all_along(plant.wide_u0)
+        + 4 * rounding.unit(u.dtype) * (jnp.abs(u) + jnp.abs(all_along(plant.u0)))
+        + rounding.tiny(u.dtype)
     )
     whole = jnp.all(jnp.isfinite(radii), 1) & known
     return Read(middles, radii, v, jnp.where(known[:, None], off, 0), whole, known, fresh)
@@ -147,9 +185,9 @@ def read(plant: Numbers, u: jax.Array, y: jax.Array, slip: jax.Array, fresh: jax
 class Found(NamedTuple):
     """What is found of T samples.
 
-    Fields: status (T, N) int8; margin (T, N); age (T, N) int32, samples that the set rests on, 0 without one; states (T, 2 n, N), ends -lo,
-    hi of the states; outputs (T, 4 p, N), of what perfect sensors would show: as the samples before allow, then with this one. Those that
-    were not asked for are empty.
+    Fields: status (T, N) int8; margin (T, N); age (T, N) int32, samples that the set rests on, 0 without one;
+    states (T, 2 n, N), ends -lo, hi of the states; outputs (T, 4 p, N), of what perfect sensors would show:
+    as the samples before allow, then with this one. Those that were not asked for are empty.
     """
 
     status: Any
@@ -159,18 +197,30 @@ class Found(NamedTuple):
     outputs: Any
 
 
-@kernel(static_argnames=("lanes", "enclosures", "also"), compiler_options={"xla_cpu_multi_thread_eigen": False})
+@kernel(
+    static_argnames=("lanes", "enclosures", "also"), compiler_options={"xla_cpu_multi_thread_eigen": False}
+)
 def follow(
-    plant: Numbers, start: Start | None, carry: Carry, samples: tuple, stop: int, lanes: int, enclosures: int, restart: jax.Array | bool,
+    plant: Numbers,
+    start: Start | None,
+    carry: Carry,
+    samples: tuple,
+    stop: int,
+    lanes: int,
+    enclosures: int,
+    restart: jax.Array | bool,
     also: bool = False,
-) -> tuple[Carry, Found, Read | None]:  # fmt: skip
+) -> tuple[Carry, Found, Read | None]:
     """Follow N / lanes recordings over the first `stop` of these samples.
 
     Args:
         start: how the state is found from samples alone, or None: where it is lost it stays so.
-        samples: u, y, slip, fresh, rounded, as of `read`: one kernel with this, since a sample that comes alone pays for each call.
-        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: 0 none, 1 of states, 2 of outputs too.
-        restart: whether the sample after a contradiction begins anew; else FAULT stays. also: whether what is read is wanted.
+        samples: u, y, slip, fresh, rounded, as of `read`: one kernel with this, since a sample that comes
+            alone pays for each call.
+        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: 0 none, 1 of
+            states, 2 of outputs too.
+        restart: whether the sample after a contradiction begins anew; else FAULT stays. also: whether what is
+            read is wanted.
 
     Returns:
         (carry, Found, Read or None); what they have of other samples means nothing.
@@ -179,7 +229,13 @@ def follow(
     known = jax.tree.map(lambda x: jnp.tile(x, lanes), alone)
     (n, _, N), (T, p, _), dtype = carry.G.shape, known.mid.shape, known.mid.dtype
     room = lambda *width, dtype=dtype: jnp.zeros((T, *width, N), dtype)
-    empty = Found(room(dtype=jnp.int8), room(), room(dtype=jnp.int32), room(2 * n * min(enclosures, 1)), room(4 * p * (enclosures // 2)))
+    empty = Found(
+        room(dtype=jnp.int8),
+        room(),
+        room(dtype=jnp.int32),
+        room(2 * n * min(enclosures, 1)),
+        room(4 * p * (enclosures // 2)),
+    )
 
     def step(k, state):
         carry, found = state
@@ -195,30 +251,55 @@ def follow(
 
 def begun_anew(carry: Carry, where: jax.Array) -> Carry:
     """Forget what was before."""
-    return carry._replace(age=jnp.where(where, -1, carry.age), empty=carry.empty & ~where, ready=jnp.where(where, 0, carry.ready))
+    return carry._replace(
+        age=jnp.where(where, -1, carry.age),
+        empty=carry.empty & ~where,
+        ready=jnp.where(where, 0, carry.ready),
+    )
 
 
-def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosures: int) -> tuple[Carry, jax.Array, Found]:
+def sample(
+    plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosures: int
+) -> tuple[Carry, jax.Array, Found]:
     """Look at one sample: return (carry with the set after it, its magnitudes (n, N), one row of `Found`)."""
     alive, (n, q, N), p = carry.age >= 0, carry.G.shape, len(now.mid)
     dtype, g = carry.c.dtype, _Bounds(plant, carry)
     direct = jnp.sum(jnp.abs(plant.D) + plant.wide_D, 1) > 0
-    driven = now.known[None] | ~direct[:, None]  # else what a perfect sensor shows depends on what nobody knows
+    driven = (
+        now.known[None] | ~direct[:, None]
+    )  # else what a perfect sensor shows depends on what nobody knows
     seen = jnp.isfinite(now.rad) & driven
     through = jnp.where(now.known[None], _map(plant.D, now.v), 0)
     sizes = jnp.abs(plant.D)
-    loose = jnp.where(now.known[None], g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes, now.slip)), 0)
+    loose = jnp.where(
+        now.known[None],
+        g.up * (_map(plant.wide_D + g.gamma * sizes, jnp.abs(now.v)) + _map(sizes, now.slip)),
+        0,
+    )
     mid, rad = jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0)
     one = lambda x, i: jax.lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
 
     def says(i, c, G, r, size):
-        """Return of output i: (C_i G, its value at the middle, how far it reaches, what rounding and intervals add to that, magnitudes)."""
+        """Return of output i: (C_i G, its value at the middle, how far it reaches, what rounding and
+        intervals add to that, magnitudes).
+        """
         row, wide = one(plant.C, i), one(plant.wide_C, i)
         P = summed(lambda a, x: a * x, row, G)
         value = summed(lambda a, x: a * x, row, c) + one(through, i)
-        whole = summed(lambda a, x: abs(a) * x, row, size) + jnp.abs(one(through, i)) + jnp.abs(one(mid, i)) + one(rad, i)
+        whole = (
+            summed(lambda a, x: abs(a) * x, row, size)
+            + jnp.abs(one(through, i))
+            + jnp.abs(one(mid, i))
+            + one(rad, i)
+        )
         slack = g.up * (summed(lambda a, x: a * x, wide, size) + one(loose, i) + g.gamma * whole) + g.least
-        return P, value, g.up * (jnp.sum(jnp.abs(P), 0) + summed(lambda a, x: abs(a) * x, row, r)) + slack, slack, whole
+        return (
+            P,
+            value,
+            g.up * (jnp.sum(jnp.abs(P), 0) + summed(lambda a, x: abs(a) * x, row, r)) + slack,
+            slack,
+            whole,
+        )
 
     sized = lambda c, G, r: jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r
     first = before = (carry.c, carry.G, carry.r, sized(carry.c, carry.G, carry.r))
@@ -226,7 +307,9 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     there, lost, whole = seen, jnp.zeros(N, bool), jnp.zeros(N, bool)
     if plant.free is not None:
         whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
-        known, there, lost = known_again(plant.free, _Bounds(plant, carry, p), known, first[3], (mid, rad, through, loose), seen, whole)
+        known, there, lost = known_again(
+            plant.free, _Bounds(plant, carry, p), known, first[3], (mid, rad, through, loose), seen, whole
+        )
         before = (*known, sized(*known))
 
     def output(i, state):
@@ -240,7 +323,9 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
             ratio = jnp.where(tested, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
             wrong |= tested & (jnp.abs(far) > g.up * bound)
         L = jnp.sum(G * P[None], 1) / (jnp.sum(P * P, 0) + carry.weight * s * s + g.least)[None]
-        L = stored(jnp.where(tested[None] & (jnp.abs(L) < g.steepest), L, 0))  # one number for all its uses: then any will do
+        L = stored(
+            jnp.where(tested[None] & (jnp.abs(L) < g.steepest), L, 0)
+        )  # one number for all its uses: then any will do
         far = jnp.abs(L)
         added = summed(lambda a, x: abs(a) * x, one(plant.C, i), r) + slack + g.gamma * whole
         r = g.up * (r + far * added[None] + g.gamma * size) + g.least
@@ -250,7 +335,9 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
             column = column + jax.lax.dynamic_index_in_dim(G, q + i, 1, keepdims=False)
         G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
         c = c + L * e[None]
-        largest = sized(c, G, 2 * r)  # what is summed may be rounded otherwise than what is kept, by less than r
+        largest = sized(
+            c, G, 2 * r
+        )  # what is summed may be rounded otherwise than what is kept, by less than r
         return (c, G, r), largest, ratio, wrong
 
     nothing = known, before[3], jnp.zeros(N, dtype), jnp.zeros(N, bool)
@@ -258,7 +345,9 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     bounded = jnp.all(size <= g.most, 0)
     looked = alive & jnp.any(there, 0)
     empty = carry.empty | (looked & wrong)
-    status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING)).astype(jnp.int8)
+    status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING)).astype(
+        jnp.int8
+    )
     margin = jnp.where(looked, 1 - ratio, jnp.nan)
     age = jnp.where(alive & bounded & ~lost, carry.age + 1, -1)
     whole &= age == 1
@@ -267,22 +356,32 @@ def sample(plant: Numbers, start: Start | None, carry: Carry, now: Read, enclosu
     carry = carry._replace(age=age, empty=empty)
     if start is not None:
         begin = (age < 0) & (ready > len(carry.mid))
-        filled = lambda begun, size: (*begun, jnp.where(begin[None], sized(*begun[:3]), size))  # of others nothing changes
+        filled = lambda begun, size: (
+            *begun,
+            jnp.where(begin[None], sized(*begun[:3]), size),
+        )  # of others nothing changes
         fill = lambda state: filled(_begun(plant, start, carry, now, begin, *state[:4]), state[4])
         c, G, r, age, size = jax.lax.cond(jnp.any(begin), fill, lambda state: state, (c, G, r, age, size))
         carry = carry._replace(age=age)
     if enclosures:
         sets = (first, before), (c, G, r)
-        ends = _enclosures(plant, says, sized, *sets, wrong, alive, age >= 0, whole, driven, g, p * (enclosures // 2))
+        ends = _enclosures(
+            plant, says, sized, *sets, wrong, alive, age >= 0, whole, driven, g, p * (enclosures // 2)
+        )
     later = lambda past, x: jnp.concatenate([past, x[None]])[1:]
     past = {name: later(getattr(carry, name), getattr(now, name)) for name in ("mid", "rad", "v", "slip")}
     ready = jnp.minimum(ready, len(carry.mid))
-    return carry._replace(c=c, G=G, r=r, ready=ready, **past), size, Found(status, margin, jnp.maximum(age, 0), *ends)
+    return (
+        carry._replace(c=c, G=G, r=r, ready=ready, **past),
+        size,
+        Found(status, margin, jnp.maximum(age, 0), *ends),
+    )
 
 
 class _Bounds:
-    """What bounds of rounding are made of. Fields: gamma: share of all magnitudes that one result may be off by; up: factor that covers
-    the rounding of a sum of non-negative numbers; least: more than what underflows cost; most, steepest: largest numbers, and gains.
+    """What bounds of rounding are made of. Fields: gamma: share of all magnitudes that one result may be off
+    by; up: factor that covers the rounding of a sum of non-negative numbers; least: more than what underflows
+    cost; most, steepest: largest numbers, and gains.
     """
 
     def __init__(self, plant, carry, more=0):
@@ -291,7 +390,9 @@ class _Bounds:
         wide = dtype == np.float64
         number = lambda x: np.asarray(x, dtype)
         self.gamma = rounding.product_error(n + m + 8 + more, dtype)[0]
-        self.up = number(1 + 4 * (q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more) * float(rounding.unit(dtype)))
+        self.up = number(
+            1 + 4 * (q + p + plant.W.shape[1] + 4 * (n + m) + 64 + more) * float(rounding.unit(dtype))
+        )
         self.least = number(2.0**-500 if wide else 2.0**-46)
         self.most, self.steepest = _largest(dtype), number(2.0**60 if wide else 2.0**20)
 
@@ -312,7 +413,11 @@ def _begun(plant, start, carry, now, begin, c, G, r, age):
     rad = jnp.where(begin[None], rad, 0)
     K, U = jnp.abs(start.K), jnp.abs(start.U)
     centre = _map(start.K, mid) + _map(start.U, v) + start.w[:, None]
-    whole = _map(K, jnp.abs(mid) + rad) + _map(U, jnp.abs(v)) + (jnp.abs(start.w) + jnp.sum(jnp.abs(start.W), 1))[:, None]
+    whole = (
+        _map(K, jnp.abs(mid) + rad)
+        + _map(U, jnp.abs(v))
+        + (jnp.abs(start.w) + jnp.sum(jnp.abs(start.W), 1))[:, None]
+    )
     loose = _map(start.wide_K, jnp.abs(mid) + rad) + _map(start.wide_U, jnp.abs(v)) + start.wide[:, None]
     off = g.up * (_map(U, slip) + g.gamma * whole + loose) + g.least
     columns = [start.K[:, :, None] * rad[None], jnp.broadcast_to(start.W[:, :, None], (*start.W.shape, N))]
@@ -322,10 +427,16 @@ def _begun(plant, start, carry, now, begin, c, G, r, age):
 
 
 def step_of_time(plant: Numbers, carry: Carry, size: jax.Array, now: Read) -> Carry:
-    """Move the set on by one sample, and put its smallest generators into a box. size (n, N): at least what each state is."""
+    """Move the set on by one sample, and put its smallest generators into a box. size (n, N): at least what
+    each state is.
+    """
     g, A, (c, G, r), v = _Bounds(plant, carry), jnp.abs(plant.A), carry[:3], jnp.abs(now.v)
     N, q = c.shape[-1], G.shape[1] - len(plant.C)
-    off = _map(plant.wide_A + g.gamma * A, size) + _map(plant.wide_B + g.gamma * jnp.abs(plant.B), v) + _map(jnp.abs(plant.B), now.slip)
+    off = (
+        _map(plant.wide_A + g.gamma * A, size)
+        + _map(plant.wide_B + g.gamma * jnp.abs(plant.B), v)
+        + _map(jnp.abs(plant.B), now.slip)
+    )
     lift = lambda x: x[:, None]
     r = g.up * (_map(A, r) + off + lift(plant.wide_w + g.gamma * jnp.abs(plant.w))) + g.least
     c = _map(plant.A, c) + _map(plant.B, now.v) + lift(plant.w)
@@ -345,8 +456,12 @@ def _reduced(G, r, q, g):
     """
     n, Q, N = G.shape
     bits, below = (np.int64 if G.dtype == np.float64 else np.int32), power(Q) - 1
-    sizes = list(jnp.abs(G))  # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
-    key = jnp.maximum(reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0)  # for the order alone; its last digits count the columns
+    sizes = list(
+        jnp.abs(G)
+    )  # row by row: a reduction over few rows is no vector code, and cost a quarter of a step
+    key = jnp.maximum(
+        reduce(jnp.add, sizes) - reduce(jnp.maximum, sizes), 0
+    )  # for the order alone; its last digits count the columns
     key = (jax.lax.bitcast_convert_type(key, bits) & bits(~below)) | jnp.arange(Q, dtype=bits)[:, None]
     S = jnp.take_along_axis(G, (jnp.sort(key, 0) & bits(below))[None], 1)
     rest, some, kept = S[:, : Q - q], S[:, Q - q : Q - q + n], S[:, Q - q + n :]
@@ -356,20 +471,27 @@ def _reduced(G, r, q, g):
     box = g.up * (boxed + few + r) + g.least
     diagonal = jnp.eye(n, dtype=G.dtype)[:, :, None] * box[None]
     reach = jnp.where(enough[None], few, box) + many
-    return jnp.concatenate([jnp.where(enough[None, None], some, diagonal), kept], 1), jnp.where(enough[None], r, 0), reach
+    return (
+        jnp.concatenate([jnp.where(enough[None, None], some, diagonal), kept], 1),
+        jnp.where(enough[None], r, 0),
+        reach,
+    )
 
 
 def _enclosures(plant, says, sized, before, after, wrong, tested, there, whole, driven, g, p):
     """Return the ends (2 n, N) of the states and (4 p, N) of the p outputs.
 
-    before: the set, and what unknown inputs leave of it. driven (p, N): the outputs that no missing input acts on.
+    before: the set, and what unknown inputs leave of it. driven (p, N): the outputs that no missing input
+    acts on.
     """
     free, (state, before) = plant.free, before
     hull = lambda c, G, r, *_: _outward(c, jnp.sum(jnp.abs(G), 1) + r, g)
     inf = lambda x, where: jnp.where(where[None], x, jnp.inf)
     prior, now = inf(hull(*state), tested), inf(hull(*after), there)
     if free is not None:
-        blind = lambda x, some: jnp.where(jnp.tile(some, len(x) // len(some))[:, None] & ~whole[None], jnp.inf, x)
+        blind = lambda x, some: jnp.where(
+            jnp.tile(some, len(x) // len(some))[:, None] & ~whole[None], jnp.inf, x
+        )
         prior, now = blind(prior, free.before), blind(now, free.after)
     refuted = (wrong & tested)[None]
     states = jnp.where(refuted, prior, jnp.minimum(prior, now))

@@ -1,12 +1,15 @@
-"""The exact Chebyshev problem: by which factor must boxes grow until a point of a subspace lies in them? Rationals, no rounding.
+"""The exact Chebyshev problem: by which factor must boxes grow until a point of a subspace lies in them?
+Rationals, no rounding.
 
     t = min over z of max_i |b_i - E_i z| / r_i                 (primal: z)
       = max over h with h E = 0 of |h b| / sum_i |h_i| r_i      (dual: h, a circuit)
 
-**Method** (single exchange; Source: Stiefel 1959, the dual simplex method on references of N + 1 rows, N the rank of E). N independent rows
-S and one more row q determine a circuit h, its ratio t and a point z whose errors on these rows are t times their radii. The row that z
-misses most enters, the one whose multiplier first falls to zero leaves. The search runs in floats; exact integers then go on from where it
-stopped, usually for a single step, and accept an optimum only if z keeps every row. What floats got wrong costs steps, never truth.
+**Method** (single exchange; Source: Stiefel 1959, the dual simplex method on references of N + 1 rows, N the
+rank of E). N independent rows S and one more row q determine a circuit h, its ratio t and a point z whose
+errors on these rows are t times their radii. The row that z misses most enters, the one whose multiplier
+first falls to zero leaves. The search runs in floats; exact integers then go on from where it stopped,
+usually for a single step, and accept an optimum only if z keeps every row. What floats got wrong costs steps,
+never truth.
 """
 
 from collections.abc import Sequence
@@ -34,9 +37,9 @@ PRIME = 2**61 - 1
 
 @dataclass(frozen=True)
 class Optimum:
-    """Fields: t, a Fraction; h (m,), coprime integers as Fractions with h E = 0 and |h b| = t sum |h_i| r_i, zeros where no circuit
-    exists; z (N,) with |b_i - E_i z| <= t r_i for all i; reference: the rows that determine both and the signs of
-    their errors, a start for a similar problem.
+    """Fields: t, a Fraction; h (m,), coprime integers as Fractions with h E = 0 and |h b| = t sum |h_i| r_i,
+    zeros where no circuit exists; z (N,) with |b_i - E_i z| <= t r_i for all i; reference: the rows that
+    determine both and the signs of their errors, a start for a similar problem.
     """
 
     t: Fraction
@@ -49,7 +52,8 @@ class Optimum:
 class Subspace:
     """E prepared once for many problems. Build it with `subspace`.
 
-    Fields: rows: E as integers, a row each multiplied by its entry of `scales`; columns, independent: of a regular minor of largest size.
+    Fields: rows: E as integers, a row each multiplied by its entry of `scales`; columns, independent: of a
+    regular minor of largest size.
     """
 
     rows: tuple[tuple[int, ...], ...]
@@ -64,12 +68,14 @@ def subspace(E: Rows) -> Subspace:
     return Subspace(rows, scales, *_independent(rows))
 
 
-def chebyshev(E: Rows | Subspace, b: Sequence[Fraction], r: Sequence[Fraction], start: Reference | None = None) -> Optimum:
+def chebyshev(
+    E: Rows | Subspace, b: Sequence[Fraction], r: Sequence[Fraction], start: Reference | None = None
+) -> Optimum:
     """Solve min over z of max |b_i - E_i z| / r_i exactly.
 
     Args:
-        E (m, N): rows of Fractions, of any rank, or their `subspace`. b, r (m,): Fractions, r > 0. start: the reference of a similar
-            problem.
+        E (m, N): rows of Fractions, of any rank, or their `subspace`. b, r (m,): Fractions, r > 0. start: the
+            reference of a similar problem.
 
     Returns:
         An Optimum. Columns of E that depend on earlier ones get z = 0.
@@ -87,7 +93,10 @@ def chebyshev(E: Rows | Subspace, b: Sequence[Fraction], r: Sequence[Fraction], 
         raise ValueError("a Chebyshev problem needs at least one row, and radii > 0")
     space = E if isinstance(E, Subspace) else subspace(E)
     common = lcm(*(x.denominator for x in (*b, *r)))
-    right, radii = ([x.numerator * (common // x.denominator) * f for x, f in zip(v, space.scales, strict=True)] for v in (b, r))
+    right, radii = (
+        [x.numerator * (common // x.denominator) * f for x, f in zip(v, space.scales, strict=True)]
+        for v in (b, r)
+    )
     while True:
         kept = [[row[j] for j in space.columns] for row in space.rows]
         reference = _search(kept, right, radii, common, space.independent, start)
@@ -127,10 +136,19 @@ def _independent(rows: Sequence[Sequence[int]]) -> tuple[list[int], list[int]]:
     return columns, found
 
 
-def _search(E: list[list[int]], b: list[int], r: list[int], common: int, independent: list[int], start: Reference | None) -> Reference:
-    """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error. The exchange in floats.
+def _search(
+    E: list[list[int]],
+    b: list[int],
+    r: list[int],
+    common: int,
+    independent: list[int],
+    start: Reference | None,
+) -> Reference:
+    """Return a reference that is nearly optimal: rows S..., q, each with the sign of its error. The exchange
+    in floats.
 
-    Source: the dual simplex method; a reference determines multipliers >= 0, and (z, t) with all its errors at t times their radii.
+    Source: the dual simplex method; a reference determines multipliers >= 0, and (z, t) with all its errors
+    at t times their radii.
     """
     m, N = len(E), len(E[0])
     if N == m:
@@ -138,15 +156,22 @@ def _search(E: list[list[int]], b: list[int], r: list[int], common: int, indepen
     largest = [max(map(abs, row), default=0) or 1 for row in E]
     F = np.array([[x / top for x in row] for row, top in zip(E, largest, strict=True)]).reshape(m, N)
     # numbers of one row over another's: whatever their unit is, it need not fit a float
-    unit = common * max(1, *(abs(x) // (top * common) for v in (b, r) for x, top in zip(v, largest, strict=True)))
+    unit = common * max(
+        1, *(abs(x) // (top * common) for v in (b, r) for x, top in zip(v, largest, strict=True))
+    )
     c, radius = (np.array([x / (top * unit) for x, top in zip(v, largest, strict=True)]) for v in (b, r))
     weight = 1 / np.maximum(radius, radius.max() * 1e-12)  # enough to search; the exact steps know better
     c *= weight
     F, _ = np.linalg.qr(F * weight[:, None])
-    # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of them leaves: no cycles.
+    # Many multipliers are zero where rows are sparse. A nudge, the same for all references, decides which of
+    # them leaves: no cycles.
     nudge = np.append(1e-9 * np.random.default_rng(0).uniform(0.5, 1, N), 1)
     try:
-        own, signs = _spread_reference(F, c) if start is None or len(start) != N + 1 else map(np.array, zip(*start, strict=True))
+        own, signs = (
+            _spread_reference(F, c)
+            if start is None or len(start) != N + 1
+            else map(np.array, zip(*start, strict=True))
+        )
         for _ in range(50 + 20 * N):
             inverse = np.linalg.inv(np.column_stack([signs[:, None] * F[own], np.ones(N + 1)]))
             *z, t = inverse @ (signs * c[own])
@@ -160,7 +185,9 @@ def _search(E: list[list[int]], b: list[int], r: list[int], common: int, indepen
             own[leaves], signs[leaves] = j, np.sign(gap[j])
     except np.linalg.LinAlgError:
         return _plain(m, independent)
-    last = int(np.argmax(np.abs(inverse[-1])))  # the row of the largest multiplier: the others are independent
+    last = int(
+        np.argmax(np.abs(inverse[-1]))
+    )  # the row of the largest multiplier: the others are independent
     order = [*range(last), *range(last + 1, N + 1), last]
     return tuple((int(own[i]), int(signs[i])) for i in order)
 
@@ -171,7 +198,9 @@ def _plain(m: int, independent: list[int]) -> Reference:
 
 
 def _spread_reference(F: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (rows, signs): N rows of F (m, N), each the farthest from the span of those before, and the worst at their z."""
+    """Return (rows, signs): N rows of F (m, N), each the farthest from the span of those before, and the
+    worst at their z.
+    """
     rest = F.copy()
     S: list[int] = []
     for _ in range(F.shape[1]):
@@ -218,18 +247,29 @@ def _settle(
         out = [i for i in range(m) if abs(gaps[i]) > limit * r[i]]
         if not out:
             full = [h.get(i, 0) for i in range(m)]
-            return Fraction(total, size), full, [Fraction(x, det * size) for x in Z], tuple((i, signs[i]) for i in (*S, q))
+            return (
+                Fraction(total, size),
+                full,
+                [Fraction(x, det * size) for x in Z],
+                tuple((i, signs[i]) for i in (*S, q)),
+            )
         steps += 1
-        worst = max(out, key=lambda i: Fraction(abs(gaps[i]), r[i])) if steps < 200 else out[0]  # by number: cannot cycle
+        worst = (
+            max(out, key=lambda i: Fraction(abs(gaps[i]), r[i])) if steps < 200 else out[0]
+        )  # by number: cannot cycle
         signs[worst] = 1 if (gaps[worst] > 0) == (det > 0) else -1
         share, det = _regular(linalg.transpose([E[i] for i in S]), E[worst])
-        shares = [(i, signs[worst] * signs[i] * x * (1 if det > 0 else -1)) for i, x in zip(S, share, strict=True)]
+        shares = [
+            (i, signs[worst] * signs[i] * x * (1 if det > 0 else -1)) for i, x in zip(S, share, strict=True)
+        ]
         growing = [(i, x) for i, x in shares if x > 0]
         if not growing:
             q = worst
             continue
         at_once = [i for i, _ in growing if h[i] == 0]
-        leaves = min(at_once) if at_once else max(growing, key=lambda c: (Fraction(c[1], abs(h[c[0]])), -c[0]))[0]
+        leaves = (
+            min(at_once) if at_once else max(growing, key=lambda c: (Fraction(c[1], abs(h[c[0]])), -c[0]))[0]
+        )
         S[S.index(leaves)] = worst
 
 
@@ -241,10 +281,12 @@ def _regular(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int
 
 
 def _solve(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int], int] | None:
-    """Return (x, det) of integers with M x = right * det, or None if M is singular (Bareiss: every division is exact).
+    """Return (x, det) of integers with M x = right * det, or None if M is singular (Bareiss: every division
+    is exact).
 
-    det is any common denominator; pivots come from the sparsest row, so that identity rows cost nothing. Where many rows are no such, as
-    those of averages make them, determinants grow too long: digits are lifted instead.
+    det is any common denominator; pivots come from the sparsest row, so that identity rows cost nothing.
+    Where many rows are no such, as those of averages make them, determinants grow too long: digits are lifted
+    instead.
     """
     n = len(M)
     crowded = sum(1 for row in M if sum(map(bool, row)) > 2)

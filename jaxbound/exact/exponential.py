@@ -1,9 +1,12 @@
-"""The matrix exponential and the integral of its absolute values, enclosed: whole numbers on the host, nothing runs per window.
+"""The matrix exponential and the integral of its absolute values, enclosed: whole numbers on the host,
+nothing runs per window.
 
-A number is a Python integer times 2^-b. A product of matrices is exact up to one rounding of each entry, so that every error is a sum
-of a few known terms; with 160 bits and more they are far below what a float can say.
+A number is a Python integer times 2^-b. A product of matrices is exact up to one rounding of each entry, so
+that every error is a sum of a few known terms; with 160 bits and more they are far below what a float can
+say.
 
-Source: scaling and squaring with a truncated series, Moler, Van Loan 2003, methods 1 and 3, with all error terms kept.
+Source: scaling and squaring with a truncated series, Moler, Van Loan 2003, methods 1 and 3, with all error
+terms kept.
 """
 
 from collections.abc import Sequence
@@ -51,15 +54,17 @@ def exponential(M: Rational) -> tuple[Exact, Fraction]:
     for _ in range(halvings):
         X, e = _product(X, e, X, e, bits)
         if _norm(X) >> bits > 10**300:
-            raise ValueError("over one step the model grows by more than a float can say: choose a shorter step")
+            raise ValueError(
+                "over one step the model grows by more than a float can say: choose a shorter step"
+            )
     return _fractions(X, bits), Fraction(e, 1 << bits)
 
 
 def absolute_integral(A: Rational, T: Fraction | int) -> Exact:
     """Return a bound of the integral of |e^(A t)|, entry by entry, over t from 0 to T.
 
-    Between two of many points of time an entry is within h^2 / 8 times its second derivative of a straight line; past PIECES points
-    the interval is doubled by |e^(A (T + t))| <= |e^(A T)| |e^(A t)|.
+    Between two of many points of time an entry is within h^2 / 8 times its second derivative of a straight
+    line; past PIECES points the interval is doubled by |e^(A (T + t))| <= |e^(A T)| |e^(A t)|.
 
     Args:
         A: (n, n) Fractions. T: a positive Fraction.
@@ -128,10 +133,12 @@ def _rounded_up(X: Exact, bits: int) -> Exact:
 
 
 def _series(M: Exact, halvings: int, bits: int) -> tuple[Exact, int]:
-    """Return e^(M / 2^halvings) as integers and the norm of its error, for a matrix M / 2^halvings of norm 1/4 or less.
+    """Return e^(M / 2^halvings) as integers and the norm of its error, for a matrix M / 2^halvings of norm
+    1/4 or less.
 
-    Horner's rule: each of the steps P = 1 + N P / k adds one unit an entry, damped by 1/4 from step to step; N itself is off by one
-    unit an entry, which the exponential enlarges by less than 1.3; the terms left out count as one unit more.
+    Horner's rule: each of the steps P = 1 + N P / k adds one unit an entry, damped by 1/4 from step to step;
+    N itself is off by one unit an entry, which the exponential enlarges by less than 1.3; the terms left out
+    count as one unit more.
     """
     n = len(M)
     N = _scaled(M / Fraction(1 << halvings), bits)

@@ -1,4 +1,6 @@
-"""Large regular systems of whole numbers, solved exactly by lifting from a prime, and verified: no determinant grows on the way."""
+"""Large regular systems of whole numbers, solved exactly by lifting from a prime, and verified: no
+determinant grows on the way.
+"""
 
 from collections.abc import Sequence
 from math import isqrt
@@ -15,8 +17,9 @@ WIDEST = 500  # unknowns for which that is so
 def lifted(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int], int] | None:
     """Return (x, det) of integers with M x = right * det, det > 0; None: not found, which says nothing of M.
 
-    With the inverse of M modulo p, x comes digit by digit in base p; numerators and denominators follow by Euclid's algorithm. What is
-    returned keeps the equations exactly: nothing rests on how many digits were taken.
+    With the inverse of M modulo p, x comes digit by digit in base p; numerators and denominators follow by
+    Euclid's algorithm. What is returned keeps the equations exactly: nothing rests on how many digits were
+    taken.
 
     Source: Dixon 1982; Wang 1981 for the fractions.
 
@@ -29,12 +32,16 @@ def lifted(M: Sequence[Sequence[int]], right: Sequence[int]) -> tuple[list[int],
     if inverse is None:
         return None
     sparse = [[(j, x) for j, x in enumerate(row) if x] for row in M]
-    bits = sum(sum(abs(x) for x in row).bit_length() for row in M) + max(map(abs, right), default=0).bit_length()
+    bits = (
+        sum(sum(abs(x) for x in row).bit_length() for row in M) + max(map(abs, right), default=0).bit_length()
+    )
     most = 2 * bits // 26 + 4  # Cramer's rule: numerators and denominators have no more
     rest, found, power, steps, tried = list(right), [0] * n, 1, 0, 8
     while steps < most:
         digits = (inverse @ np.array([x % PRIME for x in rest], np.int64) % PRIME).tolist()
-        rest = [(r - sum(x * digits[j] for j, x in row)) // PRIME for r, row in zip(rest, sparse, strict=True)]
+        rest = [
+            (r - sum(x * digits[j] for j, x in row)) // PRIME for r, row in zip(rest, sparse, strict=True)
+        ]
         found = [x + d * power for x, d in zip(found, digits, strict=True)]
         power, steps = power * PRIME, steps + 1
         if steps in (tried, most):
@@ -68,7 +75,9 @@ def _inverse(M):
 
 
 def _fractions(residues, modulus):
-    """Return (numerators, their common denominator) of numbers known modulo a power of the prime; None where there are none so short."""
+    """Return (numerators, their common denominator) of numbers known modulo a power of the prime; None where
+    there are none so short.
+    """
     det = 1
     for residue in residues:
         denominator = _denominator(residue * det % modulus, modulus)

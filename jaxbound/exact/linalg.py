@@ -1,6 +1,7 @@
 """Exact linear algebra over the rationals: small matrices, Python's own Fractions, no rounding anywhere.
 
-A matrix is a tuple of rows, a row a tuple of Fractions. Costs are those of the host; nothing here runs per window.
+A matrix is a tuple of rows, a row a tuple of Fractions. Costs are those of the host; nothing here runs per
+window.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -49,7 +50,8 @@ T = TypeVar("T")
 
 
 def rational(x: Number) -> Fraction:
-    """Read a number exactly: Fraction, Decimal, int and str ("1/3", "0.2") as they are, a float as its shortest decimal.
+    """Read a number exactly: Fraction, Decimal, int and str ("1/3", "0.2") as they are, a float as its
+    shortest decimal.
 
     Raises ValueError on NaN, infinity and anything that is not a number.
 
@@ -92,7 +94,9 @@ def matmul(a: Rows, b: Rows) -> Matrix:
 
 
 def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tuple[Matrix, tuple[int, ...]]:
-    """Return the reduced row echelon form of `a` without zero rows, and its pivot columns. progress: called with the share done."""
+    """Return the reduced row echelon form of `a` without zero rows, and its pivot columns. progress: called
+    with the share done.
+    """
     # whole numbers, each row divided by its common factor: ten times as fast as fractions
     rows: list[Sequence[int]] = [primitive_scale(r)[0] for r in a]
     pivots, top = [], 0
@@ -112,7 +116,9 @@ def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tu
         top += 1
         if progress is not None:
             progress(((j + 1) / len(rows[0])) ** 2)  # numbers grow
-    return tuple(tuple(Fraction(x, r[j]) for x in r) for r, j in zip(rows[:top], pivots, strict=True)), tuple(pivots)
+    return tuple(tuple(Fraction(x, r[j]) for x in r) for r, j in zip(rows[:top], pivots, strict=True)), tuple(
+        pivots
+    )
 
 
 def rank(a: Rows) -> int:
@@ -121,7 +127,9 @@ def rank(a: Rows) -> int:
 
 
 def left_null_space(a: Rows, progress: Callable[[float], object] | None = None) -> Matrix:
-    """Return a basis W of {w : w a = 0}, one row a basis vector (possibly no rows). progress: called with the share done."""
+    """Return a basis W of {w : w a = 0}, one row a basis vector (possibly no rows). progress: called with the
+    share done.
+    """
     m, n = len(a), len(a[0]) if a else 0
     augmented = [tuple(r) + tuple(Fraction(i == j) for j in range(m)) for i, r in enumerate(a)]
     reduced, pivots = row_reduce(augmented, progress)
@@ -133,7 +141,9 @@ def inverse(a: Rows) -> Matrix:
     n = len(a)
     if any(len(r) != n for r in a):
         raise ValueError(f"only a square matrix has an inverse: this one is {n} x {len(a[0])}")
-    reduced, pivots = row_reduce([tuple(r) + tuple(Fraction(i == j) for j in range(n)) for i, r in enumerate(a)])
+    reduced, pivots = row_reduce(
+        [tuple(r) + tuple(Fraction(i == j) for j in range(n)) for i, r in enumerate(a)]
+    )
     if pivots != tuple(range(n)):
         raise ValueError("the matrix is singular")
     return tuple(r[n:] for r in reduced)
@@ -155,9 +165,11 @@ def presentable(row: Sequence[Fraction]) -> Vector:
 
 
 def minimal_span(a: Rows) -> Matrix:
-    """Return a basis of the row space of `a` whose rows start at different columns and end at different columns, in order.
+    """Return a basis of the row space of `a` whose rows start at different columns and end at different
+    columns, in order.
 
-    Each row then spans as few consecutive columns as it can: with time-major columns, the fewest samples. Rows are primitive.
+    Each row then spans as few consecutive columns as it can: with time-major columns, the fewest samples.
+    Rows are primitive.
     """
     rows = [list(r) for r in row_reduce(a)[0]]  # different starts, in order
     while True:
@@ -171,11 +183,12 @@ def minimal_span(a: Rows) -> Matrix:
 
 
 def circuits(a: Matrix) -> Matrix:
-    """Return every vector of minimal support with h a = 0 (one of each pair h, -h), primitive, by support in lexicographic order.
+    """Return every vector of minimal support with h a = 0 (one of each pair h, -h), primitive, by support in
+    lexicographic order.
 
     They are the strips of any zonotope whose directions have the left null space of `a` as row space
-    (Source: elementary vectors of a subspace; every circuit lies in some set of rank + 1 rows of full rank, so subsets of that size
-    suffice).
+    (Source: elementary vectors of a subspace; every circuit lies in some set of rank + 1 rows of full rank,
+    so subsets of that size suffice).
     """
     basis = transpose(row_reduce(transpose(a))[0])  # the same left null space with full column rank
     m, r = len(a), len(basis[0]) if basis and basis[0] else 0
@@ -200,7 +213,9 @@ def _among_rows(basis: Matrix, r: int) -> Iterator[Vector]:
 
 
 def _among_zeros(null: Matrix, m: int) -> Iterator[Vector]:
-    """Yield the circuits, some more than once: each vanishes at k - 1 columns of the null space (k, m), whose minors are small."""
+    """Yield the circuits, some more than once: each vanishes at k - 1 columns of the null space (k, m), whose
+    minors are small.
+    """
     whole, k = [[int(x) for x in primitive(row)] for row in null], len(null)
     for subset in combinations(range(m), k - 1) if k else ():
         c = _cofactors([[row[j] for j in subset] for row in whole]) if k > 1 else [1]
@@ -215,7 +230,9 @@ def primitive_scale(row: Sequence[Fraction | int]) -> tuple[tuple[int, ...], int
 
 
 def _cofactors(rows: Sequence[Sequence[int]]) -> list[int]:
-    """Return the signed maximal minors of an (r + 1) x r integer matrix: its left null vector, or zeros if its rank is below r."""
+    """Return the signed maximal minors of an (r + 1) x r integer matrix: its left null vector, or zeros if
+    its rank is below r.
+    """
     return [(-1) ** i * determinant([r for k, r in enumerate(rows) if k != i]) for i in range(len(rows))]
 
 
@@ -237,9 +254,11 @@ def determinant(rows: Sequence[Sequence[int]]) -> int:
 
 @dataclass(frozen=True)
 class Frame:
-    """Rows y = E x + K u with x eliminated: the `outer` rows as combinations of the `inner` ones, y_outer = R y_inner + K u.
+    """Rows y = E x + K u with x eliminated: the `outer` rows as combinations of the `inner` ones, y_outer = R
+    y_inner + K u.
 
-    Fields: R (c, k), K (c, l), inner (k,) and outer (c,) row numbers, used (c,): False where a relation was given up.
+    Fields: R (c, k), K (c, l), inner (k,) and outer (c,) row numbers, used (c,): False where a relation was
+    given up.
     """
 
     R: Matrix
@@ -249,33 +268,50 @@ class Frame:
     used: tuple[bool, ...]
 
 
-def frame(E: Matrix, K: Matrix, largest: float = 2, progress: Callable[[float], object] | None = None) -> Frame:
-    """Eliminate x from the rows y = E x + K u, with inner rows so chosen that no entry of R exceeds `largest` by much.
+def frame(
+    E: Matrix, K: Matrix, largest: float = 2, progress: Callable[[float], object] | None = None
+) -> Frame:
+    """Eliminate x from the rows y = E x + K u, with inner rows so chosen that no entry of R exceeds `largest`
+    by much.
 
-    Then neither rounding nor an unstable plant blows up: R is made of well-balanced combinations of samples, whatever the powers of A.
+    Then neither rounding nor an unstable plant blows up: R is made of well-balanced combinations of samples,
+    whatever the powers of A.
     progress: called with the share done, of the elimination.
     """
     reduced, pivots = row_reduce(transpose(E), progress)
     outer = tuple(j for j in range(len(E)) if j not in set(pivots))
     R = tuple(tuple(row[j] for row in reduced) for j in outer)
-    through = matmul(R, tuple(K[i] for i in pivots)) if K[0] and pivots else tuple((Fraction(0),) * len(K[0]) for _ in outer)
-    known = tuple(tuple(a - b for a, b in zip(K[j], row, strict=True)) for j, row in zip(outer, through, strict=True))
+    through = (
+        matmul(R, tuple(K[i] for i in pivots))
+        if K[0] and pivots
+        else tuple((Fraction(0),) * len(K[0]) for _ in outer)
+    )
+    known = tuple(
+        tuple(a - b for a, b in zip(K[j], row, strict=True)) for j, row in zip(outer, through, strict=True)
+    )
     out = Frame(R, known, tuple(pivots), outer, (True,) * len(outer))
     while True:
-        size, j, i = max(((abs(x), j, i) for j, row in enumerate(out.R) for i, x in enumerate(row)), default=(0, 0, 0))
+        size, j, i = max(
+            ((abs(x), j, i) for j, row in enumerate(out.R) for i, x in enumerate(row)), default=(0, 0, 0)
+        )
         if size <= largest:
             return out
-        out = _exchanged(out, j, i)  # each exchange multiplies the volume of the inner rows by more than `largest`: it ends
+        out = _exchanged(
+            out, j, i
+        )  # each exchange multiplies the volume of the inner rows by more than `largest`: it ends
 
 
 def reframe(given: Frame, absent: Collection[int], missing: Iterable[int]) -> Frame:
     """Return a frame for a window in which the rows `absent` and the known values `missing` are not there.
 
-    Absent inner rows change places with present ones; a missing known value is eliminated by one relation, whose row joins the inner ones.
-    What cannot be replaced so matters to no used relation: its coefficients there are zeros.
+    Absent inner rows change places with present ones; a missing known value is eliminated by one relation,
+    whose row joins the inner ones. What cannot be replaced so matters to no used relation: its coefficients
+    there are zeros.
     """
     out = given
-    usable = lambda f, j: f.used[j] and f.outer[j] not in absent  # an absent outer row stays in use for windows that have it
+    usable = lambda f, j: (
+        f.used[j] and f.outer[j] not in absent
+    )  # an absent outer row stays in use for windows that have it
     for i, row in enumerate(given.inner):
         if row in absent:
             size, j = max(((abs(r[i]), j) for j, r in enumerate(out.R) if usable(out, j)), default=(0, 0))
@@ -291,7 +327,9 @@ def reframe(given: Frame, absent: Collection[int], missing: Iterable[int]) -> Fr
 def _exchanged(f: Frame, j: int, i: int) -> Frame:
     """Let outer row j and inner row i change places."""
     pivot = f.R[j][i]
-    solved = tuple((1 if q == i else -x) / pivot for q, x in enumerate(f.R[j]))  # the old inner row in terms of the new ones
+    solved = tuple(
+        (1 if q == i else -x) / pivot for q, x in enumerate(f.R[j])
+    )  # the old inner row in terms of the new ones
     through = tuple(-x / pivot for x in f.K[j])
     R, K = [], []
     for a, (row, known) in enumerate(zip(f.R, f.K, strict=True)):
@@ -300,7 +338,11 @@ def _exchanged(f: Frame, j: int, i: int) -> Frame:
             K.append(through)
             continue
         share = row[i]
-        R.append(tuple((0 if q == i else x) + share * y for q, (x, y) in enumerate(zip(row, solved, strict=True))) if share else row)
+        R.append(
+            tuple((0 if q == i else x) + share * y for q, (x, y) in enumerate(zip(row, solved, strict=True)))
+            if share
+            else row
+        )
         K.append(tuple(x + share * y for x, y in zip(known, through, strict=True)) if share else known)
     inner, outer = list(f.inner), list(f.outer)
     inner[i], outer[j] = outer[j], inner[i]
@@ -308,11 +350,17 @@ def _exchanged(f: Frame, j: int, i: int) -> Frame:
 
 
 def _given_up(f: Frame, j: int, b: int) -> Frame:
-    """Solve relation j for the known value b, put that into the other relations, and take row j among the inner ones."""
+    """Solve relation j for the known value b, put that into the other relations, and take row j among the
+    inner ones.
+    """
     R, K = [], []
     for a, (row, known) in enumerate(zip(f.R, f.K, strict=True)):
         share = known[b] / f.K[j][b] if a != j else Fraction(0)
         R.append((*(x - share * y for x, y in zip(row, f.R[j], strict=True)), share))
-        K.append(tuple(x - share * y for x, y in zip(known, f.K[j], strict=True)) if a != j else (Fraction(0),) * len(known))
+        K.append(
+            tuple(x - share * y for x, y in zip(known, f.K[j], strict=True))
+            if a != j
+            else (Fraction(0),) * len(known)
+        )
     used = tuple(u and a != j for a, u in enumerate(f.used))
     return Frame(tuple(R), tuple(K), (*f.inner, f.outer[j]), f.outer, used)

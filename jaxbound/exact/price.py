@@ -1,4 +1,6 @@
-"""What exact numbers cost, said or refused before they are worked out: nobody waits in silence for what will not end."""
+"""What exact numbers cost, said or refused before they are worked out: nobody waits in silence for what will
+not end.
+"""
 
 import warnings
 
@@ -13,7 +15,8 @@ def refuse_or_say(seconds: float, what: str, do: str) -> None:
     """Say what takes more than a minute, and refuse what takes more than `SECONDS`.
 
     Args:
-        seconds: about how long it takes. what: is worked out, as the subject of a sentence, in the plural. do: what to do instead.
+        seconds: about how long it takes. what: is worked out, as the subject of a sentence, in the plural.
+            do: what to do instead.
 
     Raises:
         ValueError: it would take too long.
@@ -21,7 +24,9 @@ def refuse_or_say(seconds: float, what: str, do: str) -> None:
     if seconds > SECONDS:
         raise ValueError(f"{what} would take {duration_text(seconds)} in exact numbers: {do}")
     if seconds > SILENCE:
-        warnings.warn(f"{what} take {duration_text(seconds)} in exact numbers; if that is too long, {do}", stacklevel=4)
+        warnings.warn(
+            f"{what} take {duration_text(seconds)} in exact numbers; if that is too long, {do}", stacklevel=4
+        )
 
 
 def duration_text(seconds: float) -> str:

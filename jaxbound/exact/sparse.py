@@ -1,8 +1,9 @@
 """Exact null spaces of large sparse systems: whole numbers, the shortest equation first.
 
-A system is a list of equations, each {unknown: whole number} meaning sum of number * unknown = 0. Eliminating the rarest unknown of the
-shortest equation (Source: Markowitz 1957) keeps both the fill-in and the integers small where a dense elimination, modular or not, sees
-millions of zeros: 5 082 equations in 1 980 unknowns take a tenth of a second.
+A system is a list of equations, each {unknown: whole number} meaning sum of number * unknown = 0. Eliminating
+the rarest unknown of the shortest equation (Source: Markowitz 1957) keeps both the fill-in and the integers
+small where a dense elimination, modular or not, sees millions of zeros: 5 082 equations in 1 980 unknowns
+take a tenth of a second.
 """
 
 import heapq
@@ -14,10 +15,11 @@ __all__ = ["null_space", "pivot_columns"]
 
 
 def null_space(equations: Iterable[Mapping[int, int]], count: int) -> list[dict[int, Fraction]]:
-    """Return a basis of all solutions of homogeneous equations, each solution {unknown: Fraction}, in reduced echelon form.
+    """Return a basis of all solutions of homogeneous equations, each solution {unknown: Fraction}, in reduced
+    echelon form.
 
-    Reduced by ascending unknown: the first unknown of each solution is 1 and 0 in the others, and they come in order of it. The basis
-    therefore depends on the solutions alone, not on how they were found.
+    Reduced by ascending unknown: the first unknown of each solution is 1 and 0 in the others, and they come
+    in order of it. The basis therefore depends on the solutions alone, not on how they were found.
 
     Args:
         equations: iterable of {unknown: int}; unknowns are numbered 0 .. count - 1.
@@ -32,7 +34,9 @@ def null_space(equations: Iterable[Mapping[int, int]], count: int) -> list[dict[
 
 
 def pivot_columns(rows: Iterable[Mapping[int, Fraction]]) -> list[int]:
-    """Return the first columns of the echelon form of sparse rows {column: Fraction}: as many as the rank of the rows."""
+    """Return the first columns of the echelon form of sparse rows {column: Fraction}: as many as the rank of
+    the rows.
+    """
     return sorted(min(row) for row in _reduced(rows))
 
 
@@ -69,7 +73,9 @@ def _eliminate(equations: list[dict[int, int]], count: int) -> list[tuple[int, d
     return solved
 
 
-def _subtract(equations: list[dict[int, int]], j: int, equation: dict[int, int], pivot: int, where: list[set[int]]) -> None:
+def _subtract(
+    equations: list[dict[int, int]], j: int, equation: dict[int, int], pivot: int, where: list[set[int]]
+) -> None:
     """Remove the pivot from equation j."""
     other = equations[j]
     common = gcd(equation[pivot], other[pivot])

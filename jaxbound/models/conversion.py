@@ -1,8 +1,8 @@
 """State-space objects of python-control and scipy.signal, taken as they are.
 
-Neither package is imported here: an object is recognised by the class it comes from. A continuous system is discretised by zero-order
-hold, exp([[A, B], [0, 0]] dt) = [[A_d, B_d], [0, I]]: exact where the inputs are constant between samples, rounded to nearest floats,
-and from then on those decimals are the model.
+Neither package is imported here: an object is recognised by the class it comes from. A continuous system is
+discretised by zero-order hold, exp([[A, B], [0, 0]] dt) = [[A_d, B_d], [0, I]]: exact where the inputs are
+constant between samples, rounded to nearest floats, and from then on those decimals are the model.
 """
 
 import re
@@ -43,7 +43,8 @@ ModelLike: TypeAlias = LinearSystem | StateSpace
 
 
 def as_model(obj: ModelLike) -> LinearSystem:
-    """Return a LinearSystem as it is; convert a discrete state-space object of python-control or scipy.signal.
+    """Return a LinearSystem as it is; convert a discrete state-space object of python-control or
+    scipy.signal.
 
     Raises:
         TypeError: anything else. ValueError: what `from_control` and `from_scipy` refuse.
@@ -60,7 +61,10 @@ def as_model(obj: ModelLike) -> LinearSystem:
         return from_control(cast("LabelledStateSpace", obj))
     if "scipy" in packages:
         return from_scipy(obj)
-    raise TypeError(f"a model is a LinearSystem, or a state-space object of python-control or scipy.signal, not {type(obj).__name__}")
+    raise TypeError(
+        f"a model is a LinearSystem, or a state-space object of python-control or scipy.signal, not "
+        f"{type(obj).__name__}"
+    )
 
 
 def from_control(sys: LabelledStateSpace, dt: float | None = None, **bounds: Any) -> LinearSystem:
@@ -68,9 +72,10 @@ def from_control(sys: LabelledStateSpace, dt: float | None = None, **bounds: Any
 
     Args:
         sys: control.StateSpace; labels that were given to its signals and states are kept as names.
-        dt: sampling period in seconds. Needed if sys is continuous (it is then discretised by zero-order hold) or discrete without
-            a period (dt=True); must not contradict the period that sys has.
-        bounds: every other argument of `LinearSystem`: tolerance, noise, resolution, inputs, outputs, offset, ...
+        dt: sampling period in seconds. Needed if sys is continuous (it is then discretised by zero-order
+            hold) or discrete without a period (dt=True); must not contradict the period that sys has.
+        bounds: every other argument of `LinearSystem`: tolerance, noise, resolution, inputs, outputs, offset,
+            ...
 
     Returns:
         A LinearSystem. One without bounds describes perfect sensors: give at least a noise or a tolerance.
@@ -90,7 +95,10 @@ def from_control(sys: LabelledStateSpace, dt: float | None = None, **bounds: Any
     if "StateSpace" not in kinds:
         _refuse(sys, kinds, "control.ss(sys)", "python-control")
     if sys.dt is None:
-        raise ValueError("sys has no time base (dt=None): set sys.dt to 0 (continuous) or to its sampling period in seconds")
+        raise ValueError(
+            "sys has no time base (dt=None): set sys.dt to 0 (continuous) or to its sampling period in "
+            "seconds"
+        )
     names: dict[str, Any] = {
         "inputs": _given(sys.input_labels, r"u\[\d+\]"),
         "outputs": _given(sys.output_labels, r"y\[\d+\]"),
@@ -102,7 +110,8 @@ def from_control(sys: LabelledStateSpace, dt: float | None = None, **bounds: Any
 
 
 def from_scipy(sys: StateSpace, dt: float | None = None, **bounds: Any) -> LinearSystem:
-    """Build a LinearSystem from a scipy.signal StateSpace, as lti(A, B, C, D) or dlti(A, B, C, D, dt=...) return it.
+    """Build a LinearSystem from a scipy.signal StateSpace, as lti(A, B, C, D) or dlti(A, B, C, D, dt=...)
+    return it.
 
     Args:
         sys: scipy.signal.StateSpace, continuous or discrete.
@@ -142,20 +151,31 @@ def _given(labels: Sequence[str], automatic: str) -> tuple[str, ...] | None:
     return None if all(re.fullmatch(automatic, s) for s in labels) else tuple(labels)
 
 
-def _build(sys: StateSpace, own: float | bool, dt: float | None, names: dict[str, Any], bounds: dict[str, Any]) -> LinearSystem:
-    """Build the model; own is the period of sys: 0 continuous, True discrete without a period, else seconds."""
+def _build(
+    sys: StateSpace, own: float | bool, dt: float | None, names: dict[str, Any], bounds: dict[str, Any]
+) -> LinearSystem:
+    """Build the model; own is the period of sys: 0 continuous, True discrete without a period, else
+    seconds.
+    """
     A, B, C, D = (np.asarray(x, np.float64) for x in (sys.A, sys.B, sys.C, sys.D))
     if own is True:
         if dt is None:
-            raise ValueError("sys is discrete but does not say its sampling period: give it as dt=, in seconds")
+            raise ValueError(
+                "sys is discrete but does not say its sampling period: give it as dt=, in seconds"
+            )
     elif own == 0:
         if dt is None:
-            raise ValueError("sys is continuous: give the sampling period as dt=, in seconds, to discretise it by zero-order hold")
+            raise ValueError(
+                "sys is continuous: give the sampling period as dt=, in seconds, to discretise it by "
+                "zero-order hold"
+            )
         if not 0 < float(dt) < np.inf:
             raise ValueError(f"dt must be a positive number of seconds, not {dt!r}")
         A, B = _hold(A, B, float(dt))
     elif dt is not None and float(dt) != float(own):
-        raise ValueError(f"dt={dt} contradicts the sampling period of sys, {own:g} s: leave dt out, or resample sys first")
+        raise ValueError(
+            f"dt={dt} contradicts the sampling period of sys, {own:g} s: leave dt out, or resample sys first"
+        )
     else:
         dt = own
     return LinearSystem(A, B, C, D, dt, **{**names, **bounds})
@@ -169,12 +189,14 @@ def _hold(A, B, dt):
 
 
 def hold(A: np.ndarray, B: np.ndarray, dt: Fraction) -> tuple[np.ndarray, Fraction]:
-    """Return (X, e): an array near exp([[A, B], [0, 0]] dt), (n + m, n + m), and a bound of the error of each entry.
+    """Return (X, e): an array near exp([[A, B], [0, 0]] dt), (n + m, n + m), and a bound of the error of each
+    entry.
 
     Args:
         A (n, n), B (n, m): arrays of Fractions. dt: a Fraction.
 
-    Encloses: A_d = X[:n, :n] and B_d = X[:n, n:] within e: x+ = A_d x + B_d u for x' = A x + B u with u constant over dt.
+    Encloses: A_d = X[:n, :n] and B_d = X[:n, n:] within e: x+ = A_d x + B_d u for x' = A x + B u with u
+    constant over dt.
     """
     n, m = len(A), len(B[0])
     below = np.full((m, n + m), Fraction(0), object)

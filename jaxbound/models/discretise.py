@@ -1,13 +1,16 @@
-"""An uncertain, disturbed linear differential equation over one step: its matrices, and a bound of all they leave out.
+"""An uncertain, disturbed linear differential equation over one step: its matrices, and a bound of all they
+leave out.
 
 With held inputs v, parameters pi that keep their value over the step and |r| <= R at any time,
 
-    dz/dt = A z + B v + c + sum_k pi_k (A_k z + B_k v + c_k) + r                                                            (1)
-    z+ = A_d z + B_d v + Phi c + sum_k pi_k (L_k z + M_k v + l_k) + e,   |e| <= I (R + sum_k |pi_k| |A_k| d)                (2)
-    d = I (R + sum_k |pi_k| max |A_k z + B_k v + c_k|),   I = integral of |exp(A t)| over the step                          (3)
+    dz/dt = A z + B v + c + sum_k pi_k (A_k z + B_k v + c_k) + r
+    (1)
+    z+ = A_d z + B_d v + Phi c + sum_k pi_k (L_k z + M_k v + l_k) + e,
+    |e| <= I (R + sum_k |pi_k| |A_k| d)                                                            (2)
+    d = I (R + sum_k |pi_k| max |A_k z + B_k v + c_k|),   I = integral of |exp(A t)| over the step  (3)
 
-(2) is the variation of constants formula; L_k, M_k, l_k are the derivatives of the exponential by the parameter, and d bounds how far z
-leaves the path that (1) has with pi = r = 0. Everything is in Fractions.
+(2) is the variation of constants formula; L_k, M_k, l_k are the derivatives of the exponential by the
+parameter, and d bounds how far z leaves the path that (1) has with pi = r = 0. Everything is in Fractions.
 
 Source: Van Loan 1978 for the blocks whose exponentials hold the integrals.
 """
@@ -26,10 +29,11 @@ __all__ = ["Affine", "decimals", "held"]
 
 @dataclass(frozen=True)
 class Affine:
-    """constant + matrix zeta + sum_k pi_k (shift_k + change_k zeta) + r: a function of zeta = (z, v) in a box.
+    """constant + matrix zeta + sum_k pi_k (shift_k + change_k zeta) + r: a function of zeta = (z, v) in a
+    box.
 
-    Fields, arrays of Fractions: constant (k,), matrix (k, N), shift (k, q), change (k, q, N), remainder (k,) the bound of |r|, low, high
-    (N,) the box, spread (q,) the bound of |pi|.
+    Fields, arrays of Fractions: constant (k,), matrix (k, N), shift (k, q), change (k, q, N), remainder (k,)
+    the bound of |r|, low, high (N,) the box, spread (q,) the bound of |pi|.
     """
 
     constant: np.ndarray
@@ -45,7 +49,8 @@ class Affine:
 def held(g: Affine, n: int, dt: Fraction) -> Affine:
     """Return the Affine of z+ for one of dz/dt, over a step dt with held inputs; zeta has n states first.
 
-    Encloses: every solution that stays in the box of g over the step; the matrices are decimals, what they round away is in the remainder.
+    Encloses: every solution that stays in the box of g over the step; the matrices are decimals, what they
+    round away is in the remainder.
     """
     N, q = g.matrix.shape[1], len(g.spread)
     rest = np.concatenate([g.matrix[:, n:], g.constant[:, None]], axis=1)
@@ -53,16 +58,28 @@ def held(g: Affine, n: int, dt: Fraction) -> Affine:
     derivative = np.full((n, q, N + 1), Fraction(0), object)
     square = lambda M: np.concatenate([M, np.full((N + 1 - n, N + 1), Fraction(0), object)])
     M = square(np.concatenate([g.matrix, g.constant[:, None]], axis=1))
-    for k in range(q):  # exp([[M, N], [0, M]]) has the derivative of exp(M) in the direction N at its upper right
+    for k in range(
+        q
+    ):  # exp([[M, N], [0, M]]) has the derivative of exp(M) in the direction N at its upper right
         direction = square(np.concatenate([g.change[:, k], g.shift[:, k, None]], axis=1))
         block, e = exponential(np.block([[M, direction], [0 * M, M]]) * dt)
         derivative[:, k], error = block[:n, N + 1 :], max(e, error)
     through = absolute_integral(g.matrix[:, :n], dt)
     strayed = through @ (g.remainder + _largest(g) @ g.spread)
     turned = (abs(g.change[:, :, :n]) @ strayed) @ g.spread
-    return decimals(Affine(
-        X[:n, N], X[:n, :N], derivative[:, :, N], derivative[:, :, :N], through @ (g.remainder + turned), g.low, g.high, g.spread,
-    ), error)  # fmt: skip
+    return decimals(
+        Affine(
+            X[:n, N],
+            X[:n, :N],
+            derivative[:, :, N],
+            derivative[:, :, :N],
+            through @ (g.remainder + turned),
+            g.low,
+            g.high,
+            g.spread,
+        ),
+        error,
+    )
 
 
 def _largest(g: Affine) -> np.ndarray:
@@ -71,7 +88,8 @@ def _largest(g: Affine) -> np.ndarray:
 
 
 def decimals(g: Affine, error: Fraction | int = 0) -> Affine:
-    """Return g with its matrices rounded to decimals of floats; what is rounded away, and an error of each number, goes to the remainder.
+    """Return g with its matrices rounded to decimals of floats; what is rounded away, and an error of each
+    number, goes to the remainder.
 
     The shift is left out: a parameter that pushes without a signal is counted to the remainder too.
     """

@@ -1,7 +1,8 @@
-"""The random numbers of a simulation: drawn on the host where they are few, by a compiled program where they are many; the same ones.
+"""The random numbers of a simulation: drawn on the host where they are few, by a compiled program where they
+are many; the same ones.
 
-What `jax.random` draws with its default keys is a cipher of a count, Threefry. Compiling it takes longer than a simulation does: a few
-numbers are worked out by NumPy instead, bit for bit the same.
+What `jax.random` draws with its default keys is a cipher of a count, Threefry. Compiling it takes longer than
+a simulation does: a few numbers are worked out by NumPy instead, bit for bit the same.
 
 Source: Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3".
 """
@@ -20,7 +21,9 @@ ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 PARITY = np.uint32(0x1BD11BDA)
 
 
-def uniform_draws(key: jax.Array, streams: tuple[int, ...], recordings: int, size: int, dtype: np.dtype) -> Any:
+def uniform_draws(
+    key: jax.Array, streams: tuple[int, ...], recordings: int, size: int, dtype: np.dtype
+) -> Any:
     """Return draws (streams, recordings, size), uniform in [-1, 1), on the host but inside jit.
 
     More recordings, and longer ones, begin with the same numbers.
@@ -54,14 +57,18 @@ def _drawn(key, streams, recordings, size, dtype):
     k0, k1 = _threefry(k0, k1, stream * 0, stream)
     high, low = _threefry(k0[..., None], k1[..., None], count[:1] * 0, count[:size])
     if dtype == np.float64:
-        bits = (high.astype(np.uint64) << np.uint64(32) | low) >> np.uint64(12) | np.uint64(0x3FF) << np.uint64(52)
+        bits = (high.astype(np.uint64) << np.uint64(32) | low) >> np.uint64(12) | np.uint64(
+            0x3FF
+        ) << np.uint64(52)
     else:
         bits = (high ^ low) >> np.uint32(9) | np.uint32(0x3F800000)
     return (bits.view(dtype) - 1) * 2 - 1  # a number in [1, 2) of random digits, moved
 
 
 def _threefry(k0, k1, x0, x1):
-    """Return two words enciphered with a key of two words, all arrays of 32-bit words: twenty rounds, five of them with the key."""
+    """Return two words enciphered with a key of two words, all arrays of 32-bit words: twenty rounds, five of
+    them with the key.
+    """
     keys = k0, k1, k0 ^ k1 ^ PARITY
     x0, x1 = x0 + k0, x1 + k1
     for i in range(5):
@@ -81,4 +88,6 @@ def _compiled(key, streams, recordings, size, dtype):
 
 @partial(jax.jit, static_argnums=(1, 2, 3))
 def _normal(key, recordings, shape, dtype):
-    return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(k, 4), shape, dtype))(jax.random.split(key, recordings))
+    return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(k, 4), shape, dtype))(
+        jax.random.split(key, recordings)
+    )

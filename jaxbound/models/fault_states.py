@@ -2,9 +2,9 @@
 
     y = (1 + theta) (C x + D u) + b + noise
 
-A sensor's fault is added behind its relative error, which speaks of the true value alone. Outputs of a model have
-one relative error for all that they show: where such a fault meets a tolerance, theta becomes a parameter of the
-plant, C + theta C and D + theta D, of the same bounds.
+A sensor's fault is added behind its relative error, which speaks of the true value alone. Outputs of a model
+have one relative error for all that they show: where such a fault meets a tolerance, theta becomes a
+parameter of the plant, C + theta C and D + theta D, of the same bounds.
 """
 
 from collections.abc import Mapping
@@ -22,26 +22,31 @@ __all__ = ["with_faults"]
 KINDS = ("bias", "drift")
 
 
-def with_faults(model: LinearSystem, *faults: str, rate: Number | Mapping[str, Number] | None = None) -> LinearSystem:
-    """Return the model with one more state for each fault: how much too much a sensor shows, or an actuator does.
+def with_faults(
+    model: LinearSystem, *faults: str, rate: Number | Mapping[str, Number] | None = None
+) -> LinearSystem:
+    """Return the model with one more state for each fault: how much too much a sensor shows, or an actuator
+    does.
 
-    An observer of it encloses the faults: one whose interval does not hold 0 is proved, and the interval says how large it is. Faults
-    that no output tells apart (a bias of every sensor of a level, say) stay wide: bounds of the first state, x0, are then needed.
+    An observer of it encloses the faults: one whose interval does not hold 0 is proved, and the interval says
+    how large it is. Faults that no output tells apart (a bias of every sensor of a level, say) stay wide:
+    bounds of the first state, x0, are then needed.
 
-    They are what a `Fault` of the kind simulates: y = (1 + theta) t + b + noise of a sensor, t the true value; u + b
-    of an actuator. The tolerance of a sensor that has a fault becomes an `Uncertainty`, "tolerance of T1" (with
-    constant_tolerance those of all sensors do); observers of unknown inputs take none on outputs: give it as noise.
+    They are what a `Fault` of the kind simulates: y = (1 + theta) t + b + noise of a sensor, t the true
+    value; u + b of an actuator. The tolerance of a sensor that has a fault becomes an `Uncertainty`,
+    "tolerance of T1" (with constant_tolerance those of all sensors do); observers of unknown inputs take none
+    on outputs: give it as noise.
 
     Args:
         model: a LinearSystem.
-        faults: texts "signal:kind", signal an output or an input. "T1:bias" is constant, "T2:drift" moves by at most `rate` from one sample
-            to the next. The states are called as the texts.
+        faults: texts "signal:kind", signal an output or an input. "T1:bias" is constant, "T2:drift" moves by
+            at most `rate` from one sample to the next. The states are called as the texts.
         rate: of drifts, in the unit of the signal; one number, or {"T2": number}.
 
     Raises:
-        ValueError: an unknown signal or kind, a fault named twice, a drift without a rate, a rate that no drift has,
-            a negative one; a tolerance that cannot become a parameter: beside averages, or where a parameter or an
-            unknown input acts on the same output.
+        ValueError: an unknown signal or kind, a fault named twice, a drift without a rate, a rate that no
+            drift has, a negative one; a tolerance that cannot become a parameter: beside averages, or where a
+            parameter or an unknown input acts on the same output.
 
     Example:
         >>> import jaxbound as jb
@@ -53,13 +58,22 @@ def with_faults(model: LinearSystem, *faults: str, rate: Number | Mapping[str, N
     named = [_fault(model, text) for text in faults]
     twice = sorted({x for x in faults if faults.count(x) > 1})
     if not named or twice:
-        raise ValueError(f"{twice[0]!r} is named twice" if twice else "name a fault at least: with_faults(model, 'y1:bias')")
+        raise ValueError(
+            f"{twice[0]!r} is named twice"
+            if twice
+            else "name a fault at least: with_faults(model, 'y1:bias')"
+        )
     drifts = [signal for signal, kind in named if kind == "drift"]
     rates: dict[str, Any] = dict(rate) if isinstance(rate, Mapping) else dict.fromkeys(drifts, rate)
     if spare := sorted(set(rates) - set(drifts)) or (rate is not None and not drifts):
-        raise ValueError(f"rate is for drifts, and {spare[0] if isinstance(spare, list) else 'none of these faults'} is none")
+        raise ValueError(
+            f"rate is for drifts, and {spare[0] if isinstance(spare, list) else 'none of these faults'} is "
+            f"none"
+        )
     if lacking := [x for x in drifts if rates.get(x) is None]:
-        raise ValueError(f"{lacking[0]}:drift needs a rate: how much it moves at most from one sample to the next")
+        raise ValueError(
+            f"{lacking[0]}:drift needs a rate: how much it moves at most from one sample to the next"
+        )
 
     model = _with_errors_as_parameters(model, [signal for signal, _ in named])
     k, n = len(named), model.n
@@ -67,8 +81,13 @@ def with_faults(model: LinearSystem, *faults: str, rate: Number | Mapping[str, N
     zero = lambda *shape: [[Fraction(0)] * shape[1] for _ in range(shape[0])]
 
     def grown(part, own):
-        """Return A, B, C, D with the columns of the faults; own: 1 for the model itself, 0 for what a parameter adds to it."""
-        A, B, C, D = (list(map(list, part[x])) if part[x] else zero(len(given[x]), len(given[x][0]) if given[x] else 0) for x in "ABCD")
+        """Return A, B, C, D with the columns of the faults; own: 1 for the model itself, 0 for what a
+        parameter adds to it.
+        """
+        A, B, C, D = (
+            list(map(list, part[x])) if part[x] else zero(len(given[x]), len(given[x][0]) if given[x] else 0)
+            for x in "ABCD"
+        )
         columns = [_columns(model, signal, B, D, own) for signal, _ in named]
         A = [row + [c[0][i] for c in columns] for i, row in enumerate(A)]
         A += [[Fraction(0)] * n + [Fraction(own * (i == j)) for j in range(k)] for i in range(k)]
@@ -92,13 +111,19 @@ def with_faults(model: LinearSystem, *faults: str, rate: Number | Mapping[str, N
     if F is not None:
         F[0][:n] = list(map(list, model.F))
     changes: dict[str, Any] = dict(
-        matrices, uncertainties=parameters, states=(*model.states, *faults), disturbance=(G, pairs) if pairs else None, unknown_inputs=F
+        matrices,
+        uncertainties=parameters,
+        states=(*model.states, *faults),
+        disturbance=(G, pairs) if pairs else None,
+        unknown_inputs=F,
     )
     return model.replace(**changes)
 
 
 def _with_errors_as_parameters(model, faulty):
-    """Return the model with the relative errors of faulty outputs as parameters; of all, where they are constant."""
+    """Return the model with the relative errors of faulty outputs as parameters; of all, where they are
+    constant.
+    """
     chosen = [i for i, name in enumerate(model.outputs) if model.tolerance[i] and name in faulty]
     if not chosen:
         return model
@@ -113,7 +138,9 @@ def _with_errors_as_parameters(model, faulty):
 
 
 def _relative_error(model, i):
-    """Return the relative error of output i as an Uncertainty, None where it shows nothing; refuse what has none."""
+    """Return the relative error of output i as an Uncertainty, None where it shows nothing; refuse what has
+    none.
+    """
     beside = ""
     if any(model.D_v[i]):
         beside = "an unknown input acts on the same output"
@@ -124,10 +151,13 @@ def _relative_error(model, i):
     name = model.outputs[i]
     if beside:
         raise ValueError(
-            f"a fault of a sensor makes its tolerance a parameter, and {beside}: give the tolerance of {name!r} as noise "
+            f"a fault of a sensor makes its tolerance a parameter, and {beside}: give the tolerance of "
+            f"{name!r} as noise "
             f"instead, the tolerance times the largest |{name}| (less its offset) on top of what it has"
         )
-    alone = {letter: _row_alone(getattr(model, letter), i) for letter in "CD" if any(getattr(model, letter)[i])}
+    alone = {
+        letter: _row_alone(getattr(model, letter), i) for letter in "CD" if any(getattr(model, letter)[i])
+    }
     if not alone:
         return None
     between = -model.tolerance[i], model.tolerance[i]

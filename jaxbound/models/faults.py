@@ -17,10 +17,12 @@ class Fault:
     """A fault of one sensor or actuator for the samples start <= k < stop.
 
     Args:
-        signal: the name of an output or input of the model. An actuator's fault changes what the plant receives, not what is recorded.
-        kind: "bias": + size. "drift": + size per sample since the start. "gain": times 1 + size. "noise": + a value uniform in
-            [-size, size] each sample. "tolerance": theta is drawn in [-size, size] instead of the model's tolerance (outputs only).
-            "stuck": keeps its first value. "dropout": an output is missing (NaN), an input is 0.
+        signal: the name of an output or input of the model. An actuator's fault changes what the plant
+            receives, not what is recorded.
+        kind: "bias": + size. "drift": + size per sample since the start. "gain": times 1 + size. "noise": + a
+            value uniform in [-size, size] each sample. "tolerance": theta is drawn in [-size, size] instead
+            of the model's tolerance (outputs only). "stuck": keeps its first value. "dropout": an output is
+            missing (NaN), an input is 0.
         size: in the unit of the signal; relative for "gain" and "tolerance"; unused by "stuck" and "dropout".
         start, stop: samples; stop None: to the end.
 
@@ -48,12 +50,16 @@ class Fault:
 
 
 def refuse_unknown_signal(model: Any, signal: str, kind: str) -> None:
-    """Raise ValueError for a signal that the model does not have, or that cannot have a fault of this kind."""
+    """Raise ValueError for a signal that the model does not have, or that cannot have a fault of this
+    kind.
+    """
     known = model.outputs + model.inputs
     if signal not in known:
         for name in known:
             if model.column(name) == signal:
-                raise ValueError(f"{signal!r} is the column of the signal {name}: a fault names the signal, {name}")
+                raise ValueError(
+                    f"{signal!r} is the column of the signal {name}: a fault names the signal, {name}"
+                )
         raise ValueError(missing_column(signal, known, "the model", "signal"))
     if kind == "tolerance" and signal not in model.outputs:
         raise ValueError(f"a tolerance fault needs an output, {signal!r} is an input")

@@ -1,4 +1,6 @@
-"""Linear models whose matrices are intervals, and their static form: one interval linear system in the states of a window."""
+"""Linear models whose matrices are intervals, and their static form: one interval linear system in the states
+of a window.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,11 +29,13 @@ Moves: TypeAlias = tuple[Interval, Interval, Interval, Interval]
 @readable
 @dataclass(frozen=True, eq=False)
 class IntervalSystem:
-    """x+ = A x + B u + w, y = (1 + theta)(C x + D u) + e with every entry in its interval, drawn anew each sample. See `interval_system`.
+    """x+ = A x + B u + w, y = (1 + theta)(C x + D u) + e with every entry in its interval, drawn anew each
+    sample. See `interval_system`.
 
-    Fields: A (n, n), B (n, m), C (p, n), D (p, m), w (n,): Intervals; tolerance, noise: (p,) bounds of |theta| and |e|, rounded up;
-    offset {"u": (m,), "y": (p,)} Intervals; inputs, outputs, states: names; moves: combinations of the rows of x+ = A x + B u + w that
-    say more than these rows do, as (E (e, n), K (e, n), H (e, m), d (e,)) with 0 in E x - K x+ + H u + d, or None: (A, I, B, w).
+    Fields: A (n, n), B (n, m), C (p, n), D (p, m), w (n,): Intervals; tolerance, noise: (p,) bounds of
+    |theta| and |e|, rounded up; offset {"u": (m,), "y": (p,)} Intervals; inputs, outputs, states: names;
+    moves: combinations of the rows of x+ = A x + B u + w that say more than these rows do, as (E (e, n), K
+    (e, n), H (e, m), d (e,)) with 0 in E x - K x+ + H u + d, or None: (A, I, B, w).
     """
 
     A: Interval
@@ -72,8 +76,8 @@ def interval_system(
     """Build a model from interval matrices: x+ = [A] x + [B] u, y = [C] x.
 
     Args:
-        A, B, C: (n, n), (n, m), (p, n): Intervals, or rows whose entries are numbers or pairs (lo, hi). B None: no inputs. A float
-            means its shortest decimal, so that [0.19, 0.21] holds 19/100 and 21/100.
+        A, B, C: (n, n), (n, m), (p, n): Intervals, or rows whose entries are numbers or pairs (lo, hi). B
+            None: no inputs. A float means its shortest decimal, so that [0.19, 0.21] holds 19/100 and 21/100.
         noise, tolerance: absolute and relative bounds of the sensors, one number or one per output.
         inputs, outputs, states: names; default u1.., y1.., x1...
 
@@ -101,16 +105,24 @@ def interval_system(
     if (tolerance >= 1).any():
         raise ValueError("tolerance is relative and must be below 1 (2 % is 0.02)")
     zero = lambda *shape: interval(np.zeros(shape))
-    names = lambda given, count, letter: tuple(given) if given is not None else tuple(f"{letter}{i + 1}" for i in range(count))
+    names = lambda given, count, letter: (
+        tuple(given) if given is not None else tuple(f"{letter}{i + 1}" for i in range(count))
+    )
     called = names(inputs, m, "u"), names(outputs, p, "y"), names(states, n, "x")
     for field, some, count in zip(("inputs", "outputs", "states"), called, (m, p, n), strict=True):
         if len(some) != count:
             raise ValueError(f"{field} needs {count} names, one for each: {len(some)} given")
-    return IntervalSystem(A, B, C, zero(p, m), zero(n), tolerance, noise, {"u": zero(m), "y": zero(p)}, *called)
+    return IntervalSystem(
+        A, B, C, zero(p, m), zero(n), tolerance, noise, {"u": zero(m), "y": zero(p)}, *called
+    )
 
 
 def _numbers(field: str, value: Each, count: int) -> list[Fraction]:
-    given = [value] * count if isinstance(value, str) or np.asarray(value, object).ndim == 0 else list(cast("Sequence[Number]", value))
+    given = (
+        [value] * count
+        if isinstance(value, str) or np.asarray(value, object).ndim == 0
+        else list(cast("Sequence[Number]", value))
+    )
     if len(given) != count:
         raise ValueError(f"{field} needs one number, or one for each of {count} outputs: {len(given)} given")
     try:
@@ -135,7 +147,11 @@ def _entries(name: str, rows: Entries) -> Interval:
         ends = [[tuple(linalg.rational(v) for v in pair(x)) for x in row] for row in rows]
     except (ValueError, TypeError) as e:
         raise ValueError(f"{name}: {e}") from None
-    if not ends or any(len(row) != len(ends[0]) or not row for row in ends) or any(len(x) != 2 for row in ends for x in row):
+    if (
+        not ends
+        or any(len(row) != len(ends[0]) or not row for row in ends)
+        or any(len(x) != 2 for row in ends for x in row)
+    ):
         raise ValueError(f"{name} needs rows of one length whose entries are numbers or pairs (lo, hi)")
     if any(lo > hi for row in ends for lo, hi in row):
         raise ValueError(f"{name}: lo must be <= hi in every entry")
@@ -154,7 +170,8 @@ def _outward(lo, hi):
 
 
 def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = False) -> IntervalSystem:
-    """Return a model as an IntervalSystem: uncertain parameters become the interval hulls of the matrices they act on.
+    """Return a model as an IntervalSystem: uncertain parameters become the interval hulls of the matrices
+    they act on.
 
     Args:
         unknown_inputs: whether there may be some; they are left out.
@@ -165,7 +182,9 @@ def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = Fa
     if isinstance(model, IntervalSystem):
         return model
     if not hasattr(model, "uncertainties"):
-        raise TypeError(f"observers and validate need a LinearSystem or an interval_system, not {type(model).__name__}")
+        raise TypeError(
+            f"observers and validate need a LinearSystem or an interval_system, not {type(model).__name__}"
+        )
     if not model.n:
         raise ValueError("observers and validate take models with states: use jb.detect for others")
     if model.d and not unknown_inputs:
@@ -178,29 +197,60 @@ def as_intervals(model: LinearSystem | IntervalSystem, unknown_inputs: bool = Fa
             return interval(np.zeros((len(left or middle), 0)))
         if left:
             middle, spread = linalg.matmul(left, middle), [linalg.matmul(left, s) for s in spread]
-        radius = [[sum((abs(s[i][j]) for s in spread), Fraction(0)) for j in range(len(row))] for i, row in enumerate(middle)]
-        move = lambda sign: [[x + sign * r for x, r in zip(a, b, strict=True)] for a, b in zip(middle, radius, strict=True)]
+        radius = [
+            [sum((abs(s[i][j]) for s in spread), Fraction(0)) for j in range(len(row))]
+            for i, row in enumerate(middle)
+        ]
+        move = lambda sign: [
+            [x + sign * r for x, r in zip(a, b, strict=True)] for a, b in zip(middle, radius, strict=True)
+        ]
         return _outward(move(-1), move(1))
 
     def pushed(G):
-        ends = [[sorted((g * lo, g * hi)) for g, (lo, hi) in zip(row, model.disturbance, strict=True)] for row in G]
+        ends = [
+            [sorted((g * lo, g * hi)) for g, (lo, hi) in zip(row, model.disturbance, strict=True)]
+            for row in G
+        ]
         return _outward(*([sum((e[side] for e in row), Fraction(0)) for row in ends] for side in (0, 1)))
 
     w, left = pushed(model.G), _combinations(model)
-    moves = None if left is None else (hull("A", left), _outward(left, left), hull("B", left), pushed(linalg.matmul(left, model.G)))
+    moves = (
+        None
+        if left is None
+        else (hull("A", left), _outward(left, left), hull("B", left), pushed(linalg.matmul(left, model.G)))
+    )
     noise = _upper([a + b for a, b in zip(model.noise, model.resolution, strict=True)])
-    offset = {k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()}
+    offset = {
+        k: _outward(list(v), list(v)) if len(v) else interval(np.zeros(0)) for k, v in model.offset.items()
+    }
     A, B, C, D = (hull(letter) for letter in "ABCD")
-    return IntervalSystem(A, B, C, D, w, _upper(model.tolerance), noise, offset, model.inputs, model.outputs, model.states, moves)
+    return IntervalSystem(
+        A,
+        B,
+        C,
+        D,
+        w,
+        _upper(model.tolerance),
+        noise,
+        offset,
+        model.inputs,
+        model.outputs,
+        model.states,
+        moves,
+    )
 
 
 def _combinations(model: LinearSystem) -> Sequence[Vector] | None:
-    """Return rows L (e, n) such that L (A x + B u + G d - x+) = 0 uses that the disturbances are fewer than the states; None if not.
+    """Return rows L (e, n) such that L (A x + B u + G d - x+) = 0 uses that the disturbances are fewer than
+    the states; None if not.
 
-    A box around G d forgets that its entries move together. With T G = [I, 0]', T regular, nothing is lost where A and B are certain;
-    where they are not, T would widen what is certain of a single row: all rows stay, those without any disturbance are added.
+    A box around G d forgets that its entries move together. With T G = [I, 0]', T regular, nothing is lost
+    where A and B are certain; where they are not, T would widen what is certain of a single row: all rows
+    stay, those without any disturbance are added.
     """
-    moving = [j for j, (lo, hi) in enumerate(model.disturbance) if lo < hi]  # of the others nothing is unknown
+    moving = [
+        j for j, (lo, hi) in enumerate(model.disturbance) if lo < hi
+    ]  # of the others nothing is unknown
     G, n, g = [[row[j] for j in moving] for row in model.G], model.n, len(moving)
     if not g or linalg.rank(G) in (0, n):
         return None
@@ -215,9 +265,11 @@ def _combinations(model: LinearSystem) -> Sequence[Vector] | None:
 
 
 def stacked(model: IntervalSystem, horizon: int, moves: Moves | None = None) -> Interval:
-    """Return M of the static form M x = h, x the states of a window of horizon + 1 samples: first [A, -I] rows, then the C rows.
+    """Return M of the static form M x = h, x the states of a window of horizon + 1 samples: first [A, -I]
+    rows, then the C rows.
 
-    h holds -B u - w, then what each sample says of C x. moves: rows [E, -K] in place of [A, -I], see `IntervalSystem`.
+    h holds -B u - w, then what each sample says of C x. moves: rows [E, -K] in place of [A, -I], see
+    `IntervalSystem`.
 
     Returns:
         An Interval (s n + (s+1) p, (s+1) n), or s e rows for e moves.

@@ -1,7 +1,8 @@
 """Model files: TOML in, TOML out, every decimal kept exactly.
 
-Numbers are read as text (`0.1` is one tenth, not its nearest float) and written as text: as a decimal where a finite one exists, else
-as a fraction in quotes, `"1/3"`. Saving and loading again therefore gives the same model, Fraction by Fraction.
+Numbers are read as text (`0.1` is one tenth, not its nearest float) and written as text: as a decimal where a
+finite one exists, else as a fraction in quotes, `"1/3"`. Saving and loading again therefore gives the same
+model, Fraction by Fraction.
 """
 
 import difflib
@@ -19,8 +20,23 @@ from jaxbound.recordings.whole import whole
 
 __all__ = ["load_model", "model_text", "number_text", "save_model", "template"]
 
-TOP = ("name", "dt", "horizon", "lags", "time", "where", "constant_tolerance", "states", "inputs", "outputs", "disturbances", "uncertainty",
-       "decouple", "matrices", "provenance")  # fmt: skip
+TOP = (
+    "name",
+    "dt",
+    "horizon",
+    "lags",
+    "time",
+    "where",
+    "constant_tolerance",
+    "states",
+    "inputs",
+    "outputs",
+    "disturbances",
+    "uncertainty",
+    "decouple",
+    "matrices",
+    "provenance",
+)
 STATE = ("name", "unit")
 INPUT = ("name", "unit", "column", "offset", "range")
 OUTPUT = ("name", "unit", "column", "offset", "tolerance", "noise", "resolution", "averages")
@@ -40,7 +56,8 @@ def load_model(path: str | PathLike[str]) -> LinearSystem:
 
     Raises:
         OSError: no such file, or it cannot be read.
-        ValueError: not TOML (names the line), an unknown field (names the nearest), numbers that do not make a model.
+        ValueError: not TOML (names the line), an unknown field (names the nearest), numbers that do not make
+            a model.
 
     Example:
         >>> import tempfile, pathlib
@@ -60,9 +77,13 @@ def load_model(path: str | PathLike[str]) -> LinearSystem:
         text = path.read_bytes().decode("utf-8-sig")
         return _model(tomllib.loads(text, parse_float=str))
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: this is not a text file in UTF-8, so it is no model file{_swapped(path)}") from None
+        raise ValueError(
+            f"{path}: this is not a text file in UTF-8, so it is no model file{_swapped(path)}"
+        ) from None
     except tomllib.TOMLDecodeError as e:
-        raise ValueError(f"{path}: this is not valid TOML: {e}{_swapped(path) or _comma(text, str(e))}") from None
+        raise ValueError(
+            f"{path}: this is not valid TOML: {e}{_swapped(path) or _comma(text, str(e))}"
+        ) from None
     except RecursionError:
         raise ValueError(f"{path}: this is no model file: its lists are nested too deeply") from None
     except ValueError as e:
@@ -100,11 +121,12 @@ def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:
 
 
 def number_text(x: Fraction | int) -> str:
-    """Return an exact number as text that reads back as the same number: a decimal if there is a finite one, else "p/q".
+    """Return an exact number as text that reads back as the same number: a decimal if there is a finite one,
+    else "p/q".
 
     Example:
-        >>> number_text(Fraction(1, 8)), number_text(Fraction(1, 3)), number_text(Fraction(3, 10**9)), number_text(Fraction(-2))
-        ('0.125', '1/3', '3e-9', '-2')
+        >>> [number_text(Fraction(x)) for x in ("1/8", "1/3", "3e-9", "-2")]
+        ['0.125', '1/3', '3e-9', '-2']
     """
     x = Fraction(x)
     twos, fives, rest = 0, 0, x.denominator
@@ -134,7 +156,9 @@ def _mantissa(digits):
 def _model(table):
     table = _known("the model", table, TOP)
     if "matrices" not in table:
-        raise ValueError("the table [matrices] is missing: it holds A, B, C and, if there is a direct path, D")
+        raise ValueError(
+            "the table [matrices] is missing: it holds A, B, C and, if there is a direct path, D"
+        )
     matrices = _known("[matrices]", _table("[matrices]", table["matrices"]), MATRICES)
     for letter in ("A", "C") if "D" not in matrices or "A" in matrices or "C" in matrices else ():
         if letter not in matrices:
@@ -146,37 +170,68 @@ def _model(table):
     states = [{"name": s} if isinstance(s, str) else s for s in _list("states", table.get("states", []))]
     states = [_signal("states", i, s, STATE) for i, s in enumerate(states)]
     inputs = [_signal("inputs", i, s, INPUT) for i, s in enumerate(_list("inputs", table.get("inputs", [])))]
-    outputs = [_signal("outputs", i, s, OUTPUT) for i, s in enumerate(_list("outputs", table.get("outputs", [])))]
+    outputs = [
+        _signal("outputs", i, s, OUTPUT) for i, s in enumerate(_list("outputs", table.get("outputs", [])))
+    ]
     averages = {s["name"]: _averages(s["name"], s["averages"]) for s in outputs if "averages" in s}
     for i, d in enumerate(_list("disturbances", table.get("disturbances", []))):
         if isinstance(d, dict) and "averages" in d:
             averages[f"w{i + 1}"] = _averages(f"number {i + 1} of disturbances", d["averages"])
-    disturbances = [_disturbance(i, d) for i, d in enumerate(_list("disturbances", table.get("disturbances", [])))]
-    uncertainties = [_uncertainty(i, u) for i, u in enumerate(_list("uncertainty", table.get("uncertainty", [])))]
+    disturbances = [
+        _disturbance(i, d) for i, d in enumerate(_list("disturbances", table.get("disturbances", [])))
+    ]
+    uncertainties = [
+        _uncertainty(i, u) for i, u in enumerate(_list("uncertainty", table.get("uncertainty", [])))
+    ]
     if ("G" in matrices) != bool(disturbances):
-        raise ValueError("a disturbance needs both G in [matrices] and, for each column of G, a [[disturbances]] block with its bound: "
-                         f"{'the blocks are' if 'G' in matrices else 'G is'} missing")  # fmt: skip
+        raise ValueError(
+            "a disturbance needs both G in [matrices] and, for each column of G, a [[disturbances]] block "
+            "with its bound: "
+            f"{'the blocks are' if 'G' in matrices else 'G is'} missing"
+        )
     if "D_v" in matrices and "F" not in matrices:
-        raise ValueError("D_v says how unknown inputs act on the outputs: it needs F beside it, zeros where they do not act on a state")
+        raise ValueError(
+            "D_v says how unknown inputs act on the outputs: it needs F beside it, zeros where they do not "
+            "act on a state"
+        )
     columns = {s["name"]: s["column"] for s in inputs + outputs if "column" in s}
     columns |= {key: _string(key, table[key]) for key in ("time", "where") if key in table}
     ranges = {s["name"]: s["range"] for s in inputs if "range" in s}
-    offset = {side: [s.get("offset", 0) for s in signals] for side, signals in (("u", inputs), ("y", outputs)) if signals}
-    bounds = {bound: [s.get(bound, 0) for s in outputs] for bound in ("tolerance", "noise", "resolution") if outputs}
+    offset = {
+        side: [s.get("offset", 0) for s in signals]
+        for side, signals in (("u", inputs), ("y", outputs))
+        if signals
+    }
+    bounds = {
+        bound: [s.get(bound, 0) for s in outputs] for bound in ("tolerance", "noise", "resolution") if outputs
+    }
     names = lambda signals: [s["name"] for s in signals] or None
     return LinearSystem(
-        matrices.get("A"), matrices.get("B"), matrices.get("C"), matrices.get("D"), _number("dt", table["dt"]),
-        inputs=names(inputs), outputs=names(outputs), states=names(states),
-        units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}, offset=offset, columns=columns, ranges=ranges,
+        matrices.get("A"),
+        matrices.get("B"),
+        matrices.get("C"),
+        matrices.get("D"),
+        _number("dt", table["dt"]),
+        inputs=names(inputs),
+        outputs=names(outputs),
+        states=names(states),
+        units={s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s},
+        offset=offset,
+        columns=columns,
+        ranges=ranges,
         **bounds,
         disturbance=(matrices["G"], disturbances) if disturbances else None,
         unknown_inputs=(matrices["F"], matrices["D_v"]) if "D_v" in matrices else matrices.get("F"),
-        uncertainties=uncertainties, E=matrices.get("E"),
+        uncertainties=uncertainties,
+        E=matrices.get("E"),
         decouple=[_string("decouple", name) for name in _list("decouple", table.get("decouple", []))],
         constant_tolerance=_truth("constant_tolerance", table.get("constant_tolerance", False)),
         provenance=_known("[provenance]", _table("[provenance]", table.get("provenance", {})), PROVENANCE),
-        name=_string("name", table.get("name", "model")), horizon=table.get("horizon"),
-        lags=None if "lags" not in table else _list("lags", table["lags"]), averages=averages)  # fmt: skip
+        name=_string("name", table.get("name", "model")),
+        horizon=table.get("horizon"),
+        lags=None if "lags" not in table else _list("lags", table["lags"]),
+        averages=averages,
+    )
 
 
 def _known(where, table, fields):
@@ -184,7 +239,10 @@ def _known(where, table, fields):
     for field in [f for f in table if f not in fields]:
         near = difflib.get_close_matches(field, fields, n=1, cutoff=0.5)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"{where} has the unknown field {field!r}{hint}{'' if hint else ';'} known fields are {', '.join(fields)}")
+        raise ValueError(
+            f"{where} has the unknown field {field!r}{hint}{'' if hint else ';'} known fields are "
+            f"{', '.join(fields)}"
+        )
     return table
 
 
@@ -208,12 +266,16 @@ def _string(field, value):
 
 
 def _number(field, value):
-    """Return the number as it stands in the file if floats can hold it; the length of an exact one is not bounded by anything else."""
+    """Return the number as it stands in the file if floats can hold it; the length of an exact one is not
+    bounded by anything else.
+    """
     if isinstance(value, bool) or not isinstance(value, (int, str)):
         raise ValueError(f"{field} must be a number, not {value!r}")
     size = re.fullmatch(r"[^eE]*[eE]([-+]?[\d_]+)", value) if isinstance(value, str) else None
     try:
-        fits = not (size and abs(int(size[1])) > 400) and (float(Fraction(value)) != 0 or Fraction(value) == 0)
+        fits = not (size and abs(int(size[1])) > 400) and (
+            float(Fraction(value)) != 0 or Fraction(value) == 0
+        )
     except (ValueError, ZeroDivisionError):
         return value  # LinearSystem says what is wrong with it
     except OverflowError:
@@ -231,7 +293,9 @@ def _truth(field, value):
 
 def _signal(field, index, table, fields):
     """Check one [[inputs]], [[outputs]] or states entry."""
-    where = f"number {index + 1} of {field}" + (f", {table['name']!r}," if isinstance(table, dict) and "name" in table else "")
+    where = f"number {index + 1} of {field}" + (
+        f", {table['name']!r}," if isinstance(table, dict) and "name" in table else ""
+    )
     table = _known(where, _table(where, table), fields)
     if "name" not in table:
         raise ValueError(f"{where} needs a name")
@@ -244,7 +308,9 @@ def _signal(field, index, table, fields):
             for end in value:
                 _number(f"range of {where.rstrip(',')}", end)
         else:
-            (_string if key in ("name", "unit", "column") else _number)(f"{key} of {where.rstrip(',')}", value)
+            (_string if key in ("name", "unit", "column") else _number)(
+                f"{key} of {where.rstrip(',')}", value
+            )
     return table
 
 
@@ -255,7 +321,11 @@ def _disturbance(index, table):
     if "bound" not in table:
         raise ValueError(f"{where} needs a bound: a number for |w| <= bound, or [lowest, highest]")
     bound = table["bound"]
-    return [_number(f"bound of {where}", x) for x in bound] if isinstance(bound, list) else _number(f"bound of {where}", bound)
+    return (
+        [_number(f"bound of {where}", x) for x in bound]
+        if isinstance(bound, list)
+        else _number(f"bound of {where}", bound)
+    )
 
 
 def _averages(where, entries):
@@ -266,12 +336,17 @@ def _averages(where, entries):
     for entry in entries:
         entry = _known(f"an average of {where}", _table(f"an average of {where}", entry), AVERAGE)
         if "bound" not in entry or ("samples" in entry) == ("weights" in entry):
-            raise ValueError(f"an average of {where} needs samples (how many consecutive ones) or weights (a list of them), and a bound")
+            raise ValueError(
+                f"an average of {where} needs samples (how many consecutive ones) or weights (a list of "
+                f"them), and a bound"
+            )
         weights = entry.get("samples", entry.get("weights"))
         if isinstance(weights, list):
             weights = [_number(f"weights of {where}", x) for x in weights]
         elif "weights" in entry:
-            raise ValueError(f"weights of an average of {where} must be a list of numbers, the oldest sample first")
+            raise ValueError(
+                f"weights of an average of {where} must be a list of numbers, the oldest sample first"
+            )
         found.append((weights, _number(f"bound of an average of {where}", entry["bound"])))
     return found
 
@@ -286,7 +361,9 @@ def _rows(field, rows):
 
 def _uncertainty(index: int, table: Any) -> Uncertainty:
     """Return one [[uncertainty]] entry."""
-    where = f"number {index + 1} of uncertainty" + (f", {table['name']!r}," if isinstance(table, dict) and "name" in table else "")
+    where = f"number {index + 1} of uncertainty" + (
+        f", {table['name']!r}," if isinstance(table, dict) and "name" in table else ""
+    )
     table = _known(where, _table(where, table), UNCERTAINTY)
     if "name" not in table:
         raise ValueError(f"{where} needs a name")
@@ -298,9 +375,14 @@ def _uncertainty(index: int, table: Any) -> Uncertainty:
     if not isinstance(between, list) or len(between) != 2:
         raise ValueError(f"between of {where} must be [lowest, highest]")
     return Uncertainty(
-        _string(f"name of {where}", table["name"]), table.get("A"), table.get("B"), table.get("C"), table.get("D"),
+        _string(f"name of {where}", table["name"]),
+        table.get("A"),
+        table.get("B"),
+        table.get("C"),
+        table.get("D"),
         varying=_truth(f"varying of {where}", table.get("varying", True)),
-        between=[_number(f"between of {where}", x) for x in between])  # fmt: skip
+        between=[_number(f"between of {where}", x) for x in between],
+    )
 
 
 def model_text(model: LinearSystem) -> str:
@@ -312,7 +394,11 @@ def model_text(model: LinearSystem) -> str:
     def averages(signal):
         found = []
         for a in (a for a in model.averages if a.signal == signal):
-            of = f"samples = {len(a.weights)}" if a.is_mean else f"weights = [{', '.join(map(number, a.weights))}]"
+            of = (
+                f"samples = {len(a.weights)}"
+                if a.is_mean
+                else f"weights = [{', '.join(map(number, a.weights))}]"
+            )
             found.append(f"{{{of}, bound = {number(a.bound)}}}")
         return [f"averages = [{', '.join(found)}]"] if found else []
 
@@ -324,22 +410,38 @@ def model_text(model: LinearSystem) -> str:
     out += [f"{key} = {quote(model.columns[key])}" for key in ("time", "where") if key in model.columns]
     if model.constant_tolerance:
         out.append("constant_tolerance = true")
-    states = [f"{{name = {quote(s)}, unit = {quote(model.units[s])}}}" if s in model.units else quote(s) for s in model.states]
+    states = [
+        f"{{name = {quote(s)}, unit = {quote(model.units[s])}}}" if s in model.units else quote(s)
+        for s in model.states
+    ]
     out.append(f"states = [{', '.join(states)}]")
     for side, field, names in (("u", "inputs", model.inputs), ("y", "outputs", model.outputs)):
         for i, name in enumerate(names):
             out += ["", f"[[{field}]]", f"name = {quote(name)}"]
-            out += [f"{key} = {quote(about[name])}" for key, about in (("unit", model.units), ("column", model.columns)) if name in about]
+            out += [
+                f"{key} = {quote(about[name])}"
+                for key, about in (("unit", model.units), ("column", model.columns))
+                if name in about
+            ]
             if model.offset[side][i]:
                 out.append(f"offset = {number(model.offset[side][i])}")
             if name in model.ranges and side == "u":
                 out.append(f"range = [{', '.join(map(number, model.ranges[name]))}]")
             if side == "y":
-                bounds = (("tolerance", model.tolerance), ("noise", model.noise), ("resolution", model.resolution))
+                bounds = (
+                    ("tolerance", model.tolerance),
+                    ("noise", model.noise),
+                    ("resolution", model.resolution),
+                )
                 out += [f"{key} = {number(bound[i])}" for key, bound in bounds if bound[i]]
                 out += averages(name)
     for j, (lo, hi) in enumerate(model.disturbance):
-        out += ["", "[[disturbances]]", f"bound = {number(hi) if lo == -hi else f'[{number(lo)}, {number(hi)}]'}", *averages(f"w{j + 1}")]
+        out += [
+            "",
+            "[[disturbances]]",
+            f"bound = {number(hi) if lo == -hi else f'[{number(lo)}, {number(hi)}]'}",
+            *averages(f"w{j + 1}"),
+        ]
     for u in model.uncertainties:
         out += ["", "[[uncertainty]]", f"name = {quote(u.name)}"]
         out += [] if u.varying else ["varying = false"]

@@ -16,9 +16,11 @@ __all__ = ["Plant", "number", "plant"]
 
 @dataclass(frozen=True)
 class Plant:
-    """x+ = A x + B u + G w + F v, y = C x + D u + D_v v, every number exact. Build it with `plant`; the fields are those of a LinearSystem.
+    """x+ = A x + B u + G w + F v, y = C x + D u + D_v v, every number exact. Build it with `plant`; the
+    fields are those of a LinearSystem.
 
-    A, B, C, D are at the middle of the bounds of the uncertainties; w is within the pairs of `disturbance`, v has no bound; dt in seconds.
+    A, B, C, D are at the middle of the bounds of the uncertainties; w is within the pairs of `disturbance`, v
+    has no bound; dt in seconds.
     """
 
     A: Matrix
@@ -72,7 +74,8 @@ def plant(
     """Check the arguments of a LinearSystem that speak of its plant and return them exactly.
 
     Raises:
-        ValueError: shapes that do not fit, a number that is not finite, a negative bound, a dt that is not positive.
+        ValueError: shapes that do not fit, a number that is not finite, a negative bound, a dt that is not
+            positive.
     """
     exact_A = _matrix("A", A) if A is not None and len(A) else ()
     n = len(exact_A)
@@ -93,9 +96,14 @@ def plant(
     exact_D = ((Fraction(0),) * m,) * p if direct is None else direct
     for label, a, shape in (("B", exact_B, (n, m)), ("C", exact_C, (p, n)), ("D", exact_D, (p, m))):
         if a and (len(a), len(a[0])) != shape:
-            raise ValueError(f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}")
+            raise ValueError(
+                f"{label} must have shape {shape} to fit A, B and C: its shape is {(len(a), len(a[0]))}"
+            )
     known = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
-    middle = {letter: centred(a, known, letter) for letter, a in zip("ABCD", (exact_A, exact_B, exact_C, exact_D), strict=True)}
+    middle = {
+        letter: centred(a, known, letter)
+        for letter, a in zip("ABCD", (exact_A, exact_B, exact_C, exact_D), strict=True)
+    }
     G, pairs = _disturbance(disturbance, n)
     bounded, F, D_v = decoupled(known, decouple, *unbounded_inputs(unknown_inputs, n, p))
     period = float(number("dt", dt))
@@ -126,7 +134,9 @@ def _disturbance(given: Bounded | None, n: int) -> tuple[Matrix, tuple[tuple[Fra
     try:
         G, bound = given
     except (TypeError, ValueError):
-        raise ValueError("disturbance needs a pair (G, bound): how it acts on the states, and how large it can be") from None
+        raise ValueError(
+            "disturbance needs a pair (G, bound): how it acts on the states, and how large it can be"
+        ) from None
     rows = _matrix("G of the disturbance", G)
     if len(rows) != n:
         raise ValueError(f"G of the disturbance needs one row per state ({n}): it has {len(rows)}")
@@ -134,7 +144,8 @@ def _disturbance(given: Bounded | None, n: int) -> tuple[Matrix, tuple[tuple[Fra
     bounds = [bound] * g if isinstance(bound, str) or not np.iterable(bound) else list(bound)
     if len(bounds) != g:
         raise ValueError(
-            f"the bound of the disturbance needs one number, or one (or a pair [lo, hi]) for each of {g} columns of G, not {len(bounds)}"
+            f"the bound of the disturbance needs one number, or one (or a pair [lo, hi]) for each of {g} "
+            f"columns of G, not {len(bounds)}"
         )
     return rows, tuple(_pair(f"disturbance {j + 1}", b) for j, b in enumerate(bounds))
 

@@ -1,9 +1,10 @@
-"""A function as a plane plus a remainder that is enclosed over a box: what is left of a nonlinear model once it is linear.
+"""A function as a plane plus a remainder that is enclosed over a box: what is left of a nonlinear model once
+it is linear.
 
     f(x) = S (x - c) + r,    r in [lo, hi]
 
-The box is cut into thousands of cells; on each, f is enclosed by its value in the middle and its slopes all over the cell: the excess is
-of second order in the size of a cell.
+The box is cut into thousands of cells; on each, f is enclosed by its value in the middle and its slopes all
+over the cell: the excess is of second order in the size of a cell.
 
 Source: Moore, Kearfott, Cloud 2009, chapter 6: mean value form, refinement.
 """
@@ -43,7 +44,11 @@ class Plane:
 
 
 def plane(
-    f: Function, lo: Sequence[Fraction] | np.ndarray, hi: Sequence[Fraction] | np.ndarray, level: int = 0, smooth: tuple[Function, ...] = ()
+    f: Function,
+    lo: Sequence[Fraction] | np.ndarray,
+    hi: Sequence[Fraction] | np.ndarray,
+    level: int = 0,
+    smooth: tuple[Function, ...] = (),
 ) -> Plane:
     """Return the Plane of f over a box.
 
@@ -54,8 +59,9 @@ def plane(
         smooth: further functions of the array that must be continuous, too.
 
     Returns:
-        A Plane about the middle of the box; rows of the remainder are infinite (floats) where f is not proved to be continuous all over
-        the box with bounded slopes, all of them where one of `smooth` is not continuous.
+        A Plane about the middle of the box; rows of the remainder are infinite (floats) where f is not proved
+        to be continuous all over the box with bounded slopes, all of them where one of `smooth` is not
+        continuous.
 
     Encloses: slopes (x - centre) + r with r in the remainder holds f(x), for each x of the box.
 
@@ -75,7 +81,9 @@ def plane(
 
 
 def derivatives(f: Function) -> Function:
-    """Return the derivatives (k, N) of f as a function; those of its mathematics: no custom rule, no stop_gradient."""
+    """Return the derivatives (k, N) of f as a function; those of its mathematics: no custom rule, no
+    stop_gradient.
+    """
 
     def mathematics(x):
         closed = jax.make_jaxpr(f)(jax.ShapeDtypeStruct(x.shape, x.dtype))
@@ -86,13 +94,17 @@ def derivatives(f: Function) -> Function:
 
 @partial(jax.jit, static_argnums=0)
 def _at(f, x):
-    """Return the derivatives of f at a point, in plain floats, 0 where they are infinite: a choice, not a proof."""
+    """Return the derivatives of f at a point, in plain floats, 0 where they are infinite: a choice, not a
+    proof.
+    """
     slopes = derivatives(f)(x)
     return jnp.where(jnp.isfinite(slopes), slopes, 0)
 
 
 def _cells(f, box, c):
-    """Return CELLS cells, an Interval (CELLS, N), that fill the box, cut most where the slopes of f change most."""
+    """Return CELLS cells, an Interval (CELLS, N), that fill the box, cut most where the slopes of f change
+    most.
+    """
     N, lo, hi = len(c), np.asarray(box.lo), np.asarray(box.hi)
     ends = np.tile(np.asarray(c), (2 * N, 1))
     ends[np.arange(N), np.arange(N)], ends[N + np.arange(N), np.arange(N)] = lo, hi
@@ -101,20 +113,31 @@ def _cells(f, box, c):
     cuts = np.ones(N, int)
     while cuts.prod() < CELLS:
         cuts[np.argmax(change / cuts)] *= 2
-    edges = [np.clip(np.linspace(a, b, k + 1, dtype=lo.dtype), a, b) for a, b, k in zip(lo, hi, cuts, strict=True)]
+    edges = [
+        np.clip(np.linspace(a, b, k + 1, dtype=lo.dtype), a, b) for a, b, k in zip(lo, hi, cuts, strict=True)
+    ]
     for e, a, b in zip(edges, lo, hi, strict=True):
         e[0], e[-1] = a, b
-    corner = lambda part: np.stack([g.ravel() for g in np.meshgrid(*[e[part] for e in edges], indexing="ij")], 1)
+    corner = lambda part: np.stack(
+        [g.ravel() for g in np.meshgrid(*[e[part] for e in edges], indexing="ij")], 1
+    )
     return Interval(jnp.asarray(corner(slice(None, -1))), jnp.asarray(corner(slice(1, None))))
 
 
 @partial(jax.jit, static_argnums=0)
 def _remainders(functions, cells, c, slopes):
-    """Enclose what the plane leaves of the first function over each cell; all functions are to be continuous."""
+    """Enclose what the plane leaves of the first function over each cell; all functions are to be
+    continuous.
+    """
     shape = jax.ShapeDtypeStruct(c.shape, c.dtype)
-    whole, first = [jax.make_jaxpr(g)(shape) for g in functions], jax.make_jaxpr(derivatives(functions[0]))(shape)
+    whole, first = (
+        [jax.make_jaxpr(g)(shape) for g in functions],
+        jax.make_jaxpr(derivatives(functions[0]))(shape),
+    )
     refuse_unsupported(first.jaxpr, "the derivative of the model", "write it with others")
-    run = lambda closed, boxes: jax.vmap(lambda box: _only(evaluate(closed.jaxpr, closed.consts, [box])))(boxes)
+    run = lambda closed, boxes: jax.vmap(lambda box: _only(evaluate(closed.jaxpr, closed.consts, [box])))(
+        boxes
+    )
     q = mid(cells)
     (value, _), (J, _) = run(whole[0], Interval(q, q)), run(first, cells)
     continuous = jnp.all(jnp.stack([run(closed, cells)[1] for closed in whole]), 0)
@@ -122,10 +145,14 @@ def _remainders(functions, cells, c, slopes):
 
 
 def _only(found):
-    """Return an enclosure of the only output, and whether it is continuous; a formula that has no value may have any."""
+    """Return an enclosure of the only output, and whether it is continuous; a formula that has no value may
+    have any.
+    """
     (out,), continuous = found
     x = enclose(out)
-    return Interval(jnp.where(x.is_empty, -jnp.inf, x.lo), jnp.where(x.is_empty, jnp.inf, x.hi)), jnp.asarray(continuous)
+    return Interval(jnp.where(x.is_empty, -jnp.inf, x.lo), jnp.where(x.is_empty, jnp.inf, x.hi)), jnp.asarray(
+        continuous
+    )
 
 
 def _remainder(c, slopes, cell, value, J, continuous):

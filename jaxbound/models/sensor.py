@@ -1,8 +1,9 @@
 """What a recorded sample says about the true value: an interval, in closed form.
 
-A sensor reads y = (1 + theta) t + delta with |theta| <= sigma, |delta| <= rho (noise plus resolution). The true values t that explain y
-are [t_lo, t_hi] with t_hi = max((y + rho) / (1 + sigma), (y + rho) / (1 - sigma)) and t_lo = min over the same two of y - rho
-(mu is monotone in theta and affine in delta: Adrot 2000 (9); exact, see the exactness theorem). With e = 1 / (1 - sigma^2) this is
+A sensor reads y = (1 + theta) t + delta with |theta| <= sigma, |delta| <= rho (noise plus resolution). The
+true values t that explain y are [t_lo, t_hi] with t_hi = max((y + rho) / (1 + sigma), (y + rho) / (1 -
+sigma)) and t_lo = min over the same two of y - rho (mu is monotone in theta and affine in delta: Adrot 2000
+(9); exact, see the exactness theorem). With e = 1 / (1 - sigma^2) this is
 
     middle e (y + sigma clip(y, -rho, rho)),    radius e (rho + sigma max(|y|, rho)),
 
@@ -20,7 +21,9 @@ from jaxbound.sets.floats import rounding
 __all__ = ["RECORDER_ULPS", "input_slip", "largest_error", "lift", "true_value"]
 
 RECORDER_ULPS = 4
-"""A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the window plus noise."""
+"""A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the
+window plus noise.
+"""
 
 
 def true_value(
@@ -31,42 +34,62 @@ def true_value(
     offset: jax.Array,
     largest: jax.Array | None = None,
 ) -> tuple[list[jax.Array], list[jax.Array], list[jax.Array]]:
-    """Return (mid, rad, scale) of the true values behind the samples of one output in one window, minus the offset.
+    """Return (mid, rad, scale) of the true values behind the samples of one output in one window, minus the
+    offset.
 
     Args:
-        samples: the s + 1 recorded values of one output, each a scalar or an array over windows; NaN where absent.
+        samples: the s + 1 recorded values of one output, each a scalar or an array over windows; NaN where
+            absent.
         tolerance, noise, resolution, offset: of that output, scalars, taken as exact.
-        largest: the largest magnitude among the samples, if the caller has it (else the samples must be all of the window's).
+        largest: the largest magnitude among the samples, if the caller has it (else the samples must be all
+            of the window's).
 
     Returns:
-        Three lists of s + 1: middle (NaN where absent), radius, and the magnitude that rounding errors are relative to
-        (`rounding.residual_error`), all of the dtype of the samples. Every radius is > 0.
+        Three lists of s + 1: middle (NaN where absent), radius, and the magnitude that rounding errors are
+        relative to (`rounding.residual_error`), all of the dtype of the samples. Every radius is > 0.
     """
     e = 1 / ((1 - tolerance) * (1 + tolerance))
     absent = [jnp.isnan(y) for y in samples]
-    samples = [jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)]  # keeps NaN out of gradients
+    samples = [
+        jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)
+    ]  # keeps NaN out of gradients
     if largest is None:
         largest = abs(samples[0])
         for y in samples[1:]:
             largest = jnp.maximum(largest, abs(y))
-    largest = jnp.minimum(largest, np.finfo(largest.dtype).max)  # an infinite sample stays its own row's matter
-    rho = noise + resolution + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise) + rounding.tiny(largest.dtype)
+    largest = jnp.minimum(
+        largest, np.finfo(largest.dtype).max
+    )  # an infinite sample stays its own row's matter
+    rho = (
+        noise
+        + resolution
+        + RECORDER_ULPS * rounding.unit(largest.dtype) * (largest + noise)
+        + rounding.tiny(largest.dtype)
+    )
     mid, rad, scale = [], [], []
     for gone, y in zip(absent, samples, strict=True):
         d = y - offset
         above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
-        mid.append(jnp.where(gone, jnp.nan, e * (d + half * (above - below))))  # above - below = 2 clip(d, -rho, rho)
+        mid.append(
+            jnp.where(gone, jnp.nan, e * (d + half * (above - below)))
+        )  # above - below = 2 clip(d, -rho, rho)
         rad.append(e * (rho + half * (above + below)))  # above + below = 2 max(|d|, rho)
-        size = e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]  # 0 * inf is NaN in every row of a window with an infinite sample
-        scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf)))  # NaN is absence, never overflow
+        size = (
+            e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]
+        )  # 0 * inf is NaN in every row of a window with an infinite sample
+        scale.append(
+            jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf))
+        )  # NaN is absence, never overflow
     return mid, rad, scale
 
 
 def largest_error(y: np.ndarray, noise: np.ndarray, recorded: np.dtype | type, horizon: int) -> np.ndarray:
-    """Return (..., T, p), at least |delta| of each sample of recordings y (..., T, p): the noise (p,) and what was rounded away.
+    """Return (..., T, p), at least |delta| of each sample of recordings y (..., T, p): the noise (p,) and
+    what was rounded away.
 
-    As in `true_value`, for the largest of all windows of horizon + 1 samples that the sample belongs to. recorded: the float type in which
-    y was rounded, which y may have been widened from or narrowed to. On the host.
+    As in `true_value`, for the largest of all windows of horizon + 1 samples that the sample belongs to.
+    recorded: the float type in which y was rounded, which y may have been widened from or narrowed to. On the
+    host.
     """
     size = np.where(np.isnan(y), 0, abs(y)).astype(np.float64)
     largest, T = size.copy(), size.shape[-2]
@@ -81,8 +104,8 @@ def largest_error(y: np.ndarray, noise: np.ndarray, recorded: np.dtype | type, h
 def input_slip(u: np.ndarray) -> np.ndarray:
     """Return at least the difference between inputs as given and u, what is computed with: an array like u.
 
-    Inputs are exact, but in float32 they may have been rounded to it once, for outputs in float32 or because JAX runs with x64 off: nothing
-    tells that from a recording that was in float32 all along.
+    Inputs are exact, but in float32 they may have been rounded to it once, for outputs in float32 or because
+    JAX runs with x64 off: nothing tells that from a recording that was in float32 all along.
     """
     if u.dtype == np.float64:
         return np.zeros_like(u)

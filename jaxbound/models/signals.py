@@ -1,4 +1,6 @@
-"""The signals of a model and their sensors: what they are called, where they are recorded, and how far a recorded sample may be off."""
+"""The signals of a model and their sensors: what they are called, where they are recorded, and how far a
+recorded sample may be off.
+"""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +28,8 @@ Words: TypeAlias = tuple[tuple[str, str], ...]
 class ModelSignals:
     """The signals of a model. Build it with `model_signals`.
 
-    Fields: inputs, outputs, states: names; input_offset (m,), output_offset (p,): the operating point; units, columns: of signals by name;
+    Fields: inputs, outputs, states: names; input_offset (m,), output_offset (p,): the operating point; units,
+    columns: of signals by name;
     ranges: (name, lowest, highest) of the inputs whose range is known.
     """
 
@@ -42,7 +45,9 @@ class ModelSignals:
 
 @dataclass(frozen=True)
 class Sensors:
-    """The bounds of the sensors of a model, one number an output. Build it with `sensors`; the fields are those of a LinearSystem."""
+    """The bounds of the sensors of a model, one number an output. Build it with `sensors`; the fields are
+    those of a LinearSystem.
+    """
 
     tolerance: Vector
     noise: Vector
@@ -66,10 +71,15 @@ def model_signals(
         sizes: (m, p, n), numbers of inputs, outputs and states. The rest: as of a LinearSystem.
 
     Raises:
-        ValueError: a wrong number of names, a name used twice, a unit or column of a signal that the model does not have.
+        ValueError: a wrong number of names, a name used twice, a unit or column of a signal that the model
+            does not have.
     """
     m, p, n = sizes
-    called = _names("inputs", inputs, m, "u"), _names("outputs", outputs, p, "y"), _names("states", states, n, "x")
+    called = (
+        _names("inputs", inputs, m, "u"),
+        _names("outputs", outputs, p, "y"),
+        _names("states", states, n, "x"),
+    )
     recorded = called[0] + called[1]
     twice = sorted({x for x in recorded if recorded.count(x) > 1})
     if twice:
@@ -78,12 +88,17 @@ def model_signals(
     unknown = set(offset) - {"u", "y"}
     if unknown:
         raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
-    points = _vector("offset u", offset.get("u", 0), called[0]), _vector("offset y", offset.get("y", 0), called[1])
+    points = (
+        _vector("offset u", offset.get("u", 0), called[0]),
+        _vector("offset y", offset.get("y", 0), called[1]),
+    )
     found = words("columns", columns, (*recorded, "time", "where"))
     for name, text in found:
         if name == "where" or (name != "time" and is_expression(text)):
             expression(text)
-    return ModelSignals(*called, *points, words("units", units, recorded + called[2]), found, _ranges(ranges, called[0]))
+    return ModelSignals(
+        *called, *points, words("units", units, recorded + called[2]), found, _ranges(ranges, called[0])
+    )
 
 
 def _ranges(table, inputs):
@@ -97,16 +112,26 @@ def _ranges(table, inputs):
         if name in given:
             ends = np.asarray(given[name], object)
             if ends.shape != (2,):
-                raise ValueError(f"the range of {name!r} needs two numbers, the lowest and the highest, not {given[name]!r}")
+                raise ValueError(
+                    f"the range of {name!r} needs two numbers, the lowest and the highest, not "
+                    f"{given[name]!r}"
+                )
             lo, hi = (number(f"range of {name!r}", x) for x in ends)
             if lo > hi:
-                raise ValueError(f"the range of {name!r} needs its lowest number first: {float(lo):g} is above {float(hi):g}")
+                raise ValueError(
+                    f"the range of {name!r} needs its lowest number first: {float(lo):g} is above "
+                    f"{float(hi):g}"
+                )
             out.append((name, lo, hi))
     return tuple(out)
 
 
 def sensors(
-    outputs: tuple[str, ...], tolerance: Each, noise: Each, resolution: Each | None, constant_tolerance: bool | np.bool_
+    outputs: tuple[str, ...],
+    tolerance: Each,
+    noise: Each,
+    resolution: Each | None,
+    constant_tolerance: bool | np.bool_,
 ) -> Sensors:
     """Check the arguments of a LinearSystem that speak of its sensors and return them exactly.
 
@@ -142,7 +167,9 @@ def _bound(field: str, value: Each, outputs: tuple[str, ...]) -> Vector:
         if b < 0:
             raise ValueError(f"{field} must be >= 0: output {output!r} has {float(b):g}")
         if field == "tolerance" and b >= 1:
-            raise ValueError(f"tolerance is relative and must be below 1 (2 % is 0.02): output {output!r} has {float(b):g}")
+            raise ValueError(
+                f"tolerance is relative and must be below 1 (2 % is 0.02): output {output!r} has {float(b):g}"
+            )
     return bounds
 
 
@@ -151,7 +178,9 @@ def _vector(field: str, value: Each, names: tuple[str, ...]) -> Vector:
         return (number(field, cast("Number", value)),) * len(names)
     values = list(cast("Sequence[Number]", value))
     if len(values) != len(names):
-        raise ValueError(f"{field} needs one number, or one for each of {listed(names, str)}: {len(values)} given")
+        raise ValueError(
+            f"{field} needs one number, or one for each of {listed(names, str)}: {len(values)} given"
+        )
     return tuple(number(f"{field} of {s!r}", x) for s, x in zip(names, values, strict=True))
 
 

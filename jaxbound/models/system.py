@@ -50,53 +50,67 @@ class LinearSystem:
     """A discrete-time linear model with imperfect sensors.
 
         x+ = A x + B u + G w + F v,    y = (1 + theta) (C x + D u + D_v v) + noise + rounding of the recording
-        lo_j <= w_j <= hi_j,  |theta_i| <= tolerance_i,  |noise_i| <= noise_i,  |rounding_i| <= resolution_i,  v any number,
-        all drawn anew each sample
+        lo_j <= w_j <= hi_j,  |theta_i| <= tolerance_i,  |noise_i| <= noise_i,  |rounding_i| <= resolution_i,
+        v any number, all drawn anew each sample
 
-    Every number is kept exactly: a float means its shortest decimal; Fraction, Decimal, int and str ("1/3") are taken as they are.
-    A model is a value of three parts, .plant, .sensors and .signals: equal where all numbers and texts are, and never changed;
-    `model.replace(noise=..)` is a changed copy.
+    Every number is kept exactly: a float means its shortest decimal; Fraction, Decimal, int and str ("1/3")
+    are taken as they are. A model is a value of three parts, .plant, .sensors and .signals: equal where all
+    numbers and texts are, and never changed; `model.replace(noise=..)` is a changed copy.
 
     Args:
-        A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m); B None: no inputs; D None: zero; A, B, C None: no states, y = D u.
+        A, B, C, D: matrices (n, n), (n, m), (p, n), (p, m); B None: no inputs; D None: zero; A, B, C None: no
+            states, y = D u.
         dt: sampling period in seconds.
         tolerance: relative sensor tolerance in [0, 1), one number or one per output.
-        constant_tolerance: True if each theta keeps one value over a window (the gain error of a sensor), False if it is drawn anew.
+        constant_tolerance: True if each theta keeps one value over a window (the gain error of a sensor),
+            False if it is drawn anew.
         noise: absolute noise bound >= 0, in the unit of the output, one number or one per output.
-        resolution: what the recording itself rounds away (half a step of a quantised sensor), in the unit of the output, one number or one
-            per output. On top of it, every sample is taken to be known to 4 u (largest |y_i| in the window + noise_i), u the unit
-            roundoff of the recording's float type: a sum, a product and a final rounding of a perfect plant are within 3 u of this.
-        averages: errors that average out, {signal: {samples: bound on the mean of so many consecutive ones}}, of the error of an output or
-            of a disturbance "w1", "w2", ..: {"T1": {16: 0.1}}; or {signal: [(weights, bound)]}, any sum of consecutive samples, the oldest
-            first. An output then needs tolerance 0. Kept as `Average`.
-        disturbance: (G, bound): G (n, g) says how unmeasured, bounded inputs w act on the states; bound (g,) or one number means
-            |w| <= bound, bound (g, 2) means lo <= w <= hi (a leak is [0, w]). Kept as .G and .disturbance, g pairs (lo, hi).
-        unknown_inputs: F (n, d), or a pair (F, D_v (p, d)): how inputs that nobody knows, not even a bound, act on the states and outputs.
-            Kept as .F and .D_v.
+        resolution: what the recording itself rounds away (half a step of a quantised sensor), in the unit of
+            the output, one number or one per output. On top of it, every sample is taken to be known to 4 u
+            (largest |y_i| in the window + noise_i), u the unit roundoff of the recording's float type: a sum,
+            a product and a final rounding of a perfect plant are within 3 u of this.
+        averages: errors that average out, {signal: {samples: bound on the mean of so many consecutive ones}},
+            of the error of an output or of a disturbance "w1", "w2", ..: {"T1": {16: 0.1}}; or {signal:
+            [(weights, bound)]}, any sum of consecutive samples, the oldest first. An output then needs
+            tolerance 0. Kept as `Average`.
+        disturbance: (G, bound): G (n, g) says how unmeasured, bounded inputs w act on the states; bound (g,)
+            or one number means |w| <= bound, bound (g, 2) means lo <= w <= hi (a leak is [0, w]). Kept as .G
+            and .disturbance, g pairs (lo, hi).
+        unknown_inputs: F (n, d), or a pair (F, D_v (p, d)): how inputs that nobody knows, not even a bound,
+            act on the states and outputs. Kept as .F and .D_v.
         inputs, outputs, states: names; default u1.., y1.., x1...
         units: {name: unit}, for reports.
-        offset: {"u": (m,), "y": (p,)}: operating point; the model speaks of u - offset and y - offset (the tolerance too).
-        columns: {name: column} where a recording calls a signal otherwise, or "= an expression" over its columns, like
-            "= `Supply Temp` - `Mixed Temp`"; "time": the column of its time stamps; "where": a condition, like "fan > 0": samples for
-            which it does not hold are no part of the recording, and windows with them are MISSING.
-        ranges: {input: (lowest, highest)}: between which it moved in the recordings that the model was fitted to; `study` moves it there.
+        offset: {"u": (m,), "y": (p,)}: operating point; the model speaks of u - offset and y - offset (the
+            tolerance too).
+        columns: {name: column} where a recording calls a signal otherwise, or "= an expression" over its
+            columns, like "= `Supply Temp` - `Mixed Temp`"; "time": the column of its time stamps; "where": a
+            condition, like "fan > 0": samples for which it does not hold are no part of the recording, and
+            windows with them are MISSING.
+        ranges: {input: (lowest, highest)}: between which it moved in the recordings that the model was fitted
+            to; `study` moves it there.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
         name: of the plant, for reports.
-        horizon: of the windows for which the bounds were found (`jb.fit`): `parity_relations` takes it where none is asked for.
-        lags: of these windows, where they look at the outputs at some samples only; the horizon is then the largest of them.
-        uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given matrices are those at the value
-            0 of every parameter; .A, .B, .C, .D are kept at the middle of their bounds.
+        horizon: of the windows for which the bounds were found (`jb.fit`): `parity_relations` takes it where
+            none is asked for.
+        lags: of these windows, where they look at the outputs at some samples only; the horizon is then the
+            largest of them.
+        uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given
+            matrices are those at the value 0 of every parameter; .A, .B, .C, .D are kept at the middle of
+            their bounds.
         decouple: names of uncertainties whose bounds are not to be trusted: they become unknown inputs.
-        E: (r, n) of a descriptor system E x+ = A x + B u + ..., A, B, G, F (r, .) then. The model keeps the states that E determines; what
-            no equation drives becomes unknown inputs. Not together with uncertainties.
+        E: (r, n) of a descriptor system E x+ = A x + B u + ..., A, B, G, F (r, .) then. The model keeps the
+            states that E determines; what no equation drives becomes unknown inputs. Not together with
+            uncertainties.
 
     Raises:
-        ValueError: shapes that do not fit, a number that is not finite, a negative bound, a tolerance >= 1, a name used twice.
+        ValueError: shapes that do not fit, a number that is not finite, a negative bound, a tolerance >= 1, a
+            name used twice.
 
     Source: Adrot, Maquin, Ragot 2000, (1)-(2).
 
     Example:
-        >>> m = LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
+        >>> A, B, C = [[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0], [1, 1]]
+        >>> m = LinearSystem(A, B, C, tolerance=[0.02, 0.1], noise=[0.1, 0.01])
         >>> m.n, m.m, m.p, m.outputs
         (2, 1, 2, ('y1', 'y2'))
         >>> m == m.replace(noise=["0.10", "1/100"]), m == m.replace(noise=0.1)
@@ -167,17 +181,27 @@ class LinearSystem:
     ) -> None:
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
-                raise ValueError("E and uncertainties do not go together: solve the equations for x+ first, or decouple the parameters")
+                raise ValueError(
+                    "E and uncertainties do not go together: solve the equations for x+ first, or decouple "
+                    "the parameters"
+                )
             given = E, A, B, C, D, disturbance, unknown_inputs, states
             A, B, C, D, disturbance, unknown_inputs, states = without_descriptor(*given)
         parts = plant(A, B, C, D, dt, disturbance, unknown_inputs, uncertainties, decouple)
-        signals = model_signals((parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges)
-        if horizon is not None and (isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0):
+        signals = model_signals(
+            (parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges
+        )
+        if horizon is not None and (
+            isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 0
+        ):
             raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
         if lags is not None:
             lags = whole_lags(lags)
             if horizon not in (None, lags[-1]):
-                raise ValueError(f"lags up to {lags[-1]} say by themselves how long a window is: leave the horizon {horizon} out")
+                raise ValueError(
+                    f"lags up to {lags[-1]} say by themselves how long a window is: leave the horizon "
+                    f"{horizon} out"
+                )
             horizon = lags[-1]
         measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
         vars(self).update(
@@ -195,7 +219,8 @@ class LinearSystem:
         """Return a copy of the model with some of the arguments changed that it could have been built from.
 
         Args:
-            changes: any arguments of `LinearSystem`. Matrices are those at the value 0 of every parameter, as they are there.
+            changes: any arguments of `LinearSystem`. Matrices are those at the value 0 of every parameter, as
+                they are there.
 
         Raises:
             ValueError, TypeError: as `LinearSystem`.
@@ -213,7 +238,9 @@ class LinearSystem:
 
     def _arguments(self) -> dict[str, Any]:
         """Return arguments that build this very model."""
-        matrices = {letter: centred(getattr(self, letter), self.uncertainties, letter, sign=-1) for letter in "ABCD"}
+        matrices = {
+            letter: centred(getattr(self, letter), self.uncertainties, letter, sign=-1) for letter in "ABCD"
+        }
         return matrices | {
             "dt": self.dt,
             "tolerance": self.tolerance,
@@ -283,26 +310,43 @@ class LinearSystem:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, LinearSystem):
             return NotImplemented
-        return self is other or all(getattr(self, f.name) == getattr(other, f.name) for f in fields(LinearSystem))
+        return self is other or all(
+            getattr(self, f.name) == getattr(other, f.name) for f in fields(LinearSystem)
+        )
 
     def __hash__(self) -> int:
-        return hash((self.name, self.sensors, self.signals))  # a few numbers tell models apart; those of large matrices would cost more
+        return hash(
+            (self.name, self.sensors, self.signals)
+        )  # a few numbers tell models apart; those of large matrices would cost more
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
-        raise FrozenInstanceError(f"a LinearSystem is a value: {name} cannot be set; model.replace(noise=..) makes a changed copy")
+        raise FrozenInstanceError(
+            f"a LinearSystem is a value: {name} cannot be set; model.replace(noise=..) makes a changed copy"
+        )
 
     def __delattr__(self, name: str) -> NoReturn:
-        raise FrozenInstanceError(f"a LinearSystem is a value: {name} cannot be deleted; model.replace(noise=..) makes a changed copy")
+        raise FrozenInstanceError(
+            f"a LinearSystem is a value: {name} cannot be deleted; model.replace(noise=..) makes a changed "
+            f"copy"
+        )
 
     def _rows(self):
         bounds = zip(self.outputs, self.tolerance, self.noise, self.resolution, strict=True)
         rows = {
-            name: f"tolerance {float(t):.4g}, noise {float(n):.4g}, resolution {float(r):.4g} {self.unit(name)}" for name, t, n, r in bounds
+            name: f"tolerance {float(t):.4g}, noise {float(n):.4g}, resolution {float(r):.4g} "
+            f"{self.unit(name)}"
+            for name, t, n, r in bounds
         }
         return rows | {u.name: repr(u) for u in self.uncertainties}
 
     def __repr__(self) -> str:
-        horizon = "" if self.horizon is None else f", horizon {self.horizon}" if self.lags is None else f", lags {self.lags}"
+        horizon = (
+            ""
+            if self.horizon is None
+            else f", horizon {self.horizon}"
+            if self.lags is None
+            else f", lags {self.lags}"
+        )
         signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
         return f"{type(self).__name__}({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{horizon})"
 
@@ -312,11 +356,17 @@ def _averages(given, parts, measured, outputs):
     found = averages_of(given, outputs, parts.disturbance)
     if found and (parts.uncertainties or measured.constant_tolerance):
         what = "uncertainties" if parts.uncertainties else "constant_tolerance"
-        raise ValueError(f"averages and {what} do not go together: they are tested beside exact models and tolerances drawn anew")
+        raise ValueError(
+            f"averages and {what} do not go together: they are tested beside exact models and tolerances "
+            f"drawn anew"
+        )
     for a in found:
         if a.signal in outputs and measured.tolerance[outputs.index(a.signal)]:
-            raise ValueError(f"averages of {a.signal!r} need its tolerance to be 0: a relative error of samples that differ has no mean; "
-                             "give the tolerance as noise")  # fmt: skip
+            raise ValueError(
+                f"averages of {a.signal!r} need its tolerance to be 0: a relative error of samples that "
+                f"differ has no mean; "
+                "give the tolerance as noise"
+            )
     return found
 
 

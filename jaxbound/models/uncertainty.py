@@ -18,14 +18,17 @@ LETTERS = ("A", "B", "C", "D")
 @readable
 @dataclass(frozen=True, init=False)
 class Uncertainty:
-    """A parameter of which only bounds are known, and what it multiplies: A(v) = A + v dA, and likewise B, C, D.
+    """A parameter of which only bounds are known, and what it multiplies: A(v) = A + v dA, and likewise B, C,
+    D.
 
     Args:
         name: of the parameter, for reports.
-        A, B, C, D: the coefficient of the parameter in the model's matrix of that letter, of its shape; None: it does not act there.
+        A, B, C, D: the coefficient of the parameter in the model's matrix of that letter, of its shape; None:
+            it does not act there.
         varying: True if it may have another value at each sample, False if it keeps one value over a window.
-        between: (lo, hi), the bounds of the parameter. The model's own matrices are those at the value 0 of the parameter, so a model
-            whose gain lies in [2, 6] has 0 at that place, 1 in the coefficient and between=(2, 6).
+        between: (lo, hi), the bounds of the parameter. The model's own matrices are those at the value 0 of
+            the parameter, so a model whose gain lies in [2, 6] has 0 at that place, 1 in the coefficient and
+            between=(2, 6).
 
     Attributes (exact numbers): A, B, C, D as tuples of rows or None, between.
 
@@ -74,9 +77,13 @@ class Uncertainty:
         try:
             lo, hi = (linalg.rational(x) for x in between)
         except (ValueError, TypeError):
-            raise ValueError(f"between of uncertainty {name!r} needs two numbers, lowest and highest: not {between!r}") from None
+            raise ValueError(
+                f"between of uncertainty {name!r} needs two numbers, lowest and highest: not {between!r}"
+            ) from None
         if lo >= hi:
-            raise ValueError(f"between of uncertainty {name!r} needs lo < hi, not [{float(lo):g}, {float(hi):g}]")
+            raise ValueError(
+                f"between of uncertainty {name!r} needs lo < hi, not [{float(lo):g}, {float(hi):g}]"
+            )
         vars(self).update(name=name, **matrices, varying=bool(varying), between=(lo, hi))
 
     @property
@@ -90,13 +97,18 @@ class Uncertainty:
         return (self.between[1] - self.between[0]) / 2
 
     def on(self, letter: str) -> Matrix | None:
-        """Return radius times the coefficient in one matrix, None where it does not act: what v in [-1, 1] multiplies."""
+        """Return radius times the coefficient in one matrix, None where it does not act: what v in [-1, 1]
+        multiplies.
+        """
         rows = getattr(self, letter)
         return None if rows is None else tuple(tuple(self.radius * x for x in row) for row in rows)
 
 
-def influences(given: Uncertainty | Sequence[Uncertainty], shapes: Mapping[str, tuple[int, int]]) -> tuple[Uncertainty, ...]:
-    """Check the uncertainties of a model against the shapes {"A": (n, n), ..} of its matrices and return them as a tuple.
+def influences(
+    given: Uncertainty | Sequence[Uncertainty], shapes: Mapping[str, tuple[int, int]]
+) -> tuple[Uncertainty, ...]:
+    """Check the uncertainties of a model against the shapes {"A": (n, n), ..} of its matrices and return them
+    as a tuple.
 
     Raises ValueError naming what does not fit, TypeError for anything that is no Uncertainty.
     """
@@ -108,7 +120,8 @@ def influences(given: Uncertainty | Sequence[Uncertainty], shapes: Mapping[str, 
             rows = getattr(u, letter)
             if rows is not None and (len(rows), len(rows[0])) != shapes[letter]:
                 raise ValueError(
-                    f"{letter} of uncertainty {u.name!r} must have the shape of the model's {letter}, {shapes[letter]}: "
+                    f"{letter} of uncertainty {u.name!r} must have the shape of the model's {letter}, "
+                    f"{shapes[letter]}: "
                     f"its shape is {(len(rows), len(rows[0]))}"
                 )
     names = [u.name for u in found]
@@ -119,9 +132,14 @@ def influences(given: Uncertainty | Sequence[Uncertainty], shapes: Mapping[str, 
 
 
 def centred(matrix: Matrix, uncertainties: Sequence[Uncertainty], letter: str, sign: int = 1) -> Matrix:
-    """Return the matrix at the middle of all parameters (sign 1), or from that the one at the value 0 of them all (sign -1)."""
+    """Return the matrix at the middle of all parameters (sign 1), or from that the one at the value 0 of them
+    all (sign -1).
+    """
     for u in uncertainties:
         rows = getattr(u, letter)
         if rows is not None and u.centre:
-            matrix = tuple(tuple(x + sign * u.centre * d for x, d in zip(r, s, strict=True)) for r, s in zip(matrix, rows, strict=True))
+            matrix = tuple(
+                tuple(x + sign * u.centre * d for x, d in zip(r, s, strict=True))
+                for r, s in zip(matrix, rows, strict=True)
+            )
     return tuple(tuple(map(Fraction, row)) for row in matrix)

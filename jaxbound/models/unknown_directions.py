@@ -1,19 +1,23 @@
-"""Where unknown inputs may carry the state, whatever they do, and how the outputs of one sample take that out again.
+"""Where unknown inputs may carry the state, whatever they do, and how the outputs of one sample take that out
+again.
 
-Inputs without a bound, x+ = A x + F v + .., move a state that is known into a subspace of which nothing is known. Outputs y = C x + .. show
-a part of it, the rest goes on through A. The smallest subspace S that holds all of this, from any start on,
+Inputs without a bound, x+ = A x + F v + .., move a state that is known into a subspace of which nothing is
+known. Outputs y = C x + .. show a part of it, the rest goes on through A. The smallest subspace S that holds
+all of this, from any start on,
 
     S  >=  range F + A N,      N = the part of S that no output shows = S & ker C,
 
-does not depend on time. So with x_0 = the state less anything of S, before a sample, and m = C x, for every such x
+does not depend on time. So with x_0 = the state less anything of S, before a sample, and m = C x, for every
+such x
 
     x  =  M x_0 + H m + (anything of N),      M = (I - Y)(I - H C),   M S = 0,   C M + C H C = C,
 
-H working S out of as many outputs as show it, Y taking the part N away, C Y = 0. What M x_0 + H m follows is a plant without unknown
-inputs, and no less is known of its outputs. All numbers are exact; A may be uncertain, C may not.
+H working S out of as many outputs as show it, Y taking the part N away, C Y = 0. What M x_0 + H m follows is
+a plant without unknown inputs, and no less is known of its outputs. All numbers are exact; A may be
+uncertain, C may not.
 
-Source: Basile, Marro 1992, 4.1 (the least conditioned invariant that holds range F); Kitanidis 1987 (filters that unknown inputs do not
-disturb, for N = 0: rank C F = rank F).
+Source: Basile, Marro 1992, 4.1 (the least conditioned invariant that holds range F); Kitanidis 1987 (filters
+that unknown inputs do not disturb, for N = 0: rank C F = rank F).
 """
 
 from collections.abc import Sequence
@@ -30,13 +34,17 @@ from jaxbound.models.uncertainty import Uncertainty, centred
 __all__ = ["Directions", "Way", "unknown_directions", "with_direct_states"]
 
 WAYS, TRIED = 16, 200
-"""Sets of outputs that S is worked out of, at most: where one of them is missing, another is taken. And how many are tried."""
+"""Sets of outputs that S is worked out of, at most: where one of them is missing, another is taken. And how
+many are tried.
+"""
 ZERO = Fraction(0)
 
 
 @dataclass(frozen=True)
 class Way:
-    """One way to take S out of a sample. Fields: outputs: those that are used up; M (n, n), H (n, p): see the module, exact."""
+    """One way to take S out of a sample. Fields: outputs: those that are used up; M (n, n), H (n, p): see the
+    module, exact.
+    """
 
     outputs: tuple[int, ...]
     M: Matrix
@@ -47,7 +55,8 @@ class Way:
 class Directions:
     """The subspaces S and N of a model.
 
-    Fields: rows: a basis of S in reduced echelon form; hidden: of N; ways: the first one where all outputs are there.
+    Fields: rows: a basis of S in reduced echelon form; hidden: of N; ways: the first one where all outputs
+    are there.
     """
 
     rows: Matrix
@@ -71,16 +80,19 @@ class Directions:
 
 
 def unknown_directions(model: LinearSystem) -> Directions | None:
-    """Return the Directions of a model with D_v = 0 (see `with_direct_states`); None if no unknown input moves a state.
+    """Return the Directions of a model with D_v = 0 (see `with_direct_states`); None if no unknown input
+    moves a state.
 
     Raises:
-        ValueError: uncertain parameters that act on the outputs, unknown inputs that explain whatever the outputs show.
+        ValueError: uncertain parameters that act on the outputs, unknown inputs that explain whatever the
+            outputs show.
     """
     moves = [model.A, *(rows for u in model.uncertainties if (rows := u.on("A")))]
     for u in model.uncertainties:
         if model.d and u.C is not None and any(x for row in u.C for x in row):
             raise ValueError(
-                f"an observer of unknown inputs needs certain outputs, and {u.name!r} acts on C: decouple it, or make C certain"
+                f"an observer of unknown inputs needs certain outputs, and {u.name!r} acts on C: decouple "
+                f"it, or make C certain"
             )
     columns = [c for c in linalg.transpose(model.F) if any(c)]
     if not columns:
@@ -91,11 +103,17 @@ def unknown_directions(model: LinearSystem) -> Directions | None:
     return Directions(rows, hidden, _ways(model, rows, hidden))
 
 
-def _smallest(model: LinearSystem, moves: Sequence[Matrix], columns: Sequence[tuple]) -> tuple[Matrix, Matrix]:
+def _smallest(
+    model: LinearSystem, moves: Sequence[Matrix], columns: Sequence[tuple]
+) -> tuple[Matrix, Matrix]:
     """Return bases (S, N), rows in reduced echelon form."""
     rows = linalg.row_reduce(columns)[0]
     while True:
-        hidden = linalg.row_reduce(linalg.matmul(linalg.left_null_space(_seen(model.C, rows)), rows))[0] if rows else ()
+        hidden = (
+            linalg.row_reduce(linalg.matmul(linalg.left_null_space(_seen(model.C, rows)), rows))[0]
+            if rows
+            else ()
+        )
         more = [row for A in moves for row in linalg.matmul(hidden, linalg.transpose(A))] if hidden else []
         grown = linalg.row_reduce([*rows, *more])[0]
         if len(grown) == len(rows):
@@ -117,7 +135,13 @@ def _ways(model: LinearSystem, rows: Matrix, hidden: Matrix) -> tuple[Way, ...]:
     quiet = sorted(range(p), key=lambda i: loud[i])
     identity = [tuple(Fraction(i == j) for j in range(n)) for i in range(n)]
     places = [next(i for i, x in enumerate(row) if x) for row in hidden]
-    spread = [[sum((row[i] for row, place in zip(hidden, places, strict=True) if place == j), ZERO) for j in range(n)] for i in range(n)]
+    spread = [
+        [
+            sum((row[i] for row, place in zip(hidden, places, strict=True) if place == j), ZERO)
+            for j in range(n)
+        ]
+        for i in range(n)
+    ]
     found: list[Way] = []
     for outputs in islice(combinations(quiet, len(kept)), TRIED):
         chosen = [[seen[j][i] for j in kept] for i in outputs]
@@ -126,8 +150,12 @@ def _ways(model: LinearSystem, rows: Matrix, hidden: Matrix) -> tuple[Way, ...]:
         narrow = linalg.matmul(S, linalg.inverse(chosen))
         H = [[row[outputs.index(i)] if i in outputs else ZERO for i in range(p)] for row in narrow]
         rest = _less(identity, linalg.matmul(H, model.C))
-        found.append(Way(tuple(sorted(outputs)), *(_tuple(_less(X, linalg.matmul(spread, X))) for X in (rest, H))))
-    found.sort(key=lambda way: sum(abs(float(x)) * size for row in way.H for x, size in zip(row, loud, strict=True)))
+        found.append(
+            Way(tuple(sorted(outputs)), *(_tuple(_less(X, linalg.matmul(spread, X))) for X in (rest, H)))
+        )
+    found.sort(
+        key=lambda way: sum(abs(float(x)) * size for row in way.H for x, size in zip(row, loud, strict=True))
+    )
     return tuple(found[:WAYS])
 
 
@@ -139,7 +167,11 @@ def _nothing_left(model, moves):
         if fewer and linalg.rank(_seen(model.C, _smallest(model, moves, fewer)[0])) == model.p:
             del columns[j]
     named = ", ".join(map(str, columns))
-    which = f"unknown input {named} alone explains" if len(columns) == 1 else f"unknown inputs {named} together explain"
+    which = (
+        f"unknown input {named} alone explains"
+        if len(columns) == 1
+        else f"unknown inputs {named} together explain"
+    )
     return (
         f"{which} whatever the {model.p} outputs show, in an observer as in windows of any horizon: "
         "measure one more signal, or give bounds (disturbance=...)"
@@ -147,7 +179,9 @@ def _nothing_left(model, moves):
 
 
 def with_direct_states(model: LinearSystem) -> LinearSystem:
-    """Return the model with one more state for each unknown input that acts on an output at once: it is what the next step brings."""
+    """Return the model with one more state for each unknown input that acts on an output at once: it is what
+    the next step brings.
+    """
     direct = [j for j, column in enumerate(linalg.transpose(model.D_v)) if any(column)]
     if not direct:
         return model

@@ -8,7 +8,8 @@
 | | G_v | rows of the outputs on the unknown inputs v_k .. v_{k+s-1}, and v_{k+s} too if D_v is not zero |
 | L_0, M, N | L, M, N | outputs on all states; dynamics; inputs |
 
-Rows are time-major: y_k, then y_{k+1}, ... The inputs are u_k .. u_{k+s-1}, and u_{k+s} too if the model has feedthrough D.
+Rows are time-major: y_k, then y_{k+1}, ... The inputs are u_k .. u_{k+s-1}, and u_{k+s} too if the model has
+feedthrough D.
 
 Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 """
@@ -20,8 +21,18 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["disturbance_form", "first_form", "input_lags", "row_count", "runs", "second_form", "seen_rows", "unbounded",
-           "unknown_lags", "unknowns"]  # fmt: skip
+__all__ = [
+    "disturbance_form",
+    "first_form",
+    "input_lags",
+    "row_count",
+    "runs",
+    "second_form",
+    "seen_rows",
+    "unbounded",
+    "unknown_lags",
+    "unknowns",
+]
 
 ZERO = Fraction(0)
 
@@ -37,24 +48,39 @@ def unknown_lags(model: LinearSystem, horizon: int) -> int:
 
 
 def seen_rows(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[int, ...]:
-    """Return the numbers of the rows of (Y, w) in a window that looks at its outputs only so many samples before its last."""
+    """Return the numbers of the rows of (Y, w) in a window that looks at its outputs only so many samples
+    before its last.
+    """
     outputs = ((horizon - lag) * model.p + i for lag in sorted(lags, reverse=True) for i in range(model.p))
     first, measured = (horizon + 1) * model.p + model.g * horizon, (horizon + 1) * model.p
-    ends = (first + i for i, (_, rows) in enumerate(runs(model, horizon)) if rows[-1] >= measured or horizon - rows[-1] // model.p in lags)
+    ends = (
+        first + i
+        for i, (_, rows) in enumerate(runs(model, horizon))
+        if rows[-1] >= measured or horizon - rows[-1] // model.p in lags
+    )
     return *outputs, *range(measured, first), *ends
 
 
 def runs(model: LinearSystem, horizon: int) -> list[tuple[int, tuple[int, ...]]]:
-    """Return (number of the average, rows of (Y, w) that it combines) for every run of consecutive samples that lies in a window.
+    """Return (number of the average, rows of (Y, w) that it combines) for every run of consecutive samples
+    that lies in a window.
 
-    With lags an average is looked at where it ends at a sample that is looked at; it uses every sample of its run.
+    With lags an average is looked at where it ends at a sample that is looked at; it uses every sample of its
+    run.
     """
     found = []
     for number, average in enumerate(model.averages):
         measured, place = average.place(model.outputs)
         first = place if measured else (horizon + 1) * model.p + place
-        width, samples, length = (model.p, horizon + 1, len(average.weights)) if measured else (model.g, horizon, len(average.weights))
-        found += [(number, tuple(first + width * j for j in range(k, k + length))) for k in range(samples - length + 1)]
+        width, samples, length = (
+            (model.p, horizon + 1, len(average.weights))
+            if measured
+            else (model.g, horizon, len(average.weights))
+        )
+        found += [
+            (number, tuple(first + width * j for j in range(k, k + length)))
+            for k in range(samples - length + 1)
+        ]
     return found
 
 
@@ -64,7 +90,9 @@ def row_count(model: LinearSystem, horizon: int) -> int:
 
 
 def unbounded(model: LinearSystem, horizon: int) -> Matrix:
-    """Return [O G_v], all that has no bound; its first rows are those of a shorter horizon, filled up with zeros."""
+    """Return [O G_v], all that has no bound; its first rows are those of a shorter horizon, filled up with
+    zeros.
+    """
     blocks = _outputs_on_state(model, horizon)
     through = _toeplitz(blocks, model.F, model.D_v, unknown_lags(model, horizon))
     return tuple(o + v for o, v in zip((row for block in blocks for row in block), through, strict=True))
@@ -79,10 +107,16 @@ def _outputs_on_state(model: LinearSystem, horizon: int) -> list[Matrix]:
 
 
 def _toeplitz(outputs_on_state: list[Matrix], drive: Matrix, direct: Matrix, lags: int) -> Matrix:
-    """Return the rows of the outputs on a signal that acts by `drive` on the state and by `direct` on the outputs, `lags` samples of it."""
+    """Return the rows of the outputs on a signal that acts by `drive` on the state and by `direct` on the
+    outputs, `lags` samples of it.
+    """
     width, p = len(direct[0]), len(direct)
     still = tuple((ZERO,) * width for _ in direct)
-    responses = [direct] + [linalg.matmul(block, drive) if drive else still for block in outputs_on_state[:-1]] if width else []
+    responses = (
+        [direct] + [linalg.matmul(block, drive) if drive else still for block in outputs_on_state[:-1]]
+        if width
+        else []
+    )
     return tuple(
         tuple(responses[j - k][i][c] if j >= k else ZERO for k in range(lags) for c in range(width))
         for j in range(len(outputs_on_state))
@@ -93,7 +127,9 @@ def _toeplitz(outputs_on_state: list[Matrix], drive: Matrix, direct: Matrix, lag
 def first_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (O, H) with Y = O x_k + H U for an exact plant. Source: (3)."""
     blocks = _outputs_on_state(model, horizon)
-    return tuple(row for block in blocks for row in block), _toeplitz(blocks, model.B, model.D, input_lags(model, horizon))
+    return tuple(row for block in blocks for row in block), _toeplitz(
+        blocks, model.B, model.D, input_lags(model, horizon)
+    )
 
 
 def disturbance_form(model: LinearSystem, horizon: int) -> Matrix:
@@ -105,15 +141,18 @@ def disturbance_form(model: LinearSystem, horizon: int) -> Matrix:
 def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (E, K): all that bounds speak of in a window, on its unknowns and inputs, for an exact plant.
 
-    The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w) = E (x_k, w, v) + K U,
-    E = [O V G_v; 0 I 0], K = [H; 0]; then those of the averages, a = F (Y, w): weighted sums of rows before.
+    The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w)
+    = E (x_k, w, v) + K U, E = [O V G_v; 0 I 0], K = [H; 0]; then those of the averages, a = F (Y, w):
+    weighted sums of rows before.
     """
     O, H = first_form(model, horizon)
     G_v = tuple(row[model.n :] for row in unbounded(model, horizon))
     V = disturbance_form(model, horizon)
     count = model.g * horizon
     nothing = (ZERO,) * len(G_v[0])
-    own = tuple((ZERO,) * model.n + tuple(Fraction(int(i == j)) for j in range(count)) + nothing for i in range(count))
+    own = tuple(
+        (ZERO,) * model.n + tuple(Fraction(int(i == j)) for j in range(count)) + nothing for i in range(count)
+    )
     lags = model.m * input_lags(model, horizon)
     E, K = tuple(o + w + v for o, w, v in zip(O, V, G_v, strict=True)) + own, H + ((ZERO,) * lags,) * count
     F = [_spread(model.averages[a].weights, rows, len(E)) for a, rows in runs(model, horizon)]
@@ -127,7 +166,9 @@ def _spread(weights: Vector, rows: Sequence[int], count: int) -> list[Fraction]:
 
 
 def second_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return (L, M, N, H) with Y = L X + H U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}, v_k, ..). Source: (10)-(12)."""
+    """Return (L, M, N, H) with Y = L X + H U and M X = N U for an exact plant, X = (x_k, .., x_{k+s}, v_k,
+    ..). Source: (10)-(12).
+    """
     n, m, lags, unknown = model.n, model.m, input_lags(model, horizon), unknown_lags(model, horizon)
     L, H, M, N = [], [], [], []
     for j in range(horizon + 1):

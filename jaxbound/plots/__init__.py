@@ -1,4 +1,6 @@
-"""Pictures of results. They take results, never the other way round. Each file registers with `plot` what it draws."""
+"""Pictures of results. They take results, never the other way round. Each file registers with `plot` what it
+draws.
+"""
 
 from jaxbound.plots import bank, fit, observation, result, sets, signatures, study, tune, validation
 

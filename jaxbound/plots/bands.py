@@ -5,7 +5,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, PANELS, bins, finish, shade, stacked, style, thinning, time_axis
+from jaxbound.plots.canvas import (
+    ENVELOPE,
+    FAULTY,
+    GRID,
+    INK,
+    PANELS,
+    bins,
+    finish,
+    shade,
+    stacked,
+    style,
+    thinning,
+    time_axis,
+)
 from jaxbound.sets.intervals.interval import Interval
 
 if TYPE_CHECKING:
@@ -16,7 +29,9 @@ __all__ = ["Band", "draw_band", "draw_bands", "name_band", "one_of", "one_record
 
 
 class Band(NamedTuple):
-    """One panel of a picture of bands: its title, and what `draw_band` takes, y None where nothing was measured."""
+    """One panel of a picture of bands: its title, and what `draw_band` takes, y None where nothing was
+    measured.
+    """
 
     title: str
     band: Interval
@@ -31,27 +46,37 @@ def one_recording(
     """Return (time (T,) or None, y (T, p) or None) as arrays, for a picture of one recording.
 
     Args:
-        what, made: what is drawn and how it came to be, for sentences: "validation", "validate". shape: of its samples, (T,). p: outputs.
+        what, made: what is drawn and how it came to be, for sentences: "validation", "validate". shape: of
+            its samples, (T,). p: outputs.
 
     Raises:
         ValueError: a batch of recordings, a time axis or samples of another shape.
     """
     if len(shape) != 1:
-        raise ValueError(f"a plot shows one recording, this {what} has the shape {shape}: {made} and plot one of them")
+        raise ValueError(
+            f"a plot shows one recording, this {what} has the shape {shape}: {made} and plot one of them"
+        )
     time, y = (None if x is None else np.asarray(x) for x in (time, y))
     if time is not None and time.shape != shape:
-        raise ValueError(f"time needs one entry for each of the {shape[0]} samples: its shape is {time.shape}")
+        raise ValueError(
+            f"time needs one entry for each of the {shape[0]} samples: its shape is {time.shape}"
+        )
     if y is not None and y.shape != (*shape, p):
-        raise ValueError(f"y needs the samples that were {made.removesuffix('e')}ed, of shape {(*shape, p)}: its shape is {y.shape}")
+        raise ValueError(
+            f"y needs the samples that were {made.removesuffix('e')}ed, of shape {(*shape, p)}: its shape is "
+            f"{y.shape}"
+        )
     return time, y
 
 
-def draw_bands(panels: Sequence[Band], time: np.ndarray | None, what: str, name: str = "by accepted samples") -> "Figure":
+def draw_bands(
+    panels: Sequence[Band], time: np.ndarray | None, what: str, name: str = "by accepted samples"
+) -> "Figure":
     """Draw bands of one recording below each other over one time axis, at most 12.
 
     Args:
-        panels: of (T,) samples each. time: (T,) seconds or datetime64; None: the numbers of the samples. what: there are more of than are
-            drawn, for the title: "outputs". name: of the band.
+        panels: of (T,) samples each. time: (T,) seconds or datetime64; None: the numbers of the samples.
+            what: there are more of than are drawn, for the title: "outputs". name: of the band.
 
     Returns:
         A matplotlib Figure.
@@ -65,7 +90,11 @@ def draw_bands(panels: Sequence[Band], time: np.ndarray | None, what: str, name:
         for i, (ax, (title, band, y, faulty, middle)) in enumerate(zip(axes, drawn, strict=True)):
             samples = np.full(count, np.nan) if y is None else y
             draw_band(ax, band, samples, faulty, at, edges, count, middle, name)
-            ax.set_title(f"{title}{more if i == 0 else ''}{thinning(count, len(edges), 'extremes')}", pad=6, parse_math=False)
+            ax.set_title(
+                f"{title}{more if i == 0 else ''}{thinning(count, len(edges), 'extremes')}",
+                pad=6,
+                parse_math=False,
+            )
         name_band(axes[0], "measured" if panels[0].y is None else None)
         finish(fig, axes, at, label, dates, top=0.7, gap=0.36)
     return fig
@@ -81,19 +110,35 @@ def name_band(ax: "Axes", without: str | None = None) -> None:
     handles, labels = ax.get_legend_handles_labels()
     drawn = dict(zip(labels, handles, strict=True))
     named = [name for name in drawn if name != "FAULT" and not (without and name.startswith(without))]
-    ax.legend([drawn[name] for name in named], named, loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    ax.legend(
+        [drawn[name] for name in named],
+        named,
+        loc="lower right",
+        ncols=4,
+        bbox_to_anchor=(1.0, 1.0),
+        borderaxespad=0.2,
+    )
 
 
 def draw_band(
-    ax: "Axes", band: Interval, y: np.ndarray, faulty: np.ndarray, x: np.ndarray, edges: np.ndarray, stop: int,
-    middle: Interval | None = None, name: str = "by accepted samples",
-) -> None:  # fmt: skip
-    """Draw a band and the samples y of one signal, the bins that start at the samples `edges`, one sample each or the extremes of many.
+    ax: "Axes",
+    band: Interval,
+    y: np.ndarray,
+    faulty: np.ndarray,
+    x: np.ndarray,
+    edges: np.ndarray,
+    stop: int,
+    middle: Interval | None = None,
+    name: str = "by accepted samples",
+) -> None:
+    """Draw a band and the samples y of one signal, the bins that start at the samples `edges`, one sample
+    each or the extremes of many.
 
     Args:
-        band: (T,), infinite where nothing is known, lo > hi where nothing is left. y, faulty: (T,) samples, and which of them are marked.
-        x: (T,) time. stop: the sample behind the last bin. middle: (T,), whose middle stands in where a sample is faulty or missing, or
-            None. name: of the band.
+        band: (T,), infinite where nothing is known, lo > hi where nothing is left. y, faulty: (T,) samples,
+            and which of them are marked.
+        x: (T,) time. stop: the sample behind the last bin. middle: (T,), whose middle stands in where a
+            sample is faulty or missing, or None. name: of the band.
     """
     finite = lambda end: np.where(np.isfinite(end), end, np.nan)[:stop]
     lo, hi = (finite(np.asarray(end)) for end in (band.lo, band.hi))
@@ -107,7 +152,9 @@ def draw_band(
     for edge in (lo, hi):
         ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
     if stop - edges[0] > len(edges):
-        ax.fill_between(at, least(healthy), most(healthy), color="#57606a", lw=0.5, alpha=0.7, label="measured")
+        ax.fill_between(
+            at, least(healthy), most(healthy), color="#57606a", lw=0.5, alpha=0.7, label="measured"
+        )
         ax.fill_between(at, least(wrong), most(wrong), color=FAULTY, lw=1.2, label="measured, faulty")
     else:
         ax.plot(at, healthy[edges], color="#57606a", lw=0.8, marker=".", ms=2.5, label="measured")
@@ -129,6 +176,9 @@ def _limits(ax: "Axes", lo: np.ndarray, hi: np.ndarray, y: np.ndarray) -> None:
     width = max(top - bottom, 1e-300)
     y = y[np.isfinite(y)]
     if len(y):
-        bottom, top = max(min(bottom, float(y.min())), bottom - 2 * width), min(max(top, float(y.max())), top + 2 * width)
+        bottom, top = (
+            max(min(bottom, float(y.min())), bottom - 2 * width),
+            min(max(top, float(y.max())), top + 2 * width),
+        )
     pad = 0.06 * (top - bottom)
     ax.set_ylim(bottom - pad, top + pad)

@@ -1,11 +1,24 @@
-"""The picture of a bank of relations on a recording: which are violated, and which single faults explain that."""
+"""The picture of a bank of relations on a recording: which are violated, and which single faults explain
+that.
+"""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxbound.diagnosis.isolation import BankResult
-from jaxbound.plots.canvas import BINS, COLOURS, FAULTY, GRID, PALE, finish, stacked, style, time_axis, time_of
+from jaxbound.plots.canvas import (
+    BINS,
+    COLOURS,
+    FAULTY,
+    GRID,
+    PALE,
+    finish,
+    stacked,
+    style,
+    time_axis,
+    time_of,
+)
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
 
@@ -30,10 +43,26 @@ def plot_bank(res: BankResult, time: np.ndarray | None = None) -> "Figure":
     with style():
         count = len(table.relations)
         fig, (top, bottom) = stacked(2, (11, 1.6 + 0.2 * (count + len(res.faults))), [count, len(res.faults)])
-        panels = ((top, gather(res.violated), table.relations, FAULTY, "Relations violated, each a proof"),
-                  (bottom, gather(res.candidates), res.faults, COLOURS[Status.UNDECIDED], "Single faults that explain them"))  # fmt: skip
+        panels = (
+            (top, gather(res.violated), table.relations, FAULTY, "Relations violated, each a proof"),
+            (
+                bottom,
+                gather(res.candidates),
+                res.faults,
+                COLOURS[Status.UNDECIDED],
+                "Single faults that explain them",
+            ),
+        )
         for ax, on, names, colour, title in panels:
-            ax.pcolormesh(edges, np.arange(len(names) + 1), on, cmap=ListedColormap([PALE, colour]), vmin=0, vmax=1, shading="flat")
+            ax.pcolormesh(
+                edges,
+                np.arange(len(names) + 1),
+                on,
+                cmap=ListedColormap([PALE, colour]),
+                vmin=0,
+                vmax=1,
+                shading="flat",
+            )
             ax.set_yticks(np.arange(len(names)) + 0.5, names, fontsize=8)
             ax.set_title(title)
             ax.hlines(np.arange(1, len(names)), edges[0], edges[-1], color=GRID, lw=0.6)

@@ -1,8 +1,10 @@
-"""The sheet that pictures are drawn on: colours, sizes, a time axis that reads well, bins of long recordings, PNG bytes.
+"""The sheet that pictures are drawn on: colours, sizes, a time axis that reads well, bins of long recordings,
+PNG bytes.
 
-Pictures take results, never the other way round, and touch no global state of matplotlib. Colours are near those of Okabe and Ito, which
-colour-blind readers can tell apart; FAULT and CONSISTENT differ in lightness too, so that they do on a grey print. Recordings of more than
-5000 samples are drawn as the extremes of 1200 bins; a bin with a single FAULT window is drawn as FAULT.
+Pictures take results, never the other way round, and touch no global state of matplotlib. Colours are near
+those of Okabe and Ito, which colour-blind readers can tell apart; FAULT and CONSISTENT differ in lightness
+too, so that they do on a grey print. Recordings of more than 5000 samples are drawn as the extremes of 1200
+bins; a bin with a single FAULT window is drawn as FAULT.
 """
 
 import io
@@ -21,24 +23,56 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
-__all__ = ["bins", "canvas", "finish", "inside", "label_time", "shade", "stacked", "style", "thinning", "time_axis", "time_of", "to_png"]
+__all__ = [
+    "bins",
+    "canvas",
+    "finish",
+    "inside",
+    "label_time",
+    "shade",
+    "stacked",
+    "style",
+    "thinning",
+    "time_axis",
+    "time_of",
+    "to_png",
+]
 
-COLOURS = {Status.MISSING: "#c9ccd1", Status.CONSISTENT: "#6fcfb0", Status.UNDECIDED: "#e69f00", Status.FAULT: "#b33c00"}
+COLOURS = {
+    Status.MISSING: "#c9ccd1",
+    Status.CONSISTENT: "#6fcfb0",
+    Status.UNDECIDED: "#e69f00",
+    Status.FAULT: "#b33c00",
+}
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
 PALE = "#eef1f4"
 SAMPLES, BINS, PANELS = 5000, 1200, 12
 BOTTOM = 0.55  # inches below the lowest axes
 STYLE: "dict[RcKeyType, object]" = {
-    "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#8a9099", "axes.labelcolor": "#30363d",
-    "xtick.color": "#30363d", "ytick.color": "#30363d", "axes.titlesize": 10.5, "axes.titlelocation": "left", "axes.titlecolor": "#16324f",
-    "legend.frameon": False, "axes.axisbelow": True, "font.family": "DejaVu Sans", "mathtext.fontset": "dejavusans"}  # fmt: skip
+    "font.size": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#8a9099",
+    "axes.labelcolor": "#30363d",
+    "xtick.color": "#30363d",
+    "ytick.color": "#30363d",
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.titlecolor": "#16324f",
+    "legend.frameon": False,
+    "axes.axisbelow": True,
+    "font.family": "DejaVu Sans",
+    "mathtext.fontset": "dejavusans",
+}
 
 
 def to_png(fig: "Figure", dpi: int = 130) -> bytes:
     """Return a Figure as the bytes of a PNG picture."""
     out = io.BytesIO()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from")  # a name in letters that the font does not have
+        warnings.filterwarnings(
+            "ignore", "Glyph .* missing from"
+        )  # a name in letters that the font does not have
         _plain_where_no_formula(fig)
         fig.savefig(out, format="png", dpi=dpi, facecolor="white")
     return out.getvalue()
@@ -74,8 +108,12 @@ def canvas(size: tuple[float, float]) -> "Figure":
     return fig
 
 
-def stacked(rows: int, size: tuple[float, float], heights: Sequence[float], shared: bool = True) -> "tuple[Figure, list[Axes]]":
-    """Return (figure, axes): axes above each other, of relative heights, that share the time axis if not said otherwise."""
+def stacked(
+    rows: int, size: tuple[float, float], heights: Sequence[float], shared: bool = True
+) -> "tuple[Figure, list[Axes]]":
+    """Return (figure, axes): axes above each other, of relative heights, that share the time axis if not said
+    otherwise.
+    """
     fig = canvas(size)
     axes = fig.subplots(rows, 1, sharex=shared, gridspec_kw={"height_ratios": heights}, squeeze=False)
     return fig, list(axes[:, 0])
@@ -84,13 +122,18 @@ def stacked(rows: int, size: tuple[float, float], heights: Sequence[float], shar
 def time_of(res: Result, time: np.ndarray | None) -> np.ndarray:
     """Return the time axis of a Result: as given, of its DataFrame, or sample numbers times dt."""
     if res.status.ndim != 1:
-        raise ValueError(f"a plot shows one recording, this result has the shape {res.status.shape}: detect and plot one of them")
+        raise ValueError(
+            f"a plot shows one recording, this result has the shape {res.status.shape}: detect and plot one "
+            f"of them"
+        )
     if time is None and np.issubdtype(getattr(res.index, "dtype", int), np.datetime64):
         x = np.asarray(res.index)
     else:
         x = np.arange(len(res.status)) * res.relations.model.dt if time is None else np.asarray(time)
     if x.shape != res.status.shape:
-        raise ValueError(f"time needs one entry for each of the {len(res.status)} samples: its shape is {x.shape}")
+        raise ValueError(
+            f"time needs one entry for each of the {len(res.status)} samples: its shape is {x.shape}"
+        )
     return x
 
 
@@ -110,10 +153,12 @@ def bins(count: int) -> np.ndarray:
 
 
 def inside(edges: np.ndarray, start: int, count: int) -> tuple[int, int, np.ndarray]:
-    """Return (the first bin, the one behind the last, where each begins) of the samples start .. start + count - 1, counted from `start`.
+    """Return (the first bin, the one behind the last, where each begins) of the samples start .. start +
+    count - 1, counted from `start`.
 
     Args:
-        edges: where each bin starts, of `bins`. start, count: a piece of the recording, in whose first bin may be samples before it.
+        edges: where each bin starts, of `bins`. start, count: a piece of the recording, in whose first bin
+            may be samples before it.
     """
     first, stop = np.searchsorted(edges, (start, start + count), "left")
     begun = int(first) - int(first == len(edges) or edges[first] > start)
@@ -134,11 +179,23 @@ def shade(ax: "Axes", x: np.ndarray, on: np.ndarray) -> None:
     ends = np.flatnonzero(np.diff(np.concatenate([on.astype(int), [0]])) == -1)
     edges = np.column_stack([x[starts] - half, x[starts] - half, x[ends] + half, x[ends] + half]).ravel()
     level = np.tile([0, 1, 1, 0], len(starts))
-    ax.fill_between(edges, 0, level, transform=ax.get_xaxis_transform(), color="#fbe3d6", lw=0.4, zorder=0, label="FAULT")
+    ax.fill_between(
+        edges, 0, level, transform=ax.get_xaxis_transform(), color="#fbe3d6", lw=0.4, zorder=0, label="FAULT"
+    )
 
 
-def finish(fig: "Figure", axes: "Sequence[Axes]", x: np.ndarray, label: str, dates: bool, top: float = 0.62, gap: float = 0.09) -> None:
-    """Label the time axis of the lowest axes and place all of them: margins in inches, gap relative to an axes' height."""
+def finish(
+    fig: "Figure",
+    axes: "Sequence[Axes]",
+    x: np.ndarray,
+    label: str,
+    dates: bool,
+    top: float = 0.62,
+    gap: float = 0.09,
+) -> None:
+    """Label the time axis of the lowest axes and place all of them: margins in inches, gap relative to an
+    axes' height.
+    """
     for ax in axes[:-1]:
         ax.tick_params(labelbottom=False)
     label_time(axes[-1], x, label, dates)

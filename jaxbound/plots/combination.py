@@ -1,4 +1,6 @@
-"""The combination of samples that a certificate speaks of, over time, and what healthy sensors can make of it."""
+"""The combination of samples that a certificate speaks of, over time, and what healthy sensors can make of
+it.
+"""
 
 import numpy as np
 
@@ -9,10 +11,12 @@ __all__ = ["combination"]
 
 
 def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (value, width), each (T,), of the certificate's relation in every window of a recording u (T, m), y (T, p).
+    """Return (value, width), each (T,), of the certificate's relation in every window of a recording u (T,
+    m), y (T, p).
 
-    A window that ends at sample k contradicts the relation where |value[k]| > width[k]; both are NaN where a sample that it needs is
-    missing. In the certified window they are its residual and width. Not rounded outward: for pictures.
+    A window that ends at sample k contradicts the relation where |value[k]| > width[k]; both are NaN where a
+    sample that it needs is missing. In the certified window they are its residual and width. Not rounded
+    outward: for pictures.
 
     Source: Adrot, Maquin, Ragot 2000, (7), (9).
     """
@@ -34,7 +38,11 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
         if not x:
             continue
         average = model.averages[a]
-        value_of, width_of = _averaged(window, average, run, y, s, count) if run[0] < (s + 1) * p else (0.0, float(average.bound))
+        value_of, width_of = (
+            _averaged(window, average, run, y, s, count)
+            if run[0] < (s + 1) * p
+            else (0.0, float(average.bound))
+        )
         value += x * value_of
         width += abs(x) * width_of
     for j, x in enumerate(h[(s + 1) * p : (s + 1) * p + g * s]):
@@ -62,7 +70,9 @@ def _averaged(window, average, run, y, s, count):
 
 
 def _limits(window, i, y, s, count):
-    """Return two functions of j: the least and the largest true value, less the offset, behind sample j of output i of every window."""
+    """Return two functions of j: the least and the largest true value, less the offset, behind sample j of
+    output i of every window.
+    """
     tolerance, noise, resolution = (float(x[i]) for x in (window.tolerance, window.noise, window.resolution))
     offset, unit = float(window.model.offset["y"][i]), float(window.unit)
     largest = np.zeros(count)
@@ -73,4 +83,6 @@ def _limits(window, i, y, s, count):
     def stretched(v):
         return np.where(v > 0, v / (1 - tolerance), v / (1 + tolerance))
 
-    return (lambda j: -stretched(rho - y[j : j + count] + offset)), (lambda j: stretched(rho + y[j : j + count] - offset))
+    return (lambda j: -stretched(rho - y[j : j + count] + offset)), (
+        lambda j: stretched(rho + y[j : j + count] - offset)
+    )

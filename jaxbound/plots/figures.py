@@ -10,7 +10,18 @@ from jaxbound.diagnosis.result import Result
 from jaxbound.models.faults import Fault
 from jaxbound.models.simulate import Trajectory
 from jaxbound.models.system import LinearSystem
-from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, canvas, finish, stacked, style, time_axis, time_of
+from jaxbound.plots.canvas import (
+    ENVELOPE,
+    FAULTY,
+    GRID,
+    INK,
+    canvas,
+    finish,
+    stacked,
+    style,
+    time_axis,
+    time_of,
+)
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.paving.paving import pave
@@ -28,10 +39,12 @@ def paper_example(z: Interval) -> list[Interval]:
 
 
 def figure_1() -> "Figure":
-    """Redraw Fig. 1 of Adrot, Maquin, Ragot 2000 from computation: p(z) = (2 z1^2 + z2, z1 - z2) over z in [-1, 2] x [1, 3].
+    """Redraw Fig. 1 of Adrot, Maquin, Ragot 2000 from computation: p(z) = (2 z1^2 + z2, z1 - z2) over z in
+    [-1, 2] x [1, 3].
 
-    Left: the exact set A(p), its box, and the uniform pavings of order 10 and 20. Right: the boxes that the adaptive test of
-    p = (2, -2) evaluates (the paper prints (2, 2), which its own quoted solutions contradict).
+    Left: the exact set A(p), its box, and the uniform pavings of order 10 and 20. Right: the boxes that the
+    adaptive test of p = (2, -2) evaluates (the paper prints (2, 2), which its own quoted solutions
+    contradict).
 
     Returns:
         A matplotlib Figure.
@@ -46,7 +59,14 @@ def figure_1() -> "Figure":
         left, right = fig.subplots(1, 2)
         _boxes(left, whole.images, facecolor="#eef1f4", edgecolor="#8a9099", lw=1.2, label="box of A(p)")
         for paving, q, colour in zip(pavings, (10, 20), ("#a9d8f5", "#56b4e9"), strict=True):
-            _boxes(left, paving.images, facecolor=colour, edgecolor="white", lw=0.25, label=f"paving, q = {q}: area {paving.area():.3f}")
+            _boxes(
+                left,
+                paving.images,
+                facecolor=colour,
+                edgecolor="white",
+                lw=0.25,
+                label=f"paving, q = {q}: area {paving.area():.3f}",
+            )
         p2 = np.linspace(-4, 1, 2001)
         a, b = np.maximum(-1, 1 + p2), np.minimum(2, 3 + p2)
         p1 = lambda z: 2 * z**2 + z - p2
@@ -57,8 +77,17 @@ def figure_1() -> "Figure":
         left.legend(loc="upper center", ncols=2, fontsize=8.5)
         for boxes in levels:
             _boxes(right, boxes, facecolor="none", edgecolor="#8a9099", lw=0.5)
-        _boxes(right, final.boxes, facecolor=FAULTY, edgecolor=FAULTY, lw=2.2, label=f"{len(final.boxes)} boxes kept")
-        right.plot([-0.5, 0], [1.5, 2], "o", mfc="none", mec=INK, ms=15, label="solutions (-.5, 1.5) and (0, 2)")
+        _boxes(
+            right,
+            final.boxes,
+            facecolor=FAULTY,
+            edgecolor=FAULTY,
+            lw=2.2,
+            label=f"{len(final.boxes)} boxes kept",
+        )
+        right.plot(
+            [-0.5, 0], [1.5, 2], "o", mfc="none", mec=INK, ms=15, label="solutions (-.5, 1.5) and (0, 2)"
+        )
         right.set(xlabel="$z_1$", ylabel="$z_2$", xlim=(-1.1, 2.1), ylim=(0.95, 3.45))
         right.set_title(f"Space of the unknowns: {int(final.evaluated)} boxes evaluated")
         right.legend(loc="upper center", ncols=2, fontsize=8.5)
@@ -67,7 +96,8 @@ def figure_1() -> "Figure":
 
 
 def figure_2(trajectory: Trajectory, res: Result, faults: Sequence[Fault] = ()) -> "Figure":
-    """Redraw Fig. 2 of the same paper: measurements, true combinations of states, fault intervals in grey, and the test result.
+    """Redraw Fig. 2 of the same paper: measurements, true combinations of states, fault intervals in grey,
+    and the test result.
 
     Args:
         trajectory: from `simulate`, one recording. res: its Result. faults: the Faults that were put in.
@@ -82,18 +112,39 @@ def figure_2(trajectory: Trajectory, res: Result, faults: Sequence[Fault] = ()) 
     with style():
         fig, axes = stacked(model.p + 1, (11, 1.6 + 1.8 * model.p), [3] * model.p + [1])
         for i, ax in enumerate(axes[:-1]):
-            ax.plot(x, state @ C[i], color=ENVELOPE, lw=2.2, label=f"{_combination(model.states, model.C[i])} (true)")
+            ax.plot(
+                x,
+                state @ C[i],
+                color=ENVELOPE,
+                lw=2.2,
+                label=f"{_combination(model.states, model.C[i])} (true)",
+            )
             ax.plot(x, y[:, i], color=INK, lw=0.9, label=f"{model.outputs[i]} (measured)")
-            ax.legend(loc="lower right", ncols=2, fontsize=9, bbox_to_anchor=(1.0, 1.0 if i else 1.09), borderaxespad=0.1)
+            ax.legend(
+                loc="lower right",
+                ncols=2,
+                fontsize=9,
+                bbox_to_anchor=(1.0, 1.0 if i else 1.09),
+                borderaxespad=0.1,
+            )
             ax.grid(color=GRID, lw=0.7)
         axes[-1].fill_between(x, 0, res.status == Status.FAULT, step="mid", color=FAULTY, lw=0)
         axes[-1].set(yticks=[0, 1], ylim=(0, 1.15), ylabel="fault\nproved")
         for ax in axes:
             for name, f in zip("ABCDEFGH", faults, strict=False):
-                ax.axvspan(x[f.start], x[(len(x) if f.stop is None else f.stop) - 1], color="#d8dade", zorder=0, lw=0)
+                ax.axvspan(
+                    x[f.start], x[(len(x) if f.stop is None else f.stop) - 1], color="#d8dade", zorder=0, lw=0
+                )
                 if ax is axes[0]:
                     top = ax.get_xaxis_transform()
-                    ax.text(x[f.start], 1.0, f" {name}: {f.kind} of {f.signal}", transform=top, va="bottom", fontsize=9)
+                    ax.text(
+                        x[f.start],
+                        1.0,
+                        f" {name}: {f.kind} of {f.signal}",
+                        transform=top,
+                        va="bottom",
+                        fontsize=9,
+                    )
         finish(fig, axes, x, label, False, top=0.55, gap=0.3)
     return fig
 
@@ -109,5 +160,7 @@ def _boxes(ax: "Axes", boxes: Interval, label: str | None = None, **style: Any) 
     from matplotlib.collections import PolyCollection
 
     lo, hi = np.asarray(boxes.lo), np.asarray(boxes.hi)
-    corners = np.stack([lo, np.column_stack([hi[:, 0], lo[:, 1]]), hi, np.column_stack([lo[:, 0], hi[:, 1]])], 1)
+    corners = np.stack(
+        [lo, np.column_stack([hi[:, 0], lo[:, 1]]), hi, np.column_stack([lo[:, 0], hi[:, 1]])], 1
+    )
     ax.add_collection(PolyCollection(list(corners), label=label, **style))

@@ -17,7 +17,9 @@ __all__ = ["plot_fit"]
 
 @plot.register(Fitted)
 def plot_fit(model: Fitted) -> "Figure":
-    """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by a first fit, in what was held out."""
+    """Draw a Fitted: the share of the bounds that each window needs, in the recordings and, by a first fit,
+    in what was held out.
+    """
     check = model.check
     rows = [("final model, all recordings", check.used, INK)]
     if check.held_out is not None:
@@ -42,5 +44,11 @@ def plot_fit(model: Fitted) -> "Figure":
                 ax.set_ylim(bottom=0)
         axes[-1][0].set_xlabel("sample, recordings one after the other")
         axes[-1][1].set_xlabel("share, > 1: FAULT")
-        fig.subplots_adjust(left=0.05, right=0.98, top=1 - 0.3 / fig.get_figheight(), bottom=0.5 / fig.get_figheight(), hspace=0.45)
+        fig.subplots_adjust(
+            left=0.05,
+            right=0.98,
+            top=1 - 0.3 / fig.get_figheight(),
+            bottom=0.5 / fig.get_figheight(),
+            hspace=0.45,
+        )
     return fig

@@ -16,12 +16,16 @@ __all__ = ["plot_observation"]
 
 
 @plot.register(Observation)
-def plot_observation(found: Observation, time: np.ndarray | None = None, y: np.ndarray | None = None) -> "Figure":
-    """Draw the band that each output must lie in as far as the samples before tell, then the band of each state; at most 12 panels.
+def plot_observation(
+    found: Observation, time: np.ndarray | None = None, y: np.ndarray | None = None
+) -> "Figure":
+    """Draw the band that each output must lie in as far as the samples before tell, then the band of each
+    state; at most 12 panels.
 
     Args:
-        found: of one recording. time: (T,) seconds or datetime64; None: the numbers of the samples. y: (T, p) what the sensors showed,
-            which may leave the band by what their bounds allow; None: the bands alone.
+        found: of one recording. time: (T,) seconds or datetime64; None: the numbers of the samples. y: (T, p)
+            what the sensors showed, which may leave the band by what their bounds allow; None: the bands
+            alone.
 
     Returns:
         A matplotlib Figure; samples where nothing is left are shaded.
@@ -32,7 +36,16 @@ def plot_observation(found: Observation, time: np.ndarray | None = None, y: np.n
     status, p = np.asarray(found.status), found.predicted.shape[-1]
     time, y = one_recording("observation", "observe", status.shape, p, time, y)
     wrong = status == Status.FAULT
-    panels = [Band(f"y{i + 1}, as the samples before allow", one_of(found.predicted, i), None if y is None else y[:, i], wrong)
-              for i in range(p)]  # fmt: skip
-    panels += [Band(f"state x{i + 1}", one_of(found.state, i), None, wrong) for i in range(found.state.shape[-1])]
+    panels = [
+        Band(
+            f"y{i + 1}, as the samples before allow",
+            one_of(found.predicted, i),
+            None if y is None else y[:, i],
+            wrong,
+        )
+        for i in range(p)
+    ]
+    panels += [
+        Band(f"state x{i + 1}", one_of(found.state, i), None, wrong) for i in range(found.state.shape[-1])
+    ]
     return draw_bands(panels, time, "bands", "enclosure")

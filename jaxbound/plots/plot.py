@@ -1,4 +1,6 @@
-"""The picture of whatever can be drawn: each file beside this one registers how, `@plot.register(Thing)` on a function of a Thing."""
+"""The picture of whatever can be drawn: each file beside this one registers how, `@plot.register(Thing)` on a
+function of a Thing.
+"""
 
 from functools import singledispatch
 from typing import TYPE_CHECKING
@@ -15,26 +17,30 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
     """Draw a result, a table of faults, or sets in the plane.
 
     Args:
-        thing: a Result of one recording: the margin of every window over time with a ribbon of verdicts and the alarms. A BankResult:
-            which relations are violated and which single faults remain, over time. Signatures or Isolability: the table as a heat map.
-            A TuneResult: the search and the margins.
-            A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against the size of a fault.
-            A Digest: as a Result. A Validation: the band of the true value of each output, and its faulty samples.
+        thing: a Result of one recording: the margin of every window over time with a ribbon of verdicts and
+            the alarms. A BankResult: which relations are violated and which single faults remain, over time.
+            Signatures or Isolability: the table as a heat map. A TuneResult: the search and the margins.
+            A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against
+                the size of a fault.
+            A Digest: as a Result. A Validation: the band of the true value of each output, and its faulty
+                samples.
             An Observation: the band of each output before its sample is looked at, and of each state.
             A Zonotope or ConstrainedZonotope in the plane, or a list of them: their outlines.
-        time: (T,) seconds or datetime64, of a Result, BankResult, Validation or Observation; None: the index of the DataFrame, or
-            sample numbers times dt.
+        time: (T,) seconds or datetime64, of a Result, BankResult, Validation or Observation; None: the index
+            of the DataFrame, or sample numbers times dt.
         alarms: a list of Alarm for a Result; None: its own.
         y: (T, p), of a Validation or Observation: what the sensors showed, if it is to be drawn too.
-        ax: matplotlib Axes of one's own to draw into: of what is one chart (sets, Signatures, Isolability), and of a Result or Digest
-            the margin with its alarms. What has several charts makes a figure of its own and takes none.
+        ax: matplotlib Axes of one's own to draw into: of what is one chart (sets, Signatures, Isolability),
+            and of a Result or Digest the margin with its alarms. What has several charts makes a figure of
+            its own and takes none.
 
     Returns:
-        A matplotlib Figure, which is not pyplot's: fig.savefig("margin.png"), or the last line of a notebook's cell. With ax, that Axes.
+        A matplotlib Figure, which is not pyplot's: fig.savefig("margin.png"), or the last line of a
+        notebook's cell. With ax, that Axes.
 
     Raises:
-        ValueError: a batch of recordings, or a time axis of another length. TypeError: what cannot be drawn, and options that a thing
-            does not have.
+        ValueError: a batch of recordings, or a time axis of another length. TypeError: what cannot be drawn,
+            and options that a thing does not have.
 
     Example:
         >>> import jaxbound as jb

@@ -36,13 +36,14 @@ __all__ = ["distinct_relations", "plot_residuals"]
 
 
 def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
-    """Draw every residual with the interval that healthy sensors inside their bounds allow, FAULT windows shaded.
+    """Draw every residual with the interval that healthy sensors inside their bounds allow, FAULT windows
+    shaded.
 
     Windows can be FAULT with every residual inside: the joint test sees more than each residual alone.
 
     Args:
-        res, time: as for `plot`. Of long recordings, the worst window of each bin is drawn, and how much of its envelope each
-            residual uses (above 1: outside).
+        res, time: as for `plot`. Of long recordings, the worst window of each bin is drawn, and how much of
+            its envelope each residual uses (above 1: outside).
 
     Returns:
         A matplotlib Figure with one panel a residual, at most 12.
@@ -53,42 +54,78 @@ def plot_residuals(res: Result, time: np.ndarray | None = None) -> "Figure":
     relations = res.relations
     if remembers(relations):
         raise TypeError(
-            "only parity relations have an interval for each residual: plot(res.observation, y=res.y) draws an observer's bands"
+            "only parity relations have an interval for each residual: plot(res.observation, y=res.y) draws "
+            "an observer's bands"
         )
     if isinstance(relations, Residual):
-        raise TypeError("only parity relations have an interval for each residual: plot draws the verdicts of a residual of your own")
+        raise TypeError(
+            "only parity relations have an interval for each residual: plot draws the verdicts of a residual "
+            "of your own"
+        )
     x, label, dates = time_axis(time_of(res, time))
     picked = _worst(res) if len(x) > SAMPLES else np.arange(len(x))
     thinned = len(picked) < len(x)
-    missing = (res.status[picked] == Status.MISSING)[:, None]  # a window across a gap has a residual, but it says nothing
+    missing = (res.status[picked] == Status.MISSING)[
+        :, None
+    ]  # a window across a gap has a residual, but it says nothing
     external, lo, hi = (np.where(missing, np.nan, x) for x in _forms(relations, res.u, res.y, picked))
     fault = np.maximum.reduceat(res.status, bins(len(x))) == Status.FAULT
     distinct = distinct_relations(relations)
     shown, at, lines = distinct[:PANELS], x[picked], relations.text().splitlines()
     panel, gap, top = 1.5, 0.55, 1.0  # inches
     with style():
-        fig, axes = stacked(len(shown), (11, top + BOTTOM + panel * len(shown) + gap * (len(shown) - 1)), [1] * len(shown))
+        fig, axes = stacked(
+            len(shown), (11, top + BOTTOM + panel * len(shown) + gap * (len(shown) - 1)), [1] * len(shown)
+        )
         for j, ax in zip(shown, axes, strict=True):
             text = lines[j]
             value, low, high = (np.asarray(z[:, j]) for z in (external, lo, hi))
-            if thinned:  # neighbours have nothing to do with each other: the share of the envelope says more than a thicket of lines
-                value, low, high = abs(value - (low + high) / 2) / ((high - low) / 2), np.zeros(len(at)), np.ones(len(at))
+            # neighbours have nothing to do with each other: the share of the envelope says more than a
+            # thicket of lines
+            if thinned:
+                value, low, high = (
+                    abs(value - (low + high) / 2) / ((high - low) / 2),
+                    np.zeros(len(at)),
+                    np.ones(len(at)),
+                )
             shade(ax, at, fault)
             ax.fill_between(at, low, high, color=ENVELOPE, alpha=0.35, lw=0, label="allowed by the bounds")
             for edge in (low, high):
                 ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
-            ax.plot(at, value, color=INK, lw=1.0, label="share of the envelope that the residual uses" if thinned else "residual")
+            ax.plot(
+                at,
+                value,
+                color=INK,
+                lw=1.0,
+                label="share of the envelope that the residual uses" if thinned else "residual",
+            )
             beyond = _robust_limits(ax, value, low, high)
             ax.set_title(text if len(text) <= 125 else text[:122] + " ...", fontsize=9.5, parse_math=False)
             ax.grid(color=GRID, lw=0.7)
             if beyond:
-                ax.text(0.995, 0.99, f"{beyond} beyond the axis", ha="right", va="top", transform=ax.transAxes, fontsize=8.5, color=FAULTY)
-        copies = f", {len(distinct)} of {relations.count}: the others are these, some samples earlier" * (len(distinct) < relations.count)
+                ax.text(
+                    0.995,
+                    0.99,
+                    f"{beyond} beyond the axis",
+                    ha="right",
+                    va="top",
+                    transform=ax.transAxes,
+                    fontsize=8.5,
+                    color=FAULTY,
+                )
+        copies = f", {len(distinct)} of {relations.count}: the others are these, some samples earlier" * (
+            len(distinct) < relations.count
+        )
         more = f"; the first {PANELS} are shown" if len(distinct) > PANELS else ""
-        title = f"Residuals of {relations.model.name}{copies}{more}{thinning(len(x), len(picked), 'the worst window')}"
+        title = (
+            f"Residuals of "
+            f"{relations.model.name}{copies}{more}{thinning(len(x), len(picked), 'the worst window')}"
+        )
         fig.text(0.012, 1 - 0.3 / fig.get_figheight(), title, fontsize=10.5, color=INK, parse_math=False)
         handles, labels = axes[0].get_legend_handles_labels()
-        fig.legend(handles, labels, loc="upper right", ncols=3, bbox_to_anchor=(0.93, 1 - 0.34 / fig.get_figheight()))
+        fig.legend(
+            handles, labels, loc="upper right", ncols=3, bbox_to_anchor=(0.93, 1 - 0.34 / fig.get_figheight())
+        )
         finish(fig, axes, at, label, dates, top=top, gap=gap / panel)
     return fig
 
@@ -117,12 +154,18 @@ def _worst(res: Result) -> np.ndarray:
     return np.array([a + int(np.argmin(key[a:b])) for a, b in zip(edges[:-1], edges[1:], strict=True)])
 
 
-def _forms(relations: ParityRelation | UncertainRelations, u: np.ndarray, y: np.ndarray, picked: np.ndarray) -> list[np.ndarray]:
-    """Return residuals and envelopes (M, count) of the windows that end at the picked samples, in one padded stretch of fixed length."""
+def _forms(
+    relations: ParityRelation | UncertainRelations, u: np.ndarray, y: np.ndarray, picked: np.ndarray
+) -> list[np.ndarray]:
+    """Return residuals and envelopes (M, count) of the windows that end at the picked samples, in one padded
+    stretch of fixed length.
+    """
     s, dtype = relations.horizon, y.dtype
     whole = len(picked) == len(y)
     rows = picked if whole else (np.maximum(picked, s)[:, None] + np.arange(-s, 1)).ravel()
-    pad = lambda x: np.concatenate([x[rows], np.full((max(SAMPLES - len(rows), 0), x.shape[1]), np.nan, dtype)])
+    pad = lambda x: np.concatenate(
+        [x[rows], np.full((max(SAMPLES - len(rows), 0), x.shape[1]), np.nan, dtype)]
+    )
     u, y = pad(u), pad(y)
     keep = slice(0, len(rows)) if whole else slice(s, len(rows), s + 1)
     envelope = relations.internal(u, y)

@@ -19,8 +19,12 @@ __all__ = ["plot_result"]
 
 
 @plot.register(Result)
-def plot_result(res: Result, time: np.ndarray | None = None, alarms: Sequence[Alarm] | None = None,
-                ax: "Axes | None" = None) -> "Figure | Axes":  # fmt: skip
+def plot_result(
+    res: Result,
+    time: np.ndarray | None = None,
+    alarms: Sequence[Alarm] | None = None,
+    ax: "Axes | None" = None,
+) -> "Figure | Axes":
     """Draw a Result of one recording: `plot` says what, and takes the same arguments."""
     x = time_of(res, time)
     alarms = res.alarms() if alarms is None else alarms

@@ -39,8 +39,11 @@ def plot_sets(sets: Sequence[Zonotope | ConstrainedZonotope], ax: "Axes | None" 
     """
     for S in sets:
         if not isinstance(S, Zonotope | ConstrainedZonotope) or np.shape(S.center) != (2,):
-            raise ValueError(f"sets of two coordinates can be drawn, not {type(S).__name__} {np.shape(getattr(S, 'center', ()))}: "
-                             "choose two with linear_map")  # fmt: skip
+            raise ValueError(
+                f"sets of two coordinates can be drawn, not {type(S).__name__} "
+                f"{np.shape(getattr(S, 'center', ()))}: "
+                "choose two with linear_map"
+            )
     if ax is not None:
         _draw(ax, sets)
         return ax

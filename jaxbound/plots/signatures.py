@@ -34,11 +34,18 @@ def plot_isolability(found: Isolability, ax: "Axes | None" = None) -> "Figure | 
     level[np.arange(len(level)), np.arange(len(level))] = -1
     title = "Does the fault of the row show, whatever that of the column does?"
     legend = ("no", "its changes", "yes")
-    return _heat_map(np.column_stack([seen, level]), ("no other", *found.faults), found.faults, legend, title, ax)
+    return _heat_map(
+        np.column_stack([seen, level]), ("no other", *found.faults), found.faults, legend, title, ax
+    )
 
 
 def _heat_map(
-    level: np.ndarray, columns: Sequence[str], rows: Sequence[str], legend: Sequence[str], title: str, ax: "Axes | None"
+    level: np.ndarray,
+    columns: Sequence[str],
+    rows: Sequence[str],
+    legend: Sequence[str],
+    title: str,
+    ax: "Axes | None",
 ) -> "Figure | Axes":
     from matplotlib.patches import Patch
 
@@ -54,15 +61,25 @@ def _heat_map(
         fig.suptitle(title, x=0.02, ha="left", fontsize=10.5, color=INK)
         fig.legend(handles=patches, loc="lower left", ncols=3, bbox_to_anchor=(0.01, 0.0), fontsize=9)
         height = fig.get_figheight()
-        fig.subplots_adjust(left=0.9 / fig.get_figwidth(), right=0.98, top=1 - 0.75 / height, bottom=0.45 / height)
+        fig.subplots_adjust(
+            left=0.9 / fig.get_figwidth(), right=0.98, top=1 - 0.75 / height, bottom=0.45 / height
+        )
     return fig
 
 
 def _table(ax: "Axes", level: np.ndarray, columns: Sequence[str], rows: Sequence[str]) -> None:
     from matplotlib.colors import ListedColormap
 
-    ax.pcolormesh(np.arange(len(columns) + 1), np.arange(len(rows) + 1), level, cmap=ListedColormap(["white", PALE, HALF, INK]),
-                  vmin=-1.5, vmax=2.5, edgecolor="white", lw=2)  # fmt: skip
+    ax.pcolormesh(
+        np.arange(len(columns) + 1),
+        np.arange(len(rows) + 1),
+        level,
+        cmap=ListedColormap(["white", PALE, HALF, INK]),
+        vmin=-1.5,
+        vmax=2.5,
+        edgecolor="white",
+        lw=2,
+    )
     ax.set_xticks(np.arange(len(columns)) + 0.5, columns)
     ax.set_yticks(np.arange(len(rows)) + 0.5, rows)
     ax.invert_yaxis()

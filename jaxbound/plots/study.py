@@ -1,4 +1,6 @@
-"""The picture of a Monte-Carlo study: how many scenarios are detected against the size of the fault, and how soon."""
+"""The picture of a Monte-Carlo study: how many scenarios are detected against the size of the fault, and how
+soon.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -22,8 +24,9 @@ SEEN = COLOURS[Status.CONSISTENT]
 def plot_study(res: StudyResult) -> "Figure":
     """Draw a StudyResult: a row for each fault.
 
-    Left: the share of scenarios detected and of FAULT windows against the size, with their intervals, and the size from which on no
-    such fault stays hidden. Right: the share detected within so many samples of the onset, for a few of the sizes.
+    Left: the share of scenarios detected and of FAULT windows against the size, with their intervals, and the
+    size from which on no such fault stays hidden. Right: the share detected within so many samples of the
+    onset, for a few of the sizes.
 
     Returns:
         A matplotlib Figure, of at most 8 faults.
@@ -37,10 +40,24 @@ def plot_study(res: StudyResult) -> "Figure":
             _delays(right, trial, tally)
         false, clean = res.false_alarms
         left_out = f"; {len(res.trials) - FAULTS} more faults" if len(res.trials) > FAULTS else ""
-        title = f"{res.scenarios:,} scenarios of {res.model.name}, unknowns {res.at}: {false} false alarms in {clean:,} windows{left_out}"
+        title = (
+            f"{res.scenarios:,} scenarios of {res.model.name}, unknowns {res.at}: {false} false alarms "
+            f"in {clean:,} windows{left_out}"
+        )
         height = fig.get_figheight()
-        fig.suptitle(title, x=0.02, y=1 - 0.12 / height, va="top", ha="left", fontsize=10.5, color=INK, parse_math=False)
-        fig.subplots_adjust(left=0.07, right=0.98, top=1 - 0.75 / height, bottom=0.55 / height, hspace=0.5, wspace=0.16)
+        fig.suptitle(
+            title,
+            x=0.02,
+            y=1 - 0.12 / height,
+            va="top",
+            ha="left",
+            fontsize=10.5,
+            color=INK,
+            parse_math=False,
+        )
+        fig.subplots_adjust(
+            left=0.07, right=0.98, top=1 - 0.75 / height, bottom=0.55 / height, hspace=0.5, wspace=0.16
+        )
     return fig
 
 
@@ -48,16 +65,24 @@ def _sizes(ax, res, trial, tally):
     order = np.argsort(trial.sizes)
     share, rate = map(np.nan_to_num, tally.share(res.confidence)), tally.rate(res.confidence)
     for (value, low, high), colour, name in (
-        (share, FAULTY, "scenarios detected"), (rate, INK, "windows in the fault that are FAULT")):  # fmt: skip
+        (share, FAULTY, "scenarios detected"),
+        (rate, INK, "windows in the fault that are FAULT"),
+    ):
         x = trial.sizes[order]
         bar = np.abs(np.stack([value - low, high - value]))[:, order]
         ax.errorbar(x, value[order], bar, color=colour, marker="o", ms=3.5, lw=1.4, capsize=2, label=name)
     if np.isfinite(trial.guaranteed):
-        ax.axvline(trial.guaranteed, color=SEEN, lw=1.4, ls="--", label=f"guaranteed from {trial.guaranteed:.4g} on")
+        ax.axvline(
+            trial.guaranteed, color=SEEN, lw=1.4, ls="--", label=f"guaranteed from {trial.guaranteed:.4g} on"
+        )
     ax.set_ylim(-0.03, 1.05)
     ax.grid(color=GRID, lw=0.6)
     ax.set_title(trial.label, parse_math=False)
-    unit = "" if trial.fault is None or trial.fault.kind in ("gain", "tolerance") else res.model.unit(trial.fault.signal)
+    unit = (
+        ""
+        if trial.fault is None or trial.fault.kind in ("gain", "tolerance")
+        else res.model.unit(trial.fault.signal)
+    )
     ax.set_xlabel(f"size of the fault{f' [{unit}]' if unit else ''}", parse_math=False)
     ax.set_ylabel("share")
     if trial.fault is None or trial.fault.kind in ("stuck", "dropout"):
@@ -73,7 +98,15 @@ def _delays(ax, trial, tally):
     for rank, i in enumerate(picked):
         curve = np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)
         tone = 0.25 + 0.75 * (rank + 1) / len(picked)
-        ax.step(np.arange(len(curve)), curve, where="post", color=FAULTY, alpha=tone, lw=1.4, label=f"size {trial.sizes[i]:.4g}")
+        ax.step(
+            np.arange(len(curve)),
+            curve,
+            where="post",
+            color=FAULTY,
+            alpha=tone,
+            lw=1.4,
+            label=f"size {trial.sizes[i]:.4g}",
+        )
     ax.set_ylim(-0.03, 1.05)
     ax.set_xscale("symlog", linthresh=10)
     ticks = [t for t in (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if t <= last + 1]

@@ -1,4 +1,6 @@
-"""The picture of a recording of any length: its margin over time, a ribbon of verdicts, and where its alarms are."""
+"""The picture of a recording of any length: its margin over time, a ribbon of verdicts, and where its alarms
+are.
+"""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -36,8 +38,9 @@ FACTORS = (0, 0.5, 1, 1.5, 2, 2.5, 3, 4, 5)
 class Timeline:
     """The extremes of a recording of any length, given piece by piece: what a picture of it can show.
 
-    Fields: samples; bins: where each bin starts, one sample each up to 5000; x: its time; status: the worst of each bin; low, high: the
-    extremes of its margin, NaN where there is none; marked: whether the deepest window of an alarm lies in it.
+    Fields: samples; bins: where each bin starts, one sample each up to 5000; x: its time; status: the worst
+    of each bin; low, high: the extremes of its margin, NaN where there is none; marked: whether the deepest
+    window of an alarm lies in it.
     """
 
     def __init__(self, samples: int) -> None:
@@ -51,7 +54,10 @@ class Timeline:
     def add(self, start: int, x: np.ndarray, status: np.ndarray, margin: np.ndarray) -> None:
         """Take the samples from number `start` on: their time (seconds or datetime64), status and margin."""
         begun, stop, edges = inside(self.bins, start, len(x))
-        first, put = begun + (self.bins[begun] < start), slice(begun, stop)  # the first may have begun in an earlier piece
+        first, put = (
+            begun + (self.bins[begun] < start),
+            slice(begun, stop),
+        )  # the first may have begun in an earlier piece
         margin = np.where(np.isneginf(margin), -1e15, margin)
         self.x = np.empty(len(self.bins), x.dtype) if self.x is None else self.x
         self.x[first:stop] = x[self.bins[first:stop] - start]
@@ -64,8 +70,12 @@ class Timeline:
         self.marked[np.searchsorted(self.bins, np.asarray(samples, np.int64), "right") - 1] = True
 
 
-def plot_timeline(line: Timeline, name: str, method: str, alarms: int, ax: "Axes | None" = None) -> "Figure | Axes":
-    """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are; into `ax` the margin alone."""
+def plot_timeline(
+    line: Timeline, name: str, method: str, alarms: int, ax: "Axes | None" = None
+) -> "Figure | Axes":
+    """Draw a complete Timeline of a model of that name, judged by `method`; `alarms` is how many there are;
+    into `ax` the margin alone.
+    """
     assert line.x is not None, "a Timeline is drawn when all its samples were added"
     at, label, dates = time_axis(line.x)
     if ax is not None:
@@ -84,7 +94,9 @@ def _chart(ax: "Axes", line: Timeline, at: np.ndarray, name: str, method: str, a
     """Draw the margin and the alarms."""
     shade(ax, at, line.status == Status.FAULT)
     if np.isnan(line.low).all():
-        ax.text(0.5, 0.5, _no_margin(method), ha="center", va="center", transform=ax.transAxes, color="#57606a")
+        ax.text(
+            0.5, 0.5, _no_margin(method), ha="center", va="center", transform=ax.transAxes, color="#57606a"
+        )
         ax.set_yticks([])
     else:
         _margin(ax, at, line.low, line.high, line.samples > SAMPLES)
@@ -114,8 +126,15 @@ def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinne
     if steep:
         powers = range(0, int(np.ceil(np.log10(-lowest))) + 1)
         powers = powers[:: max(1, len(powers) // 4)]
-        ax.set_yticks([1, 0.5, 0, *(-(10.0**n) for n in powers)], ["1", "0.5", "0", *(f"$-10^{{{n}}}$" if n else "-1" for n in powers)])
-        factors = [(1, "×1"), (2, "×2"), *((10**n, f"×10$^{{{n}}}$" if n > 1 else "×10") for n in powers if n)]
+        ax.set_yticks(
+            [1, 0.5, 0, *(-(10.0**n) for n in powers)],
+            ["1", "0.5", "0", *(f"$-10^{{{n}}}$" if n else "-1" for n in powers)],
+        )
+        factors = [
+            (1, "×1"),
+            (2, "×2"),
+            *((10**n, f"×10$^{{{n}}}$" if n > 1 else "×10") for n in powers if n),
+        ]
     else:
         factors = [(f, f"×{f:g}") for f in FACTORS if 1 - f >= ax.get_ylim()[0]]
     right.set_yticks([1 - f for f, _ in factors], [text for _, text in factors])
@@ -126,18 +145,31 @@ def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinne
 
 
 def _mark_alarms(ax: "Axes", x: np.ndarray, count: int) -> None:
-    ax.plot(x, np.full(len(x), 1.02), ls="", marker="v", ms=4, color=FAULTY, transform=ax.get_xaxis_transform(), clip_on=False)
+    ax.plot(
+        x,
+        np.full(len(x), 1.02),
+        ls="",
+        marker="v",
+        ms=4,
+        color=FAULTY,
+        transform=ax.get_xaxis_transform(),
+        clip_on=False,
+    )
     text = f"{count} alarm" + "s" * (count != 1)
     ax.text(1.0, 1.055, text, ha="right", transform=ax.transAxes, fontsize=9.5, color=FAULTY)
 
 
 def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray) -> None:
-    """Draw a strip in the colour of the worst verdict of each bin, with a legend of the verdicts that occur."""
+    """Draw a strip in the colour of the worst verdict of each bin, with a legend of the verdicts that
+    occur.
+    """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
     edges = np.concatenate([x[:1], x[1:] - (x[1:] - x[:-1]) / 2, x[-1:]])
-    ax.pcolormesh(edges, [0, 1], status[None, :], cmap=ListedColormap([COLOURS[s] for s in Status]), vmin=-0.5, vmax=3.5)
+    ax.pcolormesh(
+        edges, [0, 1], status[None, :], cmap=ListedColormap([COLOURS[s] for s in Status]), vmin=-0.5, vmax=3.5
+    )
     ax.set_yticks([])
     ax.set_ylabel("verdict", rotation=0, ha="right", va="center")
     present = [s for s in Status if (status == s).any()]

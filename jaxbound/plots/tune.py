@@ -14,12 +14,23 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_tuning"]
 
-LINES = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT], "#cc79a7", "#f0e442", "#0072b2", "#999999")
+LINES = (
+    INK,
+    ENVELOPE,
+    COLOURS[Status.UNDECIDED],
+    COLOURS[Status.CONSISTENT],
+    "#cc79a7",
+    "#f0e442",
+    "#0072b2",
+    "#999999",
+)
 
 
 @plot.register(TuneResult)
 def plot_tuning(res: TuneResult) -> "Figure":
-    """Draw a TuneResult: its bounds and their width over the steps, and the margins of the healthy windows at the end."""
+    """Draw a TuneResult: its bounds and their width over the steps, and the margins of the healthy windows at
+    the end.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     history, margin = res.history, res.margin[~np.isnan(res.margin)]
@@ -38,7 +49,12 @@ def plot_tuning(res: TuneResult) -> "Figure":
                 width.set_title("Smallest width in this direction / start")
             start = history["values"][0] / history["width"][0]
             for i, name in enumerate(res.names):
-                bounds.plot(history["step"], history["values"][:, i] / start[i], color=LINES[i % len(LINES)], label=name)
+                bounds.plot(
+                    history["step"],
+                    history["values"][:, i] / start[i],
+                    color=LINES[i % len(LINES)],
+                    label=name,
+                )
             bounds.set_yscale("log")
             bounds.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             bounds.yaxis.set_major_formatter(FuncFormatter(lambda x, at: f"{x:g}"))
@@ -46,7 +62,15 @@ def plot_tuning(res: TuneResult) -> "Figure":
             bounds.legend(fontsize=7.5)
         else:
             for ax in (width, bounds):
-                ax.text(0.5, 0.5, "one factor on all bounds:\nno steps", ha="center", va="center", transform=ax.transAxes, color="#57606a")
+                ax.text(
+                    0.5,
+                    0.5,
+                    "one factor on all bounds:\nno steps",
+                    ha="center",
+                    va="center",
+                    transform=ax.transAxes,
+                    color="#57606a",
+                )
                 ax.set_xticks([])
                 ax.set_yticks([])
         bounds.set_title("Each bound / start")

@@ -1,4 +1,6 @@
-"""Pictures of validated outputs: the band that the samples accepted allow, what the sensor showed, what to use instead."""
+"""Pictures of validated outputs: the band that the samples accepted allow, what the sensor showed, what to
+use instead.
+"""
 
 from typing import TYPE_CHECKING, Protocol
 
@@ -29,12 +31,15 @@ class ValidatedRecording(Protocol):
 
 
 @plot.register(Validation)
-def plot_validation(found: Validation, time: np.ndarray | None = None, y: np.ndarray | None = None) -> "Figure":
+def plot_validation(
+    found: Validation, time: np.ndarray | None = None, y: np.ndarray | None = None
+) -> "Figure":
     """Draw every output of a validated recording below each other, at most 12.
 
     Args:
-        found: of one recording. time: (T,) seconds or datetime64; None: the numbers of the samples. y: (T, p) what the sensors showed,
-            which a Validation does not hold; None: the bands of the true values are drawn without it.
+        found: of one recording. time: (T,) seconds or datetime64; None: the numbers of the samples. y: (T, p)
+            what the sensors showed, which a Validation does not hold; None: the bands of the true values are
+            drawn without it.
 
     Returns:
         A matplotlib Figure.
@@ -45,8 +50,16 @@ def plot_validation(found: Validation, time: np.ndarray | None = None, y: np.nda
     faulty = np.asarray(found.faulty)
     p = faulty.shape[-1]
     time, y = one_recording("validation", "validate", faulty.shape[:-1], p, time, y)
-    panels = [Band(f"y{i + 1}: {_faults(faulty[:, i])}", one_of(found.output, i), None if y is None else y[:, i], faulty[:, i],
-                   one_of(found.corrected, i)) for i in range(p)]  # fmt: skip
+    panels = [
+        Band(
+            f"y{i + 1}: {_faults(faulty[:, i])}",
+            one_of(found.output, i),
+            None if y is None else y[:, i],
+            faulty[:, i],
+            one_of(found.corrected, i),
+        )
+        for i in range(p)
+    ]
     return draw_bands(panels, time, "outputs")
 
 
@@ -57,8 +70,8 @@ def plot_output(res: ValidatedRecording, i: int, time: np.ndarray) -> "Figure":
         res: ValidatedRecording. i: number of the output. time: (T,) seconds or datetime64.
 
     Returns:
-        A matplotlib Figure. Of more than 5000 samples, the extremes of 1200 bins are drawn; a bin with one faulty sample is marked. Below
-        are the 600 samples around the first faulty one.
+        A matplotlib Figure. Of more than 5000 samples, the extremes of 1200 bins are drawn; a bin with one
+        faulty sample is marked. Below are the 600 samples around the first faulty one.
     """
     x, label, dates = time_axis(time)
     count, name, unit = len(x), res.model.outputs[i], res.model.unit(res.model.outputs[i])
@@ -72,9 +85,13 @@ def plot_output(res: ValidatedRecording, i: int, time: np.ndarray) -> "Figure":
             first = max(min(int(np.argmax(faulty)) - NEAR // 4, count - NEAR), 0)
             near = np.arange(first, first + NEAR)
             _draw(axes[1], res.found, i, y, x, near, near[-1] + 1)
-            axes[1].set_title("The samples around the first faulty one" if faulty.any() else "The first samples", pad=6)
+            axes[1].set_title(
+                "The samples around the first faulty one" if faulty.any() else "The first samples", pad=6
+            )
         _draw(axes[0], res.found, i, y, x, whole, count)
-        axes[0].set_title(f"{name}: {_faults(faulty)}{thinning(count, len(whole), 'extremes')}", pad=24, parse_math=False)
+        axes[0].set_title(
+            f"{name}: {_faults(faulty)}{thinning(count, len(whole), 'extremes')}", pad=24, parse_math=False
+        )
         name_band(axes[0])
         for ax in axes:
             ax.set_ylabel(f"{name} [{unit}]" if unit else name, parse_math=False)
@@ -91,6 +108,17 @@ def _faults(faulty: np.ndarray) -> str:
     return f"{total} faulty sample{'s' * (total > 1)} in {stretches} stretch{'es' * (stretches > 1)}"
 
 
-def _draw(ax: "Axes", found: Validation, i: int, y: np.ndarray, x: np.ndarray, edges: np.ndarray, stop: int) -> None:
+def _draw(
+    ax: "Axes", found: Validation, i: int, y: np.ndarray, x: np.ndarray, edges: np.ndarray, stop: int
+) -> None:
     """Draw output i."""
-    draw_band(ax, one_of(found.output, i), y, np.asarray(found.faulty)[:, i], x, edges, stop, one_of(found.corrected, i))
+    draw_band(
+        ax,
+        one_of(found.output, i),
+        y,
+        np.asarray(found.faulty)[:, i],
+        x,
+        edges,
+        stop,
+        one_of(found.corrected, i),
+    )

@@ -1,4 +1,6 @@
-"""Arrays of floats out of what holds them: tables by the names of their columns, masked and null samples as NaN, everything checked."""
+"""Arrays of floats out of what holds them: tables by the names of their columns, masked and null samples as
+NaN, everything checked.
+"""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -12,7 +14,16 @@ from jaxbound.recordings.expressions import Expression, expression, find_column,
 from jaxbound.recordings.naming import listed
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["computed", "float_arrays", "floats", "holds_both", "inputs_of", "is_made", "recorded_type", "refuse_infinite"]
+__all__ = [
+    "computed",
+    "float_arrays",
+    "floats",
+    "holds_both",
+    "inputs_of",
+    "is_made",
+    "recorded_type",
+    "refuse_infinite",
+]
 
 
 def is_made(data: Any) -> bool:
@@ -34,7 +45,9 @@ def inputs_of(model: Any, u: Any, name: str = "u") -> Any:
 
 
 def floats(data: Any, name: str) -> np.ndarray:
-    """Return numbers that are no signals of a model as an array of floats: NaN where they are masked, null or missing."""
+    """Return numbers that are no signals of a model as an array of floats: NaN where they are masked, null or
+    missing.
+    """
     data = as_table(data, name)
     return _plain(data if not hasattr(data, "iloc") else _of_frame(data, name), name)
 
@@ -73,8 +86,10 @@ def _warn_rounded(y, dtype):
         rounded = (y.astype(dtype) != y) & ~np.isnan(y)
     if rounded.any():
         warnings.warn(
-            "samples in float64 are rounded to float32, because jax runs with x64 off: verdicts stay proofs, but every bound grows by "
-            "2.4e-07 of the largest sample, and faults below that are not seen. jax.config.update('jax_enable_x64', True) keeps them; "
+            "samples in float64 are rounded to float32, because jax runs with x64 off: verdicts stay proofs, "
+            "but every bound grows by "
+            "2.4e-07 of the largest sample, and faults below that are not seen. "
+            "jax.config.update('jax_enable_x64', True) keeps them; "
             "arrays of float32 say that this is meant",
             stacklevel=2,
         )
@@ -86,7 +101,8 @@ def refuse_infinite(name: str, data: Any, channels: Sequence[str]) -> None:
     if bad.any():
         first = np.argwhere(bad)[0]
         raise ValueError(
-            f"{name} must be finite (NaN marks a missing sample): {bad.sum()} of {bad.size} numbers are infinite, "
+            f"{name} must be finite (NaN marks a missing sample): {bad.sum()} of {bad.size} numbers are "
+            f"infinite, "
             f"first in {channels[first[-1]]!r} at sample {first[-2]}"
         )
 
@@ -101,12 +117,19 @@ def computed(e: Expression, frames: Mapping[str, Any], name: str) -> np.ndarray:
     e = e.among(list(found))
     number = lambda c: _numbers(lambda: found[c].to_numpy(np.float64, na_value=np.nan), name)
     text = lambda c: found[c].astype(object).where(found[c].notna(), None).to_numpy(object)
-    dates = {c: found[c].to_numpy("datetime64[ns]") for c in e.columns if pd.api.types.is_datetime64_any_dtype(found[c])}
-    return e.values({c: dates[c] if c in dates else text(c) if c in e.texts else number(c) for c in e.columns})
+    dates = {
+        c: found[c].to_numpy("datetime64[ns]")
+        for c in e.columns
+        if pd.api.types.is_datetime64_any_dtype(found[c])
+    }
+    return e.values(
+        {c: dates[c] if c in dates else text(c) if c in e.texts else number(c) for c in e.columns}
+    )
 
 
 def recorded_type(data: Any, name: str) -> np.dtype:
-    """Return the float type in which data were rounded: float32 if any of it (a column of a DataFrame) is that, else float64.
+    """Return the float type in which data were rounded: float32 if any of it (a column of a DataFrame) is
+    that, else float64.
 
     Raises:
         ValueError: half precision.
@@ -117,7 +140,10 @@ def recorded_type(data: Any, name: str) -> np.dtype:
     else:
         types = [data.dtype if hasattr(data, "dtype") else np.asarray(data).dtype]
     if np.float16 in types:
-        raise ValueError(f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded away")
+        raise ValueError(
+            f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded "
+            f"away"
+        )
     return np.dtype(np.float32 if np.float32 in types else np.float64)
 
 
@@ -137,14 +163,22 @@ def _columns(model, data, name, channels):
     stripped = {str(c).strip() for c in present}
     wanted = [c if c in taken or column(c).strip() not in stripped else column(c) for c in channels]
     wanted = [find_column(c, present, name) for c in wanted]
-    recorded = recorded_type(whole[[*(c for c in wanted if c not in taken), *sources]], name)  # of one column, if of any
+    recorded = recorded_type(
+        whole[[*(c for c in wanted if c not in taken), *sources]], name
+    )  # of one column, if of any
     found = _plain(_of_frame(data[wanted], name), name)
-    return found.astype(recorded, copy=False) if name == "y" else found  # what was rounded away counts in the type it was recorded in
+    return (
+        found.astype(recorded, copy=False) if name == "y" else found
+    )  # what was rounded away counts in the type it was recorded in
 
 
 def _of_frame(data, name):
     plain = data.to_numpy()
-    return plain if plain.dtype != object else _numbers(partial(data.to_numpy, dtype=np.float64, na_value=np.nan), name)
+    return (
+        plain
+        if plain.dtype != object
+        else _numbers(partial(data.to_numpy, dtype=np.float64, na_value=np.nan), name)
+    )
 
 
 def _plain(data, name):
@@ -154,9 +188,14 @@ def _plain(data, name):
     mask = np.ma.getmask(data) if isinstance(data, np.ma.MaskedArray) else np.ma.nomask
     data = np.asarray(data)
     if data.dtype == np.float16:
-        raise ValueError(f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded away")
+        raise ValueError(
+            f"{name} is in half precision: convert it to float32 and state in `resolution` what was rounded "
+            f"away"
+        )
     if np.iscomplexobj(data) or data.dtype.kind in "mM":
-        raise ValueError(f"{name} must be numbers, not {'complex ones' if np.iscomplexobj(data) else 'times'}")
+        raise ValueError(
+            f"{name} must be numbers, not {'complex ones' if np.iscomplexobj(data) else 'times'}"
+        )
     if not np.issubdtype(data.dtype, np.floating) or data.dtype.itemsize > 8:
         data = _numbers(lambda: data.astype(np.float64), name)
     if not data.dtype.isnative:  # of a file from another kind of machine

@@ -11,7 +11,9 @@ __all__ = ["Arrays"]
 
 @register
 class Arrays(Source):
-    """What `Recording.of` takes: a table or a Recording that holds both inputs and outputs, or a tuple (u, y) or (u, y, starts)."""
+    """What `Recording.of` takes: a table or a Recording that holds both inputs and outputs, or a tuple (u, y)
+    or (u, y, starts).
+    """
 
     label = "recording"
 

@@ -1,6 +1,7 @@
 """What a run keeps so that the same run goes on after a kill, and no other does.
 
-With whatever is kept stands its identity: {what it depends on: text}, from `relations.identity`. A run with another one is refused.
+With whatever is kept stands its identity: {what it depends on: text}, from `relations.identity`. A run with
+another one is refused.
 """
 
 import json
@@ -73,6 +74,8 @@ def refuse_other(path: str | PathLike, before: Any, now: Mapping[str, str]) -> N
 
 
 def differences(before: Any, now: Mapping[str, str]) -> str:
-    """Return what two identities differ in, as text; empty where they are the same. What is no identity differs in all."""
+    """Return what two identities differ in, as text; empty where they are the same. What is no identity
+    differs in all.
+    """
     before = before if isinstance(before, dict) else {}
     return " and ".join(what for what in now if before.get(what) != now[what])

@@ -1,4 +1,6 @@
-"""Columns between pyarrow and NumPy, by their buffers: pyarrow's own conversions import pandas, which takes longer than parsing a file."""
+"""Columns between pyarrow and NumPy, by their buffers: pyarrow's own conversions import pandas, which takes
+longer than parsing a file.
+"""
 
 import csv
 import io
@@ -10,17 +12,37 @@ import numpy as np
 
 from jaxbound.recordings.plaintext import cell
 
-__all__ = ["categories", "from_arrow", "is_plain", "texts", "to_arrow", "valid", "words", "write_columns", "write_rows"]
+__all__ = [
+    "categories",
+    "from_arrow",
+    "is_plain",
+    "texts",
+    "to_arrow",
+    "valid",
+    "words",
+    "write_columns",
+    "write_rows",
+]
 
 
 def from_arrow(column: Any) -> np.ndarray:
-    """Return a pyarrow column of floats or time stamps as NumPy floats or datetime64; null becomes NaN or NaT."""
+    """Return a pyarrow column of floats or time stamps as NumPy floats or datetime64; null becomes NaN or
+    NaT.
+    """
     import pyarrow as pa
 
     stamps = pa.types.is_timestamp(column.type)
-    dtype = np.dtype(f"datetime64[{column.type.unit}]" if stamps else np.float32 if pa.types.is_float32(column.type) else np.float64)
+    dtype = np.dtype(
+        f"datetime64[{column.type.unit}]"
+        if stamps
+        else np.float32
+        if pa.types.is_float32(column.type)
+        else np.float64
+    )
     x = np.frombuffer(column.buffers()[1], dtype, len(column), dtype.itemsize * column.offset)
-    return np.where(valid(column), x, np.array("NaT" if stamps else np.nan, dtype)) if column.null_count else x
+    return (
+        np.where(valid(column), x, np.array("NaT" if stamps else np.nan, dtype)) if column.null_count else x
+    )
 
 
 def valid(column: Any) -> np.ndarray:
@@ -41,7 +63,9 @@ def to_arrow(x: Any) -> Any:
         return pa.Array.from_buffers(pa.bool_(), len(x), [None, bits(x)])
     if x.dtype.kind == "M":
         x = x.astype("datetime64[ns]")
-        return pa.Array.from_buffers(pa.timestamp("ns"), len(x), [bits(~np.isnat(x)), pa.py_buffer(x.view(np.int64))])
+        return pa.Array.from_buffers(
+            pa.timestamp("ns"), len(x), [bits(~np.isnat(x)), pa.py_buffer(x.view(np.int64))]
+        )
     if x.dtype.kind == "f":
         x = x.astype(np.float64)
         return pa.Array.from_buffers(pa.float64(), len(x), [bits(~np.isnan(x)), pa.py_buffer(x)])
@@ -81,12 +105,16 @@ def categories(names: Sequence[str], codes: np.ndarray) -> Any:
     """
     import pyarrow as pa
 
-    indices = pa.Array.from_buffers(pa.int8(), len(codes), [None, pa.py_buffer(np.ascontiguousarray(codes, np.int8))])
+    indices = pa.Array.from_buffers(
+        pa.int8(), len(codes), [None, pa.py_buffer(np.ascontiguousarray(codes, np.int8))]
+    )
     return pa.DictionaryArray.from_arrays(indices, texts(names))
 
 
 def write_columns(path: str | PathLike, columns: Mapping[str, Any], append: bool = False) -> None:
-    """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has its header already."""
+    """Write {name: pyarrow array} as CSV, with quotes only if a text needs them; `append` to a file that has
+    its header already.
+    """
     with open(path, "ab" if append else "wb") as f:
         if not append:
             names = io.StringIO()
@@ -110,4 +138,7 @@ def is_plain(column: Any) -> bool:
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    return not pa.types.is_string(column.type) or not pc.any(pc.match_substring_regex(column, '[",\r\n]')).as_py()
+    return (
+        not pa.types.is_string(column.type)
+        or not pc.any(pc.match_substring_regex(column, '[",\r\n]')).as_py()
+    )

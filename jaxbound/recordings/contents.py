@@ -1,4 +1,6 @@
-"""What a recording holds, as a digest: by it a later command knows that it reads what was tested, whatever the dates of files say."""
+"""What a recording holds, as a digest: by it a later command knows that it reads what was tested, whatever
+the dates of files say.
+"""
 
 import hashlib
 import os
@@ -14,7 +16,8 @@ BLOCK = 1 << 24  # bytes that a thread takes at once
 
 
 def content(path: Path) -> str | None:
-    """Return a digest of all bytes of a recording; of a folder, of its Parquet files and their names in it; None of a pipe.
+    """Return a digest of all bytes of a recording; of a folder, of its Parquet files and their names in it;
+    None of a pipe.
 
     Args:
         path: of a file, or of a folder of Parquet files.
@@ -30,10 +33,12 @@ def content(path: Path) -> str | None:
 class Contents:
     """Digests of the files of a recording, of which each block is read once, when it is first asked for.
 
-    Blocks are digested side by side (`hashlib` lets go of the interpreter), so a large recording costs little more than to read it.
+    Blocks are digested side by side (`hashlib` lets go of the interpreter), so a large recording costs little
+    more than to read it.
 
     Args:
-        path: of a file, or of a folder of Parquet files. known: {(file, first byte of a block): its digest}, to which others are added.
+        path: of a file, or of a folder of Parquet files. known: {(file, first byte of a block): its digest},
+            to which others are added.
     """
 
     def __init__(self, path: Path, known: dict[tuple[Path, int], bytes] | None = None) -> None:
@@ -47,21 +52,29 @@ class Contents:
         whole = hashlib.blake2b(digest_size=32)
         for (file, at), digest in blocks.items():
             if at == 0:
-                name = file.relative_to(self.path).as_posix() if self.path.is_dir() else ""  # a file may be moved
+                name = (
+                    file.relative_to(self.path).as_posix() if self.path.is_dir() else ""
+                )  # a file may be moved
                 whole.update(f"{len(name)} {name} {sizes[file]} ".encode())
             whole.update(digest)
         return whole.hexdigest()
 
     def of(self, spans: Iterable[tuple[Path, int, int]]) -> str:
-        """Return a digest of all blocks with bytes in spans, (file, first byte, byte behind the last) each."""
+        """Return a digest of all blocks with bytes in spans, (file, first byte, byte behind the last)
+        each.
+        """
         return hashlib.blake2b(b"".join(self._blocks(spans).values()), digest_size=32).hexdigest()
 
     def _blocks(self, spans):
         """Return {(file, first byte): digest} of the blocks in order."""
-        wanted = dict.fromkeys((file, at) for file, first, stop in spans for at in range(first // BLOCK * BLOCK, stop, BLOCK))
+        wanted = dict.fromkeys(
+            (file, at) for file, first, stop in spans for at in range(first // BLOCK * BLOCK, stop, BLOCK)
+        )
         new = [block for block in wanted if block not in self.known]
         with ThreadPoolExecutor(max(min(len(new), os.cpu_count() or 1), 1)) as threads:
-            self.known.update(zip(new, threads.map(_digest, *zip(*new, strict=True)), strict=True) if new else ())
+            self.known.update(
+                zip(new, threads.map(_digest, *zip(*new, strict=True)), strict=True) if new else ()
+            )
         return {block: self.known[block] for block in wanted}
 
 

@@ -1,4 +1,6 @@
-"""CSV files as recordings: a million rows are parsed column by column, only the columns that the model names."""
+"""CSV files as recordings: a million rows are parsed column by column, only the columns that the model
+names.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,12 +46,19 @@ def _read(path, model, report):
         plan = wanted(layout.names, model, layout.dated)
     except ValueError as e:
         raise ValueError(f"{e}{above_header(layout)}") from None
-    if plan.time is None and layout.names[0] == "" and layout.first[0] and not is_number(layout.first[0], layout.decimal):
+    if (
+        plan.time is None
+        and layout.names[0] == ""
+        and layout.first[0]
+        and not is_number(layout.first[0], layout.decimal)
+    ):
         plan = replace(plan, time="")  # an index of time stamps without a name
     report(0.05)
     index = {name: layout.names.index(name) for name in plan.columns}
     text_time = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
-    table = parse_columns(layout, index, {*plan.texts, *([plan.time, plan.day] if text_time else [])}, plan.time is not None)
+    table = parse_columns(
+        layout, index, {*plan.texts, *([plan.time, plan.day] if text_time else [])}, plan.time is not None
+    )
     report(0.7)
     count = len(table[plan.columns[0]])
     if count < 2:
@@ -61,13 +70,20 @@ def _read(path, model, report):
     if written is not None and written.null_count:
         first = layout.row(int(np.argmin(valid(written))))
         raise ValueError(f"{first} has no time: every row needs one, {written.null_count} do not have it")
-    columns = {c: _values(layout, c, table[c]) for c in plan.numbers if c not in (plan.time, plan.day) or not text_time}
+    columns = {
+        c: _values(layout, c, table[c])
+        for c in plan.numbers
+        if c not in (plan.time, plan.day) or not text_time
+    }
     columns |= {c: np.array(table[c].to_pylist(), object) for c in plan.texts}
     if written is None:
         if model.dt is None:
             raise ValueError(f"the file has no time column: {NO_TIME}")
         time, stamps = np.arange(count) * model.dt, None
-        hints.append(f"the file has no time column: the rows are taken to be dt = {model.dt:g} s apart, and none to be missing")
+        hints.append(
+            f"the file has no time column: the rows are taken to be dt = {model.dt:g} s apart, and none to "
+            f"be missing"
+        )
     elif text_time:
         time, stamps, hint = parse_stamps(written, model.dt, layout.row)
         hints += [hint] if hint else []
@@ -81,19 +97,35 @@ def _read(path, model, report):
         dt = usual_period(time) if model.dt is None else model.dt
         check_period(time, dt, getattr(model, "stated", "the model has"))
     except ValueError as e:
-        others = [name for name in layout.names if name not in (plan.time, plan.day) and layout.dated(name) in STAMPS]
-        which = f"; the time is taken from column {plan.time!r}, another is {others[0]!r}: say which it is, {TELLING}" if others else ""
+        others = [
+            name
+            for name in layout.names
+            if name not in (plan.time, plan.day) and layout.dated(name) in STAMPS
+        ]
+        which = (
+            f"; the time is taken from column {plan.time!r}, another is {others[0]!r}: say which it is, "
+            f"{TELLING}"
+            if others
+            else ""
+        )
         raise ValueError(f"{e}{which}") from None
     report(0.9)
-    return told(model, replace(recording, dt=dt), layout.row, plan.where.text if plan.where else "", tuple(hints))
+    return told(
+        model, replace(recording, dt=dt), layout.row, plan.where.text if plan.where else "", tuple(hints)
+    )
 
 
 def _values(layout, name, column):
-    """Return a column as floats, NaN where a sample is missing; refuse infinity and a column without any number."""
+    """Return a column as floats, NaN where a sample is missing; refuse infinity and a column without any
+    number.
+    """
     x = from_arrow(column)
     if np.isinf(x).any():
         k = int(np.argmax(np.isinf(x)))
-        raise ValueError(f"{layout.row(k)} of column {name!r} is infinite or too large for a number (leave a missing sample blank)")
+        raise ValueError(
+            f"{layout.row(k)} of column {name!r} is infinite or too large for a number (leave a missing "
+            f"sample blank)"
+        )
     if np.isnan(x).all():
         raise ValueError(f"column {name!r} holds no number at all: all {len(x)} cells are blank or NaN")
     return x

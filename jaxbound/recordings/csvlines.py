@@ -1,8 +1,10 @@
-r"""The lines of a CSV file without its parser: how many there are, which are blank, where a quotation mark stays open.
+r"""The lines of a CSV file without its parser: how many there are, which are blank, where a quotation mark
+stays open.
 
-A line is a row. It ends at \n, \r\n or \r, also at \r\r\n, which a program writes whose carriage returns were added twice;
-the characters that Unicode calls line ends are part of a cell, and so is a quotation mark inside of a cell. One that begins
-a cell and is not closed on its line would take the lines behind it into the cell: such a line is refused.
+A line is a row. It ends at \n, \r\n or \r, also at \r\r\n, which a program writes whose carriage returns were
+added twice; the characters that Unicode calls line ends are part of a cell, and so is a quotation mark inside
+of a cell. One that begins a cell and is not closed on its line would take the lines behind it into the cell:
+such a line is refused.
 """
 
 import re
@@ -25,8 +27,9 @@ class CountedLines:
     Args:
         file: open for reading, not yet read.
 
-    Fields: lines: how many there are, with the last even where it has no end; last: number of the last that holds more than
-    blanks; open_end: whether a block ends in a line with an open quotation mark, where a parser would not notice it.
+    Fields: lines: how many there are, with the last even where it has no end; last: number of the last that
+    holds more than blanks; open_end: whether a block ends in a line with an open quotation mark, where a
+    parser would not notice it.
     """
 
     closed = False  # what pyarrow asks of a file

@@ -1,7 +1,8 @@
 """The text of a CSV file: how it is written, its columns, and the row that cannot be read.
 
-Columns are parsed by pyarrow, only those that are wanted; when that fails, or gives another number of rows than there are lines, a second,
-slow pass finds the row and says what stands there. Rows are counted as a spreadsheet does: the header is row 1.
+Columns are parsed by pyarrow, only those that are wanted; when that fails, or gives another number of rows
+than there are lines, a second, slow pass finds the row and says what stands there. Rows are counted as a
+spreadsheet does: the header is row 1.
 """
 
 import csv
@@ -21,14 +22,20 @@ __all__ = ["BLANK", "UNCLOSED", "Layout", "cells_of", "is_number", "parse_column
 
 WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "#N/A", "None", "none")
 MISSING_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
-ENOUGH, LINES, LONGEST = 1 << 18, 8, 1 << 26  # bytes and lines of a file that show how it is written; bytes looked at at most
+ENOUGH, LINES, LONGEST = (
+    1 << 18,
+    8,
+    1 << 26,
+)  # bytes and lines of a file that show how it is written; bytes looked at at most
 ENDS = (b"\n", b"\r")
 FURTHER = 20  # lines below the first row that show whether it is the header
 MANY = 10  # words that a sentence on cells that are no numbers repeats at most
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)|nan", re.IGNORECASE)
 UNCLOSED = "has a quotation mark that is not closed: remove it, or close it on the same line"
-BLANK = ("is blank, and without a column of times nothing says whether a sample is missing there: "
-         "remove the line, or leave its cells blank between their delimiters")  # fmt: skip
+BLANK = (
+    "is blank, and without a column of times nothing says whether a sample is missing there: "
+    "remove the line, or leave its cells blank between their delimiters"
+)
 SIGNATURES = {
     b"PAR1": "a Parquet file",
     b"\x1f\x8b": "a gzip file",
@@ -80,7 +87,9 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
     if head is None:
         with open(path, "rb") as f:
             head = f.read(ENOUGH)
-            while max(map(head.count, ENDS)) < LINES and len(head) < LONGEST and (more := f.read(ENOUGH)):  # a header of many columns
+            while (
+                max(map(head.count, ENDS)) < LINES and len(head) < LONGEST and (more := f.read(ENOUGH))
+            ):  # a header of many columns
                 head += more
     if not head.strip(BOM + b" \t\r\n"):
         raise ValueError("the file is empty")
@@ -100,8 +109,12 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
         if sum(b < 9 for b in head) or sum(b > 127 for b in head) > len(head) // 4:
             raise ValueError("this is not a text file: give a CSV file in UTF-8") from None
         encoding, text = "cp1252", head.decode("cp1252", "replace")
-        hints.append("the file is not in UTF-8: it is read as Windows-1252, which matters for column names only")
-    lines = re.split(r"\r*\n|\r", text, maxsplit=1000)  # enough of them; splitting all takes longer than parsing
+        hints.append(
+            "the file is not in UTF-8: it is read as Windows-1252, which matters for column names only"
+        )
+    lines = re.split(
+        r"\r*\n|\r", text, maxsplit=1000
+    )  # enough of them; splitting all takes longer than parsing
     skip = next((i for i, line in enumerate(lines) if line.strip()), None)
     if skip is None:
         raise ValueError(f"the file begins with {len(lines)} blank lines: a header is needed")
@@ -112,10 +125,17 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
     delimiter = delimiter or next((d for d in (";", "\t", ",") if d in header), ",")
     names = [name.strip() for name in cells_of(header, delimiter)]
     data = [cells_of(line, delimiter) for line in lines[skip + 1 : skip + 200] if line.strip()]
-    decimal = "," if delimiter != "," and any(re.fullmatch(r"\s*[-+]?\d*,\d+([eE].*)?\s*", c) for row in data for c in row) else "."
+    decimal = (
+        ","
+        if delimiter != ","
+        and any(re.fullmatch(r"\s*[-+]?\d*,\d+([eE].*)?\s*", c) for row in data for c in row)
+        else "."
+    )
     if all(is_number(name, decimal) for name in names):
-        raise ValueError(f"the first row must hold the names of the columns: it holds numbers ({listed(names[:3], str)}). "
-                         f"Put a line above it, such as: {', '.join(['time', *('abcdefgh'[: len(names) - 1])])}")  # fmt: skip
+        raise ValueError(
+            f"the first row must hold the names of the columns: it holds numbers ({listed(names[:3], str)}). "
+            f"Put a line above it, such as: {', '.join(['time', *('abcdefgh'[: len(names) - 1])])}"
+        )
     if not data:
         raise ValueError("the file has a header but no row of data")
     first = data[0] + [""] * (len(names) - len(data[0]))
@@ -123,13 +143,21 @@ def sniff(path: Path, head: bytes | None = None) -> Layout:
 
 
 def above_header(layout: Layout) -> str:
-    """Return what to add to a sentence on a column that is not there: "", or that the first row is no header."""
-    lines = [_text(line, layout) for line, _ in zip(lines_of(layout.path), range(layout.skip + FURTHER), strict=False)]
+    """Return what to add to a sentence on a column that is not there: "", or that the first row is no
+    header.
+    """
+    lines = [
+        _text(line, layout)
+        for line, _ in zip(lines_of(layout.path), range(layout.skip + FURTHER), strict=False)
+    ]
     widths = [max(len(cells_of(line, d)) for d in (";", "\t", ",")) for line in lines]
     first = widths[layout.skip - 1] if len(widths) >= layout.skip else 0
     if not widths or first >= max(widths):
         return ""
-    here, there = f"row {layout.skip} has {first} cell{'s' * (first != 1)}", f"row {widths.index(max(widths)) + 1} has {max(widths)}"
+    here, there = (
+        f"row {layout.skip} has {first} cell{'s' * (first != 1)}",
+        f"row {widths.index(max(widths)) + 1} has {max(widths)}",
+    )
     return f"; the header must be the first row: {here}, {there}"
 
 
@@ -141,7 +169,8 @@ def cells_of(line: str, delimiter: str, spaced: bool = True) -> list[str]:
     """Return the cells of a line; of one that csv cannot read, what lies between the delimiters.
 
     Args:
-        line: without its end. delimiter: between cells. spaced: a quotation mark behind a space begins a cell, as in headers.
+        line: without its end. delimiter: between cells. spaced: a quotation mark behind a space begins a
+            cell, as in headers.
     """
     try:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=spaced), [""]) or [""]
@@ -155,22 +184,30 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def parsing(layout: Layout) -> Any:
-    """Return how pyarrow takes the lines apart: one that is blank is no row, but where there is one column a missing sample."""
+    """Return how pyarrow takes the lines apart: one that is blank is no row, but where there is one column a
+    missing sample.
+    """
     import pyarrow.csv as pc
 
     def of_wrong_length(row):
         return "skip" if layout.is_blank(row.text.encode()) else "error"
 
-    return pc.ParseOptions(delimiter=layout.delimiter, newlines_in_values=False, ignore_empty_lines=len(layout.names) > 1,
-                           invalid_row_handler=of_wrong_length)  # fmt: skip
+    return pc.ParseOptions(
+        delimiter=layout.delimiter,
+        newlines_in_values=False,
+        ignore_empty_lines=len(layout.names) > 1,
+        invalid_row_handler=of_wrong_length,
+    )
 
 
-def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str], timed: bool = True) -> dict[str, Any]:
+def parse_columns(
+    layout: Layout, index: Mapping[str, int], texts: Iterable[str], timed: bool = True
+) -> dict[str, Any]:
     """Return {column: pyarrow array} of the wanted columns, an element for each row of the file.
 
     Args:
-        layout: of the file; its .blank is filled. index: {column: its number}. texts: those that are not numbers. timed: a column tells the
-            time; without one a blank line between rows is refused.
+        layout: of the file; its .blank is filled. index: {column: its number}. texts: those that are not
+            numbers. timed: a column tells the time; without one a blank line between rows is refused.
 
     Raises:
         ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
@@ -179,13 +216,23 @@ def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str]
     import pyarrow.csv as pc
 
     key = {name: f"f{i}" for name, i in index.items()}
-    read = pc.ReadOptions(column_names=[f"f{i}" for i in range(len(layout.names))], skip_rows=layout.skip, encoding=layout.encoding,
-                          block_size=max(1 << 20, 64 * len(layout.names), 16 * sum(map(len, layout.names))))  # fmt: skip
+    read = pc.ReadOptions(
+        column_names=[f"f{i}" for i in range(len(layout.names))],
+        skip_rows=layout.skip,
+        encoding=layout.encoding,
+        block_size=max(1 << 20, 64 * len(layout.names), 16 * sum(map(len, layout.names))),
+    )
     failure = None
-    for decimal in (layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",):
+    for decimal in (
+        (layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",)
+    ):
         convert = pc.ConvertOptions(
-            include_columns=list(key.values()), decimal_point=decimal, null_values=list(MISSING_CELLS), strings_can_be_null=True,
-            column_types={k: pa.string() if name in texts else pa.float64() for name, k in key.items()})  # fmt: skip
+            include_columns=list(key.values()),
+            decimal_point=decimal,
+            null_values=list(MISSING_CELLS),
+            strings_can_be_null=True,
+            column_types={k: pa.string() if name in texts else pa.float64() for name, k in key.items()},
+        )
         with open(layout.path, "rb", buffering=0) as file:
             lines = CountedLines(file, layout.delimiter)
             try:
@@ -199,7 +246,9 @@ def parse_columns(layout: Layout, index: Mapping[str, int], texts: Iterable[str]
 
 
 def _refuse_lost_rows(layout, counted, rows, timed):
-    """Raise ValueError unless every line below the header is a row that was read; note those that are blank."""
+    """Raise ValueError unless every line below the header is a row that was read; note those that are
+    blank.
+    """
     last = counted.lines if len(layout.names) == 1 else counted.last
     if rows == last - layout.skip and not counted.open_end:
         return
@@ -219,7 +268,9 @@ def _refuse_lost_rows(layout, counted, rows, timed):
 
 
 def _bad_row(layout, index, texts):
-    """Return a sentence on the first row that cannot be read, and on all cells like it: the slow second pass."""
+    """Return a sentence on the first row that cannot be read, and on all cells like it: the slow second
+    pass.
+    """
     first, others = "", 0
     words: dict[str, None] = {}
     for number, line in enumerate(lines_of(layout.path), 1):
@@ -239,6 +290,9 @@ def _bad_row(layout, index, texts):
                 others += 1
                 words |= {word: None} if len(words) < MANY else {}
             else:
-                first = f"row {number} of column {name!r} holds {word!r}, which is not a number: leave a missing sample blank"
+                first = (
+                    f"row {number} of column {name!r} holds {word!r}, which is not a number: leave a "
+                    f"missing sample blank"
+                )
     more = f"; {others} more cells hold {listed(list(words))}, too" if others else ""
     return f"{first}{more}" or None

@@ -1,7 +1,9 @@
-"""Signals and conditions that are computed from the columns of a recording: `= Tsup - Tmix`, `fan > 0 and occupied == 1`.
+"""Signals and conditions that are computed from the columns of a recording: `= Tsup - Tmix`, `fan > 0 and
+occupied == 1`.
 
-The notation is that of pandas.DataFrame.eval, arithmetic and comparisons only; a name with blanks or signs in it stands in backticks. It is
-parsed here and computed in NumPy, so that a model file cannot run anything else.
+The notation is that of pandas.DataFrame.eval, arithmetic and comparisons only; a name with blanks or signs in
+it stands in backticks. It is parsed here and computed in NumPy, so that a model file cannot run anything
+else.
 """
 
 import ast
@@ -16,22 +18,89 @@ import numpy as np
 
 from jaxbound.recordings.naming import listed, shown
 
-__all__ = ["TIMES", "Expression", "expression", "fails", "find_column", "is_expression", "likely", "missing_column"]
+__all__ = [
+    "TIMES",
+    "Expression",
+    "expression",
+    "fails",
+    "find_column",
+    "is_expression",
+    "likely",
+    "missing_column",
+]
 
-TIMES = (r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha y hora|hora|tiempo|tijd|tijdstip|tid|czas)\b.*",
-         r"t(\s*[\[(/,].*)?", r"(date|datum|fecha|data)\b.*")  # fmt: skip
-"""What a column of times is called, the likeliest first; in a language that is not here, dates are known by what they are."""
+TIMES = (
+    r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha y "
+    r"hora|hora|tiempo|tijd|tijdstip|tid|czas)\b.*",
+    r"t(\s*[\[(/,].*)?",
+    r"(date|datum|fecha|data)\b.*",
+)
+"""What a column of times is called, the likeliest first; in a language that is not here, dates are known by
+what they are.
+"""
 
-FUNCTIONS = {name: getattr(np, name) for name in (
-    "abs", "sqrt", "exp", "expm1", "log", "log1p", "log10", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh",
-    "tanh", "arcsinh", "arccosh", "arctanh", "floor", "ceil")}  # fmt: skip
-ARITHMETIC = {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.FloorDiv: np.floor_divide,
-              ast.Mod: np.mod, ast.Pow: np.power, ast.UAdd: np.positive, ast.USub: np.negative}  # fmt: skip
+FUNCTIONS = {
+    name: getattr(np, name)
+    for name in (
+        "abs",
+        "sqrt",
+        "exp",
+        "expm1",
+        "log",
+        "log1p",
+        "log10",
+        "sin",
+        "cos",
+        "tan",
+        "arcsin",
+        "arccos",
+        "arctan",
+        "arctan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "arcsinh",
+        "arccosh",
+        "arctanh",
+        "floor",
+        "ceil",
+    )
+}
+ARITHMETIC = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.FloorDiv: np.floor_divide,
+    ast.Mod: np.mod,
+    ast.Pow: np.power,
+    ast.UAdd: np.positive,
+    ast.USub: np.negative,
+}
 LOGIC = {ast.And: np.logical_and, ast.Or: np.logical_or}
-COMPARISONS = {ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal, ast.Eq: np.equal,
-               ast.NotEq: np.not_equal}  # fmt: skip
-ALLOWED = (ast.Expression, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.Call, ast.Name, ast.Load, ast.Constant, ast.Not,
-           *ARITHMETIC, *LOGIC, *COMPARISONS)  # fmt: skip
+COMPARISONS = {
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+    ast.Eq: np.equal,
+    ast.NotEq: np.not_equal,
+}
+ALLOWED = (
+    ast.Expression,
+    ast.BinOp,
+    ast.UnaryOp,
+    ast.BoolOp,
+    ast.Compare,
+    ast.Call,
+    ast.Name,
+    ast.Load,
+    ast.Constant,
+    ast.Not,
+    *ARITHMETIC,
+    *LOGIC,
+    *COMPARISONS,
+)
 LARGEST = int(np.finfo(float).max)
 PIECES = re.compile(r"""'[^']*'|"[^"]*"|`[^`]*`|&|\|""")
 
@@ -40,8 +109,9 @@ PIECES = re.compile(r"""'[^']*'|"[^"]*"|`[^`]*`|&|\|""")
 class Expression:
     """A number, or yes and no, for each sample. Build it with `expression`.
 
-    Fields: text: as written, without the leading "="; columns: names of the columns that it needs; texts: those of them that are compared
-    with text; names: the columns by the names that stand for them in the tree.
+    Fields: text: as written, without the leading "="; columns: names of the columns that it needs; texts:
+    those of them that are compared with text; names: the columns by the names that stand for them in the
+    tree.
     """
 
     text: str
@@ -51,17 +121,24 @@ class Expression:
     tree: ast.expr
 
     def among(self, present: Iterable[str]) -> "Expression":
-        """Return the same Expression with the columns as they are called in a recording, where blanks at the ends do not count.
+        """Return the same Expression with the columns as they are called in a recording, where blanks at the
+        ends do not count.
 
         Raises:
             ValueError: a column is not there.
         """
         found = {c: find_column(c, present, f"the recording, for {self.text!r},") for c in self.columns}
-        return Expression(self.text, tuple(dict.fromkeys(found.values())), frozenset(found[c] for c in self.texts),
-                          {key: found[c] for key, c in self.names.items()}, self.tree)  # fmt: skip
+        return Expression(
+            self.text,
+            tuple(dict.fromkeys(found.values())),
+            frozenset(found[c] for c in self.texts),
+            {key: found[c] for key, c in self.names.items()},
+            self.tree,
+        )
 
     def values(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return (N,) floats, NaN where a column that is needed has no value or where the result is no finite number; yes is 1, no 0.
+        """Return (N,) floats, NaN where a column that is needed has no value or where the result is no finite
+        number; yes is 1, no 0.
 
         Args:
             columns: {name: (N,) floats, datetime64, or texts as objects, None where there is none}.
@@ -71,8 +148,10 @@ class Expression:
         """
         for name in self.columns:
             if (columns[name].dtype.kind in "MO") != (name in self.texts):
-                kind = {"M": "is a time: compare it with a date in quotes", "O": "holds text: compare it with text in quotes"}.get(
-                    columns[name].dtype.kind, "holds numbers: compare it with a number")  # fmt: skip
+                kind = {
+                    "M": "is a time: compare it with a date in quotes",
+                    "O": "holds text: compare it with text in quotes",
+                }.get(columns[name].dtype.kind, "holds numbers: compare it with a number")
                 raise ValueError(f"{self.text!r}: column {name!r} {kind}")
         with np.errstate(all="ignore"):
             try:
@@ -83,11 +162,13 @@ class Expression:
         known = np.isfinite(out)
         for name in self.columns:
             x = columns[name]
-            known = known & (x != None if x.dtype == object else ~np.isnat(x) if x.dtype.kind == "M" else ~np.isnan(x))  # noqa: E711
+            known = known & ~_is_missing(x)
         return np.where(known, out, np.nan)
 
     def _value(self, columns):
-        """Return the value of the tree, without recursion: a sum of thousands of terms is as many levels deep."""
+        """Return the value of the tree, without recursion: a sum of thousands of terms is as many levels
+        deep.
+        """
         found: dict[int, Any] = {}
         waiting = [self.tree]
         while waiting:
@@ -113,20 +194,29 @@ class Expression:
         if isinstance(node, ast.BoolOp):
             return reduce(LOGIC[type(node.op)], parts)
         if isinstance(node, ast.Compare):
-            return reduce(np.logical_and, (self._compared(op, a, b) for op, a, b in zip(node.ops, parts, parts[1:], strict=False)))
+            return reduce(
+                np.logical_and,
+                (self._compared(op, a, b) for op, a, b in zip(node.ops, parts, parts[1:], strict=False)),
+            )
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             return np.logical_not(*parts)
         return ARITHMETIC[type(node.op)](*(x.astype(float) if x.dtype == bool else x for x in parts))
 
     def _compared(self, op, a, b):
-        texts, kinds = [x for x in (a, b) if isinstance(x, str)], {x.dtype.kind for x in (a, b) if not isinstance(x, str)}
+        texts, kinds = (
+            [x for x in (a, b) if isinstance(x, str)],
+            {x.dtype.kind for x in (a, b) if not isinstance(x, str)},
+        )
         if texts and "O" in kinds and not isinstance(op, (ast.Eq, ast.NotEq)):
             raise ValueError(f"{self.text!r}: text has no order, compare {texts[0]!r} with == or != only")
         if texts and "M" in kinds:
             try:
                 a, b = (np.datetime64(x) if isinstance(x, str) else x for x in (a, b))
             except ValueError:
-                raise ValueError(f"{self.text!r}: {texts[0]!r} is no date: write it like '2017-09-20' or '2017-09-20 08:00'") from None
+                raise ValueError(
+                    f"{self.text!r}: {texts[0]!r} is no date: write it like '2017-09-20' or '2017-09-20 "
+                    f"08:00'"
+                ) from None
         return COMPARISONS[type(op)](a, b)
 
 
@@ -160,8 +250,9 @@ def expression(text: str) -> Expression:
     """Read an expression over the columns of a recording.
 
     Args:
-        text: columns, numbers, + - * / // % **, comparisons (chained ones too), and, or, not, & and | for and and or, abs, sqrt, exp, log,
-            sin, ... A leading "=" does not count. Text columns and times may be compared with text in quotes.
+        text: columns, numbers, + - * / // % **, comparisons (chained ones too), and, or, not, & and | for and
+            and or, abs, sqrt, exp, log, sin, ... A leading "=" does not count. Text columns and times may be
+            compared with text in quotes.
 
     Returns:
         An Expression.
@@ -187,29 +278,47 @@ def expression(text: str) -> Expression:
     try:
         tree = ast.parse(code.strip(), mode="eval").body
     except (RecursionError, MemoryError):
-        raise ValueError(f"the expression {shown(text)} cannot be read, too long or too deep: compute it beforehand, as a column") from None
+        raise ValueError(
+            f"the expression {shown(text)} cannot be read, too long or too deep: compute it beforehand, as a "
+            f"column"
+        ) from None
     except (SyntaxError, ValueError) as e:
         if "too many nested" in str(e):
             raise ValueError(
-                f"the expression {shown(text)} cannot be read, nested too deeply: compute it beforehand, as a column"
+                f"the expression {shown(text)} cannot be read, nested too deeply: compute it beforehand, as "
+                f"a column"
             ) from None
-        wrong = "one = is no comparison, write ==" if re.search(r"(?<![<>=!])=(?!=)", code) else (
-            "names with blanks, colons or other signs stand in backticks, like `Supply Temp`")  # fmt: skip
+        wrong = (
+            "one = is no comparison, write =="
+            if re.search(r"(?<![<>=!])=(?!=)", code)
+            else ("names with blanks, colons or other signs stand in backticks, like `Supply Temp`")
+        )
         raise ValueError(f"the expression {shown(text)} cannot be read: {wrong}") from None
     called, texts = _checked(text, tree)
-    names = {node.id: node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called}
+    names = {
+        node.id: node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called
+    }
     names |= {key: name for name, key in quoted.items()}
     if not names:
         raise ValueError(f"the expression {text!r} names no column")
-    return Expression(text, tuple(dict.fromkeys(names.values())), frozenset(names[x] for x in texts), names, tree)
+    return Expression(
+        text, tuple(dict.fromkeys(names.values())), frozenset(names[x] for x in texts), names, tree
+    )
 
 
 def _checked(text, tree):
-    """Return (ids of the nodes that name a function, names that are compared with text); refuse what an expression may not hold."""
+    """Return (ids of the nodes that name a function, names that are compared with text); refuse what an
+    expression may not hold.
+    """
     called, texts, strings = set(), set(), set()
     for node in ast.walk(tree):
         if not isinstance(node, ALLOWED):
-            _refuse(text, {ast.Attribute: "an attribute", ast.MatMult: "@"}.get(type(node), f"what Python calls {type(node).__name__}"))
+            _refuse(
+                text,
+                {ast.Attribute: "an attribute", ast.MatMult: "@"}.get(
+                    type(node), f"what Python calls {type(node).__name__}"
+                ),
+            )
         if isinstance(node, ast.Call):
             if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
                 _refuse(text, f"the function {ast.unparse(node.func)}")
@@ -221,22 +330,40 @@ def _checked(text, tree):
             sides = (node.left, *node.comparators)
             for a, b in zip(sides, sides[1:], strict=False):
                 for one, other in ((a, b), (b, a)):
-                    if isinstance(one, ast.Constant) and isinstance(one.value, str) and isinstance(other, ast.Name):
+                    if (
+                        isinstance(one, ast.Constant)
+                        and isinstance(one.value, str)
+                        and isinstance(other, ast.Name)
+                    ):
                         texts.add(other.id)
                         strings.add(id(one))
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and id(node) not in strings and not isinstance(node.value, (int, float)):
+        if (
+            isinstance(node, ast.Constant)
+            and id(node) not in strings
+            and not isinstance(node.value, (int, float))
+        ):
             if isinstance(node.value, str):
-                raise ValueError(f"the expression {text!r} holds the text {node.value!r}: text can only be compared with a column")
+                raise ValueError(
+                    f"the expression {text!r} holds the text {node.value!r}: text can only be compared with "
+                    f"a column"
+                )
             _refuse(text, f"{node.value!r}")
-        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not abs(node.value) <= LARGEST:
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, (int, float))
+            and not abs(node.value) <= LARGEST
+        ):
             raise ValueError(f"the expression {shown(text)} holds a number beyond the range of floats")
     return called, texts
 
 
 def _refuse(text, what):
-    raise ValueError(f"the expression {text!r} holds {what}: there are columns, numbers, + - * / // % **, comparisons, and, or, not, and "
-                     f"the functions {', '.join(FUNCTIONS)}")  # fmt: skip
+    raise ValueError(
+        f"the expression {text!r} holds {what}: there are columns, numbers, + - * / // % **, comparisons, "
+        f"and, or, not, and "
+        f"the functions {', '.join(FUNCTIONS)}"
+    )
 
 
 def find_column(wanted: str, present: Iterable[str], where: str) -> str:
@@ -255,7 +382,9 @@ def find_column(wanted: str, present: Iterable[str], where: str) -> str:
 
 def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = "column") -> str:
     """Return the sentence for a column, or what else of a kind, that is not there, with the nearest name."""
-    near = difflib.get_close_matches(wanted, [str(c) for c in present if len(str(c)) < 200][:10_000], n=1, cutoff=0.5)
+    near = difflib.get_close_matches(
+        wanted, [str(c) for c in present if len(str(c)) < 200][:10_000], n=1, cutoff=0.5
+    )
     here = listed(list(map(str, present)))
     if near:
         return f"{where} has no {kind} {shown(wanted)}; did you mean {shown(near[0])}? It has {here}."
@@ -264,4 +393,15 @@ def missing_column(wanted: str, present: Iterable[str], where: str, kind: str = 
 
 def likely(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
     """Return those of the names that follow one of the patterns, in the order of the patterns."""
-    return [name for pattern in patterns for name in names if re.fullmatch(pattern, str(name).lower().strip())]
+    return [
+        name for pattern in patterns for name in names if re.fullmatch(pattern, str(name).lower().strip())
+    ]
+
+
+def _is_missing(column):
+    """Return which cells of a column hold nothing: None, NaT or NaN."""
+    if column.dtype == object:
+        return column == None  # noqa: E711 (cell by cell)
+    if column.dtype.kind == "M":
+        return np.isnat(column)
+    return np.isnan(column)

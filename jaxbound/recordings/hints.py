@@ -1,4 +1,6 @@
-"""What the owner of a recording should know, as sentences: what is missing, what the recorder rounds, what is too short."""
+"""What the owner of a recording should know, as sentences: what is missing, what the recorder rounds, what is
+too short.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +9,14 @@ import numpy as np
 
 from jaxbound.recordings.naming import listed
 
-__all__ = ["missing_hints", "missing_samples", "missing_sentences", "recorded_step", "refuse_short", "rounding_hints"]
+__all__ = [
+    "missing_hints",
+    "missing_samples",
+    "missing_sentences",
+    "recorded_step",
+    "refuse_short",
+    "rounding_hints",
+]
 
 
 def refuse_short(source: object, samples: int | None, horizon: int | None) -> None:
@@ -22,7 +31,9 @@ def refuse_short(source: object, samples: int | None, horizon: int | None) -> No
 
 
 def missing_hints(model: Any, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None = None) -> list[str]:
-    """Return a sentence for each signal with missing samples. Args: u (T, m), y (T, p); excluded (T,) bool: samples that do not count."""
+    """Return a sentence for each signal with missing samples. Args: u (T, m), y (T, p); excluded (T,) bool:
+    samples that do not count.
+    """
     if excluded is not None:
         u, y = u[~excluded], y[~excluded]
     return missing_sentences(missing_samples(model, u, y), len(y))
@@ -30,7 +41,11 @@ def missing_hints(model: Any, u: np.ndarray, y: np.ndarray, excluded: np.ndarray
 
 def missing_samples(model: Any, u: np.ndarray, y: np.ndarray) -> dict[str, int]:
     """Return {signal: number of its missing samples}."""
-    return {name: int(np.isnan(x[:, i]).sum()) for names, x in ((model.inputs, u), (model.outputs, y)) for i, name in enumerate(names)}
+    return {
+        name: int(np.isnan(x[:, i]).sum())
+        for names, x in ((model.inputs, u), (model.outputs, y))
+        for i, name in enumerate(names)
+    }
 
 
 def missing_sentences(missing: Mapping[str, int], samples: int) -> list[str]:
@@ -50,14 +65,17 @@ def rounding_hints(model: Any, y: np.ndarray) -> list[str]:
         if step and float(model.resolution[i]) < step / 2 * (1 - 1e-9):
             found.setdefault(f"{step:.6g}", []).append(name)
     return [
-        f"every sample of {listed(names, str)} is a multiple of {step}, more than the resolution that the model states: "
+        f"every sample of {listed(names, str)} is a multiple of {step}, more than the resolution that the "
+        f"model states: "
         f"if the recorder rounds, add `resolution = {float(step) / 2:.6g}` there in the model file"
         for step, names in found.items()
     ]
 
 
 def recorded_step(x: np.ndarray) -> float:
-    """Return the largest step that all values are multiples of (counted from one of them), or 0: a recorder that rounds."""
+    """Return the largest step that all values are multiples of (counted from one of them), or 0: a recorder
+    that rounds.
+    """
     x = x[~np.isnan(x)]
     values = np.unique(x[:20_000])
     if len(values) < 3:
@@ -67,7 +85,9 @@ def recorded_step(x: np.ndarray) -> float:
     for places in range(10):
         if top * 10.0**places > 1e12:
             break
-        if fits(values, 10.0**-places, 2e-15 * top * 10.0**places + 1e-9) and fits(x, 10.0**-places, 2e-15 * top * 10.0**places + 1e-9):
+        if fits(values, 10.0**-places, 2e-15 * top * 10.0**places + 1e-9) and fits(
+            x, 10.0**-places, 2e-15 * top * 10.0**places + 1e-9
+        ):
             found = 10.0**-places
             break
     gaps = np.diff(values)

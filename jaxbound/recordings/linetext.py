@@ -27,12 +27,14 @@ class LineReader:
     """Reads lines without their ends.
 
     Args:
-        head: the header and the first line of data, before them perhaps one with the delimiter, as bytes. model: whose signals are wanted.
+        head: the header and the first line of data, before them perhaps one with the delimiter, as bytes.
+            model: whose signals are wanted.
 
     Fields: head; plan (`derived.Wanted`); is_text: the time is written as text; layout (`csvtext.Layout`).
 
     Raises:
-        WrongCells: the first line of data has more or fewer cells than the header. ValueError: a column is not there, no header, no text.
+        WrongCells: the first line of data has more or fewer cells than the header. ValueError: a column is
+            not there, no header, no text.
     """
 
     def __init__(self, head: list[bytes], model: Any) -> None:
@@ -47,7 +49,12 @@ class LineReader:
         self.layout = layout
         if not self.fits(head[-1]) or layout.is_open(head[-1]):
             raise WrongCells(self.trouble(head[-1]))
-        if plan.time is None and layout.names[0] == "" and layout.first[0] and not is_number(layout.first[0], layout.decimal):
+        if (
+            plan.time is None
+            and layout.names[0] == ""
+            and layout.first[0]
+            and not is_number(layout.first[0], layout.decimal)
+        ):
             plan = replace(plan, time="")
         index = {name: layout.names.index(name) for name in plan.columns}
         text = plan.time is not None and not is_number(layout.first[index[plan.time]], layout.decimal)
@@ -58,10 +65,17 @@ class LineReader:
         self.parsing = parsing(layout)
         kinds = {f"f{i}": pa.string() if name in strings else pa.float64() for name, i in index.items()}
         self.converting = [
-            pc.ConvertOptions(include_columns=list(kinds), decimal_point=d, null_values=list(MISSING_CELLS),
-                              strings_can_be_null=True, column_types=kinds)
-            for d in ((layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",))
-        ]  # fmt: skip
+            pc.ConvertOptions(
+                include_columns=list(kinds),
+                decimal_point=d,
+                null_values=list(MISSING_CELLS),
+                strings_can_be_null=True,
+                column_types=kinds,
+            )
+            for d in (
+                (layout.decimal, "," if layout.decimal == "." else ".") if layout.delimiter != "," else (".",)
+            )
+        ]
 
     def cells(self, line: bytes) -> list[str]:
         """Return the cells of a line as texts."""
@@ -69,7 +83,9 @@ class LineReader:
         return cells_of(text, self.layout.delimiter, spaced=False)
 
     def is_row(self, line: bytes) -> bool:
-        """Return whether a line is a row, or where no time shows that one is missing, may have been meant for one."""
+        """Return whether a line is a row, or where no time shows that one is missing, may have been meant for
+        one.
+        """
         return self.plan.time is None or not self.layout.is_blank(line)
 
     def fits(self, line: bytes) -> bool:
@@ -77,7 +93,8 @@ class LineReader:
         return len(self.cells(line)) == len(self.layout.names)
 
     def columns(self, lines: list[bytes]) -> tuple[dict[str, np.ndarray], Any]:
-        """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts, or None where it is a column of numbers or none).
+        """Return ({column: (N,) numbers or texts}, the time as a pyarrow array of texts, or None where it is
+        a column of numbers or none).
 
         Raises:
             ValueError: some line cannot be read, or holds an infinite number.
@@ -101,23 +118,34 @@ class LineReader:
             cell = cells[i].strip()
             text = name in self.plan.texts or (name in (self.plan.time, self.plan.day) and self.is_text)
             if not text and cell not in MISSING_CELLS and not is_number(cell, self.layout.decimal):
-                return f"of column {name!r} holds {cell[:60]!r}, which is not a number: leave a missing sample blank"
+                return (
+                    f"of column {name!r} holds {cell[:60]!r}, which is not a number: leave a missing "
+                    f"sample blank"
+                )
         return ""
 
     def stamp(self, line: bytes) -> str:
-        """Return the time of a line as it is written, the day before the clock where they have columns of their own."""
+        """Return the time of a line as it is written, the day before the clock where they have columns of
+        their own.
+        """
         cells = self.cells(line)
-        return " ".join(cells[self.index[name]].strip() for name in (self.plan.day, self.plan.time) if name is not None)
+        return " ".join(
+            cells[self.index[name]].strip() for name in (self.plan.day, self.plan.time) if name is not None
+        )
 
     def _stamps(self, columns):
-        """Take the time out of columns of texts and return it, or None where it is a column of numbers or none."""
+        """Take the time out of columns of texts and return it, or None where it is a column of numbers or
+        none.
+        """
         if not self.is_text:
             return None
         stamps = columns.pop(self.plan.time)
         return stamps if self.plan.day is None else with_day(columns.pop(self.plan.day), stamps)
 
     def _few(self, lines):
-        """Return what `_many` returns, of a few lines that are plain, sooner than pyarrow gets going; None where it must look at them."""
+        """Return what `_many` returns, of a few lines that are plain, sooner than pyarrow gets going; None
+        where it must look at them.
+        """
         import pyarrow as pa
 
         if self.plan.texts:

@@ -15,14 +15,19 @@ from jaxbound.recordings.plaintext import printable
 __all__ = ["readable"]
 
 Class = TypeVar("Class", bound=type)
-FEW, ROWS, HEAD, CELL = 8, 12, 300, 110  # numbers told whole; lines; characters of the first line and of another
+FEW, ROWS, HEAD, CELL = (
+    8,
+    12,
+    300,
+    110,
+)  # numbers told whole; lines; characters of the first line and of another
 
 
 def readable(cls: Class) -> Class:
     """Give a class `__repr__` and `_repr_html_` of at most 2 kB; a decorator above `@dataclass`.
 
-    The class may say what its first line is, `_head(self)`, and what follows, `_rows(self)`: {label: text}. A `__repr__` of its own stays,
-    and is the first line of the table.
+    The class may say what its first line is, `_head(self)`, and what follows, `_rows(self)`: {label: text}. A
+    `__repr__` of its own stays, and is the first line of the table.
 
     Example:
         >>> @readable
@@ -36,18 +41,27 @@ def readable(cls: Class) -> Class:
           method: 'joint'
     """
     plain = cls.__repr__
-    own = "__repr__" in vars(cls) and not hasattr(plain, "__wrapped__") and not issubclass(cls, tuple)  # not the one that is made for it
+    own = (
+        "__repr__" in vars(cls) and not hasattr(plain, "__wrapped__") and not issubclass(cls, tuple)
+    )  # not the one that is made for it
 
     def told(self):
         return _told(self, plain, own)
 
     def shown(self):
         head, rows, whole = told(self)
-        return whole or (head if own else "") or "\n".join((head, *(f"  {label}: {text}" for label, text in rows)))
+        return (
+            whole
+            or (head if own else "")
+            or "\n".join((head, *(f"  {label}: {text}" for label, text in rows)))
+        )
 
     def table(self):
         head, rows, whole = told(self)
-        cells = "".join(f'<tr><th scope="row">{html.escape(label)}</th><td>{html.escape(text)}</td></tr>' for label, text in rows)
+        cells = "".join(
+            f'<tr><th scope="row">{html.escape(label)}</th><td>{html.escape(text)}</td></tr>'
+            for label, text in rows
+        )
         return f"<table><caption>{html.escape(head)}</caption><tbody>{cells}</tbody></table>"
 
     cls.__repr__, cls._repr_html_ = shown, table  # type: ignore[assignment,attr-defined]
@@ -68,7 +82,11 @@ def _told(thing, plain, own):
     else:
         shape = next((np.shape(value) for value in map(_lead, parts.values()) if np.ndim(value)), "")
         head = f"{type(thing).__name__} {shape}".strip()
-    rows = thing._rows() if hasattr(thing, "_rows") else {label: _short(value) for label, value in parts.items() if not _empty(value)}
+    rows = (
+        thing._rows()
+        if hasattr(thing, "_rows")
+        else {label: _short(value) for label, value in parts.items() if not _empty(value)}
+    )
     lines = [(label, _clipped(text, CELL)) for label, text in list(rows.items())[:ROWS]]
     return _clipped(head, HEAD), lines, whole
 
@@ -110,14 +128,20 @@ def _short(value):
     """Return a value in a few words."""
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         if 0 < np.size(value) <= FEW and not _abstract(value):
-            return " ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in np.asarray(value).ravel().tolist())
+            return " ".join(
+                f"{x:.6g}" if isinstance(x, float) else str(x) for x in np.asarray(value).ravel().tolist()
+            )
         return f"{value.dtype} {tuple(value.shape)}"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_short(x)}" for key, x in list(value.items())[:FEW]) + (
             f", ... ({len(value)})" if len(value) > FEW else ""
         )
     if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
-        return ", ".join(map(_short, value)) if _count(value) <= FEW else f"{len(value)} of {type(value[0]).__name__}"
+        return (
+            ", ".join(map(_short, value))
+            if _count(value) <= FEW
+            else f"{len(value)} of {type(value[0]).__name__}"
+        )
     if dataclasses.is_dataclass(value) and not isinstance(value, type) and not isinstance(value, str):
         lead = _lead(value)
         return f"{type(value).__name__} {np.shape(lead) if np.ndim(lead) else ''}".strip()

@@ -1,7 +1,9 @@
-"""Lines of CSV as they come through a pipe: the samples in them, where they do not follow each other, and the lines that cannot be read.
+"""Lines of CSV as they come through a pipe: the samples in them, where they do not follow each other, and the
+lines that cannot be read.
 
-Lines are counted from 1, the header's. One that cannot be read is left out, with a sentence, and no window spans it. What has been taken is
-remembered in a few numbers and lines, so that another process can go on behind it, whether the sender begins again or not.
+Lines are counted from 1, the header's. One that cannot be read is left out, with a sentence, and no window
+spans it. What has been taken is remembered in a few numbers and lines, so that another process can go on
+behind it, whether the sender begins again or not.
 """
 
 from collections.abc import Callable
@@ -23,8 +25,9 @@ SHOWN = 100  # samples whose steps say whether the sampling period is the model'
 
 
 class Piece(NamedTuple):
-    """The samples of some lines: time (N,) in s; written, the time as it stands there, numbers or a pyarrow array of texts; u, y; starts:
-    numbers, counted in these, of samples that do not follow the one before; excluded (N,) bool or None: left out by the model's `where`.
+    """The samples of some lines: time (N,) in s; written, the time as it stands there, numbers or a pyarrow
+    array of texts; u, y; starts: numbers, counted in these, of samples that do not follow the one before;
+    excluded (N,) bool or None: left out by the model's `where`.
     """
 
     time: np.ndarray
@@ -39,7 +42,8 @@ class PipeText:
     """Takes bytes, gives Pieces.
 
     Args:
-        model: whose signals are wanted. complain: called with (kind, sentence) on each line that is left out and each seam.
+        model: whose signals are wanted. complain: called with (kind, sentence) on each line that is left out
+            and each seam.
         memory: from `.memory()` of another PipeText, to go on where that ended; None: a new stream.
     """
 
@@ -47,14 +51,20 @@ class PipeText:
         self.model, self.complain, self.tail, self.last = model, complain, b"", b""
         self.reader: Any = None  # a LineReader, as soon as there is a row of data
         self.held: list[tuple[int, bytes]] = []
-        self.number = self.resumed = 0  # lines so far; those before this process, as long as it is not clear how the stream goes on
+        self.number = self.resumed = (
+            0  # lines so far; those before this process, as long as it is not clear how the stream goes on
+        )
         self.clock, self.texts = Clock(model.dt), []
         self.origin: Any = None  # of a time that is an epoch, with units a second in .scale
         self.scale: Any = None
         self.broken = self.aside = self.repeated = False
         self.skip, self.skipped, self.rest = 0, 0, b""
-        self.blank: list[tuple[int, bytes]] = []  # blank lines that are wrong, without a time, where a row follows
-        self.returns = 0  # carriage returns at the end of what was taken, which may be the first half of a line end
+        self.blank: list[
+            tuple[int, bytes]
+        ] = []  # blank lines that are wrong, without a time, where a row follows
+        self.returns = (
+            0  # carriage returns at the end of what was taken, which may be the first half of a line end
+        )
         self.after: float | None = None
         self.shown: list[float] | None = []
         if memory is not None:
@@ -62,8 +72,15 @@ class PipeText:
             self.rest, self.last = (memory[x].encode("latin-1") for x in ("tail", "last"))
             if self.rest == b"\r":
                 self.rest, self.returns = b"", 1
-            self.clock = Clock(model.dt, memory["samples"], memory["time"], tuple(Seam(**s) for s in memory["seams"]))
-            self.origin, self.scale, self.texts, self.aside = memory["origin"], memory["scale"], memory["texts"], memory["aside"]
+            self.clock = Clock(
+                model.dt, memory["samples"], memory["time"], tuple(Seam(**s) for s in memory["seams"])
+            )
+            self.origin, self.scale, self.texts, self.aside = (
+                memory["origin"],
+                memory["scale"],
+                memory["texts"],
+                memory["aside"],
+            )
             self.broken, self.number, self.resumed, self.shown = memory["broken"], 0, memory["number"], None
 
     def memory(self) -> dict | None:
@@ -72,18 +89,27 @@ class PipeText:
             return None
         line = lambda b: b.decode("latin-1")
         return {
-            "head": [line(x) for x in self.reader.head], "number": max(self.number, self.resumed, self.skip),
+            "head": [line(x) for x in self.reader.head],
+            "number": max(self.number, self.resumed, self.skip),
             "tail": line(self.rest + self.tail + b"\r"[: self.returns]),
-            "last": line(self.last), "samples": self.clock.samples, "time": self.clock.last, "seams": [asdict(s) for s in self.clock.seams],
-            "origin": self.origin, "scale": self.scale, "texts": self.texts,
-            "broken": self.broken or bool(self.blank), "aside": self.aside,
-        }  # fmt: skip
+            "last": line(self.last),
+            "samples": self.clock.samples,
+            "time": self.clock.last,
+            "seams": [asdict(s) for s in self.clock.seams],
+            "origin": self.origin,
+            "scale": self.scale,
+            "texts": self.texts,
+            "broken": self.broken or bool(self.blank),
+            "aside": self.aside,
+        }
 
     def take(self, data: bytes, end: bool = False) -> Piece | None:
-        """Return the Piece of the lines that these bytes complete, or None where there is none; `end`: the last line needs no line end.
+        """Return the Piece of the lines that these bytes complete, or None where there is none; `end`: the
+        last line needs no line end.
 
         Raises:
-            ValueError: no header, a column that is missing, another sampling period than the model's, a megabyte without a line end.
+            ValueError: no header, a column that is missing, another sampling period than the model's, a
+                megabyte without a line end.
         """
         data = self.tail + self._continued(data, end)
         cut = len(data) if end else max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
@@ -124,17 +150,26 @@ class PipeText:
         if self.shown:
             check_period(np.array(self.shown), self.model.dt)
         if self.reader is None:
-            raise ValueError(f"{SOURCE} ended before the first row of data" if self.held else f"{SOURCE} is empty")
+            raise ValueError(
+                f"{SOURCE} ended before the first row of data" if self.held else f"{SOURCE} is empty"
+            )
 
     def label(self, time: float) -> str:
-        """Return a time in s as a reader would write it; where it is written as text, that of the last sample."""
+        """Return a time in s as a reader would write it; where it is written as text, that of the last
+        sample.
+        """
         if self.reader.is_text:
             return self.texts[-1].strip()
-        stamp = None if self.scale is None else np.datetime64(round((self.origin + time * self.scale) * (1e9 / self.scale)), "ns")
+        stamp = (
+            None
+            if self.scale is None
+            else np.datetime64(round((self.origin + time * self.scale) * (1e9 / self.scale)), "ns")
+        )
         return time_label(time, stamp, self.model.dt)
 
     def _continued(self, data, end):
-        r"""Return bytes behind those before without what of them belongs to the end of the last line, which may be \r, \r\n or \r\r\n.
+        r"""Return bytes behind those before without what of them belongs to the end of the last line, which
+        may be \r, \r\n or \r\r\n.
 
         A line is taken as soon as \r ends it; other \r behind it wait for what follows.
         """
@@ -153,7 +188,9 @@ class PipeText:
         return kept + b"\r" if self.returns else kept
 
     def _begin(self, kept):
-        """Find out how the stream is written, once there is a row of data; return the lines from the first that may be one."""
+        """Find out how the stream is written, once there is a row of data; return the lines from the first
+        that may be one.
+        """
         self.held += kept
         while self.held and not self.held[0][1].removeprefix(BOM).strip():
             del self.held[0]
@@ -165,7 +202,9 @@ class PipeText:
                 at += 1
                 continue
             try:
-                self.reader = LineReader([line for _, line in (*self.held[: header + 1], self.held[at])], self.model)
+                self.reader = LineReader(
+                    [line for _, line in (*self.held[: header + 1], self.held[at])], self.model
+                )
             except WrongCells as e:
                 self.complain("line", f"line {number} {e}")
                 del self.held[at]
@@ -175,7 +214,9 @@ class PipeText:
         return []
 
     def _joined(self, line):
-        """Return the first line of a stream that goes on behind half a line: that line, or the whole one; None where one cannot tell."""
+        """Return the first line of a stream that goes on behind half a line: that line, or the whole one;
+        None where one cannot tell.
+        """
         both, self.rest = (line, self.rest + line), b""
         if line.removeprefix(BOM).strip() in [x.strip() for x in self.reader.head]:
             return line
@@ -220,8 +261,13 @@ class PipeText:
             and not any(is_number(c, self.reader.layout.decimal) for c in cells)
             and set(cells) & set(self.reader.plan.columns)
         ):
-            raise ValueError(f"{SOURCE} begins with another header than before, {', '.join(cells)}: choose another --out or --state")
-        if bare(filled) == bare(self.reader.head[-1]) and (self.repeated or self.reader.plan.time is not None):
+            raise ValueError(
+                f"{SOURCE} begins with another header than before, {', '.join(cells)}: choose another --out "
+                f"or --state"
+            )
+        if bare(filled) == bare(self.reader.head[-1]) and (
+            self.repeated or self.reader.plan.time is not None
+        ):
             self.skip = self.resumed
             self.complain("replay", "the sender began again: what was judged before is skipped")
         else:
@@ -241,8 +287,12 @@ class PipeText:
         if old and old[-1][0] == self.skip or self.number >= self.skip:
             line = old[-1][1] if old else None
             if line is not None and line.strip() != self.last.strip():
-                self.complain("replay", f"the sender began again, but its line {old[-1][0]} is not the one that was judged: what it sends "
-                              "from here on is taken to follow that")  # fmt: skip
+                self.complain(
+                    "replay",
+                    f"the sender began again, but its line {old[-1][0]} is not the one that was judged: what "
+                    f"it sends "
+                    "from here on is taken to follow that",
+                )
             self.skip = 0
         return kept[len(old) :]
 
@@ -257,17 +307,23 @@ class PipeText:
                 yield from self._pieces(kept[half:])
             else:
                 self.broken = True
-                self.complain("line", f"line {kept[0][0]} {self.reader.trouble(kept[0][1]) or str(e).strip()}")
+                self.complain(
+                    "line", f"line {kept[0][0]} {self.reader.trouble(kept[0][1]) or str(e).strip()}"
+                )
 
     def _piece(self, kept):
         """Return the Piece of lines that can all be read."""
         count, plan = len(kept), self.reader.plan
         columns, stamps = self.reader.columns([line for _, line in kept])
-        time, stamps, written, before = self._times(columns.get(plan.time) if stamps is None else stamps, count)
+        time, stamps, written, before = self._times(
+            columns.get(plan.time) if stamps is None else stamps, count
+        )
         columns.setdefault(plan.time, time if stamps is None else stamps)
         u, y, excluded = plan.samples(columns, count)
         new = np.arange(count)
-        if self.after is not None:  # the sender may have begun again somewhere: what is not after the last sample was judged
+        if (
+            self.after is not None
+        ):  # the sender may have begun again somewhere: what is not after the last sample was judged
             fresh = time > before
             new = new[np.argmax(fresh) :] if fresh.any() else new[:0]
             self.after, self.skipped = None if len(new) else self.after, self.skipped + count - len(new)
@@ -277,15 +333,26 @@ class PipeText:
             time, written, u, y, kept = time[new], written[new[0] :], u[new], y[new], kept[new[0] :]
             excluded = None if excluded is None else excluded[new]
             if self.skipped:
-                self.complain("replay", f"{self.skipped} lines, not after {self.label(before)}, were judged before and are skipped: if the "
-                              "clock was set back meanwhile, begin anew with another --out or --state")  # fmt: skip
+                self.complain(
+                    "replay",
+                    f"{self.skipped} lines, not after {self.label(before)}, were judged before and are "
+                    f"skipped: if the "
+                    "clock was set back meanwhile, begin anew with another --out or --state",
+                )
         return self._follow(time, written, u, y, excluded, before, kept)
 
     def _follow(self, time, written, u, y, excluded, before, kept):
         """Find the seams of samples that are taken."""
         known = self.clock.samples
-        if len(time) == 1 and known and abs(time[0] - before - self.model.dt) <= TOLERATED_STEP * self.model.dt:  # soon said
-            self.clock, seams = replace(self.clock, samples=known + 1, last=float(time[0])), np.zeros(0, np.int64)
+        if (
+            len(time) == 1
+            and known
+            and abs(time[0] - before - self.model.dt) <= TOLERATED_STEP * self.model.dt
+        ):  # soon said
+            self.clock, seams = (
+                replace(self.clock, samples=known + 1, last=float(time[0])),
+                np.zeros(0, np.int64),
+            )
         else:
             self.clock, seams = tick(replace(self.clock, last=before), time)
         if self.reader.is_text:
@@ -293,8 +360,12 @@ class PipeText:
         starts = seams - known
         for k in starts[:20]:
             step = time[k] - (time[k - 1] if k else before)
-            self.complain("seam", f"line {kept[k][0]} comes {step:.6g} s after the sample before it, not dt = {self.model.dt:g} s: "
-                          "windows across are MISSING")  # fmt: skip
+            self.complain(
+                "seam",
+                f"line {kept[k][0]} comes {step:.6g} s after the sample before it, not dt = "
+                f"{self.model.dt:g} s: "
+                "windows across are MISSING",
+            )
         if self.broken:
             starts, self.broken = np.union1d(starts, [0]), False
         if excluded is not None:
@@ -303,7 +374,9 @@ class PipeText:
         return Piece(time, written, u, y, starts, excluded)
 
     def _times(self, cells, count):
-        """Return (time (N,) in s; as datetime64 or None; as written; time of the sample before as seconds of the same count)."""
+        """Return (time (N,) in s; as datetime64 or None; as written; time of the sample before as seconds of
+        the same count).
+        """
         import pyarrow as pa
 
         if cells is None:
@@ -313,7 +386,9 @@ class PipeText:
             known = self.texts
             if cells.null_count:
                 raise ValueError("has no time")
-            time, stamps, hint = parse_stamps(pa.concat_arrays([pa.array(known, pa.string()), cells]), self.model.dt, lambda k: "")
+            time, stamps, hint = parse_stamps(
+                pa.concat_arrays([pa.array(known, pa.string()), cells]), self.model.dt, lambda k: ""
+            )
             if hint and not known:
                 self.complain("hint", hint)
             own = slice(len(known), None)

@@ -1,4 +1,6 @@
-"""Text that people read: names that users wrote without control characters, formulas or end, and numbers that read well."""
+"""Text that people read: names that users wrote without control characters, formulas or end, and numbers that
+read well.
+"""
 
 __all__ = ["cell", "clipped", "duration", "factor", "percent", "printable", "times"]
 
@@ -8,7 +10,8 @@ LONGEST = 2000  # characters of a sentence
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Return a text with control characters, and what UTF-8 cannot hold, written as escapes; those in `keep` stay.
+    r"""Return a text with control characters, and what UTF-8 cannot hold, written as escapes; those in `keep`
+    stay.
 
     A name from a file may hold what would move the cursor of a terminal, or hide what follows.
 
@@ -24,7 +27,13 @@ def printable(text: str, keep: str = "") -> str:
 def _harmless(c):
     code = ord(c)
     control = code < 32 or 127 <= code < 160 or code in (0x2028, 0x2029)
-    return not (control or 0xD800 <= code < 0xE000 or 0x200E <= code <= 0x200F or 0x202A <= code <= 0x202E or 0x2066 <= code <= 0x2069)
+    return not (
+        control
+        or 0xD800 <= code < 0xE000
+        or 0x200E <= code <= 0x200F
+        or 0x202A <= code <= 0x202E
+        or 0x2066 <= code <= 0x2069
+    )
 
 
 def clipped(text: str) -> str:
@@ -35,7 +44,8 @@ def clipped(text: str) -> str:
 
 
 def cell(text: str) -> str:
-    """Return a text as a cell of CSV that no spreadsheet takes for a formula: an apostrophe before = + - @, control characters escaped.
+    """Return a text as a cell of CSV that no spreadsheet takes for a formula: an apostrophe before = + - @,
+    control characters escaped.
 
     Source: OWASP, CSV injection.
 

@@ -17,23 +17,28 @@ __all__ = ["kind_of", "open_source", "read", "read_signals"]
 
 
 def read(path: Any, model: Any, progress: Callable | None = None) -> Recording:
-    r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow each other by name.
+    r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow
+    each other by name.
 
-    CSV: delimiter `,`, `;` or tab; decimal comma with the latter two. Blank, NaN, null and NA cells are missing samples, and so is a
-    blank line where there is one column. Every line is a row: a cell in quotation marks ends on its line. Columns that the
-    model does not name are ignored. Time in seconds, as time stamps or as an epoch; without a time column the samples are dt apart.
+    CSV: delimiter `,`, `;` or tab; decimal comma with the latter two. Blank, NaN, null and NA cells are
+    missing samples, and so is a blank line where there is one column. Every line is a row: a cell in
+    quotation marks ends on its line. Columns that the model does not name are ignored. Time in seconds, as
+    time stamps or as an epoch; without a time column the samples are dt apart.
 
     Args:
-        path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz). model: whose signals are wanted: a LinearSystem, an
-            IntervalSystem, or anything else with names of .inputs and .outputs. progress: called with the share of the work done.
+        path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz). model: whose signals are
+            wanted: a LinearSystem, an IntervalSystem, or anything else with names of .inputs and .outputs.
+                progress: called with the share of the work done.
 
     Returns:
-        A Recording, which every verb takes in the place of u: detect(relations, read("run.csv", model)). Samples that do not follow each
-        other (.starts), those that the model's `where` leaves out (.excluded) and missing ones (NaN) are known to it; .hints are
-        sentences for whoever owns the file, .label(k) is the time of a sample as it stands there.
+        A Recording, which every verb takes in the place of u: detect(relations, read("run.csv", model)).
+        Samples that do not follow each other (.starts), those that the model's `where` leaves out (.excluded)
+        and missing ones (NaN) are known to it; .hints are sentences for whoever owns the file, .label(k) is
+        the time of a sample as it stands there.
 
     Raises:
-        OSError: no such file. ValueError: standard input; anything that is not a regular recording of this model: what, and in which row.
+        OSError: no such file. ValueError: standard input; anything that is not a regular recording of this
+            model: what, and in which row.
 
     Example:
         >>> import tempfile, pathlib, jaxbound as jb
@@ -42,7 +47,8 @@ def read(path: Any, model: Any, progress: Callable | None = None) -> Recording:
         >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, outputs=["level"])
         >>> run = jb.read(path, m)
         >>> run.hints[0]
-        'the recording has a gap of 58 s before row 5 (60 s): the recording is split there, and windows across are MISSING'
+        'the recording has a gap of 58 s before row 5 (60 s): the recording is split there, and windows across
+        are MISSING'
         >>> jb.detect(jb.parity_relations(m), run).status
         array([0, 1, 3, 0, 1], dtype=int8)
     """
@@ -50,10 +56,12 @@ def read(path: Any, model: Any, progress: Callable | None = None) -> Recording:
 
 
 def open_source(data: Any, model: Any) -> Source:
-    """Return the Source of what a user holds: a path, arrays, tables. See `read` for the paths, and for what is raised.
+    """Return the Source of what a user holds: a path, arrays, tables. See `read` for the paths, and for what
+    is raised.
 
     Args:
-        data: a path; or what `Recording.of` takes: a table or a Recording of both, or a tuple (u, y) or (u, y, starts).
+        data: a path; or what `Recording.of` takes: a table or a Recording of both, or a tuple (u, y) or (u,
+            y, starts).
         model: as for `read`.
     """
     return kind_of(data).open(data, signals_of(model))
@@ -68,7 +76,9 @@ def kind_of(data: object) -> type[Source]:
 
 @register
 class ReadOnce(Source):
-    """A pipe like bash's <(zcat run.csv.gz): it can be read once, and reading needs more, so all that comes out of it is kept meanwhile."""
+    """A pipe like bash's <(zcat run.csv.gz): it can be read once, and reading needs more, so all that comes
+    out of it is kept meanwhile.
+    """
 
     @classmethod
     def takes(cls, data: object) -> bool:
@@ -83,7 +93,9 @@ class ReadOnce(Source):
     def whole(self, progress: Callable | None = None) -> Recording:
         """Return the Recording of what is in it, of whatever kind."""
         if str(self.data) == "-":
-            raise ValueError("standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here")
+            raise ValueError(
+                "standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here"
+            )
         with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
             with open(str(self.data), "rb") as pipe:
                 shutil.copyfileobj(pipe, file)
@@ -106,9 +118,10 @@ def read_signals(
 
     Args:
         paths: one path or several, each as for `read`.
-        inputs, outputs: of each signal the name, or (name, column), where a column may be "= an expression" over columns.
-        columns: {"time": column, "where": condition, signal: column}, as of a LinearSystem. dt: seconds between samples; None: the median
-            step of the time column, a sentence in .hints says which.
+        inputs, outputs: of each signal the name, or (name, column), where a column may be "= an expression"
+            over columns.
+        columns: {"time": column, "where": condition, signal: column}, as of a LinearSystem. dt: seconds
+            between samples; None: the median step of the time column, a sentence in .hints says which.
         progress: called with the share of the work done.
 
     Returns:
@@ -130,14 +143,23 @@ def read_signals(
         report = None if progress is None else lambda share, i=i: progress((i + share) / len(paths))
         r = read(path, model, report)
         if r.excluded is not None and r.excluded.all():
-            raise ValueError(f"{path}: the condition {columns['where']!r} holds for none of its {len(r.time)} samples")
+            raise ValueError(
+                f"{path}: the condition {columns['where']!r} holds for none of its {len(r.time)} samples"
+            )
         found.append(r)
     low, high = min(found, key=lambda r: r.dt), max(found, key=lambda r: r.dt)
     if high.dt - low.dt > TOLERATED_DT * low.dt:
         slow, quick = (paths[found.index(r)] for r in (high, low))
         fold = high.dt / low.dt
-        thin = f"keep one of every {round(fold)} rows of {quick}" if abs(fold - round(fold)) < TOLERATED_DT else "bring them to one period"
-        raise ValueError(f"{slow} has a sample every {high.dt:g} s, {quick} every {low.dt:g} s, and a model has one sampling period: "
-                         f"fit a model to each, or {thin} first")  # fmt: skip
+        thin = (
+            f"keep one of every {round(fold)} rows of {quick}"
+            if abs(fold - round(fold)) < TOLERATED_DT
+            else "bring them to one period"
+        )
+        raise ValueError(
+            f"{slow} has a sample every {high.dt:g} s, {quick} every {low.dt:g} s, and a model has one "
+            f"sampling period: "
+            f"fit a model to each, or {thin} first"
+        )
     said = [] if dt is not None else [f"dt = {found[0].dt:g} s, the median step of the time"]
     return [replace(r, dt=found[0].dt, hints=(*said, *r.hints)) for r in found]

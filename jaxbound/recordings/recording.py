@@ -1,7 +1,9 @@
-"""A recording is a value: u, y, where samples do not follow each other, which do not count. Every verb builds one first, by one door.
+"""A recording is a value: u, y, where samples do not follow each other, which do not count. Every verb builds
+one first, by one door.
 
-Tables in (`table`), checked arrays out. What a table says beyond its numbers is found here, so that no verb can forget it: the names of its
-columns, gaps in the time of its rows, samples that the model's `where` leaves out, samples that are masked or null.
+Tables in (`table`), checked arrays out. What a table says beyond its numbers is found here, so that no verb
+can forget it: the names of its columns, gaps in the time of its rows, samples that the model's `where` leaves
+out, samples that are masked or null.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,7 +30,8 @@ EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 class Signals:
     """What reading needs to know where there is no model yet.
 
-    Fields: inputs, outputs: names; columns: as of a LinearSystem; dt: sampling period in s, None: the median step of the recording.
+    Fields: inputs, outputs: names; columns: as of a LinearSystem; dt: sampling period in s, None: the median
+    step of the recording.
     """
 
     inputs: tuple
@@ -38,7 +41,9 @@ class Signals:
     stated = "you gave"  # who says what dt is
 
     m = property(lambda self: len(self.inputs))
-    resolution = property(lambda self: (np.inf,) * len(self.outputs))  # nothing is stated that could be too small
+    resolution = property(
+        lambda self: (np.inf,) * len(self.outputs)
+    )  # nothing is stated that could be too small
 
     def column(self, signal: str) -> str:
         """Return the column of a recording that holds a signal."""
@@ -55,19 +60,24 @@ def signals_of(model: Any) -> Any:
 @readable
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One recording, or a batch of one length, as every verb takes it. `Recording.of` builds it of what a user holds, `jb.read` of a file.
+    """One recording, or a batch of one length, as every verb takes it. `Recording.of` builds it of what a
+    user holds, `jb.read` of a file.
 
     Fields:
-        u, y: (..., T, m), (..., T, p) of one float dtype in the order of the model's signals; NaN where a sample is missing or does not
-            count. Tracers and jax arrays stay what they are.
-        starts: (k,) whole numbers, ascending: samples that do not follow the one before. Windows across are MISSING.
+        u, y: (..., T, m), (..., T, p) of one float dtype in the order of the model's signals; NaN where a
+            sample is missing or does not count. Tracers and jax arrays stay what they are.
+        starts: (k,) whole numbers, ascending: samples that do not follow the one before. Windows across are
+            MISSING.
         inputs, outputs: names of the signals; both empty: not known, they are taken by position.
-        excluded: (T,) bool, samples that the model's `where` leaves out, with a start at either end of each stretch; None: it has none, or
-            there was no table to look at.
-        index: labels of the rows, of the table that y came from, else of that of u; of a file its times; None: there were none.
+        excluded: (T,) bool, samples that the model's `where` leaves out, with a start at either end of each
+            stretch; None: it has none, or there was no table to look at.
+        index: labels of the rows, of the table that y came from, else of that of u; of a file its times;
+            None: there were none.
         time: (T,) seconds, of dates and time spans since the first sample; None where nothing tells it.
-        origin: the instant at which `time` is 0, in s: since 1970 where there are dates, 0 of numbers; NaN: not known.
-        dt: sampling period in s that the times of the rows show, or that a file is read by; None: there are none.
+        origin: the instant at which `time` is 0, in s: since 1970 where there are dates, 0 of numbers; NaN:
+            not known.
+        dt: sampling period in s that the times of the rows show, or that a file is read by; None: there are
+            none.
         stamps: (T,) datetime64[ns] where a file or an index has dates, else None.
         written: the time as the file has it, a pyarrow array; None: there was no file, or no time in it.
         hints: sentences that the user should read. source: name of the file.
@@ -89,26 +99,32 @@ class Recording:
     source: str = ""
 
     @classmethod
-    def of(cls, model: Any, u: Any, y: Any = None, starts: Any = (), regular: bool = True, narrow: bool = True) -> "Recording":
+    def of(
+        cls, model: Any, u: Any, y: Any = None, starts: Any = (), regular: bool = True, narrow: bool = True
+    ) -> "Recording":
         """Return the Recording of a model's signals.
 
         Integers become floats.
 
         Args:
-            model: with .inputs, .outputs and, where tables may be named otherwise, .columns, .column(signal), .dt (None: not known).
-            u, y: arrays (..., T, m), (..., T, p), masked or not; or tables: DataFrames of pandas or polars, tables of pyarrow, Datasets and
-                labelled DataArrays of xarray, dicts of columns. Signals are taken by name, rows of two tables by the labels of their
-                index. u is None for a model without inputs. y None: u holds both, a table or a Recording (or anything with .u and .y).
-            starts: numbers of the samples that do not follow the one before; what tables tell of it is found: by an index of dates or
-                time spans, else by the column by which `jb.read` would take the time from such a file, else by an index of numbers,
-                which are seconds, or, whole ones, count the samples.
-            regular: whether the rows must have the model's dt for their usual step. narrow: whether u takes the type of y, and both
-                become float32 where jax runs with x64 off (`detect` counts that rounding); else each keeps the type it was recorded in.
+            model: with .inputs, .outputs and, where tables may be named otherwise, .columns, .column(signal),
+                .dt (None: not known).
+            u, y: arrays (..., T, m), (..., T, p), masked or not; or tables: DataFrames of pandas or polars,
+                tables of pyarrow, Datasets and labelled DataArrays of xarray, dicts of columns. Signals are
+                taken by name, rows of two tables by the labels of their index. u is None for a model without
+                inputs. y None: u holds both, a table or a Recording (or anything with .u and .y).
+            starts: numbers of the samples that do not follow the one before; what tables tell of it is found:
+                by an index of dates or time spans, else by the column by which `jb.read` would take the time
+                from such a file, else by an index of numbers, which are seconds, or, whole ones, count the
+                samples.
+            regular: whether the rows must have the model's dt for their usual step. narrow: whether u takes
+                the type of y, and both become float32 where jax runs with x64 off (`detect` counts that
+                rounding); else each keeps the type it was recorded in.
 
         Raises:
-            ValueError: a column that is not there, names that are not understood, text, a shape that does not fit the model or the other
-                array, indexes that hold different rows, rows of several units, in disorder or of a wrong sampling period, starts that
-                are no numbers of samples.
+            ValueError: a column that is not there, names that are not understood, text, a shape that does not
+                fit the model or the other array, indexes that hold different rows, rows of several units, in
+                disorder or of a wrong sampling period, starts that are no numbers of samples.
         """
         if y is None and is_made(u):
             return cls._again(model, u, starts, narrow)
@@ -120,11 +136,21 @@ class Recording:
         u, y, out = paired(u, y, model)
         index = next((x.index for x in (y, u) if hasattr(x, "iloc")), None)
         tables = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
-        found = cls(*float_arrays(model, u, y, narrow), NOWHERE, tuple(model.inputs), tuple(model.outputs), index=index)
+        found = cls(
+            *float_arrays(model, u, y, narrow),
+            NOWHERE,
+            tuple(model.inputs),
+            tuple(model.outputs),
+            index=index,
+        )
         if "where" in getattr(model, "columns", {}) and tables:
-            found = found._without(fails(computed(expression(model.columns["where"]), tables, "the recording")))
+            found = found._without(
+                fails(computed(expression(model.columns["where"]), tables, "the recording"))
+            )
         if index is not None:
-            told = row_time(index, getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular)
+            told = row_time(
+                index, getattr(model, "dt", None), getattr(model, "stated", "the model has"), regular
+            )
             about: dict[str, Any] = dict(time=told.time, origin=told.origin, dt=told.dt, stamps=told.stamps)
             found = replace(found, **about, starts=_union(found.starts, told.seams))
         if not np.size(starts) and not len(out):
@@ -136,7 +162,8 @@ class Recording:
         """Return the Recording of samples as they stand in a file, without hints and starts.
 
         Args:
-            model: whose signals they are. samples: (u, y, excluded). times: (time in s, stamps or None, written or None). source: its name.
+            model: whose signals they are. samples: (u, y, excluded). times: (time in s, stamps or None,
+                written or None). source: its name.
         """
         u, y, excluded = samples
         time, stamps, written = times
@@ -146,12 +173,27 @@ class Recording:
         elif written is not None and str(written.type) not in ("string", "large_string"):
             origin = 0.0
         return cls(
-            u, y, NOWHERE, tuple(model.inputs), tuple(model.outputs), excluded, None if written is None else index, time, origin,
-            model.dt, stamps, written, (), source)  # fmt: skip
+            u,
+            y,
+            NOWHERE,
+            tuple(model.inputs),
+            tuple(model.outputs),
+            excluded,
+            None if written is None else index,
+            time,
+            origin,
+            model.dt,
+            stamps,
+            written,
+            (),
+            source,
+        )
 
     @classmethod
     def _again(cls, model, given, starts, narrow):
-        """Return the Recording of something that has been one: its signals, by their names if it knows them, and what it knows beside."""
+        """Return the Recording of something that has been one: its signals, by their names if it knows them,
+        and what it knows beside.
+        """
         u, y = given.u, given.y
         if any(is_table(as_table(x, name)) for x, name in ((u, "u"), (y, "y"))):
             return cls.of(model, u, y, _union(getattr(given, "starts", ()), starts), narrow=narrow)
@@ -169,11 +211,21 @@ class Recording:
         u, y = float_arrays(model, u, y, narrow)
         if isinstance(given, cls):
             return replace(given, u=u, y=y, **known)
-        return cls(u, y, **known, dt=dt, excluded=getattr(given, "excluded", None), index=getattr(given, "index", None))
+        return cls(
+            u,
+            y,
+            **known,
+            dt=dt,
+            excluded=getattr(given, "excluded", None),
+            index=getattr(given, "index", None),
+        )
 
     def _head(self):
         names = f" of {self.source}" if self.source else ""
-        return f"Recording{names}: {self.y.shape[-2]} samples, u {tuple(self.u.shape)}, y {tuple(self.y.shape)} {self.y.dtype}"
+        return (
+            f"Recording{names}: {self.y.shape[-2]} samples, u {tuple(self.u.shape)}, y "
+            f"{tuple(self.y.shape)} {self.y.dtype}"
+        )
 
     def _rows(self):
         rows = {}
@@ -216,12 +268,18 @@ class Recording:
         take = lambda x: None if x is None else x[first:stop]
         starts = np.asarray(self.starts)
         inside = starts[(starts >= first) & (starts < stop)] - first
-        parts: dict[str, Any] = {name: take(getattr(self, name)) for name in ("excluded", "index", "time", "stamps", "written")}
-        return replace(self, u=self.u[..., first:stop, :], y=self.y[..., first:stop, :], starts=inside, hints=(), **parts)
+        parts: dict[str, Any] = {
+            name: take(getattr(self, name)) for name in ("excluded", "index", "time", "stamps", "written")
+        }
+        return replace(
+            self, u=self.u[..., first:stop, :], y=self.y[..., first:stop, :], starts=inside, hints=(), **parts
+        )
 
     @property
     def column(self) -> Any:
-        """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of samples; a pyarrow array."""
+        """The time as a column of a file: as it was written there, else dates, else seconds, else numbers of
+        samples; a pyarrow array.
+        """
         if self.written is not None:
             return self.written
         given = self.time if self.stamps is None else self.stamps
@@ -235,12 +293,17 @@ class Recording:
             import pyarrow as pa
 
             written = pa.concat_arrays([self.written, other.written])
-        parts: dict[str, Any] = {name: join(getattr(self, name), getattr(other, name)) for name in ("excluded", "index", "time", "stamps")}
+        parts: dict[str, Any] = {
+            name: join(getattr(self, name), getattr(other, name))
+            for name in ("excluded", "index", "time", "stamps")
+        }
         u, y = np.concatenate([self.u, other.u], -2), np.concatenate([self.y, other.y], -2)
         return replace(self, u=u, y=y, written=written, **parts)
 
     def across(self, horizon: int) -> np.ndarray:
-        """Return (T,) bool: True where the window of horizon + 1 samples that ends at a sample lies across a seam."""
+        """Return (T,) bool: True where the window of horizon + 1 samples that ends at a sample lies across a
+        seam.
+        """
         return crossing(self.starts, horizon, 0, self.y.shape[-2])
 
     def aside(self, horizon: int) -> int:

@@ -1,7 +1,8 @@
 """Seams of a recording: where a sample does not come one sampling period after the one before.
 
-A window is a statement about samples that are dt apart. One that lies across a seam is MISSING: neither healthy nor a fault. Time is taken
-in chunks, with a `Clock` that is carried from one to the next, so that a recording larger than memory is cut exactly as one in memory.
+A window is a statement about samples that are dt apart. One that lies across a seam is MISSING: neither
+healthy nor a fault. Time is taken in chunks, with a `Clock` that is carried from one to the next, so that a
+recording larger than memory is cut exactly as one in memory.
 """
 
 import math
@@ -12,8 +13,18 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "Clock", "Seam", "all_starts", "around", "aside", "check_period", "crossing", "irregular", "seam_hints", "tick", "usual_period",
-]  # fmt: skip
+    "Clock",
+    "Seam",
+    "all_starts",
+    "around",
+    "aside",
+    "check_period",
+    "crossing",
+    "irregular",
+    "seam_hints",
+    "tick",
+    "usual_period",
+]
 
 TOLERATED_DT = 0.05  # median step against the model's dt
 DISORDER = 0.1  # share of steps back in time from which on the rows are out of order
@@ -27,8 +38,9 @@ UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns"}
 class Seam:
     """One seam, and how many there are of its kind.
 
-    Fields: kind: "gap", "early" (sooner than dt), "repeated" (the same time again) or "backward"; count; sample: number of the first sample
-    behind the longest jump (early, repeated: behind the first); step: seconds from the sample before it.
+    Fields: kind: "gap", "early" (sooner than dt), "repeated" (the same time again) or "backward"; count;
+    sample: number of the first sample behind the longest jump (early, repeated: behind the first); step:
+    seconds from the sample before it.
     """
 
     kind: str
@@ -41,7 +53,8 @@ class Seam:
 class Clock:
     """What the time of a recording has shown so far.
 
-    Fields: dt: the model's sampling period in s; samples: how many there were; last: time of the last one in s; seams: one Seam a kind.
+    Fields: dt: the model's sampling period in s; samples: how many there were; last: time of the last one in
+    s; seams: one Seam a kind.
 
     Example:
         >>> clock, starts = tick(Clock(dt=1.0), np.array([0.0, 1.0, 2.02]))
@@ -60,11 +73,12 @@ def tick(clock: Clock, time: Any) -> tuple[Clock, np.ndarray]:
     """Take the next chunk of time stamps.
 
     Args:
-        clock: the Clock after all chunks before, `Clock(dt)` at first. time: (N,) seconds, counted from the same instant in every chunk.
+        clock: the Clock after all chunks before, `Clock(dt)` at first. time: (N,) seconds, counted from the
+            same instant in every chunk.
 
     Returns:
-        (clock, starts): the Clock after this chunk; the numbers of its samples, counted over all chunks, that do not follow the one before.
-        A step that is off by up to 20 % of dt is jitter, and no seam.
+        (clock, starts): the Clock after this chunk; the numbers of its samples, counted over all chunks, that
+        do not follow the one before. A step that is off by up to 20 % of dt is jitter, and no seam.
     """
     time = np.asarray(time, np.float64)
     if not len(time):
@@ -76,21 +90,34 @@ def tick(clock: Clock, time: Any) -> tuple[Clock, np.ndarray]:
     found = {seam.kind: seam for seam in clock.seams}
     step = steps[odd]
     early = (step > 0) & (step < clock.dt)
-    for kind, which in (("gap", step > clock.dt), ("early", early), ("repeated", step == 0), ("backward", step < 0)):
+    for kind, which in (
+        ("gap", step > clock.dt),
+        ("early", early),
+        ("repeated", step == 0),
+        ("backward", step < 0),
+    ):
         if which.any():
-            extreme = np.argmax(np.abs(np.where(which, step, 0))) if kind in ("gap", "backward") else np.argmax(which)
+            extreme = (
+                np.argmax(np.abs(np.where(which, step, 0)))
+                if kind in ("gap", "backward")
+                else np.argmax(which)
+            )
             fresh = Seam(kind, int(which.sum()), int(starts[extreme]), float(step[extreme]))
             old = found.get(kind)
             worse = old is None or (kind in ("gap", "backward") and abs(fresh.step) > abs(old.step))
-            found[kind] = fresh if old is None else replace(fresh if worse else old, count=fresh.count + old.count)
+            found[kind] = (
+                fresh if old is None else replace(fresh if worse else old, count=fresh.count + old.count)
+            )
     return Clock(clock.dt, clock.samples + len(time), float(time[-1]), tuple(found.values())), starts
 
 
 def crossing(starts: Any, horizon: int, first: int, stop: int) -> np.ndarray:
-    """Return (stop - first,) bool: True where the window that ends at sample first, first + 1, ... lies across a seam.
+    """Return (stop - first,) bool: True where the window that ends at sample first, first + 1, ... lies
+    across a seam.
 
     Args:
-        starts: numbers of samples that do not follow the one before, in any order; those before first - horizon do not matter.
+        starts: numbers of samples that do not follow the one before, in any order; those before first -
+            horizon do not matter.
         horizon: s, a window has s + 1 samples. first, stop: the samples asked for.
 
     Example:
@@ -106,7 +133,8 @@ def crossing(starts: Any, horizon: int, first: int, stop: int) -> np.ndarray:
 
 
 def around(excluded: np.ndarray | None) -> np.ndarray:
-    """Return the numbers of the samples at which a stretch of excluded samples begins, and of those behind its end.
+    """Return the numbers of the samples at which a stretch of excluded samples begins, and of those behind
+    its end.
 
     Windows that reach into the stretch lie across one of them; those inside it have no data.
 
@@ -139,7 +167,10 @@ def all_starts(given: Any, samples: int) -> np.ndarray:
     """
     given = np.asarray(given)
     if given.size and (given.dtype.kind not in "iu" or given.ndim != 1):
-        raise ValueError(f"starts needs the numbers of samples, like [120, 4711]: it holds {given.dtype} of shape {given.shape}")
+        raise ValueError(
+            f"starts needs the numbers of samples, like [120, 4711]: it holds {given.dtype} of shape "
+            f"{given.shape}"
+        )
     starts = np.unique(given.astype(np.int64))
     if len(starts) and not 0 <= starts[0] <= starts[-1] < samples:
         wrong = starts[0] if starts[0] < 0 else starts[-1]
@@ -148,7 +179,8 @@ def all_starts(given: Any, samples: int) -> np.ndarray:
 
 
 def usual_period(time: np.ndarray) -> float:
-    """Return the median step of a time axis in s, to as few digits as are within 0.2 % of it: a logger's jitter is no information.
+    """Return the median step of a time axis in s, to as few digits as are within 0.2 % of it: a logger's
+    jitter is no information.
 
     Args:
         time: (N,) seconds.
@@ -166,7 +198,11 @@ def usual_period(time: np.ndarray) -> float:
         if len(time) > 1:
             raise ValueError(f"the rows of the recording are 0 s apart{REPEATED}")
         raise ValueError("one row has no sampling period: a recording has at least two")
-    return next(float(x) for digits in range(1, 18) if abs(float(x := f"{median:.{digits}g}") - median) <= 0.002 * median)
+    return next(
+        float(x)
+        for digits in range(1, 18)
+        if abs(float(x := f"{median:.{digits}g}") - median) <= 0.002 * median
+    )
 
 
 def refuse_backward(time: np.ndarray) -> int:
@@ -192,42 +228,69 @@ def check_period(time: np.ndarray, dt: float, whose: str = "the model has") -> N
     if abs(median - dt) > TOLERATED_DT * dt and back > DISORDER * len(time):
         raise ValueError(f"{back} of {len(time)} rows go back in time: sort them by time")
     if abs(median - dt) > TOLERATED_DT * dt:
-        near = next((f": is its time in {unit}?" for f, unit in UNITS.items() if abs(median / f - dt) <= TOLERATED_DT * dt), "")
+        near = next(
+            (
+                f": is its time in {unit}?"
+                for f, unit in UNITS.items()
+                if abs(median / f - dt) <= TOLERATED_DT * dt
+            ),
+            "",
+        )
         same = REPEATED if median == 0 else ""
         fold = round(dt / median) if median else 0
         if not near and fold > 1 and abs(dt / median - fold) <= TOLERATED_DT * fold:
             near = f": keep one of every {fold} rows, or take a model with dt = {median:.3g}"
         elif not near and median:
             near = f": a model with dt = {median:.3g} fits it"
-        raise ValueError(f"{whose} dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart{near}{same}")
+        raise ValueError(
+            f"{whose} dt = {dt:g} s, but the rows of the recording are {median:.6g} s apart{near}{same}"
+        )
 
 
 def irregular(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> str:
-    """Return a sentence if more than half of all steps are seams, else "": such a recording is no sequence of samples dt apart.
+    """Return a sentence if more than half of all steps are seams, else "": such a recording is no sequence of
+    samples dt apart.
 
     Args:
-        clock: the Clock after all samples. label: number of a sample -> text of its time. where: number of a sample -> "row 7".
+        clock: the Clock after all samples. label: number of a sample -> text of its time. where: number of a
+            sample -> "row 7".
     """
     count = sum(seam.count for seam in clock.seams)
     if count <= max(clock.samples - 1, 0) / 2:
         return ""
     seam = min(clock.seams, key=lambda s: s.sample)
     return (
-        f"the recording is not regular: {count} of {clock.samples - 1} steps differ from dt = {clock.dt:g} s by more than "
-        f"{TOLERATED_STEP:.0%}; {where(seam.sample)} ({label(seam.sample)}), for one, comes {seam.step:.6g} s after the row before it"
+        f"the recording is not regular: {count} of {clock.samples - 1} steps differ from dt = {clock.dt:g} s "
+        f"by more than "
+        f"{TOLERATED_STEP:.0%}; {where(seam.sample)} ({label(seam.sample)}), for one, comes {seam.step:.6g} "
+        f"s after the row before it"
     )
 
 
 def seam_hints(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> list[str]:
-    """Return one sentence a kind of seam: how many, the worst or the first, and what became of it. Arguments as for `irregular`."""
+    """Return one sentence a kind of seam: how many, the worst or the first, and what became of it. Arguments
+    as for `irregular`.
+    """
     out = []
     for seam in sorted(clock.seams, key=lambda s: KINDS.index(s.kind)):
         n, at, size = seam.count, f"{where(seam.sample)} ({label(seam.sample)})", f"{abs(seam.step):.6g} s"
         what = {
-            "gap": (f"the recording has a gap of {size} before {at}", f"the recording has {n} gaps, the longest, {size}, before {at}"),
-            "early": (f"{at} comes only {size} after the row before it", f"{n} rows come too soon, the first, {at}, after {size}"),
-            "repeated": (f"{at} repeats the time of the row before it", f"{n} rows repeat the time of the row before, the first is {at}"),
-            "backward": (f"the clock goes back by {size} before {at}", f"the clock goes back {n} times, the farthest, {size}, before {at}"),
+            "gap": (
+                f"the recording has a gap of {size} before {at}",
+                f"the recording has {n} gaps, the longest, {size}, before {at}",
+            ),
+            "early": (
+                f"{at} comes only {size} after the row before it",
+                f"{n} rows come too soon, the first, {at}, after {size}",
+            ),
+            "repeated": (
+                f"{at} repeats the time of the row before it",
+                f"{n} rows repeat the time of the row before, the first is {at}",
+            ),
+            "backward": (
+                f"the clock goes back by {size} before {at}",
+                f"the clock goes back {n} times, the farthest, {size}, before {at}",
+            ),
         }[seam.kind][n > 1]
         out.append(f"{what}: the recording is split there, and windows across are MISSING")
     return out

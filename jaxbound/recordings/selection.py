@@ -1,4 +1,6 @@
-"""Which columns of a recording a model needs, and how its signals come out of them: as they are, or by an expression."""
+"""Which columns of a recording a model needs, and how its signals come out of them: as they are, or by an
+expression.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.expressions import TIMES, Expression, expression, fails, find_column, is_expression, likely
+from jaxbound.recordings.expressions import (
+    TIMES,
+    Expression,
+    expression,
+    fails,
+    find_column,
+    is_expression,
+    likely,
+)
 from jaxbound.recordings.naming import listed
 
 __all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "time_column", "wanted", "where_hints"]
@@ -14,15 +24,19 @@ __all__ = ["NO_TIME", "STAMPS", "TELLING", "Wanted", "time_column", "wanted", "w
 STAMPS, DAYS = ("stamp", "day", "clock"), ("day", "digits")  # kinds of cells, see `stamp_kind`
 DAILY = 43200  # seconds: what is sampled less often needs no clock
 TELLING = "with `time` among the columns of the model (fit: --time)"
-NO_TIME = f"no column is called like time or holds time stamps: name it, {TELLING}, or, if no row is missing, give dt (--dt)"
+NO_TIME = (
+    f"no column is called like time or holds time stamps: name it, {TELLING}, or, if no row is "
+    f"missing, give dt (--dt)"
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
     """What is read of a recording. Build it with `wanted`.
 
-    Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the condition, or None; time: the column of
-    the time, or None; day: the column of the day where the time is only that of a day, or None.
+    Fields: inputs, outputs: a column or an Expression for each signal; where: the Expression of the
+    condition, or None; time: the column of the time, or None; day: the column of the day where the time is
+    only that of a day, or None.
     """
 
     inputs: tuple
@@ -34,11 +48,19 @@ class Wanted:
     @property
     def signals(self) -> list[str]:
         """Names of the columns that signals need, each once, in the order of the inputs and outputs."""
-        return list(dict.fromkeys(c for s in self.inputs + self.outputs for c in (s.columns if isinstance(s, Expression) else (s,))))
+        return list(
+            dict.fromkeys(
+                c
+                for s in self.inputs + self.outputs
+                for c in (s.columns if isinstance(s, Expression) else (s,))
+            )
+        )
 
     @property
     def numbers(self) -> list[str]:
-        """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the samples is not among them."""
+        """Names of the columns that hold numbers, the signals' first; a numeric time that only orders the
+        samples is not among them.
+        """
         where = [c for c in self.where.columns if c not in self.where.texts] if self.where else []
         return list(dict.fromkeys(self.signals + where))
 
@@ -46,26 +68,36 @@ class Wanted:
     def texts(self) -> list[str]:
         """Names of the columns that are compared with text, the time left out."""
         expressions = [s for s in (*self.inputs, *self.outputs, self.where) if isinstance(s, Expression)]
-        return list(dict.fromkeys(c for e in expressions for c in e.columns if c in e.texts and c not in (self.time, self.day)))
+        return list(
+            dict.fromkeys(
+                c for e in expressions for c in e.columns if c in e.texts and c not in (self.time, self.day)
+            )
+        )
 
     @property
     def columns(self) -> list[str]:
         """Names of all columns that are read, each once, the time last."""
-        return list(dict.fromkeys(self.numbers + self.texts + [c for c in (self.day, self.time) if c is not None]))
+        return list(
+            dict.fromkeys(self.numbers + self.texts + [c for c in (self.day, self.time) if c is not None])
+        )
 
     def samples(
         self, columns: Mapping[str, np.ndarray], count: int, dtype: Any = np.float64
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool, left out by `where`, or None.
+        """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool,
+        left out by `where`, or None.
 
         Args:
-            columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. dtype: of y; u is as wide as its widest column.
+            columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. dtype: of y; u is as
+                wide as its widest column.
 
         Raises:
             ValueError: see `Expression.values`.
         """
         value = lambda s: s.values(columns) if isinstance(s, Expression) else columns[s]
-        stack = lambda signals, to: np.stack([value(s) for s in signals], 1, dtype=to) if signals else np.zeros((count, 0), to)
+        stack = lambda signals, to: (
+            np.stack([value(s) for s in signals], 1, dtype=to) if signals else np.zeros((count, 0), to)
+        )
         u, y, excluded = stack(self.inputs, None), stack(self.outputs, dtype), None
         if self.where is not None:
             excluded = fails(self.where.values(columns))
@@ -81,13 +113,17 @@ def wanted(names: Sequence[str], model: Any, dated: Callable[[str], str] = lambd
         dated: called with a name: what that column begins with, see `stamp_kind`.
 
     Returns:
-        A Wanted. A signal whose column is not there is taken from the one called like the signal. Time: the column that the model names, or
-        one that is called like it, or else the one that holds time stamps; the day beside it, where those are times of day.
+        A Wanted. A signal whose column is not there is taken from the one called like the signal. Time: the
+        column that the model names, or one that is called like it, or else the one that holds time stamps;
+        the day beside it, where those are times of day.
 
     Raises:
-        ValueError: a column is not there, or there twice; several hold time stamps and none is called like time; several hold days.
+        ValueError: a column is not there, or there twice; several hold time stamps and none is called like
+            time; several hold days.
     """
-    inputs, outputs = (tuple(_source(s, names, model) for s in side) for side in (model.inputs, model.outputs))
+    inputs, outputs = (
+        tuple(_source(s, names, model) for s in side) for side in (model.inputs, model.outputs)
+    )
     found = Wanted(inputs, outputs, None, None)
     where = model.columns.get("where")
     free = [name for name in names if name not in found.signals]
@@ -96,12 +132,18 @@ def wanted(names: Sequence[str], model: Any, dated: Callable[[str], str] = lambd
 
 
 def time_column(
-    names: Sequence[str], free: Sequence[str], named: str | None, dated: Callable[[str], str], dt: float | None
+    names: Sequence[str],
+    free: Sequence[str],
+    named: str | None,
+    dated: Callable[[str], str],
+    dt: float | None,
 ) -> tuple[str | None, str | None]:
-    """Return (the column of the day or None, the column of the time or None) of a recording, be it a file or a table.
+    """Return (the column of the day or None, the column of the time or None) of a recording, be it a file or
+    a table.
 
     Args:
-        names: of all columns. free: of those that no signal is in. named: the one that the model names, None: none. dated: as for `wanted`.
+        names: of all columns. free: of those that no signal is in. named: the one that the model names, None:
+            none. dated: as for `wanted`.
         dt: sampling period in s, None: not known.
 
     Raises:
@@ -118,7 +160,9 @@ def time_column(
 
 
 def _day_and_clock(time, names, free, dated, dt):
-    """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or is called like a time."""
+    """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or
+    is called like a time.
+    """
     kind = dated(time) if time in free else ""
     if kind not in ("clock", *DAYS) or (dt or 0) >= DAILY:
         return None, time
@@ -127,8 +171,11 @@ def _day_and_clock(time, names, free, dated, dt):
     halves = [c for c in free if c in near and c != time and dated(c) in others]
     if len(halves) > 1:
         what = "times without a day" if kind == "clock" else "days"
-        raise ValueError(f"column {time!r} holds {what}, and the columns {listed(halves)} hold {'days' if kind == 'clock' else 'times'}: "
-                         "keep one of them")  # fmt: skip
+        raise ValueError(
+            f"column {time!r} holds {what}, and the columns {listed(halves)} hold "
+            f"{'days' if kind == 'clock' else 'times'}: "
+            "keep one of them"
+        )
     if not halves:
         return None, time
     return (halves[0], time) if kind == "clock" else (time, halves[0])
@@ -137,7 +184,10 @@ def _day_and_clock(time, names, free, dated, dt):
 def _only_dated(columns: list) -> list:
     """Return the columns with time stamps where there is one at most; refuse several."""
     if len(columns) > 1:
-        raise ValueError(f"the columns {listed(list(map(str, columns)))} hold time stamps: say which is the time, {TELLING}")
+        raise ValueError(
+            f"the columns {listed(list(map(str, columns)))} hold time stamps: say which is the time, "
+            f"{TELLING}"
+        )
     return columns
 
 
@@ -153,7 +203,12 @@ def _source(signal, names, model):
 
 
 def where_hints(where: str, left_out: int, samples: int) -> list[str]:
-    """Return a sentence on the samples that are no part of the recording. Args: where: the condition as text; left_out: how many."""
+    """Return a sentence on the samples that are no part of the recording. Args: where: the condition as text;
+    left_out: how many.
+    """
     if not left_out:
         return []
-    return [f"{left_out} of {samples} samples are set aside by the condition {where!r}: windows with them are MISSING"]
+    return [
+        f"{left_out} of {samples} samples are set aside by the condition {where!r}: windows with them are "
+        f"MISSING"
+    ]

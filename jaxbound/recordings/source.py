@@ -1,6 +1,8 @@
-"""Where recordings come from: one file a kind of source, which every verb and command takes once it is registered.
+"""Where recordings come from: one file a kind of source, which every verb and command takes once it is
+registered.
 
-A kind whose recordings fit into memory says which data are its own (`takes`) and makes a Recording of them (`whole`); the rest is here.
+A kind whose recordings fit into memory says which data are its own (`takes`) and makes a Recording of them
+(`whole`); the rest is here.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,7 +27,8 @@ KINDS: list[type["Source"]] = []  # the last that takes the data opens them
 
 
 def register(kind: type["Source"]) -> type["Source"]:
-    r"""Make every verb and command read this kind of source; of several that take the same data the one registered last does.
+    r"""Make every verb and command read this kind of source; of several that take the same data the one
+    registered last does.
 
     A kind with .fallback is asked after all others, so that it does not matter what is imported first.
 
@@ -43,7 +46,8 @@ def register(kind: type["Source"]) -> type["Source"]:
         ...         return str(data).endswith(".jsonl")
         ...     def whole(self, progress=None):
         ...         rows = [json.loads(line) for line in Path(self.data).read_text().splitlines()]
-        ...         return jb.Recording.of(self.model, {name: [row[name] for row in rows] for name in rows[0]})
+        ...         columns = {name: [row[name] for row in rows] for name in rows[0]}
+    ...         return jb.Recording.of(self.model, columns)
         >>> with tempfile.NamedTemporaryFile("w", suffix=".jsonl") as f:
         ...     _ = f.write('{"y1": 1.0}\n{"y1": 0.8}'), f.flush()
         ...     run = jb.read(f.name, jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
@@ -81,7 +85,9 @@ class Source:
 
     @classmethod
     def digest(cls, data: object) -> str | None:
-        """Return what the data hold as a digest, by which they are known again; None where what was read is gone. See `contents`."""
+        """Return what the data hold as a digest, by which they are known again; None where what was read is
+        gone. See `contents`.
+        """
         return content(Path(str(data)))
 
     def whole(self, progress: Callable | None = None) -> Recording:
@@ -99,12 +105,16 @@ class Source:
         return str(self.content)
 
     def content_of(self, first: int, stop: int) -> str:
-        """Return a digest of what the samples first .. stop - 1 are read from; where that is not known, of all data."""
+        """Return a digest of what the samples first .. stop - 1 are read from; where that is not known, of
+        all data.
+        """
         return str(self.content)
 
     @cached_property
     def digests(self) -> dict:
-        """Digests of blocks that are known so far, as `contents` has them; those that another process has read may be added."""
+        """Digests of blocks that are known so far, as `contents` has them; those that another process has
+        read may be added.
+        """
         return {}
 
     @property
@@ -134,15 +144,21 @@ class Source:
         last = self._whole.samples if stop is None else stop
         return self._whole if (first, last) == (0, self._whole.samples) else self._whole.cut(first, last)
 
-    def pieces(self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None) -> Iterator[tuple[int, Recording]]:
-        """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` samples before them that there are."""
+    def pieces(
+        self, size: int, overlap: int = 0, first: int = 0, stop: int | None = None
+    ) -> Iterator[tuple[int, Recording]]:
+        """Yield (number of its first sample, Recording) of `size` samples each, behind the `overlap` samples
+        before them that there are.
+        """
         end = (self.samples or 0) if stop is None else stop
         for at in range(first, end, size):
             begin = max(at - overlap, first)
             yield begin, self.read(begin, min(at + size, end))
 
     def find(self, text: str) -> int | None:
-        """Return the number of the sample whose time is written so; None: there is none, or it is not looked for in what is written."""
+        """Return the number of the sample whose time is written so; None: there is none, or it is not looked
+        for in what is written.
+        """
         written: Any = self.read().written
         if written is None or str(written.type) != "string":
             return None
@@ -154,7 +170,8 @@ def told(model: Any, r: Recording, row: Callable, where: str, first: tuple = ())
     """Return a whole recording as it was read with its seams, and what its owner should know.
 
     Args:
-        r: without starts and hints. row: number of a sample -> "row 7". where: the condition of the model as text. first: sentences.
+        r: without starts and hints. row: number of a sample -> "row 7". where: the condition of the model as
+            text. first: sentences.
 
     Raises:
         ValueError: more seams than steps of one sampling period.
@@ -170,11 +187,15 @@ def told(model: Any, r: Recording, row: Callable, where: str, first: tuple = ())
     return replace(r, starts=starts, hints=tuple(hints))
 
 
-def overlapping(chunks: Iterator[tuple[int, Recording]], overlap: int, dt: float) -> Iterator[tuple[int, Recording]]:
-    """Yield (number of its first sample, Recording): chunks that follow each other, each behind the `overlap` samples before it.
+def overlapping(
+    chunks: Iterator[tuple[int, Recording]], overlap: int, dt: float
+) -> Iterator[tuple[int, Recording]]:
+    """Yield (number of its first sample, Recording): chunks that follow each other, each behind the `overlap`
+    samples before it.
 
     Args:
-        chunks: (number of its first sample, Recording without starts). dt: sampling period in s, by which seams are found.
+        chunks: (number of its first sample, Recording without starts). dt: sampling period in s, by which
+            seams are found.
     """
     tail, clock = None, None
     for start, chunk in chunks:

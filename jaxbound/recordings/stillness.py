@@ -1,12 +1,14 @@
 """Stretches in which a signal stands still: a sensor that is frozen or at the end of its range.
 
-Such a sensor can look consistent, so a verdict says little about it there. These are hints: no proof uses them and they change no verdict.
-A signal is followed in chunks, with a `Runs` that is carried from one to the next.
+Such a sensor can look consistent, so a verdict says little about it there. These are hints: no proof uses
+them and they change no verdict. A signal is followed in chunks, with a `Runs` that is carried from one to the
+next.
 
-A run is a stretch of equal numbers. What is usual differs: full floats hardly ever repeat, a temperature rounded to 0.1 K does for minutes.
-So a run is called frozen if it is 20 times as long as those that a quarter of all other samples lie in (and has 20 samples or more),
-and an output saturated if it comes to rest at its largest or smallest number again and again, or once for half as long. An input stands
-still where it is told to, so it counts as frozen only if it changes from sample to sample everywhere else.
+A run is a stretch of equal numbers. What is usual differs: full floats hardly ever repeat, a temperature
+rounded to 0.1 K does for minutes. So a run is called frozen if it is 20 times as long as those that a quarter
+of all other samples lie in (and has 20 samples or more), and an output saturated if it comes to rest at its
+largest or smallest number again and again, or once for half as long. An input stands still where it is told
+to, so it counts as frozen only if it changes from sample to sample everywhere else.
 """
 
 import math
@@ -16,7 +18,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Run", "Runs", "Stretch", "follow", "joined", "signal_hints", "still_hints", "stretches", "windows_inside"]
+__all__ = [
+    "Run",
+    "Runs",
+    "Stretch",
+    "follow",
+    "joined",
+    "signal_hints",
+    "still_hints",
+    "stretches",
+    "windows_inside",
+]
 
 FROZEN = 20  # samples, and times the usual length of a run
 SATURATED = 5  # samples, and times the usual length of a run
@@ -26,7 +38,23 @@ USUAL = 0.25  # this share of all other samples lies in runs of the usual length
 CAP = 1000  # run lengths are counted one by one up to here
 LIVELY = 0.01  # share of repeated numbers in an input that is measured, not set
 KEPT = 100  # longest runs that are remembered
-NO_NUMBERS = {9999.0, 99999.0, -999.0, -999.25, -9999.0, -99999.0, 32767.0, -32768.0, 65535.0, 1e20, 1e30, 1e35, -1e20, -1e30, -1e35}
+NO_NUMBERS = {
+    9999.0,
+    99999.0,
+    -999.0,
+    -999.25,
+    -9999.0,
+    -99999.0,
+    32767.0,
+    -32768.0,
+    65535.0,
+    1e20,
+    1e30,
+    1e35,
+    -1e20,
+    -1e30,
+    -1e35,
+}
 
 
 class Run(NamedTuple):
@@ -41,8 +69,9 @@ class Run(NamedTuple):
 class Runs:
     """The runs of one signal so far.
 
-    Fields: samples: how many there were; present: how many of them are there; counts (CAP + 1,): finished runs of each length, the last for
-    all that are longer; longest: the longest finished runs; low, high: smallest and largest value; last: the run that may go on, or None;
+    Fields: samples: how many there were; present: how many of them are there; counts (CAP + 1,): finished
+    runs of each length, the last for all that are longer; longest: the longest finished runs; low, high:
+    smallest and largest value; last: the run that may go on, or None;
     first: the run that the first sample is in, or None.
     """
 
@@ -57,7 +86,9 @@ class Runs:
 
 
 class Stretch(NamedTuple):
-    """One kind of stillness of a signal: "constant", "frozen" or "saturated", the longest run of it and how many times there is one."""
+    """One kind of stillness of a signal: "constant", "frozen" or "saturated", the longest run of it and how
+    many times there is one.
+    """
 
     kind: str
     longest: Run
@@ -69,7 +100,8 @@ def follow(runs: Runs, x: np.ndarray) -> Runs:
     """Take the next chunk of one signal.
 
     Args:
-        runs: the Runs after all chunks before, `Runs()` at first. x: (N,) its samples, NaN where one is missing, which ends a run.
+        runs: the Runs after all chunks before, `Runs()` at first. x: (N,) its samples, NaN where one is
+            missing, which ends a run.
 
     Returns:
         The Runs after this chunk.
@@ -95,11 +127,15 @@ def follow(runs: Runs, x: np.ndarray) -> Runs:
     run = lambda i: Run(int(lengths[i]), int(starts[i] + runs.samples), float(values[i]))
     low, high = float(np.fmin.reduce(x, initial=np.inf)), float(np.fmax.reduce(x, initial=-np.inf))
     first, last = (run(i) if there[i] else None for i in (0, -1))
-    return joined(runs, Runs(runs.samples + len(x), counts, present, tuple(map(run, long)), low, high, last, first))
+    return joined(
+        runs, Runs(runs.samples + len(x), counts, present, tuple(map(run, long)), low, high, last, first)
+    )
 
 
 def joined(a: Runs, b: Runs) -> Runs:
-    """Return the Runs of two stretches of samples that follow each other, of which the second was followed from `Runs(a.samples)` on."""
+    """Return the Runs of two stretches of samples that follow each other, of which the second was followed
+    from `Runs(a.samples)` on.
+    """
     if a.counts is None or b.counts is None:
         return a if b.counts is None else b
     counts, finished, first, last = a.counts + b.counts, [*a.longest, *b.longest], a.first, b.last
@@ -131,7 +167,9 @@ def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
     """
     if runs.counts is None or not runs.present:
         return ()
-    everything = sorted((*runs.longest, *([runs.last] if runs.last else [])), key=lambda r: (-r.length, r.start))
+    everything = sorted(
+        (*runs.longest, *([runs.last] if runs.last else [])), key=lambda r: (-r.length, r.start)
+    )
     if everything and everything[0].length == runs.present >= FROZEN:
         return () if driven else (Stretch("constant", everything[0], 1, ""),)
     counts = runs.counts + (np.bincount([min(runs.last.length, CAP)], minlength=CAP + 1) if runs.last else 0)
@@ -139,14 +177,18 @@ def stretches(runs: Runs, driven: bool = False) -> tuple[Stretch, ...]:
     frozen = [r for r in everything if r.length >= FROZEN * least[r]]
     out = [Stretch("frozen", frozen[0], len(frozen), _extreme(runs, frozen[0].value))] if frozen else []
     for end in () if driven else {"largest", "smallest"} - {_extreme(runs, r.value) for r in frozen}:
-        resting = [r for r in everything if _extreme(runs, r.value) == end and r.length >= SATURATED * least[r]]
+        resting = [
+            r for r in everything if _extreme(runs, r.value) == end and r.length >= SATURATED * least[r]
+        ]
         if len(resting) >= AGAIN or (resting and resting[0].length >= RESTING * least[resting[0]]):
             out.append(Stretch("saturated", resting[0], len(resting), end))
     return tuple(out)
 
 
 def _least(counts, present, run, driven):
-    """Return a run length that is usual in all samples outside a run, or that chance makes likely there, whichever is more."""
+    """Return a run length that is usual in all samples outside a run, or that chance makes likely there,
+    whichever is more.
+    """
     rest, finished = present - run.length, counts.sum() - 1
     below = np.cumsum(counts[:CAP] * np.arange(CAP))
     below[run.length :] -= run.length
@@ -172,13 +214,17 @@ def windows_inside(runs: Runs, horizon: int) -> int:
     if runs.counts is None:
         return 0
     last, lengths = runs.last.length if runs.last else 0, np.arange(CAP)
-    long = runs.present - last - int(runs.counts[:CAP] @ lengths)  # samples in longer runs, which are not counted one by one
+    long = (
+        runs.present - last - int(runs.counts[:CAP] @ lengths)
+    )  # samples in longer runs, which are not counted one by one
     inside = int(runs.counts[:CAP] @ np.maximum(lengths - horizon, 0))
     return inside + max(long - int(runs.counts[CAP]) * horizon, 0) + max(last - horizon, 0)
 
 
 def still_hints(model: Any, u: np.ndarray, y: np.ndarray, label: Callable[[int], str]) -> list[str]:
-    """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other arguments as for `signal_hints`."""
+    """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other
+    arguments as for `signal_hints`.
+    """
     out = []
     for names, x, driven in ((model.outputs, y, False), (model.inputs, u, True)):
         for i, name in enumerate(names):
@@ -187,26 +233,34 @@ def still_hints(model: Any, u: np.ndarray, y: np.ndarray, label: Callable[[int],
 
 
 def signal_hints(name: str, runs: Runs, label: Callable[[int], str], driven: bool = False) -> list[str]:
-    """Return sentences on where a signal stands still: which, when, how long; and on numbers that may stand for a missing sample.
+    """Return sentences on where a signal stands still: which, when, how long; and on numbers that may stand
+    for a missing sample.
 
     Args:
-        name: of the signal. runs: its Runs after all samples. label: number of a sample -> text of its time. driven: it is an input.
+        name: of the signal. runs: its Runs after all samples. label: number of a sample -> text of its time.
+            driven: it is an input.
     """
     out = [
-        f"{name} is exactly {x:.6g} somewhere: if that stands for a missing sample, leave the cell blank (NaN)"
+        f"{name} is exactly {x:.6g} somewhere: if that stands for a missing sample, leave the cell blank "
+        f"(NaN)"
         for x in (runs.low, runs.high)
         if x in NO_NUMBERS
     ]
     for kind, run, count, extreme in stretches(runs, driven):
         from_to = f"{run.length} samples from {label(run.start)} to {label(run.start + run.length - 1)}"
         at = f", its {extreme} value," if extreme else ""
-        out.append({
-            "constant": f"{name} is {run.value:.6g} in every sample: if its sensor is frozen, it can still look consistent",
-            "frozen": f"{name} stays at exactly {run.value:.6g}{at} for {from_to}"
-            + (f" ({count} such stretches in all)" if count > 1 else "")
-            + f": a {'saturated or ' if extreme else ''}frozen sensor can look consistent, so no FAULT there does not mean that it works",
-            "saturated": f"{name} rests at exactly {run.value:.6g}{at} {f'in {count} stretches, the longest of' if count > 1 else 'for'} "
-            f"{from_to}: "
-            "a saturated sensor can look consistent, so no FAULT there does not mean that it works",
-        }[kind])  # fmt: skip
+        out.append(
+            {
+                "constant": f"{name} is {run.value:.6g} in every sample: if its sensor is frozen, it can "
+                f"still look consistent",
+                "frozen": f"{name} stays at exactly {run.value:.6g}{at} for {from_to}"
+                + (f" ({count} such stretches in all)" if count > 1 else "")
+                + f": a {'saturated or ' if extreme else ''}frozen sensor can look consistent, so no FAULT "
+                f"there does not mean that it works",
+                "saturated": f"{name} rests at exactly {run.value:.6g}{at} "
+                f"{f'in {count} stretches, the longest of' if count > 1 else 'for'} "
+                f"{from_to}: "
+                "a saturated sensor can look consistent, so no FAULT there does not mean that it works",
+            }[kind]
+        )
     return out

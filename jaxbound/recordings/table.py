@@ -1,7 +1,9 @@
-"""Tables of whatever library as pandas DataFrames, so that signals are taken by the names of their columns and rows by their labels.
+"""Tables of whatever library as pandas DataFrames, so that signals are taken by the names of their columns
+and rows by their labels.
 
-Nothing is imported to find out: pandas is known by how it behaves, everything else by `to_pandas` (xarray, polars, pyarrow, cudf) or by the
-Arrow protocol. What has names that are not understood is refused: taking its columns by position would be a guess.
+Nothing is imported to find out: pandas is known by how it behaves, everything else by `to_pandas` (xarray,
+polars, pyarrow, cudf) or by the Arrow protocol. What has names that are not understood is refused: taking its
+columns by position would be a guess.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,24 +20,33 @@ __all__ = ["as_table", "is_table", "one_row", "paired"]
 
 def is_table(data: Any) -> bool:
     """Return whether this is a DataFrame of pandas, or behaves like one."""
-    return hasattr(data, "iloc") and hasattr(data, "columns")  # in this order: some tables work out their columns when asked
+    return hasattr(data, "iloc") and hasattr(
+        data, "columns"
+    )  # in this order: some tables work out their columns when asked
 
 
 def as_table(data: Any, name: str, channels: Sequence[str] | None = None) -> Any:
     """Return what has named columns as a DataFrame, and anything else as it is.
 
     Args:
-        data: anything. name: "u" or "y", for sentences. channels: names of the signals, which columns that have none get; None: not known.
+        data: anything. name: "u" or "y", for sentences. channels: names of the signals, which columns that
+            have none get; None: not known.
 
     Raises:
         ValueError: names that are not understood, more than one recording in one table.
     """
-    if isinstance(data, (list, tuple)) and len(data) and (hasattr(data[0], "iloc") or hasattr(data[0], "to_pandas")):
+    if (
+        isinstance(data, (list, tuple))
+        and len(data)
+        and (hasattr(data[0], "iloc") or hasattr(data[0], "to_pandas"))
+    ):
         what = f"{name} is a list of {len(data)}, the first {_kind(data[0])}"
         raise ValueError(f"{what}: give one recording at a time, as one table")
     if isinstance(data, str | PathLike):
         text = repr(str(data))
-        raise ValueError(f"{name} is the text {text}: a file is read first, with jaxbound.read({text}, model)")
+        raise ValueError(
+            f"{name} is the text {text}: a file is read first, with jaxbound.read({text}, model)"
+        )
     if data is None or isinstance(data, (list, tuple, jax.Array)):
         return data
     if isinstance(data, np.ndarray):
@@ -48,17 +59,33 @@ def as_table(data: Any, name: str, channels: Sequence[str] | None = None) -> Any
         try:
             found = data.to_pandas()
         except (ValueError, NotImplementedError) as e:
-            raise ValueError(f"{name}, {_kind(data)}, is no table of one recording, a row a sample: {e}") from None
-        return _with_coordinates(_named(found, channels, getattr(data, "dims", ())), data) if hasattr(found, "iloc") else found
+            raise ValueError(
+                f"{name}, {_kind(data)}, is no table of one recording, a row a sample: {e}"
+            ) from None
+        return (
+            _with_coordinates(_named(found, channels, getattr(data, "dims", ())), data)
+            if hasattr(found, "iloc")
+            else found
+        )
     if hasattr(data, "__arrow_c_stream__") or hasattr(data, "__arrow_c_array__"):
         import pyarrow as pa
 
         try:
             return _named(pa.table(data).to_pandas(), channels)
         except (pa.ArrowInvalid, TypeError, ValueError):  # a column alone
-            return pa.chunked_array(data).to_numpy() if hasattr(data, "__arrow_c_stream__") else pa.array(data).to_numpy(False)
-    if any(hasattr(type(data), x) or x in getattr(data, "__dict__", ()) for x in ("columns", "column_names", "collect", "keys", "iloc")):
-        raise ValueError(f"{name} is {_kind(data)}, whose names are not understood: give a DataFrame of pandas, or an array")
+            return (
+                pa.chunked_array(data).to_numpy()
+                if hasattr(data, "__arrow_c_stream__")
+                else pa.array(data).to_numpy(False)
+            )
+    if any(
+        hasattr(type(data), x) or x in getattr(data, "__dict__", ())
+        for x in ("columns", "column_names", "collect", "keys", "iloc")
+    ):
+        raise ValueError(
+            f"{name} is {_kind(data)}, whose names are not understood: give a DataFrame of pandas, or an "
+            f"array"
+        )
     return data
 
 
@@ -67,7 +94,9 @@ def _kind(data):
 
 
 def _with_coordinates(frame, data):
-    """Return the table of what has coordinates beside its dimensions with those of its rows as columns: one may be the time."""
+    """Return the table of what has coordinates beside its dimensions with those of its rows as columns: one
+    may be the time.
+    """
     rows = getattr(frame.index, "name", None)
     others = {c: x.values for c, x in getattr(data, "coords", {}).items() if x.dims == (rows,) and c != rows}
     if not others or not hasattr(frame, "columns"):
@@ -80,17 +109,30 @@ def _of_mapping(columns, name):
 
     columns = {c: x if np.ndim(x) else [x] for c, x in columns.items()}
     if len(lengths := {len(x) for x in columns.values()}) > 1:
-        raise ValueError(f"the columns of {name} must have the same number of samples: they have {min(lengths)} to {max(lengths)}")
+        raise ValueError(
+            f"the columns of {name} must have the same number of samples: they have {min(lengths)} to "
+            f"{max(lengths)}"
+        )
     return pd.DataFrame(columns)
 
 
 def _named(data, channels, dims=()):
-    """Return a DataFrame or a Series as a DataFrame whose columns have names, if it can be, with one label a row."""
+    """Return a DataFrame or a Series as a DataFrame whose columns have names, if it can be, with one label a
+    row.
+    """
     data = one_level(data)
     if not hasattr(data, "columns"):
-        name = data.name if data.name is not None else channels[0] if channels is not None and len(channels) == 1 else None
+        name = (
+            data.name
+            if data.name is not None
+            else channels[0]
+            if channels is not None and len(channels) == 1
+            else None
+        )
         return data if name is None else data.to_frame(name)
-    if len(dims) == 2 and channels is not None:  # an array with labels on its axes: those of the channels say which axis is which
+    if (
+        len(dims) == 2 and channels is not None
+    ):  # an array with labels on its axes: those of the channels say which axis is which
         if set(channels) <= set(data.index) and not set(channels) <= set(data.columns):
             return data.T
         if unlabelled(data.columns) and data.shape[1] == len(channels):
@@ -99,7 +141,8 @@ def _named(data, channels, dims=()):
 
 
 def one_row(data: Any, name: str) -> Any:
-    """Return one sample, (n,) numbers, a Series or a dict, as a recording of one: a row of an array, or a table where there are names.
+    """Return one sample, (n,) numbers, a Series or a dict, as a recording of one: a row of an array, or a
+    table where there are names.
 
     Raises:
         ValueError: a table of another number of rows.
@@ -120,17 +163,21 @@ def one_row(data: Any, name: str) -> Any:
 
 
 def paired(u: Any, y: Any, model: Any) -> tuple[Any, Any, Any]:
-    """Return (u, y, starts): two tables with the rows that belong together, by their labels, and where that left rows out.
+    """Return (u, y, starts): two tables with the rows that belong together, by their labels, and where that
+    left rows out.
 
-    Where one index holds all labels of the other, its rows are selected by them; nothing is ever interpolated. What a
-    time column tells (`with_time`) goes before other labels, but where one table has it alone, rows are paired as they
-    are labelled, or by their order where they are not. What is no table stays as it is.
+    Where one index holds all labels of the other, its rows are selected by them; nothing is ever
+    interpolated. What a time column tells (`with_time`) goes before other labels, but where one table has it
+    alone, rows are paired as they are labelled, or by their order where they are not. What is no table stays
+    as it is.
 
     Returns:
-        starts: numbers of the rows before which there were others, for labels that are no times: those show for themselves what is missing.
+        starts: numbers of the rows before which there were others, for labels that are no times: those show
+            for themselves what is missing.
 
     Raises:
-        ValueError: each index has labels that the other has not, or a label is there twice; what `with_time` and `one_level` raise.
+        ValueError: each index has labels that the other has not, or a label is there twice; what `with_time`
+            and `one_level` raise.
     """
     timed = lambda x: with_time(x, model) if is_table(x) else x
     if u is y:
@@ -161,7 +208,8 @@ def _matched(u, y):
 
 
 def _places(a, b):
-    """Return (rows of the table with the labels a, rows of that with b) that belong together, in the order of the shorter one.
+    """Return (rows of the table with the labels a, rows of that with b) that belong together, in the order of
+    the shorter one.
 
     Raises:
         ValueError: each has labels that the other has not, or a label is there twice.
@@ -172,7 +220,8 @@ def _places(a, b):
         if not index.is_unique:
             twice = index[index.duplicated()][0]
             raise ValueError(
-                f"u and y have different indexes, and {twice} is twice in that of {name}: nothing says which rows belong together"
+                f"u and y have different indexes, and {twice} is twice in that of {name}: nothing says which "
+                f"rows belong together"
             )
     places = a.get_indexer(b)
     if (places >= 0).all():
@@ -181,7 +230,8 @@ def _places(a, b):
     if (back >= 0).all():
         return np.arange(len(a)), back
     raise ValueError(
-        f"u and y have different rows: {a[back < 0][0]} is in the index of u only, {b[places < 0][0]} in that of y only: select the rows "
+        f"u and y have different rows: {a[back < 0][0]} is in the index of u only, {b[places < 0][0]} in "
+        f"that of y only: select the rows "
         "that both have, or give arrays to pair them one by one"
     )
 

@@ -1,8 +1,9 @@
 """The time of the rows of a table: its index, or the column by which a file with these columns would be read.
 
-Which column that is, `selection.time_column` says, of files and of tables. An index of dates or time spans tells
-the time by itself. Numbers do as they would in a file: in seconds, or as an epoch. Whole numbers in an index that
-nobody called a time count the samples. Whatever tells a time is asked whether the rows are one sampling period apart.
+Which column that is, `selection.time_column` says, of files and of tables. An index of dates or time spans
+tells the time by itself. Numbers do as they would in a file: in seconds, or as an epoch. Whole numbers in an
+index that nobody called a time count the samples. Whatever tells a time is asked whether the rows are one
+sampling period apart.
 """
 
 import datetime
@@ -27,7 +28,8 @@ DAY = np.timedelta64(1, "D")
 class RowTime(NamedTuple):
     """What an index tells.
 
-    Fields: time, origin, dt, stamps: as of a Recording; seams: numbers of rows that do not follow the one before.
+    Fields: time, origin, dt, stamps: as of a Recording; seams: numbers of rows that do not follow the one
+    before.
     """
 
     time: np.ndarray | None
@@ -59,14 +61,17 @@ def one_level(frame: Any) -> Any:
     levels = [index.get_level_values(level) for level in range(index.nlevels)]
     several = [labels for labels in levels if labels.nunique(dropna=False) > 1]
     if len(several) > 1:
-        names = ", ".join("one without a name" if labels.name is None else str(labels.name) for labels in several)
+        names = ", ".join(
+            "one without a name" if labels.name is None else str(labels.name) for labels in several
+        )
         one = "give one unit at a time, like frame.xs(unit), with the time of its rows as index"
         raise ValueError(f"the index has the levels {names}: a recording is one sequence of samples; {one}")
     return frame.set_axis([*several, levels[-1]][0])
 
 
 def plain_labels(labels: Any) -> Any:
-    """Return an index as dates, time spans or numbers where it holds these as objects, text, categories or periods.
+    """Return an index as dates, time spans or numbers where it holds these as objects, text, categories or
+    periods.
 
     Any other comes back as it is.
 
@@ -107,12 +112,12 @@ def plain_labels(labels: Any) -> Any:
 def with_time(frame: Any, model: Any) -> Any:
     """Return a table with the time of its rows for an index, where a column tells it; else as it is.
 
-    The column is the one by which the same table would be read from a file. An index of dates or time spans comes
-    before all columns but the one that the model names.
+    The column is the one by which the same table would be read from a file. An index of dates or time spans
+    comes before all columns but the one that the model names.
 
     Raises:
-        ValueError: a time column that holds text, or times of day without a day; several columns of time stamps, none
-            called like a time.
+        ValueError: a time column that holds text, or times of day without a day; several columns of time
+            stamps, none called like a time.
     """
     if not len(frame):
         return frame
@@ -140,12 +145,13 @@ def row_time(index: Any, dt: float | None, whose: str, regular: bool) -> RowTime
     """Return what an index tells of the time of its rows.
 
     Args:
-        index: from `with_time`. dt: sampling period in s, None: not known. whose: who says so, see `check_period`.
+        index: from `with_time`. dt: sampling period in s, None: not known. whose: who says so, see
+            `check_period`.
         regular: whether rows of another period are refused; else each of them is a seam.
 
     Raises:
-        ValueError: no time in some row; another sampling period; rows that run backwards or are not regular; times as
-            text.
+        ValueError: no time in some row; another sampling period; rows that run backwards or are not regular;
+            times as text.
     """
     plain = plain_labels(index)
     kind = plain.dtype.kind
@@ -261,7 +267,10 @@ def _refuse_steps(labels):
     """Refuse an index that counts, but not every sample, as one of every second row of a table does."""
     step = float(np.median(np.diff(labels))) if len(labels) > 1 else 1.0
     if step > 0 and abs(step - 1) > TOLERATED_STEP:
-        seconds = "If these are seconds, call the index 'time'; if the rows follow each other, frame.reset_index(drop=True)"
+        seconds = (
+            "If these are seconds, call the index 'time'; if the rows follow each other, "
+            "frame.reset_index(drop=True)"
+        )
         raise ValueError(f"the index counts in steps of {step:g}, as if rows were left out. {seconds}")
 
 

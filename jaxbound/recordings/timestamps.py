@@ -1,4 +1,6 @@
-"""Time stamps of a recording: text of any usual format, or numbers, to seconds; and back to text for a reader."""
+"""Time stamps of a recording: text of any usual format, or numbers, to seconds; and back to text for a
+reader.
+"""
 
 import math
 import re
@@ -11,13 +13,42 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
 
-__all__ = ["DIGITS", "epoch_scale", "parse_stamps", "read_numbers", "row_label", "since_epoch",
-           "stamp_kind", "time_label", "time_like", "with_day"]  # fmt: skip
+__all__ = [
+    "DIGITS",
+    "epoch_scale",
+    "parse_stamps",
+    "read_numbers",
+    "row_label",
+    "since_epoch",
+    "stamp_kind",
+    "time_label",
+    "time_like",
+    "with_day",
+]
 
-DATES = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%m/%d/%Y", "%d/%m/%Y", "%d.%m.%Y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y",
-         "%m/%d/%y", "%d/%m/%y", "%d.%m.%y", "%Y%m%d")  # fmt: skip
+DATES = (
+    "%Y-%m-%d",
+    "%Y/%m/%d",
+    "%Y.%m.%d",
+    "%m/%d/%Y",
+    "%d/%m/%Y",
+    "%d.%m.%Y",
+    "%d-%m-%Y",
+    "%m-%d-%Y",
+    "%d-%b-%Y",
+    "%d %b %Y",
+    "%b %d %Y",
+    "%m/%d/%y",
+    "%d/%m/%y",
+    "%d.%m.%y",
+    "%Y%m%d",
+)
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
-FORMATS = [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS] + list(DATES[:-1]) + list(CLOCKS[:4])
+FORMATS = (
+    [f"{d}{gap}{c}" for d in DATES for gap in (" ", "T") for c in CLOCKS]
+    + list(DATES[:-1])
+    + list(CLOCKS[:4])
+)
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
@@ -25,15 +56,19 @@ CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 
 
-def parse_stamps(cells: Any, dt: float | None, where: Callable[[int], str]) -> tuple[np.ndarray, np.ndarray | None, str]:
+def parse_stamps(
+    cells: Any, dt: float | None, where: Callable[[int], str]
+) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return (time, stamps, hint) of text cells.
 
     Args:
-        cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and month/day; None: the median step.
+        cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and
+            month/day; None: the median step.
         where: called with an index, returns "row 7" of the file.
 
     Returns:
-        time: seconds since the first sample; stamps: datetime64[ns], None for a clock without a date; hint: a sentence or "".
+        time: seconds since the first sample; stamps: datetime64[ns], None for a clock without a date; hint: a
+            sentence or "".
 
     Raises:
         ValueError: no known format, or a cell that does not follow that of the first.
@@ -49,32 +84,42 @@ def parse_stamps(cells: Any, dt: float | None, where: Callable[[int], str]) -> t
     first = whole[0].as_py()
     formats = [f for f in FORMATS if _fits(first, f)]
     if not formats:
-        raise ValueError(f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
-                         "(2017-09-12 08:00:00, 9/12/2017 8:00, 12.09.2017 8:00, ...)")  # fmt: skip
+        raise ValueError(
+            f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
+            "(2017-09-12 08:00:00, 9/12/2017 8:00, 12.09.2017 8:00, ...)"
+        )
     read = [(f, _parse(whole, fraction, f)) for f in formats]
     complete = [(f, x) for f, x in read if not np.isnat(x).any()]
     if not complete:
         bad = max(int(np.argmax(np.isnat(x))) for _, x in read)
         odd, usual = cells[bad].as_py(), cells[0].as_py()
-        raise ValueError(f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}")
+        raise ValueError(
+            f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}"
+        )
     seams = [_seams(x, dt) for _, x in complete]
     smoothest = [c for c, n in zip(complete, seams, strict=True) if n == min(seams)]
     form, stamps = smoothest[0]
     hint = ""
     if len(smoothest) > 1 and "%d" in form and stamps[0] != smoothest[1][1][0]:
-        hint = f"time stamps like {cells[0].as_py()!r} are read as {_words(form)}; they could also be {_words(smoothest[1][0])}"
+        hint = (
+            f"time stamps like {cells[0].as_py()!r} are read as {_words(form)}; they could also be "
+            f"{_words(smoothest[1][0])}"
+        )
     if not (dated := "%d" in form):
         hint = f"time stamps like {cells[0].as_py()!r} have no day: a gap of whole days cannot be seen"
     return _since_first(stamps, hint, dated)
 
 
 def stamp_kind(cell: str | None) -> str:
-    """Return what a cell holds: a time stamp of any usual format, "day" or "clock" where it is half of one, "" where it is none.
+    """Return what a cell holds: a time stamp of any usual format, "day" or "clock" where it is half of one,
+    "" where it is none.
 
-    Eight digits may be a day beside a clock, but also a number: "digits". That it is no other number is known.
+    Eight digits may be a day beside a clock, but also a number: "digits". That it is no other number is
+    known.
 
     Example:
-        >>> [stamp_kind(x) for x in ("2017-09-12 08:00", "20170912T080000", "12.09.2017", "20170912", "8:00 PM", "shift 2")]
+        >>> cells = "2017-09-12 08:00", "20170912T080000", "12.09.2017", "20170912", "8:00 PM", "shift 2"
+    >>> [stamp_kind(cell) for cell in cells]
         ['stamp', 'stamp', 'day', 'digits', 'clock', '']
     """
     import pyarrow as pa
@@ -93,14 +138,17 @@ def stamp_kind(cell: str | None) -> str:
 
 
 def with_day(days: Any, clocks: Any) -> Any:
-    """Return the time stamps of two pyarrow arrays of texts, days and times of day; null where one of them is."""
+    """Return the time stamps of two pyarrow arrays of texts, days and times of day; null where one of them
+    is.
+    """
     import pyarrow.compute as pc
 
     return pc.binary_join_element_wise(pc.utf8_trim_whitespace(days), pc.utf8_trim_whitespace(clocks), " ")
 
 
 def since_epoch(values: np.ndarray) -> np.ndarray:
-    """Return numbers whose digits are time stamps, 20240101080000 or 202401010800, as seconds since 1970; other numbers as they are.
+    """Return numbers whose digits are time stamps, 20240101080000 or 202401010800, as seconds since 1970;
+    other numbers as they are.
 
     Example:
         >>> since_epoch(np.array([20240101080000.0, 20240101080100.0])), since_epoch(np.array([202401.0]))
@@ -110,36 +158,52 @@ def since_epoch(values: np.ndarray) -> np.ndarray:
 
     first = str(int(values[0])) if len(values) and np.isfinite(values).all() else ""
     form = COMPACT.get(len(first))
-    if form is None or not CENTURIES[0] <= int(first[:4]) < CENTURIES[1] or (values != np.floor(values)).any():
+    if (
+        form is None
+        or not CENTURIES[0] <= int(first[:4]) < CENTURIES[1]
+        or (values != np.floor(values)).any()
+    ):
         return values
     stamps = _parse(pa.array(values.astype(np.int64)).cast(pa.string()), None, form)
     return values if np.isnat(stamps).any() else (stamps - np.datetime64(0, "s")) / np.timedelta64(1, "s")
 
 
 def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
-    """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns), else None: it is in seconds."""
+    """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns),
+    else None: it is in seconds.
+    """
     step = dt or 0.0 if len(values) < 2 else float(np.median(np.diff(values)))
     for scale in EPOCHS:
-        if 1e9 * scale <= values[0] < 5e9 * scale and (scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt):
+        if 1e9 * scale <= values[0] < 5e9 * scale and (
+            scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt
+        ):
             return scale
     return None
 
 
 def read_numbers(values: np.ndarray, dt: float | None) -> tuple[np.ndarray, np.ndarray | None, str]:
-    """Return (time, stamps, hint) of a numeric time column: seconds, an epoch in s, ms, us or ns, or the digits of time stamps."""
+    """Return (time, stamps, hint) of a numeric time column: seconds, an epoch in s, ms, us or ns, or the
+    digits of time stamps.
+    """
     values = since_epoch(values)
     scale = epoch_scale(values, dt)
     if scale is None:
         return values, None, ""
     stamps = np.round(values * (1e9 / scale)).astype("int64").astype("datetime64[ns]")
-    return (values - values[0]) / scale, stamps, "" if scale == 1 else f"the time column is read as an epoch in {EPOCHS[scale]}"
+    return (
+        (values - values[0]) / scale,
+        stamps,
+        "" if scale == 1 else f"the time column is read as an epoch in {EPOCHS[scale]}",
+    )
 
 
 def time_label(seconds: float, stamp: Any, step: float) -> str:
-    """Return the time of a sample as text: of its time stamp if it has one, else of its seconds to a hundredth of a step.
+    """Return the time of a sample as text: of its time stamp if it has one, else of its seconds to a
+    hundredth of a step.
 
     Example:
-        >>> time_label(0.30000000000000004, None, 0.01), time_label(0.0, np.datetime64("2017-09-12T08:00:00.500"), 1.0)
+        >>> start = np.datetime64("2017-09-12T08:00:00.500")
+    >>> time_label(0.30000000000000004, None, 0.01), time_label(0.0, start, 1.0)
         ('0.3 s', '2017-09-12 08:00:00.500')
     """
     if stamp is not None:
@@ -171,7 +235,9 @@ def _split_fraction(cells):
     parts = pc.extract_regex(cells, r"^(?P<whole>.*?:\d\d)[.,]?(?P<fraction>\d*)$")
     digits = pc.struct_field(parts, "fraction")
     seconds = pc.binary_join_element_wise("0.", pc.coalesce(digits, "0"), "0", "").cast(pa.float64())
-    return pc.coalesce(pc.struct_field(parts, "whole"), ""), (from_arrow(seconds) * 1e9).round().astype("timedelta64[ns]")
+    return pc.coalesce(pc.struct_field(parts, "whole"), ""), (from_arrow(seconds) * 1e9).round().astype(
+        "timedelta64[ns]"
+    )
 
 
 def _fits(text, form):
@@ -185,7 +251,9 @@ def _fits(text, form):
 def _parse(whole, fraction, form):
     import pyarrow.compute as pc
 
-    stamps = from_arrow(pc.strptime(whole, format=form, unit="s", error_is_null=True)).astype("datetime64[ns]")
+    stamps = from_arrow(pc.strptime(whole, format=form, unit="s", error_is_null=True)).astype(
+        "datetime64[ns]"
+    )
     return stamps if fraction is None else stamps + fraction
 
 
@@ -204,7 +272,11 @@ def _since_first(stamps, hint, dated=True):
     time = _seconds(stamps)
     if dated:
         return time, stamps, hint
-    return time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)]), None, hint  # a clock that passed midnight
+    return (
+        time + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(time) < -43200)]),
+        None,
+        hint,
+    )  # a clock that passed midnight
 
 
 def _words(form):

@@ -16,13 +16,16 @@ UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
 
 
 def refuse_link(path: str | PathLike, folder: bool = False, replaced: bool = False) -> None:
-    """Refuse what is there under a name of ours and leads elsewhere: writing to it would write to what somebody else keeps there.
+    """Refuse what is there under a name of ours and leads elsewhere: writing to it would write to what
+    somebody else keeps there.
 
     Args:
-        path: of a file. folder: it is a folder. replaced: another file takes its name, so that it may have a second name of its own.
+        path: of a file. folder: it is a folder. replaced: another file takes its name, so that it may have a
+            second name of its own.
 
     Raises:
-        FileExistsError: a link, a file with a second name, or what is neither a plain file nor the folder that is wanted.
+        FileExistsError: a link, a file with a second name, or what is neither a plain file nor the folder
+            that is wanted.
     """
     try:
         about = os.lstat(path)
@@ -35,12 +38,15 @@ def refuse_link(path: str | PathLike, folder: bool = False, replaced: bool = Fal
     if ours:
         return
     raise FileExistsError(
-        errno.EEXIST, "a link, or what jaxbound did not write, is in the way: move it, or choose another place", str(path)
+        errno.EEXIST,
+        "a link, or what jaxbound did not write, is in the way: move it, or choose another place",
+        str(path),
     )
 
 
 def lock(file: IO, shared: bool = False) -> None:
-    """Keep other processes away from an open file until it is closed; where the system has no locks, nobody is.
+    """Keep other processes away from an open file until it is closed; where the system has no locks, nobody
+    is.
 
     Args:
         file: that is open. shared: others may lock it too if they share it.
@@ -61,7 +67,9 @@ def lock(file: IO, shared: bool = False) -> None:
 
 
 def unshared(file: IO) -> bool:
-    """Return whether nobody else shares the lock of a file any more; no other can then have it before it is closed."""
+    """Return whether nobody else shares the lock of a file any more; no other can then have it before it is
+    closed.
+    """
     try:
         lock(file)
     except BlockingIOError:
@@ -70,7 +78,8 @@ def unshared(file: IO) -> bool:
 
 
 def locked(path: str | PathLike, shared: bool = False) -> IO:
-    """Open a file that no other process has open so; a lock dies with its process, so a killed one leaves none.
+    """Open a file that no other process has open so; a lock dies with its process, so a killed one leaves
+    none.
 
     Args:
         path: of the file, which is made if it is not there. shared: as for `lock`.
@@ -102,13 +111,15 @@ def locked(path: str | PathLike, shared: bool = False) -> IO:
 
 @contextmanager
 def whole(path: str | PathLike, sync: bool = True, links: bool = True) -> Iterator[IO[bytes]]:
-    """Give a binary file whose bytes are found at `path` once the block has ended well; else what was there stays.
+    """Give a binary file whose bytes are found at `path` once the block has ended well; else what was there
+    stays.
 
-    They are written beside it: what a killed process leaves there is taken over by the next one. Links are followed; a pipe or a device
-    is no file to replace, and is written as it is.
+    They are written beside it: what a killed process leaves there is taken over by the next one. Links are
+    followed; a pipe or a device is no file to replace, and is written as it is.
 
     Args:
-        path: of the file. sync: force it to the disk first. links: whether they are followed, as where a user named the file.
+        path: of the file. sync: force it to the disk first. links: whether they are followed, as where a user
+            named the file.
 
     Raises:
         ValueError: another process is writing it. FileExistsError: a link that is not followed.

@@ -1,13 +1,16 @@
-"""Polynomial matrices Omega(v) with Omega(v) E(v) = 0 for every v: the unknown state is eliminated whatever the parameters are.
+"""Polynomial matrices Omega(v) with Omega(v) E(v) = 0 for every v: the unknown state is eliminated whatever
+the parameters are.
 
-Omega is searched order by order. Of one order r, its coefficients are the unknowns of homogeneous equations, one for each monomial
-gamma of the product and each column of E,
+Omega is searched order by order. Of one order r, its coefficients are the unknowns of homogeneous equations,
+one for each monomial gamma of the product and each column of E,
 
-    sum over alpha of Omega_[gamma - alpha] E_[alpha] = 0,      gamma = alpha + beta, |beta| <= r            (9)-(10)
+    sum over alpha of Omega_[gamma - alpha] E_[alpha] = 0,      gamma = alpha + beta, |beta| <= r
+    (9)-(10)
 
-whose null space is exact and sparse. Multiples v^beta g of what a lower order has found are no new relations and are removed.
-The search stops when the relations found have full rank at the middle, at vertices and at random points of the box: neither the size of
-a null space nor its rank at a random point would do (three relations of full generic rank may be two at the nominal model).
+whose null space is exact and sparse. Multiples v^beta g of what a lower order has found are no new relations
+and are removed. The search stops when the relations found have full rank at the middle, at vertices and at
+random points of the box: neither the size of a null space nor its rank at a random point would do (three
+relations of full generic rank may be two at the nominal model).
 
 Source: Ploix, Adrot 2006, section 3.
 """
@@ -44,7 +47,9 @@ LONGEST = 600
 
 @dataclass(frozen=True)
 class Step:
-    """What one order of the search came to: unknowns and equations, dimension of the null space, of the multiples in it, new relations."""
+    """What one order of the search came to: unknowns and equations, dimension of the null space, of the
+    multiples in it, new relations.
+    """
 
     order: int
     unknowns: int
@@ -55,14 +60,17 @@ class Step:
 
 
 def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...], str]:
-    """Return (Omega, steps, complete): relations that span the left null space of E(v) at every v of [-1, 1]^q.
+    """Return (Omega, steps, complete): relations that span the left null space of E(v) at every v of [-1,
+    1]^q.
 
     Args:
         E: a PolynomialMatrix.
 
     Returns:
-        Omega: a PolynomialMatrix (count, E.rows), few relations of low order first. steps: a Step for each order. complete: "proved"
-        if their rank is full over the whole box, "sampled" if that holds at all points tried, "partial" if the search gave up.
+        Omega: a PolynomialMatrix (count, E.rows), few relations of low order first. steps: a Step for each
+            order. complete: "proved"
+        if their rank is full over the whole box, "sampled" if that holds at all points tried, "partial" if
+        the search gave up.
 
     Source: Ploix, Adrot 2006, (8)-(10).
     """
@@ -71,11 +79,15 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
     kept: list[Kept] = []
     steps: list[Step] = []
     used = [i for i in range(E.variables) if any(a[i] for a in E.terms)]
-    small = PolynomialMatrix(E.rows, E.columns, len(used), {tuple(a[i] for i in used): m for a, m in E.terms.items()})
+    small = PolynomialMatrix(
+        E.rows, E.columns, len(used), {tuple(a[i] for i in used): m for a, m in E.terms.items()}
+    )
     wide = lambda beta: tuple(beta[used.index(i)] if i in used else 0 for i in range(E.variables))
     if target == 0:
         return PolynomialMatrix(0, E.rows, E.variables, {}), (), "proved"
-    for order in range(max(1, E.columns * E.order) + 1):  # relations of at most this order, the minors of E, span it everywhere
+    for order in range(
+        max(1, E.columns * E.order) + 1
+    ):  # relations of at most this order, the minors of E, span it everywhere
         betas = monomials(len(used), order)
         if len(betas) * E.rows > LARGEST and order:
             return _matrix(kept, E), tuple(steps), "partial"
@@ -92,9 +104,11 @@ def annihilator(E: PolynomialMatrix) -> tuple[PolynomialMatrix, tuple[Step, ...]
 
 
 def constraints(E: PolynomialMatrix, order: int) -> tuple[list[dict[int, int]], int]:
-    """Return (equations, size): what the coefficients of a relation of one order must satisfy, in whole numbers, and how many these are.
+    """Return (equations, size): what the coefficients of a relation of one order must satisfy, in whole
+    numbers, and how many these are.
 
-    Unknown b * E.rows + j is the coefficient of monomial b (`monomials`) at row j of E; an equation of zeros counts, but is not returned.
+    Unknown b * E.rows + j is the coefficient of monomial b (`monomials`) at row j of E; an equation of zeros
+    counts, but is not returned.
 
     Source: Ploix, Adrot 2006, (9)-(10).
     """
@@ -110,8 +124,12 @@ def constraints(E: PolynomialMatrix, order: int) -> tuple[list[dict[int, int]], 
     return list(equations.values()), len({gamma for gamma, _ in equations}) * E.columns
 
 
-def _one_order(E: PolynomialMatrix, betas: list[Exponents], order: int, kept: list[Kept]) -> tuple[list[Relation], Step]:
-    """Return the relations {(beta, column): x} of one order that are no multiples of those kept, and the Step."""
+def _one_order(
+    E: PolynomialMatrix, betas: list[Exponents], order: int, kept: list[Kept]
+) -> tuple[list[Relation], Step]:
+    """Return the relations {(beta, column): x} of one order that are no multiples of those kept, and the
+    Step.
+    """
     equations, size = constraints(E, order)
     kernel = null_space(equations, len(betas) * E.rows)
     leads = {min(row): i for i, row in enumerate(kernel)}  # coordinates of a solution: its values there
@@ -123,14 +141,18 @@ def _one_order(E: PolynomialMatrix, betas: list[Exponents], order: int, kept: li
                 break
             shifted = {number[tuple(map(int.__add__, beta, b))] * E.rows + j: x for (b, j), x in g.items()}
             multiples.append({len(kernel) - 1 - leads[k]: x for k, x in shifted.items() if k in leads})
-    spanned = {len(kernel) - 1 - c for c in pivot_columns(multiples)}  # the last coordinate of a multiple: the others come first
+    spanned = {
+        len(kernel) - 1 - c for c in pivot_columns(multiples)
+    }  # the last coordinate of a multiple: the others come first
     fresh = [kernel[i] for i in range(len(kernel)) if i not in spanned]
     found = [{(betas[k // E.rows], k % E.rows): x for k, x in row.items()} for row in fresh]
     return found, Step(order, len(betas) * E.rows, size, len(kernel), len(spanned), len(fresh))
 
 
 def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
-    """Return relations as a matrix, each divided by its largest coefficient at v = 0 (or anywhere), the first one positive."""
+    """Return relations as a matrix, each divided by its largest coefficient at v = 0 (or anywhere), the first
+    one positive.
+    """
     terms: Terms = {}
     for i, (_, g, _) in enumerate(kept):
         nominal = [abs(x) for (b, _), x in g.items() if not any(b)]
@@ -143,12 +165,17 @@ def _matrix(kept: Sequence[Kept], E: PolynomialMatrix) -> PolynomialMatrix:
 
 
 def _fewest(kept: list[Kept], E: PolynomialMatrix, points: Points, target: int) -> list[Kept]:
-    """Return as few relations as are well conditioned at all points; of these, where a choice is left, the lowest orders."""
+    """Return as few relations as are well conditioned at all points; of these, where a choice is left, the
+    lowest orders.
+    """
     if len(kept) <= target:
         return kept
     most = _spans(_matrix(kept, E), points, target)[1]
     for count in range(target, len(kept)):
-        choices = sorted(itertools.islice(itertools.combinations(kept, count), 2000), key=lambda some: sum(g[0] for g in some))
+        choices = sorted(
+            itertools.islice(itertools.combinations(kept, count), 2000),
+            key=lambda some: sum(g[0] for g in some),
+        )
         for some in choices[:50]:
             spans, smallest = _spans(_matrix(some, E), points, target)
             if spans and smallest > most / 2:
@@ -157,13 +184,17 @@ def _fewest(kept: list[Kept], E: PolynomialMatrix, points: Points, target: int) 
 
 
 def _spans(P: PolynomialMatrix, points: Points, target: int) -> tuple[bool, float]:
-    """Return whether the rank of P is at least the target at all points, and the smallest singular value that makes it so."""
+    """Return whether the rank of P is at least the target at all points, and the smallest singular value that
+    makes it so.
+    """
     powers = np.array(list(P.terms), float).reshape(len(P.terms), P.variables)
     values = np.array([P.coefficient(a) for a in P.terms], float)
     at = np.einsum("pa,aij->pij", np.prod(np.array(points, float)[:, None, :] ** powers, -1), values)
     singular = np.linalg.svd(at, compute_uv=False)
     plain = singular[:, target - 1] > 1e-7 * singular[:, 0]
-    return all(ok or linalg.rank(P.at(v)) >= target for ok, v in zip(plain, points, strict=True)), singular[:, target - 1].min()
+    return all(ok or linalg.rank(P.at(v)) >= target for ok, v in zip(plain, points, strict=True)), singular[
+        :, target - 1
+    ].min()
 
 
 def generic_rank(E: PolynomialMatrix) -> int:
@@ -185,15 +216,18 @@ def _points(q: int) -> Points:
 
 
 def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, ...] | None]:
-    """Decide whether P(v) has at least a given rank for every v in [-1, 1]^q, and return ("proved" | "drops" | "open", where).
+    """Decide whether P(v) has at least a given rank for every v in [-1, 1]^q, and return ("proved" | "drops"
+    | "open", where).
 
-    On a box v = c + r w, L P R = I + sum over alpha of N_alpha w^alpha, with fixed matrices L and R from the singular vectors at its
-    centre. Where the |N_alpha| add up to less than 1 in every row, I + N is regular and the rank at least that large; else the box is
-    bisected. Done in floats: each N_alpha is a sum of products L T P R, T the binomial matrix that moves the monomials to the box, and
-    `rounding.product_error`, with one more product for each further factor, bounds what rounding does to it.
+    On a box v = c + r w, L P R = I + sum over alpha of N_alpha w^alpha, with fixed matrices L and R from the
+    singular vectors at its centre. Where the |N_alpha| add up to less than 1 in every row, I + N is regular
+    and the rank at least that large; else the box is bisected. Done in floats: each N_alpha is a sum of
+    products L T P R, T the binomial matrix that moves the monomials to the box, and `rounding.product_error`,
+    with one more product for each further factor, bounds what rounding does to it.
 
     Returns:
-        "drops" with a point where the exact rank is smaller; "open" with a point close to what up to 1000 boxes did not settle.
+        "drops" with a point where the exact rank is smaller; "open" with a point close to what up to 1000
+        boxes did not settle.
     """
     if rank == 0:
         return "proved", None
@@ -201,7 +235,10 @@ def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, 
     points = _points(P.variables)
     if not _spans(P, points, rank)[0]:
         return "drops", next(v for v in points if linalg.rank(P.at(v)) < rank)
-    alphas = sorted({low for a in P.terms for low in itertools.product(*(range(e + 1) for e in a))}, key=lambda a: (sum(a), a))
+    alphas = sorted(
+        {low for a in P.terms for low in itertools.product(*(range(e + 1) for e in a))},
+        key=lambda a: (sum(a), a),
+    )
     values = np.array([P.coefficient(a) for a in alphas], float)
     powers = np.array(alphas, int).reshape(len(alphas), P.variables)
     gamma, _ = rounding.product_error(len(alphas) + P.rows + P.columns + 4 * P.order + 8, np.float64)
@@ -233,8 +270,13 @@ def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, 
 
 
 def _moved(powers: np.ndarray, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return T (K, K) with (centre + radius w)^alpha = sum over low of T[low, alpha] w^low, for all exponents `powers` (K, q)."""
+    """Return T (K, K) with (centre + radius w)^alpha = sum over low of T[low, alpha] w^low, for all exponents
+    `powers` (K, q).
+    """
     top = powers.max(initial=0) + 1
     binomial = np.array([[comb(e, k) for e in range(top)] for k in range(top)], float)  # 0 where k > e
     rest = np.maximum(powers[None] - powers[:, None], 0)
-    return np.prod(binomial[powers[:, None], powers[None]] * centre**rest, -1) * np.prod(radius**powers, -1)[:, None]
+    return (
+        np.prod(binomial[powers[:, None], powers[None]] * centre**rest, -1)
+        * np.prod(radius**powers, -1)[:, None]
+    )

@@ -1,4 +1,6 @@
-"""The bounds of relations at the door: checked, given their shape, rounded so that they are never tighter than what the user wrote."""
+"""The bounds of relations at the door: checked, given their shape, rounded so that they are never tighter
+than what the user wrote.
+"""
 
 from collections.abc import Mapping
 from typing import TypeAlias, cast
@@ -21,12 +23,23 @@ __all__ = ["Bounds", "changed_bounds", "checked_bound", "float_bound", "model_bo
 Bounds: TypeAlias = dict[str, np.ndarray | jax.Array]
 """{"tolerance": (p,), "noise": (p,), ..}, see `model_bounds`."""
 
-KINDS = {"tolerance": "output", "noise": "output", "disturbance": "disturbance", "parameters": "parameter", "average": "average"}
+KINDS = {
+    "tolerance": "output",
+    "noise": "output",
+    "disturbance": "disturbance",
+    "parameters": "parameter",
+    "average": "average",
+}
 
 
 def model_bounds(model: LinearSystem) -> Bounds:
-    """Return the bounds of a model as floats: "tolerance", "noise", and what it has of "disturbance" (g, 2), "parameters", "average"."""
-    bounds: dict[str, np.ndarray] = {"tolerance": rounding.round_up(list(model.tolerance)), "noise": rounding.round_up(list(model.noise))}
+    """Return the bounds of a model as floats: "tolerance", "noise", and what it has of "disturbance" (g, 2),
+    "parameters", "average".
+    """
+    bounds: dict[str, np.ndarray] = {
+        "tolerance": rounding.round_up(list(model.tolerance)),
+        "noise": rounding.round_up(list(model.noise)),
+    }
     if model.g:
         lo, hi = zip(*model.disturbance, strict=True)
         bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
@@ -77,11 +90,17 @@ def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> np.ndarra
 
 def float_bound(bound: np.ndarray | jax.Array, dtype: DTypeLike) -> np.ndarray | jax.Array:
     """Return a bound in a float dtype, rounded up."""
-    return bound.astype(dtype) if isinstance(bound, jax.core.Tracer) else rounding.round_up(np.asarray(bound, np.float64), dtype)
+    return (
+        bound.astype(dtype)
+        if isinstance(bound, jax.core.Tracer)
+        else rounding.round_up(np.asarray(bound, np.float64), dtype)
+    )
 
 
 def changed_bounds(model: LinearSystem, old: Bounds, new: Mapping[str, ArrayLike]) -> Bounds:
-    """Return the bounds `old` with the entries of `new` in their place, checked as in `checked_bound`; ValueError for an unknown name."""
+    """Return the bounds `old` with the entries of `new` in their place, checked as in `checked_bound`;
+    ValueError for an unknown name.
+    """
     unknown = sorted(set(new) - set(old))
     if unknown:
         raise ValueError(f"bounds are {sorted(old)}, not {unknown}")
@@ -96,7 +115,9 @@ def reading(
     dtype: DTypeLike,
     lags: tuple[int, ...] | None = None,
 ) -> Reading:
-    """Return the Reading of a model under such bounds, rounded so that none is tighter. lags: see `parity_relations`."""
+    """Return the Reading of a model under such bounds, rounded so that none is tighter. lags: see
+    `parity_relations`.
+    """
     lo_hi = bounds.get("disturbance", np.zeros((0, 2)))
     if not isinstance(lo_hi, jax.core.Tracer):
         lo_hi = np.stack([rounding.round_down(lo_hi[:, 0], dtype), rounding.round_up(lo_hi[:, 1], dtype)], 1)

@@ -1,7 +1,9 @@
-"""What relations cost before they are made: seconds and bytes, from sizes alone, so that nobody waits for what will not end.
+"""What relations cost before they are made: seconds and bytes, from sizes alone, so that nobody waits for
+what will not end.
 
-Exact numbers grow with the window: powers of A have as many digits as samples, determinants as many as their rows have together. The
-constants were measured on one core of a desk computer; they are right within a factor of three or so, which is all that is asked of them.
+Exact numbers grow with the window: powers of A have as many digits as samples, determinants as many as their
+rows have together. The constants were measured on one core of a desk computer; they are right within a factor
+of three or so, which is all that is asked of them.
 """
 
 from math import comb
@@ -36,7 +38,9 @@ def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
     columns = model.n + model.g * s + model.d * window.unknown_lags(model, s)
     known, left = model.m * window.input_lags(model, s), max(rows - columns, 0)
     sparse = 2.5e-6 * columns * min(columns, rows) * rows * (1 + _digits(model) * s / 100 * (model.g > 0))
-    seconds = _power_seconds(model, s) + elimination_seconds(model, s) + sparse + 8e-6 * left * (columns + known)
+    seconds = (
+        _power_seconds(model, s) + elimination_seconds(model, s) + sparse + 8e-6 * left * (columns + known)
+    )
     return seconds, 16.0 * rows * (rows + known) + 150.0 * left * (columns + known)
 
 
@@ -53,8 +57,14 @@ def affordable(model: LinearSystem, horizon: int) -> None:
     needs = f"{duration_text(seconds)} and {size / 1e9:.2g} GB"
     named = str(horizon) if horizon < LONGEST else f"beyond {LONGEST:.0e}"
     few = "leave some uncertainties out, let them be constant, or " if model.uncertainties else ""
-    what = f"a window of {model.n} states, {model.p} outputs" + (f" and {model.g} disturbances" if model.g else "")
-    do = f"{few}choose a horizon of at most {low}" if low and fits(low) else "a model with fewer states is needed"
+    what = f"a window of {model.n} states, {model.p} outputs" + (
+        f" and {model.g} disturbances" if model.g else ""
+    )
+    do = (
+        f"{few}choose a horizon of at most {low}"
+        if low and fits(low)
+        else "a model with fewer states is needed"
+    )
     raise ValueError(f"horizon {named} is too long: exact relations for {what} would take {needs}; {do}")
 
 
@@ -62,8 +72,11 @@ def refuse_many_states(model: LinearSystem) -> None:
     """Raise ValueError if even the shortest useful horizon would take too long to find."""
     seconds = _power_seconds(model, model.n) + 2e-7 * (model.p + 1) * model.p * float(model.n) ** 3
     if seconds > SECONDS:
-        raise ValueError(f"a model of {model.n} states is too large: to find its shortest useful horizon in exact numbers would take "
-                         f"{duration_text(seconds)}; reduce the model first")  # fmt: skip
+        raise ValueError(
+            f"a model of {model.n} states is too large: to find its shortest useful horizon in exact numbers "
+            f"would take "
+            f"{duration_text(seconds)}; reduce the model first"
+        )
 
 
 def _power_seconds(model, s):
@@ -74,12 +87,21 @@ def _power_seconds(model, s):
 def _digits(model):
     """Return how many decimal digits a number of A has, from its longest denominator and numerator."""
     numbers = [x for a in (model.A, model.C, model.F) for row in a for x in row]
-    return 1 + max((max(x.numerator.bit_length(), x.denominator.bit_length()) for x in numbers), default=1) * 0.15
+    return (
+        1
+        + max((max(x.numerator.bit_length(), x.denominator.bit_length()) for x in numbers), default=1) * 0.15
+    )
 
 
 def _terms(model, s):
-    """Return at least roughly how many monomials a window of an uncertain model has: they multiply from sample to sample."""
-    acts = lambda letter, varying: sum(1 for u in model.uncertainties if u.varying is varying and u.on(letter) is not None)
+    """Return at least roughly how many monomials a window of an uncertain model has: they multiply from
+    sample to sample.
+    """
+    acts = lambda letter, varying: sum(
+        1 for u in model.uncertainties if u.varying is varying and u.on(letter) is not None
+    )
     per_sample, constant = acts("A", True), acts("A", False) + acts("C", False)
     grown = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample)) if per_sample else 1.0
-    return grown * comb(min(s, 10**4) + constant, constant) * (1 + acts("C", True)) + (s + 1) * len(model.uncertainties)
+    return grown * comb(min(s, 10**4) + constant, constant) * (1 + acts("C", True)) + (s + 1) * len(
+        model.uncertainties
+    )

@@ -1,4 +1,5 @@
-"""The elimination of Ragot, Maquin, Kratz 1993: first the unknown inputs, then the measured states, then what is left step by step.
+"""The elimination of Ragot, Maquin, Kratz 1993: first the unknown inputs, then the measured states, then what
+is left step by step.
 
 | paper | here | |
 |---|---|---|
@@ -7,8 +8,9 @@
 | Q | Q | Q E_2 = (0, I), (10)-(12) |
 | A_r, C_r, y_r | A, C, z | x+ = A x + b, z = C x: b and z are polynomials in q of the signals, (14) |
 
-A step (16)-(20) with the corrections that the paper needs: rows of C that depend on others give a relation at once and are left out, and
-the elimination goes on until no state is left or C = 0 (stopping at a scalar state loses a relation of the paper's own example).
+A step (16)-(20) with the corrections that the paper needs: rows of C that depend on others give a relation at
+once and are left out, and the elimination goes on until no state is left or C = 0 (stopping at a scalar state
+loses a relation of the paper's own example).
 """
 
 from collections.abc import Sequence
@@ -24,9 +26,14 @@ __all__ = ["eliminate"]
 
 
 def eliminate(model: LinearSystem) -> tuple[Row, ...]:
-    """Return the rows of polynomials of all relations of a model; see `redundancy.redundancy` for when it refuses."""
+    """Return the rows of polynomials of all relations of a model; see `redundancy.redundancy` for when it
+    refuses.
+    """
     if model.has_direct_unknown:
-        raise ValueError("the elimination is for unknown inputs that act on the state only, and D_v is not zero; use method='window'")
+        raise ValueError(
+            "the elimination is for unknown inputs that act on the state only, and D_v is not zero; use "
+            "method='window'"
+        )
     F = _independent_columns(model.F)
     outputs, rows = _independent_outputs(model)
     C = tuple(model.C[i] for i in outputs)
@@ -40,7 +47,8 @@ def eliminate(model: LinearSystem) -> tuple[Row, ...]:
     if linalg.rank(E2) < len(hidden):
         CF = linalg.matmul(model.C, F)
         raise ValueError(
-            f"the elimination needs rank(C F) = rank F, so that each unknown input shows in the next outputs: rank(C F) is "
+            f"the elimination needs rank(C F) = rank F, so that each unknown input shows in the next "
+            f"outputs: rank(C F) is "
             f"{linalg.rank(CF)}, rank F is {len(F[0])}; use method='window'"
         )
     y = _signals(model, outputs)
@@ -51,7 +59,10 @@ def eliminate(model: LinearSystem) -> tuple[Row, ...]:
         linalg.matmul(Q, linalg.matmul(E, model.B)) if model.m else tuple(() for _ in Q),
     )
     given = [
-        _sum(shift.apply(tuple(r[:measured] for r in EAP), y, model.p + model.m), shift.apply(EB, _inputs(model), model.p + model.m)),
+        _sum(
+            shift.apply(tuple(r[:measured] for r in EAP), y, model.p + model.m),
+            shift.apply(EB, _inputs(model), model.p + model.m),
+        ),
         shift.apply(E1, y, model.p + model.m),
     ]
     split = len(E) - len(hidden)
@@ -72,7 +83,9 @@ def _relations(z: Sequence[Row], C: Matrix) -> tuple[list[Row], list[Row], Matri
     """Return the relations among z = C x, and the independent rows that are left."""
     if not C or not C[0]:
         return list(z), [], ()
-    backward = linalg.left_null_space(C[::-1])  # reversed: each relation is led by the row that depends on those before it
+    backward = linalg.left_null_space(
+        C[::-1]
+    )  # reversed: each relation is led by the row that depends on those before it
     null = [row[::-1] for row in backward]
     led: set[int] = set()
     relations: list[Row] = []
@@ -99,7 +112,12 @@ def _step(A, C, b, z):
     part = lambda rows, low, high: tuple(r[low:high] for r in rows)
     known = _sum(shift.apply(part(moved[:k], 0, k), z, width), drive[:k])
     left = shift.minus_shift(z, known)
-    return part(moved[k:], k, n), part(moved[:k], k, n), _sum(shift.apply(part(moved[k:], 0, k), z, width), drive[k:]), left
+    return (
+        part(moved[k:], k, n),
+        part(moved[:k], k, n),
+        _sum(shift.apply(part(moved[k:], 0, k), z, width), drive[k:]),
+        left,
+    )
 
 
 def _measured_first(C, columns, hidden):
@@ -116,7 +134,9 @@ def _solving(E2):
         return _identity(rows)
     bottom = linalg.row_reduce(linalg.transpose(E2))[1]
     inverse = linalg.inverse([E2[i] for i in bottom])
-    spread = lambda values, at: tuple(sum((v for v, i in zip(values, at, strict=True) if i == j), Fraction(0)) for j in range(rows))
+    spread = lambda values, at: tuple(
+        sum((v for v, i in zip(values, at, strict=True) if i == j), Fraction(0)) for j in range(rows)
+    )
     Q = []
     for i in range(rows):
         if i not in bottom:
@@ -147,7 +167,10 @@ def _signals(model, outputs):
 
 
 def _inputs(model):
-    return [((),) * model.p + tuple((Fraction(1),) if i == j else () for i in range(model.m)) for j in range(model.m)]
+    return [
+        ((),) * model.p + tuple((Fraction(1),) if i == j else () for i in range(model.m))
+        for j in range(model.m)
+    ]
 
 
 def _sum(a, b):

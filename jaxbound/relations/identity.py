@@ -1,4 +1,6 @@
-"""What verdicts depend on besides the recording: the note beside everything that is kept, by which it is known again."""
+"""What verdicts depend on besides the recording: the note beside everything that is kept, by which it is
+known again.
+"""
 
 from typing import Any
 
@@ -14,12 +16,15 @@ from jaxbound.relations.uncertain import UncertainRelations
 __all__ = ["identity"]
 
 
-def identity(relations: ParityRelation | UncertainRelations | Redundancy | Residual | Any, **also: object) -> dict[str, str]:
-    """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for JSON.
+def identity(
+    relations: ParityRelation | UncertainRelations | Redundancy | Residual | Any, **also: object
+) -> dict[str, str]:
+    """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for
+    JSON.
 
     Args:
-        relations: of a model, or an observer, which say by .made how they came from it. also: {what: value} more, as `fingerprint`
-            takes it; texts and whole numbers are kept as they are.
+        relations: of a model, or an observer, which say by .made how they came from it. also: {what: value}
+            more, as `fingerprint` takes it; texts and whole numbers are kept as they are.
 
     Raises:
         TypeError: a user's own residual, or observer.
@@ -27,7 +32,10 @@ def identity(relations: ParityRelation | UncertainRelations | Redundancy | Resid
     from jaxbound import __version__
 
     if not hasattr(relations, "made"):
-        raise TypeError(f"nothing tells one {type(relations).__name__} from another: what is found with it cannot be kept and taken up")
+        raise TypeError(
+            f"nothing tells one {type(relations).__name__} from another: what is found with it cannot be "
+            f"kept and taken up"
+        )
     plain = lambda x: str(x) if isinstance(x, str | int) else fingerprint(x)
     return {
         "version of jaxbound": __version__,

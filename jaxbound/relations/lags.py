@@ -1,7 +1,7 @@
 """Windows that look at the outputs at some samples only: long memory with few rows.
 
-A row that is not looked at is no row: the state is eliminated from those that are left. Inputs and disturbances act at every step between,
-so they count at every step.
+A row that is not looked at is no row: the state is eliminated from those that are left. Inputs and
+disturbances act at every step between, so they count at every step.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,27 @@ def checked_lags(model: LinearSystem, horizon: int | None, form: str, lags: Sequ
     """Return lags in order, or refuse them."""
     found = whole_lags(lags)
     if horizon is not None or form != "first":
-        raise ValueError(f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} out")
+        raise ValueError(
+            f"lags say by themselves how long a window is: leave {'form' if horizon is None else 'horizon'} "
+            f"out"
+        )
     if model.uncertainties:
-        raise ValueError("lags are for models without uncertainties: over many samples uncertain parameters have too many products")
+        raise ValueError(
+            "lags are for models without uncertainties: over many samples uncertain parameters have too many "
+            "products"
+        )
     return found
 
 
 def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matrix, Matrix]:
-    """Return relations W Y = K U of an exact plant, without disturbances, over the outputs at some samples only."""
+    """Return relations W Y = K U of an exact plant, without disturbances, over the outputs at some samples
+    only.
+    """
     seen = [i for i in window.seen_rows(model, horizon, lags) if i < (horizon + 1) * model.p]
     free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
-    found = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen)))))
+    found = tuple(
+        map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(tuple(free[i] for i in seen))))
+    )
     whole = tuple(over_all_rows(row, seen, model, horizon)[: (horizon + 1) * model.p] for row in found)
     return whole, linalg.matmul(whole, H) if H[0] and whole else tuple(() for _ in whole)
 

@@ -2,11 +2,13 @@
 
     external form  p_ext = W (Y - H U)                      numbers
     internal form  p_int = W mu,  mu_i in [y - t_hi, y - t_lo] for each sample    a zonotope
-    circuits       every minimal-support combination of the relations: the strips of that zonotope, as long as they can be counted
+    circuits       every minimal-support combination of the relations: the strips of that zonotope, as long as
+    they can be counted
 
-A disturbance w counts as rows of its own: relations and circuits have the coefficients of Y first, then those of w_k .. w_{k+s-1}.
-W is a rational left null space, so W O = 0 exactly for the decimals of the model; floats appear only as nearest
-values of exact coefficients, whose error `sets.floats.rounding` counts. Source: Adrot, Maquin, Ragot 2000, (6)-(9), (13)-(15).
+A disturbance w counts as rows of its own: relations and circuits have the coefficients of Y first, then those
+of w_k .. w_{k+s-1}. W is a rational left null space, so W O = 0 exactly for the decimals of the model; floats
+appear only as nearest values of exact coefficients, whose error `sets.floats.rounding` counts. Source: Adrot,
+Maquin, Ragot 2000, (6)-(9), (13)-(15).
 """
 
 import dataclasses
@@ -51,8 +53,8 @@ __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 
 ZERO = Fraction(0)
 SUBSETS, TESTED = 4_000, 400
-"""Subsets of rows among which circuits are looked for, and circuits up to which they are tested one by one; beyond, an exchange search
-is faster."""
+"""Subsets of rows among which circuits are looked for, and circuits up to which they are tested one by one;
+beyond, an exchange search is faster."""
 
 
 @readable
@@ -61,10 +63,12 @@ is faster."""
 class ParityRelation:
     """Independent parity relations over a window of horizon + 1 samples. Build it with `parity_relations`.
 
-    Fields: bounds {"tolerance": (p,), "noise": (p,)}, and "disturbance": (g, 2) if the model has one (floats, never tighter than the
-    model's decimals), model, horizon, form, W (count, (s+1)p + gs) and K (count, l): W (Y, w) = K U for an exact plant, with exact
-    entries; p_ext = W (Y, 0) - K U. circuits, circuits_known: the strips, none where they are too many; frame: then what the exchange
-    search needs (`sets.strips.separation`), else None. lags: so many samples before its last a window looks at the outputs; None: always.
+    Fields: bounds {"tolerance": (p,), "noise": (p,)}, and "disturbance": (g, 2) if the model has one (floats,
+    never tighter than the model's decimals), model, horizon, form, W (count, (s+1)p + gs) and K (count, l): W
+    (Y, w) = K U for an exact plant, with exact entries; p_ext = W (Y, 0) - K U. circuits, circuits_known: the
+    strips, none where they are too many; frame: then what the exchange search needs
+    (`sets.strips.separation`), else None. lags: so many samples before its last a window looks at the
+    outputs; None: always.
     """
 
     bounds: Bounds
@@ -82,7 +86,10 @@ class ParityRelation:
         return f"ParityRelation: {self.count} relations over {self.horizon + 1} samples"
 
     def _rows(self):
-        return {"model": repr(self.model), "r1": main_terms(relation_text(self.model, self.horizon, self.W[0], self.K[0]))}
+        return {
+            "model": repr(self.model),
+            "r1": main_terms(relation_text(self.model, self.horizon, self.W[0], self.K[0])),
+        }
 
     @property
     def count(self) -> int:
@@ -91,12 +98,16 @@ class ParityRelation:
 
     @property
     def made(self) -> tuple:
-        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
+        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
+        known again.
+        """
         return self.form, self.lags
 
     @property
     def window(self) -> dict[str, Any]:
-        """How `parity_relations` and `detectable` are asked for these windows: {"horizon": s}, or {"lags": lags}."""
+        """How `parity_relations` and `detectable` are asked for these windows: {"horizon": s}, or {"lags":
+        lags}.
+        """
         return {"horizon": self.horizon} if self.lags is None else {"lags": self.lags}
 
     @cached_property
@@ -120,7 +131,9 @@ class ParityRelation:
             shape = self._joint.astype(dtype) if self.frame is None else frame_of(self.frame, dtype)
         return reading(shape, self.model, self.horizon, self.bounds, dtype, self.lags)
 
-    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
+    def test(
+        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+    ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
@@ -134,12 +147,18 @@ class ParityRelation:
         if method == "paving":
             return PavingTest(self, dtype, budget)
         if self.model.constant_tolerance:
-            return ConstantTest(self, method, dtype) if method == "box" or self.frame is None else GainsTest(self, dtype)
+            return (
+                ConstantTest(self, method, dtype)
+                if method == "box" or self.frame is None
+                else GainsTest(self, dtype)
+            )
         if method == "joint" and self.frame is not None:
             return ExchangeTest(self, dtype)
         return StripsTest(self, method, dtype)
 
-    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
+    def recording(
+        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
+    ) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
@@ -147,15 +166,18 @@ class ParityRelation:
         """Return the same relations under other bounds.
 
         Args:
-            bounds: {"tolerance": (p,), "noise": (p,), "disturbance": (g,) or (g, 2)}, or some of them; arrays, numbers or tracers.
+            bounds: {"tolerance": (p,), "noise": (p,), "disturbance": (g,) or (g, 2)}, or some of them;
+                arrays, numbers or tracers.
 
         Raises:
-            ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
+            ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or
+                infinity.
         """
         return dataclasses.replace(self, bounds=changed_bounds(self.model, self.bounds, bounds))
 
     def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
-        """Return p_ext (..., T, count), the residuals, NaN where a window is incomplete. Not rounded: for plots and studies.
+        """Return p_ext (..., T, count), the residuals, NaN where a window is incomplete. Not rounded: for
+        plots and studies.
 
         Args:
             u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
@@ -165,7 +187,8 @@ class ParityRelation:
         return self._forms(u, y, starts)[0]
 
     def internal(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> Interval:
-        """Return the Interval (..., T, count) that each residual alone may have when the sensors are healthy. Not rounded: for plots.
+        """Return the Interval (..., T, count) that each residual alone may have when the sensors are healthy.
+        Not rounded: for plots.
 
         Source: Adrot 2000, (9), (15), with mu in [y - t_hi, y - t_lo].
         """
@@ -184,8 +207,15 @@ class ParityRelation:
             r1: y1[k-1] - 5 y2[k-1] + 5 y1[k] = 0
             r2: 4 y2[k-1] - 10 y1[k] + 5 y2[k] - 5 u1[k-1] = 0
         """
-        letter, rows = ("c", zip(self.circuits, self.circuits_known, strict=True)) if circuits else ("r", zip(self.W, self.K, strict=True))
-        return "\n".join(f"{letter}{i + 1}: {relation_text(self.model, self.horizon, h, k)}" for i, (h, k) in enumerate(rows))
+        letter, rows = (
+            ("c", zip(self.circuits, self.circuits_known, strict=True))
+            if circuits
+            else ("r", zip(self.W, self.K, strict=True))
+        )
+        return "\n".join(
+            f"{letter}{i + 1}: {relation_text(self.model, self.horizon, h, k)}"
+            for i, (h, k) in enumerate(rows)
+        )
 
 
 @jax.jit
@@ -202,7 +232,10 @@ def _forms(test, u, y):
         return total(h, samples) - given, total(h, samples - mid), total(abs(h), rad)
 
     external, centre, width = (x.T for x in jax.lax.map(one, (test.shape.rows, test.shape.h, test.shape.k)))
-    return tuple(jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan) for x in (external, centre - width, centre + width))
+    return tuple(
+        jnp.pad(x, ((s, 0), (0, 0)), constant_values=jnp.nan)
+        for x in (external, centre - width, centre + width)
+    )
 
 
 def parity_relations(
@@ -215,24 +248,27 @@ def parity_relations(
     """Eliminate the unknown state from a window exactly: chooses the elimination that the model needs.
 
     Args:
-        model: a LinearSystem, or a discrete state-space object of python-control or scipy.signal (perfect sensors then).
-        horizon: s >= 0, a window has s + 1 samples; None: that of the model, or its lags, for which its bounds were found; without them,
-            the smallest at which every output that can be checked is checked (and, with uncertainties, all states that can be seen are
-            seen).
-        form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set; the basis of the
-            relations, and with it the box test, differs.
+        model: a LinearSystem, or a discrete state-space object of python-control or scipy.signal (perfect
+            sensors then).
+        horizon: s >= 0, a window has s + 1 samples; None: that of the model, or its lags, for which its
+            bounds were found; without them, the smallest at which every output that can be checked is checked
+            (and, with uncertainties, all states that can be seen are seen).
+        form: "first" (all samples on the first state) or "second" (dynamics stacked). They test the same set;
+            the basis of the relations, and with it the box test, differs.
         progress: called with the share of the work done: many states or a long window take minutes.
-        lags: samples before its last, 0 among them, at which a window looks at the outputs, in place of horizon: (0, 1, 2, 4, 8, 16, 32)
-            remembers as long as 33 samples with the rows of 7. It uses every input and disturbance between: an input that is missing
+        lags: samples before its last, 0 among them, at which a window looks at the outputs, in place of
+            horizon: (0, 1, 2, 4, 8, 16, 32) remembers as long as 33 samples with the rows of 7. It uses every
+                input and disturbance between: an input that is missing
             anywhere is missing.
 
     Returns:
-        A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers. UncertainRelations if
-        the model has uncertainties.
+        A ParityRelation. "first" gives relations that span as few samples as possible, with coprime integers.
+        UncertainRelations if the model has uncertainties.
 
     Raises:
-        ValueError: no relation at this horizon or these lags; a window so long that exact numbers would not end (`relations.cost`); lags
-            of a model with uncertainties; uncertainties under which some state is seen at some values and not at others.
+        ValueError: no relation at this horizon or these lags; a window so long that exact numbers would not
+            end (`relations.cost`); lags of a model with uncertainties; uncertainties under which some state
+            is seen at some values and not at others.
 
     Source: Adrot, Maquin, Ragot 2000, (6), (13); Ploix, Adrot 2006, (2)-(3), (5).
 
@@ -282,7 +318,9 @@ def parity_relations(
     report(0.6)
     if not circuits:
         found = linalg.frame(E, known, progress=lambda share: report(0.6 + 0.4 * share))
-        searched = dataclasses.replace(found, inner=tuple(seen[i] for i in found.inner), outer=tuple(seen[i] for i in found.outer))
+        searched = dataclasses.replace(
+            found, inner=tuple(seen[i] for i in found.inner), outer=tuple(seen[i] for i in found.outer)
+        )
         report(1.0)
         return ParityRelation(bounds, model, horizon, form, W, K, (), (), searched, lags)
     report(1.0)
@@ -294,19 +332,28 @@ def parity_relations(
 def _without_relation(model: LinearSystem, horizon: int, lags: Sequence[int] | None) -> str:
     """Return why a window has no relation, and which one has."""
     if lags is not None:
-        return f"lags {lags} give no relation: {len(lags) * model.p} samples do not outnumber what is unknown; look at more of them"
+        return (
+            f"lags {lags} give no relation: {len(lags) * model.p} samples do not outnumber what is "
+            f"unknown; look at more of them"
+        )
     first = next((s for s in range(model.n + 1) if linalg.left_null_space(window.unbounded(model, s))), None)
     if first is None:
-        return f"no horizon gives a relation: {model.d} unknown inputs can explain whatever {model.p} outputs show"
+        return (
+            f"no horizon gives a relation: {model.d} unknown inputs can explain whatever {model.p} "
+            f"outputs show"
+        )
     free = model.n + model.d * window.unknown_lags(model, horizon)
     return (
         f"horizon {horizon} gives no relation: {(horizon + 1) * model.p} samples do not outnumber "
-        f"{f'the {free} states' if not model.d else f'{free} states and unknown inputs'}; the smallest horizon with one is {first}"
+        f"{f'the {free} states' if not model.d else f'{free} states and unknown inputs'}; the smallest "
+        f"horizon with one is {first}"
     )
 
 
 def stated_relations(model: LinearSystem, horizon: int, samples: Matrix, K: Matrix) -> ParityRelation:
-    """Return given relations samples Y = K U of an exact plant as a ParityRelation, to be tested one by one (method "box")."""
+    """Return given relations samples Y = K U of an exact plant as a ParityRelation, to be tested one by one
+    (method "box").
+    """
     W = _beside_averages(model, horizon, _with_disturbance(model, horizon, samples))
     return ParityRelation(model_bounds(model), model, horizon, "stated", W, K, (), ())
 
@@ -335,15 +382,24 @@ def _with_disturbance(model: LinearSystem, horizon: int, relations: Matrix) -> M
 
 
 def _first(model: LinearSystem, horizon: int, report: Callable[[float], object]) -> tuple[Matrix, Matrix]:
-    """Return (W, K), of minimal span: beyond n samples every further one brings p relations, the last ones once more, later."""
+    """Return (W, K), of minimal span: beyond n samples every further one brings p relations, the last ones
+    once more, later.
+    """
     short = min(horizon, model.n)
-    samples = tuple(map(linalg.presentable, linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report))))
+    samples = tuple(
+        map(
+            linalg.presentable,
+            linalg.minimal_span(linalg.left_null_space(window.unbounded(model, short), report)),
+        )
+    )
     newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
     H = window.first_form(model, short)[1]
     K = linalg.matmul(samples, H) if H[0] and samples else tuple(() for _ in samples)
     later = horizon - short
     pad = lambda row, width, shift: (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
-    shifted = [(i, 0) for i in range(len(samples))] + [(i, shift) for shift in range(1, later + 1) for i in newest]
+    shifted = [(i, 0) for i in range(len(samples))] + [
+        (i, shift) for shift in range(1, later + 1) for i in newest
+    ]
     outputs = (short + 1) * model.p
     whole = [(row[:outputs], row[outputs:]) for row in _with_disturbance(model, short, samples)]
     W = tuple(pad(whole[i][0], model.p, shift) + pad(whole[i][1], model.g, shift) for i, shift in shifted)
@@ -362,22 +418,33 @@ def _second(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     if not M:
         return W, direct
     through = linalg.matmul(tuple(r[rows:] for r in stacked), N)
-    return W, tuple(tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True))
+    return W, tuple(
+        tuple(a - b for a, b in zip(x, y, strict=True)) for x, y in zip(direct, through, strict=True)
+    )
 
 
 def _smallest_useful_horizon(model: LinearSystem) -> int:
-    """Return the smallest horizon at which as many outputs are checked as at any, and, with uncertainties, as many states are seen.
+    """Return the smallest horizon at which as many outputs are checked as at any, and, with uncertainties, as
+    many states are seen.
 
-    A relation checks an output iff the samples of that output raise the rank by less than their number. Ranks are taken modulo a prime: a
-    model that fools it gets another horizon, whose relations are exact all the same.
+    A relation checks an output iff the samples of that output raise the rank by less than their number. Ranks
+    are taken modulo a prime: a model that fools it gets another horizon, whose relations are exact all the
+    same.
     """
     refuse_many_states(model)
     exact = window.unbounded(model, model.n)  # a longer window involves no further output (Cayley-Hamilton)
     O = [[x.numerator * pow(x.denominator, -1, PRIME) % PRIME for x in row] for row in exact]
     whole = _ranks(O, model.p, model.n + 1)
-    others = [_ranks([row for j, row in enumerate(O) if j % model.p != i], model.p - 1, model.n + 1) for i in range(model.p)]
+    others = [
+        _ranks([row for j, row in enumerate(O) if j % model.p != i], model.p - 1, model.n + 1)
+        for i in range(model.p)
+    ]
     checked = lambda s: [whole[s] - other[s] <= s for other in others]
-    seen = _ranks([row[: model.n] for row in O], model.p, model.n + 1) if model.uncertainties else [0] * (model.n + 1)
+    seen = (
+        _ranks([row[: model.n] for row in O], model.p, model.n + 1)
+        if model.uncertainties
+        else [0] * (model.n + 1)
+    )
     return next(s for s in range(model.n + 1) if checked(s) == checked(model.n) and seen[s] == seen[model.n])
 
 

@@ -28,7 +28,9 @@ Terms: TypeAlias = dict[Exponents, dict[tuple[int, int], Fraction]]
 
 @dataclass(frozen=True, eq=False)
 class PolynomialMatrix:
-    """A matrix (rows, columns) of polynomials in `variables` variables; zero entries and empty terms are not kept."""
+    """A matrix (rows, columns) of polynomials in `variables` variables; zero entries and empty terms are not
+    kept.
+    """
 
     rows: int
     columns: int
@@ -62,12 +64,19 @@ class PolynomialMatrix:
         return _clean(self.rows, self.columns, self.variables, out)
 
     def __neg__(self) -> PolynomialMatrix:
-        return PolynomialMatrix(self.rows, self.columns, self.variables, {a: {k: -x for k, x in m.items()} for a, m in self.terms.items()})
+        return PolynomialMatrix(
+            self.rows,
+            self.columns,
+            self.variables,
+            {a: {k: -x for k, x in m.items()} for a, m in self.terms.items()},
+        )
 
     def coefficient(self, alpha: Exponents) -> Matrix:
         """Return the matrix of one monomial as a tuple of rows."""
         entries = self.terms.get(alpha, {})
-        return tuple(tuple(entries.get((i, j), Fraction(0)) for j in range(self.columns)) for i in range(self.rows))
+        return tuple(
+            tuple(entries.get((i, j), Fraction(0)) for j in range(self.columns)) for i in range(self.rows)
+        )
 
     def at(self, point: Sequence[Fraction]) -> Matrix:
         """Return the exact matrix at a point of Fractions."""
@@ -78,11 +87,18 @@ class PolynomialMatrix:
                 out[i][j] += size * x
         return tuple(map(tuple, out))
 
-    def pick(self, rows: Iterable[int] | None = None, columns: Iterable[int] | None = None) -> PolynomialMatrix:
+    def pick(
+        self, rows: Iterable[int] | None = None, columns: Iterable[int] | None = None
+    ) -> PolynomialMatrix:
         """Return some rows and columns, in the order given."""
-        rows, columns = (range(n) if some is None else some for n, some in ((self.rows, rows), (self.columns, columns)))
+        rows, columns = (
+            range(n) if some is None else some for n, some in ((self.rows, rows), (self.columns, columns))
+        )
         i_of, j_of = ({old: new for new, old in enumerate(some)} for some in (rows, columns))
-        out = {a: {(i_of[i], j_of[j]): x for (i, j), x in entries.items() if i in i_of and j in j_of} for a, entries in self.terms.items()}
+        out = {
+            a: {(i_of[i], j_of[j]): x for (i, j), x in entries.items() if i in i_of and j in j_of}
+            for a, entries in self.terms.items()
+        }
         return _clean(len(i_of), len(j_of), self.variables, out)
 
 
@@ -123,7 +139,9 @@ def monomials(variables: int, order: int) -> list[Exponents]:
 
 def _clean(rows: int, columns: int, variables: int, terms: Terms) -> PolynomialMatrix:
     kept = {a: {k: x for k, x in entries.items() if x} for a, entries in terms.items()}
-    return PolynomialMatrix(rows, columns, variables, {a: kept[a] for a in sorted(kept, key=_graded) if kept[a]})
+    return PolynomialMatrix(
+        rows, columns, variables, {a: kept[a] for a in sorted(kept, key=_graded) if kept[a]}
+    )
 
 
 def _graded(alpha: Exponents) -> tuple[int, Exponents]:

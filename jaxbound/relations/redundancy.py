@@ -1,12 +1,14 @@
-"""Minimal relations among the samples of all signals, polynomial in the shift operator q, with unknown inputs eliminated exactly.
+"""Minimal relations among the samples of all signals, polynomial in the shift operator q, with unknown inputs
+eliminated exactly.
 
 | paper | here | |
 |---|---|---|
 | M_y, M_u | My, Mu | My(q) y + Mu(q) u = 0 for an exact plant, whatever its state and its unknown inputs |
 | q | q | forward shift |
 
-The relations of a plant are a module over polynomials in q. Their numbers of samples are those of a basis with the smallest degrees, the
-Forney indices. Numbers are exact: whether a relation exists is a question of rank, which floats can only guess.
+The relations of a plant are a module over polynomials in q. Their numbers of samples are those of a basis
+with the smallest degrees, the Forney indices. Numbers are exact: whether a relation exists is a question of
+rank, which floats can only guess.
 
 Source: Ragot, Maquin, Kratz 1993; degrees: Forney 1975.
 """
@@ -45,8 +47,8 @@ METHODS = ("window", "elimination")
 class Redundancy:
     """Relations M(q) (y; u) = 0 of a model. Build them with `redundancy` or `structured_relations`.
 
-    Fields: model; rows: a row of p + m polynomials in q for each relation (`relations.shift`); insensitive: for each relation the names of
-    the signals that it was made to ignore.
+    Fields: model; rows: a row of p + m polynomials in q for each relation (`relations.shift`); insensitive:
+    for each relation the names of the signals that it was made to ignore.
     """
 
     model: LinearSystem
@@ -66,7 +68,9 @@ class Redundancy:
 
     @property
     def made(self) -> tuple:
-        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
+        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
+        known again.
+        """
         return "bank", self.relations.W, self.relations.K
 
     @property
@@ -109,30 +113,41 @@ class Redundancy:
 
     def text(self) -> str:
         """Return the relations, one a line."""
-        return "\n".join(f"r{i + 1}: {shift.relation_text(row, self.names)}" for i, row in enumerate(self.rows))
+        return "\n".join(
+            f"r{i + 1}: {shift.relation_text(row, self.names)}" for i, row in enumerate(self.rows)
+        )
 
     @cached_property
     def relations(self) -> ParityRelation:
-        """The same relations as a ParityRelation over windows of horizon + 1 samples, each to be tested alone."""
+        """The same relations as a ParityRelation over windows of horizon + 1 samples, each to be tested
+        alone.
+        """
         return stated_relations(self.model, self.horizon, *self.windows())
 
-    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
+    def test(
+        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+    ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
             ValueError: a method, budget or compensation that these relations cannot be tested by.
         """
         if method not in ("joint", "box"):
-            raise ValueError(f"the relations of a bank are tested one by one: method {method!r} does not apply")
+            raise ValueError(
+                f"the relations of a bank are tested one by one: method {method!r} does not apply"
+            )
         refuse_options(method, budget, compensation)
         return BankTest(self.relations, dtype)
 
-    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
+    def recording(
+        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
+    ) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
     def windows(self) -> tuple[Matrix, Matrix]:
-        """Return (W, K), rows over the samples of a window that ends at the newest sample of each relation: W Y = K U, exact.
+        """Return (W, K), rows over the samples of a window that ends at the newest sample of each relation: W
+        Y = K U, exact.
 
         W (count, (s+1)p), K (count, l) as in `ParityRelation`, s the horizon.
         """
@@ -143,7 +158,9 @@ class Redundancy:
             numbers = shift.coefficients(row)
             late = s + 1 - len(numbers)
             W.append((Fraction(0),) * (late * p) + tuple(x for now in numbers for x in now[:p]))
-            K.append(((Fraction(0),) * (late * m) + tuple(-x for now in numbers for x in now[p:]))[: lags * m])
+            K.append(
+                ((Fraction(0),) * (late * m) + tuple(-x for now in numbers for x in now[p:]))[: lags * m]
+            )
         return tuple(W), tuple(K)
 
 
@@ -151,20 +168,24 @@ def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
     """Return a minimal basis of all relations between outputs and known inputs, exact.
 
     Args:
-        model: a LinearSystem, unknown inputs included; bounded disturbances are not eliminated. Or what `parity_relations` takes.
-        method: "window": relations are looked for among ever longer windows. "elimination": the paper's own, which removes the unknown
-            inputs first and then the state step by step; it needs rank(C F) = rank F and unknown inputs that act on the state only.
+        model: a LinearSystem, unknown inputs included; bounded disturbances are not eliminated. Or what
+            `parity_relations` takes.
+        method: "window": relations are looked for among ever longer windows. "elimination": the paper's own,
+            which removes the unknown inputs first and then the state step by step; it needs rank(C F) = rank
+            F and unknown inputs that act on the state only.
 
     Returns:
         A Redundancy with the fewest samples in each relation; its degrees are the same for both methods.
 
     Raises:
-        ValueError: the elimination does not apply (says why), an unknown method. NotImplementedError: the model has uncertainties.
+        ValueError: the elimination does not apply (says why), an unknown method. NotImplementedError: the
+            model has uncertainties.
 
     Source: Ragot 1993, (2)-(20), with the elimination going on until the state is empty.
 
     Example:
-        >>> m = LinearSystem([[0, 0], [0, "1/2"]], [[1], [0]], [[1, 0], [0, 1], [1, 1]], unknown_inputs=[[0], [1]])
+        >>> A, B, C = [[0, 0], [0, "1/2"]], [[1], [0]], [[1, 0], [0, 1], [1, 1]]
+    >>> m = LinearSystem(A, B, C, unknown_inputs=[[0], [1]])
         >>> print(redundancy(m).text())
         r1: y1 + y2 - y3 = 0
         r2: q y1 - u1 = 0
@@ -182,16 +203,21 @@ def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
 def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = None) -> tuple[Row, ...]:
     """Return the rows of a minimal basis; F, D_v instead of the model's own unknown inputs.
 
-    Outputs are taken sample after sample. One that depends on those before it gives a relation, and so do its later samples, whose
-    relations are the same, shifted: they are left out. So every relation ends at an output of its own, and the leading coefficients are
+    Outputs are taken sample after sample. One that depends on those before it gives a relation, and so do its
+    later samples, whose relations are the same, shifted: they are left out. So every relation ends at an
+    output of its own, and the leading coefficients are
     triangular: no combination has a smaller degree.
     """
     if model.uncertainties:
-        raise NotImplementedError("relations polynomial in q are for a certain model: leave its uncertainties out, or decouple them")
+        raise NotImplementedError(
+            "relations polynomial in q are for a certain model: leave its uncertainties out, or decouple them"
+        )
     F, D_v = model.F if F is None else F, model.D_v if D_v is None else D_v
     A, C, n, p = model.A, model.C, model.n, model.p
     free = len(D_v[0])
-    most = p - (linalg.rank(_pencil(model, F, D_v)) - n) if free else p  # a rank at one q can only be too small, and `most` too large
+    most = (
+        p - (linalg.rank(_pencil(model, F, D_v)) - n) if free else p
+    )  # a rank at one q can only be too small, and `most` too large
     reached, responses = C, [D_v]
     waiting = list(range(p))
     kept: list[tuple[int, list[int], dict[int, int]]] = []
@@ -223,7 +249,9 @@ def _pencil(model: LinearSystem, F: Matrix, D_v: Matrix) -> Matrix:
     return top + tuple(c + v for c, v in zip(model.C, D_v, strict=True))
 
 
-def _reduced(row: list[int], used: dict[int, int], kept: list[tuple[int, list[int], dict[int, int]]]) -> tuple[list[int], dict[int, int]]:
+def _reduced(
+    row: list[int], used: dict[int, int], kept: list[tuple[int, list[int], dict[int, int]]]
+) -> tuple[list[int], dict[int, int]]:
     """Return a row of integers less its share of those kept, and how it is made of samples."""
     for pivot, other, others in kept:
         if row[pivot]:
@@ -243,18 +271,24 @@ def _reduced(row: list[int], used: dict[int, int], kept: list[tuple[int, list[in
 
 
 def _row(model, used, last):
-    """Return the row of polynomials of a relation: numbers on samples (time * p + output), the last time being `last`."""
+    """Return the row of polynomials of a relation: numbers on samples (time * p + output), the last time
+    being `last`.
+    """
     numbers = [[Fraction(used.get(j * model.p + i, 0)) for i in range(model.p)] for j in range(last + 1)]
     return tuple(shift.trim(c) for c in zip(*numbers, strict=True)) + known_side(model, numbers)
 
 
 def known_side(model: LinearSystem, h: Sequence[Sequence[Fraction]]) -> Row:
-    """Return the m polynomials of the inputs in a relation with the numbers h (degree + 1, p) on the outputs."""
+    """Return the m polynomials of the inputs in a relation with the numbers h (degree + 1, p) on the
+    outputs.
+    """
     state, known = (Fraction(0),) * model.n, []
     for now in reversed(h):  # how the samples later than this one depend on the state after it
         direct, through = _times(now, model.D, model.m), _times(state, model.B, model.m)
         known.append([-(a + b) for a, b in zip(direct, through, strict=True)])
-        state = tuple(a + b for a, b in zip(_times(now, model.C, model.n), _times(state, model.A, model.n), strict=True))
+        state = tuple(
+            a + b for a, b in zip(_times(now, model.C, model.n), _times(state, model.A, model.n), strict=True)
+        )
     return tuple(shift.trim(c) for c in zip(*reversed(known), strict=True))
 
 

@@ -1,7 +1,7 @@
 """A user's own residual: f(z, u_window, y_window) = 0 for some z in a box, f any JAX function.
 
-It puts any model with bounded unknowns into the form of the library: parameters that stay constant over the window, an unknown
-first state, sensor errors and disturbances are all entries of z.
+It puts any model with bounded unknowns into the form of the library: parameters that stay constant over the
+window, an unknown first state, sensor errors and disturbances are all entries of z.
 """
 
 import dataclasses
@@ -41,11 +41,18 @@ class Channels:
         return signal
 
     def of(self, u: Any, y: Any) -> Self:
-        """Return these channels with the names that are missing taken from the columns of u and y, or numbered."""
+        """Return these channels with the names that are missing taken from the columns of u and y, or
+        numbered.
+        """
         if y is None and None in (self.inputs, self.outputs):
             if not hasattr(u, "outputs"):
-                raise ValueError("nothing says which columns are what: name the signals, residual(f, box, s, inputs=, outputs=)")
-            return dataclasses.replace(self, inputs=self.inputs or u.inputs, outputs=self.outputs or u.outputs)
+                raise ValueError(
+                    "nothing says which columns are what: name the signals, residual(f, box, s, inputs=, "
+                    "outputs=)"
+                )
+            return dataclasses.replace(
+                self, inputs=self.inputs or u.inputs, outputs=self.outputs or u.outputs
+            )
         return dataclasses.replace(
             self,
             inputs=_names(u, "u") if self.inputs is None else self.inputs,
@@ -67,7 +74,8 @@ def _names(data: object, letter: str) -> tuple[str, ...]:
 class Residual:
     """f(z, u_window, y_window) = 0 for some z in a box. Build it with `residual`.
 
-    Fields: f; box: Interval (n,); horizon s: a window has s + 1 samples; model: Channels, the names of the signals.
+    Fields: f; box: Interval (n,); horizon s: a window has s + 1 samples; model: Channels, the names of the
+    signals.
     """
 
     f: Callable[..., Any]
@@ -93,17 +101,25 @@ class Residual:
             raise ValueError(f"the bounds of a residual are ['parameters'], not {sorted(bounds)}")
         wanted, given = (*self.box.shape, 2), np.shape(bounds["parameters"])
         if given != wanted:
-            raise ValueError(f"parameters needs lo and hi for each unknown, shape {wanted}: its shape is {given}")
+            raise ValueError(
+                f"parameters needs lo and hi for each unknown, shape {wanted}: its shape is {given}"
+            )
         lo, hi = np.moveaxis(np.asarray(bounds["parameters"]), -1, 0)
         return dataclasses.replace(self, box=_bounded(interval(lo, hi)))
 
-    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
-        """Return (relations, recording): the residual with the names of the signals that it lacks, taken from what becomes a Recording."""
+    def recording(
+        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
+    ) -> tuple[Self, Recording]:
+        """Return (relations, recording): the residual with the names of the signals that it lacks, taken from
+        what becomes a Recording.
+        """
         model = self.model.of(u, y)
         signals = Signals(model.inputs or (), model.outputs or (), {})
         return dataclasses.replace(self, model=model), Recording.of(signals, u, y, starts)
 
-    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
+    def test(
+        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+    ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
@@ -135,11 +151,15 @@ class Residual:
             ValueError: the signals have no names yet.
         """
         if self.model.inputs is None or self.model.outputs is None:
-            raise ValueError("the number of residuals depends on that of the signals: name them, residual(f, box, s, inputs=, outputs=)")
+            raise ValueError(
+                "the number of residuals depends on that of the signals: name them, residual(f, box, s, "
+                "inputs=, outputs=)"
+            )
         return self.shape(self.model.m, self.model.p)
 
     def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
-        """Return f at the middle of the box, (..., T, count), NaN where a window is incomplete. Not rounded: for plots and studies.
+        """Return f at the middle of the box, (..., T, count), NaN where a window is incomplete. Not rounded:
+        for plots and studies.
 
         Args:
             u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
@@ -153,7 +173,9 @@ class Residual:
             return jnp.full((*y.shape[:-1], count), jnp.nan, y.dtype)
         rows = np.arange(T - s)[:, None] + np.arange(s + 1)[None]
         windows = [x[..., rows, :].reshape(-1, s + 1, x.shape[-1]) for x in (u, y)]
-        found = jax.vmap(flat(self.f), (None, 0, 0))(mid(self.box), *windows).reshape(*y.shape[:-2], T - s, count)
+        found = jax.vmap(flat(self.f), (None, 0, 0))(mid(self.box), *windows).reshape(
+            *y.shape[:-2], T - s, count
+        )
         found = jnp.concatenate([jnp.full((*y.shape[:-2], s, count), jnp.nan, found.dtype), found], -2)
         return jnp.where(given.across(s)[:, None], jnp.nan, found) if len(given.starts) else found
 
@@ -178,22 +200,27 @@ def residual(
     """Describe healthy windows by an equation that must hold for some value of bounded unknowns.
 
     Args:
-        f: a JAX function of z (n,), u_window (s + 1, m) and y_window (s + 1, p), first sample first; returns a float, an array of r or a
-            list of them, all of which must be 0 for one z. What `inclusion` supports may be used.
-        box: Interval (n,), bounded: where the unknowns are. Errors of the sensors are unknowns like any other.
+        f: a JAX function of z (n,), u_window (s + 1, m) and y_window (s + 1, p), first sample first; returns
+            a float, an array of r or a list of them, all of which must be 0 for one z. What `inclusion`
+            supports may be used.
+        box: Interval (n,), bounded: where the unknowns are. Errors of the sensors are unknowns like any
+            other.
         horizon: s >= 0, a window has s + 1 samples.
-        inputs, outputs: names of the signals, for DataFrames with more columns and for reports; None: those of the recording.
+        inputs, outputs: names of the signals, for DataFrames with more columns and for reports; None: those
+            of the recording.
         dt, name: for reports.
 
     Returns:
         A Residual for `detect`.
 
     Raises:
-        ValueError: a box that is empty, unbounded or of another shape, a horizon that is no whole number >= 0, names given twice.
+        ValueError: a box that is empty, unbounded or of another shape, a horizon that is no whole number >=
+            0, names given twice.
 
     Example:
         >>> import jaxbound as jb
-        >>> drift = lambda z, u, y: y[1, 0] - (1 + z[0]) * y[0, 0] ** 2 - z[1]      # the gain is uncertain by 1 %, the sensor by 0.1
+        >>> # the gain is uncertain by 1 %, the sensor by 0.1
+    >>> drift = lambda z, u, y: y[1, 0] - (1 + z[0]) * y[0, 0] ** 2 - z[1]
         >>> r = jb.residual(drift, jb.interval([-0.01, -0.1], [0.01, 0.1]), horizon=1)
         >>> [jb.Status(int(k)).name for k in jb.detect(r, None, [[1.0], [1.05], [1.3], [2.0]]).status]
         ['MISSING', 'CONSISTENT', 'FAULT', 'FAULT']
@@ -206,7 +233,12 @@ def residual(
         if names is not None and (isinstance(names, str) or len(set(names)) != len(names)):
             raise ValueError(f"{kind} must be different names, not {names!r}")
     named = lambda names: None if names is None else tuple(names)
-    return Residual(f, _bounded(interval(box)), int(horizon), Channels(named(inputs), named(outputs), float(dt), str(name)))
+    return Residual(
+        f,
+        _bounded(interval(box)),
+        int(horizon),
+        Channels(named(inputs), named(outputs), float(dt), str(name)),
+    )
 
 
 def _bounded(box: Interval) -> Interval:

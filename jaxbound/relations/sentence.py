@@ -30,13 +30,16 @@ def looked_at(relations: Any) -> str:
 
 
 def few_lines(relations: Any) -> dict[str, str]:
-    """Return what relations show of themselves at a prompt: their model, and each of them where they are few."""
+    """Return what relations show of themselves at a prompt: their model, and each of them where they are
+    few.
+    """
     lines = relations.text().splitlines() if relations.count <= FEW else ()
     return {"model": repr(relations.model), **{f"{i + 1}": main_terms(line) for i, line in enumerate(lines)}}
 
 
 def main_terms(relation: str, most: int = 6) -> str:
-    """Return a long relation by its largest terms, in their order, "..." where others stand; any other text as it is.
+    """Return a long relation by its largest terms, in their order, "..." where others stand; any other text
+    as it is.
 
     So are the sums in brackets that multiply a signal. A name in front, "r1: ", stays.
 

@@ -1,6 +1,8 @@
-"""Polynomials in the shift operator q, q y[k] = y[k+1], with exact coefficients; rows of them as relations among signals.
+"""Polynomials in the shift operator q, q y[k] = y[k+1], with exact coefficients; rows of them as relations
+among signals.
 
-A polynomial is a tuple of Fractions by ascending powers without trailing zeros, () is 0; a matrix a tuple of rows of polynomials.
+A polynomial is a tuple of Fractions by ascending powers without trailing zeros, () is 0; a matrix a tuple of
+rows of polynomials.
 """
 
 from collections.abc import Sequence
@@ -99,7 +101,9 @@ def coefficients(row: Row) -> Matrix:
 
 
 def presentable(row: Row) -> Row:
-    """Scale a row to coprime integers, or to largest entry 1 where these are long; the first leading coefficient is positive."""
+    """Scale a row to coprime integers, or to largest entry 1 where these are long; the first leading
+    coefficient is positive.
+    """
     scaled = linalg.presentable(linalg.primitive([c for p in row for c in p]))
     numbers = iter(scaled if scaled[len(next(p for p in row if p)) - 1] > 0 else [-x for x in scaled])
     return tuple(tuple(next(numbers) for _ in p) for p in row)
@@ -129,7 +133,8 @@ def relation_text(row: Row, names: Sequence[str]) -> str:
     """Return a row of polynomials as a relation among signals.
 
     Example:
-        >>> relation_text((((Fraction(-2), Fraction(1))), (), (Fraction(0), Fraction(-3))), ("y1", "y2", "u1"))
+        >>> row = (Fraction(-2), Fraction(1)), (), (Fraction(0), Fraction(-3))
+    >>> relation_text(row, ("y1", "y2", "u1"))
         '(q - 2) y1 - 3 q u1 = 0'
     """
     out = ""

@@ -1,4 +1,6 @@
-"""Disturbances that are 0, or so small that nothing shows them: a row of a window without a width leaves a search nothing to divide by."""
+"""Disturbances that are 0, or so small that nothing shows them: a row of a window without a width leaves a
+search nothing to divide by.
+"""
 
 from collections.abc import Callable
 from fractions import Fraction
@@ -17,7 +19,9 @@ VANISHING = 2.0**-900
 
 
 def moving(relations: Any, made: Callable[..., Any]) -> Any:
-    """Return relations without those of their disturbances that are 0; None if there are no such. made: what makes relations of a model."""
+    """Return relations without those of their disturbances that are 0; None if there are no such. made: what
+    makes relations of a model.
+    """
     model, bounds = relations.model, relations.bounds
     ends = bounds.get("disturbance")
     averaged = any(a.signal not in model.outputs for a in model.averages)
@@ -27,7 +31,9 @@ def moving(relations: Any, made: Callable[..., Any]) -> Any:
     if not still.any():
         return None
     less = made(_without(model, still), form=relations.form, **relations.window)
-    kept = {name: bounds[name] for name in less.bounds} | {"noise": _noise(relations, np.where(still[:, None], ends, 0))}
+    kept = {name: bounds[name] for name in less.bounds} | {
+        "noise": _noise(relations, np.where(still[:, None], ends, 0))
+    }
     if not still.all():
         kept["disturbance"] = np.asarray(ends)[~still]
     return less.with_bounds(kept)
@@ -41,7 +47,9 @@ def _without(model, still):
 
 
 def _noise(relations, ends):
-    """Return noise (p,) that holds what disturbances within ends (g, 2) add to the outputs of a window, too: the same if they are 0."""
+    """Return noise (p,) that holds what disturbances within ends (g, 2) add to the outputs of a window, too:
+    the same if they are 0.
+    """
     model, noise = relations.model, relations.bounds["noise"]
     if not ends.any():
         return noise
@@ -49,6 +57,9 @@ def _noise(relations, ends):
     rows, more = model.C, [Fraction(0)] * model.p
     for _ in range(relations.horizon):
         through = linalg.matmul(rows, model.G)
-        more = [x + sum((abs(a) * b for a, b in zip(row, size, strict=True)), Fraction(0)) for x, row in zip(more, through, strict=True)]
+        more = [
+            x + sum((abs(a) * b for a, b in zip(row, size, strict=True)), Fraction(0))
+            for x, row in zip(more, through, strict=True)
+        ]
         rows = linalg.matmul(rows, model.A)
     return rounding.round_up([Fraction(float(a)) + b for a, b in zip(noise, more, strict=True)])

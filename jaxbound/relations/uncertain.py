@@ -1,6 +1,7 @@
 """Parity relations of a model with uncertain parameters: polynomials in v that hold for every state, exact.
 
-    Omega(v) E(v) = 0     =>     N(v) z - K(v) U = 0,     N = [Omega, -Omega V],  K = Omega H,  z = (true outputs, disturbances)
+    Omega(v) E(v) = 0     =>     N(v) z - K(v) U = 0,     N = [Omega, -Omega V],  K = Omega H,  z = (true
+    outputs, disturbances)
 
 Source: Ploix, Adrot 2006, (4)-(6).
 """
@@ -43,13 +44,16 @@ LOSSES = 64
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class UncertainRelations:
-    """Parity relations with uncertain parameters over a window of horizon + 1 samples. Build it with `parity_relations`.
+    """Parity relations with uncertain parameters over a window of horizon + 1 samples. Build it with
+    `parity_relations`.
 
-    Fields: bounds {"tolerance": (p,), "noise": (p,), "parameters": (number of uncertainties,)}, and "disturbance": (g, 2) if the model
-    has one; a parameter's bound is in half-widths of its `between`, 1 as built. model, horizon. variables: ((name, lag or None), ..),
-    what the polynomials are in. N (count, (s+1)p + gs) and K (count, l): exact PolynomialMatrices, N(v) z = K(v) U for an exact plant with
-    true outputs and disturbances z. steps: how the search went, one `Step` an order. complete: "proved" if the relations say all that
-    can be said of a window at every v of the box, "sampled" if that holds at all points tried, "partial" if the search gave up.
+    Fields: bounds {"tolerance": (p,), "noise": (p,), "parameters": (number of uncertainties,)}, and
+    "disturbance": (g, 2) if the model has one; a parameter's bound is in half-widths of its `between`, 1 as
+    built. model, horizon. variables: ((name, lag or None), ..), what the polynomials are in. N (count, (s+1)p
+    + gs) and K (count, l): exact PolynomialMatrices, N(v) z = K(v) U for an exact plant with true outputs and
+    disturbances z. steps: how the search went, one `Step` an order. complete: "proved" if the relations say
+    all that can be said of a window at every v of the box, "sampled" if that holds at all points tried,
+    "partial" if the search gave up.
     notes: sentences for the user.
     """
 
@@ -65,7 +69,8 @@ class UncertainRelations:
 
     def _head(self):
         return (
-            f"{type(self).__name__}: {self.count} relations over {self.horizon + 1} samples, {self.model.p} outputs, {self.model.m} inputs"
+            f"{type(self).__name__}: {self.count} relations over {self.horizon + 1} samples, "
+            f"{self.model.p} outputs, {self.model.m} inputs"
         )
 
     def _rows(self):
@@ -88,7 +93,9 @@ class UncertainRelations:
 
     @property
     def made(self) -> tuple:
-        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is known again."""
+        """What these relations depend on beside model, horizon and bounds: by it what is kept of them is
+        known again.
+        """
         return self.form, self.order
 
     @property
@@ -98,7 +105,9 @@ class UncertainRelations:
 
     @property
     def exponents(self) -> tuple[Exponents, ...]:
-        """The monomials of the relations and all that divide one of them, the constant first, orders ascending."""
+        """The monomials of the relations and all that divide one of them, the constant first, orders
+        ascending.
+        """
         return closure(((0,) * len(self.variables), *self.N.terms, *self.K.terms))
 
     def reading(self, dtype: DTypeLike, method: str = "joint") -> PolynomialReading:
@@ -106,10 +115,16 @@ class UncertainRelations:
         model, alphas = self.model, self.exponents
         read = reading(None, model, self.horizon, self.bounds, dtype)
         names = [u.name for u in model.uncertainties]
-        size = float_bound(self.bounds["parameters"], dtype)[np.array([names.index(name) for name, _ in self.variables], int)]
-        return PolynomialReading(read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy())
+        size = float_bound(self.bounds["parameters"], dtype)[
+            np.array([names.index(name) for name, _ in self.variables], int)
+        ]
+        return PolynomialReading(
+            read, _floats(self.N, alphas, dtype), _floats(self.K, alphas, dtype), size, alphas, self._noisy()
+        )
 
-    def test(self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0) -> WindowTest:
+    def test(
+        self, method: str, dtype: DTypeLike, budget: int | None = None, compensation: ArrayLike = 0.0
+    ) -> WindowTest:
         """Return the WindowTest by which a method decides windows; see `detect`.
 
         Raises:
@@ -118,39 +133,63 @@ class UncertainRelations:
         refuse_options(method, budget, compensation, linear=True)
         return ParametricTest(self, method, dtype, budget, compensation)
 
-    def recording(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> tuple[Self, Recording]:
+    def recording(
+        self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()
+    ) -> tuple[Self, Recording]:
         """Return (relations, Recording) of what is given: see `Recording.of`."""
         return self, Recording.of(self.model, u, y, starts)
 
     def _noisy(self):
         """Return the rows of z that have a bound of their own beyond what the recorder rounds away."""
-        bounds = (self.bounds["tolerance"], self.bounds["noise"], np.array(list(map(float, self.model.resolution))))
-        quiet = [i for i in range(self.model.p) if not any(isinstance(b, jax.core.Tracer) or b[i] > 0 for b in bounds)]
+        bounds = (
+            self.bounds["tolerance"],
+            self.bounds["noise"],
+            np.array(list(map(float, self.model.resolution))),
+        )
+        quiet = [
+            i
+            for i in range(self.model.p)
+            if not any(isinstance(b, jax.core.Tracer) or b[i] > 0 for b in bounds)
+        ]
         outputs = (self.horizon + 1) * self.model.p
         used = {j for entries in self.N.terms.values() for _, j in entries}
-        return tuple(j for j in range(self.N.columns) if j in used and (j >= outputs or j % self.model.p not in quiet))
+        return tuple(
+            j for j in range(self.N.columns) if j in used and (j >= outputs or j % self.model.p not in quiet)
+        )
 
     def without(self, rows: Collection[int], inputs: Collection[int]) -> Self | None:
-        """Return relations of the same window that need neither these of its rows nor these of its inputs, or None if there are none.
+        """Return relations of the same window that need neither these of its rows nor these of its inputs, or
+        None if there are none.
 
         Args:
-            rows: a set of numbers of samples (s+1)p, time-major. inputs: a set of numbers of the l inputs; they may be anything.
+            rows: a set of numbers of samples (s+1)p, time-major. inputs: a set of numbers of the l inputs;
+                they may be anything.
         """
         found = _without(self.model, self.horizon, frozenset(rows), frozenset(inputs))
         return None if found is None else dataclasses.replace(self, **found)
 
     @property
     def exponents_of_losses(self) -> tuple[Exponents, ...]:
-        """The monomials of these relations and of those that are left where a window lacks one sample: see `without`."""
+        """The monomials of these relations and of those that are left where a window lacks one sample: see
+        `without`.
+        """
         rows = (self.horizon + 1) * self.model.p
         if rows + self.K.columns > LOSSES:
             return self.exponents
         lost = [_without(self.model, self.horizon, frozenset([i]), frozenset()) for i in range(rows)]
-        lost += [_without(self.model, self.horizon, frozenset(), frozenset([j])) for j in range(self.K.columns)]
-        return closure((*self.exponents, *(a for found in lost if found for part in (found["N"], found["K"]) for a in part.terms)))
+        lost += [
+            _without(self.model, self.horizon, frozenset(), frozenset([j])) for j in range(self.K.columns)
+        ]
+        return closure(
+            (
+                *self.exponents,
+                *(a for found in lost if found for part in (found["N"], found["K"]) for a in part.terms),
+            )
+        )
 
     def polynomials(self, u: ArrayLike, y: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Return (value, error, spread, rad), the relations of N windows as polynomials: see `PolynomialReading.polynomials`.
+        """Return (value, error, spread, rad), the relations of N windows as polynomials: see
+        `PolynomialReading.polynomials`.
 
         Args:
             u: (s + 1, m, N), y: (s + 1, p, N), as recorded, NaN where missing.
@@ -162,20 +201,25 @@ class UncertainRelations:
         """Return the same relations under other bounds.
 
         Args:
-            bounds: {"tolerance": (p,), "noise": (p,), "disturbance": (g,) or (g, 2), "parameters": (number of uncertainties,)}, or some of
-                them; arrays, numbers or tracers. "parameters" is in half-widths of `between`: 2 means a parameter twice as uncertain.
-                Beyond 1 the relations still hold, but whether they say all is no longer proved (complete: "sampled").
+            bounds: {"tolerance": (p,), "noise": (p,), "disturbance": (g,) or (g, 2), "parameters": (number of
+                uncertainties,)}, or some of them; arrays, numbers or tracers. "parameters" is in half-widths
+                of `between`: 2 means a parameter twice as uncertain. Beyond 1 the relations still hold, but
+                whether they say all is no longer proved (complete: "sampled").
 
         Raises:
-            ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or infinity.
+            ValueError: an unknown name, a wrong shape, a negative bound, a tolerance >= 1, lo > hi, NaN or
+                infinity.
         """
         fresh = changed_bounds(self.model, self.bounds, bounds)
-        wider = isinstance(fresh["parameters"], jax.core.Tracer) or (fresh["parameters"] > 1).any()  # than the box that was examined
+        wider = (
+            isinstance(fresh["parameters"], jax.core.Tracer) or (fresh["parameters"] > 1).any()
+        )  # than the box that was examined
         complete = "sampled" if wider and self.complete == "proved" else self.complete
         return dataclasses.replace(self, bounds=fresh, complete=complete)
 
     def external(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> jax.Array:
-        """Return (..., T, count), the residuals at the middle of all bounds, NaN where a window is incomplete. Not rounded: for plots.
+        """Return (..., T, count), the residuals at the middle of all bounds, NaN where a window is
+        incomplete. Not rounded: for plots.
 
         Args:
             u: (..., T, m) inputs (None without inputs). y: (..., T, p) outputs; starts: as for `detect`.
@@ -183,7 +227,8 @@ class UncertainRelations:
         return self._forms(u, y, starts)[0]
 
     def internal(self, u: object, y: object = None, starts: Sequence[int] | np.ndarray = ()) -> Interval:
-        """Return the Interval (..., T, count) that contains each residual alone when the plant is healthy. Not rounded: for plots.
+        """Return the Interval (..., T, count) that contains each residual alone when the plant is healthy.
+        Not rounded: for plots.
 
         Every monomial and noise is taken at its worst by itself. Source: Ploix, Adrot 2006, (14).
         """
@@ -199,8 +244,8 @@ class UncertainRelations:
         Example:
             >>> from jaxbound.models.uncertainty import Uncertainty
             >>> from jaxbound.relations.parity import parity_relations
-            >>> m = LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0]],
-            ...     uncertainties=[Uncertainty("a", A=[[0.1, 0], [0, 0]]), Uncertainty("c", C=[[0.1, 0]], varying=False)])
+            >>> a, c = Uncertainty("a", A=[[0.1, 0], [0, 0]]), Uncertainty("c", C=[[0.1, 0]], varying=False)
+            >>> m = LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], [[1, 0]], uncertainties=[a, c])
             >>> print(parity_relations(m).text())
             r1: (0.16 + 0.02 a[k-2]) y1[k-2] - (1 + 0.1 a[k-1]) y1[k-1] + y1[k] - (1 + 0.1 c) u1[k-2] = 0
         """
@@ -216,7 +261,9 @@ class UncertainRelations:
         out = ""
         for part, columns, sign in ((self.N, signals, 1), (self.K, inputs, -1)):
             for j, signal in enumerate(columns):
-                found = [(a, sign * part.terms[a][i, j]) for a in self.exponents if (i, j) in part.terms.get(a, {})]
+                found = [
+                    (a, sign * part.terms[a][i, j]) for a in self.exponents if (i, j) in part.terms.get(a, {})
+                ]
                 if found:
                     negative = found[0][1] < 0
                     text = _sum([(a, -x if negative else x) for a, x in found], names)
@@ -226,10 +273,13 @@ class UncertainRelations:
 
 
 def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations:
-    """Eliminate the unknown state, and unknown inputs, from a window of a model with uncertainties: see `parity_relations`."""
+    """Eliminate the unknown state, and unknown inputs, from a window of a model with uncertainties: see
+    `parity_relations`.
+    """
     if model.constant_tolerance:
         raise NotImplementedError(
-            "constant_tolerance and uncertainties do not go together yet: give the constant gain error of a sensor as an uncertainty "
+            "constant_tolerance and uncertainties do not go together yet: give the constant gain error of a "
+            "sensor as an uncertainty "
             "of its row of C (and D) with varying=False instead"
         )
     variables, E, H, V = uncertain_window(model, horizon)
@@ -237,29 +287,44 @@ def uncertain_relations(model: LinearSystem, horizon: int) -> UncertainRelations
     rank = generic_rank(reduced)
     if rank == E.rows:
         raise ValueError(
-            f"horizon {horizon} gives no relation: {E.rows} samples do not outnumber the {rank} unknowns that act on them; "
+            f"horizon {horizon} gives no relation: {E.rows} samples do not outnumber the {rank} unknowns "
+            f"that act on them; "
             "choose a longer one"
         )
     proof, where = rank_over_box(reduced, rank)
     if proof == "drops":
         raise ValueError(
-            f"the model is not regularly observable: {_place(model, variables, where)} a window of {horizon + 1} samples shows less of its "
+            f"the model is not regularly observable: {_place(model, variables, where)} a window of "
+            f"{horizon + 1} samples shows less of its "
             "state than elsewhere; narrow the bounds of the uncertainties so that they exclude this"
         )
     if proof == "open":
-        notes += (f"regular observability is not proved, nor refuted, near {_place(model, variables, where)[3:]}: FAULT stays a proof",)
+        notes += (
+            f"regular observability is not proved, nor refuted, near {_place(model, variables, where)[3:]}: "
+            f"FAULT stays a proof",
+        )
     omega, steps, complete = annihilator(reduced)
     if not omega.rows:
-        raise ValueError(f"horizon {horizon}: the relations are too large to be found; fewer varying parameters or another horizon may do")
+        raise ValueError(
+            f"horizon {horizon}: the relations are too large to be found; fewer varying parameters or "
+            f"another horizon may do"
+        )
     complete = "sampled" if complete == "proved" and proof != "proved" else complete
     if complete == "partial":
-        notes += (f"the search for relations gave up at order {steps[-1].order}: there may be more, of higher orders",)
-    return UncertainRelations(model_bounds(model), model, horizon, variables, _on_rows(omega, V), omega @ H, steps, complete, notes)
+        notes += (
+            f"the search for relations gave up at order {steps[-1].order}: there may be more, of higher "
+            f"orders",
+        )
+    return UncertainRelations(
+        model_bounds(model), model, horizon, variables, _on_rows(omega, V), omega @ H, steps, complete, notes
+    )
 
 
 @functools.lru_cache(512)
 def _without(model, horizon, rows, inputs):
-    """Return {field: value} of the UncertainRelations that need neither these rows nor these inputs, or None: see `without`."""
+    """Return {field: value} of the UncertainRelations that need neither these rows nor these inputs, or None:
+    see `without`.
+    """
     _, E, H, V = uncertain_window(model, horizon)
     left = [i for i in range(E.rows) if i not in rows]
     reduced = (stacked([[E, H.pick(columns=sorted(inputs))]]) if inputs else E).pick(rows=left)
@@ -279,12 +344,17 @@ def _on_rows(omega, V):
 
 
 def _without_unseen(E, model):
-    """Return E in fewer unknowns with the same left null space: combinations that act on no sample, whatever v, are left out."""
+    """Return E in fewer unknowns with the same left null space: combinations that act on no sample, whatever
+    v, are left out.
+    """
     rows = tuple(row for a in E.terms for row in E.coefficient(a) if any(row))
     pivots = linalg.row_reduce(rows)[1] if rows else ()
     hidden = model.n - sum(j < model.n for j in pivots)
     some = f"{hidden} of {model.n} states act" if hidden > 1 else f"1 of {model.n} states acts"
-    note = f"{some} on no output within the horizon, whatever the parameters: relations and verdicts say nothing about it"
+    note = (
+        f"{some} on no output within the horizon, whatever the parameters: relations and verdicts say "
+        f"nothing about it"
+    )
     return E.pick(columns=pivots), (note,) if hidden else ()
 
 
@@ -293,7 +363,9 @@ def _place(model, variables, point):
     by_name = {u.name: u for u in model.uncertainties}
     value = lambda name, v: float(by_name[name].centre + by_name[name].radius * v)
     at = lambda lag: "" if lag is None else f" (sample {lag + 1} of the window)"
-    return "at " + ", ".join(f"{name} = {value(name, v):g}{at(lag)}" for (name, lag), v in zip(variables, point, strict=True))
+    return "at " + ", ".join(
+        f"{name} = {value(name, v):g}{at(lag)}" for (name, lag), v in zip(variables, point, strict=True)
+    )
 
 
 def _sum(terms, names):
@@ -330,9 +402,24 @@ def _forms(test, u, y):
     samples = (y - test.window.offset_y[None, :, None]).reshape(-1, count)
     none = jnp.zeros((), y.dtype)
     known = (u[: test.window.lags] - test.window.offset_u[None, :, None]).reshape(-1, count)
-    external = sum((jnp.where(test.N[:, 0, j, None] == 0, 0, test.N[:, 0, j, None] * x[None]) for j, x in enumerate(samples)), none)
-    external -= sum((jnp.where(test.K[:, 0, j, None] == 0, 0, test.K[:, 0, j, None] * x[None]) for j, x in enumerate(known)), none)
-    centre, width = value[:, 0], sum((abs(spread[:, :, j]).sum(1)[:, None] * rad[j][None] for j in range(len(rad))), 0.0)
+    external = sum(
+        (
+            jnp.where(test.N[:, 0, j, None] == 0, 0, test.N[:, 0, j, None] * x[None])
+            for j, x in enumerate(samples)
+        ),
+        none,
+    )
+    external -= sum(
+        (
+            jnp.where(test.K[:, 0, j, None] == 0, 0, test.K[:, 0, j, None] * x[None])
+            for j, x in enumerate(known)
+        ),
+        none,
+    )
+    centre, width = (
+        value[:, 0],
+        sum((abs(spread[:, :, j]).sum(1)[:, None] * rad[j][None] for j in range(len(rad))), 0.0),
+    )
     for a, alpha in enumerate(test.exponents[1:], 1):
         even = all(e % 2 == 0 for e in alpha)
         centre += 0.5 * value[:, a] if even else 0

@@ -6,7 +6,8 @@
 | Gamma(v) | H |
 | theta_{i,k}, vartheta_i | variables ("name", lag) and ("name", None) |
 
-A parameter that varies is one variable for each sample at which it matters, one that is constant is one variable.
+A parameter that varies is one variable for each sample at which it matters, one that is constant is one
+variable.
 
 Source: Ploix, Adrot 2006, (1), (4).
 """
@@ -28,11 +29,14 @@ Variable: TypeAlias = tuple[str, int | None]
 def uncertain_window(
     model: LinearSystem, horizon: int
 ) -> tuple[tuple[Variable, ...], PolynomialMatrix, PolynomialMatrix, PolynomialMatrix]:
-    """Return (variables, E, H, V): PolynomialMatrices with (s+1)p rows, time-major, in variables within [-1, 1].
+    """Return (variables, E, H, V): PolynomialMatrices with (s+1)p rows, time-major, in variables within [-1,
+    1].
 
     Returns:
-        variables: ((name, lag or None), ..), the varying ones time-major, then the constant ones; only those that matter.
-        E: on x_k and the unknown inputs; H: on the inputs; V: on the disturbances, each in the order of `models.window`.
+        variables: ((name, lag or None), ..), the varying ones time-major, then the constant ones; only those
+            that matter.
+        E: on x_k and the unknown inputs; H: on the inputs; V: on the disturbances, each in the order of
+            `models.window`.
     """
     s, n, p = horizon, model.n, model.p
     lags = {"u": window.input_lags(model, s), "w": s, "v": window.unknown_lags(model, s)}
@@ -58,7 +62,9 @@ def uncertain_window(
     def at(block, signal, lag):
         """Return a block that acts on one sample of a signal as a matrix that acts on everything."""
         left = first[signal] + lag * width.get(signal, 0)
-        return stacked([[_zero(block.rows, left, count), block, _zero(block.rows, total - left - block.columns, count)]])
+        return stacked(
+            [[_zero(block.rows, left, count), block, _zero(block.rows, total - left - block.columns, count)]]
+        )
 
     identity = tuple(tuple(Fraction(int(i == j)) for j in range(n)) for i in range(n))
     state, outputs = at(constant(identity, count, n), "x", 0), []
@@ -73,12 +79,17 @@ def uncertain_window(
             state = now("A", model.A, j) @ state
             for letter, signal, matrix in (("B", "u", model.B), ("G", "w", model.G), ("F", "v", model.F)):
                 if width[signal]:
-                    state += at(now(letter, matrix, j) if letter == "B" else constant(matrix, count), signal, j)
+                    state += at(
+                        now(letter, matrix, j) if letter == "B" else constant(matrix, count), signal, j
+                    )
     whole = stacked(outputs)
     seen = [i for i in range(count) if any(a[i] for a in whole.terms)]
     terms = {tuple(a[i] for i in seen): entries for a, entries in whole.terms.items()}
     whole = PolynomialMatrix(whole.rows, total, len(seen), terms)
-    E, H, V = (whole.pick(columns=range(*span)) for span in ((0, first["u"]), (first["u"], first["w"]), (first["w"], total)))
+    E, H, V = (
+        whole.pick(columns=range(*span))
+        for span in ((0, first["u"]), (first["u"], first["w"]), (first["w"], total))
+    )
     return tuple(named[i] for i in seen), E, H, V
 
 

@@ -1,7 +1,9 @@
-"""The charts of a report: signals, margin and violated combination over time, as paths for its templates and as numbers for its script.
+"""The charts of a report: signals, margin and violated combination over time, as paths for its templates and
+as numbers for its script.
 
-The whole recording is there in at most `VALUES` numbers (extremes of bins where it is longer), and a stretch around each of the deepest
-alarms sample by sample: so a page has a size that does not grow with the recording.
+The whole recording is there in at most `VALUES` numbers (extremes of bins where it is longer), and a stretch
+around each of the deepest alarms sample by sample: so a page has a size that does not grow with the
+recording.
 """
 
 import base64
@@ -32,8 +34,9 @@ GAP = 2.5  # usual steps between two points that are not joined
 class Row:
     """One chart below the others.
 
-    Fields: key: of its numbers; name; unit; kind: "signal", "margin", "combination" or "enclosed": a signal with key:band, the ends of what
-    holds its true value, key:faulty, its samples that are proved to be wrong, and key:instead, what is to be used in their place.
+    Fields: key: of its numbers; name; unit; kind: "signal", "margin", "combination" or "enclosed": a signal
+    with key:band, the ends of what holds its true value, key:faulty, its samples that are proved to be wrong,
+    and key:instead, what is to be used in their place.
     """
 
     key: str
@@ -44,7 +47,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording: x (n,) s; status (n,), the worst of each bin; low, high: {key: (n,)}, extremes of each bin.
+    """A stretch of a recording: x (n,) s; status (n,), the worst of each bin; low, high: {key: (n,)},
+    extremes of each bin.
 
     binned: whether a point is a bin, from its x to the next; else it is a sample.
     """
@@ -67,20 +71,41 @@ class Piece:
     def cut(self, first: int, stop: int) -> "Piece":
         """Return the points first .. stop - 1."""
         take = lambda z: {key: value[first:stop] for key, value in z.items()}
-        return Piece(self.x[first:stop], self.status[first:stop], take(self.low), take(self.high), self.binned)
+        return Piece(
+            self.x[first:stop], self.status[first:stop], take(self.low), take(self.high), self.binned
+        )
 
 
-def pieces_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray], bands: Mapping[str, Interval] | None = None) -> Piece:
-    """Return the Piece of a whole recording, in no more numbers than a page takes. series: {key: (T,)}; bands: of `band_key`s."""
+def pieces_of(
+    x: np.ndarray,
+    status: np.ndarray,
+    series: Mapping[str, np.ndarray],
+    bands: Mapping[str, Interval] | None = None,
+) -> Piece:
+    """Return the Piece of a whole recording, in no more numbers than a page takes. series: {key: (T,)};
+    bands: of `band_key`s.
+    """
     exact = piece_of(x, status, series, bands)
     numbers = len(series) + 2 * len(bands or {})
     return exact if len(x) * numbers <= VALUES else exact.reduced(VALUES // (2 * numbers))
 
 
-def piece_of(x: np.ndarray, status: np.ndarray, series: Mapping[str, np.ndarray], bands: Mapping[str, Interval] | None = None) -> Piece:
-    """Return a stretch sample by sample; series, bands as of `pieces_of`: none where nothing is known, or nothing left (lo > hi)."""
-    there = lambda band: np.isfinite(band.lo) & np.isfinite(band.hi) & (np.asarray(band.lo) <= np.asarray(band.hi))
-    low, high = ({key: np.where(there(band), getattr(band, end), np.nan) for key, band in (bands or {}).items()} for end in ("lo", "hi"))
+def piece_of(
+    x: np.ndarray,
+    status: np.ndarray,
+    series: Mapping[str, np.ndarray],
+    bands: Mapping[str, Interval] | None = None,
+) -> Piece:
+    """Return a stretch sample by sample; series, bands as of `pieces_of`: none where nothing is known, or
+    nothing left (lo > hi).
+    """
+    there = lambda band: (
+        np.isfinite(band.lo) & np.isfinite(band.hi) & (np.asarray(band.lo) <= np.asarray(band.hi))
+    )
+    low, high = (
+        {key: np.where(there(band), getattr(band, end), np.nan) for key, band in (bands or {}).items()}
+        for end in ("lo", "hi")
+    )
     return Piece(np.asarray(x, float), np.asarray(status), {**series, **low}, {**series, **high})
 
 
@@ -90,15 +115,28 @@ def band_key(key: str) -> str:
 
 
 def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[float] = ()) -> dict[str, Any]:
-    """Return what the macro `chart` shows of a Piece: paths, limits, ticks. marked: times to be marked above, in s."""
+    """Return what the macro `chart` shows of a Piece: paths, limits, ticks. marked: times to be marked above,
+    in s.
+    """
     points = piece.reduced(POINTS)
     first, last = float(points.x[0]), float(points.x[-1])
     across = (points.x - first) / ((last - first) or 1.0) * WIDTH
-    joined = np.diff(across, prepend=across[:1]) <= GAP * np.median(np.diff(across)) if len(across) > 2 else np.ones(len(across), bool)
+    joined = (
+        np.diff(across, prepend=across[:1]) <= GAP * np.median(np.diff(across))
+        if len(across) > 2
+        else np.ones(len(across), bool)
+    )
     fault = points.status == Status.FAULT
     axis = _Axis(across, joined, points.binned)
-    panels = [_panel(row, points, axis, fault) for row in rows if row.key in points.low or band_key(row.key) in points.low]
-    at = [{"left": 100 * (x - first) / ((last - first) or 1.0), "text": text} for x, text in ticks(clock, first, last)]
+    panels = [
+        _panel(row, points, axis, fault)
+        for row in rows
+        if row.key in points.low or band_key(row.key) in points.low
+    ]
+    at = [
+        {"left": 100 * (x - first) / ((last - first) or 1.0), "text": text}
+        for x, text in ticks(clock, first, last)
+    ]
     ribbon = {status.name: axis.spans(points.status == status) for status in Status}
     marks = sorted({round(100 * (x - first) / ((last - first) or 1.0), 2) for x in marked})
     return {
@@ -115,7 +153,8 @@ def drawn(rows: Sequence[Row], piece: Piece, clock: Clock, marked: Sequence[floa
 class _Axis:
     """Points across a chart and what is drawn at them.
 
-    across (n,): where each sample is, or each bin begins; joined (n,): to the one before; bins: whether they are bins.
+    across (n,): where each sample is, or each bin begins; joined (n,): to the one before; bins: whether they
+    are bins.
     """
 
     def __init__(self, across, joined, bins):
@@ -151,7 +190,9 @@ class _Axis:
     def dots(self, on, down):
         """Return the path of dots at the points that are on, in the middle of their bins."""
         across = self.across[on] + self.half * self.bins
-        return "".join(f"M{_number(x)} {_number(y)}h0" for x, y in zip(across.tolist(), down[on].tolist(), strict=True))
+        return "".join(
+            f"M{_number(x)} {_number(y)}h0" for x, y in zip(across.tolist(), down[on].tolist(), strict=True)
+        )
 
     def spans(self, on):
         """Return the path of boxes of full height over the points that are on."""
@@ -166,14 +207,20 @@ class _Axis:
         """Yield (first, stop) of the points that are on and joined."""
         edges = np.flatnonzero(on & ~self.joined)
         for run in _runs(on):
-            yield from itertools.pairwise([run.start, *edges[(edges > run.start) & (edges < run.stop)], run.stop])
+            yield from itertools.pairwise(
+                [run.start, *edges[(edges > run.start) & (edges < run.stop)], run.stop]
+            )
 
 
 def _panel(row, points, axis, fault):
     nothing = np.full(len(points.x), np.nan)
-    ends_of = lambda key: (np.clip(np.asarray(z.get(key, nothing), float), -HUGE, HUGE) for z in (points.low, points.high))
+    ends_of = lambda key: (
+        np.clip(np.asarray(z.get(key, nothing), float), -HUGE, HUGE) for z in (points.low, points.high)
+    )
     if row.kind == "enclosed":
-        return _enclosed(row, axis, *map(list, map(ends_of, (row.key, *(f"{row.key}:{what}" for what in ENCLOSED)))))
+        return _enclosed(
+            row, axis, *map(list, map(ends_of, (row.key, *(f"{row.key}:{what}" for what in ENCLOSED))))
+        )
     low, high = ends_of(row.key)
     least, most = ends_of(band_key(row.key))
     if row.kind == "margin":
@@ -184,10 +231,23 @@ def _panel(row, points, axis, fault):
     peak = np.where(abs(high) > abs(low), high, low) if row.kind == "combination" else low
     out = shaded & np.isfinite(low) & (row.kind != "signal")
     band = [float(_down(v, bottom, top)) for v in (1.0, -1.0)] if row.kind == "combination" else None
-    hull = axis.area(_down(least, bottom, top), _down(most, bottom, top)) if band_key(row.key) in points.low else None
-    return {"row": row, "line": axis.line(_down(low, bottom, top), _down(high, bottom, top)), "binned": axis.bins, "band": band,
-            "shade": axis.spans(shaded), "out": axis.dots(out, _down(peak, bottom, top)), "hull": hull, "instead": "",
-            "marks": _places(row, bottom, top), "empty": not (np.isfinite(low).any() or hull)}  # fmt: skip
+    hull = (
+        axis.area(_down(least, bottom, top), _down(most, bottom, top))
+        if band_key(row.key) in points.low
+        else None
+    )
+    return {
+        "row": row,
+        "line": axis.line(_down(low, bottom, top), _down(high, bottom, top)),
+        "binned": axis.bins,
+        "band": band,
+        "shade": axis.spans(shaded),
+        "out": axis.dots(out, _down(peak, bottom, top)),
+        "hull": hull,
+        "instead": "",
+        "marks": _places(row, bottom, top),
+        "empty": not (np.isfinite(low).any() or hull),
+    }
 
 
 def _places(row, bottom, top):
@@ -195,7 +255,9 @@ def _places(row, bottom, top):
 
 
 def _enclosed(row, axis, shown, band, faulty, instead):
-    """Return what is drawn of a signal and of the band that holds its true value: [lowest, highest] of each."""
+    """Return what is drawn of a signal and of the band that holds its true value: [lowest, highest] of
+    each.
+    """
     known = np.isfinite(band[0]) & np.isfinite(band[1])
     least, most = robust_limits(*shown)
     if known.any():  # a band of the first samples, or one huge sample, spoils nothing
@@ -207,9 +269,18 @@ def _enclosed(row, axis, shown, band, faulty, instead):
     wrong = np.isfinite(faulty[0])
     lower, upper = down(faulty)
     out = axis.dots(wrong, lower) + axis.dots(wrong & (upper != lower), upper)
-    return {"row": row, "line": axis.line(*down(shown)), "binned": axis.bins, "band": None, "shade": axis.spans(wrong), "out": out,
-            "hull": axis.area(*down(band)), "instead": axis.line(*down(instead)),
-            "marks": _places(row, least, most), "empty": not (known.any() or np.isfinite(shown[0]).any())}  # fmt: skip
+    return {
+        "row": row,
+        "line": axis.line(*down(shown)),
+        "binned": axis.bins,
+        "band": None,
+        "shade": axis.spans(wrong),
+        "out": out,
+        "hull": axis.area(*down(band)),
+        "instead": axis.line(*down(instead)),
+        "marks": _places(row, least, most),
+        "empty": not (known.any() or np.isfinite(shown[0]).any()),
+    }
 
 
 def _limits(row, low, high):
@@ -253,7 +324,11 @@ def _marks(row, bottom, top):
         return [(1.0, "1"), (-1.0, "-1")] if top > 4 else [(1.0, "1"), (0.0, "0"), (-1.0, "-1")]
     if row.kind == "margin":
         powers = range(max(int(-bottom), 0))
-        return [(1.0, "1"), (0.0, "0"), *((-1.0 - n, f"-{10.0**n:g}") for n in powers[:: 1 + len(powers) // 5])]
+        return [
+            (1.0, "1"),
+            (0.0, "0"),
+            *((-1.0 - n, f"-{10.0**n:g}") for n in powers[:: 1 + len(powers) // 5]),
+        ]
     return even_marks(bottom, top)
 
 
@@ -261,7 +336,10 @@ def even_marks(bottom: float, top: float) -> list[tuple[float, str]]:
     """Return two to five round numbers between two, with their texts."""
     step = 10.0 ** np.floor(np.log10((top - bottom) / 2))
     step *= next(n for n in (5, 2, 1) if n == 1 or (top - bottom) / (n * step) >= 2)
-    return [(n * step, f"{n * step:.6g}") for n in range(int(np.ceil(bottom / step)), int(np.floor(top / step)) + 1)]
+    return [
+        (n * step, f"{n * step:.6g}")
+        for n in range(int(np.ceil(bottom / step)), int(np.floor(top / step)) + 1)
+    ]
 
 
 def _number(x):
@@ -271,7 +349,11 @@ def _number(x):
 def _usual(ends):
     """Return the ends of a band without its widest, as it begins."""
     seen = ends[np.isfinite(ends)]
-    return seen[(np.quantile(seen, SPREAD) <= seen) & (seen <= np.quantile(seen, 1 - SPREAD))] if len(seen) else seen
+    return (
+        seen[(np.quantile(seen, SPREAD) <= seen) & (seen <= np.quantile(seen, 1 - SPREAD))]
+        if len(seen)
+        else seen
+    )
 
 
 def _runs(on):
@@ -281,12 +363,23 @@ def _runs(on):
 
 
 def plain(piece: Piece) -> dict[str, Any]:
-    """Return a Piece as JSON has it: numbers as base64 of float32, times as (first, step) where they are even."""
+    """Return a Piece as JSON has it: numbers as base64 of float32, times as (first, step) where they are
+    even.
+    """
     step = np.diff(piece.x)
     even = len(step) == 0 or np.allclose(step, step[0], rtol=0, atol=1e-3 * abs(step[0]))
     x = [float(piece.x[0]), float(step[0]) if len(step) else 1.0] if even else coded(piece.x, "<f8")
-    both = {key: [coded(piece.low[key])] + ([] if piece.high[key] is piece.low[key] else [coded(piece.high[key])]) for key in piece.low}
-    return {"n": len(piece.x), "binned": piece.binned, "x": x, "status": "".join(map(str, piece.status.tolist())), "series": both}
+    both = {
+        key: [coded(piece.low[key])] + ([] if piece.high[key] is piece.low[key] else [coded(piece.high[key])])
+        for key in piece.low
+    }
+    return {
+        "n": len(piece.x),
+        "binned": piece.binned,
+        "x": x,
+        "status": "".join(map(str, piece.status.tolist())),
+        "series": both,
+    }
 
 
 def coded(values: np.ndarray, kind: str = "<f4") -> str:

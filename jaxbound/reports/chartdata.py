@@ -1,4 +1,6 @@
-"""Which charts a report of a detection has: the whole recording, stretches around the deepest alarms, what was violated there."""
+"""Which charts a report of a detection has: the whole recording, stretches around the deepest alarms, what
+was violated there.
+"""
 
 import contextlib
 import time as clock_time
@@ -24,23 +26,33 @@ __all__ = ["charts"]
 
 SIGNALS, STATES = 12, 6  # charts of signals, and of states that an observer encloses
 RELATIONS = 6  # charts of relations that no certificate combines
-NEAR, SPAN, ASIDE = 60, 160, 10  # stretches around alarms, their samples, and how close to an end an alarm may be
+NEAR, SPAN, ASIDE = (
+    60,
+    160,
+    10,
+)  # stretches around alarms, their samples, and how close to an end an alarm may be
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
 COMBINED = "violated combination, in what its bounds allow"
 
 
 def charts(
-    res: Any, recording: Any, alarms: Sequence[Alarm], chosen: Sequence[int], why: Mapping[int, Any], worst: int | None
+    res: Any,
+    recording: Any,
+    alarms: Sequence[Alarm],
+    chosen: Sequence[int],
+    why: Mapping[int, Any],
+    worst: int | None,
 ) -> dict[str, Any]:
     """Return what the templates of a report show over time.
 
     Args:
         res: a Result of one recording, or a Digest. recording: as for `write_report`. alarms: all of them.
-        chosen: the numbers of those in the table, the deepest first. why: {number: certificate}. worst: the sample at which the worst
-            window ends, None: no window has data.
+        chosen: the numbers of those in the table, the deepest first. why: {number: certificate}. worst: the
+            sample at which the worst window ends, None: no window has data.
 
     Returns:
-        overview, zoom: of `drawn`. numbers: for the script. about: what the zoom shows. signals: (shown, all).
+        overview, zoom: of `drawn`. numbers: for the script. about: what the zoom shows. signals: (shown,
+            all).
     """
     model, part = res.relations.model, isinstance(res, Digest)
     signals = [Row(f"s{i}", name, model.unit(name)) for i, name in enumerate((*model.outputs, *model.inputs))]
@@ -50,7 +62,9 @@ def charts(
     begun = clock_time.perf_counter()
     for i, at in [(i, alarms[i].worst) for i in chosen] or [(-1, 0 if worst is None else worst)]:
         home = next((n for n in near if n.first + ASIDE <= at < n.stop - ASIDE), None)
-        if home is None and (len(near) == NEAR or (part and near and clock_time.perf_counter() - begun > PATIENCE)):
+        if home is None and (
+            len(near) == NEAR or (part and near and clock_time.perf_counter() - begun > PATIENCE)
+        ):
             continue
         if home is None:
             home = _near(res, x, at, signals)
@@ -66,20 +80,26 @@ def charts(
     rows = [*_combinations(res.relations), margin, *signals, *states]
     samples = res.samples if part else len(res.status)
     numbers = {
-        "clock": clock.plain() | {"tokens": list(map(printable, clock.tokens)), "before": printable(clock.before)},
+        "clock": clock.plain()
+        | {"tokens": list(map(printable, clock.tokens)), "before": printable(clock.before)},
         "samples": samples,
         "last": float(x(samples - 1)),
         "step": float(np.median(np.diff(piece.x))) if len(piece.x) > 1 else 1.0,
         "whole": over.plain(),
         "near": [n.plain() for n in near],
-        "alarms": [[i, *(float(x(k)) for k in (alarms[i].start, alarms[i].end, alarms[i].worst))] for i in sorted(chosen)],
+        "alarms": [
+            [i, *(float(x(k)) for k in (alarms[i].start, alarms[i].end, alarms[i].worst))]
+            for i in sorted(chosen)
+        ],
         "alarm": first,
         "from": float(piece.x[0]),
         "to": float(piece.x[-1]),
     }
     what = f"around alarm {first + 1}" if first >= 0 else "around the tightest window"
     return {
-        "overview": drawn([margin, *signals, *states], whole, clock, [float(x(alarms[i].worst)) for i in chosen]),
+        "overview": drawn(
+            [margin, *signals, *states], whole, clock, [float(x(alarms[i].worst)) for i in chosen]
+        ),
         "zoom": drawn(rows, piece, clock),
         "numbers": numbers,
         "about": {"shown": what, "relation": relation, "deepest": first >= 0},
@@ -95,7 +115,9 @@ def _whole(res, recording, signals):
 
 
 def _digested(res, signals):
-    """Return (Piece, time of a sample, Clock) of a Digest, whose signals are in a file: their extremes are known."""
+    """Return (Piece, time of a sample, Clock) of a Digest, whose signals are in a file: their extremes are
+    known.
+    """
     line = res.line
     dates = np.issubdtype(line.x.dtype, np.datetime64)
     x = (line.x - line.x[0]) / np.timedelta64(1, "s") + res.time[0] if dates else np.asarray(line.x, float)
@@ -116,10 +138,18 @@ def _signals(u, y, signals):
 
 
 class _Near:
-    """A stretch sample by sample, with what was violated by each alarm in it. first, stop: its samples; piece: their Piece."""
+    """A stretch sample by sample, with what was violated by each alarm in it. first, stop: its samples;
+    piece: their Piece.
+    """
 
     def __init__(self, res, first, stop, piece, begin=None):
-        self.res, self.first, self.stop, self.piece, self.begin = res, first, stop, piece, first if begin is None else begin
+        self.res, self.first, self.stop, self.piece, self.begin = (
+            res,
+            first,
+            stop,
+            piece,
+            first if begin is None else begin,
+        )
         self.certificates, self.shares = {}, {}
 
     def combine(self, i, certificate):
@@ -139,10 +169,18 @@ class _Near:
     def complete(self, i):
         """Return the Piece with the combination of alarm i."""
         added = {"combination": self.shares[i]} if i in self.shares else {}
-        return Piece(self.piece.x, self.piece.status, added | self.piece.low, added | self.piece.high, self.piece.binned)
+        return Piece(
+            self.piece.x,
+            self.piece.status,
+            added | self.piece.low,
+            added | self.piece.high,
+            self.piece.binned,
+        )
 
     def plain(self):
-        return plain(self.piece) | {"combined": [[i, self.relation(i), coded(share)] for i, share in self.shares.items()]}
+        return plain(self.piece) | {
+            "combined": [[i, self.relation(i), coded(share)] for i, share in self.shares.items()]
+        }
 
 
 def _near(res, x, at, signals):
@@ -157,14 +195,20 @@ def _near(res, x, at, signals):
     else:
         time = np.array([x(k) for k in range(first, stop)])
     ends = slice(begin, begin + stop - first)
-    series = {"margin": res.margin[ends], **_signals(res.u[ends], res.y[ends], signals), **_uncertain(res, ends)}
+    series = {
+        "margin": res.margin[ends],
+        **_signals(res.u[ends], res.y[ends], signals),
+        **_uncertain(res, ends),
+    }
     bands = {key: Interval(band.lo[ends], band.hi[ends]) for key, band in bands_of(res)[1].items()}
     return _Near(res, first, stop, piece_of(time, res.status[ends], series, bands), begin)
 
 
 @singledispatch
 def bands_of(res: Any) -> tuple[list[Row], dict[str, Interval]]:
-    """Return (Rows of what is enclosed and not measured, {key: band (T,)} of what is drawn behind rows): none of windows."""
+    """Return (Rows of what is enclosed and not measured, {key: band (T,)} of what is drawn behind rows): none
+    of windows.
+    """
     return [], {}
 
 
@@ -174,22 +218,31 @@ def _(res: ObserverResult):
     model, states = res.relations.model, res.observation.state
     shown = min(SIGNALS, model.p), min(STATES, model.n)
     one = lambda band, i: Interval(np.asarray(band.lo)[:, i], np.asarray(band.hi)[:, i])
-    rows = [Row(f"x{i}", f"state {name}", model.unit(name)) for i, name in enumerate(model.states[: shown[1]])]
+    rows = [
+        Row(f"x{i}", f"state {name}", model.unit(name)) for i, name in enumerate(model.states[: shown[1]])
+    ]
     bands = {band_key(f"s{i}"): one(res.readings, i) for i in range(shown[0])}
     return rows, bands | {band_key(row.key): one(states, i) for i, row in enumerate(rows)}
 
 
 def _uncertain(res, ends):
-    """Return {key: share} of each relation with uncertain parameters, which no certificate combines with others."""
+    """Return {key: share} of each relation with uncertain parameters, which no certificate combines with
+    others.
+    """
     if not isinstance(res.relations, UncertainRelations):
         return {}
     before = max(ends.start - res.relations.horizon, 0)
     u, y = res.u[before : ends.stop], res.y[before : ends.stop]
     allowed = res.relations.internal(u, y)
-    lo, hi, value = (np.asarray(z)[ends.start - before :, :RELATIONS] for z in (allowed.lo, allowed.hi, res.relations.external(u, y)))
+    lo, hi, value = (
+        np.asarray(z)[ends.start - before :, :RELATIONS]
+        for z in (allowed.lo, allowed.hi, res.relations.external(u, y))
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         shares = ((value - (lo + hi) / 2) / ((hi - lo) / 2)).T
-    return {f"c{j}": np.where(res.status[ends] == Status.MISSING, np.nan, share) for j, share in enumerate(shares)}
+    return {
+        f"c{j}": np.where(res.status[ends] == Status.MISSING, np.nan, share) for j, share in enumerate(shares)
+    }
 
 
 def _explained(res, worst):
@@ -206,4 +259,7 @@ def _combinations(relations):
     if not isinstance(relations, UncertainRelations):
         return [Row("combination", COMBINED, kind="combination")]
     lines = relations.text().splitlines()[:RELATIONS]
-    return [Row(f"c{j}", line if len(line) <= 120 else f"{line[:117]}...", kind="combination") for j, line in enumerate(lines)]
+    return [
+        Row(f"c{j}", line if len(line) <= 120 else f"{line[:117]}...", kind="combination")
+        for j, line in enumerate(lines)
+    ]

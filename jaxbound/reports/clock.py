@@ -1,4 +1,6 @@
-"""Times on an axis as the recording's owner wrote them: found from labels, one pattern serves text, axes and script."""
+"""Times on an axis as the recording's owner wrote them: found from labels, one pattern serves text, axes and
+script.
+"""
 
 import math
 import re
@@ -12,8 +14,29 @@ __all__ = ["Clock", "axis_of", "clock_of", "ticks"]
 
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 ORDERS = ("Ymd", "dmY", "mdY", "")
-STEPS = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200,
-         86400, 172800, 432000, 864000)  # fmt: skip
+STEPS = (
+    1,
+    2,
+    5,
+    10,
+    15,
+    30,
+    60,
+    120,
+    300,
+    600,
+    900,
+    1800,
+    3600,
+    7200,
+    10800,
+    21600,
+    43200,
+    86400,
+    172800,
+    432000,
+    864000,
+)
 MONTHS = (1, 2, 3, 6, 12, 24, 60, 120, 240, 600, 1200)
 ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
 TRIED = 9  # labels that a pattern is checked with
@@ -22,13 +45,22 @@ TRIED = 9  # labels that a pattern is checked with
 class Clock:
     """How the time x of a sample, in s, is written.
 
-    Fields: tokens: ("d2", ".", "m2", ...), a field and its least number of digits, or text as it is; empty: numbers. base: s from 1970 to
-    x = 0, as the fields count them. digits: behind the point of a number. unit: what stands behind it; before: what stands before it.
+    Fields: tokens: ("d2", ".", "m2", ...), a field and its least number of digits, or text as it is; empty:
+    numbers. base: s from 1970 to x = 0, as the fields count them. digits: behind the point of a number. unit:
+    what stands behind it; before: what stands before it.
     """
 
-    def __init__(self, tokens: Sequence[str] = (), base: float = 0.0, digits: int = 0, before: str = "", unit: str = "") -> None:
+    def __init__(
+        self, tokens: Sequence[str] = (), base: float = 0.0, digits: int = 0, before: str = "", unit: str = ""
+    ) -> None:
         """Keep the fields."""
-        self.tokens, self.base, self.digits, self.before, self.unit = tuple(tokens), base, digits, before, unit
+        self.tokens, self.base, self.digits, self.before, self.unit = (
+            tuple(tokens),
+            base,
+            digits,
+            before,
+            unit,
+        )
 
     def text(self, x: float) -> str:
         """Return a time as text.
@@ -48,9 +80,13 @@ class Clock:
 
 
 def axis_of(recording: Any, samples: int, step: float) -> tuple[np.ndarray, Clock]:
-    """Return (time of each sample, Clock) of a recording in memory. step: usual seconds between two, of a recording of one sample."""
+    """Return (time of each sample, Clock) of a recording in memory. step: usual seconds between two, of a
+    recording of one sample.
+    """
     time = np.arange(samples, dtype=float) if recording.time is None else np.asarray(recording.time, float)
-    if samples > 1 and not (np.diff(time) > 0).all():  # a clock that goes back is no axis: the samples in their order are
+    if (
+        samples > 1 and not (np.diff(time) > 0).all()
+    ):  # a clock that goes back is no axis: the samples in their order are
         time = np.arange(samples, dtype=float)
         return time, clock_of(lambda k: f"sample {k}", time, None, samples, 1.0)
     stamps = getattr(recording, "stamps", None)
@@ -62,13 +98,16 @@ def clock_of(label: Callable[[int], str], time: np.ndarray, stamp: Any, samples:
     """Return the Clock of a recording.
 
     Args:
-        label: text of the time of a sample. time: (k,) s of the samples `0 .. samples - 1`, evenly picked, the first and the last among
-            them. stamp: datetime64 of the first; None: there are no dates. samples: how many. step: usual seconds between two.
+        label: text of the time of a sample. time: (k,) s of the samples `0 .. samples - 1`, evenly picked,
+            the first and the last among them. stamp: datetime64 of the first; None: there are no dates.
+            samples: how many. step: usual seconds between two.
     """
     picked = np.linspace(0, samples - 1, min(samples, TRIED)).astype(int)
     at = np.asarray(time)[np.linspace(0, len(time) - 1, len(picked)).astype(int)] - time[0]
     texts = [label(int(k)) for k in picked]
-    if len(time) != samples:  # labels of samples whose times are not at hand prove nothing: those of both ends do
+    if (
+        len(time) != samples
+    ):  # labels of samples whose times are not at hand prove nothing: those of both ends do
         texts, at = [texts[0], texts[-1]], at[[0, -1]]
     base = _midnight(texts[0]) if stamp is None else float((stamp - EPOCH) / SECOND)
     if base is not None:
@@ -82,7 +121,11 @@ def clock_of(label: Callable[[int], str], time: np.ndarray, stamp: Any, samples:
             return Clock((*ISO, " UTC") if zone else ISO, float((stamp - EPOCH) / SECOND) - float(time[0]))
     if texts[0].endswith(" s"):
         return Clock(digits=max(0, 2 - math.floor(math.log10(step or 1.0))), unit=" s")
-    return Clock(before="sample ") if texts[0].startswith("sample ") else Clock(digits=max(0, 2 - math.floor(math.log10(step or 1.0))))
+    return (
+        Clock(before="sample ")
+        if texts[0].startswith("sample ")
+        else Clock(digits=max(0, 2 - math.floor(math.log10(step or 1.0))))
+    )
 
 
 def _zone(text):
@@ -92,7 +135,11 @@ def _zone(text):
 
 def _offset(zone):
     digits = re.sub(r"\D", "", zone)
-    return (-1 if zone.startswith("-") else 1) * (int(digits[:2]) * 3600 + int(digits[2:]) * 60) if digits else 0.0
+    return (
+        (-1 if zone.startswith("-") else 1) * (int(digits[:2]) * 3600 + int(digits[2:]) * 60)
+        if digits
+        else 0.0
+    )
 
 
 def _midnight(text):
@@ -102,7 +149,9 @@ def _midnight(text):
 
 
 def _candidates(text):
-    """Yield the patterns that a text could have: its numbers as fields, in the usual orders, with and without leading zeros."""
+    """Yield the patterns that a text could have: its numbers as fields, in the usual orders, with and without
+    leading zeros.
+    """
     parts = re.split(r"(\d+)", text)
     groups = parts[1::2]
     for order in ORDERS:

@@ -1,4 +1,6 @@
-"""Charts of shares against sizes and delays: curves with intervals as paths for the templates, in the units of `chart`."""
+"""Charts of shares against sizes and delays: curves with intervals as paths for the templates, in the units
+of `chart`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +18,9 @@ SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 @dataclass(frozen=True)
 class Curve:
-    """A share over something. Fields: name; kind: how it looks; x, share (n,); low, high (n,): its interval, or None: a staircase."""
+    """A share over something. Fields: name; kind: how it looks; x, share (n,); low, high (n,): its interval,
+    or None: a staircase.
+    """
 
     name: str
     kind: str
@@ -37,7 +41,8 @@ def share_chart(
     """Return what the macro `shares` shows.
 
     Args:
-        title, label: above it, and below its axis. curves: of shares. ticks: (x, text). ends: of the axis. guaranteed: x of a line.
+        title, label: above it, and below its axis. curves: of shares. ticks: (x, text). ends: of the axis.
+            guaranteed: x of a line.
     """
     first, last = ends
     across = lambda x: (np.asarray(x, float) - first) / ((last - first) or 1.0) * WIDTH
@@ -61,6 +66,8 @@ def _paths(curve, across, down):
         line = "".join(f"{f'H{x:.1f}V' if i else f'M{x:.1f} '}{y:.1f}" for i, (x, y) in enumerate(points))
         return {"line": line, "dots": "", "bars": ""}
     bars = zip(across.tolist(), down(curve.low).tolist(), down(curve.high).tolist(), strict=True)
-    return {"line": "".join(f"{'L' if i else 'M'}{x:.1f} {y:.1f}" for i, (x, y) in enumerate(points)),
-            "dots": "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points),
-            "bars": "".join(f"M{x:.1f} {a:.1f}V{b:.1f}" for x, a, b in bars)}  # fmt: skip
+    return {
+        "line": "".join(f"{'L' if i else 'M'}{x:.1f} {y:.1f}" for i, (x, y) in enumerate(points)),
+        "dots": "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points),
+        "bars": "".join(f"M{x:.1f} {a:.1f}V{b:.1f}" for x, a, b in bars),
+    }

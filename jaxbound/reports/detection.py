@@ -26,7 +26,9 @@ __all__ = ["write_report"]
 ROWS = 200  # alarms in the table
 LINES = 20  # relations in words
 PATIENCE = 1.0  # seconds for the exact certificates of the table
-LARGE = 64  # readings in a window from which on the errors of single sensors are left to `explain`: 122 take a minute each
+# readings in a window from which on the errors of single sensors are left to `explain`: 122 take a minute
+# each
+LARGE = 64
 
 
 def write_report(
@@ -41,7 +43,8 @@ def write_report(
     progress: Callable[[float], object] | None = None,
     file: str = "report.html",
 ) -> list[str]:
-    """Write report.html: one file that asks nobody, with its charts, and a script of its own that moves one of them.
+    """Write report.html: one file that asks nobody, with its charts, and a script of its own that moves one
+    of them.
 
     Args:
         directory: an existing folder. res: a Result of one recording, or a Digest. alarms: its alarms.
@@ -104,7 +107,9 @@ def _alarm_rows(res, recording, alarms, chosen, why):
         begun, ended = recording.label(a.start), recording.label(a.end)
         wrong, violated = (_sensor_errors(why[i]), why[i].relation) if i in why else ("", "")
         since = _since(res, recording, a.worst) if isinstance(res, ObserverResult) else ""
-        rows.append((i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended, since))
+        rows.append(
+            (i + 1, begun, ended, duration(lasts), a.windows, needed, wrong, violated, a.ended, since)
+        )
     return rows
 
 
@@ -152,7 +157,9 @@ def _(observer: SetObserver):
 
 @singledispatch
 def about(relations: Any) -> dict[str, object]:
-    """Return what the page says of what was tested: of relations how many, those that differ, how they are tested."""
+    """Return what the page says of what was tested: of relations how many, those that differ, how they are
+    tested.
+    """
     lines, distinct = relations.text().splitlines(), distinct_relations(relations)
     shown = [lines[j] for j in distinct[:LINES]]
     if len(distinct) > LINES:
@@ -168,7 +175,11 @@ def about(relations: Any) -> dict[str, object]:
 @about.register
 def _(observer: SetObserver):
     """Return what the page says of an observer."""
-    return {"order": f"{observer.order:g}", "weights": ", ".join(f"{w:g}" for w in observer.weights), "restart": observer.restart}
+    return {
+        "order": f"{observer.order:g}",
+        "weights": ", ".join(f"{w:g}" for w in observer.weights),
+        "restart": observer.restart,
+    }
 
 
 def _tested(relations):

@@ -39,7 +39,10 @@ def _origin(model, field):
 
 def _headed(model):
     stated = lambda field: field in model.provenance or any(getattr(model, field))
-    return [f"{field} ({_origin(model, field)})" if stated(field) else field for field in ("tolerance", "noise", "resolution")]
+    return [
+        f"{field} ({_origin(model, field)})" if stated(field) else field
+        for field in ("tolerance", "noise", "resolution")
+    ]
 
 
 def _signal(model, kind, i):
@@ -81,8 +84,12 @@ def _short(x):
     return text if len(text) <= DIGITS else f"{float(x):.6g}"
 
 
-def computed(method: str, rests_on: str, dtype: np.dtype, seconds: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Return rows of what a report was computed with. rests_on: what a verdict looks at. seconds: {stage: seconds}."""
+def computed(
+    method: str, rests_on: str, dtype: np.dtype, seconds: Mapping[str, float]
+) -> list[tuple[str, str]]:
+    """Return rows of what a report was computed with. rests_on: what a verdict looks at. seconds: {stage:
+    seconds}.
+    """
     import jax
 
     from jaxbound import __version__

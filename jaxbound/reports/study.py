@@ -28,8 +28,12 @@ HEAD = (
     "90 % by",
     "guaranteed",
 )
-COLUMNS = ("detected: share of scenarios with a FAULT; FAULT windows: share of the windows wholly inside the fault; delays in samples; "
-           "size and guaranteed in the unit of the signal, of a drift per sample, of a gain or a tolerance as a share")  # fmt: skip
+COLUMNS = (
+    "detected: share of scenarios with a FAULT; FAULT windows: share of the windows wholly inside the fault; "
+    "delays in samples; "
+    "size and guaranteed in the unit of the signal, of a drift per sample, of a gain or a tolerance as a "
+    "share"
+)
 """What the columns of HEAD are."""
 FAULTS, CURVES = 8, 4
 """Charts, and sizes whose delays are drawn."""
@@ -47,7 +51,10 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
         verdict="study",
         title="What this monitor sees",
         sentence=sentence(res),
-        charts=[(_sizes(res, *pair), _delays(*pair)) for pair in zip(res.trials[:FAULTS], res.tallies, strict=False)],
+        charts=[
+            (_sizes(res, *pair), _delays(*pair))
+            for pair in zip(res.trials[:FAULTS], res.tallies, strict=False)
+        ],
         others=max(len(res.trials) - FAULTS, 0),
         head=HEAD,
         columns=COLUMNS,
@@ -74,8 +81,10 @@ def _sizes(res, trial, tally):
     order, label = np.argsort(trial.sizes), ""
     (share, low, high), (rate, rate_lo, rate_hi) = tally.share(res.confidence), tally.rate(res.confidence)
     x = np.asarray(trial.sizes, float)[order]
-    curves = [Curve("scenarios detected", "seen", x, share[order], low[order], high[order]),
-              Curve("FAULT windows", "windows", x, rate[order], rate_lo[order], rate_hi[order])]  # fmt: skip
+    curves = [
+        Curve("scenarios detected", "seen", x, share[order], low[order], high[order]),
+        Curve("FAULT windows", "windows", x, rate[order], rate_lo[order], rate_hi[order]),
+    ]
     least, most = float(x[0]), float(x[-1])
     if np.isfinite(trial.guaranteed):
         least, most = min(least, trial.guaranteed), max(most, trial.guaranteed)
@@ -93,11 +102,20 @@ def _delays(trial, tally):
     last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
     picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
     at = np.arange(last + 2)
-    curves = [Curve(f"size {trial.sizes[i]:.4g}", f"size{CURVES - len(picked) + rank}", _squeezed(at),
-                    np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)) for rank, i in enumerate(picked)]  # fmt: skip
+    curves = [
+        Curve(
+            f"size {trial.sizes[i]:.4g}",
+            f"size{CURVES - len(picked) + rank}",
+            _squeezed(at),
+            np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1),
+        )
+        for rank, i in enumerate(picked)
+    ]
     curves = [dataclasses.replace(c, x=c.x[: len(c.share)]) for c in curves]
     ticks = [(float(_squeezed(t)), str(t)) for t in DELAYS if t <= last + 1]
-    return share_chart("detected by then", "samples from the onset", curves, ticks, (0.0, float(_squeezed(last + 1))))
+    return share_chart(
+        "detected by then", "samples from the onset", curves, ticks, (0.0, float(_squeezed(last + 1)))
+    )
 
 
 def _squeezed(delay):
@@ -108,7 +126,10 @@ def _squeezed(delay):
 def study_rows(res: StudyResult) -> list[tuple[str, ...]]:
     """Return the table of a study as texts, a tuple a row, as HEAD names them."""
     table = study_table(res)
-    return [_row(SimpleNamespace(**dict(zip(table, cells, strict=True)))) for cells in zip(*table.values(), strict=True)]
+    return [
+        _row(SimpleNamespace(**dict(zip(table, cells, strict=True))))
+        for cells in zip(*table.values(), strict=True)
+    ]
 
 
 def _row(cell):

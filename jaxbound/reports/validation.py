@@ -1,4 +1,6 @@
-"""The page of a validated recording: which sensors were faulty when, and where the samples accepted put the true values."""
+"""The page of a validated recording: which sensors were faulty when, and where the samples accepted put the
+true values.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -68,7 +70,9 @@ def write_page(
 
 
 def _charts(res, recording, shown):
-    """Yield (title, chart) of the whole recording, and of the samples around the first faulty one if it is long."""
+    """Yield (title, chart) of the whole recording, and of the samples around the first faulty one if it is
+    long.
+    """
     found, (time, clock) = res.found, axis_of(recording, len(res.y), res.model.dt)
     faulty = np.asarray(found.faulty)
     low: dict[str, np.ndarray] = {}

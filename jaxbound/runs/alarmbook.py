@@ -13,14 +13,26 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["AlarmBook"]
 
 DEEPEST = 200  # alarms kept in memory
-FIELDS = ("first_sample", "last_sample", "windows", "depth", "worst_sample", "from", "to", "at", "ended")  # of an Alarm, and their seconds
+FIELDS = (
+    "first_sample",
+    "last_sample",
+    "windows",
+    "depth",
+    "worst_sample",
+    "from",
+    "to",
+    "at",
+    "ended",
+)  # of an Alarm, and their seconds
 
 
 class AlarmBook:
-    """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next shows how it goes on.
+    """Alarms of a recording that comes in parts; one that reaches the end of its part is held until the next
+    shows how it goes on.
 
     Args:
-        rule: (k, n) of `Result.alarms`. relations: that were tested. path: where to write all of them, or None.
+        rule: (k, n) of `Result.alarms`. relations: that were tested. path: where to write all of them, or
+            None.
     """
 
     def __init__(self, rule: tuple[int, int], relations: Any, path: Path | None) -> None:
@@ -31,15 +43,32 @@ class AlarmBook:
         self.kept: list[tuple] = []
         self.first: list[tuple] = []
 
-    def add(self, first: int, written: Any, time: np.ndarray, status: np.ndarray, margin: np.ndarray) -> np.ndarray:
-        """Take the next part, which begins at sample `first`; return the samples at which alarms that ended are deepest."""
+    def add(
+        self, first: int, written: Any, time: np.ndarray, status: np.ndarray, margin: np.ndarray
+    ) -> np.ndarray:
+        """Take the next part, which begins at sample `first`; return the samples at which alarms that ended
+        are deepest.
+        """
         (k, n), fault, missing = self.rule, status == Status.FAULT, status == Status.MISSING
         start, end, windows, depth, worst, begun, last = stretches(fault, margin, k, n, 0, 1, self.before)
         self.before = np.concatenate([self.before, fault])[max(len(self.before) + len(fault) - n + 1, 0) :]
         take = lambda at: written.take(to_arrow(at))
-        found = {"start": take(start), "end": take(end), "worst": take(worst), "from": time[start], "to": time[end], "at": time[worst],
-                 "first_sample": start + first, "last_sample": end + first, "worst_sample": worst + first, "windows": windows,
-                 "depth": depth, "begun": begun + first, "last": last + first, "after": follows(missing, end)}  # fmt: skip
+        found = {
+            "start": take(start),
+            "end": take(end),
+            "worst": take(worst),
+            "from": time[start],
+            "to": time[end],
+            "at": time[worst],
+            "first_sample": start + first,
+            "last_sample": end + first,
+            "worst_sample": worst + first,
+            "windows": windows,
+            "depth": depth,
+            "begun": begun + first,
+            "last": last + first,
+            "after": follows(missing, end),
+        }
         closed: list[dict] = []
         if self.held is not None:
             if len(start) and start[0] == 0:
@@ -48,7 +77,9 @@ class AlarmBook:
                 closed = [self.held | {"after": follows(missing[:1], [-1])}]
             self.held = None
         if len(end) and end[-1] == len(fault) - 1:
-            found, self.held = ({name: x[part] for name, x in found.items()} for part in (slice(0, -1), slice(-1, None)))
+            found, self.held = (
+                {name: x[part] for name, x in found.items()} for part in (slice(0, -1), slice(-1, None))
+            )
         return np.concatenate([self._close(x) for x in (*closed, found)])
 
     def close(self) -> np.ndarray:
@@ -65,7 +96,10 @@ class AlarmBook:
         deepest = np.argsort(alarms["depth"])[:DEEPEST]
         picked = np.unique([*deepest, *range(min(1, len(alarms["windows"])))]).astype(int)
         rows = zip(*(alarms[f][picked].tolist() for f in FIELDS), strict=True)
-        fresh = [(Alarm(start, end, n, depth, worst, ended=ENDINGS[why]), times) for start, end, n, depth, worst, *times, why in rows]
+        fresh = [
+            (Alarm(start, end, n, depth, worst, ended=ENDINGS[why]), times)
+            for start, end, n, depth, worst, *times, why in rows
+        ]
         self.first = self.first or fresh[:1]
         self.kept = sorted([*self.kept, *fresh], key=lambda pair: pair[0].depth)[:DEEPEST]
         return alarms["worst_sample"]
@@ -84,13 +118,21 @@ def _joined(held, found):
     import pyarrow as pa
 
     deeper = not held["windows"][0] or (found["windows"][0] and found["depth"][0] < held["depth"][0])
-    keep = ("start", "from", "first_sample", "begun", *(() if deeper else ("worst", "at", "worst_sample", "depth")))
+    keep = (
+        "start",
+        "from",
+        "first_sample",
+        "begun",
+        *(() if deeper else ("worst", "at", "worst_sample", "depth")),
+    )
     out = {}
     for name, x in found.items():
         if name == "windows":
             out[name] = np.concatenate([held[name] + x[:1], x[1:]])
         elif name in keep:
-            out[name] = (np.concatenate if isinstance(x, np.ndarray) else pa.concat_arrays)([held[name], x[1:]])
+            out[name] = (np.concatenate if isinstance(x, np.ndarray) else pa.concat_arrays)(
+                [held[name], x[1:]]
+            )
         else:
             out[name] = x
     return out

@@ -13,12 +13,14 @@ __all__ = ["use_cache"]
 def use_cache(folder: str | Path | None = None) -> Path:
     """Keep compiled kernels in a folder, so that the next process need not compile them again.
 
-    Compiling is nearly all of the time of a first call. The command line calls this; the library itself changes no configuration.
+    Compiling is nearly all of the time of a first call. The command line calls this; the library itself
+    changes no configuration.
 
     Args:
-        folder: as long as it is there, what is in it serves every process with the same versions on the same machine. Whoever can write
-            to it can run code in these processes. None: the one that jax was told of (`JAX_COMPILATION_CACHE_DIR`), left as it is, or that
-            of the command line: `jaxbound` in `$XDG_CACHE_HOME`, by default `~/.cache`.
+        folder: as long as it is there, what is in it serves every process with the same versions on the same
+            machine. Whoever can write to it can run code in these processes. None: the one that jax was told
+            of (`JAX_COMPILATION_CACHE_DIR`), left as it is, or that of the command line: `jaxbound` in
+            `$XDG_CACHE_HOME`, by default `~/.cache`.
 
     Returns:
         The folder in use.
@@ -42,7 +44,9 @@ def use_cache(folder: str | Path | None = None) -> Path:
     except (OSError, RuntimeError) as e:
         said = getattr(e, "strerror", None) or str(e)
         where = "in the home folder" if folder is None else f"in {folder}"
-        raise ValueError(f"compiled kernels cannot be kept {where}: {said}; give use_cache a folder that can be written") from None
+        raise ValueError(
+            f"compiled kernels cannot be kept {where}: {said}; give use_cache a folder that can be written"
+        ) from None
     if told is not None:
         from jax.experimental.compilation_cache import compilation_cache
 

@@ -9,13 +9,16 @@ from jaxbound.sets.floats.status import Status
 __all__ = ["REACHES", "refuted_again"]
 
 REACHES = (2**6, 2**12, 2**16)
-"""So many samples before a sample that an observer refuted are read to see it refuted again, before all of them are."""
+"""So many samples before a sample that an observer refuted are read to see it refuted again, before all of
+them are.
+"""
 
 
 def refuted_again(observer: Any, source: Any, k: int) -> tuple[Any, Recording]:
     """Return (Certificate of sample k, which an observer refuted, the Recording up to it).
 
-    Read are as many samples before it as are needed: an observer that begins later knows less, but nothing that is wrong.
+    Read are as many samples before it as are needed: an observer that begins later knows less, but nothing
+    that is wrong.
 
     Args:
         source: of the recording, see `open_source`.

@@ -1,4 +1,6 @@
-"""Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline, from one pass over verdicts."""
+"""Detection in recordings larger than memory, and what it comes to: counts, worst window, alarms, timeline,
+from one pass over verdicts.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -65,13 +67,18 @@ class Digest:
     """What was found in a recording larger than memory; the verdicts themselves are in files.
 
     Fields:
-        relations, method: as tested. data: the ParquetSource. samples: their number. counts: {status name: number of windows}.
-        worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window), or None.
-        alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints: sentences for the user.
-        line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when asked for.
+        relations, method: as tested. data: the ParquetSource. samples: their number. counts: {status name:
+            number of windows}.
+        worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window),
+            or None.
+        alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints:
+            sentences for the user.
+        line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when
+            asked for.
         aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
         ended: {ending of an Alarm: how many of all alarms have it}.
-        signals: (low, high), each (k, bins): extremes of the recorded signals in the bins of the line, outputs before inputs; or None.
+        signals: (low, high), each (k, bins): extremes of the recorded signals in the bins of the line,
+            outputs before inputs; or None.
     """
 
     relations: ParityRelation | UncertainRelations | Redundancy
@@ -90,7 +97,10 @@ class Digest:
     signals: tuple | None = None
 
     def _head(self):
-        return f"Digest ({self.samples},) of {self.source}: {', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
+        return (
+            f"Digest ({self.samples},) of {self.source}: "
+            f"{', '.join(f'{n} {name}' for name, n in self.counts.items() if n)}"
+        )
 
     def _rows(self):
         rows = {"method": f"{self.method}, {looked_at(self.relations)}", "model": repr(self.relations.model)}
@@ -115,7 +125,8 @@ class Digest:
     def around(self, k: int, samples: int = 600) -> tuple[Result, Recording]:
         """Return (Result, Recording) of so many samples around sample k, read and tested anew.
 
-        An observer begins anew 4096 samples earlier: it knows less than at the first time, and may leave UNDECIDED what was FAULT.
+        An observer begins anew 4096 samples earlier: it knows less than at the first time, and may leave
+        UNDECIDED what was FAULT.
         """
         r = self.near(k, samples)
         return detect(self.relations, r.u, r.y, method=self.method, starts=r.starts), r
@@ -126,7 +137,9 @@ class Digest:
         return self.data.read(max(first - self._before, 0), min(first + samples, self.samples))
 
     def explain(self, k: int) -> Any:
-        """Return the Certificate of the window that ends at sample k. See `Result.explain`, of an observer `refuted_again`."""
+        """Return the Certificate of the window that ends at sample k. See `Result.explain`, of an observer
+        `refuted_again`.
+        """
         if remembers(self.relations):
             return refuted_again(self.relations, self.data, k)[0]
         first = max(k - self._before, 0)
@@ -143,8 +156,19 @@ def plot_digest(found: Digest, ax: "Axes | None" = None) -> "Figure | Axes":
 @evidence.register(Digest)
 def _(res, alarms):
     at, margin = res.worst or (None, np.nan)
-    return Evidence(res.method, res.relations.horizon, res.samples, res.counts, res.aside, at, margin, None, res.alarm_count, res.ended,
-                    remembers=remembers(res.relations))  # fmt: skip
+    return Evidence(
+        res.method,
+        res.relations.horizon,
+        res.samples,
+        res.counts,
+        res.aside,
+        at,
+        margin,
+        None,
+        res.alarm_count,
+        res.ended,
+        remembers=remembers(res.relations),
+    )
 
 
 def detect_dataset(
@@ -165,24 +189,30 @@ def detect_dataset(
     Args:
         relations: from `parity_relations` or `structured_relations`, or an `observer`.
         path: a Parquet file, or a folder of them that follow each other by name.
-        out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and suspect, one row a sample.
-            A call that was stopped is continued by the same call.
+        out: folder for `verdicts.parquet`, a folder of files with the columns time, status, margin and
+            suspect, one row a sample. A call that was stopped is continued by the same call.
         method: see `detect`. chunk: samples in memory at once, at least 65 536; verdicts do not
             depend on it.
-        alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work done.
-        part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time, on other machines too, where
-            `out` is one folder for all or their files are brought together. merge: test nothing, report on the shares.
-        client: of dask.distributed; its workers make the verdicts, and see the recording and `out` by the same paths as this process.
-        overlap: of an observer, which otherwise is one from the first sample to the last: each part of a million samples gets one of its
-            own that begins so many samples earlier, so that parts can be shared. It knows less: FAULT is a proof as ever, and may be missed
-            where it rests on samples further back. Verdicts do not depend on how the parts are shared.
+        alarm: (k, n), an alarm needs k FAULT among n windows. progress: called with the share of the work
+            done.
+        part: (i, n), test only the i-th of n shares of the recording; others may do theirs at the same time,
+            on other machines too, where `out` is one folder for all or their files are brought together.
+            merge: test nothing, report on the shares.
+        client: of dask.distributed; its workers make the verdicts, and see the recording and `out` by the
+            same paths as this process.
+        overlap: of an observer, which otherwise is one from the first sample to the last: each part of a
+            million samples gets one of its own that begins so many samples earlier, so that parts can be
+            shared. It knows less: FAULT is a proof as ever, and may be missed where it rests on samples
+            further back. Verdicts do not depend on how the parts are shared.
 
     Returns:
-        A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in time are MISSING.
-        Of a share, the files with its verdicts, in the folder `verdicts.partial` of `out`, which is where `merge` looks for them.
+        A Digest: .counts, .worst (sample, margin), .alarms, .explain(k), .label(k); windows across a gap in
+        time are MISSING. Of a share, the files with its verdicts, in the folder `verdicts.partial` of `out`,
+        which is where `merge` looks for them.
 
     Raises:
-        TypeError: other relations. OSError, ValueError: data that cannot be read; an unfinished run of other data, another model or other
+        TypeError: other relations. OSError, ValueError: data that cannot be read; an unfinished run of other
+            data, another model or other
         options in `out`; no alarm rule.
 
     Example:
@@ -195,7 +225,10 @@ def detect_dataset(
         (1, 2)
     """
     if not hasattr(relations, "made"):
-        raise TypeError(f"detect_dataset needs relations of a model, whose verdicts can be kept, not {type(relations).__name__}")
+        raise TypeError(
+            f"detect_dataset needs relations of a model, whose verdicts can be kept, not "
+            f"{type(relations).__name__}"
+        )
     check_rule(*alarm)
     if part is not None:
         check_share(part)
@@ -214,7 +247,9 @@ def detect_dataset(
             folder = all_parts(relations, source, out, method, overlap)
         else:
             most = lambda share: report(0.95 * share)
-            folder, _ = write_parts(relations, source, out, method, chunk, most, client=client, overlap=overlap)
+            folder, _ = write_parts(
+                relations, source, out, method, chunk, most, client=client, overlap=overlap
+            )
         found = digest(relations, source, folder, method, alarm)
         publish(place)
     report(1.0)
@@ -241,7 +276,8 @@ def digest(
     """Read the verdicts of a ParquetSource once.
 
     Args:
-        relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as `write_parts` left it.
+        relations, method: as tested. source: the ParquetSource that was tested. folder: of the parts, as
+            `write_parts` left it.
         alarm: (k, n), an alarm needs k FAULT among n windows. alarms_csv: where to write all alarms, or None.
         progress: called with the share of the work done.
 
@@ -250,7 +286,11 @@ def digest(
     """
     report, first = progress or (lambda share: None), 0
     counts, times, worst = np.zeros(len(Status), np.int64), _Times(source), None
-    line, clock, book = Timeline(source.samples), Clock(relations.model.dt), AlarmBook(alarm, relations, alarms_csv)
+    line, clock, book = (
+        Timeline(source.samples),
+        Clock(relations.model.dt),
+        AlarmBook(alarm, relations, alarms_csv),
+    )
     for part in part_files(folder):
         written, status, margin = _read(part)
         time, stamps = source.times(first, written)
@@ -258,7 +298,12 @@ def digest(
         here = _worst(status, margin, first)
         worst = here if worst is None or (here is not None and here[:2] > worst[:2]) else worst
         clock, _ = tick(clock, time)
-        named = {0, source.samples - 1, *(worst[2:3] if worst else ()), *(seam.sample for seam in clock.seams)}
+        named = {
+            0,
+            source.samples - 1,
+            *(worst[2:3] if worst else ()),
+            *(seam.sample for seam in clock.seams),
+        }
         times |= {k: float(time[k - first]) for k in named if first <= k < first + len(status)}
         line.add(first, time if stamps is None else stamps, status, margin)
         line.mark(book.add(first, written, time, status, margin))
@@ -267,18 +312,46 @@ def digest(
     line.mark(book.close())
     alarms, when = book.alarms()
     times |= when
-    found = Digest(relations, method, source, first, {s.name: int(counts[s]) for s in Status}, worst and worst[2:], alarms, book.count, (),
-                   line, times, ended=book.ended, signals=read_extremes(part_files(folder), source.samples))  # fmt: skip
+    found = Digest(
+        relations,
+        method,
+        source,
+        first,
+        {s.name: int(counts[s]) for s in Status},
+        worst and worst[2:],
+        alarms,
+        book.count,
+        (),
+        line,
+        times,
+        ended=book.ended,
+        signals=read_extremes(part_files(folder), source.samples),
+    )
     if sentence := irregular(clock, found.label, source.row):
         forget_parts(folder)  # verdicts on such data are of no use
         raise ValueError(f"{source.path}: {sentence}")
     hints, aside = _signal_hints(found, folder)
-    hints += [said for devices, count in read_again(part_files(folder)).items() for said in again_said(devices, count)]
-    found = replace(found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside)
+    hints += [
+        said
+        for devices, count in read_again(part_files(folder)).items()
+        for said in again_said(devices, count)
+    ]
+    found = replace(
+        found, hints=(*source.hints, *seam_hints(clock, found.label, source.row), *hints), aside=aside
+    )
     smallest = found.worst[1] if found.worst and not remembers(relations) else np.nan
-    said = [] if latched(relations) else unfit(found.counts, smallest, "samples" if remembers(relations) else "windows")
+    said = (
+        []
+        if latched(relations)
+        else unfit(found.counts, smallest, "samples" if remembers(relations) else "windows")
+    )
     found = replace(found, hints=(*found.hints, *bound_hints(relations.model, relations), *said))
-    if worst and found.counts["FAULT"] and not remembers(relations) and (units := unit_hints(found.around(worst[2])[0])):
+    if (
+        worst
+        and found.counts["FAULT"]
+        and not remembers(relations)
+        and (units := unit_hints(found.around(worst[2])[0]))
+    ):
         found = replace(found, hints=(*found.hints, *units))
     found.alarms[:] = [replace(a, result=found) for a in found.alarms]
     return found
@@ -296,13 +369,18 @@ class _Times(dict):
 
 
 def _signal_hints(found, folder):
-    """Return (sentences on missing samples, on what the recorder seems to round and on signals that stand still; windows set aside)."""
+    """Return (sentences on missing samples, on what the recorder seems to round and on signals that stand
+    still; windows set aside).
+    """
     model, out, where, aside, samples = found.relations.model, [], found.data.plan.where, 0, found.samples
     names = model.inputs + model.outputs + (("where",) if where else ())
     runs = dict(zip(names, read_runs(part_files(folder)), strict=True))
     if where:
         kept = runs.pop("where")
-        samples, aside = kept.present, found.samples - found.relations.horizon - windows_inside(kept, found.relations.horizon)
+        samples, aside = (
+            kept.present,
+            found.samples - found.relations.horizon - windows_inside(kept, found.relations.horizon),
+        )
     out += missing_sentences({name: samples - r.present for name, r in runs.items()}, samples)
     out += rounding_hints(model, found.data.probe().y)
     for name in model.outputs + model.inputs:

@@ -1,8 +1,9 @@
 """Many units in one command: a manifest in, a table with a row a unit out, the worst first.
 
-Units of one shape share one compiled kernel, whatever their numbers. An observer follows units of one model side by side, whose recordings
-have one length and the same gaps: one step of time for all of them. What is wrong with a unit (no such file, a bad model) becomes the
-sentence of its row, and the others are tested. While one unit is tested, the next ones are read.
+Units of one shape share one compiled kernel, whatever their numbers. An observer follows units of one model
+side by side, whose recordings have one length and the same gaps: one step of time for all of them. What is
+wrong with a unit (no such file, a bad model) becomes the sentence of its row, and the others are tested.
+While one unit is tested, the next ones are read.
 """
 
 import math
@@ -59,8 +60,8 @@ class Unit(NamedTuple):
 class UnitResult(NamedTuple):
     """What was found about a unit.
 
-    Fields: unit; summary: its Summary, of one that could not be tested with the verdict "not tested" and why in its sentence; report: the
-    file of its own page, beside the page of the fleet, "" where it has none.
+    Fields: unit; summary: its Summary, of one that could not be tested with the verdict "not tested" and why
+    in its sentence; report: the file of its own page, beside the page of the fleet, "" where it has none.
     """
 
     unit: Unit
@@ -86,8 +87,8 @@ class UnitResult(NamedTuple):
 def read_manifest(path: str | PathLike) -> list[Unit]:
     r"""Read the units of a fleet from a CSV or TOML file.
 
-    CSV: a header with the columns unit, model and recording, then a row a unit. TOML: a block [[units]] with these fields for each.
-    Files are looked for beside the manifest.
+    CSV: a header with the columns unit, model and recording, then a row a unit. TOML: a block [[units]] with
+    these fields for each. Files are looked for beside the manifest.
 
     Args:
         path: of the manifest; .toml is read as TOML, anything else as CSV.
@@ -96,7 +97,8 @@ def read_manifest(path: str | PathLike) -> list[Unit]:
         A list of Unit. Their files need not exist.
 
     Raises:
-        OSError: no such file. ValueError: unknown or missing columns, an empty cell, a name used twice, no unit.
+        OSError: no such file. ValueError: unknown or missing columns, an empty cell, a name used twice, no
+            unit.
 
     Example:
         >>> import tempfile, pathlib
@@ -107,7 +109,10 @@ def read_manifest(path: str | PathLike) -> list[Unit]:
     """
     path = Path(path)
     if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder: a manifest is a CSV or TOML file with a unit, a model and a recording in each row")
+        raise IsADirectoryError(
+            f"{path} is a folder: a manifest is a CSV or TOML file with a unit, a model and a recording in "
+            f"each row"
+        )
     if not path.exists():
         raise FileNotFoundError(f"there is no manifest {path}")
     try:
@@ -170,7 +175,9 @@ def _known(where, names):
     """Refuse a column that is unknown, missing or there twice."""
     for name in names:
         if name not in COLUMNS:
-            raise ValueError(f"{where} has the unknown column {name!r}; known columns are {', '.join(COLUMNS)}")
+            raise ValueError(
+                f"{where} has the unknown column {name!r}; known columns are {', '.join(COLUMNS)}"
+            )
         if names.count(name) > 1:
             raise ValueError(f"{where} has {names.count(name)} columns {name!r}")
     for name in COLUMNS:
@@ -186,7 +193,10 @@ def _units(rows, folder):
             if not row[column]:
                 raise ValueError(f"{where} has no {column}")
         if row["unit"] in found:
-            raise ValueError(f"{where} names unit {row['unit']!r}, as {found[row['unit']]} does: every unit needs a name of its own")
+            raise ValueError(
+                f"{where} names unit {row['unit']!r}, as {found[row['unit']]} does: every unit needs a name "
+                f"of its own"
+            )
         found[row["unit"]] = where
         units.append(Unit(row["unit"], folder / row["model"], folder / row["recording"]))
     if not units:
@@ -210,23 +220,32 @@ def detect_fleet(
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
     Args:
-        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`, or "observer". horizon, lags: as for
-            `parity_relations`, or `observer`, which takes no lags. options: more for `observer`.
+        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`, or "observer". horizon,
+            lags: as for `parity_relations`, or `observer`, which takes no lags. options: more for `observer`.
         alarm: (k, n), an alarm needs k FAULT among n windows.
         min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
         progress: called with the share of the units done.
         page: called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`.
-        client: of dask.distributed; its workers test the units, see their files by the same paths and call `page`, which can be pickled.
-        state: folder in which it is kept how each unit goes on; None: nowhere. The next recording of a unit, in a run with the same folder,
-            is then judged as if it followed in one file: windows look back into the one before, an observer carries on. Where it begins
-            more than a step later, or earlier, it begins anew, and its hints say so. The same recording again is judged as it was.
+        client: of dask.distributed; its workers test the units, see their files by the same paths and call
+            `page`, which can be pickled.
+        state: folder in which it is kept how each unit goes on; None: nowhere. The next recording of a unit,
+            in a run with the same folder, is then judged as if it followed in one file: windows look back
+            into the one before, an observer carries on. Where it begins more than a step later, or earlier,
+            it begins anew, and its hints say so. The same recording again is judged as it was.
 
     Yields:
         UnitResult. What is wrong with a unit makes it "not tested" and leaves the others alone.
     """
     if client is not None:
-        how = {"method": method, "horizon": horizon, "alarm": alarm, "min_coverage": min_coverage, "lags": lags, "options": options,
-               "state": state}  # fmt: skip
+        how = {
+            "method": method,
+            "horizon": horizon,
+            "alarm": alarm,
+            "min_coverage": min_coverage,
+            "lags": lags,
+            "options": options,
+            "state": state,
+        }
         yield from _spread_out(client, _Fleet(how | {"page": page}), units, progress)
         return
     report, shared = progress or (lambda share: None), Counter(unit.model for unit in units)
@@ -259,11 +278,20 @@ def detect_fleet(
                 while len(waiting) < ahead and done + len(waiting) < len(units):
                     waiting.append(beside.submit(prepare, units[done + len(waiting)]))
                 count = next(
-                    (i for i in range(1, len(waiting)) if ahead == AHEAD or units[done + i].model != units[done].model), len(waiting)
+                    (
+                        i
+                        for i in range(1, len(waiting))
+                        if ahead == AHEAD or units[done + i].model != units[done].model
+                    ),
+                    len(waiting),
                 )
                 together, jobs = units[done : done + count], [waiting.popleft() for _ in range(count)]
                 for found, about in _tested(together, jobs, method, alarm, min_coverage):
-                    yield found._replace(report=page(found.unit, *about, found.summary)) if page and about else found
+                    yield (
+                        found._replace(report=page(found.unit, *about, found.summary))
+                        if page and about
+                        else found
+                    )
                     done += 1
                     report(done / len(units))
         finally:
@@ -272,7 +300,9 @@ def detect_fleet(
 
 
 class _Given(NamedTuple):
-    """One unit, read. Fields: model, relations, recording; kept: its Continuation, or None; carry, known: as of `Continuation.joined`."""
+    """One unit, read. Fields: model, relations, recording; kept: its Continuation, or None; carry, known: as
+    of `Continuation.joined`.
+    """
 
     model: Any
     relations: Any
@@ -284,7 +314,9 @@ class _Given(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Fleet:
-    """The test of units as a `Job`: a task is a list of units. Fields: options: as `detect_fleet` takes them."""
+    """The test of units as a `Job`: a task is a list of units. Fields: options: as `detect_fleet` takes
+    them.
+    """
 
     options: dict
 
@@ -309,7 +341,12 @@ def _tested(units, jobs, method, alarm, min_coverage):
     alike = _side_by_side(given) if len(given) > 1 else {}
     for unit, x in zip(units, read, strict=True):
         if not isinstance(x, UnitResult):
-            x = _tried(unit, lambda unit=unit, x=x: _judged(unit, x, method, alarm, min_coverage, alike.get(id(x.recording))))
+            x = _tried(
+                unit,
+                lambda unit=unit, x=x: _judged(
+                    unit, x, method, alarm, min_coverage, alike.get(id(x.recording))
+                ),
+            )
         yield (x, None) if isinstance(x, UnitResult) else x
 
 
@@ -326,7 +363,9 @@ def _tried(unit, work):
 
 
 def _judged(unit, given, method, alarm, min_coverage, res):
-    """Return (UnitResult, (Result, Recording, alarms)); given: a _Given; res: (Result, carry) where it is there."""
+    """Return (UnitResult, (Result, Recording, alarms)); given: a _Given; res: (Result, carry) where it is
+    there.
+    """
     model, relations, recording, kept, carry, known = given
     refuse_short(unit.recording, recording.samples, relations.horizon)
     if res is None and kept is not None and remembers(relations):
@@ -342,11 +381,20 @@ def _judged(unit, given, method, alarm, min_coverage, res):
 
 
 def _side_by_side(given):
-    """Return {id of a recording: (Result, carry)} of those that an observer can follow side by side; given: of _Given."""
+    """Return {id of a recording: (Result, carry)} of those that an observer can follow side by side; given:
+    of _Given.
+    """
     groups: dict[Any, list] = {}
     for one in given:
         recording, before = one.recording, 0 if one.carry is None else int(one.carry.samples)
-        kind = recording.samples, tuple(recording.starts.tolist()), str(recording.y.dtype), str(recording.u.dtype), one.known, before
+        kind = (
+            recording.samples,
+            tuple(recording.starts.tolist()),
+            str(recording.y.dtype),
+            str(recording.u.dtype),
+            one.known,
+            before,
+        )
         groups.setdefault(kind, []).append(one)
     found = {}
     for group in groups.values():
@@ -359,20 +407,30 @@ def _side_by_side(given):
             if kept is None:
                 together = detect(relations, many, method=relations.method)
             else:
-                together, between = followed(relations, many, carry and beside(relations, [x.carry for x in group]), known)
+                together, between = followed(
+                    relations, many, carry and beside(relations, [x.carry for x in group]), known
+                )
             for i, x in enumerate(group):
                 parts = {name: getattr(together, name)[i] for name in ("status", "margin", "u", "y")}
                 of_it = relations if x.carry is None else relations.continued(x.carry)
                 one_of_them = replace(
-                    together, **parts, relations=of_it, index=x.recording.index, aside=x.recording.aside(relations.horizon)
+                    together,
+                    **parts,
+                    relations=of_it,
+                    index=x.recording.index,
+                    aside=x.recording.aside(relations.horizon),
                 )
                 found[id(x.recording)] = one_of_them, between and alone(relations, between, i)
     return found
 
 
 def worst_first(results: Iterable[UnitResult]) -> list[UnitResult]:
-    """Return the results sorted: faults (the deepest first), units not tested, too little evidence, no fault (the tightest first)."""
-    return sorted(results, key=lambda r: (ORDER.index(r.verdict), math.inf if math.isnan(r.margin) else r.margin))
+    """Return the results sorted: faults (the deepest first), units not tested, too little evidence, no fault
+    (the tightest first).
+    """
+    return sorted(
+        results, key=lambda r: (ORDER.index(r.verdict), math.inf if math.isnan(r.margin) else r.margin)
+    )
 
 
 def fleet_verdict(results: Sequence[UnitResult]) -> tuple[str, int, str]:
@@ -386,9 +444,12 @@ def fleet_verdict(results: Sequence[UnitResult]) -> tuple[str, int, str]:
     several = lambda n: f"{n} unit{'s' * (n != 1)}"
     parts = [f"{several(len(results))} listed"]
     told = {
-        "fault": "with a proved fault", OUTSIDE: OUTSIDE, "no fault": "with no fault found",
-        "too little evidence": "with too little evidence", "not tested": "could not be tested",
-    }  # fmt: skip
+        "fault": "with a proved fault",
+        OUTSIDE: OUTSIDE,
+        "no fault": "with no fault found",
+        "too little evidence": "with too little evidence",
+        "not tested": "could not be tested",
+    }
     parts += [f"{count[v]} {words}" for v, words in told.items() if count[v]]
     deepest = min((r for r in results if r.verdict == "fault"), key=lambda r: r.margin, default=None)
     worst_unit = f"; the worst is {deepest.unit.name}" if deepest else ""

@@ -1,9 +1,11 @@
 """Verdicts that a killed process leaves neither twice nor not at all.
 
-Before the rows of a burst are appended to verdicts.csv, a note is appended to the state file: how long verdicts.csv is, the rows that come
-next and everything needed to go on behind them. Whenever the process is killed, the next one takes the last note that is whole, cuts
-verdicts.csv back to that length and appends these rows: however often it is done, the file is the same. Now and then the state file is
-replaced by one with the last note alone. Files are forced to the disk only at the end, so this is no promise for a machine that loses its
+Before the rows of a burst are appended to verdicts.csv, a note is appended to the state file: how long
+verdicts.csv is, the rows that come next and everything needed to go on behind them. Whenever the process is
+killed, the next one takes the last note that is whole, cuts verdicts.csv back to that length and appends
+these rows: however often it is done, the file is the same. Now and then the state file is replaced by one
+with the last note alone. Files are forced to the disk only at the end, so this is no promise for a machine
+that loses its
 power: then the lengths may not fit, and the state is refused.
 """
 
@@ -33,13 +35,17 @@ class Journal:
         out: folder for verdicts.csv, or None. state: path of the state file; None: in `out`, or nowhere.
         identity: {what verdicts depend on: text}; a state with another is refused.
 
-    Fields: before: what was remembered last, or None; pending: the rows of the last burst before a kill, which may not have been printed.
+    Fields: before: what was remembered last, or None; pending: the rows of the last burst before a kill,
+    which may not have been printed.
 
     Raises:
-        ValueError: a state that is none, or another model's; verdicts that are not those that the state speaks of; another process on them.
+        ValueError: a state that is none, or another model's; verdicts that are not those that the state
+            speaks of; another process on them.
     """
 
-    def __init__(self, out: str | PathLike | None, state: str | PathLike | None, identity: Mapping[str, str]) -> None:
+    def __init__(
+        self, out: str | PathLike | None, state: str | PathLike | None, identity: Mapping[str, str]
+    ) -> None:
         self.verdicts = None if out is None else Path(out) / VERDICTS
         self.path: Any = Path(state) if state is not None else None if out is None else Path(out) / STATE
         self.identity, self.before, self.pending = identity, None, b""
@@ -80,7 +86,13 @@ class Journal:
 
     def _save(self, memory, rows, sync=False):
         text = lambda b: b.decode("latin-1")
-        note = {"identity": self.identity, "length": self.length, "end": text(self.end), "rows": text(rows), "memory": memory}
+        note = {
+            "identity": self.identity,
+            "length": self.length,
+            "end": text(self.end),
+            "rows": text(rows),
+            "memory": memory,
+        }
         data = json.dumps(note).encode() + b"\n"
         if self.notes is None or self.noted > LARGEST or sync:
             with whole(self.path, sync) as f:
@@ -99,7 +111,9 @@ class Journal:
             identity, self.before, self.length = note["identity"], note["memory"], note["length"]
             self.pending, self.end = note["rows"].encode("latin-1"), note["end"].encode("latin-1")
         except (ValueError, KeyError, TypeError):
-            raise Refused(f"{self.path} is no state of jaxbound detect: choose another, or delete it to begin anew") from None
+            raise Refused(
+                f"{self.path} is no state of jaxbound detect: choose another, or delete it to begin anew"
+            ) from None
         refuse_other(self.path, identity, self.identity)
 
     def _open(self):
@@ -124,8 +138,11 @@ class Journal:
             return
         self.file.seek(max(self.length - len(self.end), 0))
         if not self.end or self.file.read(len(self.end)) != self.end:
-            raise Refused(f"{self.verdicts} does not hold the verdicts that {self.path} speaks of: put it back, or delete {self.path} "
-                          "to begin anew")  # fmt: skip
+            raise Refused(
+                f"{self.verdicts} does not hold the verdicts that {self.path} speaks of: put it back, or "
+                f"delete {self.path} "
+                "to begin anew"
+            )
         self.file.truncate(self.length)
         self._append(self.pending)
 

@@ -1,4 +1,6 @@
-"""Who judges the pieces of a recording as they are read: windows, or an observer that goes on from piece to piece."""
+"""Who judges the pieces of a recording as they are read: windows, or an observer that goes on from piece to
+piece.
+"""
 
 import itertools
 from collections.abc import Iterator
@@ -15,20 +17,27 @@ __all__ = ["Carried", "Windows"]
 class Windows:
     """Judges the samples of a piece by windows, which reach back into the piece before.
 
-    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece. again: {devices: how many windows were
-    decided again on the CPU} since somebody took it; none where CPUs judge.
+    Fields: overlap: so many samples of it are needed. begins: and of those before the first piece. again:
+    {devices: how many windows were decided again on the CPU} since somebody took it; none where CPUs judge.
 
     Args:
         samples: of the whole recording, over which those that are decided again are spread.
     """
 
     def __init__(self, relations: Any, method: str, samples: int) -> None:
-        self.relations, self.method, self.overlap, self.begins = relations, method, relations.horizon, relations.horizon
+        self.relations, self.method, self.overlap, self.begins = (
+            relations,
+            method,
+            relations.horizon,
+            relations.horizon,
+        )
         self.samples = samples
         self.again: dict[str, int] = {}
 
     def __call__(self, piece: Recording, first: int, done: int) -> Iterator[tuple]:
-        """Yield (samples of the piece, their status and margin, what is carried on) of what is new in it: from sample `done` on."""
+        """Yield (samples of the piece, their status and margin, what is carried on) of what is new in it:
+        from sample `done` on.
+        """
         found, fresh = detect(self.relations, piece, method=self.method), slice(done - first, piece.samples)
         if devices := judged_elsewhere():
             count = decided_again(found, -(-COUNT * piece.samples // self.samples), seed=first)
@@ -37,11 +46,13 @@ class Windows:
 
 
 class Carried:
-    """Judges the samples of a piece by an observer, part by part. overlap: the sample before says whether the first one follows it.
+    """Judges the samples of a piece by an observer, part by part. overlap: the sample before says whether the
+    first one follows it.
 
     Args:
         watch, carry: the observer and what it carries. size: of a part, in samples.
-        warm: samples before the first part that it is given, in the first piece; None: it goes on with the carry.
+        warm: samples before the first part that it is given, in the first piece; None: it goes on with the
+            carry.
     """
 
     overlap = 1
@@ -56,7 +67,9 @@ class Carried:
         _, piece = self.watch.recording(piece)
         stop = first + piece.samples
         if self.warm and done > first:
-            self.carry, _ = self.watch.fold(self.carry, piece.cut(max(done - self.warm - first, 0), done - first))
+            self.carry, _ = self.watch.fold(
+                self.carry, piece.cut(max(done - self.warm - first, 0), done - first)
+            )
         self.warm = None
         edges = [done, *range((done // self.size + 1) * self.size, stop, self.size), stop]
         for begin, end in itertools.pairwise(edges):

@@ -1,9 +1,10 @@
 """What a command writes: files and folders, and which of those that are there it may replace.
 
-An input is never an output. In a folder jaxbound replaces and removes only what it wrote there: a list, .jaxbound.json, names these files
-with their size, time and digest; a file that was changed since, or that the list does not name, is somebody's. New files are made in the
-folder itself, in .jaxbound-work, so that they come into their places by renaming, all of them or none: no disk can run full between. A lock
-keeps a second command away; it dies with its process, and what a killed one left in .jaxbound-work is removed by the next.
+An input is never an output. In a folder jaxbound replaces and removes only what it wrote there: a list,
+.jaxbound.json, names these files with their size, time and digest; a file that was changed since, or that the
+list does not name, is somebody's. New files are made in the folder itself, in .jaxbound-work, so that they
+come into their places by renaming, all of them or none: no disk can run full between. A lock keeps a second
+command away; it dies with its process, and what a killed one left in .jaxbound-work is removed by the next.
 """
 
 import errno
@@ -51,14 +52,17 @@ def made(path: str | PathLike) -> Iterator[Path]:
 
 
 @contextmanager
-def output_folder(path: str | PathLike, names: Iterable[str] = (), inputs: Iterable[str | PathLike] = ()) -> Iterator["OutputFolder"]:
+def output_folder(
+    path: str | PathLike, names: Iterable[str] = (), inputs: Iterable[str | PathLike] = ()
+) -> Iterator["OutputFolder"]:
     """Give an OutputFolder that no other command writes into meanwhile; it is made if it is not there.
 
     Args:
         path: of the folder. names: what will be written there. inputs: paths of what is read.
 
     Raises:
-        Refused: another command is at work there; one of the names belongs to an input or to a file that jaxbound did not write.
+        Refused: another command is at work there; one of the names belongs to an input or to a file that
+            jaxbound did not write.
         FileExistsError: a link in the place of a file that jaxbound keeps there for itself.
     """
     with _kept_from_others(path):
@@ -72,14 +76,18 @@ def output_folder(path: str | PathLike, names: Iterable[str] = (), inputs: Itera
 
 
 @contextmanager
-def shared_folder(path: str | PathLike, names: Iterable[str] = (), inputs: Iterable[str | PathLike] = ()) -> Iterator[None]:
-    """Make a folder into which several commands may write at once, each whole files of its own; no `output_folder` is given meanwhile.
+def shared_folder(
+    path: str | PathLike, names: Iterable[str] = (), inputs: Iterable[str | PathLike] = ()
+) -> Iterator[None]:
+    """Make a folder into which several commands may write at once, each whole files of its own; no
+    `output_folder` is given meanwhile.
 
     Args:
         path: of the folder. names: what will be written there. inputs: paths of what is read.
 
     Raises:
-        Refused: a command that wants the folder for itself is at work there; one of the names belongs to an input.
+        Refused: a command that wants the folder for itself is at work there; one of the names belongs to an
+            input.
     """
     with _kept_from_others(path, shared=True):
         OutputFolder(Path(path), inputs).check(names, foreign=False)
@@ -96,7 +104,10 @@ def _kept_from_others(path, shared=False):
         try:
             lock = locked(path / LOCK, shared)
         except BlockingIOError:
-            raise Refused(f"another jaxbound{_holder(path / LOCK)} is writing into {path}: wait for it, or choose another folder") from None
+            raise Refused(
+                f"another jaxbound{_holder(path / LOCK)} is writing into {path}: wait for it, or choose "
+                f"another folder"
+            ) from None
         with lock:
             try:
                 lock.truncate(0)
@@ -122,7 +133,8 @@ def _holder(lock):
 class OutputFolder:
     """A folder of files, of which a list says which are jaxbound's. From `output_folder`.
 
-    Fields: path: of the folder. inputs: paths of what is read. listed: {name: entries, of which one fits the file}.
+    Fields: path: of the folder. inputs: paths of what is read. listed: {name: entries, of which one fits the
+    file}.
     """
 
     def __init__(self, path: Path, inputs: Iterable[str | PathLike] = ()) -> None:
@@ -131,7 +143,9 @@ class OutputFolder:
 
     @contextmanager
     def work(self) -> Iterator[Path]:
-        """Give a folder to write into; once the block has ended well its files are in this one, else nothing is."""
+        """Give a folder to write into; once the block has ended well its files are in this one, else nothing
+        is.
+        """
         folder = self.path / WORK
         folder.mkdir()
         try:
@@ -141,13 +155,17 @@ class OutputFolder:
             shutil.rmtree(folder, ignore_errors=True)
 
     def check(self, names: Iterable[str], foreign: bool = True) -> None:
-        """Raise Refused if what is called by one of these names is an input or, if `foreign`, not jaxbound's."""
+        """Raise Refused if what is called by one of these names is an input or, if `foreign`, not
+        jaxbound's.
+        """
         for name in (*names, WORK):
             self._refuse_input(name)
         for name in names if foreign else ():
             if stranger := self._stranger(name):
                 why = "it was not written by jaxbound, or was changed since"
-                raise Refused(f"{self.path / stranger} is in the way: {why}; move it, or choose another folder")
+                raise Refused(
+                    f"{self.path / stranger} is in the way: {why}; move it, or choose another folder"
+                )
 
     def put(self, sources: Mapping[str, Path]) -> None:
         """Move files or folders of this file system into this folder, all or none.
@@ -160,7 +178,11 @@ class OutputFolder:
         self._list([entry for name, p in sources.items() for entry in _entries(name, p)])
         before = self.path / WORK / ".before"
         before.mkdir(parents=True, exist_ok=True)
-        moves = [pair for name, p in sources.items() for pair in ((self.path / name, before / name), (p, self.path / name))]
+        moves = [
+            pair
+            for name, p in sources.items()
+            for pair in ((self.path / name, before / name), (p, self.path / name))
+        ]
         try:
             for start, end in moves:
                 if os.path.lexists(start):
@@ -193,7 +215,14 @@ class OutputFolder:
     def settle(self, *names: str) -> None:
         """Put claimed files on the list as they are now."""
         self.listed = {name: told for name, told in self.listed.items() if name not in names}
-        self._list([entry for name in names if (self.path / name).is_file() for entry in _entries(name, self.path / name)])
+        self._list(
+            [
+                entry
+                for name in names
+                if (self.path / name).is_file()
+                for entry in _entries(name, self.path / name)
+            ]
+        )
 
     def tidy(self) -> None:
         """Remove the list if nothing that it names is there."""
@@ -215,7 +244,9 @@ class OutputFolder:
             told = json.loads((self.path / LIST).read_bytes())["written by jaxbound"]
             return {str(name): list(entries) for name, entries in told.items()}
         except (ValueError, KeyError, TypeError, AttributeError):
-            raise Refused(f"{self.path / LIST} is no list of jaxbound's files: move it, or choose another folder") from None
+            raise Refused(
+                f"{self.path / LIST} is no list of jaxbound's files: move it, or choose another folder"
+            ) from None
 
     def _stranger(self, name):
         """Return the name of what is not jaxbound's in a file or folder, or None."""
@@ -229,12 +260,19 @@ class OutputFolder:
     def _refuse_input(self, name):
         for path in self.inputs:
             if _within(self.path / name)(path):
-                raise Refused(f"{path} would be overwritten by {self.path / name}: an input is never an output, choose another folder")
+                raise Refused(
+                    f"{path} would be overwritten by {self.path / name}: an input is never an output, choose "
+                    f"another folder"
+                )
 
     def _same(self, source, target):
         """Return whether a file is there already, byte for byte."""
         plain = source.is_file() and target.is_file() and not target.is_symlink()
-        return plain and source.stat().st_size == target.stat().st_size and source.read_bytes() == target.read_bytes()
+        return (
+            plain
+            and source.stat().st_size == target.stat().st_size
+            and source.read_bytes() == target.read_bytes()
+        )
 
 
 def _within(path):
@@ -263,7 +301,9 @@ def _fits(path, entry):
         return True
     size, time, digest = entry
     about = path.stat()
-    return about.st_size == size and (about.st_mtime_ns == time or (digest is not None and _digest(path, size) == digest))
+    return about.st_size == size and (
+        about.st_mtime_ns == time or (digest is not None and _digest(path, size) == digest)
+    )
 
 
 def _digest(path, size):
@@ -271,14 +311,20 @@ def _digest(path, size):
 
 
 def refuse_targets(targets: Mapping[str, Path | None], inputs: Iterable[str | PathLike], force: bool) -> None:
-    """Raise Refused unless every file may be written: in a folder that exists, no input, and nothing that is lost.
+    """Raise Refused unless every file may be written: in a folder that exists, no input, and nothing that is
+    lost.
 
     Args:
-        targets: {option: path or None}. inputs: paths of what is read. force: files that are there may be replaced.
+        targets: {option: path or None}. inputs: paths of what is read. force: files that are there may be
+            replaced.
     """
     wanted = {option: path for option, path in targets.items() if path is not None}
     for option, path in wanted.items():
-        if path.is_dir() or not Path(os.path.realpath(path)).parent.is_dir() or (path.exists() and not path.is_file()):
+        if (
+            path.is_dir()
+            or not Path(os.path.realpath(path)).parent.is_dir()
+            or (path.exists() and not path.is_file())
+        ):
             raise Refused(f"{option} {path} must be a file to write, in a folder that exists")
         for other in map(Path, inputs):
             part = path.suffix.lower() in SUFFIXES and other.is_dir() and _within(other)(path)

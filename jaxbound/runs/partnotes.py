@@ -1,4 +1,6 @@
-"""The metadata of a part of the verdicts: how signals stand still, their extremes, how many windows were judged again."""
+"""The metadata of a part of the verdicts: how signals stand still, their extremes, how many windows were
+judged again.
+"""
 
 import base64
 import json
@@ -36,7 +38,8 @@ class Noted:
         """Return {name: JSON} of the samples from number `first` on.
 
         Args:
-            first: its number. signals: (n, k) inputs, outputs and, if the model has `where`, 1 where that holds.
+            first: its number. signals: (n, k) inputs, outputs and, if the model has `where`, 1 where that
+                holds.
         """
         runs = [follow(Runs(first), np.ascontiguousarray(x)) for x in signals.T]
         begun, _, edges = inside(self.edges, first, len(signals))
@@ -54,18 +57,30 @@ def _coded(x):
 
 
 def read_runs(parts: Iterable[Path]) -> list[Runs]:
-    """Return the Runs (`stillness`) of all parts: of inputs, outputs and, if the model has `where`, of 1 where it holds."""
+    """Return the Runs (`stillness`) of all parts: of inputs, outputs and, if the model has `where`, of 1
+    where it holds.
+    """
 
     def runs(counts, longest, last, first, **rest):
         one = lambda run: Run(*run) if run else None
-        return Runs(counts=np.array(counts), longest=tuple(map(one, longest)), last=one(last), first=one(first), **rest)
+        return Runs(
+            counts=np.array(counts),
+            longest=tuple(map(one, longest)),
+            last=one(last),
+            first=one(first),
+            **rest,
+        )
 
     notes = (json.loads(found[RUNS]) for found in map(_metadata, parts))
-    return [reduce(joined, signal) for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)]
+    return [
+        reduce(joined, signal)
+        for signal in zip(*([runs(**found) for found in note] for note in notes), strict=True)
+    ]
 
 
 def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (low, high): (k, bins) extremes of the signals that a page shows, outputs first, NaN where samples are missing.
+    """Return (low, high): (k, bins) extremes of the signals that a page shows, outputs first, NaN where
+    samples are missing.
 
     Args:
         parts: all of a recording, in order. samples: how many it has.
@@ -84,7 +99,9 @@ def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.n
 
 
 def read_again(parts: Iterable[Path]) -> dict[str, int]:
-    """Return {devices that judged: how many of their windows were decided again on the CPU}; see `diagnosis.again`."""
+    """Return {devices that judged: how many of their windows were decided again on the CPU}; see
+    `diagnosis.again`.
+    """
     found: Counter = Counter()
     for note in map(_metadata, parts):
         found.update(json.loads(note.get(AGAIN, "{}")))

@@ -1,4 +1,6 @@
-"""What a report was made of: run.json says which recording and which test, tested_model.toml is the model as it was."""
+"""What a report was made of: run.json says which recording and which test, tested_model.toml is the model as
+it was.
+"""
 
 import hashlib
 import json
@@ -25,51 +27,93 @@ class RunRecord(Sink):
 
     def write(self, folder: Path, outcome: Outcome) -> None:
         """Write both."""
-        save_run(folder, outcome.model, outcome.data, outcome.content, outcome.method, outcome.horizon, outcome.options)
+        save_run(
+            folder,
+            outcome.model,
+            outcome.data,
+            outcome.content,
+            outcome.method,
+            outcome.horizon,
+            outcome.options,
+        )
 
 
 def save_run(
-    directory: Path, model: LinearSystem, data: Path, digest: str | None, method: str, horizon: int, options: Mapping | None = None
+    directory: Path,
+    model: LinearSystem,
+    data: Path,
+    digest: str | None,
+    method: str,
+    horizon: int,
+    options: Mapping | None = None,
 ) -> None:
     """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
 
     Args:
-        directory: of the report. model: that was tested. data: path of the recording. digest: its `content`, taken before it was read for
-        the test: what was written in between can then not pass for it. method, horizon: of the test; options: of an observer.
+        directory: of the report. model: that was tested. data: path of the recording. digest: its `content`,
+            taken before it was read for
+        the test: what was written in between can then not pass for it. method, horizon: of the test; options:
+            of an observer.
     """
     data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
-    named = data.name if data.parent == directory else str(data)  # a report that holds its recording may be moved
-    found = {"data": named, "bytes": data.stat().st_size if data.is_file() else None, "method": method, "horizon": horizon,
-             "content": digest, "model": hashlib.sha256(text).hexdigest(), "options": dict(options or {})}  # fmt: skip
+    named = (
+        data.name if data.parent == directory else str(data)
+    )  # a report that holds its recording may be moved
+    found = {
+        "data": named,
+        "bytes": data.stat().st_size if data.is_file() else None,
+        "method": method,
+        "horizon": horizon,
+        "content": digest,
+        "model": hashlib.sha256(text).hexdigest(),
+        "options": dict(options or {}),
+    }
     (directory / MODEL).write_bytes(text)
     (directory / RUN).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 def load_run(directory: Path) -> tuple[LinearSystem, Path, str, int, dict]:
-    """Return (model, path of the recording, method, horizon, options) of a report; the recording may have moved into its folder.
+    """Return (model, path of the recording, method, horizon, options) of a report; the recording may have
+    moved into its folder.
 
     Raises:
-        OSError: no report, or its recording is gone. ValueError: a damaged one, another model, or a recording with another content.
+        OSError: no report, or its recording is gone. ValueError: a damaged one, another model, or a recording
+            with another content.
     """
     directory = Path(directory)
     if not (directory / RUN).is_file():
         raise FileNotFoundError(f"{directory} holds no report of jaxbound detect: there is no {RUN} in it")
     try:
         tested = json.loads((directory / RUN).read_text(encoding="utf-8"))
-        data, size, method, horizon = directory / tested["data"], tested["bytes"], tested["method"], tested["horizon"]
+        data, size, method, horizon = (
+            directory / tested["data"],
+            tested["bytes"],
+            tested["method"],
+            tested["horizon"],
+        )
         digest, model, options = tested.get("content"), tested.get("model"), dict(tested.get("options", {}))
     except (ValueError, KeyError, TypeError) as e:
-        raise ValueError(f"{directory / RUN} is damaged ({type(e).__name__}: {e}): run jaxbound detect again") from None
+        raise ValueError(
+            f"{directory / RUN} is damaged ({type(e).__name__}: {e}): run jaxbound detect again"
+        ) from None
     if digest is None:
         raise ValueError(
-            f"{directory / RUN} keeps no digest of the recording (it came through a pipe, or an earlier jaxbound wrote it): "
+            f"{directory / RUN} keeps no digest of the recording (it came through a pipe, or an earlier "
+            f"jaxbound wrote it): "
             "run jaxbound detect again on a file"
         )
     if hashlib.sha256((directory / MODEL).read_bytes()).hexdigest() != model:
-        raise ValueError(f"the model of this report, {directory / MODEL}, has changed since: run jaxbound detect again")
+        raise ValueError(
+            f"the model of this report, {directory / MODEL}, has changed since: run jaxbound detect again"
+        )
     data = data if data.exists() or not (directory / data.name).exists() else directory / data.name
     if not data.exists():
-        raise FileNotFoundError(f"the recording of this report, {data}, is no longer there: put it back, or run jaxbound detect again")
+        raise FileNotFoundError(
+            f"the recording of this report, {data}, is no longer there: put it back, or run jaxbound detect "
+            f"again"
+        )
     if (data.is_file() and data.stat().st_size != size) or kind_of(data).digest(data) != digest:
-        raise ValueError(f"the recording of this report, {data}, has changed since: run jaxbound detect again")
+        raise ValueError(
+            f"the recording of this report, {data}, has changed since: run jaxbound detect again"
+        )
     return load_model(directory / MODEL), data, method, horizon, options

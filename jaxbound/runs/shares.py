@@ -12,12 +12,19 @@ NAMED = 4  # stretches in a sentence
 def check_share(part: tuple[int, int]) -> None:
     """Raise ValueError if a share is none."""
     whole = lambda x: isinstance(x, int | np.integer) and not isinstance(x, bool)
-    if not (isinstance(part, tuple | list) and len(part) == 2 and all(map(whole, part)) and 1 <= part[0] <= part[1]):
+    if not (
+        isinstance(part, tuple | list)
+        and len(part) == 2
+        and all(map(whole, part))
+        and 1 <= part[0] <= part[1]
+    ):
         raise ValueError(f"part is (i, n), the i-th of n shares with 1 <= i <= n, not {part!r}")
 
 
 def numbers_of(part: tuple[int, int], count: int) -> range:
-    """Return the range of numbers, from 0, of the parts in share (i, n) of so many; some are empty where n > count."""
+    """Return the range of numbers, from 0, of the parts in share (i, n) of so many; some are empty where n >
+    count.
+    """
     i, n = part
     return range(count * (i - 1) // n, count * i // n)
 

@@ -1,4 +1,6 @@
-"""Where what was found goes: one file a kind of output, which every command that tests a recording writes once it is registered."""
+"""Where what was found goes: one file a kind of output, which every command that tests a recording writes
+once it is registered.
+"""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +17,10 @@ __all__ = ["SINKS", "Outcome", "Sink", "file_names", "register", "write_all"]
 class Outcome:
     """What the test of one recording came to.
 
-    Fields: result: a Result, or what else a test returns, a Digest where the recording did not fit into memory, None where verdicts were
-    written as samples came; recording: the Recording, or None then; alarms: those that are kept; summary; model: that was tested; data: the
-    path of the recording; content: its digest, None where it is gone; method, horizon: of the test;
+    Fields: result: a Result, or what else a test returns, a Digest where the recording did not fit into
+    memory, None where verdicts were written as samples came; recording: the Recording, or None then; alarms:
+    those that are kept; summary; model: that was tested; data: the path of the recording; content: its
+    digest, None where it is gone; method, horizon: of the test;
     options: of an observer.
     """
 
@@ -36,8 +39,8 @@ class Outcome:
 class Sink:
     """One kind of output.
 
-    Fields: names: of the files that it writes into the folder of a run, which then are jaxbound's to replace. whole: whether it needs the
-    recording in memory.
+    Fields: names: of the files that it writes into the folder of a run, which then are jaxbound's to replace.
+    whole: whether it needs the recording in memory.
     """
 
     names: ClassVar[tuple[str, ...]] = ()

@@ -1,10 +1,13 @@
-"""Verdicts of recordings larger than memory: Parquet in, Parquet out, chunk by chunk, and on after an interruption.
+"""Verdicts of recordings larger than memory: Parquet in, Parquet out, chunk by chunk, and on after an
+interruption.
 
-Chunks overlap by the horizon, so every window is tested once, by the same compiled kernel, whatever the size of a chunk. Verdicts are
-written in parts of a fixed number of samples, each completely or not at all. A part says nothing of those before it; what was tested, and
-where it belongs, stands in the part itself. So the parts are all the state there is: the same call makes those that are not there, and any
-number of calls may share them that know nothing of each other. What an observer carries stands in the part behind which it is needed: its
-parts follow each other, and nobody shares them; unless each part is judged by an observer of its own, which begins some samples earlier.
+Chunks overlap by the horizon, so every window is tested once, by the same compiled kernel, whatever the size
+of a chunk. Verdicts are written in parts of a fixed number of samples, each completely or not at all. A part
+says nothing of those before it; what was tested, and where it belongs, stands in the part itself. So the
+parts are all the state there is: the same call makes those that are not there, and any number of calls may
+share them that know nothing of each other. What an observer carries stands in the part behind which it is
+needed: its parts follow each other, and nobody shares them; unless each part is judged by an observer of its
+own, which begins some samples earlier.
 """
 
 import json
@@ -40,8 +43,19 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["CHUNK", "PARTIAL", "VERDICTS", "all_parts", "forget_parts", "kept", "part_count", "part_files", "publish", "samples_of",
-           "write_parts"]  # fmt: skip
+__all__ = [
+    "CHUNK",
+    "PARTIAL",
+    "VERDICTS",
+    "all_parts",
+    "forget_parts",
+    "kept",
+    "part_count",
+    "part_files",
+    "publish",
+    "samples_of",
+    "write_parts",
+]
 
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
@@ -62,14 +76,16 @@ def write_parts(
     client: "Client | None" = None,
     overlap: int | None = None,
 ) -> tuple[Path, dict[str, float]]:
-    """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those that are not there yet.
+    """Test a ParquetSource and write its verdicts into parts in the folder `verdicts.partial` of `out`, those
+    that are not there yet.
 
     Args:
         As `digest.detect_dataset`; source: from `open_parquet`.
 
     Returns:
-        (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the copying of columns into the
-        arrays that the kernel reads. Where workers do it, their seconds are added.
+        (folder of the parts, {"read", "transfer", "compute", "write"}: seconds). On a CPU, transfer is the
+        copying of columns into the arrays that the kernel reads. Where workers do it, their seconds are
+        added.
     """
     folder, job = _begun(relations, source, Path(out), method, part, chunk, overlap)
     report, seconds = progress or (lambda share: None), dict.fromkeys(STAGES, 0.0)
@@ -91,7 +107,9 @@ def write_parts(
 
 
 def _done(client, job, missing, mine, report):
-    """Let a job write the parts that are missing, of the numbers in `mine`; yield the seconds of each task."""
+    """Let a job write the parts that are missing, of the numbers in `mine`; yield the seconds of each
+    task.
+    """
     stretches, left = _stretches(missing), len(missing)
     if client is not None:
         tasks = stretches if job.follows else stretches_for(client, stretches)
@@ -107,7 +125,13 @@ def _done(client, job, missing, mine, report):
         yield job.run(parts, lambda done: report((done - first) / (end - first)))[0]
 
 
-def all_parts(relations: Any, source: ParquetSource, out: str | PathLike, method: str = "joint", overlap: int | None = None) -> Path:
+def all_parts(
+    relations: Any,
+    source: ParquetSource,
+    out: str | PathLike,
+    method: str = "joint",
+    overlap: int | None = None,
+) -> Path:
     """Return the folder of the parts that `write_parts` made of the same.
 
     Raises:
@@ -152,10 +176,12 @@ def _number(part):
 
 @dataclass(frozen=True, eq=False)
 class _Judging:
-    """The test of a recording as a `Job`: a task is a range of parts, each of which it writes completely or not at all.
+    """The test of a recording as a `Job`: a task is a range of parts, each of which it writes completely or
+    not at all.
 
-    Fields: relations, source, method: as for `write_parts`. folder: of the parts. chunk: samples in memory at once. size: of a part, in
-    samples. common: what all parts depend on. overlap: samples that an observer of its own is given before each part; None: one for all.
+    Fields: relations, source, method: as for `write_parts`. folder: of the parts. chunk: samples in memory at
+    once. size: of a part, in samples. common: what all parts depend on. overlap: samples that an observer of
+    its own is given before each part; None: one for all.
     """
 
     relations: Any
@@ -166,7 +192,9 @@ class _Judging:
     size: int
     common: dict
     overlap: int | None = None
-    chain: list = field(default_factory=list)  # of what follows: digests of the recording up to the end of each part
+    chain: list = field(
+        default_factory=list
+    )  # of what follows: digests of the recording up to the end of each part
 
     @property
     def follows(self):
@@ -192,13 +220,16 @@ class _Judging:
         return self.chain[number]
 
     def run(self, parts, report=lambda done: None):
-        """Write the parts of a range that are not there; return (seconds that each stage took, digests of what was read).
+        """Write the parts of a range that are not there; return (seconds that each stage took, digests of
+        what was read).
 
         Args:
             report: called with the number of the sample that is done.
         """
         seconds = dict.fromkeys(STAGES, 0.0)
-        for missing in _stretches(_missing(self.folder, parts)):  # some are there if a worker died with this task
+        for missing in _stretches(
+            _missing(self.folder, parts)
+        ):  # some are there if a worker died with this task
             for together in [missing] if self.overlap is None else [range(i, i + 1) for i in missing]:
                 self._write(together, report, _Lap(seconds))
         return seconds, self.source.digests
@@ -206,7 +237,9 @@ class _Judging:
     def _write(self, parts, report, lap):
         judge = _judge(self, parts.start)
         about = Noted(self.source.samples, self.relations.model)
-        pending = _Pending(self.folder, {i: self.note(i) for i in parts}, parts.start * self.size, self.size, about)
+        pending = _Pending(
+            self.folder, {i: self.note(i) for i in parts}, parts.start * self.size, self.size, about
+        )
         done, end = parts.start * self.size, min(parts.stop * self.size, self.source.samples)
         report(done)
         for first, piece in self.source.pieces(self.chunk, judge.overlap, max(done - judge.begins, 0), end):
@@ -219,7 +252,9 @@ class _Judging:
             for fresh, status, margin, carry in judge(replace(piece, u=u, y=y), first, done):
                 lap("compute")
                 done = first + fresh.stop
-                pending.add(piece.column[fresh], status, margin, signals[fresh], done == end, carry, judge.again)
+                pending.add(
+                    piece.column[fresh], status, margin, signals[fresh], done == end, carry, judge.again
+                )
                 lap("write")
             assert done == stop
             report(done)
@@ -285,12 +320,21 @@ class _Pending:
     """Verdicts on their way into parts of `size` samples."""
 
     def __init__(self, folder, notes, done, size, noted):
-        self.folder, self.notes, self.done, self.size, self.noted, self.held = folder, notes, done, size, noted, []
+        self.folder, self.notes, self.done, self.size, self.noted, self.held = (
+            folder,
+            notes,
+            done,
+            size,
+            noted,
+            [],
+        )
 
     def add(self, written, status, margin, signals, last, carry=None, again=None):
-        """Take the next verdicts and their samples; write the parts that they complete, and what is left if they are the last.
+        """Take the next verdicts and their samples; write the parts that they complete, and what is left if
+        they are the last.
 
-        carry: what goes with the last of them; verdicts with a carry end where a part does. again: see `Windows`, whose it is to take.
+        carry: what goes with the last of them; verdicts with a carry end where a part does. again: see
+        `Windows`, whose it is to take.
         """
         import pyarrow as pa
 
@@ -321,30 +365,46 @@ class _Pending:
         if path.exists():  # another share has made it meanwhile
             _refuse_other(path, self.notes[number])
         with whole(path, links=False) as f:
-            pq.write_table(pa.table(columns).replace_schema_metadata(about), f, use_dictionary=["status"], write_page_checksum=True)
+            pq.write_table(
+                pa.table(columns).replace_schema_metadata(about),
+                f,
+                use_dictionary=["status"],
+                write_page_checksum=True,
+            )
         self.done += len(status)
 
 
 def _begun(relations, source, out, method, part=None, chunk=CHUNK, overlap=None):
-    """Return (folder for the parts, _Judging that makes them); refuse what is of another run, or not ours at all.
+    """Return (folder for the parts, _Judging that makes them); refuse what is of another run, or not ours at
+    all.
 
-    A share looks at the content of its own parts only: where many are made at once, each reads what it judges and not all of the recording.
+    A share looks at the content of its own parts only: where many are made at once, each reads what it judges
+    and not all of the recording.
     """
     relations.test(method, source.dtype)  # refuses what these relations cannot be tested by
     if overlap is not None and not remembers(relations):
         raise ValueError("overlap is for observers: windows know how far they reach back")
-    if overlap is not None and (isinstance(overlap, bool) or not isinstance(overlap, int | np.integer) or overlap < 0):
+    if overlap is not None and (
+        isinstance(overlap, bool) or not isinstance(overlap, int | np.integer) or overlap < 0
+    ):
         raise ValueError(f"overlap is a whole number of samples >= 0, not {overlap!r}")
     if part is not None and remembers(relations) and overlap is None:
         raise ValueError(
-            "an observer carries what it knows from each part to the next: they cannot be shared, unless each part has an observer of its "
+            "an observer carries what it knows from each part to the next: they cannot be shared, unless "
+            "each part has an observer of its "
             "own that begins so many samples earlier: give an overlap"
         )
     if source.samples <= relations.horizon:
-        raise ValueError(f"{source.path}: the recording has {source.samples} samples, one window needs {relations.horizon + 1}")
+        raise ValueError(
+            f"{source.path}: the recording has {source.samples} samples, one window needs "
+            f"{relations.horizon + 1}"
+        )
     begins = None if overlap is None else int(overlap)
     also = {"overlap": "none" if begins is None else begins} if remembers(relations) else {}
-    folder, common = out / PARTIAL, identity(relations, method=method, recording=fingerprint(source.layout), **also)
+    folder, common = (
+        out / PARTIAL,
+        identity(relations, method=method, recording=fingerprint(source.layout), **also),
+    )
     chunk = max(chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
     job = _Judging(relations, source, folder, method, chunk, PART, common, begins)
     if folder.exists() and not folder.is_dir():
@@ -354,7 +414,10 @@ def _begun(relations, source, out, method, part=None, chunk=CHUNK, overlap=None)
     for file in part_files(folder):
         _refuse_other(file, job.note(_number(file)) if _number(file) in mine else common)
     if strangers:
-        raise ValueError(f"{folder} holds {min(strangers)}, which was not written by jaxbound: move it, or choose another folder")
+        raise ValueError(
+            f"{folder} holds {min(strangers)}, which was not written by jaxbound: move it, or choose another "
+            f"folder"
+        )
     return folder, job
 
 

@@ -1,4 +1,6 @@
-"""What the test of a recording comes to, whatever tested it: numbers, a verdict in a sentence, and one JSON layout for all commands."""
+"""What the test of a recording comes to, whatever tested it: numbers, a verdict in a sentence, and one JSON
+layout for all commands.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -14,11 +16,28 @@ from jaxbound.recordings.plaintext import percent, times
 from jaxbound.relations.sentence import remembers
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["CODES", "LAYOUT", "OUTSIDE", "Evidence", "Summary", "Window", "evidence", "said", "summarised", "unsaid"]
+__all__ = [
+    "CODES",
+    "LAYOUT",
+    "OUTSIDE",
+    "Evidence",
+    "Summary",
+    "Window",
+    "evidence",
+    "said",
+    "summarised",
+    "unsaid",
+]
 
 LAYOUT = 1  # of the JSON; it grows where a key goes or changes its meaning, not where one is added
 OUTSIDE = "outside the bounds as fitted"
-CODES = {"no fault": 0, "fault": 1, "not tested": 2, "too little evidence": 3, OUTSIDE: 3}  # at which a command ends
+CODES = {
+    "no fault": 0,
+    "fault": 1,
+    "not tested": 2,
+    "too little evidence": 3,
+    OUTSIDE: 3,
+}  # at which a command ends
 
 
 class Window(NamedTuple):
@@ -36,13 +55,18 @@ class Evidence:
 
     Fields:
         method: of the test. horizon: windows have horizon + 1 samples. samples: how many were tested.
-        counts: {status name: number of windows}. aside: how many are MISSING because the model's `where` leaves out a sample of theirs.
-        at, margin: sample (or whatever has a label) and margin of the FAULT window with the smallest margin (without FAULT: of any window);
+        counts: {status name: number of windows}. aside: how many are MISSING because the model's `where`
+            leaves out a sample of theirs.
+        at, margin: sample (or whatever has a label) and margin of the FAULT window with the smallest margin
+            (without FAULT: of any window);
             None, NaN: there is none.
-        first: sample of the first FAULT window, None where it is not known. alarms: how many. ended: {why an alarm is over: how many}.
+        first: sample of the first FAULT window, None where it is not known. alarms: how many. ended: {why an
+            alarm is over: how many}.
         faulty: {output: number of its faulty samples}, of a validation; else None.
-        remembers: whether verdicts rest on all samples since the start (an observer): UNDECIDED then is what healthy samples are.
-        outgrown: whether the bounds were found from data for shorter windows than these: FAULT then proves no fault.
+        remembers: whether verdicts rest on all samples since the start (an observer): UNDECIDED then is what
+            healthy samples are.
+        outgrown: whether the bounds were found from data for shorter windows than these: FAULT then proves no
+            fault.
     """
 
     method: str
@@ -72,7 +96,9 @@ class Evidence:
     @property
     def tested(self) -> float:
         """The share of windows that have data."""
-        return 1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows if self.windows else 0.0
+        return (
+            1 - (self.counts["MISSING"] - self.horizon - self.aside) / self.windows if self.windows else 0.0
+        )
 
 
 @readable
@@ -81,11 +107,13 @@ class Summary:
     """What the test of one recording comes to. Made by `summarised`.
 
     Fields:
-        verdict: "fault", "outside the bounds as fitted" (FAULT, by bounds from data for shorter windows), "no fault", "too little
-            evidence" or "not tested"; sentence: what a plant engineer should know.
-        found: the Evidence; None where nothing was tested. worst: the worst Window, or None; first_alarm: text of the time at which the
-            first alarm begins, last_ended: why the last one is over; "" where there is none.
-        hints: sentences to check. sizes: {output: smallest lasting error that is always seen}, or None. model: its name.
+        verdict: "fault", "outside the bounds as fitted" (FAULT, by bounds from data for shorter windows), "no
+            fault", "too little evidence" or "not tested"; sentence: what a plant engineer should know.
+        found: the Evidence; None where nothing was tested. worst: the worst Window, or None; first_alarm:
+            text of the time at which the first alarm begins, last_ended: why the last one is over; "" where
+                there is none.
+        hints: sentences to check. sizes: {output: smallest lasting error that is always seen}, or None.
+            model: its name.
     """
 
     verdict: str
@@ -124,7 +152,9 @@ class Summary:
         return self.worst.margin if self.worst else np.nan
 
     def plain(self, **also: Any) -> dict:
-        """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a command adds."""
+        """Return the summary as JSON has it, in the layout that docs/summary.md describes. also: what a
+        command adds.
+        """
         found = self.found or Evidence("", 0, 0, self.counts)  # nothing was tested
         worst = None
         if self.worst is not None:
@@ -132,12 +162,27 @@ class Summary:
             worst = {"sample": sample, "time": time, "margin": finite(margin), "factor": finite(1 - margin)}
         validated = {} if found.faulty is None else {"tested": found.tested, "faulty": found.faulty}
         return {
-            "layout": LAYOUT, "verdict": self.verdict, "exit_code": self.exit_code, "summary": self.sentence, "model": self.model or None,
-            "method": found.method or None, "horizon": found.horizon if self.found else None,
-            "samples": found.samples, "counts": self.counts, "decided": self.decided,
-            "margin": finite(self.margin), "worst": worst, "alarms": self.alarms, "first_alarm": self.first_alarm or None,
-            "last_ended": self.last_ended or None, "hints": list(self.hints), **validated, **also, "ended": found.ended or {},
-            "always_seen": self.sizes and {name: finite(size) for name, size in self.sizes.items()}}  # fmt: skip
+            "layout": LAYOUT,
+            "verdict": self.verdict,
+            "exit_code": self.exit_code,
+            "summary": self.sentence,
+            "model": self.model or None,
+            "method": found.method or None,
+            "horizon": found.horizon if self.found else None,
+            "samples": found.samples,
+            "counts": self.counts,
+            "decided": self.decided,
+            "margin": finite(self.margin),
+            "worst": worst,
+            "alarms": self.alarms,
+            "first_alarm": self.first_alarm or None,
+            "last_ended": self.last_ended or None,
+            "hints": list(self.hints),
+            **validated,
+            **also,
+            "ended": found.ended or {},
+            "always_seen": self.sizes and {name: finite(size) for name, size in self.sizes.items()},
+        }
 
 
 def finite(x: float) -> float | None:
@@ -147,7 +192,8 @@ def finite(x: float) -> float | None:
 
 @singledispatch
 def evidence(res: Any, alarms: Sequence) -> Evidence:
-    """Return the Evidence in what a test returns, of one recording; a type of result registers how, this is a Result's.
+    """Return the Evidence in what a test returns, of one recording; a type of result registers how, this is a
+    Result's.
 
     Args:
         res: a Result. alarms: its alarms.
@@ -158,26 +204,45 @@ def evidence(res: Any, alarms: Sequence) -> Evidence:
     at = first if np.isnan(margin).all() else int(np.nanargmin(margin))
     ended = dict(Counter(a.ended for a in alarms))
     smallest = np.nan if at is None else float(margin[at])
-    return Evidence(res.method, res.relations.horizon, len(res.status), res.counts, res.aside, at, smallest, first, len(alarms), ended,
-                    remembers=remembers(res.relations))  # fmt: skip
+    return Evidence(
+        res.method,
+        res.relations.horizon,
+        len(res.status),
+        res.counts,
+        res.aside,
+        at,
+        smallest,
+        first,
+        len(alarms),
+        ended,
+        remembers=remembers(res.relations),
+    )
 
 
 def summarised(
-    res: Any, alarms: Sequence, label: Callable, min_coverage: float = 0.5, hints: Iterable[str] = (), sizes: dict | None = None,
+    res: Any,
+    alarms: Sequence,
+    label: Callable,
+    min_coverage: float = 0.5,
+    hints: Iterable[str] = (),
+    sizes: dict | None = None,
     outgrown: bool = False,
-) -> Summary:  # fmt: skip
+) -> Summary:
     """Return the Summary of a test.
 
     Args:
-        res: a Result of one recording, a Digest or a Validated. alarms: its alarms. label: number of a sample -> text of its time.
-        min_coverage: below this share of windows, no fault is no news. hints, sizes: see `Summary`; a hint that the sentence says
-            is left out. outgrown: see `Evidence`.
+        res: a Result of one recording, a Digest or a Validated. alarms: its alarms. label: number of a sample
+            -> text of its time.
+        min_coverage: below this share of windows, no fault is no news. hints, sizes: see `Summary`; a hint
+            that the sentence says is left out. outgrown: see `Evidence`.
     """
     found = replace(evidence(res, alarms), outgrown=outgrown)
     worst = None if found.at is None else Window(found.at, label(found.at), found.margin)
     first, last = (label(alarms[0].start), alarms[-1].ended) if alarms else ("", "")
     verdict, sentence = said(found, label, min_coverage)
-    return Summary(verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, res.relations.model.name)
+    return Summary(
+        verdict, sentence, found, worst, first, last, unsaid(hints, sentence), sizes, res.relations.model.name
+    )
 
 
 def unsaid(hints: Iterable[str], sentence: str) -> tuple[str, ...]:
@@ -194,12 +259,17 @@ def said(found: Evidence, label: Callable, min_coverage: float = 0.5) -> tuple[s
     if share < min_coverage:
         number = round(share * found.windows)
         some = f"{number} of {found.windows} {'samples' if found.remembers else 'windows'} ({percent(share)})"
-        return "too little evidence", f"Too little evidence: only {some} {known}, at least {percent(min_coverage)} are asked for."
+        return (
+            "too little evidence",
+            f"Too little evidence: only {some} {known}, at least {percent(min_coverage)} are asked for.",
+        )
     return "no fault", _healthy(found, label)
 
 
 def _proved(found, label):
-    """Return (verdict, sentence) where windows are FAULT: proved, as far as the bounds hold over such windows."""
+    """Return (verdict, sentence) where windows are FAULT: proved, as far as the bounds hold over such
+    windows.
+    """
     if found.remembers:
         what, every = _contradicted(found, label), ""
     else:
@@ -217,13 +287,20 @@ def _unfit(found):
 
 
 def _grouped(found):
-    return f", in {found.alarms} alarm{'s' * (found.alarms != 1)}" if found.alarms else ", too scattered for an alarm"
+    return (
+        f", in {found.alarms} alarm{'s' * (found.alarms != 1)}"
+        if found.alarms
+        else ", too scattered for an alarm"
+    )
 
 
 def _fault(found, label):
     """Return the sentence on windows that are proved faulty."""
     faults, count = found.counts["FAULT"], found.windows
-    many = f"{faults} of {count} windows ({percent(faults / count)}) cannot be explained by any behaviour inside the bounds"
+    many = (
+        f"{faults} of {count} windows ({percent(faults / count)}) cannot be explained by any behaviour "
+        f"inside the bounds"
+    )
     need = f"; the first is at {label(found.at)}"
     if np.isfinite(found.margin):
         need = f"; the worst, at {label(found.at)}, would need bounds {times(1 - found.margin)} as wide"
@@ -235,15 +312,23 @@ def _faulty(found, label):
     faults, count = found.counts["FAULT"], found.windows
     whom = ", ".join(f"{name} in {n} sample{'s' * (n > 1)}" for name, n in found.faulty.items())
     whom = f"; faulty: {whom}" if whom else "; no single sensor explains it"
-    many = f"{faults} of {count} windows ({percent(faults / count)}) contradict the model and the samples accepted before"
+    many = (
+        f"{faults} of {count} windows ({percent(faults / count)}) contradict the model and the samples "
+        f"accepted before"
+    )
     return f"{many}{_grouped(found)}; the first is at {label(found.first)}{whom}"
 
 
 def _contradicted(found, label):
     """Return the sentence on what an observer found."""
     faults, count = found.counts["FAULT"], found.windows
-    many = f"{faults} of {count} samples ({percent(faults / count)}) contradict the model and the samples before them"
-    first = f"first is at {label(found.first)}" if found.first is not None else f"worst is at {label(found.at)}"
+    many = (
+        f"{faults} of {count} samples ({percent(faults / count)}) contradict the model and the samples "
+        f"before them"
+    )
+    first = (
+        f"first is at {label(found.first)}" if found.first is not None else f"worst is at {label(found.at)}"
+    )
     return f"{many}{_grouped(found)}; the {first}"
 
 
@@ -251,13 +336,28 @@ def _healthy(found, label):
     """Return the sentence on a recording without a fault."""
     if found.remembers:
         tested = round(found.tested * found.windows)
-        return f"No fault found: none of {tested} samples is proved to contradict the model and the samples before it."
+        return (
+            f"No fault found: none of {tested} samples is proved to contradict the model and the samples "
+            f"before it."
+        )
     if found.faulty is not None:
-        every = f"every sample of {round(found.tested * found.windows)} windows fits what the samples before it allow"
-        slow = "" if found.counts["CONSISTENT"] else "; a fault that grows slowly may hide, which windows (no --method) may show"
+        every = (
+            f"every sample of {round(found.tested * found.windows)} windows fits what the samples "
+            f"before "
+            f"it allow"
+        )
+        slow = (
+            ""
+            if found.counts["CONSISTENT"]
+            else "; a fault that grows slowly may hide, which windows (no --method) may show"
+        )
         return f"No fault proved: {every}{slow}."
     decided, count = found.counts["CONSISTENT"], found.windows
-    every = f"all {count} windows" if decided == count else f"{decided} of {count} windows ({percent(found.decided)})"
+    every = (
+        f"all {count} windows"
+        if decided == count
+        else f"{decided} of {count} windows ({percent(found.decided)})"
+    )
     used = ""
     if found.at is not None and np.isfinite(found.margin):
         used = f"; the tightest, at {label(found.at)}, uses {percent(1 - found.margin)} of them"

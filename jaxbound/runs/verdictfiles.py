@@ -44,7 +44,8 @@ def write_verdicts(path: str | PathLike, result: Any, recording: Recording | Non
     """Write one row a sample: time (as the recording has it), and the columns of the result.
 
     Args:
-        path: of the CSV file to write. result: of one recording. recording: from `read`; None: sample numbers.
+        path: of the CSV file to write. result: of one recording. recording: from `read`; None: sample
+            numbers.
     """
     time = to_arrow(np.arange(len(result.status))) if recording is None else recording.column
     write_columns(path, {"time": time, **columns_of(result)})
@@ -61,9 +62,11 @@ def columns_of(result: Any) -> dict[str, Any]:
 
 
 def write_alarms(path: str | PathLike, alarms: Sequence[Alarm], recording: Recording, dt: float) -> None:
-    """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and when it was reached.
+    """Write one row an alarm: start and end (time of the recording), duration in s, FAULT windows, depth and
+    when it was reached.
 
-    `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt; `ended`: see `Alarm`.
+    `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
+    `ended`: see `Alarm`.
     """
     column = lambda name, kind=np.int64: np.array([getattr(a, name) for a in alarms], kind)
     written = recording.column
@@ -71,7 +74,13 @@ def write_alarms(path: str | PathLike, alarms: Sequence[Alarm], recording: Recor
     when = {name: written.take(to_arrow(column(name))) for name in ("start", "end", "worst")}
     seconds = {"from": recording.time[starts], "to": recording.time[ends]}
     ended = np.array([ENDINGS.index(a.ended) for a in alarms], np.int64)
-    found = {"first_sample": starts, "last_sample": ends, "windows": column("windows"), "depth": depth, "ended": ended}
+    found = {
+        "first_sample": starts,
+        "last_sample": ends,
+        "windows": column("windows"),
+        "depth": depth,
+        "ended": ended,
+    }
     write_columns(path, alarm_columns({**when, **seconds, **found}, dt))
 
 
@@ -79,8 +88,9 @@ def alarm_columns(alarms: Any, dt: float) -> dict[str, Any]:
     """Return the columns of alarms.csv.
 
     Args:
-        alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds, "first_sample", "last_sample",
-            "windows", "depth", "ended" (numbers of ENDINGS): NumPy}, one entry an alarm.
+        alarms: {"start", "end", "worst": times as the recording has them (pyarrow), "from", "to": seconds,
+            "first_sample", "last_sample", "windows", "depth", "ended" (numbers of ENDINGS): NumPy}, one entry
+            an alarm.
     """
     return {
         "start": alarms["start"],

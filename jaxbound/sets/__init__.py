@@ -16,13 +16,59 @@ from jaxbound.sets.zonotopes.decisions import Answer, Decision, Separation, inte
 from jaxbound.sets.zonotopes.extents import interval_hull, support
 from jaxbound.sets.zonotopes.facets import membership, strips
 from jaxbound.sets.zonotopes.intersections import eliminate_constraints, intersection, strip_intersection
-from jaxbound.sets.zonotopes.maps import cartesian_product, convex_hull, from_interval, linear_map, minkowski_sum, scale, translate
+from jaxbound.sets.zonotopes.maps import (
+    cartesian_product,
+    convex_hull,
+    from_interval,
+    linear_map,
+    minkowski_sum,
+    scale,
+    translate,
+)
 from jaxbound.sets.zonotopes.reduction import reduce_order
 from jaxbound.sets.zonotopes.shapes import minkowski_difference, sample, vertices, volume
 from jaxbound.sets.zonotopes.zonotope import Zonotope, zonotope
 
-__all__ = [*_interval, *_comparisons, *_elementary, "Answer", "ConstrainedZonotope", "Decision", "Inclusion", "Paving", "Separation",
-           "Solution", "Solvability", "Status", "Zonotope", "cartesian_product", "constrained_zonotope", "contains", "convex_hull",
-           "eliminate_constraints", "from_interval", "inclusion", "intersection", "intersects", "interval_hull", "is_empty", "linear_map",
-           "membership", "minkowski_difference", "minkowski_sum", "pave", "reduce_order", "sample", "scale", "separate", "solve_interval",
-           "strip_intersection", "strips", "support", "translate", "vertices", "volume", "zonotope"]  # fmt: skip
+__all__ = [
+    *_interval,
+    *_comparisons,
+    *_elementary,
+    "Answer",
+    "ConstrainedZonotope",
+    "Decision",
+    "Inclusion",
+    "Paving",
+    "Separation",
+    "Solution",
+    "Solvability",
+    "Status",
+    "Zonotope",
+    "cartesian_product",
+    "constrained_zonotope",
+    "contains",
+    "convex_hull",
+    "eliminate_constraints",
+    "from_interval",
+    "inclusion",
+    "intersection",
+    "intersects",
+    "interval_hull",
+    "is_empty",
+    "linear_map",
+    "membership",
+    "minkowski_difference",
+    "minkowski_sum",
+    "pave",
+    "reduce_order",
+    "sample",
+    "scale",
+    "separate",
+    "solve_interval",
+    "strip_intersection",
+    "strips",
+    "support",
+    "translate",
+    "vertices",
+    "volume",
+    "zonotope",
+]

@@ -1,4 +1,6 @@
-"""Six plants and random windows of them, healthy or with a bias: long windows, disturbances, unknown inputs and gaps among them."""
+"""Six plants and random windows of them, healthy or with a bias: long windows, disturbances, unknown inputs
+and gaps among them.
+"""
 
 import numpy as np
 from oracles import MODELS
@@ -6,21 +8,62 @@ from systems import PAPER
 
 import jaxbound as jb
 
-SIX = [[0.62, 0.11, 0, 0, -0.05, 0], [-0.2, 0.55, 0.1, 0, 0, 0.03], [0, 0.3, 0.71, -0.12, 0, 0], [0.04, 0, 0.2, 0.48, 0.25, 0],
-       [0, 0, -0.1, 0.3, 0.66, 0.08], [0.1, 0, 0, 0, 0.2, 0.9]]  # fmt: skip
-SLOW = [[0.951234, 0.031, 0, 0.002], [0.02, 0.912345, 0.04, 0], [0.006, 0.01, 0.871, 0.0525], [0, 0.013, 0.07, 0.934567]]
+SIX = [
+    [0.62, 0.11, 0, 0, -0.05, 0],
+    [-0.2, 0.55, 0.1, 0, 0, 0.03],
+    [0, 0.3, 0.71, -0.12, 0, 0],
+    [0.04, 0, 0.2, 0.48, 0.25, 0],
+    [0, 0, -0.1, 0.3, 0.66, 0.08],
+    [0.1, 0, 0, 0, 0.2, 0.9],
+]
+SLOW = [
+    [0.951234, 0.031, 0, 0.002],
+    [0.02, 0.912345, 0.04, 0],
+    [0.006, 0.01, 0.871, 0.0525],
+    [0, 0.013, 0.07, 0.934567],
+]
 
 PLANTS = {
     "two residuals": (PAPER, 1, 0.0),
-    "long": (dict(A=SLOW, B=[[0.5, 0], [0.1, 0.02], [0, 0.3], [0, 0.1]], C=[[1, 0, 0, 0], [0, 0, 0.5, 1]], noise=[0.4, 0.25],
-                  resolution=[0.05, 0.05], offset={"u": [30, "1/3"], "y": [21.5, 20.25]}), 15, 0.0),
+    "long": (
+        dict(
+            A=SLOW,
+            B=[[0.5, 0], [0.1, 0.02], [0, 0.3], [0, 0.1]],
+            C=[[1, 0, 0, 0], [0, 0, 0.5, 1]],
+            noise=[0.4, 0.25],
+            resolution=[0.05, 0.05],
+            offset={"u": [30, "1/3"], "y": [21.5, 20.25]},
+        ),
+        15,
+        0.0,
+    ),
     "disturbance": (PAPER | dict(disturbance=([[0], [1]], 0.05)), 20, 0.0),
-    "six states": (dict(A=SIX, B=[[1], [0], [0], [0.5], [0], [0]], C=[[1, 0, 0, 0, 0, 0.3], [0, 0, 1, 0, 0, 0], [0, 0, 0, 0.4, 1, 0]],
-                        tolerance=[0.01, 0, 0.05], noise=[0.1, 0.2, 0.05]), 10, 0.05),
-    "leak": (MODELS["offsets"] | dict(disturbance=([["0.3", 0], [1, "-1/7"]], [[0, "0.04"], [-0.05, 0.01]])), 4, 0.05),
-    "unknown inputs": (MODELS["offsets"] | dict(disturbance=([[0], ["0.3"]], 0.02), unknown_inputs=([[1, 0], ["1/3", 0]],
-                       [[0, 0], [0, 1], [0, 2]])), 2, 0.0),
-}  # fmt: skip
+    "six states": (
+        dict(
+            A=SIX,
+            B=[[1], [0], [0], [0.5], [0], [0]],
+            C=[[1, 0, 0, 0, 0, 0.3], [0, 0, 1, 0, 0, 0], [0, 0, 0, 0.4, 1, 0]],
+            tolerance=[0.01, 0, 0.05],
+            noise=[0.1, 0.2, 0.05],
+        ),
+        10,
+        0.05,
+    ),
+    "leak": (
+        MODELS["offsets"] | dict(disturbance=([["0.3", 0], [1, "-1/7"]], [[0, "0.04"], [-0.05, 0.01]])),
+        4,
+        0.05,
+    ),
+    "unknown inputs": (
+        MODELS["offsets"]
+        | dict(
+            disturbance=([[0], ["0.3"]], 0.02),
+            unknown_inputs=([[1, 0], ["1/3", 0]], [[0, 0], [0, 1], [0, 2]]),
+        ),
+        2,
+        0.0,
+    ),
+}
 
 
 def plant(name):
@@ -34,7 +77,9 @@ def floats(a, columns):
 
 
 def window(relations, gaps, rng, bias=0.0):
-    """Return (u, y) of one window; `bias` times what the bounds of a random sensor allow is added to it from a random sample on."""
+    """Return (u, y) of one window; `bias` times what the bounds of a random sensor allow is added to it from
+    a random sample on.
+    """
     m, s = relations.model, relations.horizon
     F, D_v = floats(m.F, m.d), floats(m.D_v, m.d)
     A, B, C, D, G = floats(m.A, m.n), floats(m.B, m.m), floats(m.C, m.n), floats(m.D, m.m), floats(m.G, m.g)

@@ -1,4 +1,6 @@
-"""A certificate of each kind, of random windows, healthy or not, cut out of recordings in which they lie; and what a forger would try."""
+"""A certificate of each kind, of random windows, healthy or not, cut out of recordings in which they lie; and
+what a forger would try.
+"""
 
 import copy
 import functools
@@ -22,20 +24,53 @@ BEFORE = 2
 """Samples of the recording before the window."""
 OTHERS = {
     "lags": (PAPER | dict(lags=(0, 2, 3)), None),
-    "averages": (PAPER | dict(tolerance=0, noise=[0.3, 0.2], averages={"y1": {3: 0.15}, "w1": {2: 0.03}},
-                              disturbance=([[0], [1]], 0.05)), 4),
-    "averages at lags": (PAPER | dict(tolerance=0, noise=[0.3, 0.2], averages={"y1": {3: 0.15}}, lags=(0, 3)), None),
+    "averages": (
+        PAPER
+        | dict(
+            tolerance=0,
+            noise=[0.3, 0.2],
+            averages={"y1": {3: 0.15}, "w1": {2: 0.03}},
+            disturbance=([[0], [1]], 0.05),
+        ),
+        4,
+    ),
+    "averages at lags": (
+        PAPER | dict(tolerance=0, noise=[0.3, 0.2], averages={"y1": {3: 0.15}}, lags=(0, 3)),
+        None,
+    ),
     "constant tolerance": (PAPER | dict(constant_tolerance=True), 2),
     "single": (PAPER | dict(resolution="1/300"), 1),
     "no state": (dict(A=None, B=None, C=None, D=[[1, 2], [1, 2], [0, 1]], noise=0.2), 0),
-    "unsure, no state": (dict(A=None, B=None, C=None, D=[[1], [1]], noise=0.1, uncertainties=[jb.Uncertainty("k", D=[[1], [1]],
-                              between=(0, "0.2"))]), 0),
-}  # fmt: skip
+    "unsure, no state": (
+        dict(
+            A=None,
+            B=None,
+            C=None,
+            D=[[1], [1]],
+            noise=0.1,
+            uncertainties=[jb.Uncertainty("k", D=[[1], [1]], between=(0, "0.2"))],
+        ),
+        0,
+    ),
+}
 UNSURE = {"unsure": ("n2p1_paper_h3", dict(noise=0.01, tolerance=0.02)), "unsure, joint": (TWO, {})}
-LONG = jb.LinearSystem([["0.98", "0.05"], ["-0.02", "0.97"]], [[0], ["0.1"]], [[1, 0]], [["0.2"]], noise="0.1", tolerance="0.01",
-                       disturbance=([[1], ["0.5"]], [["-0.002", "0.003"]]), offset={"u": 1, "y": 20}, averages={"w1": {4: "0.0025"}},
-                       name="drum")  # fmt: skip
-OBSERVED = {"observer": (40, False), "observer, first state": (20, True), "observer, 513 samples": (513, False)}
+LONG = jb.LinearSystem(
+    [["0.98", "0.05"], ["-0.02", "0.97"]],
+    [[0], ["0.1"]],
+    [[1, 0]],
+    [["0.2"]],
+    noise="0.1",
+    tolerance="0.01",
+    disturbance=([[1], ["0.5"]], [["-0.002", "0.003"]]),
+    offset={"u": 1, "y": 20},
+    averages={"w1": {4: "0.0025"}},
+    name="drum",
+)
+OBSERVED = {
+    "observer": (40, False),
+    "observer, first state": (20, True),
+    "observer, 513 samples": (513, False),
+}
 KINDS = (*PLANTS, *OTHERS, *UNSURE, *OBSERVED)
 PROOF = ("witness", "relation", "errors", "relations", "proof", "parameters", "sum")
 
@@ -72,11 +107,21 @@ def _window(kind, rng, fault):
         about = relations(name, **changes)
         u, y = record(rng, name, 1, "uniform", **changes)
         part = slice(20, 21 + about.horizon)
-        return about.model, about, u[0, part], y[0, part] + (bias * rng.uniform(-1, 1, y[0, part].shape) if fault else 0), None
+        return (
+            about.model,
+            about,
+            u[0, part],
+            y[0, part] + (bias * rng.uniform(-1, 1, y[0, part].shape) if fault else 0),
+            None,
+        )
     about, gaps = _relations(kind)
     if about.model.uncertainties:
         u = rng.uniform(1, 2, (about.horizon + 1, about.model.m))
-        y = u[:, :1] * (1 + rng.uniform(0, 0.2)) + rng.uniform(-0.1, 0.1, (len(u), about.model.p)) + bias * rng.uniform(-1, 1, (1, 2))
+        y = (
+            u[:, :1] * (1 + rng.uniform(0, 0.2))
+            + rng.uniform(-0.1, 0.1, (len(u), about.model.p))
+            + bias * rng.uniform(-1, 1, (1, 2))
+        )
     else:
         u, y = window(about, gaps, rng, bias)
     u, y = (x.astype(np.float32) for x in (u, y)) if kind == "single" else (u, y)
@@ -88,7 +133,9 @@ def _relations(kind):
     if kind in PLANTS:
         return plant(kind)
     numbers, horizon = OTHERS[kind]
-    return jb.parity_relations(jb.LinearSystem(**numbers), horizon), 0.05 if kind == "averages at lags" else 0.0
+    return jb.parity_relations(
+        jb.LinearSystem(**numbers), horizon
+    ), 0.05 if kind == "averages at lags" else 0.0
 
 
 def _observed(samples, begins, rng):
@@ -99,10 +146,20 @@ def _observed(samples, begins, rng):
     for k in range(samples):
         y[k] = 20 + (1 + rng.uniform(-0.01, 0.01)) * (x[0] + 0.2 * (u[k, 0] - 1)) + rng.uniform(-0.1, 0.1)
         x = A @ x + B * (u[k, 0] - 1) + G * rng.uniform(-0.002, 0.003)
-    y[samples // 2 :, 0] += rng.uniform(1, 4) * rng.choice([-1, 1]) * np.linspace(0, 1, samples - samples // 2)
+    y[samples // 2 :, 0] += (
+        rng.uniform(1, 4) * rng.choice([-1, 1]) * np.linspace(0, 1, samples - samples // 2)
+    )
     y[3] = np.nan
     x0 = jb.interval([-3.0, -0.5], [3.0, 0.5]) if begins else None
-    return LONG, stretch(LONG, samples - 1, list(zip(x0.lo.tolist(), x0.hi.tolist(), strict=True)) if begins else None), u, y, x0
+    return (
+        LONG,
+        stretch(
+            LONG, samples - 1, list(zip(x0.lo.tolist(), x0.hi.tolist(), strict=True)) if begins else None
+        ),
+        u,
+        y,
+        x0,
+    )
 
 
 def _around(rng, u, y, x0):
@@ -122,10 +179,12 @@ def summed(document):
 
 
 def forged(document, rng):
-    """Return (what was done, the document with one thing in it that is false), the sum of its numbers right again.
+    """Return (what was done, the document with one thing in it that is false), the sum of its numbers right
+    again.
 
-    Everything here breaks what is said: a claim about other numbers, names or samples, a relation that does not hold, a witness that does
-    not explain. Proofs that are only written otherwise, like a relation times two, are none of it.
+    Everything here breaks what is said: a claim about other numbers, names or samples, a relation that does
+    not hold, a witness that does not explain. Proofs that are only written otherwise, like a relation times
+    two, are none of it.
     """
     out = copy.deepcopy(document)
     while True:
@@ -176,20 +235,44 @@ def multiplier(document, rng):
     """Another multiplier of a relation, all that is shown to follow from it as it was."""
     parts = ("relation", "relations", "proof")
     free = {"h", "g", "k", "a", "x", "direction"}
-    wanted = lambda path, leaf: path[0] in parts and free & set(path) and leaf is not None and path[-1] != "vertices"
-    path = _pick(rng, _places(document["numbers"], lambda p, leaf: wanted(p, leaf) and not (p[0] == "relations" and p[-1] > 0)))
+    wanted = lambda path, leaf: (
+        path[0] in parts and free & set(path) and leaf is not None and path[-1] != "vertices"
+    )
+    path = _pick(
+        rng,
+        _places(
+            document["numbers"], lambda p, leaf: wanted(p, leaf) and not (p[0] == "relations" and p[-1] > 0)
+        ),
+    )
     if path is None:
         return None
     x = Fraction(_at(document["numbers"], path))
-    new = [x + 1, -x if x else Fraction(1), x * (1 + Fraction(1, 10**6)) if x else Fraction(1, 7), x + Fraction(1, 10**40)][rng.integers(4)]
+    new = [
+        x + 1,
+        -x if x else Fraction(1),
+        x * (1 + Fraction(1, 10**6)) if x else Fraction(1, 7),
+        x + Fraction(1, 10**40),
+    ][rng.integers(4)]
     return _changed(document["numbers"], path, str(new))
 
 
 def result(document, rng):
     """Another value of what a relation comes to."""
     shown = {"residual", "width", "factor", "low", "high"}
-    path = _pick(rng, _places(document["numbers"], lambda path, leaf: path[0] in ("relation", "proof", "errors") and path[-1] in shown))
-    return None if path is None else _changed(document["numbers"], path, str(Fraction(_at(document["numbers"], path)) * Fraction(3, 2) + 1))
+    path = _pick(
+        rng,
+        _places(
+            document["numbers"],
+            lambda path, leaf: path[0] in ("relation", "proof", "errors") and path[-1] in shown,
+        ),
+    )
+    return (
+        None
+        if path is None
+        else _changed(
+            document["numbers"], path, str(Fraction(_at(document["numbers"], path)) * Fraction(3, 2) + 1)
+        )
+    )
 
 
 def witness(document, rng):
@@ -197,15 +280,25 @@ def witness(document, rng):
     shown = document["numbers"]["witness"]
     if shown is None:
         return None
-    near = [("witness", *path) for path in _places({k: shown[k] for k in ("state", "outputs")}, lambda path, leaf: True)]
-    far = [("witness", "disturbances", *path) for path in _places(shown["disturbances"][:-1], lambda path, leaf: True)]
+    near = [
+        ("witness", *path)
+        for path in _places({k: shown[k] for k in ("state", "outputs")}, lambda path, leaf: True)
+    ]
+    far = [
+        ("witness", "disturbances", *path)
+        for path in _places(shown["disturbances"][:-1], lambda path, leaf: True)
+    ]
     far += [("witness", "gains", i) for i in range(len(shown.get("gains", [])))]
     far += [("parameters", i) for i in range(len(document["numbers"].get("parameters") or []))]
     recorded = lambda path, leaf: document["numbers"]["u"][path[0]][path[1]] is not None
     near += [("witness", "inputs", *path) for path in _places(shown["inputs"], recorded)]
     path = _pick(rng, near + far)
     x = Fraction(_at(document["numbers"], path))
-    new = x + 10 if path in far else x + [Fraction(1), Fraction(-1, 10**30), Fraction(1, 10**6)][rng.integers(3)]
+    new = (
+        x + 10
+        if path in far
+        else x + [Fraction(1), Fraction(-1, 10**30), Fraction(1, 10**6)][rng.integers(3)]
+    )
     return _changed(document["numbers"], path, str(new))
 
 
@@ -213,18 +306,29 @@ def word(document, rng):
     """Another statement, verdict, name, sample or time."""
     names = document["names"]
     k = names["sample"][-1]
-    tried = [(("statement",), document["statement"] + " at once"), (("statement",), ""), (("names", "model"), "another"),
-             (("certificate",), "CONSISTENT" if document["certificate"] == "FAULT" else "FAULT"),
-             (("names", "sample"), [k + 1]), (("names", "sample"), [k - 1]), (("names", "sample"), [0, k]), (("names", "sample"), k + 10),
-             (("names", "times"), ["12:00"] * len(document["numbers"]["y"])), (("names", "outputs", 0), "y9"),
-             (("names", "units"), {names["outputs"][0]: "bar"}), (("names", "outputs"), names["outputs"] * 2)]  # fmt: skip
+    tried = [
+        (("statement",), document["statement"] + " at once"),
+        (("statement",), ""),
+        (("names", "model"), "another"),
+        (("certificate",), "CONSISTENT" if document["certificate"] == "FAULT" else "FAULT"),
+        (("names", "sample"), [k + 1]),
+        (("names", "sample"), [k - 1]),
+        (("names", "sample"), [0, k]),
+        (("names", "sample"), k + 10),
+        (("names", "times"), ["12:00"] * len(document["numbers"]["y"])),
+        (("names", "outputs", 0), "y9"),
+        (("names", "units"), {names["outputs"][0]: "bar"}),
+        (("names", "outputs"), names["outputs"] * 2),
+    ]
     return _changed(document, *tried[rng.integers(len(tried))])
 
 
 def shape(document, rng):
     """A row twice, in another place, or left out; a field more or less."""
     numbers = document["numbers"]
-    lists = [name for name in numbers if name not in PROOF and isinstance(numbers[name], list) and numbers[name]]
+    lists = [
+        name for name in numbers if name not in PROOF and isinstance(numbers[name], list) and numbers[name]
+    ]
     name, how = _pick(rng, lists), rng.integers(5)
     rows = numbers[name]
     if how == 0:

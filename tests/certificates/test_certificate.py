@@ -63,7 +63,9 @@ def refused(document):
     return False
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(40, marks=pytest.mark.long), pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "count", [3, pytest.param(40, marks=pytest.mark.long), pytest.param(200, marks=pytest.mark.long)]
+)
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_certificate_is_confirmed_and_one_wrong_digit_is_caught(name, count, rng):
     for status in (Status.FAULT, Status.CONSISTENT):
@@ -77,14 +79,23 @@ def test_every_certificate_is_confirmed_and_one_wrong_digit_is_caught(name, coun
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_wrong_digit_in_the_proof_is_caught_by_mathematics_alone(name, rng):
     """The sum of all numbers is made right again: what is left is the proof itself."""
-    (fault,), (healthy,) = (certificates(name, status, 1, rng) for status in (Status.FAULT, Status.CONSISTENT))
-    proof = {Status.FAULT: ("h", "g", "k", "residual", "width", "factor"), Status.CONSISTENT: ("state", "outputs")}
+    (fault,), (healthy,) = (
+        certificates(name, status, 1, rng) for status in (Status.FAULT, Status.CONSISTENT)
+    )
+    proof = {
+        Status.FAULT: ("h", "g", "k", "residual", "width", "factor"),
+        Status.CONSISTENT: ("state", "outputs"),
+    }
     for c in (fault, healthy):
         document, fields = json.loads(c.to_json()), proof[c.status]
         total = lambda document: sum(_flat({k: v for k, v in document["numbers"].items() if k != "sum"}))
         assert total(document) == Fraction(document["numbers"]["sum"])
         for _ in range(6):
-            wrong = corrupted(document, rng, lambda path, fields=fields: path[0] in ("relation", "witness") and path[1] in fields)
+            wrong = corrupted(
+                document,
+                rng,
+                lambda path, fields=fields: path[0] in ("relation", "witness") and path[1] in fields,
+            )
             wrong["numbers"]["sum"] = str(total(wrong))
             assert refused(wrong)
 
@@ -104,18 +115,26 @@ def test_the_other_verdict_is_not_confirmed(rng):
 def test_the_exact_window_is_what_the_kernel_reads(dtype, rng):
     relations, _ = plant("leak")
     u, y = (x.astype(dtype) for x in window(relations, 0.1, rng))
-    rows = relations.reading(dtype, "box").rows([list(now) for now in u[..., None]], [list(now) for now in y[..., None]])
+    rows = relations.reading(dtype, "box").rows(
+        [list(now) for now in u[..., None]], [list(now) for now in y[..., None]]
+    )
     for limits, mid, rad in zip(exact_window(relations, u, y).limits, rows[0], rows[1], strict=True):
         mid, rad = float(np.ravel(mid)[0]), float(np.ravel(rad)[0])
         assert np.isnan(mid) == (limits is None)
         if limits is not None:
             size, ulps = max(map(abs, limits)), 64 * float(np.finfo(dtype).eps)
-            assert abs(mid - float(sum(limits)) / 2) <= ulps * size and abs(rad - float(limits[1] - limits[0]) / 2) <= ulps * size
+            assert (
+                abs(mid - float(sum(limits)) / 2) <= ulps * size
+                and abs(rad - float(limits[1] - limits[0]) / 2) <= ulps * size
+            )
 
 
 @pytest.mark.parametrize("name, horizon", [("paper", 1), ("offsets", 1), ("three states", 2)])
 def test_the_smallest_error_of_a_sensor_is_where_a_linear_program_turns(name, horizon, rng):
-    relations, oracle = jb.parity_relations(jb.LinearSystem(**MODELS[name]), horizon), Windows(Plant(**MODELS[name]), horizon)
+    relations, oracle = (
+        jb.parity_relations(jb.LinearSystem(**MODELS[name]), horizon),
+        Windows(Plant(**MODELS[name]), horizon),
+    )
     u, _, y = draw(oracle.plant, horizon, 25, rng, level=1.0, spread=20.0)
     bounds, checked = oracle.noise, 0
 
@@ -144,7 +163,9 @@ def test_a_bias_points_at_its_sensor(rng):
 
 def test_an_error_beyond_the_reading_itself():
     """The limit of a reading changes its slope where it passes zero: the error is exact there too."""
-    relations = jb.parity_relations(jb.LinearSystem([[1]], None, [[1], [1]], tolerance=["1/2", 0], noise="1/8"), 0)
+    relations = jb.parity_relations(
+        jb.LinearSystem([[1]], None, [[1], [1]], tolerance=["1/2", 0], noise="1/8"), 0
+    )
     c = certify(relations, np.zeros((1, 0)), np.array([[1.0, -3.0]]))
     # y2 says t <= -3 + 1/8; y1 - e - 1/8 - .. must reach that: 1 - 1/8 - e <= -(23/8) (1 - 1/2)
     tiny = Fraction(1, 10**12)
@@ -167,7 +188,9 @@ def test_the_certificate_agrees_with_the_verdict_under_disturbance(rng):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["disturbance"])
 def test_the_certificate_agrees_with_the_verdict_of_a_long_window(name, rng):
-    """A search may stop at a relation that proves the verdict before it has the tightest one: its factor is a bound from below."""
+    """A search may stop at a relation that proves the verdict before it has the tightest one: its factor is a
+    bound from below.
+    """
     relations, gaps = plant(name)
     windows = [window(relations, gaps, rng, bias=float(b)) for b in rng.uniform(0, 4, 15)]
     res = jb.detect(relations, *(np.stack(x) for x in zip(*windows, strict=True)))
@@ -191,7 +214,9 @@ def test_a_witness_tells_disturbances_and_missing_inputs(rng):
 
 
 def test_an_undecided_window_is_settled_exactly():
-    """Circuits that need the missing input are silent, so detect cannot say CONSISTENT; the certificate can."""
+    """Circuits that need the missing input are silent, so detect cannot say CONSISTENT; the certificate
+    can.
+    """
     r = jb.parity_relations(paper(), 2)
     u, y = np.zeros((3, 1)), np.zeros((3, 2))
     u[1] = np.nan
@@ -203,7 +228,10 @@ def test_an_undecided_window_is_settled_exactly():
 
 def test_single_precision_is_certified_with_its_own_rounding(rng):
     r = jb.parity_relations(paper(resolution="1/300"), 1)
-    u, y = (np.concatenate(x).astype(np.float32) for x in zip(*(window(r, 0.0, rng, 2.0 * (i % 2)) for i in range(20)), strict=True))
+    u, y = (
+        np.concatenate(x).astype(np.float32)
+        for x in zip(*(window(r, 0.0, rng, 2.0 * (i % 2)) for i in range(20)), strict=True)
+    )
     res = jb.detect(r, u, y)
     assert {Status.FAULT, Status.CONSISTENT} <= set(res.status.tolist()) and res.y.dtype == np.float32
     for k in range(1, 40, 2):
@@ -234,7 +262,9 @@ def test_numbers_are_exact_text(rng):
     assert numbers["offset_y"] == ["12.5", "-3.1", "1/3"] and numbers["A"] == [["1.02", "0.1"], ["0", "0.7"]]
     given = [v for row in c.window.y for v in [row] if v is not None]
     assert [Fraction(x) for row in numbers["y"] for x in row if x is not None] == given
-    assert re.fullmatch(r"-?\d+(\.\d+)?", numbers["witness"]["state"][0])  # few digits: the witness is rounded where it may be
+    assert re.fullmatch(
+        r"-?\d+(\.\d+)?", numbers["witness"]["state"][0]
+    )  # few digits: the witness is rounded where it may be
 
 
 def test_alarms_know_what_single_sensor_could_be_wrong(rng):
@@ -255,10 +285,14 @@ def test_what_has_no_certificate_yet_is_refused():
     class Other:
         horizon = 1
 
-    with pytest.raises(NotImplementedError, match="certificates are given for relations that detect knows, not Other"):
+    with pytest.raises(
+        NotImplementedError, match="certificates are given for relations that detect knows, not Other"
+    ):
         certify(Other(), np.zeros((2, 1)), np.zeros((2, 2)))
     r = jb.parity_relations(paper())
-    with pytest.raises(NotImplementedError, match="the verdict of window 1 rests on more than its samples and bounds"):
+    with pytest.raises(
+        NotImplementedError, match="the verdict of window 1 rests on more than its samples and bounds"
+    ):
         certify(r, np.zeros((2, 1)), np.zeros((2, 2)), status=Status.FAULT)
     with pytest.raises(ValueError, match="window 1 is MISSING: there is nothing to explain"):
         certify(r, np.zeros((2, 1)), np.full((2, 2), np.nan))

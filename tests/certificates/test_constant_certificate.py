@@ -1,4 +1,6 @@
-"""Certificates of tolerances that keep one value over a window: the gains are part of the proof, and fractions alone confirm it."""
+"""Certificates of tolerances that keep one value over a window: the gains are part of the proof, and
+fractions alone confirm it.
+"""
 
 import json
 from fractions import Fraction
@@ -29,8 +31,13 @@ def recording(rng, model, count=40, size=10.0):
 
 
 @pytest.mark.parametrize(
-    "change", [{}, pytest.param(dict(tolerance=["1/50", 0]), marks=pytest.mark.slow), pytest.param(
-        dict(disturbance=([[0], [1]], "1/10"), resolution=0.01), marks=pytest.mark.slow)])  # fmt: skip
+    "change",
+    [
+        {},
+        pytest.param(dict(tolerance=["1/50", 0]), marks=pytest.mark.slow),
+        pytest.param(dict(disturbance=([[0], [1]], "1/10"), resolution=0.01), marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("s", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_verdict_on_constant_gains_is_proved_by_fractions_whatever_it_is(rng, s, change):
     model = paper(constant_tolerance=True, **change)
@@ -45,7 +52,11 @@ def test_a_verdict_on_constant_gains_is_proved_by_fractions_whatever_it_is(rng, 
 def test_samples_that_gains_explain_only_if_they_change_are_a_fault(rng):
     anew, constant = (jb.parity_relations(paper(constant_tolerance=value), 1) for value in (False, True))
     u, y = recording(rng, anew.model, 60, 30.0)
-    k = next(k for k in range(1, 60) if certify(constant, u[k - 1 : k + 1], y[k - 1 : k + 1]).proves == Status.FAULT)
+    k = next(
+        k
+        for k in range(1, 60)
+        if certify(constant, u[k - 1 : k + 1], y[k - 1 : k + 1]).proves == Status.FAULT
+    )
     window = u[k - 1 : k + 1], y[k - 1 : k + 1]
     c = certify(constant, *window)
     assert certify(anew, *window).proves == Status.CONSISTENT

@@ -27,7 +27,9 @@ def summed(document):
 
 def averaged_fault():
     """Return the certificate of a bias that only the mean of four samples shows."""
-    c = certify(jb.parity_relations(MEANS, 7), np.zeros((8, 1)), np.where(np.arange(8)[:, None] < 4, BIASED, -BIASED))
+    c = certify(
+        jb.parity_relations(MEANS, 7), np.zeros((8, 1)), np.where(np.arange(8)[:, None] < 4, BIASED, -BIASED)
+    )
     document = json.loads(c.to_json(errors=False))
     assert document["certificate"] == "FAULT" and any(x != "0" for x in document["numbers"]["relation"]["a"])
     return document
@@ -59,7 +61,9 @@ def test_what_a_recorder_rounds_away_cannot_be_chosen(field, value):
         # residual and width follow from the relation, whatever the bounds
         c = check_certificate.numbers(document["numbers"], [])
         h = [x for row in c["relation"]["h"] for x in row]
-        sizes = [c["noise"][0] + c["recorder"] * (max(abs(v) for (v,) in c["y"]) + c["noise"][0]) + c["floor"]] * 2
+        sizes = [
+            c["noise"][0] + c["recorder"] * (max(abs(v) for (v,) in c["y"]) + c["noise"][0]) + c["floor"]
+        ] * 2
         width = sum(abs(x) * size for x, size in zip(h, sizes, strict=True))
         relation |= {"width": str(width), "factor": str(abs(Fraction(relation["residual"])) / width)}
         document["certificate"] = "FAULT" if abs(Fraction(relation["residual"])) > width else "CONSISTENT"
@@ -81,7 +85,13 @@ def test_the_smallest_error_of_a_sensor_is_neither_less_nor_more_nor_said_twice(
     r = jb.parity_relations(jb.LinearSystem([[1]], None, [[1], [1]], tolerance=["1/2", 0], noise="1/8"), 0)
     document = json.loads(certify(r, np.zeros((1, 0)), np.array([[1.0, -3.0]])).to_json())
     assert not refused(document)
-    for field, value in (("enough", "1000"), ("smallest", "-1/10"), ("output", "-1"), ("output", "1/2"), ("output", "1")):
+    for field, value in (
+        ("enough", "1000"),
+        ("smallest", "-1/10"),
+        ("output", "-1"),
+        ("output", "1/2"),
+        ("output", "1"),
+    ):
         wrong = json.loads(json.dumps(document))
         wrong["numbers"]["errors"][0][field] = value
         assert refused(summed(wrong)), field

@@ -1,4 +1,6 @@
-"""What contradicts all samples since an observer began, as one relation: fractions replay it, a linear program agrees how clear it is."""
+"""What contradicts all samples since an observer began, as one relation: fractions replay it, a linear
+program agrees how clear it is.
+"""
 
 import json
 from fractions import Fraction
@@ -13,8 +15,16 @@ import jaxbound as jb
 from jaxbound.certificates.interface import certify
 from jaxbound.certificates.long_window import LongCertificate, exceeds, stretch
 
-PLANT = jb.LinearSystem([["0.98", "0.05"], ["-0.02", "0.97"]], [[0], ["0.1"]], [[1, 0]], [["0.2"]], noise="0.1", tolerance="0.01",
-                        disturbance=([[1], ["0.5"]], [["-0.002", "0.003"]]), offset={"u": 1, "y": 20})  # fmt: skip
+PLANT = jb.LinearSystem(
+    [["0.98", "0.05"], ["-0.02", "0.97"]],
+    [[0], ["0.1"]],
+    [[1, 0]],
+    [["0.2"]],
+    noise="0.1",
+    tolerance="0.01",
+    disturbance=([[1], ["0.5"]], [["-0.002", "0.003"]]),
+    offset={"u": 1, "y": 20},
+)
 
 
 def recorded(T, bias, seed=0):
@@ -27,7 +37,9 @@ def recorded(T, bias, seed=0):
 
 
 def needed(u, y, first=None):
-    """Return the least factor on all bounds, by a linear program with all unknowns written out as a first state and disturbances."""
+    """Return the least factor on all bounds, by a linear program with all unknowns written out as a first
+    state and disturbances.
+    """
     A, B, C, D, G = (np.array(getattr(PLANT, name), float) for name in "ABCDG")
     s, (lo, hi) = len(y) - 1, map(float, PLANT.disturbance[0])
     X, f, rows, right, widths = np.eye(2, 2 + s), np.zeros(2), [], [], []
@@ -39,11 +51,23 @@ def needed(u, y, first=None):
         X, f = A @ X, A @ f + B[:, 0] * (u[k, 0] - 1)
         if k < s:
             X[:, 2 + k] += G[:, 0]
-    for i, ends in enumerate([*(first if first is not None else []), *[(lo, hi)] * s], 0 if first is not None else 2):
-        rows, right, widths = [*rows, np.eye(2 + s)[i]], [*right, sum(ends) / 2], [*widths, (ends[1] - ends[0]) / 2]
+    for i, ends in enumerate(
+        [*(first if first is not None else []), *[(lo, hi)] * s], 0 if first is not None else 2
+    ):
+        rows, right, widths = (
+            [*rows, np.eye(2 + s)[i]],
+            [*right, sum(ends) / 2],
+            [*widths, (ends[1] - ends[0]) / 2],
+        )
     rows, right, widths = map(np.array, (rows, right, widths))
     sides = np.concatenate([np.column_stack([sign * rows, -widths]) for sign in (1, -1)])
-    return linprog(np.eye(3 + s)[-1], sides, np.concatenate([right, -right]), bounds=[(None, None)] * (3 + s), method="highs").fun
+    return linprog(
+        np.eye(3 + s)[-1],
+        sides,
+        np.concatenate([right, -right]),
+        bounds=[(None, None)] * (3 + s),
+        method="highs",
+    ).fun
 
 
 @pytest.mark.parametrize("first", [None, [(-3.0, 3.0), (-0.5, 0.5)]])
@@ -52,15 +76,25 @@ def test_one_relation_among_all_samples_proves_a_slow_fault(first):
     about, t = stretch(PLANT, 89, first), needed(u, y, first)
     assert exceeds(about, u, y) == pytest.approx(t, rel=1e-6)
     found = certify(about, u, y)
-    assert type(found) is LongCertificate and found.proves == jb.Status.FAULT and found.errors == {} and found.candidates == ()
-    assert 1 < found.factor < t * (1 + 1e-9) and float(found.factor) > t - 1e-4, "short multipliers cost little"
+    assert (
+        type(found) is LongCertificate
+        and found.proves == jb.Status.FAULT
+        and found.errors == {}
+        and found.candidates == ()
+    )
+    assert 1 < found.factor < t * (1 + 1e-9) and float(found.factor) > t - 1e-4, (
+        "short multipliers cost little"
+    )
     document = json.loads(found.to_json())
     confirm(document)
     assert ("first_state" in document["numbers"]) == (first is not None)
     numbers = document["numbers"]
     old, numbers["relation"]["h"][0][0] = Fraction(numbers["relation"]["h"][0][0]), "0.5"
     numbers["sum"] = str(Fraction(numbers["sum"]) + Fraction("0.5") - old)
-    with pytest.raises(ValueError, match="the relation leaves the unknown state over|does not fit|leaves a disturbance over|is wrong"):
+    with pytest.raises(
+        ValueError,
+        match="the relation leaves the unknown state over|does not fit|leaves a disturbance over|is wrong",
+    ):
         confirm(document)
 
 
@@ -68,12 +102,17 @@ def test_what_can_be_explained_has_no_such_certificate():
     u, y = recorded(60, 0.0)
     about = stretch(PLANT, 59)
     assert exceeds(about, u, y) < 1
-    with pytest.raises(NotImplementedError, match="no relation of these 60 samples is found that proves the FAULT at 59 alone"):
+    with pytest.raises(
+        NotImplementedError,
+        match="no relation of these 60 samples is found that proves the FAULT at 59 alone",
+    ):
         certify(about, u, y)
 
 
 def test_every_contradiction_of_an_observer_is_proved_by_samples_since_it_began():
-    u, y = recorded(64, 1.0, seed=2)  # an observer of the sizes, and pieces of the length, that tests of observers compile
+    u, y = recorded(
+        64, 1.0, seed=2
+    )  # an observer of the sizes, and pieces of the length, that tests of observers compile
     for options in ({}, {"restart": False}, {"x0": jb.interval([-20, -20], [20, 20])}):
         res = jb.detect(jb.observer(PLANT, **options), u, y)
         wrong = np.flatnonzero(res.status == jb.Status.FAULT)

@@ -24,7 +24,12 @@ VERDICTS = [(kind, fault) for kind in KINDS for fault in ((True,) if kind in OBS
 HUGE = "observer, 513 samples"
 SHORT = [pytest.param(*x, marks=pytest.mark.slow) if x[0] == HUGE else x for x in VERDICTS]
 SEARCHED = ("long", "six states", "disturbance", "leak", "unknown inputs", *UNSURE, *OBSERVED)
-MANY = {HUGE: 4} | dict.fromkeys(SEARCHED[:5], 70) | dict.fromkeys(UNSURE, 40) | dict.fromkeys(tuple(OBSERVED)[:2], 40)
+MANY = (
+    {HUGE: 4}
+    | dict.fromkeys(SEARCHED[:5], 70)
+    | dict.fromkeys(UNSURE, 40)
+    | dict.fromkeys(tuple(OBSERVED)[:2], 40)
+)
 OFTEN = 570
 """So many certificates of each kind and verdict, and as many forged ones: 10 064 with those of MANY."""
 
@@ -73,7 +78,9 @@ def test_ten_thousand_certificates_are_confirmed_and_ten_thousand_forged_ones_re
         assert refused(wrong, found.given), what
 
 
-@pytest.mark.parametrize("kind", ["averages at lags", "constant tolerance", "unsure, no state", "unknown inputs"])
+@pytest.mark.parametrize(
+    "kind", ["averages at lags", "constant tolerance", "unsure, no state", "unknown inputs"]
+)
 def test_solvers_that_know_no_certificate_come_to_the_same_verdict(kind, rng):
     for fault in (True, False):
         text = case(kind, rng, fault).certificate.to_smt2()
@@ -128,16 +135,30 @@ def test_a_window_across_a_gap_or_of_a_later_first_state_is_refused(rng):
     begun = case("observer, first state", rng, True)
     assert "must be given: x0" in refused(begun.document, begun.given | {"x0": None})
     assert refused(begun.document, begun.given | {"x0": jb.interval([-9.0, -9.0], [9.0, 9.0])})
-    later = begun.given | {name: np.concatenate([begun.given[name][:1]] * 2 + [begun.given[name][1:]]) for name in ("u", "y")}
-    shifted = begun.document | {"names": begun.document["names"] | {"sample": [begun.document["names"]["sample"][0] + 1]}}
+    later = begun.given | {
+        name: np.concatenate([begun.given[name][:1]] * 2 + [begun.given[name][1:]]) for name in ("u", "y")
+    }
+    shifted = begun.document | {
+        "names": begun.document["names"] | {"sample": [begun.document["names"]["sample"][0] + 1]}
+    }
     assert refused(shifted, later)
 
 
 def test_the_checker_imports_nothing_but_the_standard_library():
     for path in FOLDER.glob("*.py"):
-        nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, (ast.Import, ast.ImportFrom))]
-        modules = {name for node in nodes for name in ([node.module] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names])}
-        outside = {name.split(".")[0] for name in modules if not name.startswith("jaxbound.certificates.checker")}
+        nodes = [
+            node
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, (ast.Import, ast.ImportFrom))
+        ]
+        modules = {
+            name
+            for node in nodes
+            for name in ([node.module] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names])
+        }
+        outside = {
+            name.split(".")[0] for name in modules if not name.startswith("jaxbound.certificates.checker")
+        }
         assert outside <= sys.stdlib_module_names, path.name
 
 

@@ -1,4 +1,6 @@
-"""Certificates of models with uncertain parameters: confirmed by plain fractions, refused with one wrong digit."""
+"""Certificates of models with uncertain parameters: confirmed by plain fractions, refused with one wrong
+digit.
+"""
 
 import json
 
@@ -31,7 +33,9 @@ def detected(rng, name, method="joint", budget=None, runs=2, **changes):
 
 
 def check_round_trips(rng, res, count, status):
-    """Confirm certificates of random windows of that status, refuse them with a digit changed; return the largest number of leaves."""
+    """Confirm certificates of random windows of that status, refuse them with a digit changed; return the
+    largest number of leaves.
+    """
     places, leaves = np.argwhere(res.status == status), 0
     assert len(places) >= min(count, 20)
     for at in rng.permutation(places)[:count]:
@@ -69,12 +73,21 @@ def test_a_wrong_digit_is_caught(rng):
         check_round_trip(rng, healthy), check_round_trip(rng, fault)
 
 
-@pytest.mark.parametrize("name, changes, runs, count", [
-    (TWO, {}, 2, 3), ("n2p1_paper_h3", dict(noise=0.01, tolerance=0.02), 2, 3),
-    long("n2p1_paper_h3", dict(noise=0.01, tolerance=0.02), 20, 100),
-    *(long(*x, 16, 100) for x in (("n3p2_mixed3_h3", NOISY), ("n3p2_mixed3_h3", {}), ("n3p2_var3_h2", {}))),
-])  # fmt: skip
-def test_verdicts_of_one_and_many_parameters_are_confirmed_and_a_wrong_digit_is_caught(rng, name, changes, runs, count):
+@pytest.mark.parametrize(
+    "name, changes, runs, count",
+    [
+        (TWO, {}, 2, 3),
+        ("n2p1_paper_h3", dict(noise=0.01, tolerance=0.02), 2, 3),
+        long("n2p1_paper_h3", dict(noise=0.01, tolerance=0.02), 20, 100),
+        *(
+            long(*x, 16, 100)
+            for x in (("n3p2_mixed3_h3", NOISY), ("n3p2_mixed3_h3", {}), ("n3p2_var3_h2", {}))
+        ),
+    ],
+)
+def test_verdicts_of_one_and_many_parameters_are_confirmed_and_a_wrong_digit_is_caught(
+    rng, name, changes, runs, count
+):
     res = detected(rng, name, runs=runs, **changes)
     for status in (Status.FAULT, Status.CONSISTENT):
         check_round_trips(rng, res, count, status)
@@ -98,15 +111,26 @@ def test_a_bisection_is_confirmed_box_by_box(rng, name):
     joint, paved = (detected(np.random.default_rng(5), name, *how, runs=2) for how in ((), ("paving", 300)))
     won = (paved.status == Status.FAULT) & (joint.status == Status.UNDECIDED)
     assert won.sum() > 5
-    with pytest.raises(NotImplementedError, match="neither a contradiction nor a behaviour is at hand .* method 'paving' goes on"):
+    with pytest.raises(
+        NotImplementedError,
+        match="neither a contradiction nor a behaviour is at hand .* method 'paving' goes on",
+    ):
         joint.explain(tuple(np.argwhere(won)[0].tolist()))
     leaves = check_round_trips(
-        rng, jb.Result(np.where(won, paved.status, 0), paved.margin, "paving", paved.relations, paved.u, paved.y), 5, 3
+        rng,
+        jb.Result(np.where(won, paved.status, 0), paved.margin, "paving", paved.relations, paved.u, paved.y),
+        5,
+        3,
     )
     assert leaves > 1
     found = (paved.status == Status.CONSISTENT) & (joint.status == Status.UNDECIDED)
     if found.any():
-        check_round_trips(rng, jb.Result(np.where(found, 1, 0), paved.margin, "paving", paved.relations, paved.u, paved.y), 1, 1)
+        check_round_trips(
+            rng,
+            jb.Result(np.where(found, 1, 0), paved.margin, "paving", paved.relations, paved.u, paved.y),
+            1,
+            1,
+        )
 
 
 def test_a_lost_sample_is_not_part_of_the_proof(rng):
@@ -137,14 +161,27 @@ def test_the_witness_is_within_the_users_bounds(rng):
         y.append([2.5 * x[0] + rng.uniform(-0.01, 0.01)])
         x = np.array(EXAMPLE["A"]) @ x + np.array(EXAMPLE["B"]) @ u[k]
     c = certify(r, u, np.array(y))
-    assert c.proves == Status.CONSISTENT and 2 <= c.parameters["gain", None] <= 3 and str(c).startswith("explained by gain = 2.")
+    assert (
+        c.proves == Status.CONSISTENT
+        and 2 <= c.parameters["gain", None] <= 3
+        and str(c).startswith("explained by gain = 2.")
+    )
     assert len(c.state) == 2 and c.errors == {} and c.candidates == () and c.relation == ""
 
 
 def test_models_without_states_or_without_inputs_have_certificates(rng):
     """y = (1 + k) u, k in [0, 0.2]; x+ = (0.5 + 0.1 a) x."""
-    static = jb.LinearSystem(None, None, None, [[1], [1]], noise=0.1, uncertainties=[jb.Uncertainty("k", D=[[1], [1]], between=(0, "0.2"))])
-    free = jb.LinearSystem([["0.5"]], None, [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[["0.1"]])])
+    static = jb.LinearSystem(
+        None,
+        None,
+        None,
+        [[1], [1]],
+        noise=0.1,
+        uncertainties=[jb.Uncertainty("k", D=[[1], [1]], between=(0, "0.2"))],
+    )
+    free = jb.LinearSystem(
+        [["0.5"]], None, [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[["0.1"]])]
+    )
     for m, u, healthy, faulty in (
         (static, [[2.0]], [[2.3, 2.25]], [[2.3, 1.8]]),
         (free, [[], []], [[1.0], [0.7]], [[1.0], [0.9]]),
@@ -160,7 +197,9 @@ def test_without_inputs_verdicts_are_those_of_the_certificates(rng):
     m = jb.LinearSystem([["0.5"]], None, [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[["0.1"]])])
     y = 0.5 ** np.arange(12)[:, None] + rng.uniform(-0.2, 0.2, (12, 1))
     res = jb.detect(jb.parity_relations(m), None, y)
-    assert all(res.explain(k).proves == res.status[k] for k in range(1, 12) if res.status[k] != Status.UNDECIDED)
+    assert all(
+        res.explain(k).proves == res.status[k] for k in range(1, 12) if res.status[k] != Status.UNDECIDED
+    )
     assert (res.status[1:] != Status.UNDECIDED).sum() > 8
 
 

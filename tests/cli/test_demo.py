@@ -18,7 +18,9 @@ def rates():
 def test_rates_are_those_of_the_reference(rates):
     for name, found in rates[0].items():
         for rate, reference in zip(found, demo.REFERENCE[name], strict=True):
-            assert abs(rate - reference) < 0.03  # 400 runs of 39 dependent windows: about four standard deviations
+            assert (
+                abs(rate - reference) < 0.03
+            )  # 400 runs of 39 dependent windows: about four standard deviations
 
 
 def test_reference_is_golden(golden):
@@ -42,13 +44,39 @@ def test_command_writes_a_report_that_detect_repeats(tmp_path, monkeypatch, caps
     monkeypatch.setattr(main, "_configure", lambda: None)
     assert main.main(["demo", "--out", str(tmp_path / "out"), "--runs", "400"]) == 0
     out = capsys.readouterr().out
-    assert "reference" in out and "0.150" in out and "jaxbound detect" in out and str(tmp_path / "out" / "report.html") in out
+    assert (
+        "reference" in out
+        and "0.150" in out
+        and "jaxbound detect" in out
+        and str(tmp_path / "out" / "report.html") in out
+    )
     names = {p.name for p in (tmp_path / "out").iterdir()}
-    assert names == {"model.toml", "run.csv", "verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml",
-                     "figure_1.png", "figure_2.png", ".jaxbound.json"}  # fmt: skip
+    assert names == {
+        "model.toml",
+        "run.csv",
+        "verdicts.csv",
+        "alarms.csv",
+        "report.html",
+        "run.json",
+        "tested_model.toml",
+        "figure_1.png",
+        "figure_2.png",
+        ".jaxbound.json",
+    }
     assert load_model(tmp_path / "out" / "model.toml").A == demo.demo_model().A
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/png") == 2 and "How often are these faults seen?" in page
-    assert main.main(["detect", str(tmp_path / "out/model.toml"), str(tmp_path / "out/run.csv"), "--out", str(tmp_path / "again")]) == 1
+    assert (
+        main.main(
+            [
+                "detect",
+                str(tmp_path / "out/model.toml"),
+                str(tmp_path / "out/run.csv"),
+                "--out",
+                str(tmp_path / "again"),
+            ]
+        )
+        == 1
+    )
     assert (tmp_path / "again/verdicts.csv").read_bytes() == (tmp_path / "out/verdicts.csv").read_bytes()
     assert jb.parity_relations(demo.demo_model()).horizon == 1

@@ -30,7 +30,11 @@ def test_the_laboratory_keeps_its_bounds_and_has_one_fault(place, capsys):
         assert res.counts["CONSISTENT"] == 199 and res.counts["FAULT"] == 0
     healthy, faulty = table("heater/healthy_3.csv"), table("heater/jump.csv")
     wrong = faulty - healthy
-    assert not wrong[:, [0, 1, 2, 4]].any() and not wrong[:ONSET].any() and (abs(wrong[ONSET:, 3] - JUMP) < 0.011).all()
+    assert (
+        not wrong[:, [0, 1, 2, 4]].any()
+        and not wrong[:ONSET].any()
+        and (abs(wrong[ONSET:, 3] - JUMP) < 0.011).all()
+    )
     res = jb.detect(relations, jb.read("heater/jump.csv", model))
     assert not res.status[:ONSET].tolist().count(jb.Status.FAULT) and res.status[ONSET] == jb.Status.FAULT
 
@@ -42,8 +46,13 @@ def test_files_are_the_same_each_time_and_nothing_of_others_is_replaced(place, c
     assert (res.status[:200] != jb.Status.FAULT).all() and (res.status[200:260] == jb.Status.FAULT).any()
     assert f" {EXAMPLES['tank'][3]}\n" in capsys.readouterr().out and "--horizon 15" in EXAMPLES["tank"][3]
     relations, run = jb.parity_relations(m, 15), jb.read("tank/tank.csv", m)
-    proved = [certify(relations, run.u[k - 15 : k + 1], run.y[k - 15 : k + 1], "joint").proves for k in (199, *range(200, 260, 7), 280)]
-    assert [p == jb.Status.FAULT for p in proved] == [False] + [True] * 9 + [False]  # windows of 2 samples see the ends alone
+    proved = [
+        certify(relations, run.u[k - 15 : k + 1], run.y[k - 15 : k + 1], "joint").proves
+        for k in (199, *range(200, 260, 7), 280)
+    ]
+    assert [p == jb.Status.FAULT for p in proved] == [False] + [True] * 9 + [
+        False
+    ]  # windows of 2 samples see the ends alone
     (place / "again/tank.csv").write_text("mine")
     assert main.main(["example", "tank", "--out", "again"]) == 2
     assert "again/tank.csv" in capsys.readouterr().err and (place / "again/tank.csv").read_text() == "mine"

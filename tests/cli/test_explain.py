@@ -1,4 +1,6 @@
-"""`jaxbound explain`: a window of a report by number or time, its certificate for people and as JSON, or one clear sentence."""
+"""`jaxbound explain`: a window of a report by number or time, its certificate for people and as JSON, or one
+clear sentence.
+"""
 
 import json
 import os
@@ -21,11 +23,20 @@ FAULTY = range(30, 33)
 
 
 def table(stamps=None, n=60):
-    """Return (header, rows) of the paper's system with a bias of 1 on y1 at the samples FAULTY; a gap of 5 samples before sample 50."""
+    """Return (header, rows) of the paper's system with a bias of 1 on y1 at the samples FAULTY; a gap of 5
+    samples before sample 50.
+    """
     x, rows = np.zeros(2), []
     for k in range(n):
         u = 1.0 if (k // 20) % 2 else -0.5
-        rows.append([stamps(k + 5 * (k >= 50)) if stamps else f"{(k + 5 * (k >= 50)) / 100:g}", u, x[0] + (k in FAULTY), x[0] + x[1]])
+        rows.append(
+            [
+                stamps(k + 5 * (k >= 50)) if stamps else f"{(k + 5 * (k >= 50)) / 100:g}",
+                u,
+                x[0] + (k in FAULTY),
+                x[0] + x[1],
+            ]
+        )
         x = np.array([0.8 * x[0] + x[1], 0.2 * x[1] + u])
     return ["time", "u1", "y1", "y2"], rows
 
@@ -49,7 +60,12 @@ def reported(tmp_path_factory):
         patch.setattr(main, "_configure", lambda: None)
         save_model(paper(name="paper", units={"y1": "bar"}), place / "model.toml")
         csv(place / "run.csv")
-        assert main.main(["detect", str(place / "model.toml"), str(place / "run.csv"), "--out", str(place / "out")]) == 1
+        assert (
+            main.main(
+                ["detect", str(place / "model.toml"), str(place / "run.csv"), "--out", str(place / "out")]
+            )
+            == 1
+        )
     return place
 
 
@@ -85,18 +101,32 @@ def test_a_fault_is_explained_in_words_and_written_as_json(place, capsys):
 def test_a_consistent_window_is_explained_by_a_behaviour(place, capsys):
     code, out, _ = explain(place, "0.1 s", capsys=capsys)
     assert code == 0 and out.startswith("CONSISTENT proved: the window from 0.09 s to 0.1 s, sample 10\n")
-    assert "first state" in out and "of the bounds are used" in out and "explained by" not in out and out.count("\n") < 10
+    assert (
+        "first state" in out
+        and "of the bounds are used" in out
+        and "explained by" not in out
+        and out.count("\n") < 10
+    )
     for option in ("--all", "-v"):
         code, out, _ = explain(place, "0.1 s", option, capsys=capsys)
-        assert code == 0 and out.index("first state") < out.index("explained by") and "0.09 s" in out.split("explained by")[1]
-    assert explain(place, "0.1 s", "-q", capsys=capsys)[1] == "CONSISTENT proved: the window from 0.09 s to 0.1 s, sample 10\n"
+        assert (
+            code == 0
+            and out.index("first state") < out.index("explained by")
+            and "0.09 s" in out.split("explained by")[1]
+        )
+    assert (
+        explain(place, "0.1 s", "-q", capsys=capsys)[1]
+        == "CONSISTENT proved: the window from 0.09 s to 0.1 s, sample 10\n"
+    )
 
 
 def test_json_goes_to_stdout_and_nothing_is_written(place, capsys):
     before = sorted(p.name for p in (place / "out").iterdir())
     code, out, err = explain(place, "0.31", "--json", capsys=capsys)
     document = json.loads(out)
-    assert (code, err, document["names"]["sample"]) == (0, "", 31) and before == sorted(p.name for p in (place / "out").iterdir())
+    assert (code, err, document["names"]["sample"]) == (0, "", 31) and before == sorted(
+        p.name for p in (place / "out").iterdir()
+    )
     check_certificate.confirm(document)
 
 
@@ -108,7 +138,11 @@ def test_every_window_has_the_verdict_of_the_report(place):
         if k == 50:
             continue
         c, sample, _ = certificate_of(place / "out", str(k))
-        assert sample == k and c.status == res.status[k] and float(c.factor) == pytest.approx(1 - res.margin[k], abs=1e-9)
+        assert (
+            sample == k
+            and c.status == res.status[k]
+            and float(c.factor) == pytest.approx(1 - res.margin[k], abs=1e-9)
+        )
 
 
 @pytest.mark.parametrize(
@@ -118,7 +152,10 @@ def test_every_window_has_the_verdict_of_the_report(place):
         ("60", "there is no sample 60: the recording has 60, numbered from 0"),
         ("-1", "there is no sample -1: the recording has 60, numbered from 0"),
         ("noon", "--at noon names no sample: give its number, or its time as alarms.csv has it, like 0 s"),
-        ("0.53 s", "no sample lies at 0.53 s: the nearest is at 0.55 s; the recording runs from 0 s to 0.64 s"),
+        (
+            "0.53 s",
+            "no sample lies at 0.53 s: the nearest is at 0.55 s; the recording runs from 0 s to 0.64 s",
+        ),
         ("50", "0.55 s (sample 50): a window across a gap in time is MISSING"),
     ],
 )
@@ -135,7 +172,12 @@ class TestWhatIsGone:
     def test_a_recording_that_moved(self, place, reported, tmp_path, capsys):
         self._edit(place, data=str(tmp_path / "elsewhere.csv"))
         code, _, err = explain(place, "1", capsys=capsys)
-        assert code == 2 and f"the recording of this report, {tmp_path / 'elsewhere.csv'}, is no longer there: put it back, or run" in err
+        assert (
+            code == 2
+            and f"the recording of this report, {tmp_path / 'elsewhere.csv'}, is no longer there: put it "
+            f"back, or run"
+            in err
+        )
 
     def test_a_recording_that_changed(self, place, tmp_path, capsys):
         csv(tmp_path / "other.csv", stamps=str)
@@ -171,7 +213,18 @@ class TestWhatIsGone:
             return read(source, progress)
 
         monkeypatch.setattr(CsvFile, "whole", late)
-        assert main.main(["detect", str(reported / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
+        assert (
+            main.main(
+                [
+                    "detect",
+                    str(reported / "model.toml"),
+                    str(tmp_path / "run.csv"),
+                    "--out",
+                    str(tmp_path / "out"),
+                ]
+            )
+            == 1
+        )
         capsys.readouterr()
         code, _, err = explain(tmp_path, "31", capsys=capsys)
         assert code == 2 and "has changed since" in err
@@ -181,7 +234,11 @@ class TestWhatIsGone:
         found = json.loads(note.read_text())
         note.write_text(json.dumps({name: found[name] for name in ("data", "bytes", "method", "horizon")}))
         code, _, err = explain(place, "31", capsys=capsys)
-        assert code == 2 and "keeps no digest of the recording" in err and "run jaxbound detect again on a file" in err
+        assert (
+            code == 2
+            and "keeps no digest of the recording" in err
+            and "run jaxbound detect again on a file" in err
+        )
 
     def test_a_damaged_note(self, place, capsys):
         for text in ("{", "[]", '{"data": "x"}'):
@@ -216,7 +273,18 @@ class TestWhatIsGone:
 def test_time_stamps_are_understood_as_they_are_written(stamps, at, tmp_path, capsys):
     save_model(paper(dt=1), tmp_path / "model.toml")
     csv(tmp_path / "run.csv", stamps)
-    assert main.main(["detect", str(tmp_path / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
+    assert (
+        main.main(
+            [
+                "detect",
+                str(tmp_path / "model.toml"),
+                str(tmp_path / "run.csv"),
+                "--out",
+                str(tmp_path / "out"),
+            ]
+        )
+        == 1
+    )
     capsys.readouterr()
     code, out, err = explain(tmp_path, at, "--json", capsys=capsys)
     assert code == 0 and json.loads(out)["names"]["sample"] == 31, err
@@ -234,12 +302,19 @@ def test_parquet_is_read_where_it_is_needed(dated, tmp_path, capsys):
     for i in range(2):
         frame[30 * i : 30 * i + 30].to_parquet(tmp_path / f"parts/part-{i}.parquet")
     save_model(paper(), tmp_path / "model.toml")
-    assert main.main(["detect", str(tmp_path / "model.toml"), str(tmp_path / "parts"), "--out", str(tmp_path / "out")]) == 1
+    assert (
+        main.main(
+            ["detect", str(tmp_path / "model.toml"), str(tmp_path / "parts"), "--out", str(tmp_path / "out")]
+        )
+        == 1
+    )
     capsys.readouterr()
     for at in ("30", "2017-09-12 08:00:00.300" if dated else "0.3 s"):  # the window lies across two files
         code, out, err = explain(tmp_path, at, "--json", capsys=capsys)
         document = json.loads(out)
-        assert code == 0 and document["names"]["sample"] == 30 and document["certificate"] == Status.FAULT.name, err
+        assert (
+            code == 0 and document["names"]["sample"] == 30 and document["certificate"] == Status.FAULT.name
+        ), err
         check_certificate.confirm(document)
     code, _, err = explain(tmp_path, "50", capsys=capsys)
     assert code == 2 and "a window across a gap in time is MISSING" in err
@@ -254,15 +329,37 @@ def test_parquet_is_read_where_it_is_needed(dated, tmp_path, capsys):
 
 
 def test_a_number_that_could_be_a_time_says_so(tmp_path, capsys):
-    model = jb.LinearSystem([[0.5]], [[0.5]], [[1]], noise=0.1, dt=3, name="slow", inputs=["Q"], outputs=["T"])
+    model = jb.LinearSystem(
+        [[0.5]], [[0.5]], [[1]], noise=0.1, dt=3, name="slow", inputs=["Q"], outputs=["T"]
+    )
     save_model(model, tmp_path / "model.toml")
     rows = [f"{3 * k},0,{1.0 * (k == 20)}" for k in range(40)]
     (tmp_path / "run.csv").write_text("\n".join(["time,Q,T", *rows]) + "\n")
-    assert main.main(["detect", str(tmp_path / "model.toml"), str(tmp_path / "run.csv"), "--out", str(tmp_path / "out")]) == 1
+    assert (
+        main.main(
+            [
+                "detect",
+                str(tmp_path / "model.toml"),
+                str(tmp_path / "run.csv"),
+                "--out",
+                str(tmp_path / "out"),
+            ]
+        )
+        == 1
+    )
     command = f"the first at 60 s: jaxbound explain {tmp_path / 'out'} --at 60s\n"
     assert command in capsys.readouterr().out
-    assert "asked for" in (said := explain(tmp_path, "20", capsys=capsys)[1]) and "sample 20; for the time write --at 20s\n" in said
+    assert (
+        "asked for" in (said := explain(tmp_path, "20", capsys=capsys)[1])
+        and "sample 20; for the time write --at 20s\n" in said
+    )
     timed = explain(tmp_path, "60s", capsys=capsys)[1]
-    assert "sample 20\n" in timed and "asked for" not in timed and said.split("violated")[1] == timed.split("violated")[1]
+    assert (
+        "sample 20\n" in timed
+        and "asked for" not in timed
+        and said.split("violated")[1] == timed.split("violated")[1]
+    )
     assert "the least, not the size of the fault\n" in said and "Q wrong?" in said
-    assert explain(tmp_path, "60", capsys=capsys)[2].endswith("numbered from 0; for the time write --at 60s\n")
+    assert explain(tmp_path, "60", capsys=capsys)[2].endswith(
+        "numbered from 0; for the time write --at 60s\n"
+    )

@@ -14,13 +14,17 @@ from jaxbound.cli.fit import signals
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, rng):
-    """Return a folder with a recording of a heated tank, on in all but its last samples; commands run in it."""
+    """Return a folder with a recording of a heated tank, on in all but its last samples; commands run in
+    it.
+    """
     u = np.repeat(rng.uniform(0, 50, (20, 1)), 6, 0)[:, 0]
     x = np.zeros(120)
     for k in range(119):
         x[k + 1] = 0.8 * x[k] + 0.1 * u[k]
     room = rng.uniform(18, 22, 120)
-    rows = np.column_stack([2.0 * np.arange(120), u, room + x + rng.uniform(-0.1, 0.1, 120), room, np.arange(120) < 110])
+    rows = np.column_stack(
+        [2.0 * np.arange(120), u, room + x + rng.uniform(-0.1, 0.1, 120), room, np.arange(120) < 110]
+    )
     header = "Time (s),Heater (%),T out,T room,on\n"
     (tmp_path / "run.csv").write_text(header + "\n".join(",".join(f"{v:.4f}" for v in row) for row in rows))
     (tmp_path / "still.csv").write_text(header + "\n".join(f"{2 * k},1,20,20,1" for k in range(50)))
@@ -29,8 +33,22 @@ def place(tmp_path, monkeypatch, rng):
     return tmp_path
 
 
-FIT = ["fit", "run.csv", "--inputs", "heat=Heater (%)", "--outputs", "lift=`T out`-`T room`", "--order", "1", "--horizon", "4",
-       "--where", "on == 1", "--out", "tank.toml"]  # fmt: skip
+FIT = [
+    "fit",
+    "run.csv",
+    "--inputs",
+    "heat=Heater (%)",
+    "--outputs",
+    "lift=`T out`-`T room`",
+    "--order",
+    "1",
+    "--horizon",
+    "4",
+    "--where",
+    "on == 1",
+    "--out",
+    "tank.toml",
+]
 
 
 def test_fit_writes_a_model_file(place, capsys):
@@ -86,22 +104,33 @@ def test_fit_and_detect_agree_and_draw(place, capsys):
 def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     assert main.main([*FIT, "--held-out", "0"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    for text in ("tank: fitted to 1 recording", "run.csv 106 windows, ", "safety 1.25 times the smallest bounds",
-                 "caution nothing was held out", "10 of 120 samples are set aside"):  # fmt: skip
+    for text in (
+        "tank: fitted to 1 recording",
+        "run.csv 106 windows, ",
+        "safety 1.25 times the smallest bounds",
+        "caution nothing was held out",
+        "10 of 120 samples are set aside",
+    ):
         assert text in out, out
 
 
-@pytest.mark.parametrize("change, message", [
-    (["--outputs", "T  in"], "run.csv: .*has no column 'T  in'"),
-    (["--inputs", "heat=Heater (%),"], "--inputs needs names, or name=column or name=expression"),
-    (["--order", "0"], "--order needs a whole number >= 1"),
-    (["--horizon", "1"], r"horizon must be a whole number above the order \(1\), not 1"),
-    (["--safety", "0.5"], "safety must be a factor >= 1"),
-    (["--held-out", "1"], "held_out must be a share from 0 to below 1"),
-    (["--where", "on == 7"], "run.csv: the condition 'on == 7' holds for none of its 120 samples"),
-    (["--out", "no/tank.toml"], "--out no/tank.toml must be a file to write, in a folder that exists"),
-    (["--horizon", "300"], "too few samples: 110, in 1 recording, hold 0 complete windows of 301 samples"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (["--outputs", "T  in"], "run.csv: .*has no column 'T  in'"),
+        (["--inputs", "heat=Heater (%),"], "--inputs needs names, or name=column or name=expression"),
+        (["--order", "0"], "--order needs a whole number >= 1"),
+        (["--horizon", "1"], r"horizon must be a whole number above the order \(1\), not 1"),
+        (["--safety", "0.5"], "safety must be a factor >= 1"),
+        (["--held-out", "1"], "held_out must be a share from 0 to below 1"),
+        (["--where", "on == 7"], "run.csv: the condition 'on == 7' holds for none of its 120 samples"),
+        (["--out", "no/tank.toml"], "--out no/tank.toml must be a file to write, in a folder that exists"),
+        (
+            ["--horizon", "300"],
+            "too few samples: 110, in 1 recording, hold 0 complete windows of 301 samples",
+        ),
+    ],
+)
 def test_bad_input_is_one_sentence_and_writes_nothing(place, capsys, change, message):
     (place / "tank.toml").write_text("kept")
     args = FIT[:]
@@ -111,7 +140,11 @@ def test_bad_input_is_one_sentence_and_writes_nothing(place, capsys, change, mes
     assert main.main([*args, *change, "--force"]) == 2
     out, err = capsys.readouterr()
     assert out == "" and re.search(message, err) and err.count("\n") == 1, err
-    assert (place / "tank.toml").read_text() == "kept" and sorted(p.name for p in place.iterdir()) == ["run.csv", "still.csv", "tank.toml"]
+    assert (place / "tank.toml").read_text() == "kept" and sorted(p.name for p in place.iterdir()) == [
+        "run.csv",
+        "still.csv",
+        "tank.toml",
+    ]
 
 
 def test_a_sensor_that_stands_still_is_named(place, capsys):
@@ -121,4 +154,10 @@ def test_a_sensor_that_stands_still_is_named(place, capsys):
 
 def test_signals_are_columns_or_expressions_with_names():
     assert signals("--inputs", "a, b=2*a, c=arctan2(a, `d, e`), `d, e`, T1=Temperature 1, f=a==1") == [
-        "a", ("b", "= 2*a"), ("c", "= arctan2(a, `d, e`)"), "d, e", ("T1", "Temperature 1"), ("f", "= a==1")]  # fmt: skip
+        "a",
+        ("b", "= 2*a"),
+        ("c", "= arctan2(a, `d, e`)"),
+        "d, e",
+        ("T1", "Temperature 1"),
+        ("f", "= a==1"),
+    ]

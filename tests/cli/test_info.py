@@ -6,7 +6,13 @@ import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli.info import isolation_text
 
-TANK = dict(A=[["9/10", 0], [0, "4/5"]], B=[[1], [0]], C=[[1, 0], [0, 1], [1, 1]], noise=0.1, unknown_inputs=[[0], [1]])
+TANK = dict(
+    A=[["9/10", 0], [0, "4/5"]],
+    B=[[1], [0]],
+    C=[[1, 0], [0, 1], [1, 1]],
+    noise=0.1,
+    unknown_inputs=[[0], [1]],
+)
 
 
 def test_info_lists_relations_signatures_and_sizes(tmp_path, capsys):
@@ -17,13 +23,24 @@ def test_info_lists_relations_signatures_and_sizes(tmp_path, capsys):
     assert "unknown inputs" in text and "1, of which nothing is known" in text
     assert "level + flow - sum = 0" in text and "(10 q - 9) level - 10 u1 = 0" in text
     assert "level flow sum u1" in text and "seen level flow sum u1" in text
-    lines = dict(line.strip().split(": ", 1) for line in text.splitlines() if line.strip().startswith(("level: ", "u1: ")))
+    lines = dict(
+        line.strip().split(": ", 1)
+        for line in text.splitlines()
+        if line.strip().startswith(("level: ", "u1: "))
+    )
     size = jb.detectable(jb.load_model(path), "u1", 1)
     assert lines["u1"] == f"{float(size):.4g} %" and float(lines["level"]) > 0
     assert main.main(["info", str(path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["guaranteed"]["u1"] == float(size) and list(told["guaranteed"]) == ["level", "flow", "sum", "u1"]
-    assert told["outputs"][1] == dict(name="flow", unit="", column="flow", offset=0.0, tolerance=0.0, noise=0.1, resolution=0.0)
+    assert told["guaranteed"]["u1"] == float(size) and list(told["guaranteed"]) == [
+        "level",
+        "flow",
+        "sum",
+        "u1",
+    ]
+    assert told["outputs"][1] == dict(
+        name="flow", unit="", column="flow", offset=0.0, tolerance=0.0, noise=0.1, resolution=0.0
+    )
     assert (
         told["unknown_inputs"] == 1
         and told["inputs"][0]["unit"] == "%"

@@ -47,7 +47,11 @@ def test_detect_tests_windows_with_lags_and_explain_finds_them_again(place, caps
 def test_the_lags_of_a_model_file_are_taken_and_a_horizon_takes_their_place(place):
     save_model(paper(name="paper", lags=LAGS), "lags.toml")
     model = load_model("lags.toml")
-    assert model == paper(name="paper", lags=LAGS) and model.horizon == 3 and "horizon" not in Path("lags.toml").read_text()
+    assert (
+        model == paper(name="paper", lags=LAGS)
+        and model.horizon == 3
+        and "horizon" not in Path("lags.toml").read_text()
+    )
     assert main.main(["detect", "lags.toml", "run.csv", "--out", "out"]) == 1
     assert load_model("out/tested_model.toml").lags == LAGS
     assert main.main(["detect", "lags.toml", "run.csv", "--horizon", "3", "--out", "out"]) == 1
@@ -57,10 +61,15 @@ def test_the_lags_of_a_model_file_are_taken_and_a_horizon_takes_their_place(plac
 
 @pytest.mark.parametrize(
     ("more", "said"),
-    [(["--lags", "0,1", "--horizon", "3"], "not allowed with"), (["--lags", "1,2"], "0 among them"), (["--lags", "0,x"], "whole numbers"),
-     (["--lags", "0"], "do not outnumber"), (["--lags", "0,70"], "one window needs 71"),
-     (["--lags", "0,1", "--method", "validation"], "--lags is for other methods")],
-)  # fmt: skip
+    [
+        (["--lags", "0,1", "--horizon", "3"], "not allowed with"),
+        (["--lags", "1,2"], "0 among them"),
+        (["--lags", "0,x"], "whole numbers"),
+        (["--lags", "0"], "do not outnumber"),
+        (["--lags", "0,70"], "one window needs 71"),
+        (["--lags", "0,1", "--method", "validation"], "--lags is for other methods"),
+    ],
+)
 def test_what_is_wrong_with_lags_is_one_sentence(place, more, said, capsys):
     assert main.main(["detect", "model.toml", "run.csv", "--out", "out", *more]) == 2
     err = capsys.readouterr().err
@@ -73,7 +82,9 @@ def test_fit_keeps_lags_tune_moves_bounds_under_them_and_a_fleet_takes_them(plac
     y, x = np.zeros((200, 1)), 0.0
     for k in range(200):
         y[k], x = x + rng.uniform(-0.1, 0.1), 0.9 * x + 0.1 * u[k, 0]
-    np.savetxt("healthy.csv", np.column_stack([np.arange(200), u, y]), delimiter=",", header="t,u,y", comments="")
+    np.savetxt(
+        "healthy.csv", np.column_stack([np.arange(200), u, y]), delimiter=",", header="t,u,y", comments=""
+    )
     fit = ["fit", "healthy.csv", "--inputs", "u", "--outputs", "y"]
     fit += ["--order", "1", "--method", "least squares", "--out", "fit.toml"]
     assert main.main([*fit, "--lags", "0,2,5"]) == 0
@@ -82,7 +93,12 @@ def test_fit_keeps_lags_tune_moves_bounds_under_them_and_a_fleet_takes_them(plac
     assert model.lags == (0, 2, 5) and jb.parity_relations(model).lags == (0, 2, 5)
     res = jb.detect(jb.parity_relations(model), u, y)
     assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0
-    assert main.main(["tune", "fit.toml", "healthy.csv", "--steps", "0", "--lags", "0,1,4", "--out", "tuned.toml"]) == 0
+    assert (
+        main.main(
+            ["tune", "fit.toml", "healthy.csv", "--steps", "0", "--lags", "0,1,4", "--out", "tuned.toml"]
+        )
+        == 0
+    )
     assert load_model("tuned.toml").lags == (0, 1, 4)
     with open("fleet.csv", "w") as f:
         f.write("unit,model,recording\nA,tuned.toml,healthy.csv\n")
@@ -105,6 +121,10 @@ def test_the_command_that_reports_on_all_shares_makes_the_same_test(options):
     from jaxbound.cli.main import commands
     from jaxbound.cli.share import _again
 
-    parse = lambda *more: commands()["detect"].parse_args(["m.toml", "d", "--out", "o", *options.split(), *more])
+    parse = lambda *more: commands()["detect"].parse_args(
+        ["m.toml", "d", "--out", "o", *options.split(), *more]
+    )
     told = shlex.split(_again(parse("--part", "1/2"), "--merge"))
-    assert told[:2] == ["jaxbound", "detect"] and commands()["detect"].parse_args(told[2:]) == parse("--merge")
+    assert told[:2] == ["jaxbound", "detect"] and commands()["detect"].parse_args(told[2:]) == parse(
+        "--merge"
+    )

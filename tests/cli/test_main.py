@@ -1,4 +1,6 @@
-"""The command line: exit codes, one clear sentence for what is wrong, and a report completely or not at all."""
+"""The command line: exit codes, one clear sentence for what is wrong, and a report completely or not at
+all.
+"""
 
 import json
 import os
@@ -26,7 +28,9 @@ FILES = {"verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.
 
 
 def rows(n=60, fault=(), missing=()):
-    """Return CSV lines of the paper's system without any error, with a bias of 1 on y1 at the samples `fault`."""
+    """Return CSV lines of the paper's system without any error, with a bias of 1 on y1 at the samples
+    `fault`.
+    """
     x, out = np.zeros(2), []
     for k in range(n):
         u = 1.0 if (k // 20) % 2 else -0.5
@@ -54,7 +58,12 @@ def place(tmp_path):
 
 def run(place, *args, capsys):
     """Run the command line; return (code, stdout, stderr)."""
-    code = main.main([str(place / a) if str(a).endswith((".toml", ".csv", ".parquet")) or a == "out" else str(a) for a in args])
+    code = main.main(
+        [
+            str(place / a) if str(a).endswith((".toml", ".csv", ".parquet")) or a == "out" else str(a)
+            for a in args
+        ]
+    )
     return code, *capsys.readouterr()
 
 
@@ -68,11 +77,27 @@ class TestDetect:
         code, out, _ = run(place, "detect", "model.toml", "faulty.csv", "--out", "out", capsys=capsys)
         assert code == 1 and "Fault proved: " in out and "would need bounds" in out and "report.html" in out
         verdicts = (place / "out/verdicts.csv").read_text().splitlines()
-        assert verdicts[0] == "time,status,margin,suspect" and len(verdicts) == 61 and verdicts[1].startswith("0,MISSING,,false")
+        assert (
+            verdicts[0] == "time,status,margin,suspect"
+            and len(verdicts) == 61
+            and verdicts[1].startswith("0,MISSING,,false")
+        )
         assert any(line.startswith("0.3,FAULT,-") and line.endswith(",true") for line in verdicts)
 
     def test_verdicts_are_those_of_the_library(self, place, capsys):
-        run(place, "detect", "model.toml", "faulty.csv", "--out", "out", "--horizon", "2", "--method", "box", capsys=capsys)
+        run(
+            place,
+            "detect",
+            "model.toml",
+            "faulty.csv",
+            "--out",
+            "out",
+            "--horizon",
+            "2",
+            "--method",
+            "box",
+            capsys=capsys,
+        )
         data = np.genfromtxt(place / "faulty.csv", delimiter=",", skip_header=1)
         res = jb.detect(jb.parity_relations(paper(), 2), data[:, 1:2], data[:, 2:], method="box")
         written = [line.split(",")[1] for line in (place / "out/verdicts.csv").read_text().splitlines()[1:]]
@@ -86,13 +111,23 @@ class TestDetect:
         assert run(place, *args, "--min-coverage", "0.2", capsys=capsys)[0] == 0
 
     def test_box_alone_proves_no_health(self, place, capsys):
-        assert run(place, "detect", "model.toml", "good.csv", "--out", "out", "--method", "box", capsys=capsys)[0] == 3
+        assert (
+            run(place, "detect", "model.toml", "good.csv", "--out", "out", "--method", "box", capsys=capsys)[
+                0
+            ]
+            == 3
+        )
 
     @pytest.mark.slow
     def test_paving(self, place, capsys):
-        save_model(jb.LinearSystem([["0.5"]], [[1]], [[1]], dt=0.01, noise=0.1, columns={"y1": "y2"}), place / "model.toml")
+        save_model(
+            jb.LinearSystem([["0.5"]], [[1]], [[1]], dt=0.01, noise=0.1, columns={"y1": "y2"}),
+            place / "model.toml",
+        )
         (place / "good.csv").write_text(csv_text(rows(12)))
-        code, out, _ = run(place, "detect", "model.toml", "good.csv", "--out", "out", "--method", "paving", capsys=capsys)
+        code, out, _ = run(
+            place, "detect", "model.toml", "good.csv", "--out", "out", "--method", "paving", capsys=capsys
+        )
         assert code == 1 and "Fault proved" in out and "the paving test over 2 samples" in out
 
     def test_all_fault_says_what_does_not_fit(self, place, capsys):
@@ -100,18 +135,37 @@ class TestDetect:
         lines = [f"{k / 100},0,{k % 7},{k % 3}" for k in range(50)]
         (place / "wild.csv").write_text("\n".join([HEADER, *lines]))
         code, out, _ = run(place, "detect", "model.toml", "wild.csv", "--out", "out", capsys=capsys)
-        assert code == 1 and re.search(r"the model or its bounds do not fit this recording: all bounds times .* would", out)
+        assert code == 1 and re.search(
+            r"the model or its bounds do not fit this recording: all bounds times .* would", out
+        )
 
     def test_json_is_the_only_thing_on_stdout(self, place, capsys):
-        code, out, err = run(place, "detect", "model.toml", "faulty.csv", "--out", "out", "--json", capsys=capsys)
+        code, out, err = run(
+            place, "detect", "model.toml", "faulty.csv", "--out", "out", "--json", capsys=capsys
+        )
         found = json.loads(out)
         assert code == found["exit_code"] == 1 and found["verdict"] == "fault" and err == ""
-        assert sum(found["counts"].values()) == found["samples"] == 60 and found["worst"]["factor"] > 1 and found["alarms"] >= 1
+        assert (
+            sum(found["counts"].values()) == found["samples"] == 60
+            and found["worst"]["factor"] > 1
+            and found["alarms"] >= 1
+        )
 
     def test_alarm_needs_k_of_n(self, place, capsys):
         counts = []
         for alarm in ("1/1", "1/50", "40/50"):
-            code, out, _ = run(place, "detect", "model.toml", "faulty.csv", "--out", "out", "--json", "--alarm", alarm, capsys=capsys)
+            code, out, _ = run(
+                place,
+                "detect",
+                "model.toml",
+                "faulty.csv",
+                "--out",
+                "out",
+                "--json",
+                "--alarm",
+                alarm,
+                capsys=capsys,
+            )
             counts.append(json.loads(out)["alarms"])
             assert code == 1  # alarms group proofs, they do not unmake them
         assert counts[1] == 1 and counts[2] == 0
@@ -121,8 +175,15 @@ class TestDetect:
         (place / "out/mine.txt").write_text("mine")
         for data in ("good.csv", "faulty.csv"):
             run(place, "detect", "model.toml", data, "--out", "out", capsys=capsys)
-        assert "FAULT" in (place / "out/verdicts.csv").read_text() and {p.name for p in (place / "out").iterdir()} == FILES | {"mine.txt"}
-        assert {p.name for p in place.iterdir()} == {"model.toml", "good.csv", "faulty.csv", "out"}  # no working folder is left
+        assert "FAULT" in (place / "out/verdicts.csv").read_text() and {
+            p.name for p in (place / "out").iterdir()
+        } == FILES | {"mine.txt"}
+        assert {p.name for p in place.iterdir()} == {
+            "model.toml",
+            "good.csv",
+            "faulty.csv",
+            "out",
+        }  # no working folder is left
 
     def test_names_are_neither_markup_nor_html(self, place, capsys):
         evil = "[red]<script>alert(1)</script>[/red]"
@@ -138,14 +199,28 @@ class TestDetect:
         first = [float(x) for x in lines[1].split(",")[3:]]
         names = {"inputs": ["Heater 1", "Heater 2"], "outputs": ["Temperature 1", "Temperature 2"]}
         m = jb.LinearSystem(
-            d["A"], d["B"], d["C"], dt=d["dt"], noise=d["noise_bound"]["s4"], resolution="0.005", offset={"y": first}, **names
+            d["A"],
+            d["B"],
+            d["C"],
+            dt=d["dt"],
+            noise=d["noise_bound"]["s4"],
+            resolution="0.005",
+            offset={"y": first},
+            **names,
         )
         save_model(m, tmp_path / "model.toml")
-        jump = [",".join(c if i != 3 or not 100 < k < 130 else str(float(c) + 3) for i, c in enumerate(line.split(",")))
-                for k, line in enumerate(lines)]  # fmt: skip
+        jump = [
+            ",".join(
+                c if i != 3 or not 100 < k < 130 else str(float(c) + 3) for i, c in enumerate(line.split(","))
+            )
+            for k, line in enumerate(lines)
+        ]
         for name, text, expected in (("good.csv", lines, 0), ("jump.csv", jump, 1)):
             (tmp_path / name).write_text("\n".join(text))
-            assert run(tmp_path, "detect", "model.toml", name, "--out", "out", "--horizon", 4, capsys=capsys)[0] == expected
+            assert (
+                run(tmp_path, "detect", "model.toml", name, "--out", "out", "--horizon", 4, capsys=capsys)[0]
+                == expected
+            )
 
 
 def csv_text(lines, header=HEADER):
@@ -155,47 +230,82 @@ def csv_text(lines, header=HEADER):
 TIMED = rows()
 BAD_DATA = {
     "missing column": (csv_text(TIMED, "t,u1,y1,y3"), "no column 'y2'; did you mean"),
-    "text in a number column": (csv_text([*TIMED, "0.6,1,broken,2"]), "row 62 of column 'y1' holds 'broken', which is not a number"),
+    "text in a number column": (
+        csv_text([*TIMED, "0.6,1,broken,2"]),
+        "row 62 of column 'y1' holds 'broken', which is not a number",
+    ),
     "all NaN": (csv_text([f"{k / 100},1,NaN,1" for k in range(30)]), "column 'y1' holds no number at all"),
     "empty file": ("", "the file is empty"),
     "header only": (HEADER + "\n", "a header but no row of data"),
     "one row": (csv_text(TIMED[:1]), "one row of data"),
     "newest first": (csv_text(TIMED[::-1]), "the rows run backwards in time, the newest first"),
-    "wrong dt": (csv_text([f"{k},1,1,1" for k in range(30)]), "the model has dt = 0.01 s, but the rows of the recording are 1 s apart"),
+    "wrong dt": (
+        csv_text([f"{k},1,1,1" for k in range(30)]),
+        "the model has dt = 0.01 s, but the rows of the recording are 1 s apart",
+    ),
     "duplicate column": (csv_text([r + ",1" for r in TIMED], HEADER + ",y1"), "2 columns are called 'y1'"),
     "infinity": (csv_text([*TIMED, "0.6,1,inf,2"]), "row 62 of column 'y1' is infinite or too large"),
     "ragged": (csv_text([*TIMED, "0.6,1"]), "row 62 has 2 cells, the header has 4"),
     "UTF-16": (csv_text(TIMED).encode("utf-16"), "the file is in UTF-16: save it as UTF-8"),
     "binary": (bytes(range(128, 192)) + bytes(64), "binary file"),
-    "Parquet inside, truncated": (b"PAR1" + bytes(64), "bad.csv is a truncated Parquet file: its end is missing"),
-}  # fmt: skip
+    "Parquet inside, truncated": (
+        b"PAR1" + bytes(64),
+        "bad.csv is a truncated Parquet file: its end is missing",
+    ),
+}
 BAD_MODEL = {
     "wrong shapes": (("[1, 0],", "[1, 0, 2],"), "rows have different lengths"),
-    "shapes that do not fit": (("C = [\n    [1, 0],\n    [1, 1],\n]", "C = [[1, 0, 0], [1, 1, 0]]"), "C must have shape"),
+    "shapes that do not fit": (
+        ("C = [\n    [1, 0],\n    [1, 1],\n]", "C = [[1, 0, 0], [1, 1, 0]]"),
+        "C must have shape",
+    ),
     "negative bound": (("noise = 0.1", "noise = -0.1"), "noise must be >= 0: output 'y1' has -0.1"),
     "tolerance of 1": (("tolerance = 0.1", "tolerance = 1"), "tolerance is relative and must be below 1"),
     "no output": (("C = [\n    [1, 0],\n    [1, 1],\n]", "C = []"), "the model has no output"),
-    "a field that is unknown": (("noise = 0.1", "niose = 0.1"), "unknown field 'niose'; did you mean 'noise'"),
+    "a field that is unknown": (
+        ("noise = 0.1", "niose = 0.1"),
+        "unknown field 'niose'; did you mean 'noise'",
+    ),
     "TOML syntax": (("dt = 0.01", "dt = 0.01.2"), "not valid TOML: .*line 2"),
     "not a number": (("noise = 0.1", 'noise = "low"'), "'low' is not a finite number"),
-    "another dt": (("dt = 0.01", "dt = 0.02"), "the model has dt = 0.02 s, but the rows of the recording are 0.01 s apart"),
+    "another dt": (
+        ("dt = 0.01", "dt = 0.02"),
+        "the model has dt = 0.02 s, but the rows of the recording are 0.01 s apart",
+    ),
 }
 DETECT = ["detect", "model.toml", "good.csv", "--out", "out"]
 BAD_USAGE = {
     "missing model": (["detect", "none.toml", "good.csv", "--out", "out"], "there is no model file"),
     "missing data": (["detect", "model.toml", "none.csv", "--out", "out"], "there is no data file"),
-    "folder for a model": (["detect", ".", "good.csv", "--out", "out"], r"\. is a folder: a model file is needed"),
-    "folder without Parquet": (["detect", "model.toml", "texts", "--out", "out"], "texts is a folder without Parquet files: it has a.csv"),
-    "empty folder": (["detect", "model.toml", "empty", "--out", "out"], "empty is a folder without Parquet files: it is empty"),
+    "folder for a model": (
+        ["detect", ".", "good.csv", "--out", "out"],
+        r"\. is a folder: a model file is needed",
+    ),
+    "folder without Parquet": (
+        ["detect", "model.toml", "texts", "--out", "out"],
+        "texts is a folder without Parquet files: it has a.csv",
+    ),
+    "empty folder": (
+        ["detect", "model.toml", "empty", "--out", "out"],
+        "empty is a folder without Parquet files: it is empty",
+    ),
     "standard input": (["detect", "model.toml", "-", "--out", "out"], "standard input is empty"),
-    "no Parquet": (["detect", "model.toml", "text.parquet", "--out", "out"], "text.parquet is no Parquet file"),
+    "no Parquet": (
+        ["detect", "model.toml", "text.parquet", "--out", "out"],
+        "text.parquet is no Parquet file",
+    ),
     "horizon 0": ([*DETECT, "--horizon", "0"], "horizon 0 gives no relation.* horizon with one is 1"),
-    "window longer than the data": (["detect", "tiny.toml", "short.csv", "--out", "out", "--horizon", "5"],
-                                    "has 4 samples, one window needs 6"),
+    "window longer than the data": (
+        ["detect", "tiny.toml", "short.csv", "--out", "out", "--horizon", "5"],
+        "has 4 samples, one window needs 6",
+    ),
     "alarm 3/2": ([*DETECT, "--alarm", "3/2"], "--alarm needs k/n with 1 <= k <= n, like 3/5, not '3/2'"),
     "alarm without n": ([*DETECT, "--alarm", "3"], "--alarm needs k/n"),
     "unknown method": ([*DETECT, "--method", "best"], "--method must be one of joint, box, paving"),
-    "a method for other models": ([*DETECT, "--method", "linearized"], "'linearized' is for models with uncertain parameters"),
+    "a method for other models": (
+        [*DETECT, "--method", "linearized"],
+        "'linearized' is for models with uncertain parameters",
+    ),
     "horizon in words": ([*DETECT, "--horizon", "two"], "--horizon needs a whole number >= 0"),
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),
@@ -205,10 +315,15 @@ BAD_USAGE = {
     "unknown command": (["detekt"], "invalid choice: 'detekt'"),
     "fit without outputs": (["fit", "good.csv"], "the following arguments are required: --outputs, --out"),
     "info of nothing": (["info"], "needs either a model file or --template"),
-    "out is a file": (["detect", "model.toml", "good.csv", "--out", "good.csv"], "good.csv is a file: a folder is needed"),
-    "out below a file": (["detect", "model.toml", "good.csv", "--out", "good.csv/out"],
-                         "cannot write into good.csv/out: not a directory"),
-}  # fmt: skip
+    "out is a file": (
+        ["detect", "model.toml", "good.csv", "--out", "good.csv"],
+        "good.csv is a file: a folder is needed",
+    ),
+    "out below a file": (
+        ["detect", "model.toml", "good.csv", "--out", "good.csv/out"],
+        "cannot write into good.csv/out: not a directory",
+    ),
+}
 
 
 class TestBadInput:
@@ -226,7 +341,9 @@ class TestBadInput:
     def test_data(self, place, case, capsys, monkeypatch):
         data, message = BAD_DATA[case]
         (place / "bad.csv").write_bytes(data if isinstance(data, bytes) else data.encode())
-        self.refused(place, ["detect", "model.toml", "bad.csv", "--out", "new/out"], message, capsys, monkeypatch)
+        self.refused(
+            place, ["detect", "model.toml", "bad.csv", "--out", "new/out"], message, capsys, monkeypatch
+        )
 
     @pytest.mark.parametrize("case", BAD_MODEL)
     def test_model(self, place, case, capsys, monkeypatch):
@@ -251,7 +368,9 @@ class TestBadInput:
         run(place, "detect", "model.toml", "good.csv", "--out", "out", capsys=capsys)
         before = {p.name: p.read_bytes() for p in (place / "out").iterdir()}
         (place / "bad.csv").write_text(HEADER)
-        self.refused(place, ["detect", "model.toml", "bad.csv", "--out", "out"], "no row of data", capsys, monkeypatch)
+        self.refused(
+            place, ["detect", "model.toml", "bad.csv", "--out", "out"], "no row of data", capsys, monkeypatch
+        )
         assert {p.name: p.read_bytes() for p in (place / "out").iterdir()} == before
 
     def test_huge_values_are_judged_not_crashed_on(self, place, capsys):
@@ -287,23 +406,36 @@ class TestOtherEnds:
     def test_our_own_mistake_is_70_with_a_traceback_in_a_file(self, place, capsys, monkeypatch):
         monkeypatch.setattr(detect, "write_report", lambda *a, **k: 1 / 0)
         code, out, err = run(place, "detect", "model.toml", "good.csv", "--out", "out", capsys=capsys)
-        assert code == 70 and out == "" and err.count("\n") == 1 and "internal error, ZeroDivisionError" in err
+        assert (
+            code == 70 and out == "" and err.count("\n") == 1 and "internal error, ZeroDivisionError" in err
+        )
         assert "division by zero" in Path(re.search(r"\S+\.txt", err)[0]).read_text()
         assert not (place / "out").exists()
 
     def test_help_and_version(self, capsys):
-        for args, text in ((["--version"], f"jaxbound {jb.__version__}"), (["--help"], "exit codes: 0 no fault, 1 fault found"),
-                           (["detect", "--help"], "--min-coverage")):  # fmt: skip
+        for args, text in (
+            (["--version"], f"jaxbound {jb.__version__}"),
+            (["--help"], "exit codes: 0 no fault, 1 fault found"),
+            (["detect", "--help"], "--min-coverage"),
+        ):
             assert main.main(args) == 0
             assert text in " ".join(capsys.readouterr().out.split())
 
     def test_info(self, place, capsys):
         code, out, _ = run(place, "info", "model.toml", capsys=capsys)
         assert code == 0
-        for part in ("paper", "A 2x2, B 2x1, C 2x2, D zero", "y1 0.02, y2 0.1", "origin not stated", "2 independent, 4 combinations",
-                     "r1: y1[k-1] - 5 y2[k-1] + 5 y1[k] = 0"):  # fmt: skip
+        for part in (
+            "paper",
+            "A 2x2, B 2x1, C 2x2, D zero",
+            "y1 0.02, y2 0.1",
+            "origin not stated",
+            "2 independent, 4 combinations",
+            "r1: y1[k-1] - 5 y2[k-1] + 5 y1[k] = 0",
+        ):
             assert part in out
-        assert re.search(r"tolerance +y1 0.02, y2 0.1 +\(origin|tolerance +none$", out, re.M) and not re.search(r"none +\(origin", out)
+        assert re.search(
+            r"tolerance +y1 0.02, y2 0.1 +\(origin|tolerance +none$", out, re.M
+        ) and not re.search(r"none +\(origin", out)
         assert "20 combinations" in run(place, "info", "model.toml", "--horizon", 2, capsys=capsys)[1]
 
     def test_template_is_a_model(self, tmp_path, capsys):
@@ -315,8 +447,14 @@ class TestOtherEnds:
 
 @pytest.fixture
 def shell(place):
-    """Return (arguments of a process, its environment): the real program with a cache of its own, but for the fonts it has found."""
-    environment = {k: v for k, v in os.environ.items() if k not in ("JAX_PLATFORMS", "JAX_ENABLE_X64", "JAX_COMPILATION_CACHE_DIR")}
+    """Return (arguments of a process, its environment): the real program with a cache of its own, but for the
+    fonts it has found.
+    """
+    environment = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in ("JAX_PLATFORMS", "JAX_ENABLE_X64", "JAX_COMPILATION_CACHE_DIR")
+    }
     return [sys.executable, "-m", "jaxbound.cli"], {
         **environment,
         "XDG_CACHE_HOME": str(place / "cache"),
@@ -334,7 +472,9 @@ for command in ("", "demo", "detect", "explain", "fleet", "fit", "tune", "study"
 main(["--version"])
 print(*sys.modules, file=sys.stderr)
 """
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+        )
         heavy = {"jax", "numpy", "pandas", "matplotlib", "scipy", "pyarrow", "rich", "jinja2", "optax"}
         assert heavy & {name.partition(".")[0] for name in done.stderr.split()} == set()
         assert f"{', '.join(interface.METHODS)} (default: joint" in " ".join(done.stdout.split())
@@ -347,7 +487,8 @@ from jaxbound.cli import main
 main._configure = lambda: None
 main.main("detect model.toml faulty.csv --out out -q".split())
 main.main("detect model.toml faulty.csv --method validation --out validated -q".split())
-main.main("fit good.csv --inputs u1 --outputs y1,y2 --order 1 --horizon 2 --held-out 0 --method windows --out fitted.toml -q".split())
+fit = "fit good.csv --inputs u1 --outputs y1,y2 --order 1 --horizon 2 --held-out 0 --method windows"
+main.main(f"{fit} --out fitted.toml -q".split())
 print(*sys.modules, file=sys.stderr)
 main.main("study model.toml --faults y1:bias --sizes 1 --n 20 --samples 20 --out study -q".split())
 print(*sys.modules, file=sys.stderr)
@@ -355,10 +496,21 @@ print(*sys.modules, file=sys.stderr)
         settings = {**os.environ, "JAX_ENABLE_X64": "1", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
         if kept := jax.config.jax_compilation_cache_dir:
             settings["JAX_COMPILATION_CACHE_DIR"] = kept
-        done = subprocess.run([sys.executable, "-c", code], cwd=place, env=settings, capture_output=True, text=True, timeout=300)
-        *_, before, study = ({name.partition(".")[0] for name in line.split()} for line in done.stderr.splitlines())
-        assert {"pandas", "matplotlib", "scipy", "optax"} & before == set() and {"pandas", "matplotlib", "optax"} & study == set()
-        assert all((place / name).exists() for name in ("out/report.html", "validated/report.html", "fitted.toml", "study/report.html"))
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=place, env=settings, capture_output=True, text=True, timeout=300
+        )
+        *_, before, study = (
+            {name.partition(".")[0] for name in line.split()} for line in done.stderr.splitlines()
+        )
+        assert {"pandas", "matplotlib", "scipy", "optax"} & before == set() and {
+            "pandas",
+            "matplotlib",
+            "optax",
+        } & study == set()
+        assert all(
+            (place / name).exists()
+            for name in ("out/report.html", "validated/report.html", "fitted.toml", "study/report.html")
+        )
 
     def test_a_run_from_the_shell(self, place, shell):
         args, environment = shell
@@ -373,7 +525,11 @@ print(*sys.modules, file=sys.stderr)
         environment["XDG_CACHE_HOME"] = str(place / "good.csv")
         args = [*args, "detect", "model.toml", "none.csv", "--out", "out"]
         done = subprocess.run(args, env=environment, cwd=place, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 2 and done.stderr == "jaxbound: there is no data file none.csv\n" and done.stdout == ""
+        assert (
+            done.returncode == 2
+            and done.stderr == "jaxbound: there is no data file none.csv\n"
+            and done.stdout == ""
+        )
 
     def test_ctrl_c(self, place, shell):
         args, environment = shell
@@ -384,7 +540,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell makes backgr
 detecting.write_report = lambda *a, **k: (sys.stdout.write("ready"), sys.stdout.flush(), time.sleep(60))
 sys.exit(cli.main(["detect", "model.toml", "good.csv", "--out", "out"]))
 """
-        process = subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            env=environment,
+            cwd=place,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         assert process.stdout.read(5) == b"ready"
         time.sleep(0.2)
         process.send_signal(signal.SIGINT)

@@ -1,4 +1,6 @@
-"""Verdicts on lines as they come: the same as of the file, whatever the pieces they come in, and however the process ends."""
+"""Verdicts on lines as they come: the same as of the file, whatever the pieces they come in, and however the
+process ends.
+"""
 
 import argparse
 import errno
@@ -27,7 +29,9 @@ N = 300
 
 @pytest.fixture(scope="module")
 def samples():
-    """Return (t, u, y): the paper's plant with a fault and missing samples, a gap, a repeated stamp and a clock that goes back."""
+    """Return (t, u, y): the paper's plant with a fault and missing samples, a gap, a repeated stamp and a
+    clock that goes back.
+    """
     rng, x, y = np.random.default_rng(0), np.zeros(2), np.empty((N, 2))
     u = np.repeat(rng.uniform(-1, 1, (N // 20, 1)).round(3), 20, 0)
     for k in range(N):
@@ -58,20 +62,34 @@ def place(tmp_path, monkeypatch):
 
 
 def arguments(**changes):
-    given = dict(model="model.toml", data="-", out=None, state=None, horizon=None, lags=None, method="joint", min_coverage=0.5, json=False)
+    given = dict(
+        model="model.toml",
+        data="-",
+        out=None,
+        state=None,
+        horizon=None,
+        lags=None,
+        method="joint",
+        min_coverage=0.5,
+        json=False,
+    )
     return argparse.Namespace(**(given | changes))
 
 
 @pytest.fixture
 def pipe(capsysbinary, place):
-    """Return a function that sends text, cut into pieces, and returns (exit code, stdout without its header, stderr)."""
+    """Return a function that sends text, cut into pieces, and returns (exit code, stdout without its header,
+    stderr).
+    """
 
     def send(text, cuts=(), chunks=None, whole=True, **changes):
         data = ("".join(text) if not isinstance(text, bytes) else text) if text is not None else b""
         data = data if isinstance(data, bytes) else data.encode()
         cuts = [0, *sorted(cuts), len(data)]
         capsysbinary.readouterr()
-        code = piped.follow(arguments(**changes), chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)], whole)
+        code = piped.follow(
+            arguments(**changes), chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)], whole
+        )
         out, err = (x.decode() for x in capsysbinary.readouterr())
         return code, out.removeprefix("time,status,margin\n"), err.replace("jaxbound: ", "")
 
@@ -95,24 +113,42 @@ class TestVerdicts:
             code, out, err = pipe(text, cuts, out=place / f"pipe{i}")
             assert code == 1 and (place / f"pipe{i}/verdicts.csv").read_bytes() == expected
             assert out.splitlines() == [row.rpartition(",")[0] for row in expected.decode().splitlines()[1:]]
-        assert "line 102 comes 0.51 s after the sample before it" in err and "clock goes back by 0.99 s before sample 220" in err
-        assert "Fault proved: " in err and "cannot be explained by any behaviour inside the bounds, in " in err
+        assert (
+            "line 102 comes 0.51 s after the sample before it" in err
+            and "clock goes back by 0.99 s before sample 220" in err
+        )
+        assert (
+            "Fault proved: " in err and "cannot be explained by any behaviour inside the bounds, in " in err
+        )
 
-    @pytest.mark.parametrize("line, head", [
-        ("{:.2f};{};{};{}\n", "t;u1;y1;y2\n"), ("{:.2f}\t{}\t{}\t{}\r\n", "t\tu1\ty1\ty2\r\n"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "line, head",
+        [
+            ("{:.2f};{};{};{}\n", "t;u1;y1;y2\n"),
+            ("{:.2f}\t{}\t{}\t{}\r\n", "t\tu1\ty1\ty2\r\n"),
+        ],
+    )
     def test_delimiters_and_decimal_commas(self, samples, place, pipe, line, head, capsysbinary):
         expected = batch(place, lines(samples))
         text = [x.replace(".", ",") for x in lines(samples, line, head)]
         pipe(["\ufeff", *text], range(0, 900, 11), out=place / "pipe")
         assert (place / "pipe/verdicts.csv").read_bytes() == expected
 
-    @pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f", "%H:%M:%S.%f", "%d.%m.%Y,%H:%M:%S.%f"])
+    @pytest.mark.parametrize(
+        "form", ["%Y-%m-%d %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f", "%H:%M:%S.%f", "%d.%m.%Y,%H:%M:%S.%f"]
+    )
     def test_time_stamps(self, samples, place, pipe, form, capsysbinary):
         t, u, y = samples
-        stamps = (np.datetime64("2024-05-01T23:59:59", "ms") + (1000 * t).round().astype("timedelta64[ms]")).astype(object)
-        text = [f"{'day,' * form.count(',')}time,u1,y1,y2\n", *(f"{s.strftime(form)[:-4]},{line.partition(',')[2]}"
-                                     for s, line in zip(stamps[:100], lines(samples)[1:], strict=False))]  # fmt: skip
+        stamps = (
+            np.datetime64("2024-05-01T23:59:59", "ms") + (1000 * t).round().astype("timedelta64[ms]")
+        ).astype(object)
+        text = [
+            f"{'day,' * form.count(',')}time,u1,y1,y2\n",
+            *(
+                f"{s.strftime(form)[:-4]},{line.partition(',')[2]}"
+                for s, line in zip(stamps[:100], lines(samples)[1:], strict=False)
+            ),
+        ]
         expected = batch(place, text)
         pipe(text, range(0, len("".join(text)), 333), out=place / "pipe")
         assert (place / "pipe/verdicts.csv").read_bytes() == expected
@@ -120,9 +156,14 @@ class TestVerdicts:
     @pytest.mark.parametrize("scale", [1, 1000, 10**9])
     def test_an_epoch_and_no_time_at_all(self, samples, place, pipe, scale, capsysbinary):
         t, u, y = samples
-        for i, first in enumerate((lambda t: f"{round((1.7e9 + t) * 1000) * scale / 1000:.6f}", lambda t: "0")):
+        for i, first in enumerate(
+            (lambda t: f"{round((1.7e9 + t) * 1000) * scale / 1000:.6f}", lambda t: "0")
+        ):
             name = ("time", "ignored")[i]
-            text = [f"{name},u1,y1,y2\n", *(f"{first(k / 100)},{x.partition(',')[2]}" for k, x in enumerate(lines(samples)[1:]))]
+            text = [
+                f"{name},u1,y1,y2\n",
+                *(f"{first(k / 100)},{x.partition(',')[2]}" for k, x in enumerate(lines(samples)[1:])),
+            ]
             expected = batch(place, text, f"batch{i}")
             pipe(text, range(40, 5000, 400), out=place / f"pipe{i}")
             assert (place / f"pipe{i}/verdicts.csv").read_bytes() == expected
@@ -131,7 +172,10 @@ class TestVerdicts:
         jb.save_model(paper(columns={"y1": "= half * 2", "where": "on == 1 and not y2 > 1000"}), "model.toml")
         t, u, y = samples
         on = (np.arange(N) // 37) % 3 > 0
-        text = ["t,u1,half,y2,on\n", *(f"{t[k]:.2f},{u[k, 0]},{y[k, 0] / 2},{y[k, 1]},{int(on[k])}\n" for k in range(N))]
+        text = [
+            "t,u1,half,y2,on\n",
+            *(f"{t[k]:.2f},{u[k, 0]},{y[k, 0] / 2},{y[k, 1]},{int(on[k])}\n" for k in range(N)),
+        ]
         expected = batch(place, text)
         first = capsysbinary.readouterr().out.decode()
         code, out, err = pipe(text, range(0, 9000, 501), out=place / "pipe")
@@ -143,7 +187,11 @@ class TestVerdicts:
     def test_json_lines(self, samples, place, pipe):
         code, out, _ = pipe(lines(samples)[:12], json=True)
         rows = [json.loads(row) for row in out.splitlines()]
-        assert code == 0 and len(rows) == 11 and rows[0] == {"time": 0.0, "status": "MISSING", "margin": None, "ended": None}
+        assert (
+            code == 0
+            and len(rows) == 11
+            and rows[0] == {"time": 0.0, "status": "MISSING", "margin": None, "ended": None}
+        )
         res = jb.detect(jb.parity_relations(paper()), samples[1][:11], samples[2][:11])
         assert [r["margin"] for r in rows[1:]] == res.margin[1:].tolist()
 
@@ -154,7 +202,9 @@ class TestVerdicts:
         text = [text[0], *text[1:221]]
         for cuts in ((), sorted(rng.integers(0, len("".join(text)), 9).tolist())):
             _, out, err = pipe(text, cuts=cuts, json=True)
-            said = {k: row["ended"] for k, row in enumerate(map(json.loads, out.splitlines())) if row["ended"]}
+            said = {
+                k: row["ended"] for k, row in enumerate(map(json.loads, out.splitlines())) if row["ended"]
+            }
             assert said == {a.end + 1: a.ended for a in alarms if a.end < 219} and len(set(said.values())) > 1
             assert "ended because the onset left the window: repaired or lasting" in " ".join(err.split())
 
@@ -162,13 +212,21 @@ class TestVerdicts:
         text = lines(samples)
         assert pipe(text[:60])[0] == 0 and pipe(text)[0] == 1
         code, _, err = pipe([text[0], *(f"{k / 100:.2f},,,\n" for k in range(20))])
-        assert code == 3 and "Too little evidence: only 0 of 19 windows (0 %) could be decided" in err and "20 samples: 20 MISSING" in err
+        assert (
+            code == 3
+            and "Too little evidence: only 0 of 19 windows (0 %) could be decided" in err
+            and "20 samples: 20 MISSING" in err
+        )
 
     def test_numbers_are_written_as_pyarrow_writes_them(self, rng):
         import pyarrow as pa
 
         x = np.concatenate(
-            [rng.normal(size=300) * 10.0 ** rng.integers(-9, 15, 300), np.arange(-30, 30) / 100, [0.0, -0.0, 1e9, 1e-4, 1e300]]
+            [
+                rng.normal(size=300) * 10.0 ** rng.integers(-9, 15, 300),
+                np.arange(-30, 30) / 100,
+                [0.0, -0.0, 1e9, 1e-4, 1e300],
+            ]
         )
         assert [piped._number(v) for v in x.tolist()] == pa.array(x).cast(pa.string()).to_pylist()
 
@@ -176,7 +234,9 @@ class TestVerdicts:
         reader = LineReader([b"t;u1;y1;y2", b"0;1;2;3"], paper())
         for line in (b"0,1;2,5;1e3;-5", b" 1 ;+2;3.;4 ", b"1;;NaN; null", b"1;2;3;-1e-300"):
             few, many = reader._few([line]), reader._many([line])
-            assert (few is None) == (line.startswith(b"0,1"))  # there pyarrow looks which sign the decimals have
+            assert (few is None) == (
+                line.startswith(b"0,1")
+            )  # there pyarrow looks which sign the decimals have
             for name, x in (few or many)[0].items():
                 np.testing.assert_array_equal(x, many[0][name])
         for line in (b'1;"2";3;4', b"1;2;3;1_0", b"1;2;3;inf", b"1;2;3;0x1", b"1;2;3"):
@@ -186,47 +246,80 @@ class TestVerdicts:
 class TestTroubles:
     def test_lines_that_cannot_be_read_are_left_out_with_a_sentence(self, samples, place, pipe):
         text = lines(samples)[:101]
-        bad = {10: "0.1,1\n", 20: "0.2,1,2,3,4\n", 30: "0.29,1,ERR,2\n", 40: "0.39,1,inf,2\n", 50: ",1,2,3\n", 60: "now,1,2,3\n",
-               70: 'x"y,"1,2,3\n', 80: text[0], 90: "0.89,1_000,2,3\n"}  # fmt: skip
+        bad = {
+            10: "0.1,1\n",
+            20: "0.2,1,2,3,4\n",
+            30: "0.29,1,ERR,2\n",
+            40: "0.39,1,inf,2\n",
+            50: ",1,2,3\n",
+            60: "now,1,2,3\n",
+            70: 'x"y,"1,2,3\n',
+            80: text[0],
+            90: "0.89,1_000,2,3\n",
+        }
         spoilt = [bad.get(k, x) for k, x in enumerate(text)]
         spoilt.insert(95, "\n")
         code, out, err = pipe(spoilt, range(0, 4000, 700))
         said = [x for x in err.splitlines() if x.startswith("line") and "comes" not in x]
         assert [int(re.match(r"line (\d+)", x)[1]) for x in said] == [k + 1 for k in bad]
-        for x, expected in zip(said, (
-            "has 2 cells, the header has 4 columns", "has 5 cells", "of column 'y1' holds 'ERR', which is not a number",
-            "of column 'y1' is infinite", "has no time", "of column 't' holds 'now'", "", "of column 'u1' holds 'u1'", "holds '1_000'"),
-            strict=True):  # fmt: skip
+        for x, expected in zip(
+            said,
+            (
+                "has 2 cells, the header has 4 columns",
+                "has 5 cells",
+                "of column 'y1' holds 'ERR', which is not a number",
+                "of column 'y1' is infinite",
+                "has no time",
+                "of column 't' holds 'now'",
+                "",
+                "of column 'u1' holds 'u1'",
+                "holds '1_000'",
+            ),
+            strict=True,
+        ):
             assert expected in x
         assert "9 lines could not be read: left out, and no window spans them" in err
         status = {row.split(",")[0]: row.split(",")[1] for row in out.splitlines()}
         assert len(status) == 100 - len(bad)
         t, u, y = samples
         keep = np.setdiff1d(np.arange(100), [k - 1 for k in bad])
-        res = jb.detect(jb.parity_relations(paper()), u[keep], y[keep], starts=np.flatnonzero(np.diff(keep) > 1) + 1)
+        res = jb.detect(
+            jb.parity_relations(paper()), u[keep], y[keep], starts=np.flatnonzero(np.diff(keep) > 1) + 1
+        )
         assert [jb.Status[s] for s in status.values()] == res.status.tolist()
 
     def test_many_sentences_of_a_kind_are_counted_not_said(self, place, pipe, samples):
         code, _, err = pipe([*lines(samples)[:30], *["x\n"] * 500])
         assert err.count("has 1 cells") == 20 and "500 lines could not be read" in err and code == 0
 
-    @pytest.mark.parametrize("text, message", [
-        (b"", "standard input is empty"),
-        (b"t,u1,y1,y2\n", "standard input ended before the first row of data"),
-        (b"t,u1,y1\n0,0,0\n", "standard input: the recording has no column 'y2'"),
-        (b"0,1,2,3\n0,0,0,0\n", "standard input: the first row must hold the names of the columns"),
-        (b"PAR1\n\0\0\n", "standard input: this is a Parquet file"),
-        (b"x" * 3_000_000, "a megabyte without a line end"),
-        (b"t,u1,y1,y2\n" + b"".join(b"%d,0,0,0\n" % k for k in range(300)), "dt = 0.01 s, but the rows of the recording are 1 s apart"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "text, message",
+        [
+            (b"", "standard input is empty"),
+            (b"t,u1,y1,y2\n", "standard input ended before the first row of data"),
+            (b"t,u1,y1\n0,0,0\n", "standard input: the recording has no column 'y2'"),
+            (b"0,1,2,3\n0,0,0,0\n", "standard input: the first row must hold the names of the columns"),
+            (b"PAR1\n\0\0\n", "standard input: this is a Parquet file"),
+            (b"x" * 3_000_000, "a megabyte without a line end"),
+            (
+                b"t,u1,y1,y2\n" + b"".join(b"%d,0,0,0\n" % k for k in range(300)),
+                "dt = 0.01 s, but the rows of the recording are 1 s apart",
+            ),
+        ],
+    )
     def test_a_stream_that_is_none_is_refused(self, place, pipe, text, message):
         with pytest.raises(Refused, match=re.escape(message)):
             pipe(text, out=place / "out")
 
-    @pytest.mark.parametrize("options, message", [
-        (["--method", "validation"], "validation reads a recording as a whole"), (["--chunk", "9"], "--chunk is for recordings"),
-        (["--alarm", "2/3"], "--alarm is for recordings"), (["--method", "exact"], "method must be one of"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "options, message",
+        [
+            (["--method", "validation"], "validation reads a recording as a whole"),
+            (["--chunk", "9"], "--chunk is for recordings"),
+            (["--alarm", "2/3"], "--alarm is for recordings"),
+            (["--method", "exact"], "method must be one of"),
+        ],
+    )
     def test_options_for_recordings_are_refused(self, place, capsys, options, message):
         assert main.main(["detect", "model.toml", "-", *options]) == 2
         assert message in capsys.readouterr().err
@@ -253,9 +346,15 @@ class TestRestart:
 
     def test_a_signal_before_the_first_sample_is_an_end_as_any(self, place, pipe):
         code, out, err = pipe(None, chunks=[None], out=place / "out")
-        assert (code, out) == (3, "") and "Too little evidence: only 0 of " in err and "asked for. 0 samples" in err
+        assert (
+            (code, out) == (3, "")
+            and "Too little evidence: only 0 of " in err
+            and "asked for. 0 samples" in err
+        )
 
-    @pytest.mark.parametrize("again", ["from the beginning", "where it stopped", "where it stopped, no header", "somewhere before"])
+    @pytest.mark.parametrize(
+        "again", ["from the beginning", "where it stopped", "where it stopped, no header", "somewhere before"]
+    )
     @pytest.mark.parametrize("timed", [True, False], ids=["time", "no time"])
     @pytest.mark.parametrize("within", [1, 4, 9], ids=["between lines", "in the time", "in a number"])
     def test_after_a_signal_each_verdict_is_printed_once(self, samples, place, pipe, again, timed, within):
@@ -267,8 +366,12 @@ class TestRestart:
         cut = data.index(b"\n", 2000) + within
         _, first, _ = pipe(None, chunks=[data[:700], data[700:cut], None], state=place / "state")
         begun = data[:cut].rfind(b"\n") + 1
-        rest = {"from the beginning": data, "where it stopped": text[0].encode() + data[begun:], "where it stopped, no header": data[cut:],
-                "somewhere before": text[0].encode() + data[data.index(b"\n", 900) + 1 :]}[again]  # fmt: skip
+        rest = {
+            "from the beginning": data,
+            "where it stopped": text[0].encode() + data[begun:],
+            "where it stopped, no header": data[cut:],
+            "somewhere before": text[0].encode() + data[data.index(b"\n", 900) + 1 :],
+        }[again]
         code, second, err = pipe(rest, range(5, len(rest), 97), state=place / "state")
         if not timed and again != "from the beginning":  # who knows what was lost between?
             row = whole.splitlines()[data[:cut].count(b"\n") - 1]
@@ -277,8 +380,12 @@ class TestRestart:
         assert pipe(data, state=place / "state")[1] == ""  # everything was judged
 
     @pytest.mark.parametrize("again", ["from the beginning", "where it stopped"])
-    def test_killed_at_any_point_the_file_is_as_if_nothing_had_been(self, samples, place, pipe, again, monkeypatch, rng):
-        """Every write and every replacement of a file is a point to be killed at, before it and, for writes, half-way."""
+    def test_killed_at_any_point_the_file_is_as_if_nothing_had_been(
+        self, samples, place, pipe, again, monkeypatch, rng
+    ):
+        """Every write and every replacement of a file is a point to be killed at, before it and, for writes,
+        half-way.
+        """
         text = lines(samples)[:120]
         data, read = "".join(text).encode(), 0
         pipe(text, out=place / "whole")
@@ -318,7 +425,11 @@ class TestRestart:
         while True:
             points[0] = int(rng.integers(2, 15))
             try:
-                pipe(None, chunks=chunks(0 if again == "from the beginning" else remembered[0]), out=place / "out")
+                pipe(
+                    None,
+                    chunks=chunks(0 if again == "from the beginning" else remembered[0]),
+                    out=place / "out",
+                )
                 break
             except Killed:
                 kills += 1
@@ -338,13 +449,22 @@ class TestRestart:
             pipe(text, out=place / "out")
         jb.save_model(paper(noise=[0.2, 0.2]), "model.toml")
         (place / "out/monitor.jsonl").unlink()
-        with pytest.raises(Refused, match="verdicts.csv is in the way: it was not written by jaxbound, or was changed since"):
+        with pytest.raises(
+            Refused, match="verdicts.csv is in the way: it was not written by jaxbound, or was changed since"
+        ):
             pipe(text, out=place / "out")
         (place / "out/verdicts.csv").unlink()
         assert pipe(text, out=place / "out")[0] == 0
 
-    @pytest.mark.parametrize("change, what", [("noise", "model"), ("horizon", "horizon"), ("version", "version of jaxbound"),
-                                              ("precision", "precision")])  # fmt: skip
+    @pytest.mark.parametrize(
+        "change, what",
+        [
+            ("noise", "model"),
+            ("horizon", "horizon"),
+            ("version", "version of jaxbound"),
+            ("precision", "precision"),
+        ],
+    )
     def test_a_state_of_anything_else_is_refused(self, samples, place, pipe, monkeypatch, change, what):
         text = lines(samples)[:5]
         pipe(text, out=place / "out")
@@ -357,7 +477,10 @@ class TestRestart:
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         else:
             monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
-        with pytest.raises(Refused, match=f"monitor.jsonl is of another {what}: choose another place, or delete it to begin anew"):
+        with pytest.raises(
+            Refused,
+            match=f"monitor.jsonl is of another {what}: choose another place, or delete it to begin anew",
+        ):
             pipe(text, out=place / "out", horizon=horizon)
         assert (place / "out/monitor.jsonl").read_bytes() == kept
 
@@ -404,7 +527,9 @@ class TestRestart:
 
 @pytest.mark.slow
 def test_live_in_another_process_killed_and_stopped(samples, place):
-    """Verdicts come while the pipe is open; kill -9 and SIGTERM leave a file that the next process completes."""
+    """Verdicts come while the pipe is open; kill -9 and SIGTERM leave a file that the next process
+    completes.
+    """
     text = lines(samples)
     expected = batch(place, text)
     command = [sys.executable, "-m", "jaxbound.cli", "detect", "model.toml", "-", "--out", "out"]

@@ -1,4 +1,6 @@
-"""Recordings larger than memory at the command line: from a folder to a report, in parts, killed and resumed."""
+"""Recordings larger than memory at the command line: from a folder to a report, in parts, killed and
+resumed.
+"""
 
 import json
 import re
@@ -49,12 +51,21 @@ class TestCommand:
         assert main.main([*DETECT, "--chunk", "1000", "--alarm", "2/3", "--json"]) == 1
         found = json.loads(capsys.readouterr().out)
         _, _, whole, rec = case("section 5")
-        assert found["counts"] == whole.counts and found["alarms"] == len(whole.alarms(2, 3)) and found["samples"] == N
+        assert (
+            found["counts"] == whole.counts
+            and found["alarms"] == len(whole.alarms(2, 3))
+            and found["samples"] == N
+        )
         assert list(found["seconds"]) == ["read", "transfer", "compute", "write", "report"] and all(
             s > 0 for s in found["seconds"].values()
         )
-        assert {p.name for p in (place / "out").iterdir()} == FILES and found["hints"][: len(rec.hints)] == list(rec.hints)
-        assert "alarms ended after windows without the onset" in found["hints"][-1] and sum(found["ended"].values()) == found["alarms"]
+        assert {p.name for p in (place / "out").iterdir()} == FILES and found["hints"][
+            : len(rec.hints)
+        ] == list(rec.hints)
+        assert (
+            "alarms ended after windows without the onset" in found["hints"][-1]
+            and sum(found["ended"].values()) == found["alarms"]
+        )
         page = (place / "out/report.html").read_text()
         assert (
             f"run: {N} samples from 0 s to 60.49 s" in page
@@ -76,7 +87,9 @@ class TestCommand:
         main.main(DETECT)
         assert [p.name for p in (place / "out").glob("verdicts*")] == ["verdicts.parquet"]
 
-    def test_interrupted_is_130_and_says_how_to_go_on(self, place, small, unreported, case, capsys, monkeypatch):
+    def test_interrupted_is_130_and_says_how_to_go_on(
+        self, place, small, unreported, case, capsys, monkeypatch
+    ):
         calls = []
 
         def detect(*args, **options):
@@ -89,7 +102,8 @@ class TestCommand:
         assert main.main([*DETECT, "--chunk", "500"]) == 130
         out, err = capsys.readouterr()
         assert out == "" and err == (
-            "jaxbound: interrupted: 51.2 % of the verdicts are kept in out/verdicts.partial; the same command goes on from there\n"
+            "jaxbound: interrupted: 51.2 % of the verdicts are kept in out/verdicts.partial; the same "
+            "command goes on from there\n"
         )
         assert [p.name for p in (place / "out").iterdir()] == ["verdicts.partial"]
         calls[:] = [1] * 8
@@ -102,19 +116,44 @@ class TestCommand:
 
         monkeypatch.setattr(judges, "detect", stop)
         assert main.main(DETECT) == 130
-        assert capsys.readouterr().err == "jaxbound: interrupted: nothing was written\n" and not (place / "out").exists()
+        assert (
+            capsys.readouterr().err == "jaxbound: interrupted: nothing was written\n"
+            and not (place / "out").exists()
+        )
 
-    @pytest.mark.parametrize("name, spoil, message", [
-        ("truncated", lambda run: (run / "2.parquet").write_bytes((run / "2.parquet").read_bytes()[:-9]),
-         "2.parquet is a truncated Parquet file: its end is missing"),
-        ("mixed", lambda run: pq.write_table(pq.read_table(run / "2.parquet").drop(["y2"]), run / "2.parquet"),
-         "run/2.parquet: the recording has no column 'y2'"),
-        ("backwards", lambda run: (run / "3.parquet").rename(run / "00.parquet"),
-         "run: 0.parquet begins at 0 s, before the end of 00.parquet at 60.49 s: files follow each other by name"),
-        ("text", lambda run: pq.write_table(pa.table({"t": [0.0], "u1": [0.0], "y1": ["x"], "y2": [0.0]}), run / "0.parquet"),
-         "run/0.parquet: column 'y1' holds text"),
-        ("empty", lambda run: [p.unlink() for p in run.iterdir()], "run is a folder without Parquet files: it is empty"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "name, spoil, message",
+        [
+            (
+                "truncated",
+                lambda run: (run / "2.parquet").write_bytes((run / "2.parquet").read_bytes()[:-9]),
+                "2.parquet is a truncated Parquet file: its end is missing",
+            ),
+            (
+                "mixed",
+                lambda run: pq.write_table(pq.read_table(run / "2.parquet").drop(["y2"]), run / "2.parquet"),
+                "run/2.parquet: the recording has no column 'y2'",
+            ),
+            (
+                "backwards",
+                lambda run: (run / "3.parquet").rename(run / "00.parquet"),
+                "run: 0.parquet begins at 0 s, before the end of 00.parquet at 60.49 s: files follow each "
+                "other by name",
+            ),
+            (
+                "text",
+                lambda run: pq.write_table(
+                    pa.table({"t": [0.0], "u1": [0.0], "y1": ["x"], "y2": [0.0]}), run / "0.parquet"
+                ),
+                "run/0.parquet: column 'y1' holds text",
+            ),
+            (
+                "empty",
+                lambda run: [p.unlink() for p in run.iterdir()],
+                "run is a folder without Parquet files: it is empty",
+            ),
+        ],
+    )
     def test_bad_data_is_2_and_one_sentence(self, place, name, spoil, message, capsys):
         spoil(place / "run")
         assert main.main(DETECT) == 2
@@ -131,45 +170,68 @@ class TestCommand:
         for file in (place / "run").iterdir():
             table = pq.read_table(file)
             for name in ("y1", "y2"):
-                table = table.set_column(table.column_names.index(name), name, pa.nulls(len(table), pa.float64()))
+                table = table.set_column(
+                    table.column_names.index(name), name, pa.nulls(len(table), pa.float64())
+                )
             pq.write_table(table, file)
         assert main.main(DETECT) == 3
         assert f"{N} of {N} samples of y1 are missing" in capsys.readouterr().out
 
-    def test_interrupted_while_the_report_is_written_keeps_the_verdicts(self, place, small, unreported, capsys, monkeypatch):
+    def test_interrupted_while_the_report_is_written_keeps_the_verdicts(
+        self, place, small, unreported, capsys, monkeypatch
+    ):
         def stop(*args, **options):
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:
             patch.setattr(detecting, "write_report", stop)
             assert main.main(DETECT) == 130
-        assert "interrupted: 100 % of the verdicts are kept in out/verdicts.partial" in capsys.readouterr().err
+        assert (
+            "interrupted: 100 % of the verdicts are kept in out/verdicts.partial" in capsys.readouterr().err
+        )
         monkeypatch.setattr(judges, "detect", None)  # nothing is tested again
-        assert main.main(DETECT) == 1 and [p.name for p in (place / "out").glob("verdicts*")] == ["verdicts.parquet"]
+        assert main.main(DETECT) == 1 and [p.name for p in (place / "out").glob("verdicts*")] == [
+            "verdicts.parquet"
+        ]
 
     def test_another_model_is_refused_and_nothing_is_lost(self, place, small, capsys, monkeypatch):
         r = jb.parity_relations(paper(name="paper"))
         with pytest.raises(Stop):
-            write_parts(r, open_parquet(place / "run", r.model), place / "out", chunk=500, progress=stopped_after(0.5))
+            write_parts(
+                r, open_parquet(place / "run", r.model), place / "out", chunk=500, progress=stopped_after(0.5)
+            )
         jb.save_model(paper(name="paper", noise=["0.2", "0.01"]), place / "model.toml")
         assert main.main(DETECT) == 2
-        assert re.search("out/verdicts.partial/part-00000.parquet is of another model", capsys.readouterr().err)
+        assert re.search(
+            "out/verdicts.partial/part-00000.parquet is of another model", capsys.readouterr().err
+        )
         assert len(part_files(place / "out/verdicts.partial")) == 2
 
 
 @pytest.mark.long
 def test_killed_at_half_and_resumed_in_little_memory(tmp_path):
-    """3 million samples in another process: killed without a warning, run again, the verdicts of one piece, less than 1 GB."""
+    """3 million samples in another process: killed without a warning, run again, the verdicts of one piece,
+    less than 1 GB.
+    """
     model, rows = paper(), 3_000_000
     u = np.repeat(np.random.default_rng(0).uniform(-1, 1, (rows // 20, 1)), 20, 0)
-    y = np.asarray(jb.simulate(model, u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 0.3, rows // 2, rows // 2 + 5000)]).y)
+    y = np.asarray(
+        jb.simulate(
+            model, u, jax.random.key(0), faults=[jb.Fault("y1", "bias", 0.3, rows // 2, rows // 2 + 5000)]
+        ).y
+    )
     (tmp_path / "run").mkdir()
     for i in range(3):
         a, b = i * rows // 3, (i + 1) * rows // 3
         t = 0.01 * np.arange(a, b)
-        pq.write_table(pa.table({"t": t, "u1": u[a:b, 0], "y1": y[a:b, 0], "y2": y[a:b, 1]}), tmp_path / f"run/{i}.parquet")
+        pq.write_table(
+            pa.table({"t": t, "u1": u[a:b, 0], "y1": y[a:b, 0], "y2": y[a:b, 1]}),
+            tmp_path / f"run/{i}.parquet",
+        )
     jb.save_model(model, tmp_path / "model.toml")
-    start = lambda: subprocess.Popen([sys.executable, "-m", "jaxbound.cli", *DETECT, "--chunk", "300000"], cwd=tmp_path)
+    start = lambda: subprocess.Popen(
+        [sys.executable, "-m", "jaxbound.cli", *DETECT, "--chunk", "300000"], cwd=tmp_path
+    )
     partial, process = tmp_path / "out/verdicts.partial", start()
     while not part_files(partial) and process.poll() is None:
         time.sleep(0.002)

@@ -15,14 +15,42 @@ from jaxbound.studies.montecarlo import montecarlo
 @pytest.fixture
 def model(tmp_path):
     path = tmp_path / "plant.toml"
-    jb.save_model(jb.LinearSystem([[0.8]], [[1]], [[1]], noise=0.1, tolerance=0.005, name="tank <1>", units={"y1": "bar"},
-                                columns={"y1": "Level 1"}), path)  # fmt: skip
+    jb.save_model(
+        jb.LinearSystem(
+            [[0.8]],
+            [[1]],
+            [[1]],
+            noise=0.1,
+            tolerance=0.005,
+            name="tank <1>",
+            units={"y1": "bar"},
+            columns={"y1": "Level 1"},
+        ),
+        path,
+    )
     return path
 
 
 def run(model, out, *more):
-    return main.main(["study", str(model), "--faults", "y1:bias", "--sizes", "0.1:5:3", "--n", "9000", "--samples", "60", "--seed", "3",
-                     "--out", str(out), *more])  # fmt: skip
+    return main.main(
+        [
+            "study",
+            str(model),
+            "--faults",
+            "y1:bias",
+            "--sizes",
+            "0.1:5:3",
+            "--n",
+            "9000",
+            "--samples",
+            "60",
+            "--seed",
+            "3",
+            "--out",
+            str(out),
+            *more,
+        ]
+    )
 
 
 def test_a_study_writes_tables_and_a_page_and_prints_what_it_found(model, tmp_path, capsys):
@@ -32,7 +60,11 @@ def test_a_study_writes_tables_and_a_page_and_prints_what_it_found(model, tmp_pa
     assert "detected: share of scenarios with a FAULT" in " ".join(said.out.split())
     assert "0 false alarms in" in said.out and "y1:bias" in said.out and said.err == ""
     summary, delays = pd.read_csv(out / "summary.csv"), pd.read_parquet(out / "delays.parquet")
-    assert summary.scenarios.tolist() == [3000] * 3 and summary.false_alarms.sum() == 0 and delays.scenarios.sum() == 9000
+    assert (
+        summary.scenarios.tolist() == [3000] * 3
+        and summary.false_alarms.sum() == 0
+        and delays.scenarios.sum() == 9000
+    )
     pd.testing.assert_frame_equal(summary, pd.read_parquet(out / "summary.parquet"), check_dtype=False)
     rows = pd.read_parquet(out / "scenarios")
     assert len(rows) == 9000 and rows.onset.between(20, 24).all() and rows.onset.nunique() == 5
@@ -40,7 +72,15 @@ def test_a_study_writes_tables_and_a_page_and_prints_what_it_found(model, tmp_pa
     assert "of a drift per sample" in page and "<th" in page
     assert "tank &lt;1&gt;" in page and "size of the fault" not in page and "What is guaranteed" in page
     expected = jb.study(
-        jb.load_model(model), "y1:bias", 9000, 3, sizes=[0.1, 2.55, 5.0], samples=60, onset=(20, 25), input_range=(-2, 2), hold=7
+        jb.load_model(model),
+        "y1:bias",
+        9000,
+        3,
+        sizes=[0.1, 2.55, 5.0],
+        samples=60,
+        onset=(20, 25),
+        input_range=(-2, 2),
+        hold=7,
     )
     assert summary.detected.tolist() == expected.tallies[0].detected.tolist()
 
@@ -58,7 +98,10 @@ def test_an_interrupted_command_goes_on_and_says_so(model, tmp_path, capsys, mon
 
     monkeypatch.setattr(montecarlo.Keeper, "save", stop)
     assert run(model, out) == 130
-    assert "2 of 3 blocks of scenarios are kept" in capsys.readouterr().err and not (out / "summary.csv").exists()
+    assert (
+        "2 of 3 blocks of scenarios are kept" in capsys.readouterr().err
+        and not (out / "summary.csv").exists()
+    )
     monkeypatch.setattr(montecarlo.Keeper, "save", work)
     assert run(model, out, "--json") == 0 and run(model, whole) == 0
     told = json.loads(capsys.readouterr().out.split("\n}")[0] + "\n}")
@@ -86,9 +129,13 @@ def test_wrong_usage_is_one_sentence_and_nothing_is_written(sentence, more, mode
     assert sentence in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("first, said", [(2.0, "100000 scenarios of 200 samples: about 5 minutes to go"), (0.1, "")])
+@pytest.mark.parametrize(
+    "first, said", [(2.0, "100000 scenarios of 200 samples: about 5 minutes to go"), (0.1, "")]
+)
 def test_a_long_study_says_beforehand_how_long_it_takes(first, said, monkeypatch, capsys):
-    now = iter([8.0, 8.0 + first, 8.0 + 3 * first, 8.0 + 4 * first])  # the first of a hundred and fifty parts is compiled before
+    now = iter(
+        [8.0, 8.0 + first, 8.0 + 3 * first, 8.0 + 4 * first]
+    )  # the first of a hundred and fifty parts is compiled before
     monkeypatch.setattr(command.time, "monotonic", lambda: next(now))
     announced = command._Announced(argparse.Namespace(n=100_000, samples=200), lambda share: None)
     for part in (1, 2, 4, 5):

@@ -25,7 +25,9 @@ from jaxbound.runs.summary import Summary, Window
 def shell(command, folder):
     """Return (exit code, stdout, stderr) of a command line in which $J is jaxbound."""
     env = os.environ | {"J": f"{sys.executable} -m jaxbound.cli"}
-    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, timeout=120, check=False)
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=folder, env=env, capture_output=True, timeout=120, check=False
+    )
     return done.returncode, done.stdout, done.stderr
 
 
@@ -91,7 +93,11 @@ def test_a_header_of_a_hundred_thousand_columns_is_read(model):
 
 def test_sentences_name_a_few_of_many_names():
     said = missing_column("y", [f"column{i}" for i in range(100_000)], "the recording")
-    assert len(said) < 400 and "99988 more" in said and len(missing_column("y" * 10**5, ["x" * 10**5], "the recording")) < 400
+    assert (
+        len(said) < 400
+        and "99988 more" in said
+        and len(missing_column("y" * 10**5, ["x" * 10**5], "the recording")) < 400
+    )
     assert listed(["a"] * 13, str).count("a") == 13 and len(clipped("x" * 10**6)) < 2100
 
 
@@ -101,8 +107,17 @@ def test_a_sum_of_many_terms_is_computed(terms):
     assert expression(" + ".join(["a"] * terms)).values(x).tolist() == [terms, 2 * terms]
 
 
-@pytest.mark.parametrize("text", ["a + " + "9" * 310, "a > 1e400", "a" + " + 9" * 10**6, "(" * 300 + "a", "-" * 10**5 + "a",
-                                  "abs(" * 90 + "a" + ")" * 90 + " + " + "9" * 5000])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a + " + "9" * 310,
+        "a > 1e400",
+        "a" + " + 9" * 10**6,
+        "(" * 300 + "a",
+        "-" * 10**5 + "a",
+        "abs(" * 90 + "a" + ")" * 90 + " + " + "9" * 5000,
+    ],
+)
 def test_an_expression_beyond_all_measure_is_refused_in_a_sentence(text):
     with pytest.raises(ValueError, match="the expression .* (holds|cannot be read)") as e:
         expression(text)
@@ -112,7 +127,9 @@ def test_an_expression_beyond_all_measure_is_refused_in_a_sentence(text):
 @pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@x", "\t=x", "\r=x"])
 def test_no_cell_of_fleet_csv_is_a_formula(tmp_path, name):
     unit = Unit(name, tmp_path / "m.toml", tmp_path / "r.csv")
-    write_fleet(tmp_path, [UnitResult(unit, Summary("not tested", f"{name} is not there", worst=Window(0, "", -3.0)))])
+    write_fleet(
+        tmp_path, [UnitResult(unit, Summary("not tested", f"{name} is not there", worst=Window(0, "", -3.0)))]
+    )
     import csv
 
     with open(tmp_path / "fleet.csv", newline="") as f:
@@ -141,7 +158,11 @@ def test_too_little_memory_is_a_sentence(capsys, monkeypatch, model):
 def test_no_command_shows_the_help_on_stdout_and_asks_on_stderr(capsys):
     assert main.main([]) == 2
     out, err = capsys.readouterr()
-    assert out.startswith("usage: jaxbound") and all(f"\n    {name} " in out for name in EXAMPLES) and err.count("\n") == 1
+    assert (
+        out.startswith("usage: jaxbound")
+        and all(f"\n    {name} " in out for name in EXAMPLES)
+        and err.count("\n") == 1
+    )
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -170,7 +191,11 @@ def test_quiet_prints_the_first_line_and_verbose_each_stage(model, capsys):
     assert capsys.readouterr() == ("tank\n", "")
     assert main.main(["info", str(model / "m.toml"), "-v"]) == 0
     out, err = capsys.readouterr()
-    assert out.count("\n") > 10 and err.startswith("jaxbound: relations, 0.") and terminal.LOUDNESS.get() == terminal.NORMAL
+    assert (
+        out.count("\n") > 10
+        and err.startswith("jaxbound: relations, 0.")
+        and terminal.LOUDNESS.get() == terminal.NORMAL
+    )
     assert main.main(["info", str(model / "m.toml"), "-v", "-q"]) == 2
 
 
@@ -178,4 +203,7 @@ def test_an_internal_error_says_its_traceback_with_v(model, capsys, monkeypatch)
     monkeypatch.setattr(info, "load_model", lambda path: 1 / 0)
     monkeypatch.setattr(main.tempfile, "tempdir", str(model))
     assert main.main(["info", str(model / "m.toml")]) == 70 and "Traceback" not in capsys.readouterr().err
-    assert main.main(["info", str(model / "m.toml"), "-v"]) == 70 and "ZeroDivisionError" in capsys.readouterr().err
+    assert (
+        main.main(["info", str(model / "m.toml"), "-v"]) == 70
+        and "ZeroDivisionError" in capsys.readouterr().err
+    )

@@ -1,4 +1,6 @@
-"""`jaxbound tune`: from recordings to a model file, interrupted and taken up again, and refusals in one sentence."""
+"""`jaxbound tune`: from recordings to a model file, interrupted and taken up again, and refusals in one
+sentence.
+"""
 
 import json
 
@@ -17,13 +19,17 @@ from tests.systems import PAPER, paper
 @pytest.fixture
 def plant(tmp_path, rng):
     """Write a model with rough bounds, two healthy recordings, one of them with a gap, and a faulty one."""
-    jb.save_model(paper(dt=1.0, tolerance=[0.05, 0.05], noise=[0.05, 0.05], name="rig"), tmp_path / "rig.toml")
+    jb.save_model(
+        paper(dt=1.0, tolerance=[0.05, 0.05], noise=[0.05, 0.05], name="rig"), tmp_path / "rig.toml"
+    )
     exact = Plant(**{k: PAPER[k] for k in ("A", "B", "C", "tolerance", "noise")})
     for name, bias in (("a", 0), ("b", 0), ("f", 0.9)):
         u, y = tuning_case.recording(exact, 300, rng)
         time = np.arange(300) + (np.arange(300) >= 120) * 55 * (name == "b")
         rows = np.column_stack([time, u, y + [bias, 0]])
-        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="time,u1,y1,y2", comments="", fmt="%.17g")
+        np.savetxt(
+            tmp_path / f"{name}.csv", rows, delimiter=",", header="time,u1,y1,y2", comments="", fmt="%.17g"
+        )
     return tmp_path
 
 
@@ -33,15 +39,39 @@ def tune(plant, *options, healthy=("a.csv", "b.csv")):
 
 
 def test_writes_a_model_under_which_no_healthy_window_is_faulty(plant, capsys):
-    assert tune(plant, "--steps", "40", "--safety", "1.2", "--plot", str(plant / "p.png"), "--json", "--faulty", str(plant / "f.csv")) == 0
+    assert (
+        tune(
+            plant,
+            "--steps",
+            "40",
+            "--safety",
+            "1.2",
+            "--plot",
+            str(plant / "p.png"),
+            "--json",
+            "--faulty",
+            str(plant / "f.csv"),
+        )
+        == 0
+    )
     said = json.loads(capsys.readouterr().out)
-    assert said["healthy"]["FAULT"] == said["healthy"]["UNDECIDED"] == 0 and said["healthy"]["CONSISTENT"] == 299 + 298
-    assert said["caught"] == said["faulty"]["FAULT"] / 299 > 0.5 and said["safety"] == 1.2 and "not counted" in said["risk"]["text"]
+    assert (
+        said["healthy"]["FAULT"] == said["healthy"]["UNDECIDED"] == 0
+        and said["healthy"]["CONSISTENT"] == 299 + 298
+    )
+    assert (
+        said["caught"] == said["faulty"]["FAULT"] / 299 > 0.5
+        and said["safety"] == 1.2
+        and "not counted" in said["risk"]["text"]
+    )
     model = jb.load_model(plant / "out.toml")
     assert list(map(float, model.noise)) == pytest.approx(said["bounds"]["noise"]) and model.horizon == 1
     assert model.provenance["noise"] == "fitted to 597 healthy windows, safety factor 1.2"
     assert (plant / "p.png").read_bytes().startswith(b"\x89PNG")
-    assert main(["detect", str(plant / "out.toml"), str(plant / "a.csv"), "--out", str(plant / "r"), "--json"]) == 0
+    assert (
+        main(["detect", str(plant / "out.toml"), str(plant / "a.csv"), "--out", str(plant / "r"), "--json"])
+        == 0
+    )
     assert sorted(p.name for p in plant.iterdir() if p.name.startswith("out")) == ["out.toml"]
 
 
@@ -49,7 +79,13 @@ def test_prints_scale_safety_and_statement_apart(plant, capsys):
     assert tune(plant, "--steps", "0", "--bounds", "noise", healthy=["b.csv"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "tolerance of y1" not in out and "noise of y2" in out
-    for words in ("scale ", "safety 1.25, on top", "298 CONSISTENT", "If blocks of healthy operation are exchangeable", "gap of 56 s"):
+    for words in (
+        "scale ",
+        "safety 1.25, on top",
+        "298 CONSISTENT",
+        "If blocks of healthy operation are exchangeable",
+        "gap of 56 s",
+    ):
         assert words in out
 
 
@@ -63,18 +99,25 @@ def test_interrupted_writes_the_best_and_goes_on(plant, capsys, monkeypatch):
         assert tune(plant, *options) == 130
     said = capsys.readouterr()
     assert json.loads(said.out)["steps"] == 10 and "the same command goes on" in said.err
-    assert jb.load_model(plant / "out.toml").provenance["noise"].startswith("fitted") and (plant / "out.toml.state.npz").exists()
+    assert (
+        jb.load_model(plant / "out.toml").provenance["noise"].startswith("fitted")
+        and (plant / "out.toml.state.npz").exists()
+    )
     assert tune(plant, *options) == 0
     assert json.loads(capsys.readouterr().out)["smallest"] == whole["smallest"]
     assert not (plant / "out.toml.state.npz").exists()
 
 
 WRONG = [
-    (("--bounds", "noises"), "there is no bound 'noises' to move"), (("--optimizer", "newton"), "--optimizer must be one of adam"),
-    (("--safety", "0.5"), "factor >= 1"), (("--safety", "x"), "--safety invalid float value"), (("--steps", "-3"), "--steps needs a whole"),
+    (("--bounds", "noises"), "there is no bound 'noises' to move"),
+    (("--optimizer", "newton"), "--optimizer must be one of adam"),
+    (("--safety", "0.5"), "factor >= 1"),
+    (("--safety", "x"), "--safety invalid float value"),
+    (("--steps", "-3"), "--steps needs a whole"),
     (("--faulty", "a.csv"), "faulty recording 1 is the same as healthy recording 1"),
-    (("--out", "no/where.toml"), "in a folder that exists"), (("--faulty", "none.csv"), "there is no data file"),
-]  # fmt: skip
+    (("--out", "no/where.toml"), "in a folder that exists"),
+    (("--faulty", "none.csv"), "there is no data file"),
+]
 
 
 @pytest.mark.parametrize("options, sentence", WRONG)

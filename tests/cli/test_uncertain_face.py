@@ -23,7 +23,10 @@ def test_info_lists_parameters_and_relations(path, capsys):
     out = " ".join(capsys.readouterr().out.split())
     assert "th in [-1, 1], varies" in out and "vt in [-1, 1], constant" in out
     assert "1 independent, polynomials of order 1 in 3 uncertain numbers" in out
-    assert "r1: (0.16 + 0.02 th[k-2]) y1[k-2] - (1 + 0.1 th[k-1]) y1[k-1] + y1[k] - (1 + 0.1 vt) u1[k-2] = 0" in out
+    assert (
+        "r1: (0.16 + 0.02 th[k-2]) y1[k-2] - (1 + 0.1 th[k-1]) y1[k-1] + y1[k] - (1 + 0.1 vt) u1[k-2] = 0"
+        in out
+    )
 
 
 @pytest.mark.slow
@@ -32,14 +35,23 @@ def test_a_report_shows_parameters_and_residuals_and_explain_proves_them(path, t
     for k in range(60):
         y[k] += x[0]
         x = np.array(EXAMPLE["A"]) @ x + np.array(EXAMPLE["B"]) @ u[k]
-    np.savetxt(tmp_path / "d.csv", np.column_stack([np.arange(60), u, y]), delimiter=",", header="time,u1,y1", comments="")
+    np.savetxt(
+        tmp_path / "d.csv",
+        np.column_stack([np.arange(60), u, y]),
+        delimiter=",",
+        header="time,u1,y1",
+        comments="",
+    )
     assert main(["detect", str(path), str(tmp_path / "d.csv"), "--out", str(tmp_path / "out")]) == 1
     page = (tmp_path / "out" / "report.html").read_text()
     row = next(row for row in re.findall("<tr>(.*?)</tr>", page, re.S) if ">vt<" in row)
     assert re.findall("<t[hd][^>]*>(.*?)</t[hd]>", row) == ["vt", "-1", "1", "is constant", "C"]
     assert "polynomials of order 1 in 3 uncertain numbers" in page
     capsys.readouterr()
-    for sample, says in ((30, ("FAULT proved", "violated", "is in [")), (20, ("parameters", "th[k-1]", "vt", "first state"))):
+    for sample, says in (
+        (30, ("FAULT proved", "violated", "is in [")),
+        (20, ("parameters", "th[k-1]", "vt", "first state")),
+    ):
         assert main(["explain", str(tmp_path / "out"), "--at", str(sample)]) == 0
         printed = capsys.readouterr().out
         assert all(x in printed for x in says)

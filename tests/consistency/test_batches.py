@@ -1,4 +1,6 @@
-"""Recordings in any shape and form give the same verdicts: batches, chunks, DataFrames, lists, float32; nothing is traced twice."""
+"""Recordings in any shape and form give the same verdicts: batches, chunks, DataFrames, lists, float32;
+nothing is traced twice.
+"""
 
 import jax
 import numpy as np
@@ -13,7 +15,9 @@ from jaxbound.sets.floats.status import Status
 
 
 def recording(shape, rng, name="paper"):
-    """Return u, y around the operating point, quiet and loud by turns, with holes: MISSING, CONSISTENT and FAULT all occur."""
+    """Return u, y around the operating point, quiet and loud by turns, with holes: MISSING, CONSISTENT and
+    FAULT all occur.
+    """
     plant, samples = Plant(**MODELS[name]), shape[-1]
     size = np.repeat(10 ** rng.uniform(-3, 0.5, (*shape[:-1], samples // 8 + 1, 1)), 8, -2)[..., :samples, :]
     u = rng.uniform(-1, 1, (*shape, plant.m)) * size + [float(v) for v in plant.offset_u]
@@ -38,7 +42,11 @@ def test_a_batch_gives_the_verdicts_of_its_recordings_one_by_one(name, horizon, 
         one = jb.detect(r, u[i], y[i], method=method)
         np.testing.assert_array_equal(whole.status[i], one.status)
         np.testing.assert_array_equal(whole.margin[i], one.margin)
-    assert set(np.unique(whole.status)) >= {Status.MISSING, Status.CONSISTENT if method == "joint" else Status.UNDECIDED, Status.FAULT}
+    assert set(np.unique(whole.status)) >= {
+        Status.MISSING,
+        Status.CONSISTENT if method == "joint" else Status.UNDECIDED,
+        Status.FAULT,
+    }
 
 
 def test_one_input_serves_a_batch_of_outputs(rng):
@@ -69,11 +77,21 @@ def test_margins_are_the_same_traced_and_not(rng):
 
 @pytest.mark.parametrize("horizon", [1, 3])
 def test_verdicts_do_not_depend_on_where_a_block_ends(horizon, rng):
-    """Around every multiple of the block size a long recording says what a short one of the same samples says."""
+    """Around every multiple of the block size a long recording says what a short one of the same samples
+    says.
+    """
     r = jb.parity_relations(paper(), horizon=horizon)
     block = r.test("joint", np.float64).block
     assert block == (2**16 if horizon == 1 else 2**12)
-    for samples in (block - 1, block, block + 1, block + horizon - 1, block + horizon, block + horizon + 1, 2 * block + horizon + 5):
+    for samples in (
+        block - 1,
+        block,
+        block + 1,
+        block + horizon - 1,
+        block + horizon,
+        block + horizon + 1,
+        2 * block + horizon + 5,
+    ):
         u, y = recording((samples,), rng)
         long = jb.detect(r, u, y)
         for seam in range(block, samples + 1, block):
@@ -106,7 +124,14 @@ def test_a_second_model_of_the_same_shape_does_not_trace_again(horizon, rng):
     u, y = recording((50,), rng)
     jb.detect(jb.parity_relations(paper(), horizon=horizon), u, y)
     traced = strips.verdicts._cache_size()
-    other = paper(A=[[0.7, 0.3], [0.1, 0.4]], B=[[0.5], [2]], tolerance=0.05, noise=[1, 2], offset={"y": [3, 4]}, resolution=0.1)
+    other = paper(
+        A=[[0.7, 0.3], [0.1, 0.4]],
+        B=[[0.5], [2]],
+        tolerance=0.05,
+        noise=[1, 2],
+        offset={"y": [3, 4]},
+        resolution=0.1,
+    )
     jb.detect(jb.parity_relations(other, horizon=horizon), u, y)
     jb.detect(jb.parity_relations(other, horizon=horizon).with_bounds({"noise": 3.0}), u, y)
     assert strips.verdicts._cache_size() == traced
@@ -116,7 +141,9 @@ def test_float32_stays_float32(rng):
     u, y = (v.astype(np.float32) for v in recording((50,), rng))
     r = jb.parity_relations(paper())
     res = jb.detect(r, u, y)
-    assert {x.dtype for x in (res.margin, res.y, jb.margins(r, u, y), r.external(u, y))} == {np.dtype(np.float32)}
+    assert {x.dtype for x in (res.margin, res.y, jb.margins(r, u, y), r.external(u, y))} == {
+        np.dtype(np.float32)
+    }
 
 
 def test_the_input_takes_the_type_of_the_output(rng):
@@ -157,20 +184,55 @@ def test_integers_and_lists_are_numbers(rng):
     same(jb.detect(r, u[:, 0], y), expected)
 
 
-@pytest.mark.parametrize("change, error, message", [
-    (dict(u=None), ValueError, "u is missing: the model has the inputs u1"),
-    (dict(u=np.zeros((9, 1))), ValueError, "u and y must have the same number of samples: 9 and 10"),
-    (dict(y=np.zeros((10, 3))), ValueError, r"y must have shape \(\.\.\., T, 2\), time first, .* y1, y2: its shape is \(10, 3\)"),
-    (dict(y=np.zeros((2, 10, 2)), u=np.zeros((3, 10, 1))), ValueError, r"the leading axes of u \(3, 10, 1\) and y \(2, 10, 2\) do not fit"),
-    (dict(y=[["a", "b"]] * 10), ValueError, "y must be numbers"),
-    (dict(y=np.where(np.arange(20).reshape(10, 2) == 7, np.inf, 0)), ValueError, "y must be finite .* 1 of 20 .* in 'y2' at sample 3"),
-    (dict(u=np.where(np.arange(10)[:, None] == 4, -np.inf, 0)), ValueError, "u must be finite .* first in 'u1' at sample 4"),
-    (dict(y=pd.DataFrame({"y1": [0.0] * 10, "z2": [0.0] * 10})), ValueError, "y has no column 'y2'; did you mean 'z2'"),
-    (dict(method="zonotope"), ValueError, "method must be one of joint, box, paving, linearized, not 'zonotope'"),
-    (dict(method="linearized"), ValueError, "method 'linearized' is for models with uncertain parameters: use 'joint'"),
-    (dict(budget=(3, 100)), ValueError, "budget belongs to method='paving'"),
-    (dict(r="relations"), TypeError, r"detect needs relations, not str: detect\(parity_relations\(model\), u, y\)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, error, message",
+    [
+        (dict(u=None), ValueError, "u is missing: the model has the inputs u1"),
+        (dict(u=np.zeros((9, 1))), ValueError, "u and y must have the same number of samples: 9 and 10"),
+        (
+            dict(y=np.zeros((10, 3))),
+            ValueError,
+            r"y must have shape \(\.\.\., T, 2\), time first, .* y1, y2: its shape is \(10, 3\)",
+        ),
+        (
+            dict(y=np.zeros((2, 10, 2)), u=np.zeros((3, 10, 1))),
+            ValueError,
+            r"the leading axes of u \(3, 10, 1\) and y \(2, 10, 2\) do not fit",
+        ),
+        (dict(y=[["a", "b"]] * 10), ValueError, "y must be numbers"),
+        (
+            dict(y=np.where(np.arange(20).reshape(10, 2) == 7, np.inf, 0)),
+            ValueError,
+            "y must be finite .* 1 of 20 .* in 'y2' at sample 3",
+        ),
+        (
+            dict(u=np.where(np.arange(10)[:, None] == 4, -np.inf, 0)),
+            ValueError,
+            "u must be finite .* first in 'u1' at sample 4",
+        ),
+        (
+            dict(y=pd.DataFrame({"y1": [0.0] * 10, "z2": [0.0] * 10})),
+            ValueError,
+            "y has no column 'y2'; did you mean 'z2'",
+        ),
+        (
+            dict(method="zonotope"),
+            ValueError,
+            "method must be one of joint, box, paving, linearized, not 'zonotope'",
+        ),
+        (
+            dict(method="linearized"),
+            ValueError,
+            "method 'linearized' is for models with uncertain parameters: use 'joint'",
+        ),
+        (dict(budget=(3, 100)), ValueError, "budget belongs to method='paving'"),
+        (
+            dict(r="relations"),
+            TypeError,
+            r"detect needs relations, not str: detect\(parity_relations\(model\), u, y\)",
+        ),
+    ],
+)
 def test_what_does_not_fit_is_refused(change, error, message):
     given = dict(r=jb.parity_relations(paper()), u=np.zeros((10, 1)), y=np.zeros((10, 2))) | change
     with pytest.raises(error, match=message):
@@ -181,7 +243,9 @@ def test_box_fault_implies_joint_fault_and_box_is_never_consistent_with_several_
     r, (u, y) = jb.parity_relations(paper(), horizon=2), recording((20_000,), rng)
     box, joint = (jb.detect(r, u, y, method=m) for m in ("box", "joint"))
     assert (joint.status[box.status == Status.FAULT] == Status.FAULT).all()
-    assert (box.status == Status.FAULT).sum() > 1000 and ((joint.status == Status.FAULT) & (box.status != Status.FAULT)).sum() > 100
+    assert (box.status == Status.FAULT).sum() > 1000 and (
+        (joint.status == Status.FAULT) & (box.status != Status.FAULT)
+    ).sum() > 100
     assert not (box.status == Status.CONSISTENT).any()
 
 
@@ -199,8 +263,12 @@ def test_progress_runs_to_one(rng):
 
 
 def test_an_infinite_sample_is_refused_even_where_only_short_circuits_use_it():
-    """sets/strips.py pads a short circuit with 0 * scale of its first row: NaN if that is infinite, which passes for absent data."""
-    m = jb.LinearSystem([[0.5, 0, 0], [0, 0.8, 1], [0, 0, 0.2]], [[0], [0], [1]], [[1, 0, 0], [0, 1, 0]], noise=0.1)
+    """sets/strips.py pads a short circuit with 0 * scale of its first row: NaN if that is infinite, which
+    passes for absent data.
+    """
+    m = jb.LinearSystem(
+        [[0.5, 0, 0], [0, 0.8, 1], [0, 0, 0.2]], [[0], [0], [1]], [[1, 0, 0], [0, 1, 0]], noise=0.1
+    )
     y = np.zeros((3, 2))
     y[0, 0] = np.inf
     with pytest.raises(ValueError, match="y must be finite"):
@@ -219,7 +287,10 @@ def test_complex_samples_are_refused():
 
 
 def test_external_has_one_row_a_sample_for_a_recording_shorter_than_a_window():
-    assert np.shape(jb.parity_relations(paper(), horizon=3).external(np.zeros((2, 1)), np.zeros((2, 2)))) == (2, 6)
+    assert np.shape(jb.parity_relations(paper(), horizon=3).external(np.zeros((2, 1)), np.zeros((2, 2)))) == (
+        2,
+        6,
+    )
 
 
 def test_traced_margins_of_a_recording_shorter_than_a_window_are_nan():

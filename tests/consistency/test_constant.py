@@ -1,4 +1,6 @@
-"""Tolerances that are constant over a window: against a linear program that knows gains and states, and against a grid of gains."""
+"""Tolerances that are constant over a window: against a linear program that knows gains and states, and
+against a grid of gains.
+"""
 
 from fractions import Fraction
 
@@ -21,7 +23,9 @@ def model(**change):
 
 
 def draw(rng, s, count, scale, spoiled=0.5):
-    """Return (u (N, s + 1, 1), y (N, s + 1, 2)) of section 5 with a constant theta, which a part of the windows draws anew each sample."""
+    """Return (u (N, s + 1, 1), y (N, s + 1, 2)) of section 5 with a constant theta, which a part of the
+    windows draws anew each sample.
+    """
     O, H = forms(s)
     x, u = rng.normal(size=(count, 2)) * scale, rng.uniform(-1, 1, (count, s + 1, 1))
     true = (x @ O.T + u[:, :s, 0] @ H.T).reshape(count, s + 1, 2)
@@ -41,9 +45,11 @@ def verdicts(u, y, m=None, **options):
 
 
 def violation(u, y, t=1.0):
-    """Return the least e for which some state and gains keep g (d -+ t rho) on their sides of O x + H u, to e rho. HiGHS.
+    """Return the least e for which some state and gains keep g (d -+ t rho) on their sides of O x + H u, to e
+    rho. HiGHS.
 
-    Nothing of this is ours: (1 + theta) (O x + H u) + delta = y, divided by 1 + theta = 1 / g, is linear in x and g.
+    Nothing of this is ours: (1 + theta) (O x + H u) + delta = y, divided by 1 + theta = 1 / g, is linear in x
+    and g.
     """
     s = y.shape[1] - 1
     O, H = forms(s)
@@ -61,13 +67,20 @@ def violation(u, y, t=1.0):
     return np.array(out)
 
 
-@pytest.mark.parametrize(("s", "count"), [(1, 90), *(pytest.param(s, 900, marks=pytest.mark.long) for s in (1, 2, 4))])
+@pytest.mark.parametrize(
+    ("s", "count"), [(1, 90), *(pytest.param(s, 900, marks=pytest.mark.long) for s in (1, 2, 4))]
+)
 def test_the_verdicts_are_those_of_the_linear_program_in_states_and_gains(rng, s, count):
-    u, y = (np.concatenate(x) for x in zip(*(draw(rng, s, count // 3, scale) for scale in (0.5, 3, 30)), strict=True))
+    u, y = (
+        np.concatenate(x)
+        for x in zip(*(draw(rng, s, count // 3, scale) for scale in (0.5, 3, 30)), strict=True)
+    )
     status, _ = verdicts(u, y)
     e = violation(u, y)
     clear = abs(e) > 1e-7
-    assert (status[clear & (e < 0)] == Status.CONSISTENT).all() and (status[clear & (e > 0)] == Status.FAULT).all()
+    assert (status[clear & (e < 0)] == Status.CONSISTENT).all() and (
+        status[clear & (e > 0)] == Status.FAULT
+    ).all()
     assert clear.mean() > 0.95 and 0.1 < (e > 0).mean() < 0.9
     assert (status != Status.UNDECIDED).mean() >= 0.99
 
@@ -94,9 +107,15 @@ def test_a_healthy_recording_with_one_theta_an_output_is_never_a_fault(rng, s, a
     m = model(resolution=0.001)
     u = np.repeat(rng.uniform(-1, 1, (40, 1)), 50, 0) * 10
     healthy = jb.simulate(m, u, jax.random.key(rng.integers(2**31)), at=at)
-    assert (np.ptp(np.asarray(healthy.theta), axis=0) == 0).all() and (abs(np.asarray(healthy.theta)) <= SIGMA).all()
+    assert (np.ptp(np.asarray(healthy.theta), axis=0) == 0).all() and (
+        abs(np.asarray(healthy.theta)) <= SIGMA
+    ).all()
     res = jb.detect(jb.parity_relations(m, horizon=s), u, healthy.y)
-    assert res.counts["FAULT"] == 0 and res.counts["MISSING"] == s and res.counts["CONSISTENT"] > 0.99 * (len(u) - s)
+    assert (
+        res.counts["FAULT"] == 0
+        and res.counts["MISSING"] == s
+        and res.counts["CONSISTENT"] > 0.99 * (len(u) - s)
+    )
 
 
 @pytest.mark.slow
@@ -123,7 +142,9 @@ def test_the_margin_is_the_factor_at_which_the_program_changes_its_mind(rng, s):
     assert (reached > 0).mean() > 0.8  # and seldom much less
 
 
-@pytest.mark.parametrize("s", [pytest.param(2, marks=pytest.mark.long), pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "s", [pytest.param(2, marks=pytest.mark.long), pytest.param(4, marks=pytest.mark.long)]
+)
 def test_searching_gains_alone_takes_a_hundredth_of_the_boxes_of_paving_everything(s, rng, monkeypatch):
     u, y = draw(rng, s, 64, 10.0, spoiled=1.0)
     boxes, explore = [], constant.explore
@@ -134,7 +155,9 @@ def test_searching_gains_alone_takes_a_hundredth_of_the_boxes_of_paving_everythi
     everything, _ = verdicts(u, y, method="paving", budget=(9, budget))
     decided = (status != Status.UNDECIDED).mean(), (everything != Status.UNDECIDED).mean()
     print(f"{ours} boxes decide {decided[0]:.0%}, {budget} boxes of all variables {decided[1]:.0%}")
-    assert decided[0] >= 0.99 and decided[1] < 0.9 and (status[everything == Status.FAULT] == Status.FAULT).all()
+    assert (
+        decided[0] >= 0.99 and decided[1] < 0.9 and (status[everything == Status.FAULT] == Status.FAULT).all()
+    )
 
 
 def test_missing_samples_are_left_out_and_a_missing_input_proves_no_consistency(rng):
@@ -157,7 +180,10 @@ def test_missing_samples_are_left_out_and_a_missing_input_proves_no_consistency(
 def test_readings_exactly_at_their_bounds_are_never_a_fault(rng, dtype):
     s, count = 1, 2000
     O, H = forms(s)
-    x, u = rng.normal(size=(count, 2)) * 10.0 ** rng.uniform(-2, 3, (count, 1)), rng.uniform(-1, 1, (count, s + 1, 1)).astype(dtype)
+    x, u = (
+        rng.normal(size=(count, 2)) * 10.0 ** rng.uniform(-2, 3, (count, 1)),
+        rng.uniform(-1, 1, (count, s + 1, 1)).astype(dtype),
+    )
     true = (x @ O.T + u[:, :s, 0] @ H.T).reshape(count, s + 1, 2)
     y = (1 + SIGMA * rng.choice([-1, 1], (count, 1, 2))) * true + RHO * rng.choice([-1, 1], true.shape)
     status, _ = verdicts(u, y.astype(dtype))

@@ -1,4 +1,6 @@
-"""Any number of devices gives the same verdicts and the same margins, bit for bit, from one program; which devices are used."""
+"""Any number of devices gives the same verdicts and the same margins, bit for bit, from one program; which
+devices are used.
+"""
 
 import json
 import os
@@ -20,22 +22,35 @@ from jaxbound.sets.floats.probe import usable_devices
 def on_eight_devices(block, samples, counts, cases):
     """Return what devices_case.py prints in a process with 8 virtual devices, of which it uses so many."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
-    cache = {"JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir or "", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
+    cache = {
+        "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir or "",
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1",
+    }
     out = subprocess.run(
         [sys.executable, devices_case.__file__, str(block), str(samples), counts, *cases],
         env={**os.environ, **cache, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
-        cwd=Path(devices_case.__file__).parent, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        cwd=Path(devices_case.__file__).parent,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert out.returncode == 0, out.stderr
     return json.loads(out.stdout)
 
 
-@pytest.mark.parametrize("counts, cases", [
-    ("1,8", ["one sensor"]),
-    pytest.param("1,2,8", ["joint", "bank"], marks=pytest.mark.slow),
-    pytest.param("1,2,4,8", ["joint", "margins", "bank", "box", "batch", "float32", "unknown inputs"], marks=pytest.mark.long),
-    pytest.param("1,2,8", ["long windows"], marks=pytest.mark.long),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "counts, cases",
+    [
+        ("1,8", ["one sensor"]),
+        pytest.param("1,2,8", ["joint", "bank"], marks=pytest.mark.slow),
+        pytest.param(
+            "1,2,4,8",
+            ["joint", "margins", "bank", "box", "batch", "float32", "unknown inputs"],
+            marks=pytest.mark.long,
+        ),
+        pytest.param("1,2,8", ["long windows"], marks=pytest.mark.long),
+    ],
+)
 def test_any_number_of_devices_finds_the_same_bits(counts, cases, monkeypatch):
     """Also those of this process, which has one device, and with blocks that do not come out even."""
     block, samples = 512, 4780

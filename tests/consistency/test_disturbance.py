@@ -1,4 +1,6 @@
-"""Bounded disturbances, drawn anew each sample: the verdict of the program in which they are unknowns, short windows and long."""
+"""Bounded disturbances, drawn anew each sample: the verdict of the program in which they are unknowns, short
+windows and long.
+"""
 
 import jax
 import numpy as np
@@ -20,10 +22,14 @@ def key(rng):
     return jax.random.key(int(rng.integers(2**31)))
 
 
-@pytest.mark.parametrize("name, horizon, count", [
-    *CASES, *(pytest.param(*case, MANY, marks=pytest.mark.slow) for case in FULL),
-    *(pytest.param(*case, MANY, marks=pytest.mark.long) for case in LONG),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, horizon, count",
+    [
+        *CASES,
+        *(pytest.param(*case, MANY, marks=pytest.mark.slow) for case in FULL),
+        *(pytest.param(*case, MANY, marks=pytest.mark.long) for case in LONG),
+    ],
+)
 def test_the_verdict_is_that_of_the_program(name, horizon, count, shared, rng):
     r, oracle, u, y = prepared(numbers(name, shared), horizon, count, rng)
     status = last(jb.detect(r, u, y).status)
@@ -37,9 +43,15 @@ def test_section_5_driven_along_its_input_has_the_published_strips(s, count):
     assert len(jb.parity_relations(jb.LinearSystem(**GUST), s).circuits) == count
 
 
-@pytest.mark.parametrize("G, counts", [
-    ([[0], [1]], (4, 23, 87)), ([[1], [1]], (4, 23, 87)), ([[1], [0]], (5, 31, 110)), ([[1], [2]], (5, 34, 154)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "G, counts",
+    [
+        ([[0], [1]], (4, 23, 87)),
+        ([[1], [1]], (4, 23, 87)),
+        ([[1], [0]], (5, 31, 110)),
+        ([[1], [2]], (5, 34, 154)),
+    ],
+)
 def test_the_strips_are_all_vectors_of_minimal_support(G, counts):
     """A direction that one output does not see has fewer of them."""
     numbers = MODELS["paper"] | dict(disturbance=(G, 0.1))
@@ -59,12 +71,17 @@ def test_a_missing_output_gives_the_verdict_of_the_program_without_its_row(horiz
 
 def test_the_margin_is_the_gauge_of_the_program(rng):
     r, oracle, u, y = prepared(LEAK, 2, 60, rng)
-    np.testing.assert_allclose(last(jb.detect(r, u, y).margin), 1 - oracle.gauge_by_program(u, y), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        last(jb.detect(r, u, y).margin), 1 - oracle.gauge_by_program(u, y), rtol=1e-7, atol=1e-9
+    )
 
 
 def zero_disturbance(horizon, rng):
     u, y = rng.uniform(-1, 1, (200, 1)), rng.normal(size=(200, 2)) / 3
-    return (jb.detect(jb.parity_relations(m, horizon), u, y) for m in (paper(), paper(disturbance=([[0], [1]], 0))))
+    return (
+        jb.detect(jb.parity_relations(m, horizon), u, y)
+        for m in (paper(), paper(disturbance=([[0], [1]], 0)))
+    )
 
 
 def test_a_disturbance_of_bound_zero_is_none(rng):
@@ -107,10 +124,15 @@ def test_a_leak_only_takes(rng):
         assert jb.detect(r, still, pushed).counts["CONSISTENT"] == 0
 
 
-@pytest.mark.parametrize("name, horizon, dtype", [
-    ("gust", 2, np.float64), ("gust", 6, np.float64), pytest.param("leak", 2, np.float32, marks=pytest.mark.slow),
-    pytest.param("gust", 6, np.float32, marks=pytest.mark.slow),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, horizon, dtype",
+    [
+        ("gust", 2, np.float64),
+        ("gust", 6, np.float64),
+        pytest.param("leak", 2, np.float32, marks=pytest.mark.slow),
+        pytest.param("gust", 6, np.float32, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("at", ["vertices", "uniform"])
 def test_fault_free_windows_raise_no_fault(name, horizon, dtype, at, shared, rng):
     model = jb.LinearSystem(**numbers(name, shared))
@@ -121,10 +143,15 @@ def test_fault_free_windows_raise_no_fault(name, horizon, dtype, at, shared, rng
     assert res.counts["CONSISTENT"] > (0 if at == "vertices" and horizon > 2 else 2000) - 1
 
 
-@pytest.mark.parametrize("name, horizon, dtype, step", [
-    ("gust", 2, np.float64, 1e-9), ("gust", 6, np.float64, 1e-9), ("gust", 2, np.float32, 1e-3),
-    pytest.param("gust", 6, np.float32, 1e-2, marks=pytest.mark.slow),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, horizon, dtype, step",
+    [
+        ("gust", 2, np.float64, 1e-9),
+        ("gust", 6, np.float64, 1e-9),
+        ("gust", 2, np.float32, 1e-3),
+        pytest.param("gust", 6, np.float32, 1e-2, marks=pytest.mark.slow),
+    ],
+)
 def test_verdicts_are_sharp(name, horizon, dtype, step, shared, rng):
     spec = numbers(name, shared)
     oracle, r = Windows(Plant(**spec), horizon, dtype), jb.parity_relations(jb.LinearSystem(**spec), horizon)

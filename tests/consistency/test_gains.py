@@ -11,7 +11,13 @@ from scipy.optimize import linprog
 import jaxbound as jb
 from jaxbound.consistency.gains import GainsTest
 
-PLANT = dict(A=[["0.9", "0.1"], [0, "0.8"]], B=[[0], [1]], C=[[1, 0], [1, 1]], noise=[0.05, 0.05], tolerance=[0.05, 0.02])
+PLANT = dict(
+    A=[["0.9", "0.1"], [0, "0.8"]],
+    B=[[0], [1]],
+    C=[[1, 0], [1, 1]],
+    noise=[0.05, 0.05],
+    tolerance=[0.05, 0.02],
+)
 KINDS = ["plain", "disturbed"]
 HORIZON = 20
 
@@ -19,7 +25,9 @@ HORIZON = 20
 @cache
 def relations(kind):
     more = dict(disturbance=([[0], [1]], 0.02)) if kind == "disturbed" else {}
-    return jb.parity_relations(jb.LinearSystem(**PLANT, **more, constant_tolerance=True), 12 if more else HORIZON)
+    return jb.parity_relations(
+        jb.LinearSystem(**PLANT, **more, constant_tolerance=True), 12 if more else HORIZON
+    )
 
 
 @cache
@@ -36,8 +44,13 @@ def detected(kind):
 
 
 def excess(model, u, y):
-    """Return the least that all limits of a window must give way, by linear programming: > 0 where nothing explains it."""
-    A, B, C, G = (np.array([[float(x) for x in row] for row in M]).reshape(len(M), -1) for M in (model.A, model.B, model.C, model.G))
+    """Return the least that all limits of a window must give way, by linear programming: > 0 where nothing
+    explains it.
+    """
+    A, B, C, G = (
+        np.array([[float(x) for x in row] for row in M]).reshape(len(M), -1)
+        for M in (model.A, model.B, model.C, model.G)
+    )
     n, p, g, s = len(A), len(C), model.g, len(y) - 1
     state, drive, upper, limit = np.hstack([np.eye(n), np.zeros((n, g * s))]), np.zeros(n), [], []
     for j in range(s + 1):
@@ -54,7 +67,9 @@ def excess(model, u, y):
     inside = [(float(lo), float(hi)) for lo, hi in model.disturbance] * s
     gains = [(1 / (1 + float(t)), 1 / (1 - float(t))) for t in model.tolerance]
     free = [(None, None)]
-    return linprog([*np.zeros(n + g * s + p), 1], np.array(upper), limit, bounds=[*free * n, *inside, *gains, *free]).fun
+    return linprog(
+        [*np.zeros(n + g * s + p), 1], np.array(upper), limit, bounds=[*free * n, *inside, *gains, *free]
+    ).fun
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -96,5 +111,9 @@ def test_no_healthy_window_is_a_fault(kind, dtype, module_seed):
     model, rng = relations(kind).model, np.random.default_rng(module_seed)
     for trial in range(4):
         u = rng.uniform(-1, 1, (200, 1)) * 100.0**trial
-        y = np.array(jb.simulate(model, u, jax.random.key(module_seed + trial), at="vertices" if trial % 2 else "uniform").y)
+        y = np.array(
+            jb.simulate(
+                model, u, jax.random.key(module_seed + trial), at="vertices" if trial % 2 else "uniform"
+            ).y
+        )
         assert jb.detect(relations(kind), u.astype(dtype), y.astype(dtype)).counts["FAULT"] == 0

@@ -19,10 +19,16 @@ def simulated(rng, u):
     return y * (1 + error() * [0.02, 0.1]) + error() * [0.1, 0.01]
 
 
-@pytest.mark.parametrize("horizon, method", [
-    (None, "joint"), (3, "joint"), (1, "box"), pytest.param(1, "paving", marks=pytest.mark.long),
-    pytest.param(16, "joint", marks=pytest.mark.slow),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "horizon, method",
+    [
+        (None, "joint"),
+        (3, "joint"),
+        (1, "box"),
+        pytest.param(1, "paving", marks=pytest.mark.long),
+        pytest.param(16, "joint", marks=pytest.mark.slow),
+    ],
+)
 def test_pieces_are_judged_as_if_they_stood_alone(rng, horizon, method):
     u = rng.uniform(-5, 5, (90, 1))
     y = simulated(rng, u)
@@ -30,7 +36,10 @@ def test_pieces_are_judged_as_if_they_stood_alone(rng, horizon, method):
     r = jb.parity_relations(paper(), horizon)
     starts = [20, 21, 55]
     res = jb.detect(r, u, y, method=method, starts=starts)
-    pieces = [jb.detect(r, *(x[a:b] for x in (u, y)), method=method) for a, b in zip([0, *starts], [*starts, 90], strict=True)]
+    pieces = [
+        jb.detect(r, *(x[a:b] for x in (u, y)), method=method)
+        for a, b in zip([0, *starts], [*starts, 90], strict=True)
+    ]
     np.testing.assert_array_equal(res.status, np.concatenate([p.status for p in pieces]))
     np.testing.assert_array_equal(res.margin, np.concatenate([p.margin for p in pieces]))
 
@@ -47,7 +56,9 @@ def test_a_hole_raises_a_false_alarm_only_without_its_seam(rng):
 def test_a_frame_with_a_gap_in_its_dates_is_split(rng):
     u = rng.uniform(-5, 5, (60, 1))
     y = simulated(rng, u)
-    index = pd.date_range("2024-01-01", periods=40, freq="10ms").append(pd.date_range("2024-02-01", periods=20, freq="10ms"))
+    index = pd.date_range("2024-01-01", periods=40, freq="10ms").append(
+        pd.date_range("2024-02-01", periods=20, freq="10ms")
+    )
     frame = pd.DataFrame({"u1": u[:, 0], "y1": y[:, 0], "y2": y[:, 1]}, index=index)
     r = jb.parity_relations(paper(), 3)
     res = jb.detect(r, frame, frame)
@@ -73,7 +84,10 @@ def test_hints_tell_of_splits_and_of_sensors_that_stand_still(rng):
     r = jb.parity_relations(paper())
     split, frozen = jb.detect(r, u, y, starts=[40, 90]).hints
     assert split == "the recording is split in 3, first at sample 40: windows across are MISSING"
-    assert frozen.startswith(f"y2 stays at exactly {y[100, 1]:.6g} for 50 samples from sample 100 to sample 149: a frozen sensor can look")
+    assert frozen.startswith(
+        f"y2 stays at exactly {y[100, 1]:.6g} for 50 samples from sample 100 to sample 149: a frozen sensor "
+        f"can look"
+    )
     batch = jb.detect(r, np.stack([u, u]), np.stack([y, simulated(rng, u)]))
     assert [h[:21] for h in batch.hints] == ["recording 0: y2 stays"]
 

@@ -61,7 +61,12 @@ def test_detect_and_a_monitor_take_a_new_test(rng):
     want = np.where(np.isnan(moved), 0, np.where(moved > 1, 3, 1))
     want[100] = 0
     np.testing.assert_array_equal(res.status, want)
-    assert {alarm.start for alarm in res.alarms()} == {300} and set(res.counts) == {"MISSING", "CONSISTENT", "UNDECIDED", "FAULT"}
+    assert {alarm.start for alarm in res.alarms()} == {300} and set(res.counts) == {
+        "MISSING",
+        "CONSISTENT",
+        "UNDECIDED",
+        "FAULT",
+    }
     mon = jb.Monitor(Steps(1.0))
     _, verdict = mon.run(mon.init(), u, y, starts=[100])
     np.testing.assert_array_equal(verdict.status, res.status)
@@ -82,7 +87,9 @@ def test_what_it_does_not_have_is_a_sentence(rng):
     u, y = recorded(rng)
     with pytest.raises(NotImplementedError, match="margins has no fast path for these relations"):
         jb.margins(Steps(1.0), u, y)
-    with pytest.raises(NotImplementedError, match="certificates are given for relations that detect knows, not Steps"):
+    with pytest.raises(
+        NotImplementedError, match="certificates are given for relations that detect knows, not Steps"
+    ):
         jb.detect(Steps(1.0), u, y).explain(300)
     with pytest.raises(ValueError, match="budget belongs to method='paving'"):
         jb.detect(Steps(1.0), u, y, budget=3)

@@ -20,8 +20,13 @@ def prepared(name, horizon, count, rng):
     return jb.parity_relations(jb.LinearSystem(**MODELS[name]), horizon=horizon), oracle, u, y
 
 
-@pytest.mark.parametrize("horizon, count", [*((s, 200) for s in (1, 2, 3, 4)),
-                                            *(pytest.param(s, 1800, marks=pytest.mark.slow) for s in (1, 2, 3, 4))])  # fmt: skip
+@pytest.mark.parametrize(
+    "horizon, count",
+    [
+        *((s, 200) for s in (1, 2, 3, 4)),
+        *(pytest.param(s, 1800, marks=pytest.mark.slow) for s in (1, 2, 3, 4)),
+    ],
+)
 def test_one_missing_output_gives_the_verdict_of_the_program_without_its_row(horizon, count, rng):
     """The long run removes each of 28 rows from 1800 windows: 50 400 in all."""
     r, oracle, u, full = prepared("paper", horizon, count, rng)
@@ -32,17 +37,23 @@ def test_one_missing_output_gives_the_verdict_of_the_program_without_its_row(hor
             status, slack = jb.detect(r, u, y).status[:, -1], oracle.slack(u, y)
             sure = abs(slack) > 1e-8
             assert sure.mean() > 0.99
-            np.testing.assert_array_equal(status[sure], np.where(slack > 0, Status.FAULT, Status.CONSISTENT)[sure])
+            np.testing.assert_array_equal(
+                status[sure], np.where(slack > 0, Status.FAULT, Status.CONSISTENT)[sure]
+            )
             assert 0.1 < (slack > 0).mean() < 0.9
 
 
-@pytest.mark.parametrize("name, horizon, gone", [("paper", 2, 2), ("paper", 3, 3), ("three states", 2, 2), ("offsets", 2, 3)])
+@pytest.mark.parametrize(
+    "name, horizon, gone", [("paper", 2, 2), ("paper", 3, 3), ("three states", 2, 2), ("offsets", 2, 3)]
+)
 def test_several_missing_outputs_give_the_verdict_of_the_program_without_them(name, horizon, gone, rng):
     r, oracle, u, y = prepared(name, horizon, 600, rng)
     rows = np.argsort(rng.random((len(y), oracle.O.shape[0])), 1)[:, :gone]
     y.reshape(len(y), -1)[np.arange(len(y))[:, None], rows] = np.nan
     status, slack = jb.detect(r, u, y).status[:, -1], oracle.slack(u, y)
-    known = np.array([any(set(np.flatnonzero(h)).isdisjoint(gone_rows) for h in oracle.circuits) for gone_rows in rows])
+    known = np.array(
+        [any(set(np.flatnonzero(h)).isdisjoint(gone_rows) for h in oracle.circuits) for gone_rows in rows]
+    )
     np.testing.assert_array_equal(status[~known], Status.MISSING)
     sure = known & (abs(slack) > 1e-8)
     assert sure.sum() > 400
@@ -52,7 +63,9 @@ def test_several_missing_outputs_give_the_verdict_of_the_program_without_them(na
 def test_margin_with_a_missing_output_is_the_gauge_without_its_row(rng):
     r, oracle, u, y = prepared("paper", 2, 100, rng)
     y[:, 1, 0] = np.nan
-    np.testing.assert_allclose(jb.detect(r, u, y).margin[:, -1], 1 - oracle.gauge_by_program(u, y), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        jb.detect(r, u, y).margin[:, -1], 1 - oracle.gauge_by_program(u, y), rtol=1e-7, atol=1e-9
+    )
 
 
 def test_a_missing_sample_touches_only_the_windows_that_hold_it(rng):
@@ -73,7 +86,9 @@ def test_a_missing_input_silences_the_circuits_that_use_it_and_no_other(rng):
     free = abs(used[:, 0]) < 1e-12
     assert 0 < free.sum() < len(free)
     lo, hi = oracle.limits(np.nan_to_num(u), y)
-    gauge = (abs((lo + hi) / 2 @ oracle.circuits[free].T) / ((hi - lo) / 2 @ abs(oracle.circuits[free]).T)).max(1)
+    gauge = (
+        abs((lo + hi) / 2 @ oracle.circuits[free].T) / ((hi - lo) / 2 @ abs(oracle.circuits[free]).T)
+    ).max(1)
     res = jb.detect(r, u, y)
     np.testing.assert_allclose(res.margin[:, -1], 1 - gauge, rtol=1e-9, atol=1e-11)
     np.testing.assert_array_equal(res.status[:, -1] == Status.FAULT, gauge > 1)
@@ -91,7 +106,9 @@ def test_a_fault_with_a_missing_input_is_one_for_every_value_of_that_input(name,
 
 @pytest.mark.parametrize("name, horizon", [("paper", 2), ("offsets", 1)])
 def test_consistent_with_a_missing_input_is_so_for_some_value_of_that_input(name, horizon, rng):
-    """A combination of circuits that cancels the input can be violated where no single circuit without it is."""
+    """A combination of circuits that cancels the input can be violated where no single circuit without it
+    is.
+    """
     r, oracle, u, y = prepared(name, horizon, 1500, rng)
     slack = oracle.slack(np.where(np.arange(horizon + 1)[:, None] == 0, 0, u), y, free=range(oracle.plant.m))
     u[:, 0] = np.nan
@@ -100,7 +117,11 @@ def test_consistent_with_a_missing_input_is_so_for_some_value_of_that_input(name
 
 
 def test_a_missing_newest_input_does_not_matter_without_feedthrough(rng):
-    r, u, y = jb.parity_relations(paper(), horizon=1), rng.uniform(-1, 1, (50, 2, 1)), rng.normal(size=(50, 2, 2))
+    r, u, y = (
+        jb.parity_relations(paper(), horizon=1),
+        rng.uniform(-1, 1, (50, 2, 1)),
+        rng.normal(size=(50, 2, 2)),
+    )
     holes = u.copy()
     holes[:, 1] = np.nan
     np.testing.assert_array_equal(jb.detect(r, u, y).margin, jb.detect(r, holes, y).margin)
@@ -127,7 +148,13 @@ def test_windows_without_any_output_are_missing(method, rng):
 )
 def test_the_first_samples_are_missing(horizon, method, rng):
     u, y = rng.uniform(-1, 1, (2, 8, 1)), rng.normal(size=(2, 8, 2)) / 100
-    res = jb.detect(jb.parity_relations(paper(), horizon=horizon), u, y, method=method, budget=(2, 10_000) if method == "paving" else None)
+    res = jb.detect(
+        jb.parity_relations(paper(), horizon=horizon),
+        u,
+        y,
+        method=method,
+        budget=(2, 10_000) if method == "paving" else None,
+    )
     assert (res.status[:, :horizon] == Status.MISSING).all() and np.isnan(res.margin[:, :horizon]).all()
     assert (res.status[:, horizon:] != Status.MISSING).all()
 
@@ -153,7 +180,12 @@ def gradients(module_seed):
 
     both = jax.jit(jax.value_and_grad(total, (0, 1, 2), has_aux=True))
     bounds = {name: jnp.asarray(b) for name, b in r.bounds.items()}
-    return bounds, u, y, lambda bounds, y, u, keep=True: both(bounds, *map(jnp.asarray, (y, u)), np.broadcast_to(keep, 64))
+    return (
+        bounds,
+        u,
+        y,
+        lambda bounds, y, u, keep=True: both(bounds, *map(jnp.asarray, (y, u)), np.broadcast_to(keep, 64)),
+    )
 
 
 def test_gradient_of_margins_is_finite_with_missing_samples(gradients):
@@ -168,9 +200,13 @@ STEP = 1e-6
 
 
 def smooth(here, up, down):
-    """Return which windows have no kink within a step to either side, where another relation takes over: there the differences agree."""
+    """Return which windows have no kink within a step to either side, where another relation takes over:
+    there the differences agree.
+    """
     bend, slope = abs(np.asarray(up - 2 * here + down)), abs(np.asarray(up - down))
-    keep = ~(bend > 1e-3 * slope + 1e-11)  # of a smooth margin it is 1e-4, of a kink 1; NaN is not counted anyway
+    keep = ~(
+        bend > 1e-3 * slope + 1e-11
+    )  # of a smooth margin it is 1e-4, of a kink 1; NaN is not counted anyway
     assert keep.mean() > 0.9
     return keep
 
@@ -191,7 +227,10 @@ def test_gradient_by_the_samples_equals_finite_differences(gradients):
     here = both(bounds, y, u)[0][1]
     for k in (5, 10, 30, 40, 50):
         for which in range(2):
-            moved = [[v + sign * STEP * (np.arange(64)[:, None] == k) * (n == which) for n, v in enumerate((y, u))] for sign in (1, -1)]
+            moved = [
+                [v + sign * STEP * (np.arange(64)[:, None] == k) * (n == which) for n, v in enumerate((y, u))]
+                for sign in (1, -1)
+            ]
             keep = smooth(here, *(both(bounds, *data)[0][1] for data in moved))
             got = both(bounds, y, u, keep)[1][1 + which][k].sum()
             up, down = (both(bounds, *data, keep)[0][0] for data in moved)

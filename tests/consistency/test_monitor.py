@@ -15,7 +15,9 @@ from jaxbound.consistency.strips import StripsTest
 
 
 def recording(rng, model, n, missing=0, dtype=float, spread=1.5):
-    """Return (u, y): outputs of a plant with errors around their bounds, so that there are all kinds of windows, and missing samples."""
+    """Return (u, y): outputs of a plant with errors around their bounds, so that there are all kinds of
+    windows, and missing samples.
+    """
     A, B, C = (np.array(M, float) for M in (model.A, model.B, model.C))
     u, y, x = rng.uniform(-1, 1, (n, model.m)), np.empty((n, model.p)), np.zeros(model.n)
     for k in range(n):
@@ -53,11 +55,25 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name, dtype", [
-    ("section 5", float), ("box", float), ("one sample", float), *(pytest.param(name, dtype, marks=pytest.mark.slow) for name, dtype in (
-        ("section 5", np.float32), ("box", np.float32), ("many circuits", float), ("many circuits", np.float32), ("disturbance", float),
-        ("one relation", float))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, dtype",
+    [
+        ("section 5", float),
+        ("box", float),
+        ("one sample", float),
+        *(
+            pytest.param(name, dtype, marks=pytest.mark.slow)
+            for name, dtype in (
+                ("section 5", np.float32),
+                ("box", np.float32),
+                ("many circuits", float),
+                ("many circuits", np.float32),
+                ("disturbance", float),
+                ("one relation", float),
+            )
+        ),
+    ],
+)
 def test_steps_and_bursts_equal_detect_bit_by_bit(rng, name, dtype):
     model, horizon, method = CASES[name]
     r = jb.parity_relations(model(), horizon)
@@ -65,7 +81,9 @@ def test_steps_and_bursts_equal_detect_bit_by_bit(rng, name, dtype):
     starts = [40, 41, 333]
     res = jb.detect(r, u, y, method=method, starts=starts)
     mon = Monitor(r, method, dtype)
-    assert_equal(stepped(mon, u[:60], y[:60], starts), jb.detect(r, u[:60], y[:60], method=method, starts=starts[:2]))
+    assert_equal(
+        stepped(mon, u[:60], y[:60], starts), jb.detect(r, u[:60], y[:60], method=method, starts=starts[:2])
+    )
     state, parts = mon.init(), []
     for a, b in ((0, 1), (1, 30), (30, 30), (30, 600), (600, 601), (601, 700)):  # short, none, long
         state, verdict = mon.run(state, u[a:b], y[a:b], starts=[k - a for k in starts if a <= k < b])
@@ -105,9 +123,12 @@ def test_whatever_the_block_the_kernels_give_the_same_bits(rng):
     r = jb.parity_relations(paper())
     u, y = recording(rng, r.model, 513, 20)
     test = r.reading(y.dtype)
-    bits = lambda size: np.concatenate([
-        np.asarray(strips.verdicts(test, u[k : k + size + 1], y[k : k + size + 1])[1]) for k in range(0, 512, size)
-    ])  # fmt: skip
+    bits = lambda size: np.concatenate(
+        [
+            np.asarray(strips.verdicts(test, u[k : k + size + 1], y[k : k + size + 1])[1])
+            for k in range(0, 512, size)
+        ]
+    )
     for size in (4, 16, StripsTest.short):
         np.testing.assert_array_equal(bits(size), bits(512))
 
@@ -160,9 +181,16 @@ def test_a_second_step_does_not_compile(rng):
     assert strips.verdicts._cache_size() == before
 
 
-@pytest.mark.parametrize("model", [
-    dict(constant_tolerance=True), pytest.param(dict(uncertainties=[jb.Uncertainty("a", A=[[0.01, 0], [0, 0]])]), marks=pytest.mark.slow),
-], ids=["constant tolerance", "uncertain"])  # fmt: skip
+@pytest.mark.parametrize(
+    "model",
+    [
+        dict(constant_tolerance=True),
+        pytest.param(
+            dict(uncertainties=[jb.Uncertainty("a", A=[[0.01, 0], [0, 0]])]), marks=pytest.mark.slow
+        ),
+    ],
+    ids=["constant tolerance", "uncertain"],
+)
 def test_slower_tests_equal_detect(rng, model):
     r = jb.parity_relations(paper(**model))
     u, y = recording(rng, r.model, 12)

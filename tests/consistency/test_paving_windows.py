@@ -1,4 +1,6 @@
-"""The paper's own paving of the unknowns: sound, counted box by box as a FIFO list, and as weak as golden says."""
+"""The paper's own paving of the unknowns: sound, counted box by box as a FIFO list, and as weak as golden
+says.
+"""
 
 from collections import deque
 
@@ -32,7 +34,9 @@ def outside(rng, count=128):
 
 def verdict(u, y, method, q=3, model=None):
     r = jb.parity_relations(model or paper(), horizon=1)
-    return jb.detect(r, u, y, method=method, budget=(q, 20_000_000) if method == "paving" else None).status[:, -1]
+    return jb.detect(r, u, y, method=method, budget=(q, 20_000_000) if method == "paving" else None).status[
+        :, -1
+    ]
 
 
 def product(a, b):
@@ -45,14 +49,18 @@ def image(box, y):
     mu = []
     for i in range(4):
         theta, delta = product(box[i], (SIGMA[i], SIGMA[i])), box[4 + i]
-        top = [a + b for a, b in zip(product(theta, (y[i], y[i])), product(delta, (RHO[i], RHO[i])), strict=True)]
+        top = [
+            a + b for a, b in zip(product(theta, (y[i], y[i])), product(delta, (RHO[i], RHO[i])), strict=True)
+        ]
         mu.append(product(top, (1 / (1 + theta[1]), 1 / (1 + theta[0]))))
     rows = [[product((w, w), m) for w, m in zip(row, mu, strict=True)] for row in W]
     return [(sum(t[0] for t in row), sum(t[1] for t in row)) for row in rows]
 
 
 def paper_algorithm(target, y, threshold):
-    """Run the list of Adrot 2000, 4.3 (with golden's erratum) on one window; return (empty, boxes evaluated)."""
+    """Run the list of Adrot 2000, 4.3 (with golden's erratum) on one window; return (empty, boxes
+    evaluated).
+    """
     waiting, evaluated, r = deque([(((-1.0, 1.0),) * 8, 0)]), 0, 1
     while waiting:
         box, cuts = waiting.popleft()
@@ -81,14 +89,22 @@ def test_boxes_are_those_of_the_papers_list_one_window_at_a_time(q, rng):
     plain = [paper_algorithm(target[i], flat[i], q - 1) for i in range(len(y))]
     np.testing.assert_array_equal(p.evaluated, np.resize([evaluated for _, evaluated in plain], 128))
     np.testing.assert_array_equal(p.status == Status.FAULT, np.resize([empty for empty, _ in plain], 128))
-    print(f"evaluated {p.evaluated.min()} .. {p.evaluated.max()}, {sum(empty for empty, _ in plain)} of {len(y)} rejected")
+    print(
+        f"evaluated {p.evaluated.min()} .. {p.evaluated.max()}, {sum(empty for empty, _ in plain)} of "
+        f"{len(y)} rejected"
+    )
     assert p.evaluated.max() > 30 and {empty for empty, _ in plain} == {True, False}
 
 
-@pytest.mark.parametrize("change, spread", [
-    pytest.param(dict(), 3, marks=pytest.mark.slow), (dict(offset={"u": [3], "y": [7, -2]}), 3), (dict(D=[[0.5], [0]]), 3),
-    (dict(resolution=0.5), 30),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, spread",
+    [
+        pytest.param(dict(), 3, marks=pytest.mark.slow),
+        (dict(offset={"u": [3], "y": [7, -2]}), 3),
+        (dict(D=[[0.5], [0]]), 3),
+        (dict(resolution=0.5), 30),
+    ],
+)
 def test_a_window_that_paving_rejects_is_outside_jointly(change, spread, rng):
     u, y = windows(128, rng, spread=spread, level=None if spread == 3 else 1.0)
     y = y + [float(v) for v in change.get("offset", {}).get("y", (0, 0))]
@@ -117,7 +133,9 @@ def test_a_deeper_paving_rejects_more_and_none_less(rng):
 def test_paving_at_order_two_rejects_about_a_quarter_of_what_the_box_misses(rng):
     """Golden: 13 of 40 windows; over other draws of windows 18 to 33 of 100."""
     u, y = windows(8000, rng)
-    missed = np.flatnonzero((verdict(u, y, "joint") == Status.FAULT) & (verdict(u, y, "box") != Status.FAULT))[:128]
+    missed = np.flatnonzero(
+        (verdict(u, y, "joint") == Status.FAULT) & (verdict(u, y, "box") != Status.FAULT)
+    )[:128]
     assert len(missed) == 128
     rejected = (verdict(u[missed], y[missed], "paving") == Status.FAULT).sum()
     print(f"{rejected} of 128 rejected")
@@ -142,7 +160,9 @@ def test_a_budget_that_runs_out_leaves_windows_undecided(rng):
 
 def test_paving_gives_no_margin(rng):
     u, y = windows(3, rng)
-    assert np.isnan(jb.detect(jb.parity_relations(paper(), horizon=1), u, y, method="paving", budget=(1, 10)).margin).all()
+    assert np.isnan(
+        jb.detect(jb.parity_relations(paper(), horizon=1), u, y, method="paving", budget=(1, 10)).margin
+    ).all()
 
 
 def test_other_numbers_of_windows_do_not_trace_again(rng):

@@ -1,4 +1,6 @@
-"""A user's own residual: verdicts agree with exact answers, with the joint test, and never accuse what the bounds explain."""
+"""A user's own residual: verdicts agree with exact answers, with the joint test, and never accuse what the
+bounds explain.
+"""
 
 from fractions import Fraction
 
@@ -20,7 +22,9 @@ def growth(z, u, y):
 
 
 def exactly(u, y):
-    """Return how far inside (> 0) the window is: growth is affine in z, so that its range is an interval with rational ends."""
+    """Return how far inside (> 0) the window is: growth is affine in z, so that its range is an interval with
+    rational ends.
+    """
     a, b, v = Fraction(float(y[0, 0])), Fraction(float(y[1, 0])), Fraction(float(u[0, 0]))
     lean = a * (1 - a) / 4
     return abs(lean) / 8 + Fraction(1, 16) - abs(b - a - lean - v)
@@ -38,9 +42,15 @@ def test_every_verdict_agrees_with_the_exact_one(rng, count):
     status = jb.detect(jb.residual(growth, BOX, 1), u, y).status
     assert status[0] == Status.MISSING
     inside = np.array([exactly(u[k - 1 : k + 1], y[k - 1 : k + 1]) for k in range(1, len(y))])
-    assert (inside[status[1:] == Status.CONSISTENT] >= 0).all() and (inside[status[1:] == Status.FAULT] < 0).all()
+    assert (inside[status[1:] == Status.CONSISTENT] >= 0).all() and (
+        inside[status[1:] == Status.FAULT] < 0
+    ).all()
     clear = abs(inside) > 1e-6
-    assert (status[1:][clear] != Status.UNDECIDED).all() and (status[1:] == Status.FAULT).mean() > 0.1 and (inside > 0).mean() > 0.2
+    assert (
+        (status[1:][clear] != Status.UNDECIDED).all()
+        and (status[1:] == Status.FAULT).mean() > 0.1
+        and (inside > 0).mean() > 0.2
+    )
 
 
 @pytest.mark.slow
@@ -49,12 +59,16 @@ def test_unknowns_at_their_bounds_raise_no_fault(rng):
     y[:, 0, 0] = rng.uniform(0.2, 0.8, 4)
     for k in range(59):
         z = rng.choice([-1, 1], (4, 2)) * np.array([0.125, 0.0625])
-        y[:, k + 1, 0] = y[:, k, 0] + 0.25 * (1 + z[:, 0]) * y[:, k, 0] * (1 - y[:, k, 0]) + u[:, k, 0] + z[:, 1]
+        y[:, k + 1, 0] = (
+            y[:, k, 0] + 0.25 * (1 + z[:, 0]) * y[:, k, 0] * (1 - y[:, k, 0]) + u[:, k, 0] + z[:, 1]
+        )
     result = jb.detect(jb.residual(growth, BOX, 1), u, y)
     assert result.status.shape == (4, 60) and result.counts["FAULT"] == 0 and np.isnan(result.margin).all()
 
 
-@pytest.mark.parametrize("s, T", [pytest.param(1, 60, marks=pytest.mark.slow), pytest.param(2, 400, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "s, T", [pytest.param(1, 60, marks=pytest.mark.slow), pytest.param(2, 400, marks=pytest.mark.long)]
+)
 def test_it_agrees_with_the_joint_test_of_a_linear_model(rng, s, T):
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
     u, y = rng.uniform(-0.1, 0.1, (T, 1)), rng.uniform(-0.15, 0.15, (T, 1)) * (1 if s == 2 else 2)
@@ -84,7 +98,9 @@ def test_float32_recordings_are_judged_as_recorded(rng):
     u, y = (x.astype(np.float32) for x in windows(rng, 200))
     result = jb.detect(jb.residual(growth, BOX, 1), u, y)
     inside = np.array([exactly(u[k - 1 : k + 1], y[k - 1 : k + 1]) for k in range(1, 200)])
-    assert (inside[result.status[1:] == Status.CONSISTENT] >= 0).all() and (inside[result.status[1:] == Status.FAULT] < 0).all()
+    assert (inside[result.status[1:] == Status.CONSISTENT] >= 0).all() and (
+        inside[result.status[1:] == Status.FAULT] < 0
+    ).all()
     assert (result.status[1:][abs(inside) > 1e-4] != Status.UNDECIDED).all()
 
 
@@ -96,7 +112,9 @@ def test_explain_shows_unknowns_that_explain_a_window_or_how_many_boxes_exclude_
     z = np.asarray(witness.mid)
     assert abs(float(growth(z, np.zeros((2, 1)), y[:2]))) < 1e-9 and (np.asarray(witness.hi) <= BOX.hi).all()
     assert str(result.explain(1)).startswith("explained by the unknowns (")
-    assert isinstance(result.explain(2), ResidualCertificate) and "no value of the unknowns explains it after" in str(result.explain(2))
+    assert isinstance(
+        result.explain(2), ResidualCertificate
+    ) and "no value of the unknowns explains it after" in str(result.explain(2))
     assert len(result.alarms()) == 1 and result.alarms()[0].candidates == ()
     with pytest.raises(ValueError, match="window 0 is MISSING"):
         result.explain(0)
@@ -117,7 +135,11 @@ def test_dataframes_bring_names_and_columns_can_be_chosen(rng):
     want = jb.detect(jb.residual(growth, BOX, 1), u, y)
     named = jb.residual(growth, BOX, 1, inputs=["valve"], outputs=["level"])
     result = jb.detect(named, pd.DataFrame({"valve": u[:, 0]}), frame)
-    assert (result.status == want.status).all() and named.count == 1 and result.relations.model.outputs == ("level",)
+    assert (
+        (result.status == want.status).all()
+        and named.count == 1
+        and result.relations.model.outputs == ("level",)
+    )
     assert want.relations.model.outputs == ("y1",) and (result.to_pandas().index == frame.index).all()
 
 
@@ -127,25 +149,55 @@ def test_relation_texts_bounds_and_nominal_residuals():
     assert r.bounds["parameters"].tolist() == [[-0.125, 0.125], [-0.0625, 0.0625]]
     wider = r.with_bounds({"parameters": [[-0.125, 0.125], [-10, 10]]})
     y = np.array([[0.5], [0.9], [0.2]])
-    assert jb.detect(r, np.zeros((3, 1)), y).counts["FAULT"] == 2 and jb.detect(wider, np.zeros((3, 1)), y).counts["CONSISTENT"] == 2
+    assert (
+        jb.detect(r, np.zeros((3, 1)), y).counts["FAULT"] == 2
+        and jb.detect(wider, np.zeros((3, 1)), y).counts["CONSISTENT"] == 2
+    )
     external = np.asarray(r.external(np.zeros((3, 1)), y))
-    assert np.isnan(external[0]).all() and abs(external[1:, 0] - [0.9 - 0.5625, 0.2 - 0.9 - 0.0225]).max() < 1e-12
+    assert (
+        np.isnan(external[0]).all()
+        and abs(external[1:, 0] - [0.9 - 0.5625, 0.2 - 0.9 - 0.0225]).max() < 1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
         (lambda: jb.residual(3.0, BOX), TypeError, "residual needs a function of"),
-        (lambda: jb.residual(growth, jb.interval([-np.inf], [1.0])), ValueError, "bounded, non-empty Interval of shape"),
-        (lambda: jb.residual(growth, jb.interval(0.0, 1.0)), ValueError, r"of shape \(n,\): its shape is \(\)"),
+        (
+            lambda: jb.residual(growth, jb.interval([-np.inf], [1.0])),
+            ValueError,
+            "bounded, non-empty Interval of shape",
+        ),
+        (
+            lambda: jb.residual(growth, jb.interval(0.0, 1.0)),
+            ValueError,
+            r"of shape \(n,\): its shape is \(\)",
+        ),
         (lambda: jb.residual(growth, jb.interval([1.0], [0.0])), ValueError, "lo must be <= hi"),
         (lambda: jb.residual(growth, BOX, horizon=1.5), ValueError, "horizon must be a whole number"),
         (lambda: jb.residual(growth, BOX, outputs=["a", "a"]), ValueError, "outputs must be different names"),
         (lambda: jb.residual(growth, BOX, 1).count, ValueError, "name them"),
-        (lambda: jb.residual(growth, BOX, 1).with_bounds({"noise": 1}), ValueError, r"the bounds of a residual are \['parameters'\]"),
-        (lambda: jb.residual(growth, BOX, 1).with_bounds({"parameters": [1, 2]}), ValueError, r"shape \(2, 2\): its shape is \(2,\)"),
-        (lambda: jb.detect(jb.residual(growth, BOX, 1), [[0.0]] * 3, [[np.inf]] * 3), ValueError, "y must be finite"),
-        (lambda: jb.detect(jb.residual(growth, BOX, 1), [[0.0]] * 3, [[1.0]] * 2), ValueError, "same number of samples"),
+        (
+            lambda: jb.residual(growth, BOX, 1).with_bounds({"noise": 1}),
+            ValueError,
+            r"the bounds of a residual are \['parameters'\]",
+        ),
+        (
+            lambda: jb.residual(growth, BOX, 1).with_bounds({"parameters": [1, 2]}),
+            ValueError,
+            r"shape \(2, 2\): its shape is \(2,\)",
+        ),
+        (
+            lambda: jb.detect(jb.residual(growth, BOX, 1), [[0.0]] * 3, [[np.inf]] * 3),
+            ValueError,
+            "y must be finite",
+        ),
+        (
+            lambda: jb.detect(jb.residual(growth, BOX, 1), [[0.0]] * 3, [[1.0]] * 2),
+            ValueError,
+            "same number of samples",
+        ),
         (
             lambda: jb.detect(jb.residual(growth, BOX, 1), [[0.0]] * 3, [[1.0]] * 3, method="box"),
             ValueError,
@@ -156,8 +208,16 @@ def test_relation_texts_bounds_and_nominal_residuals():
             ValueError,
             "budget must be a whole number of boxes",
         ),
-        (lambda: jb.detect(jb.residual(lambda z, u, y: [], BOX, 1), None, [[1.0]] * 3), ValueError, "f must return at least one float"),
-        (lambda: jb.detect(jb.residual(lambda z, u, y: jnp.argmax(y), BOX, 1), None, [[1.0]] * 3), ValueError, "at least one float, not 1"),
+        (
+            lambda: jb.detect(jb.residual(lambda z, u, y: [], BOX, 1), None, [[1.0]] * 3),
+            ValueError,
+            "f must return at least one float",
+        ),
+        (
+            lambda: jb.detect(jb.residual(lambda z, u, y: jnp.argmax(y), BOX, 1), None, [[1.0]] * 3),
+            ValueError,
+            "at least one float, not 1",
+        ),
     ],
     ids=range(15),
 )

@@ -6,9 +6,12 @@ import pytest
 import jaxbound as jb
 
 MODEL = jb.LinearSystem(
-    [["0.661", "-5.78"], ["-0.0361", "-0.659"]], [["0.3"], ["0.045"]], [["-0.001", "-0.0061"], [920, 8700]], [[0], [-870]],
+    [["0.661", "-5.78"], ["-0.0361", "-0.659"]],
+    [["0.3"], ["0.045"]],
+    [["-0.001", "-0.0061"], [920, 8700]],
+    [[0], [-870]],
     noise=["0.000214", 59],
-)  # fmt: skip
+)
 DIRECTION = [["0.5"], ["0.013"]]
 
 
@@ -45,5 +48,7 @@ def test_verdicts_of_observers_are_those_without_it(method, rng):
     u, y = recorded(rng)
     more = {"window": 8} if method == "joint" else {}
     without = jb.detect(jb.observer(MODEL, method=method, order=5, **more), u, y)
-    found = jb.detect(jb.observer(MODEL.replace(disturbance=(DIRECTION, 0)), method=method, order=5, **more), u, y)
+    found = jb.detect(
+        jb.observer(MODEL.replace(disturbance=(DIRECTION, 0)), method=method, order=5, **more), u, y
+    )
     np.testing.assert_array_equal(found.status, without.status)

@@ -1,4 +1,6 @@
-"""What NumPy says on its own of a window: never against the linear program, and nearly all of what can be said."""
+"""What NumPy says on its own of a window: never against the linear program, and nearly all of what can be
+said.
+"""
 
 import numpy as np
 import pytest
@@ -8,12 +10,19 @@ from oracles import MODELS
 import jaxbound as jb
 from jaxbound.consistency.strips_on_host import contradicted_by, host_strips
 
-SHORT = {"paper": (MODELS["paper"], 1), "offsets": (MODELS["offsets"], 2), "gust": (GUST, 2), "leak": (LEAK, 1)}
+SHORT = {
+    "paper": (MODELS["paper"], 1),
+    "offsets": (MODELS["offsets"], 2),
+    "gust": (GUST, 2),
+    "leak": (LEAK, 1),
+}
 SLACK = {np.float64: 1e-9, np.float32: 1e-4}
 
 
 def agrees(contradicted, slack, dtype):
-    """What is contradicted has no solution, in the program's digits; what has none by more than these is contradicted."""
+    """What is contradicted has no solution, in the program's digits; what has none by more than these is
+    contradicted.
+    """
     assert not (contradicted & (slack < -SLACK[dtype])).any()
     clear = slack > 100 * SLACK[dtype]
     assert clear.any() and contradicted[clear].mean() > 0.9 and (slack < -SLACK[dtype]).any()
@@ -48,7 +57,9 @@ def test_combinations_say_what_the_program_says_whatever_they_are(dtype, rng):
         patch.setattr(
             type(test._twice),
             "decided",
-            lambda self, margin, again, seen: found.setdefault("seen", seen) and twice(self, margin, again, seen),
+            lambda self, margin, again, seen: (
+                found.setdefault("seen", seen) and twice(self, margin, again, seen)
+            ),
         )
         test.judge(lambda kernel, blocks: [kernel(test.constants, *block) for block in blocks], [samples])
     agrees(found["seen"](np.arange(90)), slack, dtype)

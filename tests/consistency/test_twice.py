@@ -1,4 +1,6 @@
-"""What XLA hands back is corrupted at random: no FAULT of a healthy recording reaches anybody, and faults are still found without it."""
+"""What XLA hands back is corrupted at random: no FAULT of a healthy recording reaches anybody, and faults are
+still found without it.
+"""
 
 import warnings
 
@@ -28,12 +30,20 @@ RELATIONS = {
     "constrained": lambda: jb.observer(DISTURBED, order=6, method="constrained"),
     "joint": lambda: jb.observer(DISTURBED, order=6, method="joint", window=8),
 }
-DISTURBED = jb.LinearSystem([["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0]], noise="0.1", disturbance=([[1], ["0.5"]], "0.02"))
+DISTURBED = jb.LinearSystem(
+    [["0.9", "0.2"], ["-0.1", "0.95"]],
+    [[0], [1]],
+    [[1, 0]],
+    noise="0.1",
+    disturbance=([[1], ["0.5"]], "0.02"),
+)
 METHODS = {"bank": "box", "paving": "paving", "uncertain paving": "paving"}
 
 
 class Corrupted:
-    """Stands in the place of XLA: returns other statuses, margins, numbers and copies than it was handed, now and then."""
+    """Stands in the place of XLA: returns other statuses, margins, numbers and copies than it was handed, now
+    and then.
+    """
 
     def __init__(self, rng, share):
         self.rng, self.share, self.changed = rng, share, 0
@@ -83,7 +93,9 @@ def healthy(name, model, rng, recordings, samples):
 
 
 def faults_under_corruption(name, rng, corrupted, recordings, samples):
-    """Return (verdicts, FAULTs, numbers that were corrupted, whether a warning came) of healthy recordings."""
+    """Return (verdicts, FAULTs, numbers that were corrupted, whether a warning came) of healthy
+    recordings.
+    """
     relations = RELATIONS[name]()
     u, y = healthy(name, relations.model, rng, recordings, samples)
     liar = corrupted()
@@ -129,7 +141,10 @@ def test_faults_of_faulty_recordings_are_confirmed(name, rng):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drive, "decided_twice", lambda test, judged, *_: judged)
         patch.setattr(twice.Twice, "decided", lambda self, margin, *_: np.asarray(margin))
-        patch.setattr("jaxbound.estimation.second_look._doubtful", lambda watch, carry, piece, status: np.zeros(status.shape, bool))
+        patch.setattr(
+            "jaxbound.estimation.second_look._doubtful",
+            lambda watch, carry, piece, status: np.zeros(status.shape, bool),
+        )
         once = jb.detect(relations, u, y, method=method).status
     assert (status == Status.FAULT).any(1).all()
     np.testing.assert_array_equal(status, once)
@@ -142,7 +157,10 @@ def test_a_healthy_window_that_numpy_refutes_is_not_consistent(rng, corrupted, m
     y[..., 0] += 50
     assert (jb.detect(relations, u, y).status[:, 1:] == Status.FAULT).all()
     call = kernel.Kernel.__call__
-    lie = lambda status, margin: (np.where(np.asarray(status) == Status.FAULT, np.int8(Status.CONSISTENT), status), abs(np.asarray(margin)))
+    lie = lambda status, margin: (
+        np.where(np.asarray(status) == Status.FAULT, np.int8(Status.CONSISTENT), status),
+        abs(np.asarray(margin)),
+    )
     monkeypatch.setattr(kernel.Kernel, "__call__", lambda program, *args: lie(*call(program, *args)))
     with pytest.warns(Doubtful, match="CONSISTENT by XLA"):
         status = jb.detect(relations, u, y).status

@@ -1,4 +1,6 @@
-"""The power of proofs with uncertain parameters: the verdict on every window against branch and bound in the state space."""
+"""The power of proofs with uncertain parameters: the verdict on every window against branch and bound in the
+state space.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ def windows(rng, name, at, count):
 
 
 def answers(name, u, y, **changes):
-    """Return (what the oracle says of each window, "feasible", "infeasible" or "open"; the boxes that it used)."""
+    """Return (what the oracle says of each window, "feasible", "infeasible" or "open"; the boxes that it
+    used).
+    """
     matrices, parameters, samples = SYSTEMS[name]
     oracle = Oracle(matrices, parameters, samples - 1)
     found = [oracle.decide(*window, **changes) for window in zip(u, y, strict=True)]
@@ -50,13 +54,18 @@ long = lambda *x: pytest.param(*x, marks=pytest.mark.long)
 
 
 @pytest.mark.parametrize(
-    "name, at, count", [("n3p2_var3_h2", "vertices", 58), *(long("n3p2_mixed3_h3", at, 84) for at in ("uniform", "vertices"))]
+    "name, at, count",
+    [("n3p2_var3_h2", "vertices", 58), *(long("n3p2_mixed3_h3", at, 84) for at in ("uniform", "vertices"))],
 )
 def test_paving_decides_every_window_within_1000_boxes(rng, name, at, count):
     u, y = windows(rng, name, at, count)
     answer, _ = answers(name, u, y)
     status = verdicts(name, u, y, answer, "paving", 1000)
-    assert (answer != "open").all() and (status != Status.UNDECIDED).mean() > 0.95 and (answer == "infeasible").any()
+    assert (
+        (answer != "open").all()
+        and (status != Status.UNDECIDED).mean() > 0.95
+        and (answer == "infeasible").any()
+    )
 
 
 @pytest.mark.parametrize("name", ["n3p2_mixed3_h3", "n3p1_var2_h4"])
@@ -70,9 +79,13 @@ def test_the_oracle_explains_healthy_windows_and_never_drops_their_parameters(rn
             assert (answers(name, u, y, most=15)[0] == "open").all()
 
 
-@pytest.mark.parametrize("name, at, count", [
-    ("n3p2_var3_h2", "vertices", 58), *(long(n, at, 600) for n in ("n3p2_mixed3_h3", "n3p2_var3_h2") for at in ("uniform", "vertices")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, at, count",
+    [
+        ("n3p2_var3_h2", "vertices", 58),
+        *(long(n, at, 600) for n in ("n3p2_mixed3_h3", "n3p2_var3_h2") for at in ("uniform", "vertices")),
+    ],
+)
 def test_paving_finds_nine_tenths_of_the_infeasible_windows(rng, name, at, count):
     u, y = windows(rng, name, at, count)
     answer, used = answers(name, u, y)
@@ -83,6 +96,9 @@ def test_paving_finds_nine_tenths_of_the_infeasible_windows(rng, name, at, count
         status = verdicts(name, u, y, answer, method, budget)
         left = [(status[answer == a] == Status.UNDECIDED).sum() for a in ("infeasible", "feasible")]
         power = (status[infeasible] == Status.FAULT).mean()
-        print(f"{method} {budget or '':>5}: {power:6.1%} of the infeasible are FAULT; {left[0]} infeasible, {left[1]} feasible UNDECIDED")
+        print(
+            f"{method} {budget or '':>5}: {power:6.1%} of the infeasible are FAULT; {left[0]} infeasible, "
+            f"{left[1]} feasible UNDECIDED"
+        )
     assert infeasible.any() and (answer != "open").mean() > 0.99
     assert power >= 0.9

@@ -13,7 +13,15 @@ from jaxbound.consistency import parametric_windows
 from jaxbound.consistency.parametric import ParametricTest
 from jaxbound.sets.floats.status import Status
 
-GOLDEN = ("n2p1_paper_h3", "n2p1_Btwo_h3", "n3p1_inv2_h4", "n3p1_var2_h4", "n3p2_var3_h2", "n3p2_inv3_h3", "n3p2_mixed3_h3")
+GOLDEN = (
+    "n2p1_paper_h3",
+    "n2p1_Btwo_h3",
+    "n3p1_inv2_h4",
+    "n3p1_var2_h4",
+    "n3p2_var3_h2",
+    "n3p2_inv3_h3",
+    "n3p2_mixed3_h3",
+)
 HERE = {"uniform": "uniform", "vertices": "vertex"}
 long = lambda *x: pytest.param(*x, marks=pytest.mark.long)
 
@@ -44,7 +52,9 @@ def test_many_healthy_windows_are_never_faulty_jointly_or_paved(rng, names, runs
 
 
 def shares(rng, name, at, runs):
-    """Return (share of suspect windows, its standard error over runs): a run keeps its constant parameters."""
+    """Return (share of suspect windows, its standard error over runs): a run keeps its constant
+    parameters.
+    """
     u, y = record(rng, name, runs, at)
     r = relations(name)
     res = jb.detect(r, u, y, method="linearized")
@@ -55,8 +65,13 @@ def shares(rng, name, at, runs):
 
 def check_golden_rate(rng, golden, name, at, runs):
     runs_of = golden["p1"]["tests_mc"].items()
-    wanted = next(v for k, v in runs_of if k.startswith(name + "|") and k.endswith("scale1.0|" + HERE[at]))["faultfree"]
-    rate, theirs = wanted["false_alarms_lin"] / wanted["windows"], {99000: 1000, 98000: 1000, 97000: 1000, 29400: 300}[wanted["windows"]]
+    wanted = next(v for k, v in runs_of if k.startswith(name + "|") and k.endswith("scale1.0|" + HERE[at]))[
+        "faultfree"
+    ]
+    rate, theirs = (
+        wanted["false_alarms_lin"] / wanted["windows"],
+        {99000: 1000, 98000: 1000, 97000: 1000, 29400: 300}[wanted["windows"]],
+    )
     found, error = shares(rng, name, at, runs)
     assert abs(found - rate) <= 4.5 * error * np.sqrt(1 + runs / theirs) + 1e-4, (name, at, found, rate)
     assert wanted["false_alarms_sound"] == 0
@@ -78,7 +93,9 @@ def test_linearised_alarms_of_all_golden_systems_are_as_many_as_golden_says(rng,
 
 
 def test_on_the_papers_example_strips_are_exact(rng, golden):
-    """Golden: linearized = sound = exact for the printed system; C + [0, 0.3] is seen in 78 of 11 200 windows, C1 halved in 6064."""
+    """Golden: linearized = sound = exact for the printed system; C + [0, 0.3] is seen in 78 of 11 200
+    windows, C1 halved in 6064.
+    """
     r = relations("n2p1_paper_h3")
     for dC, wanted in (([[0, 0.3]], 78), ([[-0.5, 0]], 6064)):
         u, y = record(rng, "n2p1_paper_h3", 100, "uniform", dC=dC)
@@ -90,15 +107,29 @@ def test_on_the_papers_example_strips_are_exact(rng, golden):
         assert not (joint.status == Status.FAULT)[:, outside].any()
 
 
-AFFINE = (dict(A=[[0.8, 0.3], [-0.1, 0.7]], B=[[1], [0.5]], C=[[1, 0], [0.5, 1]], D=[[0.2], [0]], noise=[0.05, 0.1]),
-          dict(name="b", B=[[0.2], [0.1]], varying=False), dict(name="d", D=[[0.1], [-0.1]]))  # fmt: skip
-SMALL = (dict(A=[[0.8]], B=[[1]], C=[[1]], D=[[0.2]], noise=[0.1]), dict(name="b", B=[[0.2]], varying=False), dict(name="d", D=[[0.1]]))
-PAIR = (dict(A=[[0.8]], B=[[1]], C=[[1], [2]], D=[[0.2], [0]], noise=[0.1, 0.1]),
-        dict(name="b", B=[[0.2]], varying=False), dict(name="d", D=[[0.1], [-0.1]]))  # fmt: skip
+AFFINE = (
+    dict(
+        A=[[0.8, 0.3], [-0.1, 0.7]], B=[[1], [0.5]], C=[[1, 0], [0.5, 1]], D=[[0.2], [0]], noise=[0.05, 0.1]
+    ),
+    dict(name="b", B=[[0.2], [0.1]], varying=False),
+    dict(name="d", D=[[0.1], [-0.1]]),
+)
+SMALL = (
+    dict(A=[[0.8]], B=[[1]], C=[[1]], D=[[0.2]], noise=[0.1]),
+    dict(name="b", B=[[0.2]], varying=False),
+    dict(name="d", D=[[0.1]]),
+)
+PAIR = (
+    dict(A=[[0.8]], B=[[1]], C=[[1], [2]], D=[[0.2], [0]], noise=[0.1, 0.1]),
+    dict(name="b", B=[[0.2]], varying=False),
+    dict(name="d", D=[[0.1], [-0.1]]),
+)
 
 
 class Program:
-    """HiGHS: can the samples that are there be explained? Linear, since the parameters act on known inputs only."""
+    """HiGHS: can the samples that are there be explained? Linear, since the parameters act on known inputs
+    only.
+    """
 
     def __init__(self, plant, s):
         A, B, C, D = (np.array(plant[0][k], float) for k in "ABCD")
@@ -106,7 +137,10 @@ class Program:
         power = [np.linalg.matrix_power(A, k) for k in range(s + 1)]
         self.O = np.vstack([C @ p for p in power])
         response = lambda b, d: np.block(
-            [[C @ power[i - j - 1] @ b if i > j else d * (i == j) for j in range(s + 1)] for i in range(s + 1)]
+            [
+                [C @ power[i - j - 1] @ b if i > j else d * (i == j) for j in range(s + 1)]
+                for i in range(s + 1)
+            ]
         )
         self.H = response(B, D)
         self.H_b = response(np.array(plant[1]["B"]), 0 * D)
@@ -115,7 +149,9 @@ class Program:
         self.solver.setOptionValue("output_flag", False)
 
     def slack(self, u, y):
-        """Return the factor on the noise alone at which (u (s + 1,), y (s + 1, p)) just becomes consistent; NaN in u: any input."""
+        """Return the factor on the noise alone at which (u (s + 1,), y (s + 1, p)) just becomes consistent;
+        NaN in u: any input.
+        """
         s, p, free = self.s, y.shape[1], np.flatnonzero(np.isnan(u))
         known = np.where(np.isnan(u), 0, u)
         own = np.zeros((p * (s + 1), s + 1))
@@ -133,9 +169,19 @@ class Program:
         lp = highspy.HighsLp()
         lp.num_col_, lp.num_row_ = unknowns + 1, 2 * rows
         bound = np.r_[[np.inf] * self.n, np.ones(s + 2), [np.inf] * (unknowns - s - 2 - self.n)]
-        lp.col_cost_, lp.col_lower_, lp.col_upper_ = np.r_[np.zeros(unknowns), 1], np.r_[-bound, 0], np.r_[bound, np.inf]
-        lp.row_lower_, lp.row_upper_ = np.r_[np.full(rows, -np.inf), target], np.r_[target, np.full(rows, np.inf)]
-        lp.a_matrix_.start_, lp.a_matrix_.index_ = np.arange(unknowns + 2) * 2 * rows, np.tile(np.arange(2 * rows), unknowns + 1)
+        lp.col_cost_, lp.col_lower_, lp.col_upper_ = (
+            np.r_[np.zeros(unknowns), 1],
+            np.r_[-bound, 0],
+            np.r_[bound, np.inf],
+        )
+        lp.row_lower_, lp.row_upper_ = (
+            np.r_[np.full(rows, -np.inf), target],
+            np.r_[target, np.full(rows, np.inf)],
+        )
+        lp.a_matrix_.start_, lp.a_matrix_.index_ = (
+            np.arange(unknowns + 2) * 2 * rows,
+            np.tile(np.arange(2 * rows), unknowns + 1),
+        )
         lp.a_matrix_.value_ = whole.T.ravel()
         self.solver.passModel(lp)
         self.solver.run()
@@ -157,14 +203,18 @@ def against_programs(rng, plant, s, T, lost_y=(), lost_u=()):
     res, clear = jb.detect(jb.parity_relations(m, horizon=s), u, y), 0
     for k in range(s, T):
         window = u[k - s : k + 1, 0], y[k - s : k + 1]
-        if res.status[k] == Status.MISSING:  # nothing is left that two states and the unknown inputs do not explain
+        if (
+            res.status[k] == Status.MISSING
+        ):  # nothing is left that two states and the unknown inputs do not explain
             assert (~np.isnan(window[1])).sum() <= m.n + 2 * np.isnan(window[0]).sum()
             continue
         factor = program.slack(*window)
         if abs(factor - 1) > 1e-6:
             clear += 1
             wanted = Status.FAULT if factor > 1 else Status.CONSISTENT
-            more = np.isnan(window[0]).any() and wanted == Status.CONSISTENT  # the program lets products with that input be anything
+            more = (
+                np.isnan(window[0]).any() and wanted == Status.CONSISTENT
+            )  # the program lets products with that input be anything
             assert more or res.status[k] == wanted, (k, res.status[k], factor)
     return clear, res.counts["FAULT"]
 
@@ -178,20 +228,36 @@ def test_where_parameters_act_on_inputs_verdicts_are_those_of_linear_programs(rn
 ROWS = [(20, 0), (41, 1), (90, 0), (110, 1), (60, 0), (60, 1), (61, 0), (61, 1), (62, 0)]
 
 
-@pytest.mark.parametrize("plant, s, T, rows, inputs", [
-    (PAIR, 1, 80, [(9, 0), *((k, 1) for k in range(80))], []),  # one row for each sample is left, in two windows one in all
-    long(AFFINE, 2, 150, ROWS, [30, 130]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "plant, s, T, rows, inputs",
+    [
+        (
+            PAIR,
+            1,
+            80,
+            [(9, 0), *((k, 1) for k in range(80))],
+            [],
+        ),  # one row for each sample is left, in two windows one in all
+        long(AFFINE, 2, 150, ROWS, [30, 130]),
+    ],
+)
 def test_windows_with_gaps_have_the_verdict_of_the_program_without_the_row(rng, plant, s, T, rows, inputs):
     clear, faults = against_programs(rng, plant, s, T, rows, inputs)
     assert clear > 100 * T / 150 and faults > T / 15
 
 
 def lossy(rng, T, share):
-    """Return (relations, u, y): three relations in one parameter, half of the recording explained by them, samples of that share lost."""
-    m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[[0.05]], varying=False)])
+    """Return (relations, u, y): three relations in one parameter, half of the recording explained by them,
+    samples of that share lost.
+    """
+    m = jb.LinearSystem(
+        [[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("a", A=[[0.05]], varying=False)]
+    )
     u = rng.normal(size=(T, 1))
-    y = np.asarray(jb.simulate(m, u, jax.random.key(int(rng.integers(2**31)))).y) + np.where(np.arange(T) < T // 2, 0, 0.25)[:, None]
+    y = (
+        np.asarray(jb.simulate(m, u, jax.random.key(int(rng.integers(2**31)))).y)
+        + np.where(np.arange(T) < T // 2, 0, 0.25)[:, None]
+    )
     y += rng.normal(size=y.shape) * 0.05
     u[rng.random(u.shape) < share / 4], y[rng.random(y.shape) < share] = np.nan, np.nan
     return jb.parity_relations(m, 3), u, y
@@ -213,7 +279,9 @@ def test_another_pattern_of_missing_samples_compiles_nothing(rng):
 def test_patterns_in_one_shape_have_the_verdicts_that_each_has_in_its_own(rng, monkeypatch):
     r, u, y = lossy(rng, 200, 0.1)
     together = jb.detect(r, u, y)
-    monkeypatch.setattr(ParametricTest, "reading", property(lambda test: test.relations.reading(test.dtype, test.method)))
+    monkeypatch.setattr(
+        ParametricTest, "reading", property(lambda test: test.relations.reading(test.dtype, test.method))
+    )
     alone = jb.detect(r, u, y)
     assert min(together.counts.values()) > 2 and (together.status == alone.status).all()
     np.testing.assert_allclose(together.margin, alone.margin, rtol=0, atol=1e-6)
@@ -222,7 +290,9 @@ def test_patterns_in_one_shape_have_the_verdicts_that_each_has_in_its_own(rng, m
 NOISY = dict(noise=[0.02, 0.05], tolerance=[0.01, 0], disturbance=([[0.1], [0], [0.2]], [[-0.05, 0.1]]))
 
 
-@pytest.mark.parametrize("name, changes, at", [(TWO, {}, "uniform"), *(long("n3p2_mixed3_h3", NOISY, a) for a in HERE)])
+@pytest.mark.parametrize(
+    "name, changes, at", [(TWO, {}, "uniform"), *(long("n3p2_mixed3_h3", NOISY, a) for a in HERE)]
+)
 def test_noise_tolerance_and_disturbance_combine_with_parameters(rng, name, changes, at):
     r = relations(name, **changes)
     u, y = record(rng, name, 12, at, **changes)
@@ -246,14 +316,19 @@ def test_box_alone_proves_faults_only(rng, name, dC):
 @pytest.mark.parametrize("name", ["n2p1_Btwo_h3", long("n3p2_mixed3_h3")])
 def test_compensation_quiets_the_linearised_test(rng, name):
     r, (u, y) = relations(name), record(rng, name, 10, "vertices")
-    alarms = [int(jb.detect(r, u, y, method="linearized", compensation=c).suspect.sum()) for c in (0, 0.01, 0.1, 10)]
+    alarms = [
+        int(jb.detect(r, u, y, method="linearized", compensation=c).suspect.sum()) for c in (0, 0.01, 0.1, 10)
+    ]
     assert alarms[0] > alarms[2] >= alarms[3] == 0
 
 
 @pytest.mark.parametrize("runs", [25, long(100)])
 def test_a_single_relation_is_tested_at_its_vertices(rng, runs):
     """Golden: on n3p2_var3_h2 the sound zonotope finds 88 faults where the exact test finds 1341."""
-    r, (u, y) = relations("n3p2_var3_h2"), record(rng, "n3p2_var3_h2", runs, "vertices", dC=[[0, 0.3, 0], [0, 0, 0]])
+    r, (u, y) = (
+        relations("n3p2_var3_h2"),
+        record(rng, "n3p2_var3_h2", runs, "vertices", dC=[[0, 0.3, 0], [0, 0, 0]]),
+    )
     share = (jb.detect(r, u, y).status == Status.FAULT)[:, in_fault(1)].mean()
     assert abs(share - 1341 / 11600) < 0.04
 
@@ -268,7 +343,9 @@ def test_a_second_call_does_not_trace(rng):
 
 
 def test_paving_and_margins_compile_nothing_beside_the_joint_test(rng):
-    """Boxes of parameters are judged by what judges the whole box, in blocks of the same size, however many windows are left open."""
+    """Boxes of parameters are judged by what judges the whole box, in blocks of the same size, however many
+    windows are left open.
+    """
     r, (u, y) = relations(TWO), record(rng, TWO, 6, "uniform", dC=[[0, 0.3]])
     kernels = (parametric_windows.terms_of, parametric_windows.candidates, parametric_windows.concluded)
     sizes = lambda: [f._cache_size() for f in kernels]
@@ -281,7 +358,9 @@ def test_paving_and_margins_compile_nothing_beside_the_joint_test(rng):
 
 
 def test_a_point_that_explains_a_window_is_found_where_a_step_leaves_the_box(rng):
-    """Steps that ended on a side of the box left no room for a proof: 69 % of these windows were explained, 82 % are."""
+    """Steps that ended on a side of the box left no room for a proof: 69 % of these windows were explained,
+    82 % are.
+    """
     r, (u, y) = relations(TWO), record(rng, TWO, 20, "uniform")
     res = jb.detect(r, u, y + rng.normal(size=y.shape) * 0.1)
     inside = (res.margin > 0.1) & (res.margin < 0.5)

@@ -15,14 +15,18 @@ def test_a_gradient_of_margins_is_few_programs(horizon, rng, caplog):
     r = jb.parity_relations(paper(), horizon)
     u, y, noise = rng.uniform(-1, 1, (12, 1)), rng.normal(size=(12, 2)), np.array([0.1, 0.1])
     with jax.log_compiles():
-        slope = jax.vjp(lambda noise: jb.margins(r.with_bounds({"noise": noise}), u, y), noise)[1](np.ones(12))[0]
+        slope = jax.vjp(lambda noise: jb.margins(r.with_bounds({"noise": noise}), u, y), noise)[1](
+            np.ones(12)
+        )[0]
     programs = [m.split()[4] for m in caplog.messages if m.startswith("Finished XLA compilation")]
     assert np.isfinite(slope).all() and (slope != 0).any()
     assert len(programs) <= 4, programs
 
 
 def test_a_search_compiles_where_the_compiler_does_not_know_how_to_be_quick(rng, monkeypatch):
-    """Another jaxlib may have dropped the option: what is found and its derivative are then those of the usual way."""
+    """Another jaxlib may have dropped the option: what is found and its derivative are then those of the
+    usual way.
+    """
     r = jb.parity_relations(paper(), 8)
     u, y = rng.uniform(-1, 1, (12, 1)), rng.normal(size=(12, 2))
     slope = jax.grad(lambda y: jax.numpy.nansum(jb.margins(r, u, y)))

@@ -1,4 +1,6 @@
-"""Windows that floats cannot decide although they are far from the boundary: sensors without noise, and numbers that overflow."""
+"""Windows that floats cannot decide although they are far from the boundary: sensors without noise, and
+numbers that overflow.
+"""
 
 import json
 from fractions import Fraction
@@ -25,7 +27,9 @@ MODELS = {
 
 
 def windows(plant, s, count, rng, dtype, size=1.0):
-    """Return u (N, s + 1, m), y (N, s + 1, p) of exact plants without any error, every third with a fault of some 1e-3 or of its size."""
+    """Return u (N, s + 1, m), y (N, s + 1, p) of exact plants without any error, every third with a fault of
+    some 1e-3 or of its size.
+    """
     us, ys = [], []
     for i in range(count):
         u = (size * rng.uniform(-1, 1, (s + 1, plant.m))).astype(dtype)
@@ -62,7 +66,9 @@ def test_a_long_window_of_a_sensor_without_noise_is_decided(dtype, rng):
     u, y = windows(plant, LONG, 9, rng, dtype)
     y[4, 3, 1] = np.nan
     found = jb.detect(relations, u, y)
-    np.testing.assert_array_equal(found.status[:, -1], [Status.FAULT, Status.CONSISTENT, Status.CONSISTENT] * 3)
+    np.testing.assert_array_equal(
+        found.status[:, -1], [Status.FAULT, Status.CONSISTENT, Status.CONSISTENT] * 3
+    )
     for w in range(3):
         check_certificate.confirm(document := json.loads(found.explain((w, LONG)).to_json()))
         assert document["certificate"] == Status(found.status[w, -1]).name
@@ -83,7 +89,10 @@ def test_a_monitor_decides_them_alike(horizon, rng):
 @pytest.mark.parametrize("horizon", [1, LONG])
 def test_a_complete_window_of_huge_numbers_is_decided_and_never_missing(horizon, rng):
     model = TURN | dict(noise=["1e306", "1e306"])
-    plant, relations = Plant(**TURN, noise=[Fraction(10) ** 306] * 2), jb.parity_relations(jb.LinearSystem(**model), horizon)
+    plant, relations = (
+        Plant(**TURN, noise=[Fraction(10) ** 306] * 2),
+        jb.parity_relations(jb.LinearSystem(**model), horizon),
+    )
     u, y = windows(plant, horizon, 6, rng, float, size=2e307)
     found = jb.detect(relations, u, y)
     np.testing.assert_array_equal(found.status[1:, -1][[0, 1, 3, 4]], Status.CONSISTENT)
@@ -114,5 +123,11 @@ def test_tolerances_whose_fractions_are_long_are_decided(rng):
     plant = Plant(**TURN | dict(tolerance=[1e-7, 3e-9]))
     r = jb.parity_relations(jb.LinearSystem(**TURN | dict(tolerance=[1e-7, 3e-9])))
     u, y = windows(plant, r.horizon, 30, rng, np.float64)
-    margin = exact_strips(r, r.reading(np.float64), (r.circuits, r.circuits_known), np.moveaxis(u, 0, -1)[:1], np.moveaxis(y, 0, -1))
+    margin = exact_strips(
+        r,
+        r.reading(np.float64),
+        (r.circuits, r.circuits_known),
+        np.moveaxis(u, 0, -1)[:1],
+        np.moveaxis(y, 0, -1),
+    )
     assert (margin[1::3] > 0).all() and (margin[2::3] > 0).all() and (margin[::3] < 0).mean() > 0.5

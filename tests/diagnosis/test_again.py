@@ -1,4 +1,6 @@
-"""A second opinion: what an accelerator judged is judged again on the CPU, and a contradiction is never passed over."""
+"""A second opinion: what an accelerator judged is judged again on the CPU, and a contradiction is never
+passed over.
+"""
 
 import dataclasses
 
@@ -33,7 +35,9 @@ def test_a_contradiction_is_refused(judged, true, told):
     status = judged.status.copy()
     place = tuple(np.argwhere(status == true)[-1])
     status[place] = told
-    with pytest.raises(RuntimeError, match=f"1 of .* first the one that ends at {place[-1]}: {told.name}, there {true.name}"):
+    with pytest.raises(
+        RuntimeError, match=f"1 of .* first the one that ends at {place[-1]}: {told.name}, there {true.name}"
+    ):
         decided_again(dataclasses.replace(judged, status=status), 10**6)
 
 
@@ -50,7 +54,10 @@ def test_a_report_says_so_where_another_device_judged(judged, monkeypatch):
     monkeypatch.setattr(again, "usable_devices", lambda: (Card(),))
     (said,) = again_hints(judged)
     count = min(again.COUNT, int((judged.status != Status.MISSING).sum()))
-    assert said == f"judged on gpu; {count} windows drawn at random were decided again on the CPU, and none differs"
+    assert (
+        said
+        == f"judged on gpu; {count} windows drawn at random were decided again on the CPU, and none differs"
+    )
 
 
 def test_an_observer_is_not_asked_again():

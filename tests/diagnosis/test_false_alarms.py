@@ -1,4 +1,6 @@
-"""No false alarm, ever: millions of fault-free windows with unknowns at their bounds, large levels, float32; and still sharp."""
+"""No false alarm, ever: millions of fault-free windows with unknowns at their bounds, large levels, float32;
+and still sharp.
+"""
 
 import jax
 import numpy as np
@@ -10,7 +12,11 @@ import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 
 RUNS, SAMPLES = 2500, 201
-SHARP = {"paper": (1e-11, 2e-4), "three states": (1e-11, 2e-4), "offsets": (1e-11, 1e-3)}  # float64, float32; signals around 3 and 12
+SHARP = {
+    "paper": (1e-11, 2e-4),
+    "three states": (1e-11, 2e-4),
+    "offsets": (1e-11, 1e-3),
+}  # float64, float32; signals around 3 and 12
 
 
 @pytest.fixture(scope="module")
@@ -24,10 +30,16 @@ def new_key(rng):
     return jax.random.key(int(rng.integers(2**31)))
 
 
-@pytest.mark.parametrize("dtype, at", [
-    (np.float64, "vertices"), *(pytest.param(d, at, marks=pytest.mark.slow) for d, at in (
-        (np.float64, "uniform"), (np.float32, "vertices"), (np.float32, "uniform"))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "dtype, at",
+    [
+        (np.float64, "vertices"),
+        *(
+            pytest.param(d, at, marks=pytest.mark.slow)
+            for d, at in ((np.float64, "uniform"), (np.float32, "vertices"), (np.float32, "uniform"))
+        ),
+    ],
+)
 def test_a_million_fault_free_windows_raise_no_fault(dtype, at, rng):
     """Horizons 1 and 2 of 2500 runs: a million windows a case."""
     u = np.repeat(rng.uniform(-1, 1, (RUNS, 11, 1)), 20, 1)[:, :SAMPLES].astype(dtype)
@@ -59,20 +71,52 @@ def test_a_recording_in_half_precision_is_refused_for_its_unstated_rounding():
 
 def test_unknowns_at_their_bounds_lie_on_the_boundary(at_vertices):
     """So that the test above is a hard one: a plain comparison calls some of these windows outside."""
-    assert (np.asarray(jb.margins(jb.parity_relations(paper(), horizon=1), at_vertices.u, at_vertices.y))[:, 1:] < 1e-12).sum() > 1000
+    assert (
+        np.asarray(jb.margins(jb.parity_relations(paper(), horizon=1), at_vertices.u, at_vertices.y))[:, 1:]
+        < 1e-12
+    ).sum() > 1000
 
 
 LEVELS = {
-    "difference of levels": (dict(A=[[1, 1e-3], [0, 1]], B=[[1e-6], [1e-3]], C=[[1, -1], [1e3, -999]], noise=[1e-3, 1e-2]), [1e6, 1e6]),
-    "unstable": (dict(A=[[1.25, 0.3], [0, 1.1]], B=[[0.5], [1]], C=[[1, 0], [1, -1]], noise=[1e-3, 1e-4]), [1e3, -2e3]),
-    "unstable, tolerant": (dict(A=[[1.25, 0.3], [0, 1.1]], B=[[0.5], [1]], C=[[1, 0], [1, -1]], tolerance=[0.01, 0.02], noise=[1e-3, 0]),
-                           [1e3, -2e3]),
-    "far offset": (dict(A=[[0.9, 0], [0.1, 0.5]], B=[[1], [0]], C=[[1, 0], [1, 1]], noise=[1e-6, 1e-3],
-                        offset={"u": [1e6], "y": [1e6, -1e6]}), [0, 0]),
+    "difference of levels": (
+        dict(A=[[1, 1e-3], [0, 1]], B=[[1e-6], [1e-3]], C=[[1, -1], [1e3, -999]], noise=[1e-3, 1e-2]),
+        [1e6, 1e6],
+    ),
+    "unstable": (
+        dict(A=[[1.25, 0.3], [0, 1.1]], B=[[0.5], [1]], C=[[1, 0], [1, -1]], noise=[1e-3, 1e-4]),
+        [1e3, -2e3],
+    ),
+    "unstable, tolerant": (
+        dict(
+            A=[[1.25, 0.3], [0, 1.1]],
+            B=[[0.5], [1]],
+            C=[[1, 0], [1, -1]],
+            tolerance=[0.01, 0.02],
+            noise=[1e-3, 0],
+        ),
+        [1e3, -2e3],
+    ),
+    "far offset": (
+        dict(
+            A=[[0.9, 0], [0.1, 0.5]],
+            B=[[1], [0]],
+            C=[[1, 0], [1, 1]],
+            noise=[1e-6, 1e-3],
+            offset={"u": [1e6], "y": [1e6, -1e6]},
+        ),
+        [0, 0],
+    ),
     "no noise": (dict(A=[[0.9, 0.2], [0.1, 0.5]], B=[[1], [0]], C=[[1, 0], [1, 1]]), [5, -3]),
-    "thirds": (dict(A=[["1/3", "2/3"], ["-1/7", "8/9"]], B=[["1/11"], ["1/13"]], C=[["1/3", "-1/3"], ["1/7", 0]], noise=["1/3", "1e-9"]),
-               [1e5, -1e5]),
-}  # fmt: skip
+    "thirds": (
+        dict(
+            A=[["1/3", "2/3"], ["-1/7", "8/9"]],
+            B=[["1/11"], ["1/13"]],
+            C=[["1/3", "-1/3"], ["1/7", 0]],
+            noise=["1/3", "1e-9"],
+        ),
+        [1e5, -1e5],
+    ),
+}
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -93,11 +137,19 @@ def test_large_levels_raise_no_fault_and_still_show_a_gross_one(case, dtype, rng
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize("name, horizon", [
-    ("paper", 2), ("offsets", 1), pytest.param("paper", 1, marks=pytest.mark.slow), pytest.param("three states", 2, marks=pytest.mark.slow),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, horizon",
+    [
+        ("paper", 2),
+        ("offsets", 1),
+        pytest.param("paper", 1, marks=pytest.mark.slow),
+        pytest.param("three states", 2, marks=pytest.mark.slow),
+    ],
+)
 def test_verdicts_are_sharp(name, horizon, dtype, rng):
-    """Just outside is FAULT and just inside is CONSISTENT in at least 99 of 100 windows: by 1e-11 in float64, 2e-4 in float32."""
+    """Just outside is FAULT and just inside is CONSISTENT in at least 99 of 100 windows: by 1e-11 in float64,
+    2e-4 in float32.
+    """
     sharp, oracle = SHARP[name][dtype == np.float32], Windows(Plant(**MODELS[name]), horizon, dtype)
     u, centre, y = draw(oracle.plant, horizon, 3_000, rng, level=3.0)
     factor = oracle.crossing(u, centre, y)
@@ -107,10 +159,18 @@ def test_verdicts_are_sharp(name, horizon, dtype, rng):
     factor = np.where(found, factor, 1) * (1 + sign * sharp * rng.uniform(1, 40, len(y)))
     u, y = u.astype(dtype), (centre + factor[:, None, None] * (y - centre)).astype(dtype)
     gauge = oracle.gauge(u, y)
-    outside, inside = (gauge > 1 + sharp) & (gauge < 1 + 10 * sharp), (gauge < 1 - sharp) & (gauge > 1 - 10 * sharp)
-    status = jb.detect(jb.parity_relations(jb.LinearSystem(**MODELS[name]), horizon=horizon), u, y).status[:, -1]
+    outside, inside = (
+        (gauge > 1 + sharp) & (gauge < 1 + 10 * sharp),
+        (gauge < 1 - sharp) & (gauge > 1 - 10 * sharp),
+    )
+    status = jb.detect(jb.parity_relations(jb.LinearSystem(**MODELS[name]), horizon=horizon), u, y).status[
+        :, -1
+    ]
     undecided = abs(gauge - 1)[status == Status.UNDECIDED]
-    print(f"{outside.sum()} just outside, {inside.sum()} just inside; farthest undecided {undecided.max(initial=0):.1e}")
+    print(
+        f"{outside.sum()} just outside, {inside.sum()} just inside; farthest undecided "
+        f"{undecided.max(initial=0):.1e}"
+    )
     assert outside.sum() > 200 and inside.sum() > 200
     assert (status[outside] == Status.FAULT).mean() >= 0.99
     assert (status[inside] == Status.CONSISTENT).mean() >= 0.99

@@ -9,13 +9,28 @@ import pytest
 
 import jaxbound as jb
 
-SPEC = dict(A=[[0.5, 0.25], [0, 0.25]], B=[[0], [1]], C=[[1, 0], [1, 1]], noise=[0.1, 0.1], tolerance=[0.02, 0.02])
+SPEC = dict(
+    A=[[0.5, 0.25], [0, 0.25]], B=[[0], [1]], C=[[1, 0], [1, 1]], noise=[0.1, 0.1], tolerance=[0.02, 0.02]
+)
 GAIN = dict(A=[[0.5]], B=[[1]], C=[[1]], noise=0.1)
-METHODS = {"short": "joint", "box": "box", "long": "joint", "paving": "paving", "constant": "joint", "long constant": "joint",
-           "uncertain": "joint", "uncertain paving": "paving", "linearized": "linearized", "bank": "joint",
-           "residual": "joint"}  # fmt: skip
+METHODS = {
+    "short": "joint",
+    "box": "box",
+    "long": "joint",
+    "paving": "paving",
+    "constant": "joint",
+    "long constant": "joint",
+    "uncertain": "joint",
+    "uncertain paving": "paving",
+    "linearized": "linearized",
+    "bank": "joint",
+    "residual": "joint",
+}
 RARELY = {"paving": "slow", "long": "long", "long constant": "slow"}  # for the time that they take to compile
-FAMILIES = [pytest.param(name, marks=getattr(pytest.mark, RARELY[name])) if name in RARELY else name for name in METHODS]
+FAMILIES = [
+    pytest.param(name, marks=getattr(pytest.mark, RARELY[name])) if name in RARELY else name
+    for name in METHODS
+]
 
 
 @cache
@@ -24,15 +39,23 @@ def relations(name):
         grow = lambda z, u, y: y[1, 0] - (0.5 + z[0]) * y[0, 0] - u[0, 0] - z[1]
         return jb.residual(grow, jb.interval([-0.05, -0.2], [0.05, 0.2]), 1, inputs=["u1"], outputs=["y1"])
     if name in ("uncertain", "uncertain paving", "linearized"):
-        return jb.parity_relations(jb.LinearSystem(**GAIN, uncertainties=[jb.Uncertainty("a", A=[[0.05]])]), 1)
+        return jb.parity_relations(
+            jb.LinearSystem(**GAIN, uncertainties=[jb.Uncertainty("a", A=[[0.05]])]), 1
+        )
     model = jb.LinearSystem(**SPEC, constant_tolerance="constant" in name)
-    return jb.structured_relations(model) if name == "bank" else jb.parity_relations(model, {"long": 9, "long constant": 20}.get(name, 1))
+    return (
+        jb.structured_relations(model)
+        if name == "bank"
+        else jb.parity_relations(model, {"long": 9, "long constant": 20}.get(name, 1))
+    )
 
 
 @cache
 def detected(name):
     """Return u, y and the Result: a healthy plant, a missing sample, then a jump of a sensor."""
-    model = jb.LinearSystem(**(SPEC if relations(name).model.p == 2 else GAIN), constant_tolerance="constant" in name)
+    model = jb.LinearSystem(
+        **(SPEC if relations(name).model.p == 2 else GAIN), constant_tolerance="constant" in name
+    )
     rng = np.random.default_rng(7)
     u = rng.uniform(-1, 1, (40, 1))
     found = jb.simulate(model, u, jax.random.key(1))
@@ -75,7 +98,9 @@ def test_a_fault_has_a_certificate_for_people_and_as_json(name):
     c = res.explain(at)
     document = json.loads(c.to_json())
     assert c.proves == jb.Status.FAULT and str(c) and isinstance(c.relation, str)
-    assert document["certificate"] == "FAULT" and document["statement"] and {"names", "numbers"} <= set(document)
+    assert (
+        document["certificate"] == "FAULT" and document["statement"] and {"names", "numbers"} <= set(document)
+    )
     with pytest.raises(ValueError, match="is MISSING: there is nothing to explain"):
         res.explain(0)
 
@@ -83,8 +108,11 @@ def test_a_fault_has_a_certificate_for_people_and_as_json(name):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_margins_are_given_or_a_sentence_says_why_not(name):
     u, y, res = detected(name)
-    forbidden = {"constant": "whose gains are searched for", "long constant": "whose gains are searched for",
-                 "residual": "no common factor on half-widths"}  # fmt: skip
+    forbidden = {
+        "constant": "whose gains are searched for",
+        "long constant": "whose gains are searched for",
+        "residual": "no common factor on half-widths",
+    }
     if name in forbidden:
         with pytest.raises(NotImplementedError, match=forbidden[name]):
             jb.margins(relations(name), u, y)
@@ -92,7 +120,11 @@ def test_margins_are_given_or_a_sentence_says_why_not(name):
     margin = np.asarray(jb.margins(relations(name), u, y))
     s = relations(name).horizon
     assert margin.shape == res.status.shape and np.isnan(margin[:s]).all()
-    proved = np.isin(res.status, (jb.Status.CONSISTENT, jb.Status.FAULT)) & ~np.isnan(margin) & (abs(margin) > 1e-6)
+    proved = (
+        np.isin(res.status, (jb.Status.CONSISTENT, jb.Status.FAULT))
+        & ~np.isnan(margin)
+        & (abs(margin) > 1e-6)
+    )
     if METHODS[name] != "paving":  # which may prove more than the joint test of uncertain parameters
         np.testing.assert_array_equal(margin[proved] < 0, res.status[proved] == jb.Status.FAULT)
 
@@ -102,7 +134,10 @@ def test_a_budget_is_that_of_a_window_whatever_stands_beside_it():
     u, y, _ = detected("uncertain paving")
     r = relations("uncertain paving")
     whole = jb.detect(r, u, y, method="paving", budget=20).status
-    alone = [int(jb.detect(r, u[k - 1 : k + 1], y[k - 1 : k + 1], method="paving", budget=20).status[1]) for k in range(1, len(y))]
+    alone = [
+        int(jb.detect(r, u[k - 1 : k + 1], y[k - 1 : k + 1], method="paving", budget=20).status[1])
+        for k in range(1, len(y))
+    ]
     assert whole[1:].tolist() == alone
 
 
@@ -117,7 +152,13 @@ def test_parquet_holds_the_same_verdicts(name, tmp_path):
         with pytest.raises(TypeError, match="relations of a model, whose verdicts can be kept, not Residual"):
             jb.detect_dataset(relations(name), tmp_path / "run.parquet", tmp_path / "out")
         return
-    found = jb.detect_dataset(relations(name), tmp_path / "run.parquet", tmp_path / "out", method=METHODS[name])
-    kept = pd.concat(pd.read_parquet(p) for p in sorted((tmp_path / "out" / "verdicts.parquet").iterdir()) if p.suffix == ".parquet")
+    found = jb.detect_dataset(
+        relations(name), tmp_path / "run.parquet", tmp_path / "out", method=METHODS[name]
+    )
+    kept = pd.concat(
+        pd.read_parquet(p)
+        for p in sorted((tmp_path / "out" / "verdicts.parquet").iterdir())
+        if p.suffix == ".parquet"
+    )
     assert found.counts == res.counts and kept.status.tolist() == [jb.Status(int(k)).name for k in res.status]
     np.testing.assert_array_equal(kept.margin.to_numpy(float), res.margin)

@@ -16,8 +16,15 @@ from jaxbound.runs.summary import summarised
 @pytest.mark.parametrize(
     "status, said",
     [
-        ([FAULT] * 9, "every one of the 9 windows with data is FAULT: the model or its bounds do not fit this recording: "),
-        ([CONSISTENT] + [FAULT] * 32, "32 of 33 windows with data (97 %) are FAULT: a fault lasts all through, or the model or its"),
+        (
+            [FAULT] * 9,
+            "every one of the 9 windows with data is FAULT: the model or its bounds do not fit this "
+            "recording: ",
+        ),
+        (
+            [CONSISTENT] + [FAULT] * 32,
+            "32 of 33 windows with data (97 %) are FAULT: a fault lasts all through, or the model or its",
+        ),
         ([UNDECIDED] * 2 + [FAULT] * 9, ""),
         ([FAULT], ""),
     ],
@@ -29,7 +36,9 @@ def test_a_model_that_does_not_fit_is_pointed_out(status, said):
     assert all(hint.endswith("all bounds times about 2 would make every window consistent") for hint in found)
     assert sum("do not fit" in text for text in (summarised(res, [], str).sentence, *found)) <= 2
     told = summarised(res, [], str, hints=res.hints)
-    assert sum("do not fit" in text for text in (told.sentence, *told.hints)) == bool(said), "once, in the sentence or as a hint"
+    assert sum("do not fit" in text for text in (told.sentence, *told.hints)) == bool(said), (
+        "once, in the sentence or as a hint"
+    )
 
 
 def test_each_recording_of_a_batch_is_asked():
@@ -49,7 +58,9 @@ def test_an_observer_whose_fault_stays_says_nothing_of_the_fit():
 def test_the_shell_prints_what_a_result_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
-    plant = jb.LinearSystem([["0.5"]], None, [[1], [1]], noise=["0.1", 0], horizon=1, provenance={"noise": "fitted"})
+    plant = jb.LinearSystem(
+        [["0.5"]], None, [[1], [1]], noise=["0.1", 0], horizon=1, provenance={"noise": "fitted"}
+    )
     jb.save_model(plant, "plant.toml")
     y = np.cumprod(np.full(30, 0.5))[:, None] * [1, 1] + [[3.0, 2.0]]
     y[4, 0] = np.nan
@@ -60,5 +71,10 @@ def test_the_shell_prints_what_a_result_says(tmp_path, monkeypatch, capsys):
     plain = jb.detect(jb.parity_relations(plant, 3), None, y)
     unsaid = [hint for hint in of.hints if hint[1:] not in told["summary"]]
     assert told["hints"][: len(unsaid)] == unsaid and len(unsaid) >= 3
-    for words in ("states no tolerance, noise or resolution for y2", "windows of 2 samples", "samples of y1 are missing", "do not fit"):
+    for words in (
+        "states no tolerance, noise or resolution for y2",
+        "windows of 2 samples",
+        "samples of y1 are missing",
+        "do not fit",
+    ):
         assert any(words in hint for hint in of.hints) and any(words in hint for hint in plain.hints)

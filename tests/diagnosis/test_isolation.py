@@ -1,4 +1,6 @@
-"""Banks on recordings: every relation's own verdict, candidates that never miss the culprit, and residuals computed elsewhere."""
+"""Banks on recordings: every relation's own verdict, candidates that never miss the culprit, and residuals
+computed elsewhere.
+"""
 
 import json
 from fractions import Fraction
@@ -27,7 +29,9 @@ def stable(shared):
 
 
 def trajectory(m, T, rng, at="vertices", size=10.0, sensors=None, actuators=None):
-    """Return (u, y) with heavy-tailed unknown inputs; the faults are added here, so that one simulation is compiled for all of them."""
+    """Return (u, y) with heavy-tailed unknown inputs; the faults are added here, so that one simulation is
+    compiled for all of them.
+    """
     u, v = rng.normal(size=(3000, m.m)), size * rng.standard_t(2, size=(3000, m.d))
     applied = u + (0 if actuators is None else actuators(u))
     t = jb.simulate(m, applied, jax.random.key(int(rng.integers(2**31))), at=at, unknown_input=v)
@@ -38,7 +42,9 @@ def trajectory(m, T, rng, at="vertices", size=10.0, sensors=None, actuators=None
 def only(signal, change):
     """Return a fault: the change (T,) of one column from sample 500 on."""
     column, late = int(signal[1]) - 1, np.arange(3000) >= 500
-    return lambda x: np.where(late[:, None] & (np.arange(x.shape[1]) == column)[None], change(x[:, column])[:, None], 0.0)
+    return lambda x: np.where(
+        late[:, None] & (np.arange(x.shape[1]) == column)[None], change(x[:, column])[:, None], 0.0
+    )
 
 
 def ill(m, rng, signal, change):
@@ -48,7 +54,9 @@ def ill(m, rng, signal, change):
 
 @pytest.mark.parametrize("name", ["offsets", "feedthrough", "three states"])
 def test_each_verdict_is_that_of_exact_numbers(name, rng):
-    m = jb.LinearSystem(**MODELS[name], disturbance=([[1]] + [[0]] * (len(MODELS[name]["A"]) - 1), [[0, "0.1"]]))
+    m = jb.LinearSystem(
+        **MODELS[name], disturbance=([[1]] + [[0]] * (len(MODELS[name]["A"]) - 1), [[0, "0.1"]])
+    )
     bank = jb.structured_relations(m, [(), (m.outputs[0],)])
     r, T = bank.relations, 400
     u, y = rng.normal(size=(T, m.m)), rng.normal(size=(T, m.p)) * 0.1
@@ -87,9 +95,13 @@ def test_no_false_alarm_whatever_the_unknown_input_does(stable, windows, rng):
 
 
 FAULTS = {
-    "y1": lambda y: 3 + 0 * y, "y2": lambda y: np.sin(np.arange(3000)), "y3": lambda y: 0.05 * np.arange(3000), "y4": lambda y: y[500] - y,
-    "u1": lambda u: 0.5 + 0 * u, "u2": lambda u: 0.8 * u,
-}  # fmt: skip
+    "y1": lambda y: 3 + 0 * y,
+    "y2": lambda y: np.sin(np.arange(3000)),
+    "y3": lambda y: 0.05 * np.arange(3000),
+    "y4": lambda y: y[500] - y,
+    "u1": lambda u: 0.5 + 0 * u,
+    "u2": lambda u: 0.8 * u,
+}
 
 
 @pytest.mark.parametrize("signal", FAULTS)
@@ -109,24 +121,35 @@ def test_the_culprit_is_always_among_the_candidates(stable, signal, rng):
 def test_candidates_are_those_that_every_violated_relation_reacts_to(stable, rng):
     m, bank = stable
     noise = lambda x, size: size * rng.normal(size=len(x))
-    u, y = trajectory(m, 1500, rng, sensors=only("y1", lambda x: noise(x, 5)), actuators=only("u2", lambda x: noise(x, 1)))
+    u, y = trajectory(
+        m, 1500, rng, sensors=only("y1", lambda x: noise(x, 5)), actuators=only("u2", lambda x: noise(x, 1))
+    )
     u, y = u[600:1400], y[600:1400]
     res, table = jb.detect(bank, u, y), jb.signatures(bank).weak
     for k in range(800):
         on = res.violated[k]
         assert res.candidates[k].tolist() == [bool(on.any() and table[on, j].all()) for j in range(6)]
-    assert (res.violated.any(1) & ~res.candidates.any(1)).any()  # two faults at once: no single one explains it
+    assert (
+        res.violated.any(1) & ~res.candidates.any(1)
+    ).any()  # two faults at once: no single one explains it
 
 
 def test_a_relation_that_holds_exonerates_what_it_is_bound_to_see(stable, rng):
     m, bank = stable
     sizes = visible_sizes(bank)
-    r3 = next(i for i, row in enumerate(bank.rows) if not row[0] and not row[1] and not row[5])  # y3 - q y4 + u1 = 0
-    assert sizes[r3, 2:5] == pytest.approx([0.14, 0.14, 0.14], rel=1e-6) and np.isinf(sizes[r3, [0, 1, 5]]).all()
+    r3 = next(
+        i for i, row in enumerate(bank.rows) if not row[0] and not row[1] and not row[5]
+    )  # y3 - q y4 + u1 = 0
+    assert (
+        sizes[r3, 2:5] == pytest.approx([0.14, 0.14, 0.14], rel=1e-6) and np.isinf(sizes[r3, [0, 1, 5]]).all()
+    )
     assert np.isinf(sizes[:, 1]).all()  # a constant fault of y2 is not seen by any
     u, y = ill(m, rng, "y1", lambda y: 3 + 0 * y)
     res = jb.detect(bank, u, y)
-    plain, known = res.candidates, res.candidates_from({"u1": 0.5, "y3": 1.0, "y4": 1.0, "u2": 0.3, "y1": 2.0})
+    plain, known = (
+        res.candidates,
+        res.candidates_from({"u1": 0.5, "y3": 1.0, "y4": 1.0, "u2": 0.3, "y1": 2.0}),
+    )
     late = np.arange(3000) >= 510  # the fault fills the window
     fault = (res.status == Status.FAULT) & late
     assert known[fault, 0].all() and not (known & ~plain).any() and known[fault].sum() < plain[fault].sum()
@@ -145,7 +168,11 @@ def test_batches_and_seams(stable, rng):
         np.testing.assert_array_equal(both.words[:, i], one.words)
     assert both.candidates.shape == (2, 60, 6) and both.violated.shape == (2, 60, 9)
     split = jb.detect(bank, u, y, starts=[40])
-    assert (split.status[40:43] == Status.MISSING).all() and not split.words[:, 40:43].any() and not split.candidates[40:43].any()
+    assert (
+        (split.status[40:43] == Status.MISSING).all()
+        and not split.words[:, 40:43].any()
+        and not split.candidates[40:43].any()
+    )
     (alarm,) = one.alarms(hold=3)
     assert alarm.start == 30 and alarm.candidates == one.remaining(30, 59) == ("y1",)
     assert both.alarms(hold=3)[1].candidates == ("y1",) and one.remaining(0, 20) == ()
@@ -178,9 +205,11 @@ def test_no_second_trace(stable, rng):
 
 
 def test_the_residual_of_an_unstable_plant_does_not_leak(shared):
-    """Golden: a float W leaks 0.19 at k = 50 where the exact residual is 0. Here every window of 10 000 samples holds.
+    """Golden: a float W leaks 0.19 at k = 50 where the exact residual is 0. Here every window of 10 000
+    samples holds.
 
-    Every sample is the exact number rounded, so levels may grow until floats end; r1 is the relation of the unstable mode.
+    Every sample is the exact number rounded, so levels may grow until floats end; r1 is the relation of the
+    unstable mode.
     """
     s = json.loads(shared("golden/ragot1993.json").read_text())["system"]
     A = [list(row) for row in s["A"]]
@@ -206,7 +235,11 @@ HULL, TABLE = [1.0, 2.0, 0.5], [[1, 0, 1], [0, 1, 1], [1, 1, 0]]
 
 
 def test_residuals_from_elsewhere():
-    res = jb.evaluate([[0.5, 0, 0], [1.5, 0, 0], [1.5, 0, 3], [1.5, -9, 0.1], [1.5, 3, 3], [np.nan, 3, 0], [np.nan] * 3], HULL, TABLE)
+    res = jb.evaluate(
+        [[0.5, 0, 0], [1.5, 0, 0], [1.5, 0, 3], [1.5, -9, 0.1], [1.5, 3, 3], [np.nan, 3, 0], [np.nan] * 3],
+        HULL,
+        TABLE,
+    )
     assert res.status.tolist() == [1, 3, 3, 3, 3, 3, 0]
     assert [res.names(k) for k in range(7)] == [(), ("f1", "f3"), ("f1",), ("f3",), (), ("f2", "f3"), ()]
     np.testing.assert_allclose(res.margin, [0.5, -0.5, -5, -3.5, -5, -0.5, np.nan])
@@ -222,25 +255,40 @@ def test_a_table_with_names():
     assert res.names(0) == ("pump", "leak")
     assert jb.evaluate([[9.0, 0, 0]], HULL, res.signatures).names(0) == ("pump", "leak")
     (alarm,) = res.alarms()
-    assert alarm.start == 0 and alarm.candidates == ("pump", "leak") and res.counts["FAULT"] == 1 and res.hints == ()
+    assert (
+        alarm.start == 0
+        and alarm.candidates == ("pump", "leak")
+        and res.counts["FAULT"] == 1
+        and res.hints == ()
+    )
     with pytest.raises(ValueError, match="computed elsewhere have no certificate"):
         res.explain(0)
 
 
-@pytest.mark.parametrize("residuals, hull, table, said", [
-    ([[0.0, 0]], HULL, TABLE, r"residuals must have shape \(..., T, r\) and hull \(r, 2\) or \(r,\)"),
-    ([[0.0, 0, 0]], [[0, 1], [1, 0], [0, 1]], TABLE, "each hull needs lo <= hi, both finite: residual 1 has not"),
-    ([[0.0, 0, np.inf]], HULL, TABLE, "residuals has 1 infinite entries: mark what is missing as NaN"),
-    ([[0.0, 0, 0]], HULL, [[1, 2]] * 3, r"signatures must be a table \(r, N\) of 0 and 1"),
-    ([[0.0, 0, 0]], HULL, [[1, 0]] * 2, "signatures need a row for each of 3 residuals: they have 2"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "residuals, hull, table, said",
+    [
+        ([[0.0, 0]], HULL, TABLE, r"residuals must have shape \(..., T, r\) and hull \(r, 2\) or \(r,\)"),
+        (
+            [[0.0, 0, 0]],
+            [[0, 1], [1, 0], [0, 1]],
+            TABLE,
+            "each hull needs lo <= hi, both finite: residual 1 has not",
+        ),
+        ([[0.0, 0, np.inf]], HULL, TABLE, "residuals has 1 infinite entries: mark what is missing as NaN"),
+        ([[0.0, 0, 0]], HULL, [[1, 2]] * 3, r"signatures must be a table \(r, N\) of 0 and 1"),
+        ([[0.0, 0, 0]], HULL, [[1, 0]] * 2, "signatures need a row for each of 3 residuals: they have 2"),
+    ],
+)
 def test_what_cannot_be_evaluated_is_refused(residuals, hull, table, said):
     with pytest.raises(ValueError, match=said):
         jb.evaluate(residuals, hull, table)
 
 
 def test_engine(shared):
-    """Hulls of half the healthy samples, times 1.25: 0.65 % false alarms, modes seen from 6 % to 100 %, as its own study has them."""
+    """Hulls of half the healthy samples, times 1.25: 0.65 % false alarms, modes seen from 6 % to 100 %, as
+    its own study has them.
+    """
     data = np.load(shared("data/engine/residuals.npz"), allow_pickle=True)
     residuals, mode, modes = data["res"], data["mode"], [str(x) for x in data["modes"]]
     healthy = np.flatnonzero(mode == modes.index("NF"))
@@ -255,8 +303,17 @@ def test_engine(shared):
     table = {"NF": (fault[healthy[middle:]].mean(), np.nan, np.nan)}
     for j, name in enumerate(faults):
         here = (mode == modes.index(name)) & fault
-        table[name] = fault[mode == modes.index(name)].mean(), res.candidates[here, j].mean(), res.candidates[here].sum(1).mean()
-    print("".join(f"\n{name:8} FAULT {a:.4f}  true fault among candidates {b:.2f}  of {c:.1f}" for name, (a, b, c) in table.items()))
+        table[name] = (
+            fault[mode == modes.index(name)].mean(),
+            res.candidates[here, j].mean(),
+            res.candidates[here].sum(1).mean(),
+        )
+    print(
+        "".join(
+            f"\n{name:8} FAULT {a:.4f}  true fault among candidates {b:.2f}  of {c:.1f}"
+            for name, (a, b, c) in table.items()
+        )
+    )
     assert round(table["NF"][0], 4) == 0.0065
     assert sorted(round(a, 2) for name, (a, _, _) in table.items() if name != "NF")[-3:] == [0.99, 0.99, 1.0]
     assert round(table["fp_af"][0], 2) == 0.06 == round(min(table[name][0] for name in faults), 2)
@@ -269,7 +326,9 @@ def test_an_actuator_is_a_candidate_where_a_program_says_so(rng):
     u, _, y = draw(oracle.plant, s, 40, rng, level=1.0, spread=0.5)
     y[::2, 2:, :] += rng.normal(size=(20, 1, 3)) * 3
     applied = rng.normal(size=(20, s + 1, 1)) * 3
-    y[1::2] += (np.pad(applied, ((0, 0), (0, 0), (0, 1))).reshape(20, -1) @ oracle.H[: (s + 1) * 3].T).reshape(20, s + 1, 3)
+    y[1::2] += (
+        np.pad(applied, ((0, 0), (0, 0), (0, 1))).reshape(20, -1) @ oracle.H[: (s + 1) * 3].T
+    ).reshape(20, s + 1, 3)
     seen = set()
     for k in range(40):
         c = certify(r, u[k], y[k])

@@ -1,4 +1,6 @@
-"""Inputs are exact; where they are narrowed to float32, for float32 outputs or without x64, what they lose raises no fault."""
+"""Inputs are exact; where they are narrowed to float32, for float32 outputs or without x64, what they lose
+raises no fault.
+"""
 
 import contextlib
 
@@ -21,15 +23,19 @@ TWICE = DRIVEN | dict(C=[[1], [1]], offset={"u": [1000000], "y": [0, 0]})
 
 
 def no_fault(judge, outputs=1, off=True):
-    """Judge x+ = 0.5 x + (u - LEVEL), y = x, without any error: u in float64 beside y in float32, and both in float64 with x64 off.
+    """Judge x+ = 0.5 x + (u - LEVEL), y = x, without any error: u in float64 beside y in float32, and both in
+    float64 with x64 off.
 
-    off: whether x64 is tried off too, which compiles all again: the one door that narrows by it is that of all families.
+    off: whether x64 is tried off too, which compiles all again: the one door that narrows by it is that of
+    all families.
     """
     x = [1.0]
     for v in STEPS[:-1]:
         x.append(0.5 * x[-1] + v)
     u, y = LEVEL + STEPS[:, None], np.repeat(np.array(x)[:, None], outputs, 1)
-    for context, given in ((contextlib.nullcontext(), y.astype(np.float32)), (jax.enable_x64(False), y))[: 1 + off]:
+    for context, given in ((contextlib.nullcontext(), y.astype(np.float32)), (jax.enable_x64(False), y))[
+        : 1 + off
+    ]:
         with context:
             status = np.asarray(judge(u, given))
         assert not (status == jb.Status.FAULT).any(), status
@@ -46,7 +52,9 @@ def test_a_residual_does_not_take_narrowed_inputs_as_exact():
 
 @pytest.mark.parametrize("method", ["box", pytest.param("paving", marks=pytest.mark.long)])
 def test_no_method_takes_narrowed_inputs_as_exact(method):
-    no_fault(lambda u, y: jb.detect(jb.parity_relations(jb.LinearSystem(**DRIVEN), 1), u, y, method=method).status)
+    no_fault(
+        lambda u, y: jb.detect(jb.parity_relations(jb.LinearSystem(**DRIVEN), 1), u, y, method=method).status
+    )
 
 
 @pytest.mark.parametrize("name, horizon", [*((name, 1) for name in PLANTS), ("certain", 10)])
@@ -56,7 +64,9 @@ def test_no_plant_takes_narrowed_inputs_as_exact(name, horizon):
 
 
 def test_a_bank_does_not_take_narrowed_inputs_as_exact():
-    no_fault(lambda u, y: jb.detect(jb.structured_relations(jb.LinearSystem(**TWICE)), u, y).status, outputs=2)
+    no_fault(
+        lambda u, y: jb.detect(jb.structured_relations(jb.LinearSystem(**TWICE)), u, y).status, outputs=2
+    )
 
 
 def test_a_monitor_does_not_take_narrowed_inputs_as_exact():
@@ -77,6 +87,8 @@ def test_unknown_inputs_does_not_take_narrowed_inputs_as_exact():
 
     def judge(u, y):
         values = jb.unknown_inputs(model, u, y).values
-        return np.where((values.lo > 0) | (values.hi < 0), jb.Status.FAULT, jb.Status.CONSISTENT)  # of 0, the true value
+        return np.where(
+            (values.lo > 0) | (values.hi < 0), jb.Status.FAULT, jb.Status.CONSISTENT
+        )  # of 0, the true value
 
     no_fault(judge)

@@ -1,4 +1,6 @@
-"""What a settled observer sees of a fault: sizes from one recording, held against many; a study counts samples, not windows."""
+"""What a settled observer sees of a fault: sizes from one recording, held against many; a study counts
+samples, not windows.
+"""
 
 import jax
 import numpy as np
@@ -7,9 +9,16 @@ import pytest
 import jaxbound as jb
 from jaxbound.plots.residuals import plot_residuals
 
-PLANT = jb.LinearSystem([["0.9", "0.05"], [0, "0.9"]], [[0], ["0.1"]], [[1, 0], [0, 1]], noise="0.1",
-                        disturbance=([[1, 0], [0, 1]], [["-0.004", "0.006"], ["-0.005", "0.005"]]), offset={"u": 2, "y": [20, -3]},
-                        inputs="heat", outputs=["T1", "T2"])  # fmt: skip
+PLANT = jb.LinearSystem(
+    [["0.9", "0.05"], [0, "0.9"]],
+    [[0], ["0.1"]],
+    [[1, 0], [0, 1]],
+    noise="0.1",
+    disturbance=([[1, 0], [0, 1]], [["-0.004", "0.006"], ["-0.005", "0.005"]]),
+    offset={"u": 2, "y": [20, -3]},
+    inputs="heat",
+    outputs=["T1", "T2"],
+)
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +28,11 @@ def watch():
 
 def test_a_fault_of_that_size_is_seen_by_then_whatever_the_errors(watch):
     size = jb.detectable(watch, "T1")
-    assert size.horizon in size.sizes and min(size.sizes.values()) == pytest.approx(size) and size < jb.detectable(PLANT, "T1", horizon=3)
+    assert (
+        size.horizon in size.sizes
+        and min(size.sizes.values()) == pytest.approx(size)
+        and size < jb.detectable(PLANT, "T1", horizon=3)
+    )
     u = 2 + np.random.default_rng(0).normal(size=(40, 160, 1))
     for key, at in enumerate(("vertices", "uniform")):
         y = np.array(jb.simulate(PLANT, u, jax.random.key(key), at=at).y)
@@ -43,7 +56,10 @@ def test_half_of_it_may_hide_where_errors_are_in_the_middle(watch):
 
 
 def test_drifts_and_actuators_and_what_is_not_worked_out(watch):
-    drift, heat = jb.detectable(watch, jb.Fault("T1", "drift")), jb.detectable(PLANT, "heat", method="observer")
+    drift, heat = (
+        jb.detectable(watch, jb.Fault("T1", "drift")),
+        jb.detectable(PLANT, "heat", method="observer"),
+    )
     assert 0 < drift < 0.02 < heat < jb.detectable(PLANT, "heat", horizon=2) and drift.horizon > 20
     for options, says in (({"horizon": 3}, "are for windows"), ({"operating_range": 3}, "are for windows")):
         with pytest.raises(ValueError, match=says):
@@ -55,28 +71,58 @@ def test_drifts_and_actuators_and_what_is_not_worked_out(watch):
     with pytest.raises(NotImplementedError, match=r"kind 'gain' is counted by jb\.study"):
         jb.detectable(watch, jb.Fault("T1", "gain", 0.1))
     with pytest.raises(NotImplementedError, match="certain models without tolerances"):
-        jb.detectable(jb.LinearSystem([["0.5"]], None, [[1]], noise="0.1", tolerance="0.1"), "y1", method="observer")
+        jb.detectable(
+            jb.LinearSystem([["0.5"]], None, [[1]], noise="0.1", tolerance="0.1"), "y1", method="observer"
+        )
 
 
 def test_a_study_of_an_observer_counts_no_false_alarm_and_every_sample_of_the_fault(watch):
     size = float(jb.detectable(watch, "T1"))
-    found = jb.study(PLANT, ["T1:bias"], 90, 0, watch, samples=90, sizes=[0.05 * size, 1.01 * size], onset=60, at="vertices")
+    found = jb.study(
+        PLANT,
+        ["T1:bias"],
+        90,
+        0,
+        watch,
+        samples=90,
+        sizes=[0.05 * size, 1.01 * size],
+        onset=60,
+        at="vertices",
+    )
     table = found.to_pandas()
     assert found.false_alarms == (0, 90 * 60) and found.settings["method"] == "observer"
-    assert table["share"].tolist()[1] == 1 and table["delay_90"].tolist()[1] <= jb.detectable(watch, "T1").horizon
+    assert (
+        table["share"].tolist()[1] == 1
+        and table["delay_90"].tolist()[1] <= jb.detectable(watch, "T1").horizon
+    )
     assert table["windows"].tolist() == [45 * 30] * 2
 
 
 def test_verbs_that_need_windows_say_so(watch):
-    u, y = np.full((80, 1), 2.0), np.full((80, 2), 0.0)  # more than a short piece: its kernel is compiled already
+    u, y = (
+        np.full((80, 1), 2.0),
+        np.full((80, 2), 0.0),
+    )  # more than a short piece: its kernel is compiled already
     res = jb.detect(watch, u, y + [20, -3])
     for work, kind, says in (
         (lambda: jb.tune(watch, (u, y)), TypeError, "margin has no derivative: tune long windows, with lags"),
         (lambda: jb.margins(watch, u, y), NotImplementedError, "margins are those of windows"),
         (lambda: jb.compensation(watch, u, y), TypeError, "for relations with uncertain parameters"),
-        (lambda: plot_residuals(res), TypeError, r"plot\(res\.observation, y=res\.y\) draws an observer's bands"),
-        (lambda: jb.detect(watch, u, y, method="box"), ValueError, "an observer takes neither method nor budget"),
-        (lambda: jb.study(PLANT, ["T1:bias"], 9, 0, watch, at="adversarial"), NotImplementedError, "an adversary needs a test by strips"),
+        (
+            lambda: plot_residuals(res),
+            TypeError,
+            r"plot\(res\.observation, y=res\.y\) draws an observer's bands",
+        ),
+        (
+            lambda: jb.detect(watch, u, y, method="box"),
+            ValueError,
+            "an observer takes neither method nor budget",
+        ),
+        (
+            lambda: jb.study(PLANT, ["T1:bias"], 9, 0, watch, at="adversarial"),
+            NotImplementedError,
+            "an adversary needs a test by strips",
+        ),
     ):
         with pytest.raises(kind, match=says):
             work()

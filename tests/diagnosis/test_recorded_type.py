@@ -1,4 +1,6 @@
-"""A recording is known to four roundoffs of the type in which it was recorded, whatever type it is computed in."""
+"""A recording is known to four roundoffs of the type in which it was recorded, whatever type it is computed
+in.
+"""
 
 from fractions import Fraction
 
@@ -13,12 +15,19 @@ T = 24
 
 
 def recorded(rng, **bounds):
-    """Return (model, u, y, x): y as float32, the nearest to the exact outputs of a healthy plant with no error at all; x its states."""
+    """Return (model, u, y, x): y as float32, the nearest to the exact outputs of a healthy plant with no
+    error at all; x its states.
+    """
     plant, u = Plant(**BARE), rng.uniform(-50, 50, (T, 1)).astype(np.float32)
     x0 = [Fraction(float(v)) for v in rng.uniform(-300, 300, 2)]
     y = plant.trajectory(x0, [[Fraction(float(v)) for v in row] for row in u])
     x = np.array([[float(a), float(b - a)] for a, b in y])  # C is [1 0; 1 1]
-    return jb.LinearSystem(**BARE, **bounds), u, np.array([[np.float32(float(v)) for v in row] for row in y]), x
+    return (
+        jb.LinearSystem(**BARE, **bounds),
+        u,
+        np.array([[np.float32(float(v)) for v in row] for row in y]),
+        x,
+    )
 
 
 @pytest.mark.parametrize("noise", [0, 1e-8])
@@ -67,7 +76,9 @@ def test_a_monitor_in_float64_refuses_float32_outputs_and_one_in_float32_takes_b
     model, u, y, _ = recorded(rng)
     relations = jb.parity_relations(model)
     wide = jb.Monitor(relations)
-    with pytest.raises(ValueError, match=r"y is in float32, .* build it as Monitor\(relations, dtype=np.float32\)"):
+    with pytest.raises(
+        ValueError, match=r"y is in float32, .* build it as Monitor\(relations, dtype=np.float32\)"
+    ):
         wide.run(wide.init(), u, y)
     narrow = jb.Monitor(relations, dtype=np.float32)
     for given in (y, y.astype(np.float64)):
@@ -101,7 +112,9 @@ def test_a_column_in_half_precision_is_refused_beside_wider_ones(rng):
 
 
 def test_inputs_narrowed_for_float32_outputs_are_not_taken_as_exact(rng):
-    """detect and unknown_inputs compute in the type of y; float64 inputs of a noise-free plant lose digits there."""
+    """detect and unknown_inputs compute in the type of y; float64 inputs of a noise-free plant lose digits
+    there.
+    """
     plant, u = Plant(**BARE), rng.uniform(-50, 50, (T, 1))
     y = np.array(
         [
@@ -125,7 +138,9 @@ def test_a_dataset_of_float32_columns_without_noise_raises_no_fault(rng, tmp_pat
 
 
 def test_uncertain_relations_and_their_compensation_count_the_rounding_of_float32(rng):
-    uncertain = jb.LinearSystem(**BARE | {"C": [[1, 0]]}, uncertainties=[jb.Uncertainty("a", A=[["1e-9", 0], [0, 0]])])
+    uncertain = jb.LinearSystem(
+        **BARE | {"C": [[1, 0]]}, uncertainties=[jb.Uncertainty("a", A=[["1e-9", 0], [0, 0]])]
+    )
     relations, (_, u, y, _) = jb.parity_relations(uncertain), recorded(rng)
     y = y[:, :1]
     c = jb.compensation(relations, u, y)

@@ -1,6 +1,8 @@
-"""Every verb on one healthy recording with a gap, an excluded stretch, a missing sample and shuffled columns, in whatever a user holds it.
+"""Every verb on one healthy recording with a gap, an excluded stretch, a missing sample and shuffled columns,
+in whatever a user holds it.
 
-The gap is a jump of the plant, the excluded stretch nonsense: a verb that forgets one, or takes a column by position, finds a fault.
+The gap is a jump of the plant, the excluded stretch nonsense: a verb that forgets one, or takes a column by
+position, finds a fault.
 """
 
 import tempfile
@@ -17,11 +19,32 @@ from jaxbound.recordings.recording import Recording
 T, GAP, OFF, LOST = 40, 14, slice(22, 27), (33, 1)
 STARTS = [GAP, OFF.start, OFF.stop]
 PIECES = [slice(0, GAP), slice(GAP, OFF.start), slice(OFF.stop, T)]
-TIME = pd.date_range("2024-01-01", periods=T, freq="s") + pd.to_timedelta(np.where(np.arange(T) < GAP, 0, 3600), "s")
-KINDS = ("pandas", "two frames", "polars-like", "pyarrow", "dict", "masked", "recording", "jb.read of a CSV", "jb.read of Parquet")
-PLANT = dict(A=[[0.8, 0.5], [0, 0.2]], B=[[0], [1]], C=[[1, 0], [0, 1]], noise=[0.1, 0.1], inputs=["valve"], outputs=["level", "flow"])
+TIME = pd.date_range("2024-01-01", periods=T, freq="s") + pd.to_timedelta(
+    np.where(np.arange(T) < GAP, 0, 3600), "s"
+)
+KINDS = (
+    "pandas",
+    "two frames",
+    "polars-like",
+    "pyarrow",
+    "dict",
+    "masked",
+    "recording",
+    "jb.read of a CSV",
+    "jb.read of Parquet",
+)
+PLANT = dict(
+    A=[[0.8, 0.5], [0, 0.2]],
+    B=[[0], [1]],
+    C=[[1, 0], [0, 1]],
+    noise=[0.1, 0.1],
+    inputs=["valve"],
+    outputs=["level", "flow"],
+)
 WHERE = {"where": "mode == 'on'"}
-MISSING = np.isin(np.arange(T), [0, *range(OFF.start, OFF.stop), *STARTS])  # windows of two samples that are none
+MISSING = np.isin(
+    np.arange(T), [0, *range(OFF.start, OFF.stop), *STARTS]
+)  # windows of two samples that are none
 
 
 def plant(**changes):
@@ -29,7 +52,9 @@ def plant(**changes):
 
 
 def course(v=None):
-    """Return healthy u, x, y: the plant is elsewhere after the gap, and its sensors show anything in the excluded stretch."""
+    """Return healthy u, x, y: the plant is elsewhere after the gap, and its sensors show anything in the
+    excluded stretch.
+    """
     rng = np.random.default_rng(1)
     u, x = np.repeat(rng.uniform(-3, 3, (T // 4, 1)), 4, 0), np.zeros((T + 1, 2))
     for k in range(T):
@@ -58,7 +83,9 @@ def held(kind, u, y):
     lost = y.copy()
     lost[LOST] = np.nan
     mode = np.where(np.isin(np.arange(T), np.arange(OFF.start, OFF.stop)), "off", "on")
-    frame = pd.DataFrame({"flow": lost[:, 1], "mode": mode, "valve": u[:, 0], "level": lost[:, 0]}, TIME.rename("time"))
+    frame = pd.DataFrame(
+        {"flow": lost[:, 1], "mode": mode, "valve": u[:, 0], "level": lost[:, 0]}, TIME.rename("time")
+    )
     if kind == "masked":
         off = np.zeros((T, 1), bool)
         off[OFF] = True
@@ -107,7 +134,11 @@ def apart(verdicts):
     """Return what a function of (u, y) gives for the clean pieces, MISSING or NaN between them."""
     u, y, _ = clean(*course()[::2])
     found = [verdicts(u[p], y[p]) for p in PIECES]
-    nothing = np.full((OFF.stop - OFF.start, *found[0].shape[1:]), 0 if found[0].dtype.kind in "iu" else np.nan, found[0].dtype)
+    nothing = np.full(
+        (OFF.stop - OFF.start, *found[0].shape[1:]),
+        0 if found[0].dtype.kind in "iu" else np.nan,
+        found[0].dtype,
+    )
     return np.concatenate([found[0], found[1], nothing, found[2]])
 
 
@@ -135,14 +166,19 @@ def test_the_forms_of_a_relation(given):
     plain = np.where(MISSING[:, None], np.nan, r.external(*clean(*course()[::2])[:2]))
     np.testing.assert_array_equal(outside, plain)
     known = ~np.isnan(outside)
-    assert known.sum() > 50 and ((np.asarray(inside.lo) <= outside) & (outside <= np.asarray(inside.hi)))[known].all()
+    assert (
+        known.sum() > 50
+        and ((np.asarray(inside.lo) <= outside) & (outside <= np.asarray(inside.hi)))[known].all()
+    )
 
 
 def test_a_bank(given):
     u, y, starts = given
     bank = jb.structured_relations(plant())
     res = jb.detect(bank, u, y, starts=starts)
-    np.testing.assert_array_equal(res.violated, apart(lambda u, y: jb.detect(bank, u, y).violated.astype(np.int8)).astype(bool))
+    np.testing.assert_array_equal(
+        res.violated, apart(lambda u, y: jb.detect(bank, u, y).violated.astype(np.int8)).astype(bool)
+    )
     assert res.counts["FAULT"] == 0
 
 
@@ -150,7 +186,9 @@ def test_a_bank(given):
 def own():
     """Return a residual, one for all ways of holding a recording: it compiles once."""
     f = lambda z, u, y: y[1, 1] - z[1] - 0.2 * (y[0, 1] - z[0]) - u[0, 0]
-    return jb.residual(f, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1, inputs=["valve"], outputs=["level", "flow"])
+    return jb.residual(
+        f, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1, inputs=["valve"], outputs=["level", "flow"]
+    )
 
 
 @pytest.mark.parametrize("kind", ["two frames", "masked", "jb.read of a CSV", "jb.read of Parquet"])
@@ -202,7 +240,9 @@ def test_a_monitor_takes_rows_by_name_and_by_their_time():
     np.testing.assert_array_equal(state.y, [[1.0, 2.0]])
 
 
-@pytest.mark.parametrize("index", [pd.RangeIndex(T), pd.Index(np.arange(T) / 10), TIME - TIME[0], TIME.tz_localize("UTC")])
+@pytest.mark.parametrize(
+    "index", [pd.RangeIndex(T), pd.Index(np.arange(T) / 10), TIME - TIME[0], TIME.tz_localize("UTC")]
+)
 def test_a_monitor_sees_rows_that_are_left_out_between_two_calls(index):
     u, _, y = course()
     r = jb.parity_relations(plant(dt=0.1) if index.dtype == float else plant(), 1)
@@ -225,7 +265,10 @@ def test_unknown_inputs(kind):
     lo, hi = np.asarray(found.lo)[:, 0], np.asarray(found.hi)[:, 0]
     inside = np.delete(np.arange(T), OFF)
     assert ((lo <= v) & (v <= hi))[inside].all()
-    assert np.isinf(lo[[GAP - 1, *range(OFF.start - 1, OFF.stop), T - 1]]).all() and np.isfinite(lo[: LOST[0] - 1]).sum() > 20
+    assert (
+        np.isinf(lo[[GAP - 1, *range(OFF.start - 1, OFF.stop), T - 1]]).all()
+        and np.isfinite(lo[: LOST[0] - 1]).sum() > 20
+    )
 
 
 def test_validate(given):
@@ -253,25 +296,40 @@ def test_tune(given):
     assert jb.tune(r, healthy, steps=0).scale == jb.tune(r, clean(*course()[::2]), steps=0).scale <= 1
 
 
-@pytest.mark.parametrize("kind", ["pandas", "polars-like", "masked", "recording", "jb.read of a CSV", "jb.read of Parquet"])
+@pytest.mark.parametrize(
+    "kind", ["pandas", "polars-like", "masked", "recording", "jb.read of a CSV", "jb.read of Parquet"]
+)
 def test_fit(kind):
     u, _, y = course()
     given = held(kind, u, y)
-    options = dict(order=1, horizon=2, inputs=["valve"], outputs=["level", "flow"], held_out=0, method="least squares")
+    options = dict(
+        order=1, horizon=2, inputs=["valve"], outputs=["level", "flow"], held_out=0, method="least squares"
+    )
     model = jb.fit(given if given[1] is not None else given[0], **options, columns=WHERE)
     plain = jb.fit(clean(u, y), **options)
-    assert model.A == plain.A and model.noise == plain.noise and max(map(float, plain.noise)) < 1 and model.dt == 1
+    assert (
+        model.A == plain.A
+        and model.noise == plain.noise
+        and max(map(float, plain.noise)) < 1
+        and model.dt == 1
+    )
 
 
-FITTED = dict(order=1, horizon=2, inputs=["valve"], outputs=["level", "flow"], held_out=0, method="least squares")
+FITTED = dict(
+    order=1, horizon=2, inputs=["valve"], outputs=["level", "flow"], held_out=0, method="least squares"
+)
 GAIN = [jb.Uncertainty("gain", B=[[0], [0.05]])]
 VERBS = {
     "detect": lambda table: jb.detect(jb.parity_relations(plant(), 1), table),
     "a bank": lambda table: jb.detect(jb.structured_relations(plant()), table),
     "margins": lambda table: jb.margins(jb.parity_relations(plant(), 1), table),
     "external": lambda table: jb.parity_relations(plant(), 1).external(table),
-    "a residual": lambda table: jb.detect(jb.residual(lambda z, u, y: y[1, 1] - z[0], jb.interval([-1e9], [1e9]), 1, ["valve"],
-                                                      ["level", "flow"]), table),
+    "a residual": lambda table: jb.detect(
+        jb.residual(
+            lambda z, u, y: y[1, 1] - z[0], jb.interval([-1e9], [1e9]), 1, ["valve"], ["level", "flow"]
+        ),
+        table,
+    ),
     "validate": lambda table: jb.validate(plant(), table, horizon=2, method="sequential"),
     "observe": lambda table: jb.observe(plant(), table),
     "unknown_inputs": lambda table: jb.unknown_inputs(plant(unknown_inputs=[[1], [0]]), table, horizon=1),
@@ -279,10 +337,12 @@ VERBS = {
     "tune": lambda table: jb.tune(jb.parity_relations(plant(), 1), table, steps=0),
     "fit": lambda table: jb.fit(table, **FITTED, dt=1.0),
     "a source": lambda table: open_source(table, plant()).read(),
-}  # fmt: skip
+}
 
 
-SENTENCE = r"^(recording( 1)?: )?(the (rows|recording|model|index) |\d+ of \d+ rows go back|you gave dt = 1 s, but)"
+SENTENCE = (
+    r"^(recording( 1)?: )?(the (rows|recording|model|index) |\d+ of \d+ rows go back|you gave dt = 1 s, but)"
+)
 
 
 @pytest.mark.parametrize("rows", ["every second", "reversed", "shuffled"])
@@ -292,21 +352,35 @@ def test_rows_that_do_not_follow_each_other_are_refused(verb, rows):
     if verb == "a residual":
         rows = "shuffled"  # it states no period
     u, _, y = course()
-    table = pd.DataFrame({"valve": u[:, 0], "level": y[:, 0], "flow": y[:, 1], "Time (s)": np.arange(T) * 1.0, "mode": "on"})
-    at = {"every second": slice(None, None, 2), "reversed": slice(None, None, -1), "shuffled": np.random.default_rng(1).permutation(T)}
+    table = pd.DataFrame(
+        {"valve": u[:, 0], "level": y[:, 0], "flow": y[:, 1], "Time (s)": np.arange(T) * 1.0, "mode": "on"}
+    )
+    at = {
+        "every second": slice(None, None, 2),
+        "reversed": slice(None, None, -1),
+        "shuffled": np.random.default_rng(1).permutation(T),
+    }
     with pytest.raises(ValueError, match=SENTENCE):
         VERBS[verb](table.iloc[at[rows]])
     with pytest.raises(ValueError, match=SENTENCE):
         VERBS[verb](table.drop(columns="Time (s)").iloc[at[rows]])
 
 
-@pytest.mark.parametrize("rows", [slice(None, None, 2), slice(None, None, -1), np.random.default_rng(1).permutation(T)])
+@pytest.mark.parametrize(
+    "rows", [slice(None, None, 2), slice(None, None, -1), np.random.default_rng(1).permutation(T)]
+)
 @pytest.mark.parametrize("size", [1, 2, 5, T])
 def test_a_monitor_joins_no_rows_that_do_not_follow_each_other(rows, size):
     u, _, y = course()
-    table = pd.DataFrame({"valve": u[:, 0], "level": y[:, 0], "flow": y[:, 1], "Time (s)": np.arange(T) * 1.0, "mode": "on"})
+    table = pd.DataFrame(
+        {"valve": u[:, 0], "level": y[:, 0], "flow": y[:, 1], "Time (s)": np.arange(T) * 1.0, "mode": "on"}
+    )
     monitor = jb.Monitor(jb.parity_relations(plant(), 1))
-    for part in (table.iloc[rows], table.drop(columns="Time (s)").iloc[rows], table.drop(columns="Time (s)").set_index(TIME).iloc[rows]):
+    for part in (
+        table.iloc[rows],
+        table.drop(columns="Time (s)").iloc[rows],
+        table.drop(columns="Time (s)").set_index(TIME).iloc[rows],
+    ):
         state, joined = monitor.init(), 0
         for k in range(0, len(part), size):
             state, verdict = monitor.run(state, part.iloc[k : k + size])

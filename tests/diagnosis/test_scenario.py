@@ -41,16 +41,24 @@ def found(scenario):
     @cache
     def detect(horizon, hold=20, method="joint"):
         u, y = (x[: 1000 if horizon > 4 else RUNS] for x in scenario(hold))
-        return jb.detect(jb.parity_relations(paper(), horizon=horizon), u, y, method=method).status == Status.FAULT
+        return (
+            jb.detect(jb.parity_relations(paper(), horizon=horizon), u, y, method=method).status
+            == Status.FAULT
+        )
 
     return detect
 
 
 def check(fault, name, horizon, expected, golden_runs):
-    """Compare the rate over windows wholly inside the fault with a golden rate, within 4.5 standard errors of both (blocks: runs)."""
+    """Compare the rate over windows wholly inside the fault with a golden rate, within 4.5 standard errors of
+    both (blocks: runs).
+    """
     of_runs = fault[:, FAULTS[name].start + horizon : FAULTS[name].stop].mean(1)
     error = of_runs.std() * (1 / len(of_runs) + 1 / golden_runs) ** 0.5
-    print(f"{name} s={horizon}: {of_runs.mean():.4f}, golden {expected:.4f}, {(of_runs.mean() - expected) / error:+.1f} standard errors")
+    print(
+        f"{name} s={horizon}: {of_runs.mean():.4f}, golden {expected:.4f}, "
+        f"{(of_runs.mean() - expected) / error:+.1f} standard errors"
+    )
     assert abs(of_runs.mean() - expected) < 4.5 * error
     assert error < 0.05 * expected
 
@@ -82,7 +90,13 @@ def test_without_a_sample_of_y2_the_surviving_circuit_finds_as_much_as_golden(na
 def test_detection_rate_grows_with_the_horizon_as_golden(horizon, found, golden):
     fault = found(horizon)
     for name in FAULTS:
-        check(fault, name, horizon, golden["p0"]["float_and_horizon"]["horizon"][f"s{horizon}"]["rate"][name], 1000)
+        check(
+            fault,
+            name,
+            horizon,
+            golden["p0"]["float_and_horizon"]["horizon"][f"s{horizon}"]["rate"][name],
+            1000,
+        )
 
 
 @pytest.mark.parametrize("horizon", [1, 3])

@@ -15,18 +15,24 @@ HALF, JUMP = 100, 2.0
 
 @pytest.fixture(scope="module")
 def plant(shared):
-    """Return (relations at s = 4, u, y, oracle) of the hybrid run; the model speaks of deviations from its first sample."""
+    """Return (relations at s = 4, u, y, oracle) of the hybrid run; the model speaks of deviations from its
+    first sample.
+    """
     spec = json.loads(shared("data/tclab/model.json").read_text())
     table = pd.read_csv(shared("data/tclab/mimo_hybrid_3s.csv"), skipinitialspace=True)
     u = table[["Heater 1", "Heater 2"]].to_numpy()
     y = table[["Temperature 1", "Temperature 2"]].to_numpy()
-    numbers = dict(A=spec["A"], B=spec["B"], C=spec["C"], noise=spec["noise_bound"]["s4"], offset={"y": y[0].tolist()})
+    numbers = dict(
+        A=spec["A"], B=spec["B"], C=spec["C"], noise=spec["noise_bound"]["s4"], offset={"y": y[0].tolist()}
+    )
     model = jb.LinearSystem(**numbers, dt=spec["dt"], inputs=spec["inputs"], outputs=spec["outputs"])
     return jb.parity_relations(model, horizon=4), u, y, Windows(Plant(**numbers), 4)
 
 
 def jumps(y):
-    """Return the onsets and the recordings (onset, T, 2) in which Temperature_1 jumps by 2 degC at each onset."""
+    """Return the onsets and the recordings (onset, T, 2) in which Temperature_1 jumps by 2 degC at each
+    onset.
+    """
     onsets = np.arange(HALF, len(y) - 5)
     faulty = np.repeat(y[None], len(onsets), 0)
     faulty[..., 0] += JUMP * (np.arange(len(y)) >= onsets[:, None])
@@ -46,7 +52,9 @@ def test_verdicts_on_real_data_equal_the_linear_program(plant):
     onsets, faulty = jumps(y)
     status = jb.detect(r, u, faulty).status
     ends = [(i, o + j) for i, o in enumerate(onsets) for j in (0, 2, 4)] + [(0, k) for k in range(4, HALF)]
-    slack = oracle.slack(np.stack([u[k - 4 : k + 1] for _, k in ends]), np.stack([faulty[i, k - 4 : k + 1] for i, k in ends]))
+    slack = oracle.slack(
+        np.stack([u[k - 4 : k + 1] for _, k in ends]), np.stack([faulty[i, k - 4 : k + 1] for i, k in ends])
+    )
     assert (abs(slack) > 1e-9).all()
     np.testing.assert_array_equal([status[end] == Status.FAULT for end in ends], slack > 0)
 

@@ -33,10 +33,16 @@ def check_slopes(rng, r, u, y, ends):
     f = lambda bounds, y: jb.margins(r.with_bounds(bounds), u, y)[ends] @ weights
     by_bounds = {k: rng.normal(size=v.shape) * (np.asarray(v) > 0) for k, v in bounds.items()}
     by_y = rng.normal(size=y.shape)
-    compiled = jax.jit(jax.value_and_grad(f, (0, 1)))  # finer than `detect`, whose margin of a single relation is good to 1e-6
-    moved = lambda d: jax.tree.map(np.asarray, compiled({k: v + d * by_bounds[k] for k, v in bounds.items()}, y + d * by_y))
+    compiled = jax.jit(
+        jax.value_and_grad(f, (0, 1))
+    )  # finer than `detect`, whose margin of a single relation is good to 1e-6
+    moved = lambda d: jax.tree.map(
+        np.asarray, compiled({k: v + d * by_bounds[k] for k, v in bounds.items()}, y + d * by_y)
+    )
     value, (of_bounds, of_y) = moved(0)
-    assert float(value) == pytest.approx(float(np.asarray(jb.margins(r, u, y))[ends] @ weights), rel=1e-5, abs=1e-5)
+    assert float(value) == pytest.approx(
+        float(np.asarray(jb.margins(r, u, y))[ends] @ weights), rel=1e-5, abs=1e-5
+    )
     slope = sum((of_bounds[k] * by_bounds[k]).sum() for k in bounds) + (of_y * by_y).sum()
     quotient = float(moved(step)[0] - moved(-step)[0]) / (2 * step)
     assert np.isfinite(of_y).all() and float(slope) == pytest.approx(quotient, rel=1e-3, abs=1e-3)

@@ -41,7 +41,9 @@ def test_float64_without_x64_is_said_once_and_only_where_it_costs(run):
     m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
     with jax.enable_x64(False):
         r = jb.parity_relations(m)
-        with pytest.warns(UserWarning, match="rounded to float32.*2.4e-07 of the largest sample.*jax_enable_x64"):
+        with pytest.warns(
+            UserWarning, match="rounded to float32.*2.4e-07 of the largest sample.*jax_enable_x64"
+        ):
             jb.detect(r, None, [[1.0], [0.8]])
         with warnings.catch_warnings():
             warnings.simplefilter("error")

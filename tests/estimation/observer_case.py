@@ -1,4 +1,6 @@
-"""What tests of set observers share: a plant, random models, recordings without a fault, and linear programs over all samples."""
+"""What tests of set observers share: a plant, random models, recordings without a fault, and linear programs
+over all samples.
+"""
 
 import jax
 import numpy as np
@@ -8,12 +10,18 @@ import jaxbound as jb
 from jaxbound.sets import zonotope
 
 PLANT = jb.LinearSystem(
-    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0]], noise="0.1", disturbance=([[1], ["0.5"]], "0.02"), tolerance="0.01"
-)  # fmt: skip
+    [["0.9", "0.2"], ["-0.1", "0.95"]],
+    [[0], [1]],
+    [[1, 0]],
+    noise="0.1",
+    disturbance=([[1], ["0.5"]], "0.02"),
+    tolerance="0.01",
+)
 
 
 def program(model, u, y, x0=None):
-    """Return the least and largest of each state of the last sample that explain all samples, by linear programs; None: nothing does.
+    """Return the least and largest of each state of the last sample that explain all samples, by linear
+    programs; None: nothing does.
 
     Independent of the observer: floats of the model, one variable a first state and a disturbance.
     """
@@ -62,7 +70,9 @@ def inside(found, x, dtype=np.float64):
 
 
 def published(case):
-    """Return (model, u, y, x0) of CORA's example, with an input that does nothing: of the sizes of PLANT, whose kernels it shares."""
+    """Return (model, u, y, x0) of CORA's example, with an input that does nothing: of the sizes of PLANT,
+    whose kernels it shares.
+    """
     noise, walk = case["V_radius"][0], (case["W_generators"], 1)
     model = jb.LinearSystem(case["A"], [[0], [0]], case["C"], noise=noise, disturbance=walk)
     y = np.array(case["y"]).T
@@ -70,15 +80,32 @@ def published(case):
 
 
 def systems(rng, kind):
-    """Return a random model: stable, integrating or unstable, perhaps uncertain, with everything that a model can have."""
+    """Return a random model: stable, integrating or unstable, perhaps uncertain, with everything that a model
+    can have.
+    """
     if kind == "integrating":  # exactly: a first row (1 0 0), the rest stable and moved by it
-        A = np.vstack([[1, 0, 0], np.hstack([rng.normal(size=(2, 1)), 0.9 * _scaled(rng.normal(size=(2, 2)))])]).round(4)
+        A = np.vstack(
+            [[1, 0, 0], np.hstack([rng.normal(size=(2, 1)), 0.9 * _scaled(rng.normal(size=(2, 2)))])]
+        ).round(4)
     else:
         A = ({"stable": 0.9, "unstable": 1.05}[kind] * _scaled(rng.normal(size=(3, 3)))).round(4)
-    more = {"uncertainties": [jb.Uncertainty("a", A=(0.003 * rng.normal(size=(3, 3))).round(5))]} if rng.random() < 0.5 else {}
+    more = (
+        {"uncertainties": [jb.Uncertainty("a", A=(0.003 * rng.normal(size=(3, 3))).round(5))]}
+        if rng.random() < 0.5
+        else {}
+    )
     B, C, D, G = (rng.normal(size=s).round(2) for s in ((3, 1), (2, 3), (2, 1), (3, 2)))
-    return jb.LinearSystem(A, B, C, D, noise=[0.1, 0.02], tolerance=[0, 0.02], disturbance=(G, [[-0.02, 0.05], [0, 0]]),
-                           offset={"u": 1.5, "y": [-20.25, 3]}, **more)  # fmt: skip
+    return jb.LinearSystem(
+        A,
+        B,
+        C,
+        D,
+        noise=[0.1, 0.02],
+        tolerance=[0, 0.02],
+        disturbance=(G, [[-0.02, 0.05], [0, 0]]),
+        offset={"u": 1.5, "y": [-20.25, 3]},
+        **more,
+    )
 
 
 def _scaled(A):
@@ -86,8 +113,9 @@ def _scaled(A):
 
 
 def jumps_near_the_boundary(**how):
-    """Return what an observer says of 24 recordings of PLANT whose sensor jumps by far less to far more than what can be proved, how many
-    contradictions it proves of those of linear programs over all samples, and how wide it takes the states of the others to be.
+    """Return what an observer says of 24 recordings of PLANT whose sensor jumps by far less to far more than
+    what can be proved, how many contradictions it proves of those of linear programs over all samples, and
+    how wide it takes the states of the others to be.
 
     Every proof is one of a program, the states of the others are inside.
     """
@@ -109,12 +137,17 @@ def jumps_near_the_boundary(**how):
             lo, hi = exact
             assert (found.state.lo[j, -1] <= lo + 1e-9).all() and (hi - 1e-9 <= found.state.hi[j, -1]).all()
             wider.append((found.state.hi[j, -1] - found.state.lo[j, -1]) / (hi - lo))
-    print(f"{proved} of {possible} contradictions proved; widths {np.mean(wider):.2f} of the exact ones, at most {np.max(wider):.2f}")
+    print(
+        f"{proved} of {possible} contradictions proved; widths {np.mean(wider):.2f} of the exact ones, at "
+        f"most {np.max(wider):.2f}"
+    )
     return proved, possible, wider
 
 
 def fault_free(rng, seeds, N, T, **how):
-    """Return how many samples without a fault were observed, with gaps and missing samples: the state inside all, no FAULT."""
+    """Return how many samples without a fault were observed, with gaps and missing samples: the state inside
+    all, no FAULT.
+    """
     samples = 0
     for seed in seeds:
         dtype, kind = (np.float64, np.float32)[seed % 2], ("stable", "integrating", "unstable")[seed % 3]

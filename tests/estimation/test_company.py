@@ -1,4 +1,6 @@
-"""What an observer says of a recording does not depend on what stands beside it, or on how its samples come: the same bits."""
+"""What an observer says of a recording does not depend on what stands beside it, or on how its samples come:
+the same bits.
+"""
 
 import jax
 import numpy as np
@@ -8,17 +10,28 @@ import jaxbound as jb
 from jaxbound.recordings.recording import Recording
 
 PLANT = jb.LinearSystem(
-    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0], ["0.3", "0.5"]], noise=["0.1", "0.05"], tolerance=["0.01", 0],
+    [["0.9", "0.2"], ["-0.1", "0.95"]],
+    [[0], [1]],
+    [[1, 0], ["0.3", "0.5"]],
+    noise=["0.1", "0.05"],
+    tolerance=["0.01", 0],
     disturbance=([[1], ["0.5"]], "0.02"),
-)  # fmt: skip
-METHODS = {"zonotope": {"order": 5}, "strips": {"order": 5}, "constrained": {"constraints": 4}, "joint": {"window": 8, "order": 5}}
+)
+METHODS = {
+    "zonotope": {"order": 5},
+    "strips": {"order": 5},
+    "constrained": {"constraints": 4},
+    "joint": {"window": 8, "order": 5},
+}
 COUNT, LENGTH = 35, 44
 """More recordings than a block has."""
 
 
 @pytest.fixture(scope="module")
 def recordings():
-    """Return u, y of recordings, most with a fault of some size somewhere, some with samples that are missing."""
+    """Return u, y of recordings, most with a fault of some size somewhere, some with samples that are
+    missing.
+    """
     rng = np.random.default_rng(26)
     u = rng.normal(size=(COUNT, LENGTH, 1))
     found = jb.simulate(PLANT, u, jax.random.key(26), x0=rng.normal(size=(COUNT, 2)), at="vertices")

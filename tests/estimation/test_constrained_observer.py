@@ -1,4 +1,6 @@
-"""Constrained zonotopes carried in time: what they prove is what linear programs over all samples prove, and little is missed."""
+"""Constrained zonotopes carried in time: what they prove is what linear programs over all samples prove, and
+little is missed.
+"""
 
 import json
 
@@ -53,9 +55,13 @@ def test_in_pieces_and_in_a_batch_it_says_the_same():
 
 @pytest.mark.slow
 def test_widths_of_published_examples(shared):
-    """CORA's linearSysDT example with all its constraints, and ZETA's demonstration, drawn anew, with as many as it keeps."""
+    """CORA's linearSysDT example with all its constraints, and ZETA's demonstration, drawn anew, with as many
+    as it keeps.
+    """
     case = json.loads(shared("external/observer_2dim.json").read_text())[0]
-    model = jb.LinearSystem(case["A"], None, case["C"], noise=case["V_radius"][0], disturbance=(case["W_generators"], 1))
+    model = jb.LinearSystem(
+        case["A"], None, case["C"], noise=case["V_radius"][0], disturbance=(case["W_generators"], 1)
+    )
     y, x0 = np.array(case["y"]).T, zonotope([0.0, 0.0], case["R0_generators"])
     state = jb.observe(model, None, y, x0=x0, order=30, constraints=20, **HOW).state
     want = np.array(case["cora_interval_of_last_set"]["CZN-A"])

@@ -1,4 +1,6 @@
-"""Windows whose first state lies in what came before: proofs are those of linear programs over all samples, rounding included."""
+"""Windows whose first state lies in what came before: proofs are those of linear programs over all samples,
+rounding included.
+"""
 
 import json
 
@@ -16,7 +18,9 @@ JOINT = {"method": "joint", "window": 8, "order": 6}
 
 
 def test_without_anything_forgotten_it_encloses_the_exact_hull(shared):
-    """CORA's linearSysDT example, 20 samples in one window: the hull of the linear program over all of them."""
+    """CORA's linearSysDT example, 20 samples in one window: the hull of the linear program over all of
+    them.
+    """
     case = json.loads(shared("external/observer_2dim.json").read_text())[0]
     model, u, y, x0 = published(case)
     state = jb.observe(model, u, y, x0=x0, **JOINT | {"window": 20}).state
@@ -48,7 +52,9 @@ def test_widths_of_a_published_demonstration_are_the_exact_ones(shared, rng):
     w, v = case["w_radius"][0], case["v_radius"][0]
     model = jb.LinearSystem(case["A"], None, case["C"], noise=str(v), disturbance=([[1, 0], [0, 1]], str(w)))
     u, first = np.zeros((31, 0)), zonotope(case["x0_center"], case["x0_generators"])
-    y = np.array(jb.simulate(model, u, jax.random.key(30), x0=np.array(case["true_x0"], float), at="uniform").y)
+    y = np.array(
+        jb.simulate(model, u, jax.random.key(30), x0=np.array(case["true_x0"], float), at="uniform").y
+    )
     state = jb.observe(model, None, y, x0=first, order=10, method="joint", window=8).state
     corner = np.abs(case["x0_generators"]).sum(1)
     box = case["x0_center"] - corner, case["x0_center"] + corner
@@ -59,7 +65,9 @@ def test_widths_of_a_published_demonstration_are_the_exact_ones(shared, rng):
 
 
 def near_the_boundary(rng, N, T, seed):
-    """Return (proved, refuted, tried): recordings whose errors are up to a few hundredths beyond what programs over all samples explain."""
+    """Return (proved, refuted, tried): recordings whose errors are up to a few hundredths beyond what
+    programs over all samples explain.
+    """
     x0 = [-5.0, -5.0], [5.0, 5.0]
     u, _, y = recorded(PLANT, T, seed, N, at="vertices")
     y[:, T // 2 :, 0] += rng.uniform(-0.05, 0.1, (N, 1)) * rng.choice([-1, 1], (N, 1))
@@ -87,7 +95,9 @@ def test_five_thousand_cases_near_the_boundary(rng):
 
 
 def test_consistent_is_a_trajectory_through_all_samples(rng):
-    """Where it is said a program over all samples has a solution; healthy recordings mostly have it, also beyond the first window."""
+    """Where it is said a program over all samples has a solution; healthy recordings mostly have it, also
+    beyond the first window.
+    """
     x0 = [-5.0, -5.0], [5.0, 5.0]
     u = rng.normal(size=(24, 30, 1))
     found = jb.simulate(PLANT, u, jax.random.key(8), x0=rng.uniform(-3, 3, (24, 2)), at="uniform")
@@ -95,10 +105,17 @@ def test_consistent_is_a_trajectory_through_all_samples(rng):
     y[12:, 15:, 0] += np.linspace(0, 0.3, 12)[:, None]
     status = jb.observe(PLANT, u, y, x0=jb.interval(*x0), restart=False, **JOINT).status
     said = np.asarray(status) == jb.Status.CONSISTENT
-    print(f"CONSISTENT: {said[:12, 4:].mean():.2f} of healthy samples, {said[12:, -1].sum()} of 12 faulty recordings at their end")
+    print(
+        f"CONSISTENT: {said[:12, 4:].mean():.2f} of healthy samples, {said[12:, -1].sum()} of 12 faulty "
+        f"recordings at their end"
+    )
     assert said[:12, 4:].mean() > 0.5 and not said[:, :4].any()
-    bounded = jb.observe(PLANT.replace(tolerance=0, averages={"y1": {4: 0.01}}), u, y, x0=jb.interval(*x0), **JOINT).status
-    assert not (bounded == jb.Status.CONSISTENT).any(), "means of errors are bounds that an observer does not look at"
+    bounded = jb.observe(
+        PLANT.replace(tolerance=0, averages={"y1": {4: 0.01}}), u, y, x0=jb.interval(*x0), **JOINT
+    ).status
+    assert not (bounded == jb.Status.CONSISTENT).any(), (
+        "means of errors are bounds that an observer does not look at"
+    )
     for j in range(24):
         if said[j].any():
             k = int(np.flatnonzero(said[j])[-1])
@@ -117,7 +134,9 @@ def test_in_pieces_and_in_a_batch_it_says_the_same(rng):
             pieces.append(told)
         pieces = jax.tree.map(lambda *x: np.concatenate(x), *pieces)
         for a, b in zip(jax.tree.leaves(pieces), jax.tree.leaves(whole), strict=True):
-            np.testing.assert_allclose(a, b[j], rtol=1e-6, atol=1e-6)  # other blocks, other last digits of the search
+            np.testing.assert_allclose(
+                a, b[j], rtol=1e-6, atol=1e-6
+            )  # other blocks, other last digits of the search
     assert (whole.status[1] == jb.Status.FAULT).any() and not (whole.status[0] == jb.Status.FAULT).any()
 
 
@@ -133,7 +152,13 @@ def test_strips_beside_a_parallelotope_make_enclosures_narrower_and_none_wider(m
 
 def test_what_is_slow_is_seen_that_zonotopes_and_windows_miss():
     """A disturbed, slow plant and a sensor that drifts; taken in pieces, as a monitor would."""
-    slow = jb.LinearSystem([["0.99", "0.005"], ["0.005", "0.98"]], [["0.01"], [0]], [[1, 0]], noise="0.5", disturbance=([[1], [1]], "0.01"))
+    slow = jb.LinearSystem(
+        [["0.99", "0.005"], ["0.005", "0.98"]],
+        [["0.01"], [0]],
+        [[1, 0]],
+        noise="0.5",
+        disturbance=([[1], [1]], "0.01"),
+    )
     u, _, y = recorded(slow, 240, 1, at="uniform")
     y[:, 0] += 0.012 * np.maximum(np.arange(240) - 60, 0)
 
@@ -151,7 +176,11 @@ def test_what_is_slow_is_seen_that_zonotopes_and_windows_miss():
 
 
 def test_what_it_cannot_take_is_said():
-    for match, more in (("even number", {"window": 5}), ("even number", {"window": True}), ("method must be one of", {"method": "kalman"})):
+    for match, more in (
+        ("even number", {"window": 5}),
+        ("even number", {"window": True}),
+        ("method must be one of", {"method": "kalman"}),
+    ):
         with pytest.raises(ValueError, match=match):
             jb.observer(PLANT, **{"method": "joint", **more})
     assert jb.observer(PLANT, method="strips").weights.tolist() == [1.0]

@@ -1,4 +1,6 @@
-"""Where an input is missing that acts on an output at once, nobody knows what a perfect sensor shows: bands are entire there."""
+"""Where an input is missing that acts on an output at once, nobody knows what a perfect sensor shows: bands
+are entire there.
+"""
 
 from fractions import Fraction
 
@@ -9,16 +11,24 @@ import jaxbound as jb
 
 OFFSET = {"u": [2], "y": [-3]}
 PLANT = jb.LinearSystem(
-    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0]], [["10"]], noise="0.1", disturbance=([[1], ["0.5"]], "0.02"),
-    tolerance="0.01", offset=OFFSET,
-)  # fmt: skip
+    [["0.9", "0.2"], ["-0.1", "0.95"]],
+    [[0], [1]],
+    [[1, 0]],
+    [["10"]],
+    noise="0.1",
+    disturbance=([[1], ["0.5"]], "0.02"),
+    tolerance="0.01",
+    offset=OFFSET,
+)
 GAIN = jb.Uncertainty("gain", D=[[1]], between=("-0.5", "0.5"))
 MISSING = (12, 20, 29)
 OTHERS = [pytest.param(method, marks=pytest.mark.slow) for method in ("strips", "joint", "constrained")]
 
 
 def exact_run(model, gain):
-    """Return (u, y, states, outputs of a perfect sensor) of 30 samples, exact but for their last rounding to floats."""
+    """Return (u, y, states, outputs of a perfect sensor) of 30 samples, exact but for their last rounding to
+    floats.
+    """
     A, B, C, D, G = (getattr(model, letter) for letter in "ABCDG")
     x, rows = [Fraction(3), Fraction(-2)], []
     for k in range(30):
@@ -47,7 +57,12 @@ def test_bands_are_entire_where_an_input_that_acts_at_once_is_missing(model, gai
     found = jb.detect(jb.observer(model, method=method), u, y)
     seen = found.observation
     assert found.counts["FAULT"] == 0
-    for band, truth in ((seen.predicted, true), (seen.output, true), (found.readings, y), (seen.state, states)):
+    for band, truth in (
+        (seen.predicted, true),
+        (seen.output, true),
+        (found.readings, y),
+        (seen.state, states),
+    ):
         lo, hi = (np.asarray(end) for end in (band.lo, band.hi))
         assert ((lo <= truth) & (truth <= hi)).all()
     for band in (seen.predicted, seen.output, found.readings):

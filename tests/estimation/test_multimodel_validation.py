@@ -1,4 +1,6 @@
-"""Validation of multiple models: the state stays inside, no false alarm, the faulty sensor is found; the paper's scenario."""
+"""Validation of multiple models: the state stays inside, no false alarm, the faulty sensor is found; the
+paper's scenario.
+"""
 
 from fractions import Fraction
 
@@ -11,17 +13,30 @@ from jaxbound.sets.intervals.interval import Interval
 
 Status = jb.Status
 
-A = [[[0.51, -0.18, -0.23], [0.12, 0.81, -0.1], [0.29, -0.31, 0.55]], [[0.44, 0.29, 0.2], [0.325, 0.32, -0.2], [0.09, -0.09, 0.35]]]
+A = [
+    [[0.51, -0.18, -0.23], [0.12, 0.81, -0.1], [0.29, -0.31, 0.55]],
+    [[0.44, 0.29, 0.2], [0.325, 0.32, -0.2], [0.09, -0.09, 0.35]],
+]
 B = [[[0.5], [-0.28], [1.1]], [[0.78], [-1.25], [1.4]]]
 C = [
-    [[[-5.25, -5.05], [-1.78, -1.065], 1.12], [[0.89, 1.12], [0.16, 0.22], [-5, -4.5]], [[-2, -1.75], [-1.83, -1.3], [0.8, 1]]],
-    [[[-6.75, -6.2], [-2.5, -1.28], [1, 1.08]], [[1.85, 2.05], [0.14, 0.15], [-5.2, -4.5]], [[-2.1, -2], [-1.31, -1.3], [1.91, 2.09]]],
+    [
+        [[-5.25, -5.05], [-1.78, -1.065], 1.12],
+        [[0.89, 1.12], [0.16, 0.22], [-5, -4.5]],
+        [[-2, -1.75], [-1.83, -1.3], [0.8, 1]],
+    ],
+    [
+        [[-6.75, -6.2], [-2.5, -1.28], [1, 1.08]],
+        [[1.85, 2.05], [0.14, 0.15], [-5.2, -4.5]],
+        [[-2.1, -2], [-1.31, -1.3], [1.91, 2.09]],
+    ],
 ]
 FAULTS = ((10, 20), (40, 50), (60, 70))
 
 
 def gaussians(u):
-    """Return the activations: normalised, centres -1.25 and 0.25, sigma 0.75 (the paper draws them, without numbers)."""
+    """Return the activations: normalised, centres -1.25 and 0.25, sigma 0.75 (the paper draws them, without
+    numbers).
+    """
     g = np.exp(-(((u - np.array([-1.25, 0.25])) / 0.75) ** 2) / 2)
     return g / g.sum(-1, keepdims=True)
 
@@ -37,12 +52,17 @@ def paper(**options):
 
 def small(**options):
     """Return two sub-models of one state, seen by two sensors."""
-    models = [jb.interval_system([[a]], [[b]], [[[c, c + 0.1]], [[-2 * c, -1.9 * c]]]) for a, b, c in ((0.8, 1, 2), (0.5, -1, 1))]
+    models = [
+        jb.interval_system([[a]], [[b]], [[[c, c + 0.1]], [[-2 * c, -1.9 * c]]])
+        for a, b, c in ((0.8, 1, 2), (0.5, -1, 1))
+    ]
     return jb.MultiModel(models, linear, **options)
 
 
 def record(rng, m, u, push=0.0):
-    """Draw recordings (x, y, parts) with C anew each sample, half of the time at vertices, and a disturbance of each state."""
+    """Draw recordings (x, y, parts) with C anew each sample, half of the time at vertices, and a disturbance
+    of each state.
+    """
     count, T, _ = u.shape
     L, n, p = len(m.models), m.models[0].n, m.models[0].p
     x, parts = np.zeros((count, T, L, n)), np.zeros((count, T, L, p))
@@ -84,7 +104,9 @@ def test_parts_are_weighed_and_the_verdict_is_the_worst(rng):
 
     def fake(m, u, y, x0, starts):
         i = len(given)
-        found = jb.Validation(*(band(m) for _ in range(3)), rng.random((T, 2)) < 0.3, band(m), np.array(said[i], np.int8))
+        found = jb.Validation(
+            *(band(m) for _ in range(3)), rng.random((T, 2)) < 0.3, band(m), np.array(said[i], np.int8)
+        )
         given[i] = found, y, x0
         return found
 
@@ -99,7 +121,8 @@ def test_parts_are_weighed_and_the_verdict_is_the_worst(rng):
     np.testing.assert_array_equal(out.faulty, first.faulty | second.faulty)
     mu = linear(u)
     exact = lambda k, j, end: sum(
-        Fraction(float(mu[k, i])) * Fraction(float(getattr(v.output, end)[k, j])) for i, v in enumerate((first, second))
+        Fraction(float(mu[k, i])) * Fraction(float(getattr(v.output, end)[k, j]))
+        for i, v in enumerate((first, second))
     )
     for k in range(T):
         for j in range(2):
@@ -112,19 +135,28 @@ def test_parts_are_weighed_and_the_verdict_is_the_worst(rng):
                 <= hi
                 < exact(k, j, "hi") + Fraction(1, 10**12)
             )
-    assert np.isnan(out.residual.lo[2, 0]) and np.isfinite(np.delete(np.asarray(out.residual.lo).ravel(), 4)).all()
+    assert (
+        np.isnan(out.residual.lo[2, 0])
+        and np.isfinite(np.delete(np.asarray(out.residual.lo).ravel(), 4)).all()
+    )
     np.testing.assert_array_equal(out.state.lo, np.concatenate([first.state.lo, second.state.lo], -1))
 
 
 @pytest.mark.slow
 def test_two_small_models(rng):
-    """One compiled shape for all claims: fault-free, located, found too when the sensor is lost, weights that are less certain."""
+    """One compiled shape for all claims: fault-free, located, found too when the sensor is lost, weights that
+    are less certain.
+    """
     m, T, stretches = small(), 60, ((10, 20), (35, 45))
     u = rng.uniform(0, 1, (8, T, 1))
     x, y, _ = record(rng, m, u)
     healthy = jb.validate(m, u, y, x0=box(2))
     s = 1
-    assert inside(healthy, x).all() and not healthy.faulty.any() and not (np.asarray(healthy.status) == Status.FAULT).any()
+    assert (
+        inside(healthy, x).all()
+        and not healthy.faulty.any()
+        and not (np.asarray(healthy.status) == Status.FAULT).any()
+    )
     bad, truth = faulty(y, 6.0, stretches)
     found = jb.validate(m, u, bad, x0=box(2))
     assert (np.asarray(found.faulty) == truth).all() and inside(found, x).all()
@@ -132,17 +164,26 @@ def test_two_small_models(rng):
     assert right[:, s:].all()  # where the sensor lies, the interval still holds what it should have shown
     lost = jb.validate(m, u, np.where(truth, np.nan, y), x0=box(2))
     assert inside(lost, x).all() and not lost.faulty.any()
-    loose = jb.MultiModel(m.models, lambda u: jb.interval(np.maximum(linear(u) - 0.01, 0), np.minimum(linear(u) + 0.01, 1)))
+    loose = jb.MultiModel(
+        m.models, lambda u: jb.interval(np.maximum(linear(u) - 0.01, 0), np.minimum(linear(u) + 0.01, 1))
+    )
     blurred = jb.validate(loose, u, y, x0=box(2))
-    assert inside(blurred, x).all() and float(blurred.output.wid[:, s:].mean()) > float(healthy.output.wid[:, s:].mean())
+    assert inside(blurred, x).all() and float(blurred.output.wid[:, s:].mean()) > float(
+        healthy.output.wid[:, s:].mean()
+    )
 
     moved, shown, _ = record(rng, m, u, push=0.3)
     unit = jb.Uncertainty
     pushed = [
-        jb.LinearSystem([[a]], [[b]], [[f"{c + 0.05}"], [f"{-1.95 * c}"]], disturbance=([[1]], ["0.3"]),
-                        uncertainties=[unit("c1", C=[["0.05"], [0]]), unit("c2", C=[[0], [f"{0.05 * c}"]])])
+        jb.LinearSystem(
+            [[a]],
+            [[b]],
+            [[f"{c + 0.05}"], [f"{-1.95 * c}"]],
+            disturbance=([[1]], ["0.3"]),
+            uncertainties=[unit("c1", C=[["0.05"], [0]]), unit("c2", C=[[0], [f"{0.05 * c}"]])],
+        )
         for a, b, c in (("0.8", 1, 2), ("0.5", -1, 1))
-    ]  # fmt: skip
+    ]
     kept = jb.validate(jb.MultiModel(pushed, linear), u, shown, x0=box(2))
     assert inside(kept, moved).all() and not kept.faulty.any()
     assert jb.validate(m, u, shown, x0=box(2)).faulty.any()  # models that claim to be exact blame a sensor
@@ -167,7 +208,10 @@ def fits_the_state(m, u, x, y):
     weighted = np.repeat(gaussians(u), 3, -1) * x
     C = [np.concatenate([np.asarray(getattr(model.C, end)) for model in m.models], 1) for end in ("lo", "hi")]
     middle, radius = (C[0] + C[1]) / 2, (C[1] - C[0]) / 2
-    return abs(y - np.einsum("pj,ktj->ktp", middle, weighted)) <= np.einsum("pj,ktj->ktp", radius, abs(weighted)) + 1e-9
+    return (
+        abs(y - np.einsum("pj,ktj->ktp", middle, weighted))
+        <= np.einsum("pj,ktj->ktp", radius, abs(weighted)) + 1e-9
+    )
 
 
 @pytest.mark.long
@@ -177,19 +221,30 @@ def test_the_paper_s_scenario_from_the_mixture_alone(rng, s, count):
     u = rng.uniform(-2, 1, (count, 100, 1))
     x, y, _ = record(rng, m, u)
     healthy = jb.validate(m, u, y, horizon=s, x0=box(6))
-    assert inside(healthy, x)[:, s:].all() and not healthy.faulty.any() and not (np.asarray(healthy.status) == Status.FAULT).any()
+    assert (
+        inside(healthy, x)[:, s:].all()
+        and not healthy.faulty.any()
+        and not (np.asarray(healthy.status) == Status.FAULT).any()
+    )
     print(f"s={s}: {count} fault-free recordings, mean width {float(healthy.state.wid[:, s:].mean()):.4f}")
     for size in (2.0, 4.0, 8.0):
         bad, truth = faulty(y, size)
         found = jb.validate(m, u, bad, horizon=s, x0=box(6))
         blamed, hidden = np.asarray(found.faulty), truth & fits_the_state(m, u, x, bad)
         rates = ", ".join(f"{blamed[..., i][truth[..., i]].mean():.1%}" for i in range(3))
-        print(f"s={s} f={size:g}: located {rates}; {hidden.sum()} of {truth.sum()} fit the state itself, missed {(truth & ~blamed).sum()}, "
-              f"others blamed {(blamed & ~truth).sum()}, inside {inside(found, x)[:, s:].mean():.2%}")  # fmt: skip
-        complete = ~(truth & ~blamed).any((1, 2))  # the promise: where every faulty sample was found, the state is inside
+        print(
+            f"s={s} f={size:g}: located {rates}; {hidden.sum()} of {truth.sum()} fit the state itself, "
+            f"missed {(truth & ~blamed).sum()}, "
+            f"others blamed {(blamed & ~truth).sum()}, inside {inside(found, x)[:, s:].mean():.2%}"
+        )
+        complete = ~(truth & ~blamed).any(
+            (1, 2)
+        )  # the promise: where every faulty sample was found, the state is inside
         assert not (blamed & ~truth)[complete].any() and inside(found, x)[complete][:, s:].all()
         if size >= 4:
-            assert not (blamed & ~truth).any() and blamed[truth & ~hidden].mean() > (0.99 if size == 4 else 0.999)
+            assert not (blamed & ~truth).any() and blamed[truth & ~hidden].mean() > (
+                0.99 if size == 4 else 0.999
+            )
 
 
 @pytest.mark.long
@@ -213,11 +268,20 @@ def test_the_paper_s_scenario_where_partial_outputs_are_measured(rng):
 @pytest.mark.long
 def test_a_plant_that_is_off_needs_uncertain_models(rng):
     m, u = paper(), rng.uniform(-2, 1, (16, 100, 1))
-    off = jb.MultiModel([jb.interval_system(1.002 * np.array(a), b, c) for a, b, c in zip(A, B, C, strict=True)], gaussians)
+    off = jb.MultiModel(
+        [jb.interval_system(1.002 * np.array(a), b, c) for a, b, c in zip(A, B, C, strict=True)], gaussians
+    )
     x, y, _ = record(rng, off, u)
-    wide = lambda a: jb.interval(np.array(a) - 0.002 * abs(np.array(a)), np.array(a) + 0.002 * abs(np.array(a)) + 1e-15)
-    loose = jb.MultiModel([jb.interval_system(wide(a), b, c) for a, b, c in zip(A, B, C, strict=True)], gaussians)
+    wide = lambda a: jb.interval(
+        np.array(a) - 0.002 * abs(np.array(a)), np.array(a) + 0.002 * abs(np.array(a)) + 1e-15
+    )
+    loose = jb.MultiModel(
+        [jb.interval_system(wide(a), b, c) for a, b, c in zip(A, B, C, strict=True)], gaussians
+    )
     exact, honest = (jb.validate(model, u, y, horizon=1, x0=box(6)) for model in (m, loose))
     width = float(honest.state.wid[:, 1:].mean())
-    print(f"inside: exact {inside(exact, x).mean():.1%}, honest {inside(honest, x).mean():.1%}; width {width:.3f}")
+    print(
+        f"inside: exact {inside(exact, x).mean():.1%}, honest {inside(honest, x).mean():.1%}; width "
+        f"{width:.3f}"
+    )
     assert inside(exact, x).mean() < 0.5 and inside(honest, x)[:, 1:].all() and not honest.faulty.any()

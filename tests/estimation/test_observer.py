@@ -1,4 +1,6 @@
-"""Set observers: enclosures hold, against linear programs over everything since the start; FAULT is a proof, and is for good."""
+"""Set observers: enclosures hold, against linear programs over everything since the start; FAULT is a proof,
+and is for good.
+"""
 
 import json
 from functools import partial
@@ -53,10 +55,15 @@ def test_every_proof_of_a_fault_is_one_of_a_linear_program(rng):
 
 @pytest.mark.parametrize("order", [1, 20])
 def test_published_intervals_of_a_zonotopic_kalman_filter(shared, order):
-    """CORA's linearSysDT example: without a reduction to 1e-9; at order 20 rounding takes two of the 40 generators, and ours holds it."""
+    """CORA's linearSysDT example: without a reduction to 1e-9; at order 20 rounding takes two of the 40
+    generators, and ours holds it.
+    """
     case = json.loads(shared("external/observer_2dim.json").read_text())[0]
     model, u, y, x0 = published(case)
-    want, weight = np.array(case["cora_interval_of_last_set"]["FRad-A"]), (1, 1, 1)  # as many sets side by side as other tests have
+    want, weight = (
+        np.array(case["cora_interval_of_last_set"]["FRad-A"]),
+        (1, 1, 1),
+    )  # as many sets side by side as other tests have
     wide = jb.observe(model, u, y, order=40 if order > 1 else 1, weight=weight, x0=x0).state
     lo, hi = np.asarray(wide.lo)[-1], np.asarray(wide.hi)[-1]
     if order > 1:
@@ -73,7 +80,9 @@ SETS = ((6, None), (6, jb.interval([-50] * 3, [50] * 3)))
 
 
 def fault_free(rng, seeds, N, T, method, dtype=np.float64, sets=SETS):
-    """Return how many fault-free samples were observed: the state inside all, no FAULT; half of them with unknowns at vertices."""
+    """Return how many fault-free samples were observed: the state inside all, no FAULT; half of them with
+    unknowns at vertices.
+    """
     samples, bounded = 0, []
     for seed in seeds:
         kind = ("stable", "integrating", "unstable")[seed % 3]
@@ -83,7 +92,9 @@ def fault_free(rng, seeds, N, T, method, dtype=np.float64, sets=SETS):
         y[rng.random(y.shape) < 0.03] = np.nan
         for order, x0 in sets:
             try:
-                found = jb.observe(model, u, y, order=order, weight=(0.1, 1, 10), x0=x0, starts=[T // 2], method=method)
+                found = jb.observe(
+                    model, u, y, order=order, weight=(0.1, 1, 10), x0=x0, starts=[T // 2], method=method
+                )
             except ValueError as e:
                 assert x0 is None and "uncertain" in str(e)
                 continue
@@ -96,7 +107,9 @@ def fault_free(rng, seeds, N, T, method, dtype=np.float64, sets=SETS):
     return samples
 
 
-@pytest.mark.parametrize("method", [METHODS[0], *(pytest.param(one, marks=pytest.mark.slow) for one in METHODS[1:])])
+@pytest.mark.parametrize(
+    "method", [METHODS[0], *(pytest.param(one, marks=pytest.mark.slow) for one in METHODS[1:])]
+)
 def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng, method):
     assert fault_free(rng, range(6), 32, 60, method) > 15_000
 
@@ -112,14 +125,18 @@ def test_two_million_fault_free_samples(rng, method, dtype):
 
 
 def test_in_pieces_sample_by_sample_and_in_a_batch_it_says_the_same(rng):
-    u, _, y = recorded(PLANT, 40, 5, N=48, at="uniform")  # as many as another test has: their kernels are compiled once
+    u, _, y = recorded(
+        PLANT, 40, 5, N=48, at="uniform"
+    )  # as many as another test has: their kernels are compiled once
     y[1, 20:] += 3
     watch = partial(SetObserver, PLANT, 20, (1, 30, 1000), True, None, None)
     whole = jb.observe(PLANT, u, y)
     for j in range(3):
         alone = jb.observe(PLANT, u[j], y[j])
         for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(alone), strict=True):
-            np.testing.assert_allclose(a[j], b, rtol=1e-12, atol=1e-12)  # one recording is scalar code: other last digits
+            np.testing.assert_allclose(
+                a[j], b, rtol=1e-12, atol=1e-12
+            )  # one recording is scalar code: other last digits
         found = jb.detect(jb.observer(PLANT), u[j], y[j])
         np.testing.assert_array_equal(found.status, alone.status)
         np.testing.assert_allclose(found.margin, alone.margin, rtol=1e-12)
@@ -129,7 +146,11 @@ def test_in_pieces_sample_by_sample_and_in_a_batch_it_says_the_same(rng):
             for a, b in zip([0, *cuts], [*cuts, 40], strict=True):
                 carry, told = watching.fold(carry, Recording.of(PLANT, u[j, a:b], y[j, a:b]))
                 pieces.append(told)
-            for a, b in zip(jax.tree.leaves(jax.tree.map(lambda *x: np.concatenate(x), *pieces)), jax.tree.leaves(alone), strict=True):
+            for a, b in zip(
+                jax.tree.leaves(jax.tree.map(lambda *x: np.concatenate(x), *pieces)),
+                jax.tree.leaves(alone),
+                strict=True,
+            ):
                 np.testing.assert_array_equal(a, b)
     monitor = jb.Monitor(jb.observer(PLANT))
     state, said = monitor.init(), []
@@ -158,7 +179,9 @@ def test_gaps_missing_inputs_and_contradictions_begin_anew(rng):
     assert "".join(named) == "MM" + "U" * 10 + "F" + "MM" + "U" * 6 + "MM" + "U" * 3 + "MM" + "UU"
     assert found.since[[11, 12, 14, 20, 22, 27, 29]].tolist() == [0, 0, 13, 13, 21, 26, 26]
     latched = jb.detect(jb.observer(PLANT, restart=False), u, y, starts=[26])
-    assert (latched.status[12:26] == jb.Status.FAULT).all() and (latched.status[26:28] == jb.Status.MISSING).all()
+    assert (latched.status[12:26] == jb.Status.FAULT).all() and (
+        latched.status[26:28] == jb.Status.MISSING
+    ).all()
     assert np.isinf(found.state.hi[13]).all() and np.isfinite(found.state.hi[14]).all()
 
 
@@ -173,15 +196,25 @@ def test_nothing_is_enclosed_behind_a_contradiction_that_stays(more):
     proved = int((status == jb.Status.FAULT).argmax())
     assert 20 < proved < 40 and (status[proved:55] == jb.Status.FAULT).all()
     for name in ("state", "predicted", "output"):
-        lo, hi = (np.concatenate([getattr(getattr(x, name), end) for x in (first, second)]) for end in ("lo", "hi"))
+        lo, hi = (
+            np.concatenate([getattr(getattr(x, name), end) for x in (first, second)]) for end in ("lo", "hi")
+        )
         assert np.isnan(lo[proved + 1 : 55]).all() and np.isnan(hi[proved + 1 : 55]).all()
-        assert (lo[: proved + 1] <= hi[: proved + 1]).all() and (lo[55:] <= hi[55:]).all(), "no sooner, and not behind a gap"
+        assert (lo[: proved + 1] <= hi[: proved + 1]).all() and (lo[55:] <= hi[55:]).all(), (
+            "no sooner, and not behind a gap"
+        )
 
 
 def test_what_a_window_of_sixteen_never_sees_an_observer_does():
-    """A slow plant and a drifting sensor: a window with a free first state takes the drift for the plant's."""
+    """A slow plant and a drifting sensor: a window with a free first state takes the drift for the
+    plant's.
+    """
     slow = jb.LinearSystem(
-        [["0.999", 0], [0, "0.999"]], [["0.001"], ["0.001"]], [[1, 0], [0, 1]], noise="0.5", disturbance=([[1, 0], [0, 1]], "0.0005")
+        [["0.999", 0], [0, "0.999"]],
+        [["0.001"], ["0.001"]],
+        [[1, 0], [0, 1]],
+        noise="0.5",
+        disturbance=([[1, 0], [0, 1]], "0.0005"),
     )  # of sizes that other tests compile
     u, noise = np.ones((400, 1)), np.random.default_rng(0).uniform(-0.4, 0.4, (400, 2))
     y = 1 + noise + 0.005 * np.maximum(np.arange(400) - 100, 0)[:, None] * [1, 0]
@@ -216,7 +249,11 @@ def test_a_fault_is_explained_by_the_shortest_window_that_proves_it():
     y[20] += 3
     found = jb.detect(jb.observer(PLANT), u, y)
     why = found.explain(20)
-    assert why.proves == jb.Status.FAULT and why.at == (20,) and len(json.loads(why.to_json())["numbers"]["y"]) == 3
+    assert (
+        why.proves == jb.Status.FAULT
+        and why.at == (20,)
+        and len(json.loads(why.to_json())["numbers"]["y"]) == 3
+    )
     assert "observer" in repr(found)
     with pytest.raises(NotImplementedError, match="exhibits no behaviour"):
         found.explain(19)
@@ -228,7 +265,9 @@ def test_a_long_beginning_holds_the_state_where_large_inputs_cancel(rng):
     """The centre is off by 1e5 times the noise then, by rounding alone."""
     model = jb.LinearSystem([[0, 1], [-1, 0]], [[1, -1], [1, -1]], [[1, 0]], noise="1e-12")
     A, C = (np.array(M, float) for M in (model.A, model.C))
-    x = (np.stack([np.linalg.matrix_power(A, k) for k in range(40)]) @ rng.uniform(-1, 1, (32, 1, 2, 1)))[..., 0]
+    x = (np.stack([np.linalg.matrix_power(A, k) for k in range(40)]) @ rng.uniform(-1, 1, (32, 1, 2, 1)))[
+        ..., 0
+    ]
     u = np.repeat(rng.uniform(-1e9, 1e9, (32, 40, 1)), 2, -1)
     found = jb.observe(model, u, x @ C.T, horizon=31, order=4, weight=1)
     assert inside(found, x).all() and not (found.status == jb.Status.FAULT).any()

@@ -1,4 +1,6 @@
-"""Bounds of averages inside windows that remember: proofs are those of linear programs with one more row for each run."""
+"""Bounds of averages inside windows that remember: proofs are those of linear programs with one more row for
+each run.
+"""
 
 import jax
 import numpy as np
@@ -9,14 +11,26 @@ from scipy.optimize import linprog
 import jaxbound as jb
 
 STILL = jb.LinearSystem(
-    [["0.95", "0.1"], [0, "0.9"]], [[0], [1]], [[1, 0]], noise="0.5", disturbance=([[1, 0], [0, 1]], ["0.05", ["-0.02", "0.04"]]),
+    [["0.95", "0.1"], [0, "0.9"]],
+    [[0], [1]],
+    [[1, 0]],
+    noise="0.5",
+    disturbance=([[1, 0], [0, 1]], ["0.05", ["-0.02", "0.04"]]),
     averages={"y1": {6: "0.05"}, "w2": {4: "0.015"}},
-)  # fmt: skip
-HOW = {"method": "joint", "window": 16, "order": 6, "restart": False, "x0": jb.interval([-5.0, -5.0], [5.0, 5.0])}
+)
+HOW = {
+    "method": "joint",
+    "window": 16,
+    "order": 6,
+    "restart": False,
+    "x0": jb.interval([-5.0, -5.0], [5.0, 5.0]),
+}
 
 
 def ends(model, u, y, x0, averages):
-    """Return the least and largest of each last state, by programs in the first state, disturbances and errors; None: nothing explains."""
+    """Return the least and largest of each last state, by programs in the first state, disturbances and
+    errors; None: nothing explains.
+    """
     A, B, C, G = (np.array(getattr(model, name), float) for name in "ABCG")
     n, g, p, T = model.n, model.g, model.p, len(y)
     lo, hi = np.array(model.disturbance, float).T
@@ -36,9 +50,15 @@ def ends(model, u, y, x0, averages):
         for first in range(T - (not measured) - len(weights) + 1):
             steps = range(first, first + len(weights))
             if measured:
-                row, known = (sum(w * errors[k][part][i] for w, k in zip(weights, steps, strict=True)) for part in (0, 1))
+                row, known = (
+                    sum(w * errors[k][part][i] for w, k in zip(weights, steps, strict=True))
+                    for part in (0, 1)
+                )
             else:
-                row, known = sum(w * np.eye(count)[n + g * k + i] for w, k in zip(weights, steps, strict=True)), 0.0
+                row, known = (
+                    sum(w * np.eye(count)[n + g * k + i] for w, k in zip(weights, steps, strict=True)),
+                    0.0,
+                )
             rows += [row, -row]
             right += [float(average.bound) - known, float(average.bound) + known]
     bounds = [*zip(*x0, strict=True), *[(a, b) for _ in range(T - 1) for a, b in zip(lo, hi, strict=True)]]
@@ -46,7 +66,9 @@ def ends(model, u, y, x0, averages):
     out = np.zeros((2, n))
     for i in range(n):
         for side, sign in enumerate((1, -1)):
-            found = linprog(sign * X[i], np.array(rows)[keep], np.array(right)[keep], bounds=bounds, method="highs")
+            found = linprog(
+                sign * X[i], np.array(rows)[keep], np.array(right)[keep], bounds=bounds, method="highs"
+            )
             if found.status == 2:
                 return None
             assert found.status == 0 and p == 1
@@ -62,7 +84,9 @@ def drawn(N, T, seed):
 
 
 def test_faults_that_only_averages_show_are_those_of_programs():
-    """An offset within the noise, or little beyond it: what one window over all samples proves, and its states, are those of HiGHS."""
+    """An offset within the noise, or little beyond it: what one window over all samples proves, and its
+    states, are those of HiGHS.
+    """
     N, T, x0 = 24, 14, ([-5.0, -5.0], [5.0, 5.0])
     u, _, y = drawn(N, T, 2)
     y[:, 5:, 0] += np.linspace(0, 0.6, N)[:, None]
@@ -73,13 +97,20 @@ def test_faults_that_only_averages_show_are_those_of_programs():
     apart = []
     for j in range(N):
         exact, without = (ends(STILL, u[j], y[j], x0, more) for more in (True, False))
-        proved, refuted, alone = proved + wrong[j, -1], refuted + (exact is None), alone + (exact is None and without is not None)
+        proved, refuted, alone = (
+            proved + wrong[j, -1],
+            refuted + (exact is None),
+            alone + (exact is None and without is not None),
+        )
         assert not (wrong[j, -1] and exact is not None) and not (before[j, -1] and without is not None)
         if exact is not None:
             lo, hi = np.asarray(found.state.lo[j, -1]), np.asarray(found.state.hi[j, -1])
             assert (lo <= exact[0] + 1e-9).all() and (exact[1] - 1e-9 <= hi).all()
             apart.append(max((exact[0] - lo).max(), (hi - exact[1]).max()))
-    print(f"{proved} of {refuted} contradictions proved, {alone} by averages alone; ends of states off by {np.round(np.sort(apart), 6)}")
+    print(
+        f"{proved} of {refuted} contradictions proved, {alone} by averages alone; ends of states off by "
+        f"{np.round(np.sort(apart), 6)}"
+    )
     assert refuted > 5 and alone >= 2 and proved == refuted and max(apart) < 1e-6
 
 

@@ -1,4 +1,6 @@
-"""In the kernels that prove, as they are compiled, a number that is searched for without a claim is stored before it is used."""
+"""In the kernels that prove, as they are compiled, a number that is searched for without a claim is stored
+before it is used.
+"""
 
 import re
 
@@ -12,7 +14,9 @@ from jaxbound.sets.linear_systems import hull
 
 
 def stored_quotients(text):
-    """Return of a compiled text (quotients that end a loop which stands in one place, all others of `stored`): lines."""
+    """Return of a compiled text (quotients that end a loop which stands in one place, all others of
+    `stored`): lines.
+    """
     ends, within, loop = [], [], ""
     for line in text.splitlines():
         if line.endswith("{"):
@@ -34,7 +38,9 @@ def compiled(monkeypatch, module, name, call):
     """Return the compiled text of a kernel of a module as a call uses it."""
     kernel, given = getattr(module, name), []
     jitted = kernel if hasattr(kernel, "lower") else jax.jit(kernel, static_argnames="steps")
-    monkeypatch.setattr(module, name, lambda *args, **more: given.append((args, more)) or kernel(*args, **more))
+    monkeypatch.setattr(
+        module, name, lambda *args, **more: given.append((args, more)) or kernel(*args, **more)
+    )
     call()
     args, more = given[0]
     return jitted.lower(*args, **more).compile().as_text()
@@ -46,16 +52,26 @@ def observed(method):
 
 
 def tightened():
-    M = jb.Interval(np.full((3, 2, 64), 0.5) + np.arange(6.0).reshape(3, 2, 1), np.full((3, 2, 64), 0.6) + np.arange(6.0).reshape(3, 2, 1))
-    h, box = jb.Interval(np.ones((3, 64)), np.full((3, 64), 2.0)), jb.Interval(-np.ones((2, 64)), np.ones((2, 64)))
+    M = jb.Interval(
+        np.full((3, 2, 64), 0.5) + np.arange(6.0).reshape(3, 2, 1),
+        np.full((3, 2, 64), 0.6) + np.arange(6.0).reshape(3, 2, 1),
+    )
+    h, box = (
+        jb.Interval(np.ones((3, 64)), np.full((3, 64), 2.0)),
+        jb.Interval(-np.ones((2, 64)), np.ones((2, 64))),
+    )
     hull.tighten(M, h, box, steps=20)
 
 
-@pytest.mark.parametrize("module, name, call, least", [
-    (zonotope_steps, "follow", observed("zonotope"), 1),
-    pytest.param(constrained_steps, "follow", observed("constrained"), 5, marks=pytest.mark.slow),
-    pytest.param(hull, "tighten", tightened, 5, marks=pytest.mark.slow),
-], ids=["zonotope", "constrained", "hull"])  # fmt: skip
+@pytest.mark.parametrize(
+    "module, name, call, least",
+    [
+        (zonotope_steps, "follow", observed("zonotope"), 1),
+        pytest.param(constrained_steps, "follow", observed("constrained"), 5, marks=pytest.mark.slow),
+        pytest.param(hull, "tighten", tightened, 5, marks=pytest.mark.slow),
+    ],
+    ids=["zonotope", "constrained", "hull"],
+)
 def test_what_is_searched_for_is_stored_once_in_the_compiled_kernel(monkeypatch, module, name, call, least):
     text = compiled(monkeypatch, module, name, call)
     ends, others = stored_quotients(text)

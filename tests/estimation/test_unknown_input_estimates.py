@@ -1,4 +1,6 @@
-"""Intervals of unknown inputs: they contain the truth, are as tight as a linear program allows, and say where nothing is known."""
+"""Intervals of unknown inputs: they contain the truth, are as tight as a linear program allows, and say where
+nothing is known.
+"""
 
 import jax
 import numpy as np
@@ -7,20 +9,39 @@ from oracles import MODELS, Plant, Program, Windows
 
 import jaxbound as jb
 
-TANKS = dict(A=[["0.96", "0.03"], ["0.03", "0.95"]], B=[["0.5"], [0]], C=[[1, 0], [0, 1]], noise=[0.02, 0.01], tolerance=[0.005, 0],
-             resolution=0.0005, unknown_inputs=([[0], [-1]], [[0], [0]]))  # fmt: skip
+TANKS = dict(
+    A=[["0.96", "0.03"], ["0.03", "0.95"]],
+    B=[["0.5"], [0]],
+    C=[[1, 0], [0, 1]],
+    noise=[0.02, 0.01],
+    tolerance=[0.005, 0],
+    resolution=0.0005,
+    unknown_inputs=([[0], [-1]], [[0], [0]]),
+)
 
 
 def recording(T, rng, leak, batch=(), dtype=np.float64):
     m = jb.LinearSystem(**TANKS)
     u = rng.uniform(0, 2, (*batch, T, 1)).astype(dtype)
-    t = jb.simulate(m, u, jax.random.key(int(rng.integers(2**31))), x0=np.array([30.0, 20.0]), at="vertices", unknown_input=leak)
+    t = jb.simulate(
+        m,
+        u,
+        jax.random.key(int(rng.integers(2**31))),
+        x0=np.array([30.0, 20.0]),
+        at="vertices",
+        unknown_input=leak,
+    )
     return m, u, np.array(t.y)
 
 
-@pytest.mark.parametrize("batch, dtype", [
-    (4, np.float64), pytest.param(250, np.float64, marks=pytest.mark.long), pytest.param(40, np.float32, marks=pytest.mark.long),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "batch, dtype",
+    [
+        (4, np.float64),
+        pytest.param(250, np.float64, marks=pytest.mark.long),
+        pytest.param(40, np.float32, marks=pytest.mark.long),
+    ],
+)
 def test_a_leak_of_a_two_tank_rig_is_always_inside(batch, dtype, rng):
     T, w = 4100, 0.4
     leak = (rng.uniform(0, w, (batch, T, 1)) * (rng.uniform(size=(batch, T, 1)) < 0.5)).astype(dtype)
@@ -36,8 +57,19 @@ def test_a_leak_of_a_two_tank_rig_is_always_inside(batch, dtype, rng):
     assert np.median(width) < 0.1
 
 
-@pytest.mark.parametrize("spec, s, position", [(TANKS, 2, 0), (TANKS, 3, 1), (MODELS["three states"] | dict(
-    unknown_inputs=([[1], [0], [0]], [[0], [0]]), disturbance=([[0], [0], [1]], [[0, "0.1"]])), 3, None)])  # fmt: skip
+@pytest.mark.parametrize(
+    "spec, s, position",
+    [
+        (TANKS, 2, 0),
+        (TANKS, 3, 1),
+        (
+            MODELS["three states"]
+            | dict(unknown_inputs=([[1], [0], [0]], [[0], [0]]), disturbance=([[0], [0], [1]], [[0, "0.1"]])),
+            3,
+            None,
+        ),
+    ],
+)
 def test_the_interval_is_that_of_the_program(spec, s, position, rng):
     """Minimise and maximise v over all behaviours that give the samples. HiGHS."""
     plant, m = Plant(**spec), jb.LinearSystem(**spec)
@@ -80,22 +112,34 @@ def test_missing_samples_widen_it_and_samples_that_nothing_explains_empty_it(rng
 def test_an_input_that_acts_at_once_has_no_lag():
     m = jb.LinearSystem([[0.5]], None, [[1], [1]], noise=0.1, unknown_inputs=([[0]], [[0], [1]]))
     found = jb.unknown_inputs(m, None, [[1.0, 4.0], [0.5, 0.5], [0.2, 0.3]])
-    assert found.lags == (0,) and found.values.lo[0, 0] == -np.inf and found.values.lo[1, 0] > -0.21 and found.values.hi[1, 0] < 0.21
+    assert (
+        found.lags == (0,)
+        and found.values.lo[0, 0] == -np.inf
+        and found.values.lo[1, 0] > -0.21
+        and found.values.hi[1, 0] < 0.21
+    )
 
 
 def test_one_of_two_may_be_known():
     m = jb.LinearSystem([[0.5, 0], [0, 0.2]], None, [[1, 0]], noise=0.1, unknown_inputs=[[1, 0], [0, 1]])
     found = jb.unknown_inputs(m, None, np.zeros((6, 1)))
-    assert found.lags == (1, None) and np.isinf(found.values.lo[:, 1]).all() and np.isfinite(found.values.lo[1:-1, 0]).all()
+    assert (
+        found.lags == (1, None)
+        and np.isinf(found.values.lo[:, 1]).all()
+        and np.isfinite(found.values.lo[1:-1, 0]).all()
+    )
 
 
-@pytest.mark.parametrize("change, args, said", [
-    (dict(unknown_inputs=None), {}, "the model has no unknown inputs"),
-    (dict(unknown_inputs=[[1, 0], [0, 1]], C=[[0, 0], [0, 0]]), {}, "determines an unknown input"),
-    ({}, dict(horizon=1.5), "horizon must be a whole number >= 0, not 1.5"),
-    ({}, dict(horizon=0), "no window of horizon 0 determines an unknown input"),
-    ({}, dict(horizon=40), "windows of horizon 40 are too long to work out the unknown inputs"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, args, said",
+    [
+        (dict(unknown_inputs=None), {}, "the model has no unknown inputs"),
+        (dict(unknown_inputs=[[1, 0], [0, 1]], C=[[0, 0], [0, 0]]), {}, "determines an unknown input"),
+        ({}, dict(horizon=1.5), "horizon must be a whole number >= 0, not 1.5"),
+        ({}, dict(horizon=0), "no window of horizon 0 determines an unknown input"),
+        ({}, dict(horizon=40), "windows of horizon 40 are too long to work out the unknown inputs"),
+    ],
+)
 def test_what_cannot_be_estimated_is_refused(change, args, said):
     with pytest.raises(ValueError, match=said):
         jb.unknown_inputs(jb.LinearSystem(**(TANKS | change)), np.zeros((9, 1)), np.zeros((9, 2)), **args)

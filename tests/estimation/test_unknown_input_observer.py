@@ -1,4 +1,6 @@
-"""Set observers of models with unknown inputs: whatever these do, the state is inside, and a FAULT is one of a linear program."""
+"""Set observers of models with unknown inputs: whatever these do, the state is inside, and a FAULT is one of
+a linear program.
+"""
 
 import json
 
@@ -14,11 +16,22 @@ from jaxbound.certificates.long_window import exceeds, stretch
 from jaxbound.exact import linalg
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 
-SPRINGS = [["1", "0.1", "0", "0"], ["-0.1", "0.9", "0.1", "0"], ["0", "0", "1", "0.1"], ["0.1", "0", "-0.1", "0.95"]]
+SPRINGS = [
+    ["1", "0.1", "0", "0"],
+    ["-0.1", "0.9", "0.1", "0"],
+    ["0", "0", "1", "0.1"],
+    ["0.1", "0", "-0.1", "0.95"],
+]
 TANK = jb.LinearSystem(
-    [["0.9", "0.2"], ["-0.1", "0.95"]], [[0], [1]], [[1, 0], [0, 1], [1, 1]], [["0.3"], [0], ["0.5"]], noise=["0.1", "0.2", "0.3"],
-    disturbance=([[1], ["0.5"]], "0.02"), unknown_inputs=[[1], ["0.5"]], tolerance=[0, "0.01", 0],
-)  # fmt: skip
+    [["0.9", "0.2"], ["-0.1", "0.95"]],
+    [[0], [1]],
+    [[1, 0], [0, 1], [1, 1]],
+    [["0.3"], [0], ["0.5"]],
+    noise=["0.1", "0.2", "0.3"],
+    disturbance=([[1], ["0.5"]], "0.02"),
+    unknown_inputs=[[1], ["0.5"]],
+    tolerance=[0, "0.01", 0],
+)
 """Each of its outputs shows the unknown input at once."""
 MASSES = jb.LinearSystem(
     SPRINGS,
@@ -35,12 +48,15 @@ SYSTEMS = {"tank": TANK, "masses": MASSES, "gauge": GAUGE}
 
 
 def program(model, u, y, k, x0=None):
-    """Return the least and largest of each state of sample k that explain all samples up to it; None: nothing does.
+    """Return the least and largest of each state of sample k that explain all samples up to it; None: nothing
+    does.
 
-    Independent of the observer: floats of the model, variables are all states, disturbances and unknown inputs, these without bounds.
+    Independent of the observer: floats of the model, variables are all states, disturbances and unknown
+    inputs, these without bounds.
     """
     A, B, C, D, F, D_v, G = (
-        np.array(getattr(model, x), float).reshape(len(getattr(model, x)), -1) for x in ("A", "B", "C", "D", "F", "D_v", "G")
+        np.array(getattr(model, x), float).reshape(len(getattr(model, x)), -1)
+        for x in ("A", "B", "C", "D", "F", "D_v", "G")
     )
     n, g, d, T = model.n, model.g, model.d, k + 1
     at = lambda j, what: {"x": j * n, "w": T * n + j * g, "d": T * (n + g) + j * d}[what]
@@ -61,7 +77,9 @@ def program(model, u, y, k, x0=None):
         for i in range(model.p):
             if not np.isnan(y[j, i]):
                 t, r = float(model.tolerance[i]), float(model.noise[i])
-                values = [(y[j, i] + a) / (1 + b) - (D[i] @ v if B.size else 0) for a in (-r, r) for b in (-t, t)]
+                values = [
+                    (y[j, i] + a) / (1 + b) - (D[i] @ v if B.size else 0) for a in (-r, r) for b in (-t, t)
+                ]
                 row = np.zeros(count)
                 row[at(j, "x") : at(j, "x") + n], row[at(j, "d") : at(j, "d") + d] = C[i], D_v[i]
                 below += [row, -row]
@@ -79,16 +97,22 @@ def program(model, u, y, k, x0=None):
 
 
 def recorded(model, T, key, N, at="uniform", dtype=np.float64):
-    """Return u, x, y of fault-free recordings whose unknown inputs are anything between nothing and a thousand."""
+    """Return u, x, y of fault-free recordings whose unknown inputs are anything between nothing and a
+    thousand.
+    """
     rng = np.random.default_rng(key)
     u, size = rng.normal(size=(N, T, model.m)).astype(dtype), 10 ** rng.uniform(-3, 3, (N, T, 1))
     d = (size * rng.normal(size=(N, T, model.d))).astype(dtype)
-    found = jb.simulate(model, u, jax.random.key(key), x0=3 * rng.normal(size=(N, model.n)), at=at, unknown_input=d)
+    found = jb.simulate(
+        model, u, jax.random.key(key), x0=3 * rng.normal(size=(N, model.n)), at=at, unknown_input=d
+    )
     return np.array(found.u), np.asarray(found.x, np.float64), np.array(found.y)
 
 
 def inside(found, x, size, dtype):
-    slack = (1e-12 if dtype == np.float64 else 2e-6) * (1 + abs(x) + size)  # of the states as simulate returns them
+    slack = (1e-12 if dtype == np.float64 else 2e-6) * (
+        1 + abs(x) + size
+    )  # of the states as simulate returns them
     return (np.asarray(found.state.lo) <= x + slack) & (x - slack <= np.asarray(found.state.hi))
 
 
@@ -107,14 +131,19 @@ def test_an_enclosure_holds_what_linear_programs_with_free_inputs_allow(name):
             assert (got[0] <= lo + slack).all() and (hi - slack <= got[1]).all()
             if found.since[1, k] == 0 and k:
                 bounded = np.isfinite(hi - lo)
-                assert (np.isfinite(got).all(0) == bounded).all(), "nothing is known of exactly the states that inputs may move unseen"
+                assert (np.isfinite(got).all(0) == bounded).all(), (
+                    "nothing is known of exactly the states that inputs may move unseen"
+                )
                 assert ((got[1] - got[0]) < 4 * (hi - lo))[bounded].all(), "and the rest is not much wider"
                 compared += 1
     assert compared >= 1
     assert (name == "masses") == (not np.isfinite(free.state.hi[..., 1]).any())
 
 
-@pytest.mark.parametrize("name", ["tank", pytest.param("masses", marks=pytest.mark.slow), pytest.param("gauge", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name",
+    ["tank", pytest.param("masses", marks=pytest.mark.slow), pytest.param("gauge", marks=pytest.mark.slow)],
+)
 def test_every_proof_of_a_fault_is_one_of_a_linear_program(name):
     """Near the boundary: jumps of a sensor from far below to far above what can be proved."""
     model, N = SYSTEMS[name], 24
@@ -142,7 +171,11 @@ def test_joint_observers_prove_nearly_what_programs_with_free_inputs_refute_and_
     assert inside(healthy, x, 1, np.float64).all() and not (healthy.status == jb.Status.FAULT).any()
     lo, hi = program(model, u[1], y[1], T - 1)
     got = healthy.state.lo[1, -1], healthy.state.hi[1, -1]
-    assert (got[0] <= lo + 1e-9).all() and (hi <= got[1] + 1e-9).all() and (got[1] - got[0] < 1.1 * (hi - lo)).all()
+    assert (
+        (got[0] <= lo + 1e-9).all()
+        and (hi <= got[1] + 1e-9).all()
+        and (got[1] - got[0] < 1.1 * (hi - lo)).all()
+    )
     y[:, 16:, 0] += np.linspace(0.05, 1.6, N)[:, None]
     found = jb.observe(model, u, y, method="joint", window=8, restart=False)
     proved = [int(wrong.argmax()) if wrong.any() else None for wrong in found.status == jb.Status.FAULT]
@@ -152,7 +185,9 @@ def test_joint_observers_prove_nearly_what_programs_with_free_inputs_refute_and_
 
 
 def systems(rng):
-    """Return a random model with one or two unknown inputs, on states, outputs or both, and everything else that a model can have."""
+    """Return a random model with one or two unknown inputs, on states, outputs or both, and everything else
+    that a model can have.
+    """
     while True:
         n, p, d = rng.integers(2, 5), rng.integers(2, 5), rng.integers(1, 3)
         A = rng.normal(size=(n, n))
@@ -160,11 +195,23 @@ def systems(rng):
         some = lambda *shape: rng.normal(size=shape).round(2) * (rng.random(shape) < 0.6)
         B, C, D, G, F = some(n, 1), some(p, n), some(p, 1), some(n, 2), some(n, d)
         D_v = some(p, d) * (rng.random() < 0.3)
-        more = {"uncertainties": [jb.Uncertainty("a", A=(0.003 * rng.normal(size=(n, n))).round(5))]} if rng.random() < 0.3 else {}
+        more = (
+            {"uncertainties": [jb.Uncertainty("a", A=(0.003 * rng.normal(size=(n, n))).round(5))]}
+            if rng.random() < 0.3
+            else {}
+        )
         model = jb.LinearSystem(
-            A, B, C, D, noise=rng.choice([0.02, 0.1, 0.3], p), tolerance=rng.choice([0, 0.02], p), unknown_inputs=(F, D_v),
-            disturbance=(G, [[-0.02, 0.05], [0, 0]]), offset={"u": 1.5, "y": rng.normal(size=p).round(1)}, **more,
-        )  # fmt: skip
+            A,
+            B,
+            C,
+            D,
+            noise=rng.choice([0.02, 0.1, 0.3], p),
+            tolerance=rng.choice([0, 0.02], p),
+            unknown_inputs=(F, D_v),
+            disturbance=(G, [[-0.02, 0.05], [0, 0]]),
+            offset={"u": 1.5, "y": rng.normal(size=p).round(1)},
+            **more,
+        )
         try:
             jb.observer(model, x0=jb.interval([-1.0] * n, [1.0] * n))
         except ValueError as e:
@@ -174,7 +221,9 @@ def systems(rng):
 
 
 def fault_free(models, N, T, dtype, methods=("zonotope", "strips")):
-    """Return how many fault-free samples were observed, and of how many something was known of a state; half with unknowns at vertices."""
+    """Return how many fault-free samples were observed, and of how many something was known of a state; half
+    with unknowns at vertices.
+    """
     samples, known = 0, 0
     for seed, model in enumerate(models):
         u, x, y = recorded(model, T, seed, N, ("vertices", "uniform")[seed % 2], dtype)
@@ -186,7 +235,9 @@ def fault_free(models, N, T, dtype, methods=("zonotope", "strips")):
             try:
                 found = jb.observe(model, u, y, order=5, method=method, x0=x0, starts=[T // 2])
             except ValueError as e:
-                assert "needs outputs" in str(e) if method == "joint" else x0 is None and "do not show" in str(e)
+                assert (
+                    "needs outputs" in str(e) if method == "joint" else x0 is None and "do not show" in str(e)
+                )
                 continue
             assert inside(found, x, size, dtype).all() and not (found.status == jb.Status.FAULT).any()
             samples += y[..., 0].size
@@ -204,7 +255,10 @@ def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault():
 def test_half_a_million_fault_free_samples(rng, dtype):
     with jax.enable_x64(dtype == np.float64):
         samples, known = fault_free([systems(rng) for _ in range(40)], 100, 96, dtype)
-    print(f"{np.dtype(dtype).name}: {samples} fault-free samples, {known} with bounds of a state, the state inside all, 0 FAULT")
+    print(
+        f"{np.dtype(dtype).name}: {samples} fault-free samples, {known} with bounds of a state, the state "
+        f"inside all, 0 FAULT"
+    )
     assert samples > 500_000 and known > 0.3 * samples
 
 
@@ -213,7 +267,10 @@ def test_half_a_million_fault_free_samples(rng, dtype):
 def test_fifty_thousand_fault_free_samples_of_joint_observers(rng, dtype):
     with jax.enable_x64(dtype == np.float64):
         samples, known = fault_free([systems(rng) for _ in range(16)], 64, 96, dtype, ["joint"])
-    print(f"joint, {np.dtype(dtype).name}: {samples} fault-free samples, {known} with bounds of a state, the state inside all, 0 FAULT")
+    print(
+        f"joint, {np.dtype(dtype).name}: {samples} fault-free samples, {known} with bounds of a state, the "
+        f"state inside all, 0 FAULT"
+    )
     assert samples > 50_000 and known > 0.3 * samples
 
 
@@ -241,8 +298,14 @@ def test_a_model_is_refused_exactly_where_no_window_has_a_relation(rng):
         assert found is not None
         S = linalg.transpose(found.rows)
         for way in found.ways:
-            seen = [[sum(row) for row in zip(*parts, strict=True)] for parts in zip(linalg.matmul(whole.C, way.M), linalg.matmul(
-                linalg.matmul(whole.C, way.H), whole.C), strict=True)]  # fmt: skip
+            seen = [
+                [sum(row) for row in zip(*parts, strict=True)]
+                for parts in zip(
+                    linalg.matmul(whole.C, way.M),
+                    linalg.matmul(linalg.matmul(whole.C, way.H), whole.C),
+                    strict=True,
+                )
+            ]
             assert not any(x for row in linalg.matmul(way.M, S) for x in row)
             assert tuple(map(tuple, seen)) == whole.C
     assert 5 <= refused <= 55
@@ -253,7 +316,9 @@ def test_an_output_that_is_missing_is_replaced_by_another_and_only_all_of_them_b
     some, none = y.copy(), y.copy()
     some[:, 6, :2], none[:, 6] = np.nan, np.nan
     found = jb.observe(TANK, u, some, restart=False)
-    assert found.status[0, 6:].tolist() == [jb.Status.MISSING, *[jb.Status.UNDECIDED] * 7], "one output shows the unknown input: no test"
+    assert found.status[0, 6:].tolist() == [jb.Status.MISSING, *[jb.Status.UNDECIDED] * 7], (
+        "one output shows the unknown input: no test"
+    )
     assert (found.since[0, 1:] == 0).all() and np.isfinite(found.state.hi[0, 6]).all()
     found = jb.observe(TANK, u, none)
     assert found.since[0, 6] == -1 and found.since[0, 8] == 7
@@ -298,9 +363,13 @@ def test_an_unknown_input_that_is_made_a_state_is_enclosed_one_sample_later(rng)
     u, y = np.array(found.u), np.array(found.y)
     y[30] = np.nan
     more = TANK.replace(
-        A=[["0.9", "0.2", 0], ["-0.1", "0.95", 0], [0, 0, 0]], B=[[0], [1], [0]], C=[[1, 0, 0], [0, 1, 0], [1, 1, 0]],
-        disturbance=([[1], ["0.5"], [0]], "0.02"), unknown_inputs=[[1], ["0.5"], [1]], states=["x1", "x2", "before"],
-    )  # fmt: skip
+        A=[["0.9", "0.2", 0], ["-0.1", "0.95", 0], [0, 0, 0]],
+        B=[[0], [1], [0]],
+        C=[[1, 0, 0], [0, 1, 0], [1, 1, 0]],
+        disturbance=([[1], ["0.5"], [0]], "0.02"),
+        unknown_inputs=[[1], ["0.5"], [1]],
+        states=["x1", "x2", "before"],
+    )
     state = jb.observe(more, u, y).state
     lo, hi = np.asarray(state.lo)[1:, 2], np.asarray(state.hi)[1:, 2]
     assert ((lo <= d[:-1, 0]) & (d[:-1, 0] <= hi)).all()
@@ -313,8 +382,14 @@ def test_what_an_observer_of_unknown_inputs_cannot_take_is_said():
             "unknown input 1 alone explains whatever the 1 outputs show",
             jb.LinearSystem([[0.5]], None, [[1]], noise=1, unknown_inputs=[[1]]),
         ),
-        ("unknown inputs 1, 3 together explain", MASSES.replace(unknown_inputs=[[0, 0, 0], [1, 1, 0], [0, 0, 0], [0, 0, 1]])),
-        ("needs certain outputs, and 'a' acts on C", TANK.replace(uncertainties=[jb.Uncertainty("a", C=[[1, 0], [0, 0], [0, 0]])])),
+        (
+            "unknown inputs 1, 3 together explain",
+            MASSES.replace(unknown_inputs=[[0, 0, 0], [1, 1, 0], [0, 0, 0], [0, 0, 1]]),
+        ),
+        (
+            "needs certain outputs, and 'a' acts on C",
+            TANK.replace(uncertainties=[jb.Uncertainty("a", C=[[1, 0], [0, 0], [0, 0]])]),
+        ),
     ):
         with pytest.raises(ValueError, match=match):
             jb.observer(model)

@@ -1,4 +1,6 @@
-"""Data validation (Alhaj-Dibo, Maquin, Ragot 2004, section 5): the state stays inside, no false alarm, the faulty sensor is found."""
+"""Data validation (Alhaj-Dibo, Maquin, Ragot 2004, section 5): the state stays inside, no false alarm, the
+faulty sensor is found.
+"""
 
 import jax
 import numpy as np
@@ -13,13 +15,17 @@ Status = jb.Status
 
 @pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.slow), "sequential"])
 def test_the_paper_s_system(rng, method):
-    """One compiled shape for all claims: fault-free, faults found and located, a missing sensor, a long loss."""
+    """One compiled shape for all claims: fault-free, faults found and located, a missing sensor, a long
+    loss.
+    """
     m = paper()
     u, x, y = record(rng, m, 16)
     unit = reference_width(m, u, y) / 0.573
     healthy = jb.validate(m, u, y, method=method)
     assert inside(healthy, x).all() and not healthy.faulty.any()
-    assert (np.asarray(healthy.status)[:, :2] == Status.MISSING).all() and not (np.asarray(healthy.status) == Status.FAULT).any()
+    assert (np.asarray(healthy.status)[:, :2] == Status.MISSING).all() and not (
+        np.asarray(healthy.status) == Status.FAULT
+    ).any()
     # golden: design B .158, design A .225 in a run whose step 1 is .573 wide
     assert width(healthy) / unit < {"joint": 0.16, "sequential": 0.25}[method]
     assert ((np.asarray(healthy.output.lo) <= y) & (y <= np.asarray(healthy.output.hi)))[:, 2:].mean() > 0.5
@@ -51,7 +57,9 @@ def test_regularity_of_the_four_systems_is_proved():
 
 def test_intervals_of_a_linear_system_hold_its_parameters():
     k = jb.Uncertainty("k", A=[[0.1]], between=(-1, 3))
-    m = as_intervals(jb.LinearSystem([[0.5]], [[1]], [[1]], uncertainties=[k], noise="1/3", disturbance=([[2]], [[-1, 3]])))
+    m = as_intervals(
+        jb.LinearSystem([[0.5]], [[1]], [[1]], uncertainties=[k], noise="1/3", disturbance=([[2]], [[-1, 3]]))
+    )
     assert float(m.A.lo[0, 0]) <= 0.4 < 0.8 <= float(m.A.hi[0, 0]) and float(m.A.hi[0, 0]) < 0.8 + 1e-15
     assert (float(m.w.lo[0]), float(m.w.hi[0])) == (-2.0, 6.0) and m.noise[0] * 3 >= 1
 
@@ -66,12 +74,23 @@ def test_intervals_of_a_linear_system_hold_its_parameters():
         (lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 3))), "y must have shape"),
         (lambda: jb.validate(paper(), np.ones((9, 2)), np.ones((9, 2))), "u must have shape"),
         (lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), method="both"), "method must be"),
-        (lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), correction="mean"), "correction must be"),
+        (
+            lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), correction="mean"),
+            "correction must be",
+        ),
         (lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), horizon=9), "horizon must be"),
         (lambda: jb.validate(paper(), np.ones((9, 1)), np.full((9, 2), np.nan)), "must be complete"),
-        (lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), horizon=1, method="sequential"), "horizon of at least"),
+        (
+            lambda: jb.validate(paper(), np.ones((9, 1)), np.ones((9, 2)), horizon=1, method="sequential"),
+            "horizon of at least",
+        ),
         (lambda: jb.validate(paper(), np.full((9, 1), np.nan), np.ones((9, 2))), "needs every input"),
-        (lambda: jb.validate(jb.LinearSystem([[1]], None, [[1]], unknown_inputs=[[1]]), None, np.ones((5, 1))), "no unknown inputs"),
+        (
+            lambda: jb.validate(
+                jb.LinearSystem([[1]], None, [[1]], unknown_inputs=[[1]]), None, np.ones((5, 1))
+            ),
+            "no unknown inputs",
+        ),
     ],
 )
 def test_bad_input_gets_a_sentence(call, says):

@@ -33,14 +33,18 @@ def test_the_four_systems_of_the_golden_window_are_as_wide_as_recomputed(golden)
     assert (found.status == jb.Solvability.SOLVED).all()  # all four are proved to be regular
     for i, step in enumerate(window["steps"]):
         lo, hi = ends(step["hull_vertex"])
-        assert (np.asarray(found.x.lo[i]) <= lo + 1e-9).all() and (hi - 1e-9 <= np.asarray(found.x.hi[i])).all()
+        assert (np.asarray(found.x.lo[i]) <= lo + 1e-9).all() and (
+            hi - 1e-9 <= np.asarray(found.x.hi[i])
+        ).all()
         for method in ("HBR", "I"):
             lo, hi = ends(step[method])
             assert wid(found.x[i]).mean() == pytest.approx((hi - lo).mean(), rel=0.02)
 
 
 def recordings(window):
-    """Return the golden window as 16 equal recordings of 91 samples, the rest absent: a shape that other tests compile anyway."""
+    """Return the golden window as 16 equal recordings of 91 samples, the rest absent: a shape that other
+    tests compile anyway.
+    """
     u, y = np.zeros((16, 91, 1)), np.full((16, 91, 2), np.nan)
     u[:, :2, 0], y[:, :3] = window["u"], window["y_points"]
     return u, y
@@ -51,9 +55,14 @@ def test_validation_of_the_golden_window_is_as_wide_as_recomputed(golden):
     window = golden["p4_golden_window"]
     u, y = recordings(window)
     exact = np.array(ends(window["joint_hull_12x9"]))[:, 6:]
-    for method, golden_ends, most in (("sequential", ends(window["intersection_I"]), 1.02), ("joint", exact, 1.02)):
+    for method, golden_ends, most in (
+        ("sequential", ends(window["intersection_I"]), 1.02),
+        ("joint", exact, 1.02),
+    ):
         last = jb.validate(paper(), u, y, method=method).state[0, 2]
-        assert (np.asarray(last.lo) <= exact[0] + 1e-9).all() and (exact[1] - 1e-9 <= np.asarray(last.hi)).all()
+        assert (np.asarray(last.lo) <= exact[0] + 1e-9).all() and (
+            exact[1] - 1e-9 <= np.asarray(last.hi)
+        ).all()
         lo, hi = (np.array(e)[-3:] for e in golden_ends)
         assert wid(last).mean() <= most * (hi - lo).mean()
 
@@ -70,7 +79,8 @@ def test_a_fault_in_the_golden_window_is_found_as_recomputed(golden):
 
 @pytest.mark.slow
 def test_what_a_fault_inside_the_first_window_does(rng):
-    """The newest samples of the first window are tested against its older ones; older ones are taken for sound: nothing finds them.
+    """The newest samples of the first window are tested against its older ones; older ones are taken for
+    sound: nothing finds them.
 
     A wrong reference then contradicts what comes: the recording is marked FAULT, whoever is blamed.
     """
@@ -88,7 +98,9 @@ def test_what_a_fault_inside_the_first_window_does(rng):
         assert (np.asarray(found.status)[:, :20] == jb.Status.FAULT).any(1).mean() > 0.9
 
 
-@pytest.mark.parametrize("T", [91, pytest.param(160, marks=pytest.mark.long)])  # 91 samples: a shape that other tests compile anyway
+@pytest.mark.parametrize(
+    "T", [91, pytest.param(160, marks=pytest.mark.long)]
+)  # 91 samples: a shape that other tests compile anyway
 def test_several_sensors_fail_at_once_and_one_for_long(rng, T):
     m = paper()
     u, x, y = record(rng, m, 16, T=T)
@@ -111,10 +123,16 @@ def test_several_sensors_fail_at_once_and_one_for_long(rng, T):
 
 @pytest.mark.slow
 def test_the_exact_hull_of_a_published_record_is_found(shared):
-    """Eight set observers are printed; the best two equal the hull by linear programs. So does a window of three samples."""
+    """Eight set observers are printed; the best two equal the hull by linear programs. So does a window of
+    three samples.
+    """
     case = json.loads(shared("external/observer_2dim.json").read_text())[0]
-    model = jb.LinearSystem(case["A"], None, case["C"], noise=case["V_radius"], disturbance=(case["W_generators"], 1))
-    found = jb.validate(model, None, np.array(case["y"]).T, horizon=2, x0=jb.interval([-3.0, -3.0], [3.0, 3.0]))
+    model = jb.LinearSystem(
+        case["A"], None, case["C"], noise=case["V_radius"], disturbance=(case["W_generators"], 1)
+    )
+    found = jb.validate(
+        model, None, np.array(case["y"]).T, horizon=2, x0=jb.interval([-3.0, -3.0], [3.0, 3.0])
+    )
     last = np.stack([found.state.lo[-1], found.state.hi[-1]])
     exact = np.array(case["exact_hull_lp_here"]["x_19"]).T
     assert (last[0] <= exact[0] + 1e-12).all() and (exact[1] - 1e-12 <= last[1]).all()

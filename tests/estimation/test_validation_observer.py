@@ -43,7 +43,9 @@ def agree(found, want):
     np.testing.assert_array_equal(found.faulty, want.faulty)
     for name in ("state", "output", "residual", "corrected"):
         for end in ("lo", "hi"):
-            np.testing.assert_allclose(getattr(getattr(found, name), end), getattr(getattr(want, name), end), rtol=1e-12, atol=1e-12)
+            np.testing.assert_allclose(
+                getattr(getattr(found, name), end), getattr(getattr(want, name), end), rtol=1e-12, atol=1e-12
+            )
 
 
 @pytest.mark.parametrize("method", ["joint", "sequential"])
@@ -83,7 +85,9 @@ def test_a_monitor_takes_an_observer(rng):
 
 
 def test_what_a_float32_recording_rounded_away_counts_as_it_does_for_validate():
-    """At a level of 10^6 float32 rounds by more than the noise: a healthy plant is not accused, as by `validate`."""
+    """At a level of 10^6 float32 rounds by more than the noise: a healthy plant is not accused, as by
+    `validate`.
+    """
     model = jb.LinearSystem([[1.0]], None, [[1], [1]], noise=1e-3)
     y = np.float32(1e6 - 0.01 * np.arange(12))[:, None] * np.float32([1, 1 + 2e-7])
     want = jb.validate(model, None, y)

@@ -67,19 +67,38 @@ def test_the_paper_s_correction_by_the_centre_loses_the_state_and_never_calls_it
     m = paper()
     u, x, y = record(rng, m, count)
     bad, truth = faulty(y, 6.0 * reference_width(m, u, y) / 0.573)
-    sound, centre = (jb.validate(m, u, bad, method="sequential", correction=c) for c in ("interval", "centre"))
+    sound, centre = (
+        jb.validate(m, u, bad, method="sequential", correction=c) for c in ("interval", "centre")
+    )
     assert inside(sound, x).all() and 0.85 < inside(centre, x).mean() < 1
-    assert np.asarray(centre.faulty)[truth].mean() > 0.95 and not (np.asarray(centre.status) == jb.Status.FAULT).any()
+    assert (
+        np.asarray(centre.faulty)[truth].mean() > 0.95
+        and not (np.asarray(centre.status) == jb.Status.FAULT).any()
+    )
     assert width(centre) < width(sound)
 
 
 def three_sensors(rng, count, T=60):
-    """Return (model, u, x, y): an uncertain parameter, one disturbance that pushes all states together, sensors with noise."""
-    A, dA, B, G = np.array([[0.7, 0.2, 0], [-0.1, 0.6, 0.3], [0, 0.1, 0.5]]), np.diag([0.05, 0, 0]), np.ones((3, 1)), [[1], [-2], [0.5]]
-    model = jb.LinearSystem(
-        A, B, np.eye(3), noise=0.05, disturbance=(G, [[-0.1, 0.2]]), uncertainties=[jb.Uncertainty("a", A=dA, varying=True)]
+    """Return (model, u, x, y): an uncertain parameter, one disturbance that pushes all states together,
+    sensors with noise.
+    """
+    A, dA, B, G = (
+        np.array([[0.7, 0.2, 0], [-0.1, 0.6, 0.3], [0, 0.1, 0.5]]),
+        np.diag([0.05, 0, 0]),
+        np.ones((3, 1)),
+        [[1], [-2], [0.5]],
     )
-    edge = lambda shape: np.where(rng.random(shape) < 0.5, rng.uniform(-1, 1, shape), rng.choice([-1, 1], shape))
+    model = jb.LinearSystem(
+        A,
+        B,
+        np.eye(3),
+        noise=0.05,
+        disturbance=(G, [[-0.1, 0.2]]),
+        uncertainties=[jb.Uncertainty("a", A=dA, varying=True)],
+    )
+    edge = lambda shape: np.where(
+        rng.random(shape) < 0.5, rng.uniform(-1, 1, shape), rng.choice([-1, 1], shape)
+    )
     u, x = rng.uniform(-1, 1, (count, T, 1)), np.zeros((count, T, 3))
     x[:, 0] = rng.uniform(-1, 1, (count, 3))
     for k in range(T - 1):

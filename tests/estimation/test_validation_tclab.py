@@ -1,4 +1,6 @@
-"""Data validation of real recordings: parameter intervals from runs of two days, judged on a run of a third day."""
+"""Data validation of real recordings: parameter intervals from runs of two days, judged on a run of a third
+day.
+"""
 
 import numpy as np
 import pandas as pd
@@ -11,7 +13,9 @@ NOISE, PUSHED = 0.5, 0.1
 
 
 def run(shared, name, every=1):
-    """Return heaters (T, 2) in percent and temperatures (T, 2) in degC above the first ones, every three seconds."""
+    """Return heaters (T, 2) in percent and temperatures (T, 2) in degC above the first ones, every three
+    seconds.
+    """
     table = pd.read_csv(shared(f"data/tclab/{name}.csv"), skipinitialspace=True).to_numpy()[::every]
     return table[:, 1:3], table[:, 3:5] - table[0, 3:5]
 
@@ -51,13 +55,18 @@ def test_enclosures_hold_on_the_unseen_run_and_a_bias_is_located_and_corrected(p
     lost = many(y)
     lost[..., 0] = np.where(still, np.nan, lost[..., 0])
     holds = validate(model, many(u), lost).output
-    assert ((np.asarray(holds.lo) - NOISE <= many(y)) & (many(y) <= np.asarray(holds.hi) + NOISE))[:, 4:].all()
+    assert ((np.asarray(holds.lo) - NOISE <= many(y)) & (many(y) <= np.asarray(holds.hi) + NOISE))[
+        :, 4:
+    ].all()
 
     biased = many(y)
     biased[..., 0] += 2.0 * after
     found = validate(model, many(u), biased)
     first = np.array([np.asarray(found.faulty)[i, o : o + 3, 0] for i, o in enumerate(onsets)])
-    print(f"located at once {first[:, 0].mean():.0%}, within three samples {first.any(1).mean():.0%} of {len(onsets)} onsets")
+    print(
+        f"located at once {first[:, 0].mean():.0%}, within three samples {first.any(1).mean():.0%} of "
+        f"{len(onsets)} onsets"
+    )
     assert not np.asarray(found.faulty)[~after].any() and not np.asarray(found.faulty)[..., 1][still].any()
     assert first[:, 0].mean() >= 0.8 and first.any(1).mean() >= 0.9
     at = np.asarray(found.faulty)[..., 0] & still
@@ -65,5 +74,8 @@ def test_enclosures_hold_on_the_unseen_run_and_a_bias_is_located_and_corrected(p
     true = many(y)[..., 0][at]
     assert ((lo - NOISE <= true) & (true <= hi + NOISE)).all()
     off = np.abs((lo + hi) / 2 - true).max()
-    print(f"{at.sum()} samples located: corrected {np.mean(hi - lo):.2f} degC wide, its centre off by {off:.2f} at most")
+    print(
+        f"{at.sum()} samples located: corrected {np.mean(hi - lo):.2f} degC wide, its centre off by "
+        f"{off:.2f} at most"
+    )
     assert off < 2.0  # nearer than the biased sample

@@ -29,7 +29,9 @@ def record(rng, m, count, T=91, kind="steps"):
     for k in range(T):
         y[:, k] = np.einsum("kij,kj->ki", draw(m.C), x[:, k])
         if k + 1 < T:
-            x[:, k + 1] = np.einsum("kij,kj->ki", draw(m.A), x[:, k]) + np.einsum("kij,kj->ki", draw(m.B), u[:, k])
+            x[:, k + 1] = np.einsum("kij,kj->ki", draw(m.A), x[:, k]) + np.einsum(
+                "kij,kj->ki", draw(m.B), u[:, k]
+            )
     return u, x, y
 
 
@@ -47,17 +49,24 @@ def window_systems(m, u, y):
     k = np.arange(2, y.shape[1])
     ends = [[-b * u[:, k - j] for j in (2, 1)] for b in (np.asarray(m.B.lo)[:, 0], np.asarray(m.B.hi)[:, 0])]
     samples = [y[:, k - j] for j in (2, 1, 0)]
-    right = [np.concatenate([*(f(a, b) for a, b in zip(*ends, strict=True)), *samples], -1) for f in (np.minimum, np.maximum)]
+    right = [
+        np.concatenate([*(f(a, b) for a, b in zip(*ends, strict=True)), *samples], -1)
+        for f in (np.minimum, np.maximum)
+    ]
     return stacked(m, 2), jb.interval(*right)
 
 
 def reference_width(m, u, y):
-    """Return the mean width of step 1, which is .573 in the golden run: what widths are compared by, as they grow with |x|.
+    """Return the mean width of step 1, which is .573 in the golden run: what widths are compared by, as they
+    grow with |x|.
 
     Of some 256 windows, four at a time: a size that other tests compile.
     """
     M, h = window_systems(m, u, y)
-    four, lo, hi = M[np.array([range(9)] * 4)], *(np.asarray(end)[..., :9].reshape(-1, 9) for end in (h.lo, h.hi))
+    four, lo, hi = (
+        M[np.array([range(9)] * 4)],
+        *(np.asarray(end)[..., :9].reshape(-1, 9) for end in (h.lo, h.hi)),
+    )
     some = np.linspace(0, len(lo) - 1, 256).astype(int).reshape(-1, 4)
     return float(np.mean([jb.solve_interval(four, jb.interval(lo[k], hi[k]), "hbr").x.wid for k in some]))
 

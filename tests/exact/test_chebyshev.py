@@ -1,4 +1,6 @@
-"""The exact Chebyshev problem: primal and dual agree in rationals, which proves the optimum; HiGHS agrees in floats."""
+"""The exact Chebyshev problem: primal and dual agree in rationals, which proves the optimum; HiGHS agrees in
+floats.
+"""
 
 from fractions import Fraction
 
@@ -11,7 +13,10 @@ from jaxbound.exact.chebyshev import chebyshev
 
 
 def draw(rng, rows, unknowns, digits=2):
-    E = [[Fraction(int(x), 10**digits) for x in rng.integers(-(10**digits), 10**digits, unknowns)] for _ in range(rows)]
+    E = [
+        [Fraction(int(x), 10**digits) for x in rng.integers(-(10**digits), 10**digits, unknowns)]
+        for _ in range(rows)
+    ]
     b = [Fraction(float(x)) for x in rng.normal(size=rows)]
     return E, b, [Fraction(float(x)) for x in rng.uniform(0.01, 1, rows)]
 
@@ -36,8 +41,14 @@ def test_the_factor_is_that_of_a_linear_program(rng):
     for _ in range(10):
         E, b, r = draw(rng, 15, 4)
         scaled = np.array([[float(x / w) for x in row] for row, w in zip(E, r, strict=True)])
-        target, one, free = np.array([float(v / w) for v, w in zip(b, r, strict=True)]), np.ones((15, 1)), np.full(15, np.inf)
-        program = Program(np.vstack([np.hstack([scaled, one]), np.hstack([scaled, -one])]), np.r_[np.zeros(4), 1.0])
+        target, one, free = (
+            np.array([float(v / w) for v, w in zip(b, r, strict=True)]),
+            np.ones((15, 1)),
+            np.full(15, np.inf),
+        )
+        program = Program(
+            np.vstack([np.hstack([scaled, one]), np.hstack([scaled, -one])]), np.r_[np.zeros(4), 1.0]
+        )
         expected = program.solve(np.r_[target, -free][None], np.r_[free, target][None])[0]
         assert float(chebyshev(E, b, r).t) == pytest.approx(expected, rel=1e-7)
 
@@ -46,7 +57,10 @@ def test_sparse_rows_with_many_zero_multipliers(rng):
     """As a disturbance gives them: an identity below, so that most references are degenerate."""
     for _ in range(5):
         n = 8
-        upper = [[Fraction(int(x)) if j <= i // 2 else Fraction(0) for j, x in enumerate(rng.integers(-3, 4, n))] for i in range(2 * n)]
+        upper = [
+            [Fraction(int(x)) if j <= i // 2 else Fraction(0) for j, x in enumerate(rng.integers(-3, 4, n))]
+            for i in range(2 * n)
+        ]
         E = upper + [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
         _, b, r = draw(rng, len(E), 0)
         assert_optimal(E, b, r, chebyshev(E, b, r))
@@ -84,7 +98,9 @@ def test_radii_of_any_size(rng):
 
 
 def test_powers_of_an_unstable_plant(rng):
-    E = [[Fraction(13, 10) ** k, Fraction(7, 10) ** k, Fraction(k) * Fraction(13, 10) ** k] for k in range(25)]
+    E = [
+        [Fraction(13, 10) ** k, Fraction(7, 10) ** k, Fraction(k) * Fraction(13, 10) ** k] for k in range(25)
+    ]
     _, b, r = draw(rng, 25, 0)
     assert_optimal(E, b, r, chebyshev(E, b, r))
 
@@ -100,7 +116,9 @@ def test_a_start_changes_nothing_but_the_work(rng):
 def test_neither_a_bad_search_nor_an_unlucky_prime_spoils_the_optimum(rng, monkeypatch):
     E, b, r = draw(rng, 12, 3)
     expected = chebyshev(E, b, r).t
-    monkeypatch.setattr(module, "_search", lambda E, b, r, common, independent, start: module._plain(len(E), independent))
+    monkeypatch.setattr(
+        module, "_search", lambda E, b, r, common, independent, start: module._plain(len(E), independent)
+    )
     best = chebyshev(E, b, r)
     assert_optimal(E, b, r, best)
     assert best.t == expected

@@ -1,4 +1,6 @@
-"""Frames and their changes against exact linear algebra by python-flint: the same relations, whatever rows they stand on."""
+"""Frames and their changes against exact linear algebra by python-flint: the same relations, whatever rows
+they stand on.
+"""
 
 from fractions import Fraction
 
@@ -9,12 +11,17 @@ from jaxbound.exact import linalg
 
 GUST = dict(disturbance=([[0], [1]], 0.1))
 CASES = {
-    "section 5": (MODELS["paper"], 6), "no input": (MODELS["no input"], 3), "offsets": (MODELS["offsets"], 3),
+    "section 5": (MODELS["paper"], 6),
+    "no input": (MODELS["no input"], 3),
+    "offsets": (MODELS["offsets"], 3),
     "disturbance": (MODELS["paper"] | GUST, 4),
     "unstable": (dict(A=[["1.5", "0.3"], [0, "-1.4"]], B=[[1], [0]], C=[[1, 0], [1, -1]]), 9),
     "vanishing": (dict(A=[["1e-200", 1], [0, "1e-180"]], B=[[0], [1]], C=[[1, 0], [1, 1]]), 4),
-    "deficient": (dict(A=[[0.5, 0, 0], [0, 0.8, 1], [0, 0, 0.2]], B=[[0], [0], [1]], C=[[0, 1, 0], [0, 2, 0]]), 3),
-}  # fmt: skip
+    "deficient": (
+        dict(A=[[0.5, 0, 0], [0, 0.8, 1], [0, 0, 0.2]], B=[[0], [0], [1]], C=[[0, 1, 0], [0, 2, 0]]),
+        3,
+    ),
+}
 
 
 def equation(name):
@@ -109,7 +116,13 @@ def test_the_oracle_finds_fewer_relations_without_a_row_that_matters():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_random_rows_of_low_rank(seed, rng):
-    E = [[Fraction(int(a), int(b)) for a, b in zip(rng.integers(-9, 10, 3), rng.integers(1, 9, 3), strict=True)] for _ in range(9)]
+    E = [
+        [
+            Fraction(int(a), int(b))
+            for a, b in zip(rng.integers(-9, 10, 3), rng.integers(1, 9, 3), strict=True)
+        ]
+        for _ in range(9)
+    ]
     E = [[*row, row[0] - 2 * row[2]] for row in E] + [[Fraction(0)] * 4] + [E[0] + [E[0][0] - 2 * E[0][2]]]
     K = [[Fraction(int(v)) for v in rng.integers(-3, 4, 2)] for _ in E]
     frame = linalg.frame(tuple(map(tuple, E)), tuple(map(tuple, K)))

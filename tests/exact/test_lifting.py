@@ -23,7 +23,9 @@ def test_what_is_lifted_is_what_the_inverse_gives(n, size, rng):
 
 def test_a_singular_system_is_not_solved():
     assert lifted([[1, 2], [2, 4]], [1, 1]) is None and lifted([[0]], [1]) is None
-    assert lifted([[2**27 - 39]], [1]) is None  # regular, but not modulo the prime: the caller has another way
+    assert (
+        lifted([[2**27 - 39]], [1]) is None
+    )  # regular, but not modulo the prime: the caller has another way
 
 
 def test_an_optimum_does_not_depend_on_how_its_systems_are_solved(rng, monkeypatch):

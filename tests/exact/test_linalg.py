@@ -35,7 +35,9 @@ def left_null_vectors(rows):
 
 
 def brute_circuits(rows):
-    """Return all h with h a = 0 and minimal support: subsets by size, those that hold a smaller support left out."""
+    """Return all h with h a = 0 and minimal support: subsets by size, those that hold a smaller support left
+    out.
+    """
     found = {}
     for size in range(1, len(rows) + 1):
         for subset in combinations(range(len(rows)), size):
@@ -109,7 +111,22 @@ def test_rational_reads_jax_scalars_as_their_shortest_decimal(dtype):
 
 @pytest.mark.parametrize(
     "value",
-    [np.nan, np.inf, -np.inf, np.float32(np.nan), Decimal("NaN"), Decimal("Infinity"), "", "abc", "nan", "1/0", None, [1], 1j, object()],
+    [
+        np.nan,
+        np.inf,
+        -np.inf,
+        np.float32(np.nan),
+        Decimal("NaN"),
+        Decimal("Infinity"),
+        "",
+        "abc",
+        "nan",
+        "1/0",
+        None,
+        [1],
+        1j,
+        object(),
+    ],
     ids=lambda x: type(x).__name__,
 )
 def test_rational_refuses_what_is_no_finite_number(value):
@@ -138,7 +155,9 @@ def test_matrix_reads_an_array_as_the_shortest_decimals_of_its_dtype(dtype, buil
 
 
 def test_matrix_makes_a_vector_a_column():
-    assert linalg.matrix([1, "1/2"]) == ((Fraction(1),), (Fraction(1, 2),)) == linalg.matrix(np.array([1, 0.5]))
+    assert (
+        linalg.matrix([1, "1/2"]) == ((Fraction(1),), (Fraction(1, 2),)) == linalg.matrix(np.array([1, 0.5]))
+    )
 
 
 def test_matrix_refuses_ragged_rows():
@@ -154,7 +173,9 @@ def test_row_reduce_agrees_with_flint(rng, trial):
     a = linalg.matrix(small_matrix(rng))
     reduced, rank = as_flint(a, len(a[0])).rref()
     ours, pivots = linalg.row_reduce(a)
-    theirs = [[Fraction(int(reduced[i, j].p), int(reduced[i, j].q)) for j in range(len(a[0]))] for i in range(rank)]
+    theirs = [
+        [Fraction(int(reduced[i, j].p), int(reduced[i, j].q)) for j in range(len(a[0]))] for i in range(rank)
+    ]
     assert [list(r) for r in ours] == theirs and len(pivots) == rank == linalg.rank(a)
 
 
@@ -186,7 +207,9 @@ def test_inverse_refuses_a_matrix_that_is_not_square(a):
 
 @pytest.mark.parametrize("trial", range(10))
 def test_matmul_agrees_with_flint(rng, trial):
-    fractions = lambda: [[Fraction(int(n), int(d)) for n, d in zip(*rng.integers(1, 9, (2, 3)), strict=True)] for _ in range(3)]
+    fractions = lambda: [
+        [Fraction(int(n), int(d)) for n, d in zip(*rng.integers(1, 9, (2, 3)), strict=True)] for _ in range(3)
+    ]
     a, b = linalg.matrix(fractions()), linalg.matrix(fractions())
     assert as_flint(linalg.matmul(a, b), 3) == as_flint(a, 3) * as_flint(b, 3)
 
@@ -232,7 +255,9 @@ def test_no_basis_spans_fewer_columns_than_the_minimal_one(rng, trial):
     W = linalg.minimal_span(a)
     span = lambda row: max(j for j, x in enumerate(row) if x) - min(j for j, x in enumerate(row) if x)
     best = sum(map(span, W))
-    mixtures = [linalg.matmul(linalg.matrix(rng.integers(-2, 3, (len(W), len(W))).tolist()), W) for _ in range(30)]
+    mixtures = [
+        linalg.matmul(linalg.matrix(rng.integers(-2, 3, (len(W), len(W))).tolist()), W) for _ in range(30)
+    ]
     bases = [mixed for mixed in mixtures if linalg.rank(mixed) == len(W)]
     assert bases and min(sum(map(span, basis)) for basis in bases) >= best
 
@@ -254,7 +279,9 @@ def test_the_paper_system_has_as_many_circuits_as_subsets_of_n_plus_1_rows(horiz
         rows += linalg.matmul(C, power)
         power = linalg.matmul(A, power)
     found = linalg.circuits(tuple(rows))
-    assert len(found) == len(set(found)) == comb(2 * (horizon + 1), 3) == [4, 20, 56, 120, 220, 364][horizon - 1]
+    assert (
+        len(found) == len(set(found)) == comb(2 * (horizon + 1), 3) == [4, 20, 56, 120, 220, 364][horizon - 1]
+    )
     assert is_zero(linalg.matmul(found, rows))
 
 
@@ -269,14 +296,25 @@ def test_circuits_are_all_minimal_dependencies_found_by_brute_force(rng, trial):
 
 
 def test_circuits_of_fractions_are_those_of_the_scaled_rows(rng):
-    rows = [[Fraction(int(x), int(d)) for x in row] for row, d in zip(rng.integers(-3, 4, (5, 2)), rng.integers(1, 7, 5), strict=True)]
+    rows = [
+        [Fraction(int(x), int(d)) for x in row]
+        for row, d in zip(rng.integers(-3, 4, (5, 2)), rng.integers(1, 7, 5), strict=True)
+    ]
     assert is_zero(linalg.matmul(linalg.circuits(linalg.matrix(rows)), rows))
-    assert len(linalg.circuits(linalg.matrix(rows))) == len(linalg.circuits(linalg.matrix([[x * 420 for x in row] for row in rows])))
+    assert len(linalg.circuits(linalg.matrix(rows))) == len(
+        linalg.circuits(linalg.matrix([[x * 420 for x in row] for row in rows]))
+    )
 
 
 @pytest.mark.parametrize(
     ("a", "count"),
-    [([[0, 0], [1, 0], [0, 1]], 1), ([[0], [0]], 2), ([[1, 2], [1, 2], [1, 2]], 3), ([[1, 0], [0, 1]], 0), ([[], []], 2)],
+    [
+        ([[0, 0], [1, 0], [0, 1]], 1),
+        ([[0], [0]], 2),
+        ([[1, 2], [1, 2], [1, 2]], 3),
+        ([[1, 0], [0, 1]], 0),
+        ([[], []], 2),
+    ],
     ids=["zero row", "only zero rows", "repeated rows", "independent rows", "no columns"],
 )
 def test_circuits_of_degenerate_matrices(a, count):

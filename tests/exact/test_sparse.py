@@ -11,15 +11,22 @@ from jaxbound.exact.sparse import null_space, pivot_columns
 
 def system(rng, equations, unknowns, density, largest=9):
     """Return random sparse equations, some of them combinations of others, and the same as a flint matrix."""
-    rows = rng.integers(-largest, largest + 1, (equations, unknowns)) * (rng.random((equations, unknowns)) < density)
+    rows = rng.integers(-largest, largest + 1, (equations, unknowns)) * (
+        rng.random((equations, unknowns)) < density
+    )
     if equations > 4:
         rows[-2:] = rows[:2] * 3 - rows[2:4]
-    dense = flint.fmpz_mat(equations, unknowns, [int(x) for x in rows.ravel()]) if equations else flint.fmpz_mat(0, unknowns)
+    dense = (
+        flint.fmpz_mat(equations, unknowns, [int(x) for x in rows.ravel()])
+        if equations
+        else flint.fmpz_mat(0, unknowns)
+    )
     return [{j: int(x) for j, x in enumerate(row) if x} for row in rows], dense
 
 
 @pytest.mark.parametrize(
-    "equations, unknowns, density", [(3, 5, 0.5), (30, 20, 0.2), (40, 60, 0.05), (25, 25, 0.3), (60, 12, 0.3), (5, 40, 0.02)]
+    "equations, unknowns, density",
+    [(3, 5, 0.5), (30, 20, 0.2), (40, 60, 0.05), (25, 25, 0.3), (60, 12, 0.3), (5, 40, 0.02)],
 )
 def test_null_space_is_complete_and_reduced(equations, unknowns, density, rng):
     for _ in range(5):
@@ -29,7 +36,9 @@ def test_null_space_is_complete_and_reduced(equations, unknowns, density, rng):
         assert rows == kept  # what was given is not touched
         assert len(found) == unknowns - dense.rank()
         for solution in found:
-            assert all(sum((x * solution.get(j, 0) for j, x in row.items()), Fraction(0)) == 0 for row in rows)
+            assert all(
+                sum((x * solution.get(j, 0) for j, x in row.items()), Fraction(0)) == 0 for row in rows
+            )
         firsts = [min(solution) for solution in found]
         assert firsts == sorted(set(firsts)) and all(s[f] == 1 for s, f in zip(found, firsts, strict=True))
         assert all(f not in s or s[f] == 1 and min(s) == f for s in found for f in firsts)

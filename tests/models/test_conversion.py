@@ -26,7 +26,9 @@ def test_a_model_passes_unchanged():
 def test_hold_equals_the_closed_form():
     m = from_scipy(signal.lti(A, B, C, D), dt=0.1)
     a, b = np.exp(-0.1), np.exp(-0.2)  # poles -1 and -2
-    np.testing.assert_allclose(floats(m.A), [[2 * a - b, a - b], [2 * (b - a), 2 * b - a]], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        floats(m.A), [[2 * a - b, a - b], [2 * (b - a), 2 * b - a]], rtol=0, atol=1e-15
+    )
     np.testing.assert_allclose(floats(m.B), [[0.5 - a + b / 2], [a - b]], rtol=0, atol=1e-15)
 
 
@@ -37,13 +39,20 @@ def test_hold_works_with_a_singular_matrix():
 
 
 def test_control_and_scipy_give_the_same_model():
-    one, other = from_control(control.ss(A, B, C, D), dt=0.1), from_scipy(signal.StateSpace(A, B, C, D), dt=0.1)
+    one, other = (
+        from_control(control.ss(A, B, C, D), dt=0.1),
+        from_scipy(signal.StateSpace(A, B, C, D), dt=0.1),
+    )
     assert (one.A, one.B, one.C, one.D, one.dt) == (other.A, other.B, other.C, other.D, other.dt)
 
 
-@pytest.mark.parametrize("convert, sys", [
-    (from_control, lambda dt: control.ss(A, B, C, D, dt)), (from_scipy, lambda dt: signal.dlti(A, B, C, D, dt=dt)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "convert, sys",
+    [
+        (from_control, lambda dt: control.ss(A, B, C, D, dt)),
+        (from_scipy, lambda dt: signal.dlti(A, B, C, D, dt=dt)),
+    ],
+)
 class TestDiscrete:
     def test_decimals_are_kept(self, convert, sys):
         m = convert(sys(0.1))
@@ -87,19 +96,38 @@ def test_labels_are_kept_and_made_up_ones_are_not():
     m = from_control(named, noise=0.1)
     assert (m.name, m.inputs, m.outputs, m.states) == ("oven", ("heater",), ("T",), ("T", "flow"))
     plain = from_control(control.ss(A, B, C, D, 0.1))
-    assert (plain.name, plain.inputs, plain.outputs, plain.states) == ("model", ("u1",), ("y1",), ("x1", "x2"))
+    assert (plain.name, plain.inputs, plain.outputs, plain.states) == (
+        "model",
+        ("u1",),
+        ("y1",),
+        ("x1", "x2"),
+    )
 
 
 def test_bounds_and_names_of_the_caller_win():
-    m = from_control(control.ss(A, B, C, D, 0.1, outputs=["T"]), tolerance=0.02, noise="1/3", outputs=["temperature"], units={"u1": "%"})
-    assert m.outputs == ("temperature",) and m.noise == (Fraction(1, 3),) and m.tolerance == (Fraction(1, 50),) and m.unit("u1") == "%"
+    m = from_control(
+        control.ss(A, B, C, D, 0.1, outputs=["T"]),
+        tolerance=0.02,
+        noise="1/3",
+        outputs=["temperature"],
+        units={"u1": "%"},
+    )
+    assert (
+        m.outputs == ("temperature",)
+        and m.noise == (Fraction(1, 3),)
+        and m.tolerance == (Fraction(1, 50),)
+        and m.unit("u1") == "%"
+    )
 
 
-@pytest.mark.parametrize("convert, sys, advice", [
-    (from_control, control.tf([1], [1, 1]), r"control\.ss\(sys\)"),
-    (from_scipy, signal.lti([1], [1, 1]), r"sys\.to_ss\(\)"),
-    (from_scipy, signal.ZerosPolesGain([], [-1], 1), r"sys\.to_ss\(\)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "convert, sys, advice",
+    [
+        (from_control, control.tf([1], [1, 1]), r"control\.ss\(sys\)"),
+        (from_scipy, signal.lti([1], [1, 1]), r"sys\.to_ss\(\)"),
+        (from_scipy, signal.ZerosPolesGain([], [-1], 1), r"sys\.to_ss\(\)"),
+    ],
+)
 def test_transfer_functions_are_sent_to_be_converted(convert, sys, advice):
     for door in (convert, as_model):
         with pytest.raises(TypeError, match=f"convert it first, {advice}"):
@@ -117,7 +145,9 @@ def test_other_things_are_refused(thing):
 
 def test_a_nonlinear_system_is_refused():
     sys = control.nlsys(lambda t, x, u, p: -x, lambda t, x, u, p: x, inputs=1, outputs=1, states=1)
-    with pytest.raises(TypeError, match="state-space object of python-control is needed, not NonlinearIOSystem"):
+    with pytest.raises(
+        TypeError, match="state-space object of python-control is needed, not NonlinearIOSystem"
+    ):
         as_model(sys)
 
 

@@ -1,4 +1,6 @@
-"""Disturbances of a model: how they are given, where they act in a window, and that a simulation draws them within their bounds."""
+"""Disturbances of a model: how they are given, where they act in a window, and that a simulation draws them
+within their bounds.
+"""
 
 from fractions import Fraction
 
@@ -23,10 +25,15 @@ def test_rows_and_unknowns_of_a_window_are_the_responses_to_each_of_them(name, s
     assert ([list(row) for row in E], [list(row) for row in K]) == expected
 
 
-@pytest.mark.parametrize("bound, pairs", [
-    (0.1, [("-1/10", "1/10")] * 2), ([0.1, "1/3"], [("-1/10", "1/10"), ("-1/3", "1/3")]), ([[0, 1], [-2, "0.5"]], [(0, 1), (-2, "1/2")]),
-    ([[1, 1], 0], [(1, 1), (0, 0)]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bound, pairs",
+    [
+        (0.1, [("-1/10", "1/10")] * 2),
+        ([0.1, "1/3"], [("-1/10", "1/10"), ("-1/3", "1/3")]),
+        ([[0, 1], [-2, "0.5"]], [(0, 1), (-2, "1/2")]),
+        ([[1, 1], 0], [(1, 1), (0, 0)]),
+    ],
+)
 def test_bounds_are_kept_exactly(bound, pairs):
     model = paper(disturbance=([[1, 0], [0, 1]], bound))
     assert model.g == 2 and model.disturbance == tuple((Fraction(a), Fraction(b)) for a, b in pairs)
@@ -48,4 +55,6 @@ def test_a_simulation_is_the_exact_trajectory_of_the_disturbances_that_it_drew(a
     for k in range(25):
         for i in range(2):
             value = (1 + theta[k][i]) * true[k][i] + noise[k][i]
-            assert abs(Fraction(float(y[k, i])) - value) <= 2 * float(np.finfo(dtype).eps) * (abs(y[:, i]).max() + plant.noise[i])
+            assert abs(Fraction(float(y[k, i])) - value) <= 2 * float(np.finfo(dtype).eps) * (
+                abs(y[:, i]).max() + plant.noise[i]
+            )

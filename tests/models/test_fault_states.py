@@ -9,8 +9,16 @@ import pytest
 import jaxbound as jb
 from jaxbound.models.uncertainty import centred
 
-PLANT = jb.LinearSystem([["0.9", "0.1"], [0, "0.8"]], [[0], [1]], [[1, 0], [1, 0]], [[0], [0]], noise="0.1",
-                        outputs=["T1", "T2"], inputs=["heat"], disturbance=([[1], [0]], "0.01"))  # fmt: skip
+PLANT = jb.LinearSystem(
+    [["0.9", "0.1"], [0, "0.8"]],
+    [[0], [1]],
+    [[1, 0], [1, 0]],
+    [[0], [0]],
+    noise="0.1",
+    outputs=["T1", "T2"],
+    inputs=["heat"],
+    disturbance=([[1], [0]], "0.01"),
+)
 
 
 def test_a_bias_is_enclosed_and_zero_is_not():
@@ -35,7 +43,9 @@ def test_a_bias_is_enclosed_and_zero_is_not():
 def test_an_actuator_and_uncertain_parameters_keep_their_faults():
     model = PLANT.replace(uncertainties=[jb.Uncertainty("gain", B=[[0], ["0.1"]])])
     grown = jb.with_faults(model, "heat:bias", "T1:bias")
-    assert grown.A[1] == (0, Fraction(8, 10), 1, 0) and grown.A[2] == (0, 0, 1, 0) and grown.C[0] == (1, 0, 0, 1)
+    assert (
+        grown.A[1] == (0, Fraction(8, 10), 1, 0) and grown.A[2] == (0, 0, 1, 0) and grown.C[0] == (1, 0, 0, 1)
+    )
     (gain,) = grown.uncertainties
     assert gain.A[1] == (0, 0, Fraction(1, 10), 0) and gain.B[1] == (Fraction(1, 10),) and gain.C is None
     assert grown.states == ("x1", "x2", "heat:bias", "T1:bias") and grown.disturbance == model.disturbance
@@ -65,14 +75,20 @@ def stepped(model, theta, values, x, u):
 
     added = lambda *parts: [sum(each) for each in zip(*parts, strict=True)]
     true = added(times("C", x), times("D", u))
-    return added(times("A", x), times("B", u)), [(1 + share) * t for share, t in zip(theta, true, strict=True)]
+    return added(times("A", x), times("B", u)), [
+        (1 + share) * t for share, t in zip(theta, true, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("constant", [False, True])
 def test_faults_as_states_are_those_that_a_fault_simulates(constant, rng):
-    """y = (1 + theta) (C x + D (u + a)) + b: a sensor's bias b behind its relative error, an actuator's a before it."""
+    """y = (1 + theta) (C x + D (u + a)) + b: a sensor's bias b behind its relative error, an actuator's a
+    before it.
+    """
     loss = jb.Uncertainty("loss", A=[["0.1", 0], [0, "0.3"]], B=[[0], [1]], between=("-0.2", "0.6"))
-    model = PLANT.replace(D=[["0.5"], [2]], tolerance=["0.1", "0.3"], constant_tolerance=constant, uncertainties=loss)
+    model = PLANT.replace(
+        D=[["0.5"], [2]], tolerance=["0.1", "0.3"], constant_tolerance=constant, uncertainties=loss
+    )
     grown = jb.with_faults(model, "T1:bias", "heat:bias")
     assert {p.name: p.between for p in grown.uncertainties}["loss"] == loss.between
     assert all(p.varying is not constant for p in grown.uncertainties[1:])
@@ -86,7 +102,9 @@ def test_faults_as_states_are_those_that_a_fault_simulates(constant, rng):
 
 
 def test_the_fault_of_a_sensor_with_a_tolerance_is_enclosed(rng):
-    """Exact recordings of such a fault, errors at their bounds: no FAULT, and the truth is in every interval."""
+    """Exact recordings of such a fault, errors at their bounds: no FAULT, and the truth is in every
+    interval.
+    """
     model = PLANT.replace(tolerance=["0.1", "0.02"])
     watch = jb.with_faults(model, "T1:drift", rate="0.001")
     x, b, y, truth = [Fraction(30), Fraction(40)], Fraction(-25), [], []
@@ -96,7 +114,10 @@ def test_the_fault_of_a_sensor_with_a_tolerance_is_enclosed(rng):
         after, (first, second) = stepped(model, theta, {}, x, [Fraction(1)])
         y.append([float(first + b + noise[0]), float(second + noise[1])])
         truth.append([float(v) for v in (*x, b)])
-        x, b = [after[0] + int(rng.choice([-1, 1])) * Fraction(1, 100), after[1]], b + Fraction(int(rng.choice([-1, 1])), 1000)
+        x, b = (
+            [after[0] + int(rng.choice([-1, 1])) * Fraction(1, 100), after[1]],
+            b + Fraction(int(rng.choice([-1, 1])), 1000),
+        )
     told = jb.observe(watch, np.ones((200, 1)), y, order=10, x0=jb.interval([-50, -50, -50], [50, 50, 50]))
     assert not (told.status == jb.Status.FAULT).any()
     assert ((told.state.lo <= truth) & (np.array(truth) <= told.state.hi)).all()
@@ -105,7 +126,9 @@ def test_the_fault_of_a_sensor_with_a_tolerance_is_enclosed(rng):
 
 def test_simulated_faults_of_a_sensor_with_a_tolerance_fit_windows():
     model = jb.LinearSystem([[1]], None, [[1], [1]], noise="0.01", tolerance=["0.1", 0], outputs=["T1", "T2"])
-    found = jb.simulate(model, np.zeros((60, 0)), 3, x0=[100.0], at="vertices", faults=[jb.Fault("T1", "bias", size=-100.0)])
+    found = jb.simulate(
+        model, np.zeros((60, 0)), 3, x0=[100.0], at="vertices", faults=[jb.Fault("T1", "bias", size=-100.0)]
+    )
     verdicts = jb.detect(jb.parity_relations(jb.with_faults(model, "T1:bias"), horizon=1), found.u, found.y)
     assert verdicts.counts["FAULT"] == 0 and verdicts.counts["MISSING"] == 1
 
@@ -114,14 +137,20 @@ def test_simulated_faults_of_a_sensor_with_a_tolerance_fit_windows():
     "match, more",
     [
         ("an unknown input acts on the same output", dict(unknown_inputs=([[0], [0]], [[1], [0]]))),
-        ("a parameter acts on the same output", dict(uncertainties=jb.Uncertainty("span", C=[["0.1", 0], [0, 0]]))),
+        (
+            "a parameter acts on the same output",
+            dict(uncertainties=jb.Uncertainty("span", C=[["0.1", 0], [0, 0]])),
+        ),
         ("the model has averages", dict(averages={"T2": {4: "0.1"}})),
     ],
 )
 def test_a_tolerance_that_cannot_become_a_parameter_is_refused(match, more):
     with pytest.raises(ValueError, match=f"{match}: give the tolerance of 'T1' as noise"):
         jb.with_faults(PLANT.replace(tolerance=["0.1", 0], **more), "T1:bias")
-    assert jb.with_faults(PLANT.replace(tolerance=["0.1", 0], **more), "T2:bias").tolerance == (Fraction(1, 10), 0)
+    assert jb.with_faults(PLANT.replace(tolerance=["0.1", 0], **more), "T2:bias").tolerance == (
+        Fraction(1, 10),
+        0,
+    )
 
 
 @pytest.mark.parametrize(

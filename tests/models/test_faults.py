@@ -11,7 +11,9 @@ from jaxbound.models import simulate as module
 SENSOR = ("bias", "drift", "gain", "noise", "tolerance", "stuck", "dropout")
 ACTUATOR = ("bias", "drift", "gain", "noise", "stuck", "dropout")
 N, T, SIZE = 300, 40, 0.3
-ON = {kind: slice(3 + 5 * i, 7 + 5 * i) for i, kind in enumerate(SENSOR)}  # four samples each, one healthy sample between
+ON = {
+    kind: slice(3 + 5 * i, 7 + 5 * i) for i, kind in enumerate(SENSOR)
+}  # four samples each, one healthy sample between
 OFF = np.setdiff1d(np.arange(T), np.concatenate([np.arange(T)[on] for on in ON.values()]))
 EFFECT = {
     "bias": lambda v: v + SIZE,
@@ -44,7 +46,9 @@ def received(t):
 
 @pytest.mark.parametrize("kind", EFFECT)
 def test_sensor_fault_changes_its_samples_as_described(kind, run):
-    np.testing.assert_allclose(run.y[:, ON[kind], 1], EFFECT[kind](healthy(run)[:, ON[kind], 1]), rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(
+        run.y[:, ON[kind], 1], EFFECT[kind](healthy(run)[:, ON[kind], 1]), rtol=1e-13, atol=1e-14
+    )
 
 
 def test_sensor_dropout_leaves_nan(run):
@@ -66,7 +70,9 @@ def test_sensor_tolerance_draws_theta_within_its_size(run):
 
 
 def test_sensor_tolerance_acts_on_the_recording(run):
-    np.testing.assert_allclose(run.y[:, ON["tolerance"], 1], healthy(run)[:, ON["tolerance"], 1], rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(
+        run.y[:, ON["tolerance"], 1], healthy(run)[:, ON["tolerance"], 1], rtol=1e-13, atol=1e-14
+    )
 
 
 def test_sensor_faults_leave_the_other_samples_and_signals_alone(run):
@@ -91,11 +97,16 @@ def test_actuator_faults_leave_the_plant_alone_at_other_samples(run):
 
 @pytest.fixture
 def three(rng):
-    """Return a function of three faults (bias, gain, bias) of y2 and their times that gives y2 (3, T), always with the same draws."""
+    """Return a function of three faults (bias, gain, bias) of y2 and their times that gives y2 (3, T), always
+    with the same draws.
+    """
     u, key = rng.uniform(-1, 1, (3, T, 1)), jax.random.key(int(rng.integers(2**31)))
 
     def simulate(sizes, when=((5,),) * 3):
-        faults = [jb.Fault("y2", kind, size, *at) for kind, size, at in zip(("bias", "gain", "bias"), sizes, when, strict=True)]
+        faults = [
+            jb.Fault("y2", kind, size, *at)
+            for kind, size, at in zip(("bias", "gain", "bias"), sizes, when, strict=True)
+        ]
         return np.asarray(jb.simulate(paper(), u, key, faults=faults).y)[..., 1]
 
     return simulate
@@ -110,7 +121,9 @@ def test_faults_of_one_signal_act_in_the_order_given(three):
 def test_a_fault_lasts_until_its_stop_or_to_the_end(three):
     k, none = np.arange(T), three((0, 0, 0))
     np.testing.assert_allclose((three((1, 0, 0), ((12,), (5,), (5,))) - none)[0], k >= 12, atol=1e-12)
-    np.testing.assert_allclose((three((1, 0, 0), ((12, 20), (5,), (5,))) - none)[0], (k >= 12) & (k < 20), atol=1e-12)
+    np.testing.assert_allclose(
+        (three((1, 0, 0), ((12, 20), (5,), (5,))) - none)[0], (k >= 12) & (k < 20), atol=1e-12
+    )
 
 
 def test_size_and_time_of_a_fault_do_not_trace_again(three):
@@ -120,23 +133,32 @@ def test_size_and_time_of_a_fault_do_not_trace_again(three):
     assert module._trajectory._cache_size() == traced
 
 
-@pytest.mark.parametrize("given, message", [
-    (dict(kind="offset"), "kind of fault must be one of bias, drift, gain, noise, tolerance, stuck, dropout, not 'offset'"),
-    (dict(size=float("nan")), "size of a fault must be a finite number, not nan"),
-    (dict(size=float("inf")), "size of a fault must be a finite number, not inf"),
-    (dict(start=-1), "a fault needs 0 <= start < stop: start -1, stop None"),
-    (dict(start=5, stop=5), "a fault needs 0 <= start < stop: start 5, stop 5"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        (
+            dict(kind="offset"),
+            "kind of fault must be one of bias, drift, gain, noise, tolerance, stuck, dropout, not 'offset'",
+        ),
+        (dict(size=float("nan")), "size of a fault must be a finite number, not nan"),
+        (dict(size=float("inf")), "size of a fault must be a finite number, not inf"),
+        (dict(start=-1), "a fault needs 0 <= start < stop: start -1, stop None"),
+        (dict(start=5, stop=5), "a fault needs 0 <= start < stop: start 5, stop 5"),
+    ],
+)
 def test_a_fault_that_makes_no_sense_is_refused(given, message):
     with pytest.raises(ValueError, match=message):
         jb.Fault("y1", **given)
 
 
-@pytest.mark.parametrize("given, message", [
-    (jb.Fault("y9"), "the model has no signal 'y9'; did you mean 'y"),
-    (jb.Fault("u1", "tolerance", 0.1), "a tolerance fault needs an output, 'u1' is an input"),
-    (jb.Fault("y1", start=40), "the fault of 'y1' starts at sample 40, but there are 40 samples"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        (jb.Fault("y9"), "the model has no signal 'y9'; did you mean 'y"),
+        (jb.Fault("u1", "tolerance", 0.1), "a tolerance fault needs an output, 'u1' is an input"),
+        (jb.Fault("y1", start=40), "the fault of 'y1' starts at sample 40, but there are 40 samples"),
+    ],
+)
 def test_a_fault_that_does_not_fit_the_simulation_is_refused(given, message):
     with pytest.raises(ValueError, match=message):
         jb.simulate(paper(), np.zeros((40, 1)), jax.random.key(0), faults=[given])

@@ -1,4 +1,6 @@
-"""Linearized models: every simulated step of the nonlinear plant obeys the linear one within its disturbance, and the bound is close."""
+"""Linearized models: every simulated step of the nonlinear plant obeys the linear one within its disturbance,
+and the bound is close.
+"""
 
 from fractions import Fraction
 
@@ -48,7 +50,9 @@ def floats(a):
 
 
 def steps(f, region, dt, rng, count, p=None):
-    """Return (x, u, x+) of steps that stay in the region: from random points, half of them on corners, inputs held."""
+    """Return (x, u, x+) of steps that stay in the region: from random points, half of them on corners, inputs
+    held.
+    """
     lo, hi = (np.array([pair[k] for pair in (*region["x"], *region["u"])]) for k in (0, 1))
     n, found = len(region["x"]), []
     for k in range(count):
@@ -88,7 +92,9 @@ def region_of(r):
 
 @pytest.fixture(scope="module")
 def two_tanks():
-    return {r: linearize(tanks, LEVELS, FLOW, 2.0, region=region_of(r), states=["h1", "h2"]) for r in (0.2, 0.1)}
+    return {
+        r: linearize(tanks, LEVELS, FLOW, 2.0, region=region_of(r), states=["h1", "h2"]) for r in (0.2, 0.1)
+    }
 
 
 def test_every_step_inside_the_region_obeys_the_model(two_tanks, rng):
@@ -96,7 +102,9 @@ def test_every_step_inside_the_region_obeys_the_model(two_tanks, rng):
         w = left_over(m, *steps(tanks, region_of(r), 2.0, rng, 60))
         lo, hi = floats(m.disturbance).T
         assert inside(w, m)
-        assert (w.max(0) > 0.5 * hi).all() and hi[0] > -100 * lo[0]  # not far off, and of one sign as the remainder of a root is
+        assert (w.max(0) > 0.5 * hi).all() and hi[0] > -100 * lo[
+            0
+        ]  # not far off, and of one sign as the remainder of a root is
 
 
 def test_half_the_region_has_a_quarter_of_the_bound(two_tanks):
@@ -111,19 +119,25 @@ def test_matrices_are_those_of_the_slopes_held_over_a_step(two_tanks):
     np.testing.assert_allclose(floats(m.A), step[:2, :2], atol=1e-15)
     np.testing.assert_allclose(floats(m.B), step[:2, 2:], atol=1e-15)
     assert m.offset == {"u": (Fraction(1, 2),), "y": (1, 1)} and m.outputs == ("h1", "h2") and m.dt == 2
-    assert m.provenance["disturbance"] == "linearized over h1 in [0.8, 1.2], h2 in [0.8, 1.2], u1 in [0.3, 0.7]"
+    assert (
+        m.provenance["disturbance"] == "linearized over h1 in [0.8, 1.2], h2 in [0.8, 1.2], u1 in [0.3, 0.7]"
+    )
 
 
 @pytest.mark.slow
 def test_a_healthy_plant_is_never_faulty_and_a_leak_is_seen(rng):
-    m = linearize(tanks, LEVELS, FLOW, 2.0, region=region_of(0.2), noise=0.001, disturbance=([[1], [0]], [(0, 0)]))
+    m = linearize(
+        tanks, LEVELS, FLOW, 2.0, region=region_of(0.2), noise=0.001, disturbance=([[1], [0]], [(0, 0)])
+    )
     assert m.g == 3 and m.disturbance[2] == (0, 0)
     u = np.repeat(rng.uniform(0.47, 0.53, 8), 10)[:, None]
     drain = lambda x, u, leak: np.asarray(tanks(x, u)) - np.array([leak, 0])
     for leak in (0.0, 0.004):
         x = [np.array([1.0, 1.0])]
         for now in u[:-1]:
-            run = integrate.solve_ivp(lambda t, x, now=now, leak=leak: drain(x, now, leak), (0, 2.0), x[-1], rtol=1e-9, atol=1e-12)
+            run = integrate.solve_ivp(
+                lambda t, x, now=now, leak=leak: drain(x, now, leak), (0, 2.0), x[-1], rtol=1e-9, atol=1e-12
+            )
             x.append(run.y[:, -1])
         y = np.array(x) + rng.uniform(-0.001, 0.001, (len(x), 2))
         status = jb.detect(jb.parity_relations(m), u, y).status
@@ -132,11 +146,22 @@ def test_a_healthy_plant_is_never_faulty_and_a_leak_is_seen(rng):
 
 @pytest.fixture(scope="module")
 def uncertain():
-    """A model that is linear but for its parameter, taken about zero: nothing is left but what the exponential adds."""
+    """A model that is linear but for its parameter, taken about zero: nothing is left but what the
+    exponential adds.
+    """
     return linearize(
-        fan, [0], [0, 0], 0.5, region={"x": [(10, 30)], "u": [(0, 40), (-10, 10)]}, parameters={"UA": (0.2, "0.25")}, varying=False,
-        inputs=["outside", "heater"], states=["T"], units={"T": "degC"}, noise=0.1,
-    )  # fmt: skip
+        fan,
+        [0],
+        [0, 0],
+        0.5,
+        region={"x": [(10, 30)], "u": [(0, 40), (-10, 10)]},
+        parameters={"UA": (0.2, "0.25")},
+        varying=False,
+        inputs=["outside", "heater"],
+        states=["T"],
+        units={"T": "degC"},
+        noise=0.1,
+    )
 
 
 @pytest.mark.slow
@@ -147,7 +172,8 @@ def test_parameters_become_uncertainties_in_their_own_units(uncertain, rng):
     for value in (0.2, 0.25, rng.uniform(0.2, 0.25)):
         w = left_over(uncertain, *steps(fan, region, 0.5, rng, 20, {"UA": value}), {"UA": value})
         assert inside(w, uncertain)
-    # the second derivative of exp(-UA dt) by UA, times 0.025^2, times the largest difference of temperatures: what cannot be avoided
+    # the second derivative of exp(-UA dt) by UA, times 0.025^2, times the largest difference of temperatures:
+    # what cannot be avoided
     (lo, hi), curved = uncertain.disturbance[0], 0.5**2 * np.exp(-0.1) / 2 * 0.025**2 * 30
     assert curved / 2 < hi < 3 * curved and -hi <= lo < 0
 
@@ -172,14 +198,20 @@ def test_a_curved_output_widens_the_noise():
     assert 0.25 * 1.1 <= float(m.noise[1]) - 0.2 < 0.25 * 1.1 * 1.01
 
 
-@pytest.mark.parametrize("change, sentence", [
-    ({"region": {"x": [(0, 2), (0, 2)], "u": 0.1}}, "not proved to be continuous with bounded slopes"),
-    ({"region": {"x": 0.1}}, 'region needs the fields "x" and, with inputs, "u"'),
-    ({"region": {"x": [0.1] * 3, "u": 0.1}}, "needs one radius, 2 radii or 2 pairs"),
-    ({"region": {"x": -0.1, "u": 0.1}}, "lo <= hi and radii >= 0"),
-    ({"dt": 0}, "positive dt"), ({"x0": [1.0]}, "one number for each of the 1 states"), ({"offset": {"u": 0}}, "itself finds offset"),
-    ({"parameters": {"k": 3}}, "its lowest and its highest value"), ({"states": ["a"]}, "states needs 2 names"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, sentence",
+    [
+        ({"region": {"x": [(0, 2), (0, 2)], "u": 0.1}}, "not proved to be continuous with bounded slopes"),
+        ({"region": {"x": 0.1}}, 'region needs the fields "x" and, with inputs, "u"'),
+        ({"region": {"x": [0.1] * 3, "u": 0.1}}, "needs one radius, 2 radii or 2 pairs"),
+        ({"region": {"x": -0.1, "u": 0.1}}, "lo <= hi and radii >= 0"),
+        ({"dt": 0}, "positive dt"),
+        ({"x0": [1.0]}, "one number for each of the 1 states"),
+        ({"offset": {"u": 0}}, "itself finds offset"),
+        ({"parameters": {"k": 3}}, "its lowest and its highest value"),
+        ({"states": ["a"]}, "states needs 2 names"),
+    ],
+)
 def test_bad_input_is_told(change, sentence):
     given = {"x0": LEVELS, "u0": FLOW, "dt": 2.0, "region": {"x": 0.1, "u": 0.1}} | change
     f = tanks if "parameters" not in change else lambda x, u, p: tanks(x, u)
@@ -202,7 +234,9 @@ def test_reactor_and_pendulum_obey_their_models(rng):
         p = {name: rng.choice([lo, hi, rng.uniform(lo, hi)]) for name, (lo, hi) in between.items()}
         w = left_over(m, *steps(pendulum, region, 0.05, rng, 24, p), p)
         assert inside(w, m)
-    assert {v.name for v in m.uncertainties} == {"length", "drag"} and np.abs(floats(m.disturbance)).max() < 0.03
+    assert {v.name for v in m.uncertainties} == {"length", "drag"} and np.abs(
+        floats(m.disturbance)
+    ).max() < 0.03
 
 
 @pytest.mark.parametrize("scale", [0.1, 3.0, 40.0])
@@ -212,7 +246,11 @@ def test_exponential_and_its_integral_enclose(scale, rng):
     exact = [[Fraction(float(v)) for v in row] for row in A]
     X, e = exponential(exact)
     Y, f = exponential([[-v for v in row] for row in exact])  # e^A e^-A = 1, in whole numbers
-    defect = np.abs(X @ Y - np.array([[Fraction(i == j) for j in range(3)] for i in range(3)], object)).sum(1).max()
+    defect = (
+        np.abs(X @ Y - np.array([[Fraction(i == j) for j in range(3)] for i in range(3)], object))
+        .sum(1)
+        .max()
+    )
     assert defect <= e * np.abs(Y).sum(1).max() + f * np.abs(X).sum(1).max() + e * f
     np.testing.assert_allclose(X.astype(float), linalg.expm(A), atol=1e-12 * np.abs(linalg.expm(A)).max())
     t = np.linspace(0, 1, 2001)
@@ -244,23 +282,34 @@ def test_random_plants_obey_their_models_about_any_point(case, rng):
     def f(x, u, p=None):
         v = V[:, :m] @ (u - centre[n:]) if m else 0.0
         k = sum((P[:, i] * p[f"p{i}"] for i in range(q)), jnp.zeros(n))
-        return -stiff * (x - centre[:n]) + jnp.sin(W @ (x - centre[:n]) + v) * (1 + 0.3 * k) + 0.2 * (M @ x) ** 2 + k * (x - centre[:n])
+        return (
+            -stiff * (x - centre[:n])
+            + jnp.sin(W @ (x - centre[:n]) + v) * (1 + 0.3 * k)
+            + 0.2 * (M @ x) ** 2
+            + k * (x - centre[:n])
+        )
 
     boxes = [(c - r, c + r * rng.uniform(0.2, 1)) for c, r in zip(centre, radii, strict=True)]
     region = {"x": boxes[:n], "u": boxes[n:]} if m else {"x": boxes}
     origin = np.round(centre + rng.choice([0.0, 0.7], n + m), 3)  # inside the region, or elsewhere
     between = {f"p{i}": tuple(np.sort(rng.uniform(-1, 1, 2))) for i in range(q)}
     dt = 10.0 ** rng.uniform(-2, 0) / stiff
-    made = jb.linearize(f, origin[:n], origin[n:] if m else None, dt, region=region, parameters=between or None)
+    made = jb.linearize(
+        f, origin[:n], origin[n:] if m else None, dt, region=region, parameters=between or None
+    )
     enclosed = []
     for _ in range(2):
         p = {name: rng.choice([lo, hi, rng.uniform(lo, hi)]) for name, (lo, hi) in between.items()}
         rate = lambda t, x, u, p=p: np.asarray(f(x, u, *([p] if q else [])))
         for _ in range(20):
             z = np.array([rng.choice([lo, hi, rng.uniform(lo, hi), rng.uniform(lo, hi)]) for lo, hi in boxes])
-            run = integrate.solve_ivp(rate, (0, dt), z[:n], "DOP853", rtol=1e-12, atol=1e-14, dense_output=True, args=(z[n:],))
+            run = integrate.solve_ivp(
+                rate, (0, dt), z[:n], "DOP853", rtol=1e-12, atol=1e-14, dense_output=True, args=(z[n:],)
+            )
             path = run.sol(np.linspace(0, dt, 30)).T
-            if all((path[:, i] >= lo).all() and (path[:, i] <= hi).all() for i, (lo, hi) in enumerate(boxes[:n])):
+            if all(
+                (path[:, i] >= lo).all() and (path[:, i] <= hi).all() for i, (lo, hi) in enumerate(boxes[:n])
+            ):
                 enclosed.append(inside(left_over(made, z[None, :n], z[None, n:], run.y[:, -1], p), made))
     if not enclosed:
         pytest.skip("no trajectory of this plant stayed in its region")

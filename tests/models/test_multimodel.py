@@ -10,7 +10,10 @@ import jaxbound as jb
 
 
 def _pair():
-    return [jb.interval_system([[a]], [[1 - a]], [[[c, c + 1]]], noise=n) for a, c, n in ((0.9, 1, 0.1), (0.5, 3, 0.2))]
+    return [
+        jb.interval_system([[a]], [[1 - a]], [[[c, c + 1]]], noise=n)
+        for a, c, n in ((0.9, 1, 0.1), (0.5, 3, 0.2))
+    ]
 
 
 def _linear(u):
@@ -18,13 +21,25 @@ def _linear(u):
 
 
 def test_interval_systems_are_equal_where_every_number_is():
-    one, other, wider = (jb.interval_system([["0.5", [0.1, hi]]] * 2, None, [[1, 1]], noise=0.1) for hi in (0.2, Fraction(1, 5), 0.3))
-    assert one == other and hash(one) == hash(other) and one == pickle.loads(pickle.dumps(one)) and one != wider and one != "model"
+    one, other, wider = (
+        jb.interval_system([["0.5", [0.1, hi]]] * 2, None, [[1, 1]], noise=0.1)
+        for hi in (0.2, Fraction(1, 5), 0.3)
+    )
+    assert (
+        one == other
+        and hash(one) == hash(other)
+        and one == pickle.loads(pickle.dumps(one))
+        and one != wider
+        and one != "model"
+    )
 
 
 def test_the_bounds_of_an_interval_system_are_not_written():
     model = jb.interval_system([[0.5]], None, [[1]], noise=0.1)
-    for system in (model, jb.MultiModel([jb.LinearSystem([[0.5]], None, [[1]], noise=0.1), model], None).models[0]):
+    for system in (
+        model,
+        jb.MultiModel([jb.LinearSystem([[0.5]], None, [[1]], noise=0.1), model], None).models[0],
+    ):
         for bound in (system.noise, system.tolerance):
             with pytest.raises(ValueError, match="read-only"):
                 bound[0] = 0
@@ -35,13 +50,19 @@ def test_the_joined_system_holds_both_side_by_side():
     joined = m.joined()
     assert (joined.n, joined.m, joined.p, m.n) == (2, 1, 1, 2)
     assert joined.A.lo[0, 1] == joined.A.hi[1, 0] == 0 and joined.A.lo[0, 0] <= 0.9 <= joined.A.hi[0, 0]
-    assert joined.C.lo.tolist() == [[1.0, 3.0]] and joined.C.hi.tolist() == [[2.0, 4.0]] and joined.noise[0] >= 0.2
+    assert (
+        joined.C.lo.tolist() == [[1.0, 3.0]]
+        and joined.C.hi.tolist() == [[2.0, 4.0]]
+        and joined.noise[0] >= 0.2
+    )
     assert joined.states == ("1.x1", "2.x1") and joined.moves is None
     assert m.columns(np.array([[0.25], [1.0]])).lo.round(12).tolist() == [[0.25, 0.75], [1.0, 0.0]]
 
 
 def test_the_disturbance_of_each_model_is_kept():
-    """One disturbance moves both states of the first model: what couples them stays, and the second model is certain."""
+    """One disturbance moves both states of the first model: what couples them stays, and the second model is
+    certain.
+    """
     first = jb.LinearSystem([[0.5, 0.1], [0, 0.3]], [[1], [1]], [[1, 0]], disturbance=([[1], [2]], [0.1]))
     second = jb.LinearSystem([[0.9]], [[2]], [[1]])
     m = jb.MultiModel([first, second], _linear).joined()
@@ -67,9 +88,9 @@ def test_weights_hold_all_numbers_within_a_few_ulps(given, dtype, rng):
     ulp = 8 * Fraction(float(max(np.finfo(dtype).eps, np.finfo(given).eps)))
     for lo, hi, w in zip(mu.lo.ravel(), mu.hi.ravel(), said.ravel(), strict=True):
         exact = Fraction(float(w))
-        assert 0 <= Fraction(float(lo)) <= exact * (1 - ulp) and exact * (1 + ulp) <= Fraction(float(hi)) <= exact * (
-            1 + 8 * ulp
-        ) + Fraction(1, 10**30)
+        assert 0 <= Fraction(float(lo)) <= exact * (1 - ulp) and exact * (1 + ulp) <= Fraction(
+            float(hi)
+        ) <= exact * (1 + 8 * ulp) + Fraction(1, 10**30)
 
 
 def test_weights_may_be_intervals():
@@ -82,18 +103,40 @@ def test_weights_may_be_intervals():
     ("call", "says"),
     [
         (lambda: jb.MultiModel(_pair()[:1], len), "at least two models"),
-        (lambda: jb.MultiModel([_pair()[0], jb.interval_system([[1]], None, [[1]])], len), "same number of inputs"),
-        (lambda: jb.MultiModel([jb.LinearSystem([[1]], [[1]], [[1]], D=[[1]]), _pair()[0]], len), "feedthrough or an offset"),
+        (
+            lambda: jb.MultiModel([_pair()[0], jb.interval_system([[1]], None, [[1]])], len),
+            "same number of inputs",
+        ),
+        (
+            lambda: jb.MultiModel([jb.LinearSystem([[1]], [[1]], [[1]], D=[[1]]), _pair()[0]], len),
+            "feedthrough or an offset",
+        ),
         (lambda: jb.MultiModel(_pair(), lambda u: u).mu(np.ones((3, 1))), "weights must return shape"),
         (lambda: jb.MultiModel(_pair(), lambda u: np.ones((3, 2))).mu(np.ones((3, 1))), "sum to 1"),
         (lambda: jb.MultiModel(_pair(), lambda u: np.tile([1.5, -0.5], (3, 1))).mu(np.ones((3, 1))), ">= 0"),
         (lambda: jb.MultiModel(_pair(), lambda u: np.full((3, 2), np.nan)).mu(np.ones((3, 1))), "sum to 1"),
-        (lambda: jb.MultiModel(_pair(), lambda u: jb.interval(np.zeros((3, 2)), np.full((3, 2), 0.4))).mu(np.ones((3, 1))), "sum to 1"),
-        (lambda: jb.validate(jb.MultiModel(_pair(), len), np.ones((9, 1)), np.ones((9, 1)), method="sequential"), "use method='joint'"),
-        (lambda: jb.validate(jb.MultiModel(_pair(), len, partial=True), np.ones((9, 1)), np.ones((9, 1))), r"\(\.\.\., T, 2, 1\)"),
+        (
+            lambda: jb.MultiModel(_pair(), lambda u: jb.interval(np.zeros((3, 2)), np.full((3, 2), 0.4))).mu(
+                np.ones((3, 1))
+            ),
+            "sum to 1",
+        ),
         (
             lambda: jb.validate(
-                jb.MultiModel(_pair(), len, partial=True), np.ones((9, 1)), np.ones((9, 2, 1)), x0=jb.interval([0.0], [1.0])
+                jb.MultiModel(_pair(), len), np.ones((9, 1)), np.ones((9, 1)), method="sequential"
+            ),
+            "use method='joint'",
+        ),
+        (
+            lambda: jb.validate(jb.MultiModel(_pair(), len, partial=True), np.ones((9, 1)), np.ones((9, 1))),
+            r"\(\.\.\., T, 2, 1\)",
+        ),
+        (
+            lambda: jb.validate(
+                jb.MultiModel(_pair(), len, partial=True),
+                np.ones((9, 1)),
+                np.ones((9, 2, 1)),
+                x0=jb.interval([0.0], [1.0]),
             ),
             "each of 2 states",
         ),

@@ -1,4 +1,6 @@
-"""The interval of true values behind a sample, against the four vertices of theta and delta in exact rationals."""
+"""The interval of true values behind a sample, against the four vertices of theta and delta in exact
+rationals.
+"""
 
 from fractions import Fraction
 
@@ -9,8 +11,16 @@ from oracles import Plant
 
 from jaxbound.models import sensor
 
-SENSORS = [(0, 0.1, 0, 0), (0.02, 0.1, 0, 0), (0.1, 0.01, 0, 0), (0.1, 0.01, 0.25, 0), (0.05, 0.2, 0, 12.5), (0.9, 0.3, 0, -3),
-           (0, 0, 0, 0), (0.3, 0, 0, 1000)]  # fmt: skip
+SENSORS = [
+    (0, 0.1, 0, 0),
+    (0.02, 0.1, 0, 0),
+    (0.1, 0.01, 0, 0),
+    (0.1, 0.01, 0.25, 0),
+    (0.05, 0.2, 0, 12.5),
+    (0.9, 0.3, 0, -3),
+    (0, 0, 0, 0),
+    (0.3, 0, 0, 1000),
+]
 
 
 compiled = jax.jit(lambda y, *bounds: sensor.true_value(list(y), *bounds))
@@ -18,11 +28,18 @@ compiled = jax.jit(lambda y, *bounds: sensor.true_value(list(y), *bounds))
 
 def interval(samples, sigma, noise, resolution, offset, dtype):
     """Return mid, rad, scale (s + 1, N) of windows samples (s + 1, N), compiled."""
-    return [np.asarray(v) for v in compiled(samples.astype(dtype), *(np.asarray(v, dtype) for v in (sigma, noise, resolution, offset)))]
+    return [
+        np.asarray(v)
+        for v in compiled(
+            samples.astype(dtype), *(np.asarray(v, dtype) for v in (sigma, noise, resolution, offset))
+        )
+    ]
 
 
 def samples_of(noise, offset, rng, count=120):
-    """Return windows (2, N) around the offset on every scale, with samples on the edges of the cases |y| = noise."""
+    """Return windows (2, N) around the offset on every scale, with samples on the edges of the cases |y| =
+    noise.
+    """
     y = rng.normal(size=(2, count)) * 10 ** rng.uniform(-4, 4, count) + offset
     y[0, :5] = np.array([-noise, -noise / 2, 0, noise / 2, noise]) + offset
     return y
@@ -32,8 +49,18 @@ def samples_of(noise, offset, rng, count=120):
 @pytest.mark.parametrize("sigma, noise, resolution, offset", SENSORS)
 def test_interval_is_that_of_the_four_vertices_to_rounding(sigma, noise, resolution, offset, dtype, rng):
     y = samples_of(noise, offset, rng).astype(dtype)
-    numbers = [Fraction(float(dtype(v))) for v in (sigma, noise, resolution, offset)]  # as the kernel sees them
-    plant = Plant([[1]], None, [[1]], tolerance=numbers[0], noise=numbers[1], resolution=numbers[2], offset={"y": numbers[3]})
+    numbers = [
+        Fraction(float(dtype(v))) for v in (sigma, noise, resolution, offset)
+    ]  # as the kernel sees them
+    plant = Plant(
+        [[1]],
+        None,
+        [[1]],
+        tolerance=numbers[0],
+        noise=numbers[1],
+        resolution=numbers[2],
+        offset={"y": numbers[3]},
+    )
     mid, rad, scale = interval(y, sigma, noise, resolution, offset, dtype)
     u = float(np.finfo(dtype).eps) / 2
     for i in range(y.shape[1]):
@@ -51,7 +78,9 @@ def test_scale_is_at_least_the_magnitudes_that_rounding_is_relative_to(sigma, no
 
 @pytest.mark.parametrize("sigma, noise, resolution, offset", SENSORS)
 def test_every_radius_is_positive(sigma, noise, resolution, offset):
-    assert (interval(np.full((2, 3), float(offset)), sigma, noise, resolution, offset, np.float64)[1] > 0).all()
+    assert (
+        interval(np.full((2, 3), float(offset)), sigma, noise, resolution, offset, np.float64)[1] > 0
+    ).all()
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

@@ -1,4 +1,6 @@
-"""Simulated recordings against trajectories in exact rationals; unknowns inside their bounds; shapes, keys, refusals."""
+"""Simulated recordings against trajectories in exact rationals; unknowns inside their bounds; shapes, keys,
+refusals.
+"""
 
 from fractions import Fraction
 
@@ -13,14 +15,34 @@ from jaxbound.models import simulate as module
 
 HARD = {
     **MODELS,
-    "unstable": dict(A=[[1.25, 0.3], [0, 1.1]], B=[[0.5], [1]], C=[[1, 0], [1, -1]], tolerance=[0.01, 0], noise=[0.5, 0.01]),
-    "difference of levels": dict(A=[["1", "1e-3"], ["0", "1"]], B=[[1e-6], [1e-3]], C=[[1, -1], [1e5, -99999.9]], noise=[1e-3, 1e-2]),
-    "far offset": dict(A=[[0.9, 0], [0.1, 0.5]], B=[[1], [0]], C=[[1, 0], [0.1, 1]], tolerance=[0.02, 0], noise=[0.1, 0.05],
-                       offset={"u": [1e6], "y": [1e6, -273.15]}),
-    "thirds": dict(A=[["1/3", "2/3"], ["-1/7", "8/9"]], B=[["1/11"], ["1/13"]], C=[["1/3", "-1/3"], ["1/7", 0]], D=[["1/9"], [0]],
-                   noise="1/3"),
-}  # fmt: skip
-START = {"unstable": [1.5, -2.25], "difference of levels": [1e6, 1e6], "far offset": [0.3, 7.0], "thirds": [1000.1, 999.7]}
+    "unstable": dict(
+        A=[[1.25, 0.3], [0, 1.1]], B=[[0.5], [1]], C=[[1, 0], [1, -1]], tolerance=[0.01, 0], noise=[0.5, 0.01]
+    ),
+    "difference of levels": dict(
+        A=[["1", "1e-3"], ["0", "1"]], B=[[1e-6], [1e-3]], C=[[1, -1], [1e5, -99999.9]], noise=[1e-3, 1e-2]
+    ),
+    "far offset": dict(
+        A=[[0.9, 0], [0.1, 0.5]],
+        B=[[1], [0]],
+        C=[[1, 0], [0.1, 1]],
+        tolerance=[0.02, 0],
+        noise=[0.1, 0.05],
+        offset={"u": [1e6], "y": [1e6, -273.15]},
+    ),
+    "thirds": dict(
+        A=[["1/3", "2/3"], ["-1/7", "8/9"]],
+        B=[["1/11"], ["1/13"]],
+        C=[["1/3", "-1/3"], ["1/7", 0]],
+        D=[["1/9"], [0]],
+        noise="1/3",
+    ),
+}
+START = {
+    "unstable": [1.5, -2.25],
+    "difference of levels": [1e6, 1e6],
+    "far offset": [0.3, 7.0],
+    "thirds": [1000.1, 999.7],
+}
 BATCH, LARGE = (3, 40), (2500, 201)  # few shapes, because each compiles
 
 
@@ -42,10 +64,21 @@ def exact_outputs(plant, x0, t):
     u = [[Fraction(float(v)) - plant.offset_u[i] for i, v in enumerate(row)] for row in np.asarray(t.u)]
     true = plant.trajectory([Fraction(float(v)) for v in x0], u)
     theta, noise = ([[Fraction(float(v)) for v in row] for row in np.asarray(a)] for a in (t.theta, t.noise))
-    return [[(1 + theta[k][i]) * v + noise[k][i] + plant.offset_y[i] for i, v in enumerate(row)] for k, row in enumerate(true)]
+    return [
+        [(1 + theta[k][i]) * v + noise[k][i] + plant.offset_y[i] for i, v in enumerate(row)]
+        for k, row in enumerate(true)
+    ]
 
 
-TWO_STATES = ("paper", "noise only", "feedthrough", "unstable", "difference of levels", "far offset", "thirds")
+TWO_STATES = (
+    "paper",
+    "noise only",
+    "feedthrough",
+    "unstable",
+    "difference of levels",
+    "far offset",
+    "thirds",
+)
 KINDS = (("uniform", np.float64), ("vertices", np.float64), ("vertices", np.float32))
 CASES = [(name, at, dtype) for name in TWO_STATES for at, dtype in KINDS]
 CASES += [("offsets", "vertices", np.float64), ("no input", "vertices", np.float64)]
@@ -53,11 +86,15 @@ CASES += [pytest.param("three states", "uniform", np.float32, marks=pytest.mark.
 
 
 def worst_error(plant, x0, t):
-    """Return the largest distance of a recorded sample from the exact one, in units of half an ulp (unit roundoff times the sample)."""
+    """Return the largest distance of a recorded sample from the exact one, in units of half an ulp (unit
+    roundoff times the sample).
+    """
     u, worst = Fraction(float(np.finfo(t.y.dtype).eps)) / 2, 0.0
     for got, row in zip(np.asarray(t.y), exact_outputs(plant, x0, t), strict=True):
         for a, b in zip(got, row, strict=True):
-            worst = max(worst, float(abs(Fraction(float(a)) - b) / (u * abs(b))) if b else float(a != 0) * np.inf)
+            worst = max(
+                worst, float(abs(Fraction(float(a)) - b) / (u * abs(b))) if b else float(a != 0) * np.inf
+            )
     return worst
 
 
@@ -73,17 +110,27 @@ def test_samples_are_an_exact_trajectory_rounded_once(name, at, dtype, rng):
 
 
 def test_samples_stay_exact_when_the_model_is_a_constant_of_a_compiled_function(rng):
-    """XLA rewrites sums with constants: (theta + 1) - 1 became theta, and samples were off by 476 half ulps."""
+    """XLA rewrites sums with constants: (theta + 1) - 1 became theta, and samples were off by 476 half
+    ulps.
+    """
     plant, u = Plant(**HARD["offsets"]), inputs("offsets", (40,), rng)
-    t = jax.jit(jax.vmap(lambda k: jb.simulate(build("offsets"), u, k, x0=[3.0, -2.0])))(jax.random.split(key(rng), 3))
-    assert max(worst_error(plant, [3.0, -2.0], jax.tree.map(lambda v, i=i: v[i], t)) for i in range(3)) < 1 + 1e-4
+    t = jax.jit(jax.vmap(lambda k: jb.simulate(build("offsets"), u, k, x0=[3.0, -2.0])))(
+        jax.random.split(key(rng), 3)
+    )
+    assert (
+        max(worst_error(plant, [3.0, -2.0], jax.tree.map(lambda v, i=i: v[i], t)) for i in range(3))
+        < 1 + 1e-4
+    )
 
 
 @pytest.mark.slow
 def test_samples_stay_exact_in_a_large_batch(rng):
     plant, u = Plant(**HARD["far offset"]), inputs("far offset", LARGE, rng)
     t = jb.simulate(build("far offset"), u, key(rng))
-    assert max(worst_error(plant, [0, 0], jax.tree.map(lambda v, i=i: v[i], t)) for i in rng.choice(2500, 2)) < 1 + 1e-4
+    assert (
+        max(worst_error(plant, [0, 0], jax.tree.map(lambda v, i=i: v[i], t)) for i in rng.choice(2500, 2))
+        < 1 + 1e-4
+    )
 
 
 @pytest.mark.parametrize("name", ["difference of levels", "unstable"])
@@ -134,7 +181,9 @@ def test_states_follow_the_plant(rng):
     t = jb.simulate(paper(), inputs("paper", BATCH, rng), key(rng), x0=[3.0, -4.0])
     x, u = np.asarray(t.x), np.asarray(t.u)
     np.testing.assert_array_equal(x[:, 0], [[3, -4]] * 3)
-    np.testing.assert_allclose(x[:, 1:], x[:, :-1] @ [[0.8, 0], [1, 0.2]] + u[:, :-1] * [0, 1], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        x[:, 1:], x[:, :-1] @ [[0.8, 0], [1, 0.2]] + u[:, :-1] * [0, 1], rtol=0, atol=1e-14
+    )
 
 
 def test_the_first_state_is_zero_unless_given(rng):
@@ -175,18 +224,26 @@ def test_a_second_simulation_of_another_plant_of_the_shape_does_not_trace(rng):
     u = inputs("paper", BATCH, rng)
     jb.simulate(paper(), u, key(rng))
     traced = module._trajectory._cache_size()
-    jb.simulate(paper(A=[[0.5, 0.1], [0, 0.3]], noise=0.7, offset={"y": [1, 2]}), u + 1, key(rng), x0=[1.0, 1.0])
+    jb.simulate(
+        paper(A=[[0.5, 0.1], [0, 0.3]], noise=0.7, offset={"y": [1, 2]}), u + 1, key(rng), x0=[1.0, 1.0]
+    )
     assert module._trajectory._cache_size() == traced
 
 
-@pytest.mark.parametrize("change, message", [
-    (dict(at="corners"), "at must be 'uniform' or 'vertices', not 'corners'"),
-    (dict(u=np.zeros((20, 2))), r"u must have shape \(\.\.\., T, 1\), time first: its shape is \(20, 2\)"),
-    (dict(u=np.zeros(20)), r"its shape is \(20,\)"),
-    (dict(u=np.array([[0.0], [np.inf]])), "u must be finite .* first in 'u1' at sample 1"),
-    (dict(x0=np.zeros(3)), r"x0 must have shape \(2,\)"),
-    (dict(x0=np.zeros((5, 2))), r"x0 must have shape \(2,\)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(at="corners"), "at must be 'uniform' or 'vertices', not 'corners'"),
+        (
+            dict(u=np.zeros((20, 2))),
+            r"u must have shape \(\.\.\., T, 1\), time first: its shape is \(20, 2\)",
+        ),
+        (dict(u=np.zeros(20)), r"its shape is \(20,\)"),
+        (dict(u=np.array([[0.0], [np.inf]])), "u must be finite .* first in 'u1' at sample 1"),
+        (dict(x0=np.zeros(3)), r"x0 must have shape \(2,\)"),
+        (dict(x0=np.zeros((5, 2))), r"x0 must have shape \(2,\)"),
+    ],
+)
 def test_what_does_not_fit_is_refused(change, message):
     given = dict(u=np.zeros((20, 1)), x0=None, at="uniform") | change
     with pytest.raises(ValueError, match=message):

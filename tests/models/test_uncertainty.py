@@ -40,53 +40,81 @@ def test_a_parameter_in_d_makes_the_newest_input_matter():
     assert build(dict(name="d", D=[[1], [0]])).has_feedthrough
 
 
-@pytest.mark.parametrize("given, message", [
-    (dict(name="a"), "uncertainty 'a' acts on nothing"),
-    (dict(name="a", A=[[0, 0], [0, 0]]), "acts on nothing"),
-    (dict(name="", A=[[1]]), "needs a name"),
-    (dict(name="a", A=[[1, 2], [3]]), "A of uncertainty 'a': rows have different lengths"),
-    (dict(name="a", A=[[np.nan, 0], [0, 0]]), "A of uncertainty 'a': nan is not a finite number"),
-    (dict(name="a", A=[[1]], between=(6, 2)), r"between of uncertainty 'a' needs lo < hi, not \[6, 2\]"),
-    (dict(name="a", A=[[1]], between=3), "needs two numbers"),
-    (dict(name="a", A=[[1]], varying="no"), "varying of uncertainty 'a' must be True or False"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        (dict(name="a"), "uncertainty 'a' acts on nothing"),
+        (dict(name="a", A=[[0, 0], [0, 0]]), "acts on nothing"),
+        (dict(name="", A=[[1]]), "needs a name"),
+        (dict(name="a", A=[[1, 2], [3]]), "A of uncertainty 'a': rows have different lengths"),
+        (dict(name="a", A=[[np.nan, 0], [0, 0]]), "A of uncertainty 'a': nan is not a finite number"),
+        (dict(name="a", A=[[1]], between=(6, 2)), r"between of uncertainty 'a' needs lo < hi, not \[6, 2\]"),
+        (dict(name="a", A=[[1]], between=3), "needs two numbers"),
+        (dict(name="a", A=[[1]], varying="no"), "varying of uncertainty 'a' must be True or False"),
+    ],
+)
 def test_an_uncertainty_that_means_nothing_is_refused(given, message):
     with pytest.raises(ValueError, match=message):
         jb.Uncertainty(**given)
 
 
-@pytest.mark.parametrize("parameters, message", [
-    ([dict(name="a", A=[[1]])], r"A of uncertainty 'a' must have the shape of the model's A, \(2, 2\): its shape is \(1, 1\)"),
-    ([GAIN, GAIN], "'gain' is used twice"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "parameters, message",
+    [
+        (
+            [dict(name="a", A=[[1]])],
+            r"A of uncertainty 'a' must have the shape of the model's A, \(2, 2\): its shape is \(1, 1\)",
+        ),
+        ([GAIN, GAIN], "'gain' is used twice"),
+    ],
+)
 def test_uncertainties_that_do_not_fit_are_refused(parameters, message):
     with pytest.raises(ValueError, match=message):
         build(*parameters)
 
 
 def test_what_is_no_uncertainty_is_refused():
-    with pytest.raises(TypeError, match=r"uncertainties must be jb.Uncertainty\(name, A=..., ...\), not dict"):
+    with pytest.raises(
+        TypeError, match=r"uncertainties must be jb.Uncertainty\(name, A=..., ...\), not dict"
+    ):
         jb.LinearSystem(**PAPER, uncertainties=[GAIN])
 
 
-@pytest.mark.parametrize("m", [build(*ALL), jb.LinearSystem(None, None, None, [[1, 2]], uncertainties=[jb.Uncertainty("k", D=[[0, 0.1]])])])
+@pytest.mark.parametrize(
+    "m",
+    [
+        build(*ALL),
+        jb.LinearSystem(None, None, None, [[1, 2]], uncertainties=[jb.Uncertainty("k", D=[[0, 0.1]])]),
+    ],
+)
 def test_a_model_file_keeps_every_number(m, tmp_path):
     jb.save_model(m, tmp_path / "m.toml")
     again = jb.load_model(tmp_path / "m.toml")
     for name in ("A", "B", "C", "D", "n", "m", "p"):
         assert getattr(again, name) == getattr(m, name)
     for a, b in zip(again.uncertainties, m.uncertainties, strict=True):
-        assert (a.name, a.A, a.B, a.C, a.D, a.varying, a.between) == (b.name, b.A, b.B, b.C, b.D, b.varying, b.between)
+        assert (a.name, a.A, a.B, a.C, a.D, a.varying, a.between) == (
+            b.name,
+            b.A,
+            b.B,
+            b.C,
+            b.D,
+            b.varying,
+            b.between,
+        )
     assert model_text(again) == model_text(m)
 
 
-@pytest.mark.parametrize("block, message", [
-    ("varying = 1\nA = [[1]]", "varying of number 1 of uncertainty, 'a' must be true or false"),
-    ("between = 3\nA = [[1]]", r"between of number 1 of uncertainty, 'a' must be \[lowest, highest\]"),
-    ("A = [1]", "A of number 1 of uncertainty, 'a' must be a list of rows"),
-    ("a = [[1]]", "has the unknown field 'a'; known fields are name, varying, between, A, B, C, D"),
-    ("", "uncertainty 'a' acts on nothing"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "block, message",
+    [
+        ("varying = 1\nA = [[1]]", "varying of number 1 of uncertainty, 'a' must be true or false"),
+        ("between = 3\nA = [[1]]", r"between of number 1 of uncertainty, 'a' must be \[lowest, highest\]"),
+        ("A = [1]", "A of number 1 of uncertainty, 'a' must be a list of rows"),
+        ("a = [[1]]", "has the unknown field 'a'; known fields are name, varying, between, A, B, C, D"),
+        ("", "uncertainty 'a' acts on nothing"),
+    ],
+)
 def test_a_block_of_a_file_that_means_nothing_is_refused(block, message, tmp_path):
     path = tmp_path / "m.toml"
     path.write_text(f'dt = 1\n[[uncertainty]]\nname = "a"\n{block}\n[matrices]\nA = [[0.5]]\nC = [[1]]\n')
@@ -112,7 +140,9 @@ def test_a_simulation_is_the_exact_trajectory_to_the_last_digit(rng):
     exact = lambda a: [[Fraction(float(x)) for x in row] for row in np.asarray(a)]
     v = np.vectorize(lambda x: Fraction(float(x)), otypes=[object])(np.asarray(t.parameters))
     values = {(p["name"], k): v[k or 0, i] for i, p in enumerate(parameters) for k in (*range(25), None)}
-    y = np.array(trajectory(matrices, parameters, values, [Fraction(0)] * len(matrices["A"]), exact(u)), float).reshape(25, -1)
+    y = np.array(
+        trajectory(matrices, parameters, values, [Fraction(0)] * len(matrices["A"]), exact(u)), float
+    ).reshape(25, -1)
     assert (abs(np.asarray(t.y) - y) <= np.spacing(abs(y).max())).all()
 
 

@@ -13,7 +13,10 @@ def test_few_numbers_are_those_of_jax_random(dtype, module_seed):
     for key in (jax.random.key(module_seed), jax.random.key(2**40 + 3), jax.random.PRNGKey(7)):
         found = draws.uniform_draws(key, streams, 5, size, dtype)
         keys = jax.random.split(key, 5)
-        wanted = [[jax.random.uniform(jax.random.fold_in(k, s), (size,), dtype, -1, 1) for k in keys] for s in streams]
+        wanted = [
+            [jax.random.uniform(jax.random.fold_in(k, s), (size,), dtype, -1, 1) for k in keys]
+            for s in streams
+        ]
         assert isinstance(found, np.ndarray) and found.dtype == dtype
         np.testing.assert_array_equal(found, wanted)
 
@@ -21,5 +24,7 @@ def test_few_numbers_are_those_of_jax_random(dtype, module_seed):
 def test_many_numbers_and_those_of_other_keys_begin_as_few_do(monkeypatch):
     few = draws.uniform_draws(jax.random.key(3), (1, 5), 3, 40, np.dtype(float))
     monkeypatch.setattr(draws, "FEW", 0)
-    np.testing.assert_array_equal(draws.uniform_draws(jax.random.key(3), (1, 5), 5, 70, np.dtype(float))[:, :3, :40], few)
+    np.testing.assert_array_equal(
+        draws.uniform_draws(jax.random.key(3), (1, 5), 5, 70, np.dtype(float))[:, :3, :40], few
+    )
     assert draws.uniform_draws(jax.random.key(3, impl="rbg"), (1,), 2, 8, np.dtype(float)).shape == (1, 2, 8)

@@ -1,4 +1,6 @@
-"""Descriptor systems and decoupled parameters, as models with unknown inputs: exact trajectories and the paper's own inverse route."""
+"""Descriptor systems and decoupled parameters, as models with unknown inputs: exact trajectories and the
+paper's own inverse route.
+"""
 
 import json
 from fractions import Fraction
@@ -18,7 +20,9 @@ def draw(rng, *shape):
 
 
 def test_eliminating_unknown_inputs_and_going_back_gives_the_same_relations(shared):
-    """(4a), then (5)-(7): the singular system of the example has the relations of the system with the unknown input."""
+    """(4a), then (5)-(7): the singular system of the example has the relations of the system with the unknown
+    input.
+    """
     s = json.loads(shared("golden/ragot1993.json").read_text())["system"]
     m = jb.LinearSystem(s["A"], s["B"], s["C"], unknown_inputs=s["F"])
     E = linalg.left_null_space(m.F)
@@ -29,19 +33,26 @@ def test_eliminating_unknown_inputs_and_going_back_gives_the_same_relations(shar
 
 @pytest.mark.parametrize("square", [True, False])
 def test_a_trajectory_of_the_descriptor_system_is_one_of_the_model(square, rng):
-    """Equations with and without x+; the trajectory is made by choosing z freely and adjusting u so that every equation holds."""
+    """Equations with and without x+; the trajectory is made by choosing z freely and adjusting u so that
+    every equation holds.
+    """
     n, p, T, done = 4, 3, 6, 0
     while done < 5:
         r = n if square else 3
         E, A, C, D = draw(rng, r, n), draw(rng, r, n), draw(rng, p, n), draw(rng, p, r)
         E[-1] = [Fraction(0)] * n
-        if linalg.rank(E) < r - 1 or linalg.rank([*E[:-1], A[-1]]) < r:  # then the equation without x+ may restrict the states
+        if (
+            linalg.rank(E) < r - 1 or linalg.rank([*E[:-1], A[-1]]) < r
+        ):  # then the equation without x+ may restrict the states
             continue
         done += 1
         B = [[Fraction(int(i == j)) for j in range(r)] for i in range(r)]
         z = [draw(rng, n, 1) for _ in range(T + 1)]
         u = [[a[0] - b[0] for a, b in zip(times(E, z[k + 1]), times(A, z[k]), strict=True)] for k in range(T)]
-        y = [[a[0] + b[0] for a, b in zip(times(C, z[k]), times(D, [[v] for v in u[k]]), strict=True)] for k in range(T)]
+        y = [
+            [a[0] + b[0] for a, b in zip(times(C, z[k]), times(D, [[v] for v in u[k]]), strict=True)]
+            for k in range(T)
+        ]
         m = jb.LinearSystem(A, B, C, D, E=E, noise="1e-9")
         assert m.n == linalg.rank(E) and m.d == n - m.n - 1  # one equation without x+ solves for one unknown
         for k in range(3, T):
@@ -49,24 +60,46 @@ def test_a_trajectory_of_the_descriptor_system_is_one_of_the_model(square, rng):
                 s = len(h) // p - 1
                 flat = lambda rows, s=s, k=k: [x for row in rows[k - s : k + 1] for x in row]
                 known = flat(u)[: len(K)]
-                assert sum(a * b for a, b in zip(h, flat(y), strict=True)) == sum(a * b for a, b in zip(K, known, strict=True))
+                assert sum(a * b for a, b in zip(h, flat(y), strict=True)) == sum(
+                    a * b for a, b in zip(K, known, strict=True)
+                )
 
 
 def test_a_regular_e_is_inverted_and_names_are_kept():
     m = jb.LinearSystem([[1, 2], [3, 4]], [[2], [4]], [[1, 0]], E=[[2, 0], [0, 4]], states=("a", "b"))
-    assert m.A == ((Fraction(1, 2), 1), (Fraction(3, 4), 1)) and m.B == ((1,), (1,)) and m.states == ("a", "b") and m.d == 0
+    assert (
+        m.A == ((Fraction(1, 2), 1), (Fraction(3, 4), 1))
+        and m.B == ((1,), (1,))
+        and m.states == ("a", "b")
+        and m.d == 0
+    )
     mixed = jb.LinearSystem([[1, 0]], None, [[1, 0]], E=[[1, -1]], states=("a", "b"))
     assert mixed.states == ("x1",) and mixed.d == 1
 
 
-@pytest.mark.parametrize("change, said", [
-    (dict(A=[[1, 0], [1, 0]], E=[[1, 0], [0, 0]]), "an equation without x. restricts the states themselves"),
-    (dict(E=[[1, 0, 0], [0, 0, 0]]), r"A must have shape \(2, 3\) to fit E, \(2, 3\): its shape is \(2, 2\)"),
-    (dict(E=[[1, 0], [0, "x"]]), "E: 'x' is not a finite number"),
-    (dict(A=[[1, 0], [0, 1]], E=[[1, 0], [0, 0]], disturbance=([[0], [1]], 1)), "puts a disturbance into an output"),
-    (dict(E=[[1, 0], [0, 1]], uncertainties=[Uncertainty("k", A=[[1, 0], [0, 0]])]), "E and uncertainties do not go together"),
-    (dict(decouple=("k",)), "decouple names 'k', but the uncertainties are none"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (
+            dict(A=[[1, 0], [1, 0]], E=[[1, 0], [0, 0]]),
+            "an equation without x. restricts the states themselves",
+        ),
+        (
+            dict(E=[[1, 0, 0], [0, 0, 0]]),
+            r"A must have shape \(2, 3\) to fit E, \(2, 3\): its shape is \(2, 2\)",
+        ),
+        (dict(E=[[1, 0], [0, "x"]]), "E: 'x' is not a finite number"),
+        (
+            dict(A=[[1, 0], [0, 1]], E=[[1, 0], [0, 0]], disturbance=([[0], [1]], 1)),
+            "puts a disturbance into an output",
+        ),
+        (
+            dict(E=[[1, 0], [0, 1]], uncertainties=[Uncertainty("k", A=[[1, 0], [0, 0]])]),
+            "E and uncertainties do not go together",
+        ),
+        (dict(decouple=("k",)), "decouple names 'k', but the uncertainties are none"),
+    ],
+)
 def test_what_is_no_model_is_refused(change, said):
     with pytest.raises(ValueError, match=said):
         jb.LinearSystem(**(dict(A=[[1, 0], [0, 1]], B=None, C=[[1, 0], [0, 1]], noise=1) | change))
@@ -87,7 +120,9 @@ def test_a_decoupled_parameter_may_take_any_value(rng):
     short = slice(0, 12)  # before an unlucky parameter lets the plant explode
     assert (jb.detect(jb.parity_relations(m, 2), u[short], y[short]).status[2:] == jb.Status.CONSISTENT).all()
     certain = jb.LinearSystem(**given)
-    assert (jb.detect(jb.parity_relations(certain, 2), u[short], y[short]).status[2:] == jb.Status.FAULT).any()
+    assert (
+        jb.detect(jb.parity_relations(certain, 2), u[short], y[short]).status[2:] == jb.Status.FAULT
+    ).any()
 
 
 def test_one_of_two_parameters_is_decoupled():
@@ -114,7 +149,10 @@ C = [[1, 1]]
     path.write_text(text)
     assert jb.load_model(path).F == ((1,), (0,))
     path.write_text(
-        text.replace('decouple = ["k"]', "").replace('[[uncertainty]]\nname = "k"\nA = [[1, 0], [0, 0]]\n', "") + "E = [[1, 0]]\n"
+        text.replace('decouple = ["k"]', "").replace(
+            '[[uncertainty]]\nname = "k"\nA = [[1, 0], [0, 0]]\n', ""
+        )
+        + "E = [[1, 0]]\n"
     )
     with pytest.raises(ValueError, match=r"A must have shape \(1, 2\)"):
         jb.load_model(path)

@@ -45,10 +45,17 @@ def test_second_form_holds_along_every_exact_trajectory(name, s, rng):
     states, u = [draw(plant.n)], [draw(plant.m) for _ in range(s + 1)]
     y = [v for row in plant.trajectory(states[0], u) for v in row]
     for now in u[:-1]:
-        states.append([sum(a * x for a, x in zip(A, states[-1], strict=True)) + sum(b * v for b, v in zip(B, now, strict=True))
-                       for A, B in zip(plant.A, plant.B, strict=True)])  # fmt: skip
+        states.append(
+            [
+                sum(a * x for a, x in zip(A, states[-1], strict=True))
+                + sum(b * v for b, v in zip(B, now, strict=True))
+                for A, B in zip(plant.A, plant.B, strict=True)
+            ]
+        )
     X, U = [x for state in states for x in state], [v for row in u[: plant.lags(s)] for v in row]
-    value = lambda matrix, vector: [sum((a * b for a, b in zip(row, vector, strict=True)), Fraction(0)) for row in matrix]
+    value = lambda matrix, vector: [
+        sum((a * b for a, b in zip(row, vector, strict=True)), Fraction(0)) for row in matrix
+    ]
     assert value(M, X) == value(N, U)
     assert [a + b for a, b in zip(value(L, X), value(F, U), strict=True)] == y
 
@@ -71,12 +78,22 @@ def test_both_forms_have_the_same_left_nullity(s, golden):
 def test_the_states_of_a_window_solve_the_dynamics():
     m, s = model("paper"), 2
     _, M, N, _ = window.second_form(m, s)
-    power, block = rows([[1, 0], [0, 1]]), []  # A_s = [I; A; A^2], B_s: M A_s = 0, N = M B_s (Adrot 2000, before (18))
+    power, block = (
+        rows([[1, 0], [0, 1]]),
+        [],
+    )  # A_s = [I; A; A^2], B_s: M A_s = 0, N = M B_s (Adrot 2000, before (18))
     for _ in range(s + 1):
         block += power
         power = times(rows(m.A), power)
     zero = [Fraction(0)] * 2
     AB = times(rows(m.A), rows(m.B))
-    inputs = [zero, zero, [m.B[0][0], Fraction(0)], [m.B[1][0], Fraction(0)], [AB[0][0], m.B[0][0]], [AB[1][0], m.B[1][0]]]
+    inputs = [
+        zero,
+        zero,
+        [m.B[0][0], Fraction(0)],
+        [m.B[1][0], Fraction(0)],
+        [AB[0][0], m.B[0][0]],
+        [AB[1][0], m.B[1][0]],
+    ]
     assert all(x == 0 for row in times(rows(M), block) for x in row)
     assert times(rows(M), inputs) == rows(N)

@@ -63,7 +63,10 @@ def test_what_is_one_chart_is_drawn_into_axes_of_ones_own():
     """In the style that its owner has: nothing else of the figure changes."""
     from matplotlib.figure import Figure
 
-    res, bank = jb.detect(jb.parity_relations(paper()), np.zeros((9, 1)), np.zeros((9, 2))), jb.structured_relations(paper())
+    res, bank = (
+        jb.detect(jb.parity_relations(paper()), np.zeros((9, 1)), np.zeros((9, 2))),
+        jb.structured_relations(paper()),
+    )
     Z = jb.zonotope([1.0, 2.0], [[1.0, 0.5, 0.2], [0.0, 1.0, -0.4]])
     things = (res, Z, [Z, Z], jb.signatures(bank), jb.isolability(paper()))
     fig = Figure()
@@ -86,22 +89,45 @@ def test_a_new_kind_of_thing_registers_in_three_lines():
 
 @pytest.mark.parametrize("thing", [1.5, "run.csv", paper(), None], ids=lambda x: type(x).__name__)
 def test_what_cannot_be_drawn_gets_one_sentence(thing):
-    with pytest.raises(TypeError, match=f"^plot draws .*BankResult.* Result.* Zonotope.*, not {type(thing).__name__}$"):
+    with pytest.raises(
+        TypeError, match=f"^plot draws .*BankResult.* Result.* Zonotope.*, not {type(thing).__name__}$"
+    ):
         jb.plot(thing)
 
 
 def test_every_file_of_a_picture_is_registered_where_its_type_is_drawn():
-    drawn = {kind.__name__: draw.__module__.rpartition(".")[2] for kind, draw in jb.plot.registry.items() if kind.__module__ != "builtins"}
-    assert drawn == {"BankResult": "bank", "ConstrainedZonotope": "sets", "Digest": "digest", "Fitted": "fit", "Isolability": "signatures",
-                     "Observation": "observation",
-                     "Result": "result", "Signatures": "signatures", "StudyResult": "study", "TuneResult": "tune",
-                     "Validation": "validation", "Zonotope": "sets"}  # fmt: skip
+    drawn = {
+        kind.__name__: draw.__module__.rpartition(".")[2]
+        for kind, draw in jb.plot.registry.items()
+        if kind.__module__ != "builtins"
+    }
+    assert drawn == {
+        "BankResult": "bank",
+        "ConstrainedZonotope": "sets",
+        "Digest": "digest",
+        "Fitted": "fit",
+        "Isolability": "signatures",
+        "Observation": "observation",
+        "Result": "result",
+        "Signatures": "signatures",
+        "StudyResult": "study",
+        "TuneResult": "tune",
+        "Validation": "validation",
+        "Zonotope": "sets",
+    }
 
 
 @pytest.fixture
 def validated():
-    """Return (Validation, y) made up: the truth is 1 +- 0.5 from sample 1 on, y1 shows 4 in samples 8 to 10 and 20."""
-    band = jb.Interval(*(np.concatenate([np.full((1, 2), side * np.inf), np.full((29, 2), 1 + side * 0.5)]) for side in (-1, 1)))
+    """Return (Validation, y) made up: the truth is 1 +- 0.5 from sample 1 on, y1 shows 4 in samples 8 to 10
+    and 20.
+    """
+    band = jb.Interval(
+        *(
+            np.concatenate([np.full((1, 2), side * np.inf), np.full((29, 2), 1 + side * 0.5)])
+            for side in (-1, 1)
+        )
+    )
     faulty = np.zeros((30, 2), bool)
     faulty[[8, 9, 10, 20], 0] = True
     status = np.where(faulty.any(1), jb.Status.FAULT, jb.Status.UNDECIDED).astype(np.int8)
@@ -125,7 +151,10 @@ def test_a_validation_without_its_samples_claims_no_measurement(validated):
 
 def test_a_validation_of_other_samples_or_of_a_batch_is_refused(validated):
     found, y = validated
-    for options, says in (({"time": np.arange(3)}, "one entry for each of the 30 samples"), ({"y": y[:5]}, "samples that were validated")):
+    for options, says in (
+        ({"time": np.arange(3)}, "one entry for each of the 30 samples"),
+        ({"y": y[:5]}, "samples that were validated"),
+    ):
         with pytest.raises(ValueError, match=says):
             jb.plot(found, **options)
     with pytest.raises(ValueError, match="a plot shows one recording"):

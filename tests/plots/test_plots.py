@@ -27,7 +27,11 @@ class TestPlot:
         margin, ribbon, factor = fig.axes
         line = next(x for x in margin.lines if len(x.get_xdata()) == 300)
         np.testing.assert_array_equal(line.get_ydata(), run[0].margin)
-        assert [t.get_text() for t in fig.legends[0].texts] == ["MISSING", "CONSISTENT", "FAULT"] and ribbon.get_xlabel() == "time (s)"
+        assert [t.get_text() for t in fig.legends[0].texts] == [
+            "MISSING",
+            "CONSISTENT",
+            "FAULT",
+        ] and ribbon.get_xlabel() == "time (s)"
         assert factor.get_ylim() == margin.get_ylim()
 
     @pytest.mark.parametrize("span, unit", [(10, "s"), (600, "min"), (86400, "h"), (10**6, "days")])
@@ -46,7 +50,11 @@ class TestPlot:
         status[0], status[654_321] = MISSING, FAULT
         fig = plot(synthetic(status))
         colours = fig.axes[1].collections[0].get_array().ravel()
-        assert len(colours) == 1200 and list(colours[colours != CONSISTENT]) == [FAULT] and np.argmax(colours) == 654_321 * 1200 // 10**6
+        assert (
+            len(colours) == 1200
+            and list(colours[colours != CONSISTENT]) == [FAULT]
+            and np.argmax(colours) == 654_321 * 1200 // 10**6
+        )
         assert min(x.get_ydata().min() for x in fig.axes[0].lines if len(x.get_ydata()) == 1200) == -1
 
     def test_thinned_residuals_keep_the_worst_window(self, rng):
@@ -55,7 +63,11 @@ class TestPlot:
         y[12_345] = 7.0
         res = jb.detect(jb.parity_relations(model), np.zeros((20_000, 1)), y)
         ax = plot_residuals(res).axes[0]
-        share = next(x.get_ydata() for x in ax.lines if len(x.get_ydata()) == 1200 and x.get_label().startswith("share"))
+        share = next(
+            x.get_ydata()
+            for x in ax.lines
+            if len(x.get_ydata()) == 1200 and x.get_label().startswith("share")
+        )
         assert abs(share.max() - (1 - np.nanmin(res.margin))) < 1e-6  # one relation: its share is the gauge
 
     @pytest.mark.parametrize("worst", [-3.0, -50.0, -1e6, -1e15, -np.inf])
@@ -97,7 +109,9 @@ class TestPlot:
         y = np.random.default_rng(0).normal(size=(10, 1))
         value = float(r.external(np.zeros((10, 1)), y)[5, 0])
         coefficients = [float(x) / float(max(map(abs, r.W[0]))) for x in r.W[0]]
-        assert abs(value - np.dot(coefficients, y[3:6, 0])) < 1e-9 and not re.search(r"(?<![.\d])\d{5,} ", text)
+        assert abs(value - np.dot(coefficients, y[3:6, 0])) < 1e-9 and not re.search(
+            r"(?<![.\d])\d{5,} ", text
+        )
 
     def test_batches_and_wrong_times_are_refused(self, run):
         r = run[0].relations

@@ -15,7 +15,9 @@ def test_faulty_stretches_are_marked_and_replaced():
         == [20, 21, 22, 40]
         == list(np.flatnonzero(np.isfinite(lines["corrected"])))
     )
-    assert np.isfinite(lines["measured"]).sum() == 56 and "4 faulty samples in 2 stretches" in ax.get_title(loc="left")
+    assert np.isfinite(lines["measured"]).sum() == 56 and "4 faulty samples in 2 stretches" in ax.get_title(
+        loc="left"
+    )
 
 
 def test_one_faulty_sample_in_a_million_is_drawn():

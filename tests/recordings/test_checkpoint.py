@@ -23,14 +23,21 @@ def test_nothing_is_loaded_from_nothing(tmp_path):
     assert Checkpoint(tmp_path / "x.npz", MINE).load() is None and not os.listdir(tmp_path)
 
 
-@pytest.mark.parametrize("now, what", [
-    ({**MINE, "steps": "4"}, "steps"), ({"model": "b", "steps": "4"}, "model and steps"), ({**MINE, "bounds": "c"}, "bounds"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "now, what",
+    [
+        ({**MINE, "steps": "4"}, "steps"),
+        ({"model": "b", "steps": "4"}, "model and steps"),
+        ({**MINE, "bounds": "c"}, "bounds"),
+    ],
+)
 def test_another_run_is_refused_and_the_file_stays(tmp_path, now, what):
     path = tmp_path / "x.npz"
     Checkpoint(path, MINE).save(done=3)
     kept = path.read_bytes()
-    with pytest.raises(ValueError, match=f"x.npz is of another {what}: choose another place, or delete it to begin anew"):
+    with pytest.raises(
+        ValueError, match=f"x.npz is of another {what}: choose another place, or delete it to begin anew"
+    ):
         Checkpoint(path, now).load()
     assert path.read_bytes() == kept
 
@@ -48,7 +55,11 @@ def test_a_damaged_file_is_refused(tmp_path, damage):
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     np.save(tmp_path / "x.npy", data)
-    spoiled = {"half": path.read_bytes()[:4000], "bit": bytes(data), "array": (tmp_path / "x.npy").read_bytes()}
+    spoiled = {
+        "half": path.read_bytes()[:4000],
+        "bit": bytes(data),
+        "array": (tmp_path / "x.npy").read_bytes(),
+    }
     path.write_bytes(spoiled.get(damage, damage))
     with pytest.raises(ValueError, match="x.npz is damaged, or no state of jaxbound"):
         Checkpoint(path, MINE).load()

@@ -1,4 +1,6 @@
-"""Every line of a CSV file is a row that is read, or is named in a sentence; a pipe of the same bytes says the same."""
+"""Every line of a CSV file is a row that is read, or is named in a sentence; a pipe of the same bytes says
+the same.
+"""
 
 from functools import partial
 
@@ -72,9 +74,14 @@ READ = {  # (text, model): 40 samples from a file as from a pipe
     "one column with carriage returns": (edited(COLUMN, 9, "0.875", "").replace("\n", "\r"), ALONE),
     "one column, blank lines, both": (edited(COLUMN, 9, "0.875", "").replace("\n", "\r\n"), ALONE),
     "text in quotes": (edited(SPARE, 9, "fine", '"off"'), NAMED),
-}  # fmt: skip
-MISSING = {"one column with blank lines": 2, "one column with a blank first line": 1, "one column with carriage returns": 1,
-           "one column, blank lines, both": 1, "text in quotes": 1}  # fmt: skip
+}
+MISSING = {
+    "one column with blank lines": 2,
+    "one column with a blank first line": 1,
+    "one column with carriage returns": 1,
+    "one column, blank lines, both": 1,
+    "text in quotes": 1,
+}
 LENGTHS = {"a row of tabs alone": 41, "one column that ends in blank lines": 42}
 
 OPEN = "has a quotation mark that is not closed"
@@ -86,17 +93,42 @@ BAD = {  # (text, model, number of the line, what is said of it): refused in a f
     "in a text that is compared": (edited(SPARE, 41, "fine", '"off'), NAMED, 41, OPEN),
     "a quote in the first row": (edited(SPARE, 2, "fine", '"fine'), TIMED, 2, OPEN),
     "a quote and carriage returns": (edited(SPARE, 9, "fine", '"fine').replace("\n", "\r"), TIMED, 9, OPEN),
-    "a quote without a time": (edited(table("{1},{2},fine\n", "u1,y1,note\n"), 9, "fine", '"fine'), TIMED, 9, OPEN),
+    "a quote without a time": (
+        edited(table("{1},{2},fine\n", "u1,y1,note\n"), 9, "fine", '"fine'),
+        TIMED,
+        9,
+        OPEN,
+    ),
     "a quote in one column": (edited(COLUMN, 9, "0.875", '"0.875'), ALONE, 9, OPEN),
     "a cell over two lines": (edited(SPARE, 9, "fine", '"fine\nreally"'), TIMED, 9, OPEN),
-    "a blank line without a time": (UNTIMED.replace("\n0.5,2.0\n", "\n\n0.5,2.0\n"), TIMED, 18, "is blank, and without a column of times"),
-    "a space without a time": (UNTIMED.replace("\n0.5,2.0\n", "\n \n0.5,2.0\n"), TIMED, 18, "is blank, and without a column of times"),
+    "a blank line without a time": (
+        UNTIMED.replace("\n0.5,2.0\n", "\n\n0.5,2.0\n"),
+        TIMED,
+        18,
+        "is blank, and without a column of times",
+    ),
+    "a space without a time": (
+        UNTIMED.replace("\n0.5,2.0\n", "\n \n0.5,2.0\n"),
+        TIMED,
+        18,
+        "is blank, and without a column of times",
+    ),
     "too few cells": (edited(PLAIN, 9, ",0.875", ""), TIMED, 9, "has 2 cells, the header has 3 columns"),
-    "too many cells": (edited(PLAIN, 9, "0.875", "0.875,1"), TIMED, 9, "has 4 cells, the header has 3 columns"),
-    "too few cells below blank lines": (edited("\n\n" + PLAIN.replace("\n", "\n\n"), 19, ",0.875", ""), TIMED, 19, "has 2 cells"),
+    "too many cells": (
+        edited(PLAIN, 9, "0.875", "0.875,1"),
+        TIMED,
+        9,
+        "has 4 cells, the header has 3 columns",
+    ),
+    "too few cells below blank lines": (
+        edited("\n\n" + PLAIN.replace("\n", "\n\n"), 19, ",0.875", ""),
+        TIMED,
+        19,
+        "has 2 cells",
+    ),
     "a word": (edited(PLAIN, 9, "0.875", "off"), TIMED, 9, "of column 'y1' holds 'off'"),
     "a NUL": (edited(PLAIN, 9, "0.875", "0.875\0"), TIMED, 9, ""),
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -109,7 +141,9 @@ def from_pipe(text, model, cuts=()):
     said = []
     pipe = PipeText(model, lambda kind, sentence: said.append((kind, sentence)))
     edges = [0, *cuts, len(text)]
-    found = [pipe.take(text[a:b]) for a, b in zip(edges, edges[1:], strict=False)] + [pipe.take(b"", end=True)]
+    found = [pipe.take(text[a:b]) for a, b in zip(edges, edges[1:], strict=False)] + [
+        pipe.take(b"", end=True)
+    ]
     pipe.end()
     return [piece for piece in found if piece is not None], said
 
@@ -130,7 +164,9 @@ def test_a_file_and_a_pipe_read_the_same_rows(path, case, step):
         np.testing.assert_array_equal(getattr(r, name), join(pieces, name))
     known = ~np.isnan(r.y[:40, 0])
     np.testing.assert_array_equal(r.y[:40, 0][known], np.array(ROWS)[known, 2])
-    assert np.count_nonzero(~known) == MISSING.get(case, 0) and len(r.starts) == (2 if case == "text in quotes" else 0)
+    assert np.count_nonzero(~known) == MISSING.get(case, 0) and len(r.starts) == (
+        2 if case == "text in quotes" else 0
+    )
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -143,17 +179,28 @@ def test_a_line_that_is_no_row_is_named_by_both(path, case, step):
     assert "\n" not in str(caught.value)
     pieces, said = from_pipe(text.encode(), model, range(step, len(text.encode()), step))
     lines = [x for kind, x in said if kind == "line"]
-    assert lines[0].startswith(f"line {number} {what}") and len(lines) == 1 + (case == "a cell over two lines")
+    assert lines[0].startswith(f"line {number} {what}") and len(lines) == 1 + (
+        case == "a cell over two lines"
+    )
     left = join(pieces, "y")[:, 0]
     assert len(left) == 40 - ("blank" not in what) and set(left) <= {row[2] for row in ROWS}
     if 2 < number < 40:
-        starts = np.concatenate([p.starts + at for p, at in zip(pieces, np.cumsum([0, *(len(p.y) for p in pieces)]), strict=False)])
-        assert starts.tolist() == [16 if number == 18 else 7], "the samples around the line do not follow each other"
+        starts = np.concatenate(
+            [
+                p.starts + at
+                for p, at in zip(pieces, np.cumsum([0, *(len(p.y) for p in pieces)]), strict=False)
+            ]
+        )
+        assert starts.tolist() == [16 if number == 18 else 7], (
+            "the samples around the line do not follow each other"
+        )
 
 
 @pytest.mark.parametrize("text", [COLUMN, table("{2},fine\n", "y1,note\n")], ids=["one column", "two"])
 def test_no_row_of_a_long_file_is_lost(path, text):
-    """A cell that began with a quotation mark took what follows to the end of the block with it: here, a fault."""
+    """A cell that began with a quotation mark took what follows to the end of the block with it: here, a
+    fault.
+    """
     head, *rows = (text * 2000).replace(text.split("\n")[0] + "\n", "").splitlines()
     path.write_text(text.split("\n")[0] + "\n" + "\n".join([head, *rows]) + "\n")
     assert jb.read(path, ALONE).samples == 80_000
@@ -182,11 +229,23 @@ def test_lines_are_counted_wherever_blocks_end(tmp_path, end, size):
 @pytest.mark.parametrize(
     ("line", "opened"),
     [
-        ("", False), ("a,b", False), ('"a",b', False), ('"a,b', True), ('a,"b', True), ('a"b,c', False), ('"a""b"', False), ('"a""b', True),
-        ('"a"b"c,d', False), ('a"b,"c', True), ('"""', True), ('""""', False), ('"",""', False), ('"a,",b"', False),
+        ("", False),
+        ("a,b", False),
+        ('"a",b', False),
+        ('"a,b', True),
+        ('a,"b', True),
+        ('a"b,c', False),
+        ('"a""b"', False),
+        ('"a""b', True),
+        ('"a"b"c,d', False),
+        ('a"b,"c', True),
+        ('"""', True),
+        ('""""', False),
+        ('"",""', False),
+        ('"a,",b"', False),
         ('x,"' + '""' * 50_000, True),
     ],
-)  # fmt: skip
+)
 def test_a_quotation_mark_that_is_not_closed(line, opened):
     assert is_open(line.encode(), b",") is opened
 
@@ -215,4 +274,8 @@ class TestManifest:
             self.read(path, self.ROWS.replace("1.csv", '"1.csv').replace("3.csv", '3.csv"'))
 
     def test_cells_in_quotes(self, path):
-        assert self.read(path, self.ROWS.replace("P-2", '"P, 2"').replace("m.toml", '"m.toml"')) == ["P-1", "P, 2", "P-3"]
+        assert self.read(path, self.ROWS.replace("P-2", '"P, 2"').replace("m.toml", '"m.toml"')) == [
+            "P-1",
+            "P, 2",
+            "P-3",
+        ]

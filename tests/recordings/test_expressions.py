@@ -28,32 +28,47 @@ def term(rng, depth, columns):
 def condition(rng, depth, columns):
     kind = rng.integers(4) if depth else 3
     if kind == 0:
-        return f"({condition(rng, depth - 1, columns)} {rng.choice(['and', 'or', '&', '|'])} {condition(rng, depth - 1, columns)})"
+        return (
+            f"({condition(rng, depth - 1, columns)} {rng.choice(['and', 'or', '&', '|'])} "
+            f"{condition(rng, depth - 1, columns)})"
+        )
     if kind == 1:
         return f"(not {condition(rng, depth - 1, columns)})"
     if kind == 2:
         return f"({term(rng, 1, columns)} < {term(rng, 1, columns)} <= {term(rng, 1, columns)})"
-    return f"({term(rng, 1, columns)} {rng.choice(['<', '<=', '>', '>=', '==', '!='])} {term(rng, 1, columns)})"
+    return (
+        f"({term(rng, 1, columns)} {rng.choice(['<', '<=', '>', '>=', '==', '!='])} {term(rng, 1, columns)})"
+    )
 
 
 class TestValues:
     def test_arithmetic_and_conditions_are_those_of_pandas(self, rng):
-        frame = pd.DataFrame({name: np.round(rng.normal(size=40), 1) for name in ("a", "b c", "AHU: T [degF]")})
+        frame = pd.DataFrame(
+            {name: np.round(rng.normal(size=40), 1) for name in ("a", "b c", "AHU: T [degF]")}
+        )
         columns = {name: frame[name].to_numpy() for name in frame}
         for _ in range(60):
             text = rng.choice([term, condition])(rng, 3, ["a", "`b c`", "`AHU: T [degF]`"])
             if not {"a", "`"} & set(re.sub("[b-z]a|a[b-z]", "", text)):  # no column, which is refused
                 continue
             with np.errstate(all="ignore"), warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # pandas writes ~ for the not of a plain bool
-                expected = np.broadcast_to(np.asarray(frame.eval(text, engine="python", parser="pandas"), float), 40)
+                warnings.simplefilter(
+                    "ignore", DeprecationWarning
+                )  # pandas writes ~ for the not of a plain bool
+                expected = np.broadcast_to(
+                    np.asarray(frame.eval(text, engine="python", parser="pandas"), float), 40
+                )
             expected = np.where(np.isfinite(expected), expected, np.nan)
             np.testing.assert_array_equal(expression(text).values(columns), expected, err_msg=text)
 
     def test_a_missing_column_makes_the_result_missing(self):
         x, gone = np.array([1.0, 2.0, 3.0]), np.array([1.0, np.nan, 3.0])
         for text in ("= x + gone", "gone > 2", "not (gone > 2)", "x > 0 or gone > 2", "gone"):
-            assert np.isnan(expression(text).values({"x": x, "gone": gone})).tolist() == [False, True, False], text
+            assert np.isnan(expression(text).values({"x": x, "gone": gone})).tolist() == [
+                False,
+                True,
+                False,
+            ], text
 
     def test_what_is_no_finite_number_is_missing(self):
         assert np.isnan(expression("1 / x").values({"x": np.array([0.0, 1.0])})).tolist() == [True, False]
@@ -66,15 +81,22 @@ class TestValues:
         np.testing.assert_array_equal(expression("t >= '2017-09-20'").values({"t": time}), [0, 1, np.nan])
         np.testing.assert_array_equal(expression("'2017-09-20' > t").values({"t": time}), [1, 0, np.nan])
 
-    @pytest.mark.parametrize("text, sentence", [
-        ("mode < 'on'", "text has no order"),
-        ("mode > 3", "'mode' holds text: compare it with text in quotes"),
-        ("t > 3", "'t' is a time: compare it with a date in quotes"),
-        ("t > 'noon'", "'noon' is no date: write it like '2017-09-20'"),
-        ("x == 'on'", "'x' holds numbers: compare it with a number"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "text, sentence",
+        [
+            ("mode < 'on'", "text has no order"),
+            ("mode > 3", "'mode' holds text: compare it with text in quotes"),
+            ("t > 3", "'t' is a time: compare it with a date in quotes"),
+            ("t > 'noon'", "'noon' is no date: write it like '2017-09-20'"),
+            ("x == 'on'", "'x' holds numbers: compare it with a number"),
+        ],
+    )
     def test_a_comparison_of_what_does_not_compare(self, text, sentence):
-        columns = {"mode": np.array(["on"], object), "t": np.array(["2017-09-20"], "datetime64[ns]"), "x": np.ones(1)}
+        columns = {
+            "mode": np.array(["on"], object),
+            "t": np.array(["2017-09-20"], "datetime64[ns]"),
+            "x": np.ones(1),
+        }
         with pytest.raises(ValueError, match=sentence):
             expression(text).values(columns)
 
@@ -87,28 +109,31 @@ class TestReading:
     def test_a_backtick_inside_quotes_is_text(self):
         assert expression("mode == 'a`b`c'").columns == ("mode",)
 
-    @pytest.mark.parametrize("text, sentence", [
-        ("fan = 1", "one = is no comparison, write =="),
-        ("supply temp - 1", "stand in backticks, like `Supply Temp`"),
-        ("`a - 1", "stand in backticks"),
-        ("1 + 2", "names no column"),
-        ("", "cannot be read"),
-        ("a.real", "an attribute"),
-        ("__import__('os')", "the function __import__"),
-        ("a.__class__()", "the function a.__class__"),
-        ("exp(a, a)", "gives exp 2 numbers"),
-        ("exp(x=a)", "the function exp"),
-        ("@a + 1", "cannot be read"),
-        ("a @ a", "holds @"),
-        ("a[0]", "Subscript"),
-        ("[a for a in a]", "ListComp"),
-        ("lambda: a", "Lambda"),
-        ("(a := 1)", "NamedExpr"),
-        ("'on' + a", "text can only be compared"),
-        ("a + 1j", "holds 1j"),
-        ("~a", "Invert"),
-        ("(" * 300 + "a" + ")" * 300, "cannot be read"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "text, sentence",
+        [
+            ("fan = 1", "one = is no comparison, write =="),
+            ("supply temp - 1", "stand in backticks, like `Supply Temp`"),
+            ("`a - 1", "stand in backticks"),
+            ("1 + 2", "names no column"),
+            ("", "cannot be read"),
+            ("a.real", "an attribute"),
+            ("__import__('os')", "the function __import__"),
+            ("a.__class__()", "the function a.__class__"),
+            ("exp(a, a)", "gives exp 2 numbers"),
+            ("exp(x=a)", "the function exp"),
+            ("@a + 1", "cannot be read"),
+            ("a @ a", "holds @"),
+            ("a[0]", "Subscript"),
+            ("[a for a in a]", "ListComp"),
+            ("lambda: a", "Lambda"),
+            ("(a := 1)", "NamedExpr"),
+            ("'on' + a", "text can only be compared"),
+            ("a + 1j", "holds 1j"),
+            ("~a", "Invert"),
+            ("(" * 300 + "a" + ")" * 300, "cannot be read"),
+        ],
+    )
     def test_everything_else_is_refused(self, text, sentence):
         with pytest.raises(ValueError, match=sentence):
             expression(text)
@@ -140,15 +165,28 @@ class TestModels:
 
     def test_the_condition_is_looked_at_in_frames(self):
         m = jb.LinearSystem(
-            [[0.5]], [[0]], [[1]], dt=86400, noise=0.1, columns={"where": "fan > 0 and mode == 'on' and t < '2024-01-05'", "u1": "= -v"}
+            [[0.5]],
+            [[0]],
+            [[1]],
+            dt=86400,
+            noise=0.1,
+            columns={"where": "fan > 0 and mode == 'on' and t < '2024-01-05'", "u1": "= -v"},
         )
         index = pd.date_range("2024-01-01", periods=6, freq="D", name="t")
-        y = pd.DataFrame({"y1": [1.0, 0.5, 0.25, 0.1, 0.05, 0.0], "fan": [1, 1, np.nan, 1, 1, 1], " mode": ["on"] * 6}, index)
+        y = pd.DataFrame(
+            {"y1": [1.0, 0.5, 0.25, 0.1, 0.05, 0.0], "fan": [1, 1, np.nan, 1, 1, 1], " mode": ["on"] * 6},
+            index,
+        )
         u = pd.DataFrame({"v": np.zeros(6)}, index)
         r = jb.parity_relations(m)
         res = jb.detect(r, u, y)
         np.testing.assert_array_equal(res.status, [0, 1, 0, 0, 0, 0])
-        assert res.aside == 4 and res.starts == (2, 3, 4) and np.isnan(res.y[[2, 4, 5]]).all() and not np.isnan(res.y[[0, 1, 3]]).any()
+        assert (
+            res.aside == 4
+            and res.starts == (2, 3, 4)
+            and np.isnan(res.y[[2, 4, 5]]).all()
+            and not np.isnan(res.y[[0, 1, 3]]).any()
+        )
         np.testing.assert_array_equal(np.isnan(jb.margins(r, u, y)), res.status == 0)
         with pytest.raises(ValueError, match="has no column 'mode'"):
             jb.detect(r, u, y[["y1", "fan"]])
@@ -157,4 +195,6 @@ class TestModels:
 
     def test_a_frame_with_blanks_around_its_names(self):
         m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, columns={"y1": "Temperature 1"})
-        assert jb.detect(jb.parity_relations(m), None, pd.DataFrame({" Temperature 1": [1.0, 0.5]})).y[1] == 0.5
+        assert (
+            jb.detect(jb.parity_relations(m), None, pd.DataFrame({" Temperature 1": [1.0, 0.5]})).y[1] == 0.5
+        )

@@ -1,4 +1,6 @@
-"""The door of every verb: what has names is taken by them, rows by their labels, and what is missing stays missing."""
+"""The door of every verb: what has names is taken by them, rows by their labels, and what is missing stays
+missing.
+"""
 
 import numpy as np
 import pandas as pd
@@ -66,7 +68,10 @@ def xarray(kind):
     xr = pytest.importorskip("xarray")
     both = np.column_stack([Y[:, 1], U[:, 0], Y[:, 0]])
     if kind == "Dataset":
-        return xr.Dataset({n: ("time", x) for n, x in zip(["flow", "valve", "level"], both.T, strict=True)}, {"time": SECONDS})
+        return xr.Dataset(
+            {n: ("time", x) for n, x in zip(["flow", "valve", "level"], both.T, strict=True)},
+            {"time": SECONDS},
+        )
     data = xr.DataArray(both, {"time": SECONDS, "signal": ["flow", "valve", "level"]}, ("time", "signal"))
     return data if kind == "DataArray" else data.T
 
@@ -101,7 +106,9 @@ class TestNames:
         np.testing.assert_array_equal(found.y, Y)
         present = ~np.isnan(found.u)
         np.testing.assert_array_equal(found.u[present], U[present])
-        assert (~present).sum() == (kind in ("arrow protocol", "pyarrow", "record batch", "polars")), "a null is a missing sample"
+        assert (~present).sum() == (kind in ("arrow protocol", "pyarrow", "record batch", "polars")), (
+            "a null is a missing sample"
+        )
 
     def test_one_table_may_serve_as_both(self):
         table = frame(SECONDS)
@@ -119,7 +126,10 @@ class TestNames:
         class Lazy:
             columns = ("level", "flow")
 
-        with pytest.raises(ValueError, match="y is a Lazy of test_recording, whose names are not understood: give a DataFrame of pandas"):
+        with pytest.raises(
+            ValueError,
+            match="y is a Lazy of test_recording, whose names are not understood: give a DataFrame of pandas",
+        ):
             Recording.of(MODEL, U, Lazy())
 
     def test_signals_called_u_and_y_are_columns_of_a_table_all_the_same(self):
@@ -131,7 +141,9 @@ class TestNames:
         np.testing.assert_array_equal(Recording.of(model, Dataset(u=U[:, 0], y=Y[:, 0])).y, Y[:, :1])
 
     def test_columns_of_different_lengths_are_refused(self):
-        with pytest.raises(ValueError, match="the columns of u must have the same number of samples: they have 5 to 6"):
+        with pytest.raises(
+            ValueError, match="the columns of u must have the same number of samples: they have 5 to 6"
+        ):
             Recording.of(MODEL, {"valve": U[:5, 0], "level": Y[:, 0], "flow": Y[:, 1]})
 
     def test_dates_are_no_numbers(self):
@@ -168,25 +180,44 @@ class TestMissing:
 class TestTime:
     @pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
     def test_gaps_of_an_index_of_dates_are_seams(self, zone):
-        morning = pd.date_range("2024-03-31", periods=60, freq="5min", tz=zone)  # the clock is put forward in between: no seam
+        morning = pd.date_range(
+            "2024-03-31", periods=60, freq="5min", tz=zone
+        )  # the clock is put forward in between: no seam
         index = morning.append(pd.date_range("2024-04-02", periods=9, freq="5min", tz=zone))
         table = pd.DataFrame({"valve": 0.0, "level": 0.0, "flow": 0.0}, index)
         model = Signals(MODEL.inputs, MODEL.outputs, {}, 300.0)
         assert Recording.of(model, table).starts.tolist() == [60]
         assert Recording.of(model, table.set_axis(index - index[0]), starts=[7]).starts.tolist() == [7, 60]
 
-    @pytest.mark.parametrize("index, seams", [
-        (pd.Index([0, 1, 2, 7, 8, 9]), [3]), (pd.Index([0.0, 1, 2, 3, 4, 9.0]), [5]), (pd.Index([0, 1, 2, 0, 1, 2]), [3]),
-        (pd.RangeIndex(4, 10), []), (pd.Index(list("abcdef")), []), (pd.Index(list("aaabbb")), [3]),
-        (pd.PeriodIndex(SECONDS[[0, 1, 2, 3, 4]].append(SECONDS[-1:] + pd.Timedelta("1h")), freq="s"), [5]),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "index, seams",
+        [
+            (pd.Index([0, 1, 2, 7, 8, 9]), [3]),
+            (pd.Index([0.0, 1, 2, 3, 4, 9.0]), [5]),
+            (pd.Index([0, 1, 2, 0, 1, 2]), [3]),
+            (pd.RangeIndex(4, 10), []),
+            (pd.Index(list("abcdef")), []),
+            (pd.Index(list("aaabbb")), [3]),
+            (
+                pd.PeriodIndex(SECONDS[[0, 1, 2, 3, 4]].append(SECONDS[-1:] + pd.Timedelta("1h")), freq="s"),
+                [5],
+            ),
+        ],
+    )
     def test_an_index_tells_its_gaps(self, index, seams):
         assert starts(index) == seams
 
-    @pytest.mark.parametrize("step, sentence", [
-        ("100s", "the model has dt = 1 s, but the rows of the recording are 100 s apart: a model with dt = 100 fits it"),
-        ("-1s", "the rows run backwards in time, the newest first: sort them by time"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "step, sentence",
+        [
+            (
+                "100s",
+                "the model has dt = 1 s, but the rows of the recording are 100 s apart: a model with dt = "
+                "100 fits it",
+            ),
+            ("-1s", "the rows run backwards in time, the newest first: sort them by time"),
+        ],
+    )
     def test_another_sampling_period_is_refused_as_in_the_shell(self, step, sentence):
         with pytest.raises(ValueError, match=sentence):
             starts(pd.date_range("2024-01-01", periods=6, freq=step))
@@ -200,18 +231,36 @@ class TestTime:
         assert Recording.of(MODEL, frame(SECONDS).iloc[:0]).y.shape == (0, 2)
 
     def test_a_row_without_a_time_is_refused(self):
-        with pytest.raises(ValueError, match="the index has no time in 1 of 6 rows, the first is row 2: leave them out"):
+        with pytest.raises(
+            ValueError, match="the index has no time in 1 of 6 rows, the first is row 2: leave them out"
+        ):
             starts(SECONDS.where(np.arange(6) != 2))
 
     def test_times_as_text_are_refused(self):
-        with pytest.raises(ValueError, match="the index holds times as text: turn it into times with pandas.to_datetime first"):
+        with pytest.raises(
+            ValueError,
+            match="the index holds times as text: turn it into times with pandas.to_datetime first",
+        ):
             starts(SECONDS.strftime("%d.%m.%Y %H:%M:%S"))
 
-    @pytest.mark.parametrize("name, convert, sentence", [
-        ("time", lambda t: t, None), ("when", lambda t: t, None), ("time", lambda t: (t - t[0]) / pd.Timedelta("1s"), None),
-        ("time", lambda t: t.strftime("%d.%m.%Y %H:%M:%S"), "the time column 'time' holds text: turn it into times with pandas"),
-        ("Beginn", lambda t: t.strftime("%d.%m.%Y %H:%M:%S"), "the time column 'Beginn' holds text: turn it into times with pandas"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "name, convert, sentence",
+        [
+            ("time", lambda t: t, None),
+            ("when", lambda t: t, None),
+            ("time", lambda t: (t - t[0]) / pd.Timedelta("1s"), None),
+            (
+                "time",
+                lambda t: t.strftime("%d.%m.%Y %H:%M:%S"),
+                "the time column 'time' holds text: turn it into times with pandas",
+            ),
+            (
+                "Beginn",
+                lambda t: t.strftime("%d.%m.%Y %H:%M:%S"),
+                "the time column 'Beginn' holds text: turn it into times with pandas",
+            ),
+        ],
+    )
     def test_a_time_column_serves_a_table_without_an_index(self, name, convert, sentence):
         late = SECONDS + pd.to_timedelta([0, 0, 0, 60, 60, 60], "s")
         given = Polars({"level": Y[:, 0], "flow": Y[:, 1], "valve": U[:, 0], name: convert(late)})
@@ -221,18 +270,26 @@ class TestTime:
             with pytest.raises(ValueError, match=sentence):
                 Recording.of(MODEL, given)
 
-    @pytest.mark.parametrize("clock", [lambda t: t.time, lambda t: t - t.normalize()], ids=["of Python", "differences"])
+    @pytest.mark.parametrize(
+        "clock", [lambda t: t.time, lambda t: t - t.normalize()], ids=["of Python", "differences"]
+    )
     @pytest.mark.parametrize("day", [lambda t: t.date, lambda t: t.normalize()], ids=["of Python", "times"])
     def test_a_day_and_a_clock_are_one_time(self, day, clock):
         late = SECONDS + pd.to_timedelta([0, 0, 0, 1, 1, 1], "D")
         r = Recording.of(MODEL, frame().assign(day=day(late), clock=clock(late)))
         assert r.starts.tolist() == [3] and r.index[3] == late[3]
 
-    @pytest.mark.parametrize("model", [MODEL, MODEL.replace(columns={"time": "when"})], ids=["called", "named"])
+    @pytest.mark.parametrize(
+        "model", [MODEL, MODEL.replace(columns={"time": "when"})], ids=["called", "named"]
+    )
     def test_days_and_times_of_something_else_are_not_joined(self, model):
-        """A day of installation and a running time, beside the time itself or the days of a daily recording."""
+        """A day of installation and a running time, beside the time itself or the days of a daily
+        recording.
+        """
         late = SECONDS + pd.to_timedelta([0, 0, 0, 60, 60, 60], "s")
-        other = frame().assign(installed=pd.Timestamp("2020-01-01"), runtime=pd.to_timedelta(7 * np.arange(6), "s"))
+        other = frame().assign(
+            installed=pd.Timestamp("2020-01-01"), runtime=pd.to_timedelta(7 * np.arange(6), "s")
+        )
         name = "when" if "time" in model.columns else "time"
         assert Recording.of(model, other.assign(**{name: late})).starts.tolist() == [3]
         daily = pd.date_range("2024-01-01", periods=6, freq="D")
@@ -240,15 +297,23 @@ class TestTime:
         assert (r.index == daily).all()
 
     def test_times_of_day_alone_are_refused(self):
-        with pytest.raises(ValueError, match="'clock' holds times without a day, and no column holds the days: add one, or index by times"):
+        with pytest.raises(
+            ValueError,
+            match="'clock' holds times without a day, and no column holds the days: add one, or index by "
+            "times",
+        ):
             Recording.of(MODEL, frame().assign(clock=SECONDS.time))
-        with pytest.raises(ValueError, match="the columns 'clock', 'a', 'b' hold time stamps: say which is the time"):
+        with pytest.raises(
+            ValueError, match="the columns 'clock', 'a', 'b' hold time stamps: say which is the time"
+        ):
             Recording.of(MODEL, frame().assign(clock=SECONDS.time, a=SECONDS.date, b=SECONDS.date))
 
     def test_a_column_that_is_only_called_like_a_time_is_refused_as_in_a_file(self):
         """Nothing tells it from times of shuffled rows; before, both were ignored."""
         table = frame().assign(T=[20.0, 20.1, 20.1, 20.0, 19.9, 20.0])
-        with pytest.raises(ValueError, match="the time is taken from 'T': where that is none, rename it or leave it out"):
+        with pytest.raises(
+            ValueError, match="the time is taken from 'T': where that is none, rename it or leave it out"
+        ):
             Recording.of(MODEL, table)
         assert Recording.of(MODEL, table.set_axis(SECONDS)).index is not None, "an index of dates goes before"
 
@@ -263,7 +328,10 @@ class TestTime:
 class TestRows:
     def test_rows_of_two_tables_are_paired_by_their_labels(self):
         u, y = frame(SECONDS)[["valve"]], frame(SECONDS)[["level", "flow"]]
-        for found in (Recording.of(MODEL, u, y.iloc[[0, 1, 4, 5]]), Recording.of(MODEL, u.iloc[[0, 1, 4, 5]], y)):
+        for found in (
+            Recording.of(MODEL, u, y.iloc[[0, 1, 4, 5]]),
+            Recording.of(MODEL, u.iloc[[0, 1, 4, 5]], y),
+        ):
             np.testing.assert_array_equal(found.u[:, 0], [0, 1, 4, 5])
             np.testing.assert_array_equal(found.y, Y[[0, 1, 4, 5]])
             assert found.starts.tolist() == [2] and found.index.equals(SECONDS[[0, 1, 4, 5]])
@@ -278,12 +346,32 @@ class TestRows:
         np.testing.assert_array_equal(found.u[:, 0], found.y[:, 0] / 2)
         assert len(found.u) == 4
 
-    @pytest.mark.parametrize("u, y, sentence", [
-        (SECONDS + pd.Timedelta("1s"), SECONDS, "different rows: 2024-01-01 00:00:06 is in the index of u only, 2024-01-01 00"),
-        (SECONDS, SECONDS.tz_localize("UTC"), "u and y have different rows: 2024-01-01 00:00:00 is in the index of u only"),
-        (SECONDS, None, "different rows: .* is in the index of u only, 0 in that of y only: .*give arrays to pair them one by one"),
-        (SECONDS[[0, 1, 1, 2, 3, 4]], SECONDS, "u and y have different indexes, and 2024-01-01 00:00:01 is twice in that of u"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "u, y, sentence",
+        [
+            (
+                SECONDS + pd.Timedelta("1s"),
+                SECONDS,
+                "different rows: 2024-01-01 00:00:06 is in the index of u only, 2024-01-01 00",
+            ),
+            (
+                SECONDS,
+                SECONDS.tz_localize("UTC"),
+                "u and y have different rows: 2024-01-01 00:00:00 is in the index of u only",
+            ),
+            (
+                SECONDS,
+                None,
+                "different rows: .* is in the index of u only, 0 in that of y only: .*give arrays to pair "
+                "them one by one",
+            ),
+            (
+                SECONDS[[0, 1, 1, 2, 3, 4]],
+                SECONDS,
+                "u and y have different indexes, and 2024-01-01 00:00:01 is twice in that of u",
+            ),
+        ],
+    )
     def test_rows_that_do_not_belong_together_are_refused(self, u, y, sentence):
         with pytest.raises(ValueError, match=sentence):
             Recording.of(MODEL, frame(u), frame(y))
@@ -294,10 +382,20 @@ class TestRows:
 
     def test_two_tables_without_labels_are_paired_by_their_times(self):
         later = SECONDS + pd.Timedelta("2s")
-        u, y = Polars({"time": SECONDS, "valve": U[:, 0]}), {"time": later[:4], "level": Y[2:, 0], "flow": Y[2:, 1]}
+        u, y = (
+            Polars({"time": SECONDS, "valve": U[:, 0]}),
+            {"time": later[:4], "level": Y[2:, 0], "flow": Y[2:, 1]},
+        )
         found = Recording.of(MODEL, u, {k: x[:4] for k, x in y.items()})
         np.testing.assert_array_equal(found.u[:, 0], [2, 3, 4, 5])
-        assert Recording.of(MODEL, Polars({"valve": U[:, 0]}), Polars({"level": Y[:, 0], "flow": Y[:, 1], "time": SECONDS})).dt == 1
+        assert (
+            Recording.of(
+                MODEL,
+                Polars({"valve": U[:, 0]}),
+                Polars({"level": Y[:, 0], "flow": Y[:, 1], "time": SECONDS}),
+            ).dt
+            == 1
+        )
 
     def test_more_rows_without_labels_are_refused(self):
         with pytest.raises(ValueError, match="the same number of samples: 6 and 5"):

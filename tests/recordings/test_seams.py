@@ -42,7 +42,11 @@ class TestTick:
     def test_seams_are_counted_by_kind(self):
         clock, _ = tick(Clock(1.0), np.array([0, 1, 5, 6, 6, 6, 6.5, 7.5, 3, 4, 14, 15]))
         assert {s.kind: (s.count, s.sample, s.step) for s in clock.seams} == {
-            "gap": (2, 10, 10.0), "early": (1, 6, 0.5), "repeated": (2, 4, 0.0), "backward": (1, 8, -4.5)}  # fmt: skip
+            "gap": (2, 10, 10.0),
+            "early": (1, 6, 0.5),
+            "repeated": (2, 4, 0.0),
+            "backward": (1, 8, -4.5),
+        }
 
     @pytest.mark.parametrize("step, seam", [(1.2, False), (0.8, False), (1.2001, True), (0.7999, True)])
     def test_twenty_percent_is_jitter(self, step, seam):
@@ -66,35 +70,49 @@ class TestSentences:
     def test_nothing_to_say(self):
         assert self.hints(1, 1.1) == []
 
-    @pytest.mark.parametrize("steps, sentence", [
-        ([30], "the recording has a gap of 30 s before row 23 (50 s)"),
-        ([30, 1, 45], "the recording has 2 gaps, the longest, 45 s, before row 25 (96 s)"),
-        ([0.25], "row 23 (20.25 s) comes only 0.25 s after the row before it"),
-        ([0.25, 0.5], "2 rows come too soon, the first, row 23 (20.25 s), after 0.25 s"),
-        ([0], "row 23 (20 s) repeats the time of the row before it"),
-        ([0, 0], "2 rows repeat the time of the row before, the first is row 23 (20 s)"),
-        ([-5], "the clock goes back by 5 s before row 23 (15 s)"),
-        ([-5, -6], "the clock goes back 2 times, the farthest, 6 s, before row 24 (9 s)"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "steps, sentence",
+        [
+            ([30], "the recording has a gap of 30 s before row 23 (50 s)"),
+            ([30, 1, 45], "the recording has 2 gaps, the longest, 45 s, before row 25 (96 s)"),
+            ([0.25], "row 23 (20.25 s) comes only 0.25 s after the row before it"),
+            ([0.25, 0.5], "2 rows come too soon, the first, row 23 (20.25 s), after 0.25 s"),
+            ([0], "row 23 (20 s) repeats the time of the row before it"),
+            ([0, 0], "2 rows repeat the time of the row before, the first is row 23 (20 s)"),
+            ([-5], "the clock goes back by 5 s before row 23 (15 s)"),
+            ([-5, -6], "the clock goes back 2 times, the farthest, 6 s, before row 24 (9 s)"),
+        ],
+    )
     def test_each_kind(self, steps, sentence):
-        assert self.hints(*steps) == [f"{sentence}: the recording is split there, and windows across are MISSING"]
+        assert self.hints(*steps) == [
+            f"{sentence}: the recording is split there, and windows across are MISSING"
+        ]
 
     def test_mostly_irregular_time_is_none(self):
         label, where = lambda k: f"{k}.", lambda k: f"row {k}"
         half = tick(Clock(1.0), np.array([0, 1, 2, 5, 8.0]))[0]
         assert irregular(half, label, where) == ""
         more = tick(half, np.array([9.5]))[0]
-        assert irregular(more, label, where) == ("the recording is not regular: 3 of 5 steps differ from dt = 1 s by more than 20%; "
-                                                 "row 3 (3.), for one, comes 3 s after the row before it")  # fmt: skip
+        assert irregular(more, label, where) == (
+            "the recording is not regular: 3 of 5 steps differ from dt = 1 s by more than 20%; "
+            "row 3 (3.), for one, comes 3 s after the row before it"
+        )
 
-    @pytest.mark.parametrize("time, message", [
-        (np.arange(9) * 2.0, "the model has dt = 1 s, but the rows of the recording are 2 s apart: a model with dt = 2 fits it$"),
-        (np.arange(9) * 1000.0, "apart: is its time in ms"),
-        (np.arange(9) // 3 * 1.0, "0 s apart: more than half of the rows repeat the time"),
-        (np.arange(9) / 3, "apart: keep one of every 3 rows, or take a model with dt = 0.333$"),
-        (np.arange(27.0) * 5 % 27, "4 of 27 rows go back in time: sort them by time"),
-        (-np.arange(9.0), "the rows run backwards in time, the newest first: sort them by time"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "time, message",
+        [
+            (
+                np.arange(9) * 2.0,
+                "the model has dt = 1 s, but the rows of the recording are 2 s apart: a model with dt = 2 "
+                "fits it$",
+            ),
+            (np.arange(9) * 1000.0, "apart: is its time in ms"),
+            (np.arange(9) // 3 * 1.0, "0 s apart: more than half of the rows repeat the time"),
+            (np.arange(9) / 3, "apart: keep one of every 3 rows, or take a model with dt = 0.333$"),
+            (np.arange(27.0) * 5 % 27, "4 of 27 rows go back in time: sort them by time"),
+            (-np.arange(9.0), "the rows run backwards in time, the newest first: sort them by time"),
+        ],
+    )
     def test_another_period_is_refused(self, time, message):
         with pytest.raises(ValueError, match=message):
             check_period(time, 1.0)

@@ -1,4 +1,6 @@
-"""Sources: every kind gives the same recording, in one piece or in many, and a new kind is one small class."""
+"""Sources: every kind gives the same recording, in one piece or in many, and a new kind is one small
+class.
+"""
 
 import json
 import subprocess
@@ -16,7 +18,9 @@ from jaxbound.recordings.source import KINDS, Source, register
 
 T, GAP = 40, 17
 MODEL = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, columns={"where": "mode == 'on'"})
-TIME = pd.date_range("2024-01-01", periods=T, freq="s") + pd.to_timedelta(np.where(np.arange(T) < GAP, 0, 60), "s")
+TIME = pd.date_range("2024-01-01", periods=T, freq="s") + pd.to_timedelta(
+    np.where(np.arange(T) < GAP, 0, 60), "s"
+)
 
 
 def table():
@@ -26,7 +30,9 @@ def table():
         x[k] = 0.5 * x[k - 1] + u[k - 1]
     y = np.where(np.arange(T) == 30, x + 5, x)
     y[35] = np.nan
-    return pd.DataFrame({"time": TIME, "u1": u, "y1": y, "mode": np.where(np.isin(np.arange(T), [5, 6, 7]), "off", "on")})
+    return pd.DataFrame(
+        {"time": TIME, "u1": u, "y1": y, "mode": np.where(np.isin(np.arange(T), [5, 6, 7]), "off", "on")}
+    )
 
 
 class JsonLines(Source):
@@ -74,11 +80,17 @@ def test_every_kind_of_source_gives_one_recording(source):
     np.testing.assert_allclose(r.u, expected.u, rtol=0, atol=1e-14)
     np.testing.assert_array_equal(r.starts, [5, 8, GAP])
     np.testing.assert_array_equal(r.stamps, TIME.to_numpy())
-    assert r.excluded.nonzero()[0].tolist() == [5, 6, 7] and source.samples == T and r.label(GAP) == "2024-01-01 00:01:17"
+    assert (
+        r.excluded.nonzero()[0].tolist() == [5, 6, 7]
+        and source.samples == T
+        and r.label(GAP) == "2024-01-01 00:01:17"
+    )
     assert str(r.column[GAP].as_py())[:19] == "2024-01-01 00:01:17"
 
 
-@pytest.mark.parametrize(("size", "overlap", "first", "stop"), [(7, 2, 0, T), (T, 3, 0, T), (5, 0, 4, 33), (3, 4, 10, 20)])
+@pytest.mark.parametrize(
+    ("size", "overlap", "first", "stop"), [(7, 2, 0, T), (T, 3, 0, T), (5, 0, 4, 33), (3, 4, 10, 20)]
+)
 def test_pieces_are_the_whole_cut_behind_their_overlap(source, size, overlap, first, stop):
     whole, at = source.read(), first
     for begin, piece in source.pieces(size, overlap, first, stop):
@@ -96,7 +108,10 @@ def test_a_source_knows_whether_its_data_are_the_same(source, tmp_path):
         path = next(p for p in tmp_path.rglob("*") if p.is_file())
         before, kind = source.content, type(source)
         path.write_bytes(path.read_bytes()[:-1] + b"x")
-        assert len(before) == 64 and kind.digest(source.data if hasattr(source, "data") else source.path) != before
+        assert (
+            len(before) == 64
+            and kind.digest(source.data if hasattr(source, "data") else source.path) != before
+        )
     else:
         assert source.content is None
 
@@ -120,7 +135,10 @@ def test_what_takes_any_path_is_asked_last_whatever_is_imported_first(first, tmp
     table().to_parquet(tmp_path / "run.parquet")
     asked = f"kind_of({str(tmp_path / 'run.parquet')!r})"
     code = f"import jaxbound.recordings.{first}; from jaxbound.recordings.read import kind_of; print({asked})"
-    assert "ParquetSource" in subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert (
+        "ParquetSource"
+        in subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    )
 
 
 def test_the_kind_registered_last_takes_the_data(lines, tmp_path):

@@ -1,4 +1,6 @@
-"""Frozen and saturated stretches: found where they are, not where chance or rounding makes a signal rest, and the same in chunks."""
+"""Frozen and saturated stretches: found where they are, not where chance or rounding makes a signal rest, and
+the same in chunks.
+"""
 
 import numpy as np
 import pandas as pd
@@ -16,7 +18,10 @@ def followed(x, cuts=()):
 
 
 def found(x, driven=False):
-    return [(s.kind, s.longest.start, s.longest.length, s.times, s.extreme) for s in stretches(followed(x), driven)]
+    return [
+        (s.kind, s.longest.start, s.longest.length, s.times, s.extreme)
+        for s in stretches(followed(x), driven)
+    ]
 
 
 def coloured(rng, count, memory):
@@ -47,7 +52,9 @@ class TestFound:
         x = np.round(coloured(rng, 20_000, 0.9), 1)
         x[4000:6000] = x[4000]
         (kind, start, length, _, _), *_ = found(x)
-        assert kind == "frozen" and start <= 4000 and start + length >= 6000 and length < 2030  # the neighbours may happen to be equal
+        assert (
+            kind == "frozen" and start <= 4000 and start + length >= 6000 and length < 2030
+        )  # the neighbours may happen to be equal
 
     def test_a_signal_that_never_changes(self):
         assert found(np.full(50, 3.5)) == [("constant", 0, 50, 1, "")]
@@ -103,10 +110,16 @@ class TestNotFound:
         u[300:400] = u[300]
         assert found(u, driven=True) == [("frozen", 300, 100, 1, "")]
 
-    @pytest.mark.parametrize("file, columns", [
-        ("ahu/szvav_four_days.csv", "Temperature"), ("tclab/mimo_energy_1s.csv", "Temperature"), ("tclab/mimo_prbs_3s.csv", "Temperature"),
-        ("tclab/mimo_hybrid_3s.csv", "Temperature"), ("tclab/siso_step_1s_kelvin.csv", "299"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "file, columns",
+        [
+            ("ahu/szvav_four_days.csv", "Temperature"),
+            ("tclab/mimo_energy_1s.csv", "Temperature"),
+            ("tclab/mimo_prbs_3s.csv", "Temperature"),
+            ("tclab/mimo_hybrid_3s.csv", "Temperature"),
+            ("tclab/siso_step_1s_kelvin.csv", "299"),
+        ],
+    )
     def test_real_temperatures_are_not_called_frozen(self, shared, file, columns):
         table = pd.read_csv(shared(f"data/{file}"))
         chosen = [c for c in table if columns in c and "Set Point" not in c]
@@ -118,10 +131,16 @@ class TestSentences:
         x = rng.normal(size=500)
         x[100:140] = 0.25
         (hint,) = signal_hints("flow", followed(x), lambda k: f"{k} s")
-        assert hint.startswith("flow stays at exactly 0.25 for 40 samples from 100 s to 139 s: a frozen sensor can look consistent")
+        assert hint.startswith(
+            "flow stays at exactly 0.25 for 40 samples from 100 s to 139 s: a frozen sensor can look "
+            "consistent"
+        )
 
     def test_a_recording(self, rng):
         u, y = np.zeros((500, 1)), rng.normal(size=(500, 2))
         y[200:, 1] = 99
         (hint,) = still_hints(paper(), u, y, str)
-        assert hint.startswith("y2 stays at exactly 99, its largest value, for 300 samples from 200 to 499: a saturated or frozen sensor")
+        assert hint.startswith(
+            "y2 stays at exactly 99, its largest value, for 300 samples from 200 to 499: a saturated or "
+            "frozen sensor"
+        )

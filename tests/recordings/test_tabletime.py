@@ -1,4 +1,6 @@
-"""The time of the rows of a table: whatever holds it, rows that do not follow each other are never taken for rows that do."""
+"""The time of the rows of a table: whatever holds it, rows that do not follow each other are never taken for
+rows that do.
+"""
 
 import datetime
 from decimal import Decimal
@@ -36,8 +38,15 @@ TIMES = {
     "periods": ("when", lambda: pd.PeriodIndex(DATES, freq="s")),
     "digits": ("time", lambda: DATES.strftime("%Y%m%d%H%M%S").astype(int)),
 }
-COUNTING = ("whole seconds", "epoch in ms", "numbers as text", "categories of numbers", "numbers as objects", "numbers that may be null",
-            "digits")  # fmt: skip
+COUNTING = (
+    "whole seconds",
+    "epoch in ms",
+    "numbers as text",
+    "categories of numbers",
+    "numbers as objects",
+    "numbers that may be null",
+    "digits",
+)
 """What an index without a name would count the samples by."""
 LABELS = {
     "range": lambda: pd.RangeIndex(T),
@@ -70,7 +79,9 @@ def timed(kind):
 
 
 def refuse_joined(rows, *given, model=MODEL, understood=True):
-    """Fail where rows that are not neighbours are taken to follow each other, or where a regular recording is refused."""
+    """Fail where rows that are not neighbours are taken to follow each other, or where a regular recording is
+    refused.
+    """
     apart = np.flatnonzero(np.diff(rows) != 1) + 1
     try:
         found = Recording.of(model, *given)
@@ -87,8 +98,12 @@ def refuse_joined(rows, *given, model=MODEL, understood=True):
 def test_a_column_or_an_index_of_times_tells_which_rows_follow_each_other(kind, rows):
     table, name = timed(kind), TIMES[kind][0]
     part = table.iloc[ROWS[rows]]
-    forms = {"column": part, "numbered anew": part.reset_index(drop=True), "named index": part.set_index(name),
-             "labelled": part.set_axis([f"row {k}" for k in ROWS[rows]])}  # fmt: skip
+    forms = {
+        "column": part,
+        "numbered anew": part.reset_index(drop=True),
+        "named index": part.set_index(name),
+        "labelled": part.set_axis([f"row {k}" for k in ROWS[rows]]),
+    }
     for form in forms.values():
         refuse_joined(ROWS[rows], form)
         refuse_joined(ROWS[rows], form, model=Signals(("u",), ("T1",), {"time": name}, 3.0))
@@ -108,23 +123,60 @@ def test_two_tables_are_told_by_the_time_of_either(kind, rows):
     for whole in (timed(kind), timed(kind).set_index(name)):
         part, time = whole.iloc[ROWS[rows]], [c for c in whole if c == name]
         u, y, plain_u, plain_y = part[["u", *time]], part[["T1", *time]], part[["u"]], part[["T1"]]
-        for given in ((u, y), (u, plain_y), (plain_u, y), (u, plain_y.to_numpy()), (part["u"], part["T1"]), (whole[["u", *time]], y)):
+        for given in (
+            (u, y),
+            (u, plain_y),
+            (plain_u, y),
+            (u, plain_y.to_numpy()),
+            (part["u"], part["T1"]),
+            (whole[["u", *time]], y),
+        ):
             refuse_joined(ROWS[rows], *given)
 
 
 class TestRefused:
-    @pytest.mark.parametrize("table, sentence", [
-        (lambda: timed("seconds").iloc[::2], "the model has dt = 3 s, but the rows .* 6 s apart: .*; the time is taken from 'Time .s.'"),
-        (lambda: timed("dates").iloc[::-1], "the rows run backwards in time, the newest first"),
-        (lambda: signals().iloc[::2], "the index counts in steps of 2, as if rows were left out. If these are seconds, call"),
-        (lambda: signals().iloc[::3], "the index counts in steps of 3, as if rows were left out"),  # dt, but not of this index
-        (lambda: signals().set_axis(DATES.time), "the index holds times without a day: add the days, or leave it out with"),
-        (lambda: signals().assign(time=DATES.time), "the time column 'time' holds times without a day, and no column holds the days"),
-        (lambda: signals().assign(time=np.where(np.arange(T) == 4, np.nan, COUNTS)), "no time in 1 of 24 rows, the first is row 4"),
-        (lambda: signals().set_axis([*map(str, range(T - 1)), "end"]), "the index holds numbers and other labels: give the times of the"),
-        (lambda: [signals(), signals()], "u is a list of 2, the first a DataFrame of pandas: give one recording at a time"),
-        (lambda: "run.csv", r"u is the text 'run.csv': a file is read first, with jaxbound.read\('run.csv', model\)"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "table, sentence",
+        [
+            (
+                lambda: timed("seconds").iloc[::2],
+                "the model has dt = 3 s, but the rows .* 6 s apart: .*; the time is taken from 'Time .s.'",
+            ),
+            (lambda: timed("dates").iloc[::-1], "the rows run backwards in time, the newest first"),
+            (
+                lambda: signals().iloc[::2],
+                "the index counts in steps of 2, as if rows were left out. If these are seconds, call",
+            ),
+            (
+                lambda: signals().iloc[::3],
+                "the index counts in steps of 3, as if rows were left out",
+            ),  # dt, but not of this index
+            (
+                lambda: signals().set_axis(DATES.time),
+                "the index holds times without a day: add the days, or leave it out with",
+            ),
+            (
+                lambda: signals().assign(time=DATES.time),
+                "the time column 'time' holds times without a day, and no column holds the days",
+            ),
+            (
+                lambda: signals().assign(time=np.where(np.arange(T) == 4, np.nan, COUNTS)),
+                "no time in 1 of 24 rows, the first is row 4",
+            ),
+            (
+                lambda: signals().set_axis([*map(str, range(T - 1)), "end"]),
+                "the index holds numbers and other labels: give the times of the",
+            ),
+            (
+                lambda: [signals(), signals()],
+                "u is a list of 2, the first a DataFrame of pandas: give one recording at a time",
+            ),
+            (
+                lambda: "run.csv",
+                r"u is the text 'run.csv': a file is read first, with jaxbound.read\('run.csv', model\)",
+            ),
+        ],
+    )
     def test_what_does_not_fit_is_refused_in_a_sentence(self, table, sentence):
         with pytest.raises(ValueError, match=sentence):
             jb.detect(jb.parity_relations(MODEL), table())
@@ -133,7 +185,10 @@ class TestRefused:
         for rows in ("every second", "reversed", "shuffled"):
             table = timed("seconds").iloc[ROWS[rows]]
             table.to_csv(tmp_path / "run.csv", index=False)
-            for door in (lambda: jb.read(tmp_path / "run.csv", MODEL), lambda table=table: Recording.of(MODEL, table)):
+            for door in (
+                lambda: jb.read(tmp_path / "run.csv", MODEL),
+                lambda table=table: Recording.of(MODEL, table),
+            ):
                 with pytest.raises(ValueError, match="apart|backwards|go back in time"):
                     door()
 
@@ -141,7 +196,9 @@ class TestRefused:
         table = timed("seconds").assign(a=1, b=2).set_axis(["u", "T1", "Time (s)", "note", "note"], axis=1)
         refuse_joined(ROWS["gap"], table.iloc[ROWS["gap"]].reset_index(drop=True))
         with pytest.raises(ValueError, match="2 columns are called 'Time .s.'"):
-            Recording.of(MODEL, table.assign(x=1).set_axis([*table.columns[:3], "note", "note", "Time (s)"], axis=1))
+            Recording.of(
+                MODEL, table.assign(x=1).set_axis([*table.columns[:3], "note", "note", "Time (s)"], axis=1)
+            )
 
     def test_a_time_that_is_index_and_column_is_one(self):
         refuse_joined(ROWS["gap"], timed("whole seconds").set_index("time", drop=False).iloc[ROWS["gap"]])
@@ -152,10 +209,18 @@ class TestUnits:
         return signals().set_axis(pd.date_range(begin, periods=T, freq="3s", name="time"))
 
     def test_rows_of_several_units_are_refused(self):
-        both = pd.concat({"a": self.unit("2024-01-01"), "b": self.unit("2024-01-01 00:01:12")}, names=["unit"])
+        both = pd.concat(
+            {"a": self.unit("2024-01-01"), "b": self.unit("2024-01-01 00:01:12")}, names=["unit"]
+        )
         for table in (both, both.swaplevel(), both["T1"]):
-            with pytest.raises(ValueError, match="the index has the levels .*: a recording is one sequence of samples; give one unit at a"):
-                Recording.of(MODEL, signals()["u"].to_numpy(), table) if table.ndim == 1 else Recording.of(MODEL, table)
+            with pytest.raises(
+                ValueError,
+                match="the index has the levels .*: a recording is one sequence of samples; give one unit at "
+                "a",
+            ):
+                Recording.of(MODEL, signals()["u"].to_numpy(), table) if table.ndim == 1 else Recording.of(
+                    MODEL, table
+                )
 
     @pytest.mark.parametrize("rows", ROWS)
     def test_one_unit_is_told_by_its_time(self, rows):
@@ -174,15 +239,24 @@ class TestOthers:
         xr = pytest.importorskip("xarray")
         part = signals().iloc[ROWS[rows]]
         array = xr.DataArray(
-            part[["T1", "u"]].to_numpy(), {"time": ("sample", DATES[ROWS[rows]]), "signal": ["T1", "u"]}, ("sample", "signal")
+            part[["T1", "u"]].to_numpy(),
+            {"time": ("sample", DATES[ROWS[rows]]), "signal": ["T1", "u"]},
+            ("sample", "signal"),
         )
-        for given in ((array,), (array.T,), (array.sel(signal="u", drop=True).rename("u"), array.sel(signal="T1", drop=True).rename("T1"))):
+        for given in (
+            (array,),
+            (array.T,),
+            (array.sel(signal="u", drop=True).rename("u"), array.sel(signal="T1", drop=True).rename("T1")),
+        ):
             refuse_joined(ROWS[rows], *given)
 
     @pytest.mark.parametrize("rows", ["gap", "every second"])
     def test_tables_in_a_pair_are_read_as_tables(self, rows):
         class Pair:
-            u, y = timed("dates").iloc[ROWS[rows]][["u", "when"]], timed("dates").iloc[ROWS[rows]][["T1", "when"]]
+            u, y = (
+                timed("dates").iloc[ROWS[rows]][["u", "when"]],
+                timed("dates").iloc[ROWS[rows]][["T1", "when"]],
+            )
 
         refuse_joined(ROWS[rows], Pair())
 
@@ -191,7 +265,13 @@ class TestOthers:
         pa = pytest.importorskip("pyarrow")
         part = signals().iloc[ROWS[rows]]
         seconds = COUNTS[ROWS[rows]]
-        kinds = [pa.array(seconds, pa.timestamp("s")), pa.array(seconds * 1.0), pa.array(list(map(str, seconds))).dictionary_encode(),
-                 pa.array([Decimal(int(s)) for s in seconds])]  # fmt: skip
+        kinds = [
+            pa.array(seconds, pa.timestamp("s")),
+            pa.array(seconds * 1.0),
+            pa.array(list(map(str, seconds))).dictionary_encode(),
+            pa.array([Decimal(int(s)) for s in seconds]),
+        ]
         for time in kinds:
-            refuse_joined(ROWS[rows], pa.table({"u": part["u"].to_numpy(), "T1": part["T1"].to_numpy(), "time": time}))
+            refuse_joined(
+                ROWS[rows], pa.table({"u": part["u"].to_numpy(), "T1": part["T1"].to_numpy(), "time": time})
+            )

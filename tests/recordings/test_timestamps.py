@@ -1,4 +1,6 @@
-"""Time in files: gaps, repeated and backward stamps split a recording, with a sentence; the rest of the way to a report follows."""
+"""Time in files: gaps, repeated and backward stamps split a recording, with a sentence; the rest of the way
+to a report follows.
+"""
 
 import csv
 import datetime
@@ -34,19 +36,29 @@ def read(tmp_path):
 
 def minutes(form, *spans):
     """Return stamps of the minutes of each span (first, last)."""
-    return [(START + datetime.timedelta(minutes=m)).strftime(form) for first, last in spans for m in range(first, last)]
+    return [
+        (START + datetime.timedelta(minutes=m)).strftime(form)
+        for first, last in spans
+        for m in range(first, last)
+    ]
 
 
 class TestSplit:
     def test_a_gap(self, read):
         r = read(minutes("%Y-%m-%d %H:%M:%S", (0, 50), (100, 130), (131, 150)))
         assert r.starts.tolist() == [50, 80] and len(r.y) == 99
-        assert r.hints == (f"the recording has 2 gaps, the longest, 3060 s, before row 52 (2017-09-13 01:10:00){SPLIT}",)
+        assert r.hints == (
+            f"the recording has 2 gaps, the longest, 3060 s, before row 52 (2017-09-13 01:10:00){SPLIT}",
+        )
 
     @pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "%m/%d/%Y %H:%M"])
     def test_day_and_month_are_told_apart_in_spite_of_gaps(self, read, form):
-        first = datetime.datetime(2017, 1, 2, 23, 0)  # 2 January or 1 February: one reading jumps by a month at midnight
-        stamps = [(first + datetime.timedelta(minutes=m)).strftime(form) for m in [*range(30), *range(35, 200)]]
+        first = datetime.datetime(
+            2017, 1, 2, 23, 0
+        )  # 2 January or 1 February: one reading jumps by a month at midnight
+        stamps = [
+            (first + datetime.timedelta(minutes=m)).strftime(form) for m in [*range(30), *range(35, 200)]
+        ]
         r = read(stamps)
         assert r.starts.tolist() == [30] and r.stamps[100] == np.datetime64("2017-01-03T00:45")
 
@@ -88,28 +100,45 @@ def test_detect_says_missing_across_a_gap_and_hints_at_a_frozen_sensor(tmp_path,
         x = np.array([0.8 * x[0] + x[1], 0.2 * x[1] + u])
     lines = [line for line in lines if not 150 <= line[0] < 210]
     save_model(paper(dt=1), tmp_path / "m.toml")
-    (tmp_path / "d.csv").write_text("t,u1,y1,y2\n" + "".join(",".join(map(repr, line)) + "\n" for line in lines))
-    code = main.main(["detect", str(tmp_path / "m.toml"), str(tmp_path / "d.csv"), "--out", str(tmp_path / "out")])
+    (tmp_path / "d.csv").write_text(
+        "t,u1,y1,y2\n" + "".join(",".join(map(repr, line)) + "\n" for line in lines)
+    )
+    code = main.main(
+        ["detect", str(tmp_path / "m.toml"), str(tmp_path / "d.csv"), "--out", str(tmp_path / "out")]
+    )
     with open(tmp_path / "out" / "verdicts.csv", newline="") as f:
         status = [row["status"] for row in csv.DictReader(f)]
     assert [k for k, s in enumerate(status) if s == "MISSING"] == [0, 150]
-    assert code == 1 and "FAULT" not in status[:240]  # healthy until the sensor freezes, on both sides of the hole
+    assert (
+        code == 1 and "FAULT" not in status[:240]
+    )  # healthy until the sensor freezes, on both sides of the hole
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text()
-    for text in ("the recording has a gap of 61 s before row 152 (210 s)", "y1 stays at exactly 0.25 for 60 samples from 300 s to 359 s"):
+    for text in (
+        "the recording has a gap of 61 s before row 152 (210 s)",
+        "y1 stays at exactly 0.25 for 60 samples from 300 s to 359 s",
+    ):
         assert text in page and text[:40] in " ".join(printed.split())
 
 
 @pytest.mark.parametrize("form", ["%Y%m%d%H%M%S", "%Y%m%d%H%M"])
 @pytest.mark.parametrize("door", ["csv", "parquet", "pipe", "table"])
 def test_digits_of_time_stamps_are_no_seconds(tmp_path, door, form):
-    """Across a full hour, with a gap: the steps of the numbers are 100, 4100 and 700, those of the time 60 and 480 s."""
+    """Across a full hour, with a gap: the steps of the numbers are 100, 4100 and 700, those of the time 60
+    and 480 s.
+    """
     stamps = pd.Timestamp("2024-01-01 08:57") + pd.to_timedelta([0, 1, 2, 3, 4, 12, 13, 14], "min")
     table = pd.DataFrame({"time": stamps.strftime(form).astype(np.int64), "level": np.arange(8.0)})
     model = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, outputs=["level"], dt=60)
     if door == "pipe":
         said = []
-        piece = PipeText(model, lambda kind, sentence: said.append(kind)).take(table.to_csv(index=False).encode())
-        assert piece.starts.tolist() == [5] and piece.written.tolist() == table["time"].tolist() and said == ["seam"]
+        piece = PipeText(model, lambda kind, sentence: said.append(kind)).take(
+            table.to_csv(index=False).encode()
+        )
+        assert (
+            piece.starts.tolist() == [5]
+            and piece.written.tolist() == table["time"].tolist()
+            and said == ["seam"]
+        )
         return
     path = tmp_path / f"run.{door}"
     if door == "csv":
@@ -121,5 +150,10 @@ def test_digits_of_time_stamps_are_no_seconds(tmp_path, door, form):
 
 
 def test_other_numbers_of_as_many_digits_are_what_they_are():
-    for values in ([123456789012.0, 123456789013.0], [20241301000000.0], [20240101000000.5], [20240101000000.0, 20240132000000.0]):
+    for values in (
+        [123456789012.0, 123456789013.0],
+        [20241301000000.0],
+        [20240101000000.5],
+        [20240101000000.0, 20240132000000.0],
+    ):
         np.testing.assert_array_equal(since_epoch(np.array(values)), values)

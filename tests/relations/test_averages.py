@@ -15,12 +15,26 @@ from agreement import certificates_hold, monitor_agrees
 import jaxbound as jb
 from jaxbound.models.modelfile import load_model, save_model
 
-PLANT = dict(A=[["0.9", "0.1"], [0, "0.8"]], B=[["0.1"], ["0.2"]], C=[[1, 0], [0, 1]], noise=[0.5, 0.25], offset={"y": [20, 0]})
+PLANT = dict(
+    A=[["0.9", "0.1"], [0, "0.8"]],
+    B=[["0.1"], ["0.2"]],
+    C=[[1, 0], [0, 1]],
+    noise=[0.5, 0.25],
+    offset={"y": [20, 0]},
+)
 WALK = ([[1], ["0.5"]], 0.1)
 MEAN = ["1/3"] * 3
-CASES = {  # short windows by circuits, long ones by search, with disturbances, lags, other weights and what is rounded away
-    "short": (dict(averages={"y1": [(MEAN, 0.2), ([1, -2, 1], 0.4), (["1/3", "2/3"], 0.3)]}), dict(horizon=2)),
-    "disturbed": (dict(averages={"y1": {4: 0.2}, "y2": {2: 0.15}, "w1": {3: 0.04}}, disturbance=WALK, resolution=0.05), dict(horizon=5)),
+# short windows by circuits, long ones by search, with disturbances, lags, other weights and what is rounded
+# away
+CASES = {
+    "short": (
+        dict(averages={"y1": [(MEAN, 0.2), ([1, -2, 1], 0.4), (["1/3", "2/3"], 0.3)]}),
+        dict(horizon=2),
+    ),
+    "disturbed": (
+        dict(averages={"y1": {4: 0.2}, "y2": {2: 0.15}, "w1": {3: 0.04}}, disturbance=WALK, resolution=0.05),
+        dict(horizon=5),
+    ),
     "lags": (dict(averages={"y1": {3: 0.2}, "w1": [([1, -1], 0.1)]}, disturbance=WALK), dict(lags=(0, 1, 6))),
 }
 SAMPLES, RUNS = 60, (8, 300, 1)
@@ -38,24 +52,40 @@ def detected(kind):
     r = relations(kind)
     rng = np.random.default_rng(5)
     u = rng.uniform(-1, 1, (SAMPLES, 1))
-    inside = r.model.replace(averages=tuple(replace(a, bound=a.bound * Fraction(9, 10)) for a in r.model.averages))
-    y = np.array(jb.simulate(inside, np.resize(u, RUNS), jax.random.key(1)).y[0, :SAMPLES])  # at 0.9 of the averages: none is just kept
-    y[SAMPLES // 2 :, 0] += rng.uniform(-1, 1, SAMPLES - SAMPLES // 2) * np.linspace(0.5, 4, SAMPLES - SAMPLES // 2)
+    inside = r.model.replace(
+        averages=tuple(replace(a, bound=a.bound * Fraction(9, 10)) for a in r.model.averages)
+    )
+    y = np.array(
+        jb.simulate(inside, np.resize(u, RUNS), jax.random.key(1)).y[0, :SAMPLES]
+    )  # at 0.9 of the averages: none is just kept
+    y[SAMPLES // 2 :, 0] += rng.uniform(-1, 1, SAMPLES - SAMPLES // 2) * np.linspace(
+        0.5, 4, SAMPLES - SAMPLES // 2
+    )
     y[8:10, 0] = np.nan
     return u, y, jb.detect(r, u, y)
 
 
 def consistent(model, s, lags, u, y, scale=1.0):
-    """Say whether a first state, errors and disturbances explain a window, by a linear program with them all as unknowns."""
+    """Say whether a first state, errors and disturbances explain a window, by a linear program with them all
+    as unknowns.
+    """
     solver = highspy.Highs()
     solver.silent()
-    A, B, C, G = (np.array([[float(x) for x in row] for row in M]).reshape(len(M), -1) for M in (model.A, model.B, model.C, model.G))
+    A, B, C, G = (
+        np.array([[float(x) for x in row] for row in M]).reshape(len(M), -1)
+        for M in (model.A, model.B, model.C, model.G)
+    )
     free = lambda bound: solver.addVariable(-bound * scale, bound * scale)
     x = [solver.addVariable(-highspy.kHighsInf, highspy.kHighsInf) for _ in range(len(A))]
     errors, walks = {}, {}
     dot = lambda row, values: sum((float(a) * v for a, v in zip(row, values, strict=True)), 0 * x[0])
     runs = [(a, j) for a in model.averages for j in range(s + 1) if j + 1 >= len(a.weights)]
-    averaged = {(a.signal, i) for a, j in runs if a.signal in model.outputs and s - j in lags for i in range(j + 1 - len(a.weights), j + 1)}
+    averaged = {
+        (a.signal, i)
+        for a, j in runs
+        if a.signal in model.outputs and s - j in lags
+        for i in range(j + 1 - len(a.weights), j + 1)
+    }
     for j in range(s + 1):
         for i, name in enumerate(model.outputs):
             rho = float(model.noise[i] + model.resolution[i])
@@ -75,7 +105,10 @@ def consistent(model, s, lags, u, y, scale=1.0):
                 solver.addConstr(new == dot(A[k], x) + drive + float(B[k] @ u[j]))
             x = following
     for a, j in runs:
-        mine = [(errors if a.signal in model.outputs else walks).get((a.signal, i)) for i in range(j + 1 - len(a.weights), j + 1)]
+        mine = [
+            (errors if a.signal in model.outputs else walks).get((a.signal, i))
+            for i in range(j + 1 - len(a.weights), j + 1)
+        ]
         if any(v is None for v in mine) or (a.signal in model.outputs and s - j not in lags):
             continue
         rounded = float(model.resolution[model.outputs.index(a.signal)]) if a.signal in model.outputs else 0.0
@@ -97,7 +130,10 @@ def test_verdicts_and_the_size_of_margins_are_those_of_a_linear_program(kind):
         part = slice(k - s, k + 1)
         assert consistent(r.model, s, lags, u[part], y[part]) == (res.status[k] == jb.Status.CONSISTENT)
         if res.margin[k] < 0.99:
-            near = [consistent(r.model, s, lags, u[part], y[part], (1 - res.margin[k]) * f) for f in (1 - 1e-4, 1 + 1e-4)]
+            near = [
+                consistent(r.model, s, lags, u[part], y[part], (1 - res.margin[k]) * f)
+                for f in (1 - 1e-4, 1 + 1e-4)
+            ]
             assert near == [False, True]
 
 
@@ -110,7 +146,9 @@ def test_unproved_margins_are_those_of_detect(kind):
 
 
 def drawn(rng):
-    """Return (a random model with averages, arguments of its windows): stable or not, of outputs, disturbances or both."""
+    """Return (a random model with averages, arguments of its windows): stable or not, of outputs,
+    disturbances or both.
+    """
     n, p, g = (int(x) for x in (rng.integers(1, 4), rng.integers(1, 4), rng.integers(0, 3)))
     A = rng.normal(size=(n, n))
     A = (A * rng.choice([0.5, 0.9, 1.0, 1.05]) / abs(np.linalg.eigvals(A)).max()).round(3)
@@ -127,14 +165,24 @@ def drawn(rng):
         f = [Fraction(1, length)] * length if mean else weights.tolist()
         averages.setdefault(signal, []).append((f, round(rng.uniform(0.05, 0.8) * size, 3)))
     walks = {"disturbance": (G, rng.uniform(0.02, 0.2, g).round(2))} if g else {}
-    model = jb.LinearSystem(A, B, C, noise=rng.uniform(0.1, 0.5, p).round(2), resolution=rng.choice([0, 0.02], p),
-                            offset={"y": rng.normal(size=p).round(1)}, averages=averages, **walks)  # fmt: skip
+    model = jb.LinearSystem(
+        A,
+        B,
+        C,
+        noise=rng.uniform(0.1, 0.5, p).round(2),
+        resolution=rng.choice([0, 0.02], p),
+        offset={"y": rng.normal(size=p).round(1)},
+        averages=averages,
+        **walks,
+    )
     lags = sorted({0, s, *rng.integers(0, s + 1, s).tolist()}) if rng.random() < 0.3 else None
     return model, {"horizon": s} if lags is None else {"lags": lags}
 
 
 def compared(rng, models, each=12):
-    """Return (windows of random models judged by a linear program too, how many have a missing sample, how many a FAULT)."""
+    """Return (windows of random models judged by a linear program too, how many have a missing sample, how
+    many a FAULT).
+    """
     windows = broken = faults = 0
     for _ in range(models):
         model, how = drawn(rng)
@@ -162,7 +210,10 @@ def compared(rng, models, each=12):
                 assert [say(gauge * f) for f in (1 - 1e-4, 1 + 1e-4)] == [False, True]
             windows, faults = windows + 1, faults + int(found.status[k] == jb.Status.FAULT)
             broken += int(np.isnan(y[part]).any())
-    print(f"{windows} windows of random models, all as a linear program says; {faults} FAULT, {broken} with a missing sample")
+    print(
+        f"{windows} windows of random models, all as a linear program says; {faults} FAULT, {broken} with a "
+        f"missing sample"
+    )
     return windows, broken, faults
 
 
@@ -200,7 +251,12 @@ def test_a_certificate_with_another_bound_of_an_average_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("kind", "dtype"), [*((kind, np.float64) for kind in CASES), ("short", np.float32), pytest.param("lags", np.float32, marks=SLOW)]
+    ("kind", "dtype"),
+    [
+        *((kind, np.float64) for kind in CASES),
+        ("short", np.float32),
+        pytest.param("lags", np.float32, marks=SLOW),
+    ],
 )
 def test_what_is_simulated_keeps_its_averages_and_is_no_fault(kind, dtype):
     r = relations(kind)
@@ -208,7 +264,11 @@ def test_what_is_simulated_keeps_its_averages_and_is_no_fault(kind, dtype):
     for at in ("uniform", "vertices"):
         run = jb.simulate(r.model, u, jax.random.key(3), at=at)
         for a in r.model.averages:
-            drawn = run.noise[..., r.model.outputs.index(a.signal)] if a.signal in r.model.outputs else run.disturbance[..., 0]
+            drawn = (
+                run.noise[..., r.model.outputs.index(a.signal)]
+                if a.signal in r.model.outputs
+                else run.disturbance[..., 0]
+            )
             flip = np.array([float(x) for x in a.weights])[::-1]
             sums = np.abs([np.convolve(v, flip, "valid") for v in np.asarray(drawn, np.float64)])
             assert 0.8 * float(a.bound) < sums.max() <= float(a.bound)
@@ -227,7 +287,10 @@ def test_model_files_and_copies_keep_averages(tmp_path):
         model = relations(kind).model
         save_model(model, tmp_path / "model.toml")
         assert load_model(tmp_path / "model.toml") == model == model.replace(name="model")
-    assert "averages = [{samples = 4, bound = 0.2}]" in (tmp_path / "model.toml").read_text() or kind != "disturbed"
+    assert (
+        "averages = [{samples = 4, bound = 0.2}]" in (tmp_path / "model.toml").read_text()
+        or kind != "disturbed"
+    )
     assert model != model.replace(averages=None)
 
 
@@ -236,7 +299,10 @@ def test_tune_scales_averages_too():
     u = np.random.default_rng(0).uniform(-1, 1, (300, 1))
     y = np.asarray(jb.simulate(r.model, u, jax.random.key(0)).y)
     found = jb.tune(r, (u, y), steps=0, safety=1.0)
-    assert 0.3 < float(found.model.averages[0].bound) / 0.2 < 1 and found.model.averages[0].weights == r.model.averages[0].weights
+    assert (
+        0.3 < float(found.model.averages[0].bound) / 0.2 < 1
+        and found.model.averages[0].weights == r.model.averages[0].weights
+    )
     only = jb.tune(r, (u, y), steps=0, bounds=["average"], safety=1.0)
     assert only.model.noise == r.model.noise and float(only.model.averages[0].bound) < 0.2
     res = jb.detect(jb.parity_relations(only.model, 2), u, y)
@@ -245,11 +311,20 @@ def test_tune_scales_averages_too():
 
 @pytest.mark.parametrize(
     ("more", "said"),
-    [(dict(averages={"z": {3: 1}}), "speak of 'z'"), (dict(averages={"y1": {1: 1}}), ">= 2"), (dict(averages={"y1": {3: -1}}), ">= 0"),
-     (dict(averages={"y1": [([0, 1], 1)]}), "other than 0"), (dict(averages={"y1": {3: 1}}, tolerance=0.1), "tolerance to be 0"),
-     (dict(averages={"w1": {3: 1}}, disturbance=WALK, constant_tolerance=True, tolerance=0.1), "do not go together"),
-     (dict(averages={"w1": {2: 0.1}}, disturbance=(WALK[0], [[0.5, 1]])), "no constant w1"), (dict(averages=[3]), "like")],
-)  # fmt: skip
+    [
+        (dict(averages={"z": {3: 1}}), "speak of 'z'"),
+        (dict(averages={"y1": {1: 1}}), ">= 2"),
+        (dict(averages={"y1": {3: -1}}), ">= 0"),
+        (dict(averages={"y1": [([0, 1], 1)]}), "other than 0"),
+        (dict(averages={"y1": {3: 1}}, tolerance=0.1), "tolerance to be 0"),
+        (
+            dict(averages={"w1": {3: 1}}, disturbance=WALK, constant_tolerance=True, tolerance=0.1),
+            "do not go together",
+        ),
+        (dict(averages={"w1": {2: 0.1}}, disturbance=(WALK[0], [[0.5, 1]])), "no constant w1"),
+        (dict(averages=[3]), "like"),
+    ],
+)
 def test_what_are_no_averages_is_refused(more, said):
     with pytest.raises(ValueError, match=said):
         jb.LinearSystem(**PLANT, **more)

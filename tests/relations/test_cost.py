@@ -1,4 +1,6 @@
-"""What would not end is refused before it begins, and what is short is found out before relations are made."""
+"""What would not end is refused before it begins, and what is short is found out before relations are
+made.
+"""
 
 import time
 from fractions import Fraction
@@ -22,7 +24,9 @@ UNKNOWN = jb.LinearSystem([[0.5]], [[1]], [[1], [2]], noise=0.1, unknown_inputs=
 
 def dense(n, p, rng):
     """Return a model without zeros, with numbers of two digits."""
-    numbers = lambda rows, columns: [[str(x) for x in row] for row in np.round(rng.uniform(-1, 1, (rows, columns)) / n**0.5, 2)]
+    numbers = lambda rows, columns: [
+        [str(x) for x in row] for row in np.round(rng.uniform(-1, 1, (rows, columns)) / n**0.5, 2)
+    ]
     return jb.LinearSystem(numbers(n, n), numbers(n, 1), numbers(p, n), noise=0.1)
 
 
@@ -35,11 +39,14 @@ def test_an_endless_horizon_is_refused_at_once_with_the_longest_that_will_do(mod
     assert time.perf_counter() - start < 1
 
 
-@pytest.mark.parametrize("ask", [
-    lambda: jb.detectable(CHAIN, "y1", horizon=10**9),
-    lambda: jb.unknown_inputs(UNKNOWN, np.zeros((9, 1)), np.zeros((9, 2)), horizon=10**9),
-    lambda: jb.validate(CHAIN, np.zeros((9, 1)), np.zeros((9, 2)), horizon=10**9),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda: jb.detectable(CHAIN, "y1", horizon=10**9),
+        lambda: jb.unknown_inputs(UNKNOWN, np.zeros((9, 1)), np.zeros((9, 2)), horizon=10**9),
+        lambda: jb.validate(CHAIN, np.zeros((9, 1)), np.zeros((9, 2)), horizon=10**9),
+    ],
+)
 def test_every_other_door_refuses_an_endless_horizon_at_once(ask):
     start = time.perf_counter()
     with pytest.raises(ValueError, match="horizon"):
@@ -52,12 +59,27 @@ def wide(n, q, rng):
     return jb.sets.zonotope(np.zeros(n), rng.normal(size=(n, q)))
 
 
-@pytest.mark.parametrize("ask, sentence", [
-    (lambda rng: jb.sets.strips(wide(8, 24, rng)), r"346104 subsets of 24 generators would take about 14 minutes .* ask `membership`"),
-    (lambda rng: jb.sets.minkowski_difference(wide(7, 20, rng), wide(7, 2, rng)), "generators in 20 directions, in 7 dimensions"),
-    (lambda rng: jb.observer(dense(80, 2, rng)), r"how 80 states follow from 40 samples would take about \d+ minutes .* reduce the model"),
-    (lambda rng: jb.observer(dense(12, 2, rng), horizon=10**9), "how 12 states follow from 1000000001 samples would take more than a year"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "ask, sentence",
+    [
+        (
+            lambda rng: jb.sets.strips(wide(8, 24, rng)),
+            r"346104 subsets of 24 generators would take about 14 minutes .* ask `membership`",
+        ),
+        (
+            lambda rng: jb.sets.minkowski_difference(wide(7, 20, rng), wide(7, 2, rng)),
+            "generators in 20 directions, in 7 dimensions",
+        ),
+        (
+            lambda rng: jb.observer(dense(80, 2, rng)),
+            r"how 80 states follow from 40 samples would take about \d+ minutes .* reduce the model",
+        ),
+        (
+            lambda rng: jb.observer(dense(12, 2, rng), horizon=10**9),
+            "how 12 states follow from 1000000001 samples would take more than a year",
+        ),
+    ],
+)
 def test_what_would_take_minutes_is_refused_at_once_with_what_to_do(ask, sentence, rng):
     start = time.perf_counter()
     with pytest.raises(ValueError, match=sentence):
@@ -66,7 +88,9 @@ def test_what_would_take_minutes_is_refused_at_once_with_what_to_do(ask, sentenc
 
 
 def test_what_takes_more_than_a_minute_is_said_first():
-    with pytest.warns(UserWarning, match=r"^strips take about 2 minutes in exact numbers; if that is too long, ask$"):
+    with pytest.warns(
+        UserWarning, match=r"^strips take about 2 minutes in exact numbers; if that is too long, ask$"
+    ):
         refuse_or_say(120, "strips", "ask")
     with pytest.raises(ValueError, match="^strips would take about 17 minutes in exact numbers: ask$"):
         refuse_or_say(1000, "strips", "ask")
@@ -75,7 +99,9 @@ def test_what_takes_more_than_a_minute_is_said_first():
 
 @pytest.mark.slow
 def test_an_observer_of_24_states_is_made_in_seconds(rng):
-    """A left inverse by one elimination, and what acts at each step from the step behind it: minutes before."""
+    """A left inverse by one elimination, and what acts at each step from the step behind it: minutes
+    before.
+    """
     start = time.process_time()
     watch = jb.observer(dense(24, 2, rng))
     assert watch.horizon == 11 and time.process_time() - start < 30
@@ -87,7 +113,10 @@ def test_a_left_inverse_is_that_of_the_normal_equations(m, n, places, rng):
     O = linalg.matrix(rng.integers(-99, 100, (m, n)).tolist())
     thin = [[x for j, x in enumerate(row) if j not in places] for row in O]
     for noise in (np.ones(m), rng.choice([0.25, 0.5, 1], m), np.zeros(m)):
-        weight = [Fraction(1 / max(x / noise.max(), 1e-6) ** 2) if noise.any() else Fraction(1) for x in noise.tolist()]
+        weight = [
+            Fraction(1 / max(x / noise.max(), 1e-6) ** 2) if noise.any() else Fraction(1)
+            for x in noise.tolist()
+        ]
         across = linalg.transpose([[x * v for x in row] for row, v in zip(thin, weight, strict=True)])
         wanted = linalg.matmul(linalg.inverse(linalg.matmul(across, thin)), across)
         found = left_inverse(O, noise, places)
@@ -115,10 +144,23 @@ def test_a_longer_window_never_costs_less(sizes, rng):
 
 def test_a_model_of_too_many_states_is_refused_at_once():
     n = 2000
-    model = jb.LinearSystem.__new__(jb.LinearSystem)  # as the door leaves it: reading four million numbers is not what is asked here
+    model = jb.LinearSystem.__new__(
+        jb.LinearSystem
+    )  # as the door leaves it: reading four million numbers is not what is asked here
     row = (Fraction(1, 10),) * n
     none = ((),) * n
-    plant = Plant(A=(row,) * n, B=none, C=(row,), D=((),), G=none, disturbance=(), F=none, D_v=((),), uncertainties=(), dt=1.0)
+    plant = Plant(
+        A=(row,) * n,
+        B=none,
+        C=(row,),
+        D=((),),
+        G=none,
+        disturbance=(),
+        F=none,
+        D_v=((),),
+        uncertainties=(),
+        dt=1.0,
+    )
     vars(model).update(plant=plant, horizon=None, lags=None, averages=())
     start = time.perf_counter()
     with pytest.raises(ValueError, match="a model of 2000 states is too large"):
@@ -150,7 +192,9 @@ def test_relations_of_long_windows_are_those_of_their_definition(rng):
     """W Y = K U for every trajectory, with disturbances: W of the outputs alone annihilates the state."""
     from jaxbound.models import window
 
-    model = jb.LinearSystem([[0.5, 0.1], [0.2, -0.3]], [[1], [2]], [[1, 0], [1, 1]], [[1], [0]], disturbance=([[1], [1]], 1))
+    model = jb.LinearSystem(
+        [[0.5, 0.1], [0.2, -0.3]], [[1], [2]], [[1, 0], [1, 1]], [[1], [0]], disturbance=([[1], [1]], 1)
+    )
     r, s = jb.parity_relations(model, 6), 6
     O, H = window.first_form(model, s)
     V = window.disturbance_form(model, s)
@@ -175,7 +219,15 @@ def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, 
     (tmp_path / "r.csv").write_text("u1,y1,y2\n" + "0,0,0\n" * 201)
     monkeypatch.setattr(window, "parity_relations", lambda *a, **k: pytest.fail("relations were made"))
     for horizon in ("1000", "1" + "0" * 15):
-        args = ["detect", str(tmp_path / "m.toml"), str(tmp_path / "r.csv"), "--out", str(tmp_path / "out"), "--horizon", horizon]
+        args = [
+            "detect",
+            str(tmp_path / "m.toml"),
+            str(tmp_path / "r.csv"),
+            "--out",
+            str(tmp_path / "out"),
+            "--horizon",
+            horizon,
+        ]
         assert cli.main(args) == 2
         assert "the recording has 201 samples, one window needs" in capsys.readouterr().err
 

@@ -1,4 +1,6 @@
-"""Banks, signatures and isolability: the paper's example with golden's corrections, published structures, random systems."""
+"""Banks, signatures and isolability: the paper's example with golden's corrections, published structures,
+random systems.
+"""
 
 import json
 from fractions import Fraction
@@ -41,7 +43,9 @@ def test_the_bank_of_minimal_supports_is_goldens(ragot, case, leak, count):
             assert mine.translate(str.maketrans(signs)) == column
     assert table.faults == tuple(known["fault_order"])
     columns = list(known["minimal_bank_columns"].values())
-    assert table.distance == min(sum(x != y for x, y in zip(a, b, strict=True)) for a, b in combinations(columns, 2))
+    assert table.distance == min(
+        sum(x != y for x, y in zip(a, b, strict=True)) for a, b in combinations(columns, 2)
+    )
     assert not leak or table.distance == 4
     assert [set(ignored) for ignored in bank.insensitive] == [
         {n for n, p in zip(bank.names, row, strict=True) if not p} for row in bank.rows
@@ -63,8 +67,12 @@ def test_every_achievable_structure_of_the_example(ragot, case, leak, count):
 def test_which_single_faults_of_the_example_can_be_told_apart(ragot, case, leak, count):
     known, found = ragot["isolability_pairwise"][case], jb.isolability(example(ragot, leak))
     assert found.faults == tuple(known["order"])
-    for mine, golden in ((found.detectable, "detect_weak"), (found.detectable_constant, "detect_persistent"),
-                         (found.isolable, "isolable_weak"), (found.isolable_constant, "isolable_persistent")):  # fmt: skip
+    for mine, golden in (
+        (found.detectable, "detect_weak"),
+        (found.detectable_constant, "detect_persistent"),
+        (found.isolable, "isolable_weak"),
+        (found.isolable_constant, "isolable_persistent"),
+    ):
         np.testing.assert_array_equal(mine.astype(int), known[golden])
     degrees = [[-1 if x is None else x for x in row] for row in known["min_degree"]]
     np.testing.assert_array_equal(found.degree, degrees)
@@ -101,13 +109,17 @@ def test_published_structures(case, shared):
         s = found.get(specification)
         mine = (s.count, s.order, s.least_degree) if s else (0, -1, -1)
         assert mine == (wanted["rdims"][i], wanted["orders"][i], wanted["leastorders"][i])
-        assert s is None or s.constant == (list(map(int, (f in specification for f in faults))) in c["our_exact_result"]["S_strong_DC"])
+        assert s is None or s.constant == (
+            list(map(int, (f in specification for f in faults))) in c["our_exact_result"]["S_strong_DC"]
+        )
 
 
 def test_each_part_of_a_bank_holds_whatever_its_faults_do(rng):
     """A fault that takes any values leaves every relation that ignores it at zero, exactly."""
     draw = lambda r, c: [[Fraction(int(x), 10) for x in row] for row in rng.integers(-9, 10, (r, c))]
-    spec = dict(A=draw(4, 4), B=draw(4, 2), C=draw(4, 4), D=draw(4, 2), unknown_inputs=(draw(4, 1), draw(4, 1)))
+    spec = dict(
+        A=draw(4, 4), B=draw(4, 2), C=draw(4, 4), D=draw(4, 2), unknown_inputs=(draw(4, 1), draw(4, 1))
+    )
     plant, m = Plant(**spec), jb.LinearSystem(**spec)
     bank = jb.structured_relations(m, [("u1",), ("y1", "y3"), ("u2", "y4"), ()])
     assert set(bank.insensitive) == {("u1",), ("y1", "y3"), ("u2", "y4"), ()}
@@ -115,19 +127,37 @@ def test_each_part_of_a_bank_holds_whatever_its_faults_do(rng):
     s = bank.horizon
     state, u, v = (draw(rows, c) for rows, c in ((1, 4), (s + 1, 2), (s + 1, 1)))
     for ignored in set(bank.insensitive):
-        applied = [[x + (Fraction(int(rng.integers(-99, 99))) if f"u{j + 1}" in ignored else 0) for j, x in enumerate(row)] for row in u]
+        applied = [
+            [
+                x + (Fraction(int(rng.integers(-99, 99))) if f"u{j + 1}" in ignored else 0)
+                for j, x in enumerate(row)
+            ]
+            for row in u
+        ]
         y = plant.trajectory(state[0], applied, v=v)
-        y = [[x + (Fraction(int(rng.integers(-99, 99))) if f"y{i + 1}" in ignored else 0) for i, x in enumerate(row)] for row in y]
+        y = [
+            [
+                x + (Fraction(int(rng.integers(-99, 99))) if f"y{i + 1}" in ignored else 0)
+                for i, x in enumerate(row)
+            ]
+            for row in y
+        ]
         flat_y, flat_u = [x for row in y for x in row], [x for row in u for x in row]
         for h, k, group in zip(W, K, bank.insensitive, strict=True):
-            value = sum(a * b for a, b in zip(h, flat_y, strict=True)) - sum(a * b for a, b in zip(k, flat_u, strict=True))
+            value = sum(a * b for a, b in zip(h, flat_y, strict=True)) - sum(
+                a * b for a, b in zip(k, flat_u, strict=True)
+            )
             assert (value == 0) == (ignored in ((), group))
 
 
 def rank_at(q, A, B, C, D, F, faults):
-    """Return the rank of [[q - A, F, ..], [C, 0, ..]] with the columns of faults, outputs first, by python-flint."""
+    """Return the rank of [[q - A, F, ..], [C, 0, ..]] with the columns of faults, outputs first, by
+    python-flint.
+    """
     n, p = len(A), len(C)
-    rows = [[q * (i == j) - x for j, x in enumerate(row)] + F[i] for i, row in enumerate(A)] + [c + [Fraction(0)] * len(F[0]) for c in C]
+    rows = [[q * (i == j) - x for j, x in enumerate(row)] + F[i] for i, row in enumerate(A)] + [
+        c + [Fraction(0)] * len(F[0]) for c in C
+    ]
     for f in faults:
         column = [row[f - p] for row in B + D] if f >= p else [Fraction(int(i == f)) for i in range(-n, p)]
         rows = [[*row, x] for row, x in zip(rows, column, strict=True)]
@@ -138,7 +168,10 @@ def test_isolability_of_random_systems_by_ranks(rng):
     """Fault i shows although fault j is ignored iff eliminating i as well costs a relation."""
     for _ in range(8):
         n, p, m, d = 4, 3, 2, int(rng.integers(0, 2))
-        draw = lambda r, c: [[Fraction(int(x)) for x in row] for row in rng.integers(-3, 4, (r, c)) * (rng.uniform(size=(r, c)) < 0.5)]
+        draw = lambda r, c: [
+            [Fraction(int(x)) for x in row]
+            for row in rng.integers(-3, 4, (r, c)) * (rng.uniform(size=(r, c)) < 0.5)
+        ]
         plant = draw(n, n), draw(n, m), draw(p, n), draw(p, m), draw(n, d)
         q = Fraction(int(rng.integers(10**6)), 997)
         found = jb.isolability(jb.LinearSystem(*plant[:4], unknown_inputs=plant[4] if d else None))
@@ -157,7 +190,15 @@ def test_a_bank_of_many_relations_keeps_those_that_tell_signals_apart(rng):
 
 def test_tables_read_well(ragot):
     table = jb.signatures(jb.structured_relations(example(ragot), [("u1",), ("u2",)])).text().splitlines()
-    assert table[0].split() == ["y1", "y2", "y3", "y4", "u1", "u2"] and table[1].split() == ["r1", ".", "t", "1", "1", ".", "1"]
+    assert table[0].split() == ["y1", "y2", "y3", "y4", "u1", "u2"] and table[1].split() == [
+        "r1",
+        ".",
+        "t",
+        "1",
+        "1",
+        ".",
+        "1",
+    ]
     lines = jb.isolability(example(ragot)).text().splitlines()
     assert lines[0].split()[0] == "seen" and lines[2].split() == ["y2", "t", "t", "-", "t", "t", "t", "t"]
     r = jb.parity_relations(paper())
@@ -167,7 +208,10 @@ def test_tables_read_well(ragot):
 
 def test_what_cannot_be_is_refused(ragot):
     m = example(ragot)
-    with pytest.raises(ValueError, match="no relation ignores y1, y2, y3: that many unknown signals can explain whatever is left"):
+    with pytest.raises(
+        ValueError,
+        match="no relation ignores y1, y2, y3: that many unknown signals can explain whatever is left",
+    ):
         jb.structured_relations(m, [("y1",), ("y1", "y2", "y3")])
     with pytest.raises(ValueError, match="the model has no signal 'y9': it has y1, y2, y3, y4, u1, u2"):
         jb.structured_relations(m, ["y9"])

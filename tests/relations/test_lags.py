@@ -12,8 +12,11 @@ import jaxbound as jb
 from jaxbound.relations.identity import identity
 
 HEATER = dict(
-    A=[["0.97", "0.01", 0], ["0.01", "0.98", 0], ["0.13", 0, "0.87"]], B=[["0.011"], [0], [0]], C=[[0, 0, 1], [0, 1, 0]],
-    noise=[0.5, 0.25])  # fmt: skip
+    A=[["0.97", "0.01", 0], ["0.01", "0.98", 0], ["0.13", 0, "0.87"]],
+    B=[["0.011"], [0], [0]],
+    C=[[0, 0, 1], [0, 1, 0]],
+    noise=[0.5, 0.25],
+)
 LAGS = (0, 1, 3, 9)
 KINDS = ["plain", "disturbed"]
 
@@ -34,10 +37,18 @@ def detected(kind):
 
 
 def factor(model, s, lags, u, y):
-    """Return the factor on all bounds at which a window becomes consistent, by linear programming over states and disturbances."""
-    A, B, C, G = (np.array([[float(x) for x in row] for row in M]).reshape(len(M), -1) for M in (model.A, model.B, model.C, model.G))
+    """Return the factor on all bounds at which a window becomes consistent, by linear programming over states
+    and disturbances.
+    """
+    A, B, C, G = (
+        np.array([[float(x) for x in row] for row in M]).reshape(len(M), -1)
+        for M in (model.A, model.B, model.C, model.G)
+    )
     n, g = len(A), model.g
-    state, drive = np.hstack([np.eye(n), np.zeros((n, g * s + 1))]), np.zeros(n)  # x_j = state (x_0, w, t) + drive
+    state, drive = (
+        np.hstack([np.eye(n), np.zeros((n, g * s + 1))]),
+        np.zeros(n),
+    )  # x_j = state (x_0, w, t) + drive
     upper, limit = [], []
     for j in range(s + 1):
         if s - j in lags:
@@ -69,14 +80,23 @@ def test_margins_are_those_of_a_linear_program_over_the_samples_looked_at(kind):
     for k in range(r.horizon, len(y), 4):
         part = slice(k - r.horizon, k + 1)
         assert abs(1 - res.margin[k] - factor(r.model, r.horizon, LAGS, u[part], y[part])) < 1e-8
-    assert res.counts["MISSING"] == r.horizon and res.counts["UNDECIDED"] == 0 and (res.status[40:43] == jb.Status.FAULT).any()
-    np.testing.assert_allclose(np.asarray(jb.margins(r, u, y))[r.horizon :], res.margin[r.horizon :], atol=1e-9)
+    assert (
+        res.counts["MISSING"] == r.horizon
+        and res.counts["UNDECIDED"] == 0
+        and (res.status[40:43] == jb.Status.FAULT).any()
+    )
+    np.testing.assert_allclose(
+        np.asarray(jb.margins(r, u, y))[r.horizon :], res.margin[r.horizon :], atol=1e-9
+    )
 
 
 def test_all_lags_are_the_window_of_that_horizon():
     u, y, _ = detected("plain")
     model = relations("plain").model
-    found = [jb.detect(r, u, y) for r in (jb.parity_relations(model, 2), jb.parity_relations(model, lags=(0, 1, 2)))]
+    found = [
+        jb.detect(r, u, y)
+        for r in (jb.parity_relations(model, 2), jb.parity_relations(model, lags=(0, 1, 2)))
+    ]
     np.testing.assert_array_equal(found[0].status, found[1].status)
     np.testing.assert_allclose(found[0].margin, found[1].margin, atol=1e-12)
 
@@ -112,20 +132,37 @@ def test_the_guaranteed_size_needs_twice_the_bounds():
     r = relations("plain")
     size = jb.detectable(r.model, "y1", lags=LAGS)
     assert size.horizon == r.horizon and "y1[k-2]" not in size.relation
-    assert abs(factor(r.model, r.horizon, LAGS, np.zeros((10, 1)), np.array([float(size), 0.0]) * np.ones((10, 1))) - 2) < 1e-6
+    assert (
+        abs(
+            factor(
+                r.model, r.horizon, LAGS, np.zeros((10, 1)), np.array([float(size), 0.0]) * np.ones((10, 1))
+            )
+            - 2
+        )
+        < 1e-6
+    )
 
 
 def test_what_is_kept_of_lags_is_not_taken_for_that_of_a_window():
     model = relations("plain").model
-    assert identity(relations("plain")) != identity(jb.parity_relations(model, 9)) != identity(jb.parity_relations(model, lags=(0, 2, 9)))
+    assert (
+        identity(relations("plain"))
+        != identity(jb.parity_relations(model, 9))
+        != identity(jb.parity_relations(model, lags=(0, 2, 9)))
+    )
 
 
 @pytest.mark.parametrize(
     ("more", "said"),
-    [(dict(lags=(1, 2)), "0 among them"), (dict(lags=(0, 2, 2)), "different whole numbers"), (dict(lags=(0, -1)), "whole numbers >= 0"),
-     (dict(lags=(0, 4), horizon=4), "leave horizon out"), (dict(lags=(0, 4), form="second"), "leave form out"),
-     (dict(lags=(0,)), "2 samples do not outnumber")],
-)  # fmt: skip
+    [
+        (dict(lags=(1, 2)), "0 among them"),
+        (dict(lags=(0, 2, 2)), "different whole numbers"),
+        (dict(lags=(0, -1)), "whole numbers >= 0"),
+        (dict(lags=(0, 4), horizon=4), "leave horizon out"),
+        (dict(lags=(0, 4), form="second"), "leave form out"),
+        (dict(lags=(0,)), "2 samples do not outnumber"),
+    ],
+)
 def test_what_are_no_lags_is_refused(more, said):
     with pytest.raises(ValueError, match=said):
         jb.parity_relations(relations("plain").model, **more)

@@ -37,7 +37,10 @@ def test_relations_of_section_5_are_the_papers(golden):
 def test_circuits_of_section_5_are_the_four_golden_ones(golden):
     static, r = golden["p0"]["static"]["value"], jb.parity_relations(paper(), horizon=1)
     signed = lambda h, u: tuple(x * (1 if next(v for v in h if v) > 0 else -1) for x in (*h, u))
-    expected = {signed(h, Fraction(u)) for h, u in zip(static["circuits_s1_drop_col"], static["circuits_u_coeff"], strict=True)}
+    expected = {
+        signed(h, Fraction(u))
+        for h, u in zip(static["circuits_s1_drop_col"], static["circuits_u_coeff"], strict=True)
+    }
     assert {signed(h, -k[0]) for h, k in zip(r.circuits, r.circuits_known, strict=True)} == expected
 
 
@@ -85,7 +88,9 @@ def test_second_form_is_a_regular_combination_of_the_first(name, s):
 
 @pytest.mark.parametrize("name, s", [c for c in EVERY if c[1] < 4])
 def test_first_form_extends_to_the_second_by_the_papers_formula(name, s):
-    L, M, _, _ = (mat(a) if a and a[0] else None for a in window.second_form(jb.LinearSystem(**MODELS[name]), s))
+    L, M, _, _ = (
+        mat(a) if a and a[0] else None for a in window.second_form(jb.LinearSystem(**MODELS[name]), s)
+    )
     W = mat(build(name, s).W)
     W_M = -1 * (W * L * M.transpose() * (M * M.transpose()).inv())
     assert all(x == 0 for x in (W * L + W_M * M).entries())
@@ -96,7 +101,11 @@ def test_relations_span_the_golden_row_space(s, golden):
     static = golden["p0"]["static"]["value"][f"s{s}"]
     expected = mat([[Fraction(x) for x in row] for row in static["W"]])
     ours = mat(build("paper", s).W)
-    assert static["n_relations"] == ours.nrows() == mat(build("paper", s).W + tuple(tuple(map(Fraction, r)) for r in static["W"])).rank()
+    assert (
+        static["n_relations"]
+        == ours.nrows()
+        == mat(build("paper", s).W + tuple(tuple(map(Fraction, r)) for r in static["W"])).rank()
+    )
     assert expected.rank() == ours.rank()
 
 
@@ -113,11 +122,15 @@ def test_external_form_is_the_internal_form_exactly(name, s, rng):
         mu = [(t * v + e) / (1 + t) for t, v, e in zip(theta, y, noise, strict=True)]
         U = [v for row in u[: plant.lags(s)] for v in row]
         for h, k in zip(r.W, r.K, strict=True):
-            external = sum(a * b for a, b in zip(h, y, strict=True)) - sum((a * b for a, b in zip(k, U, strict=True)), Fraction(0))
+            external = sum(a * b for a, b in zip(h, y, strict=True)) - sum(
+                (a * b for a, b in zip(k, U, strict=True)), Fraction(0)
+            )
             assert external == sum(a * b for a, b in zip(h, mu, strict=True))
 
 
-@pytest.mark.parametrize("name, s", [("paper", 1), ("paper", 3), ("feedthrough", 2), ("offsets", 1), ("three states", 2)])
+@pytest.mark.parametrize(
+    "name, s", [("paper", 1), ("paper", 3), ("feedthrough", 2), ("offsets", 1), ("three states", 2)]
+)
 def test_external_evaluates_the_exact_relations_to_rounding(name, s, rng):
     plant, r = Plant(**MODELS[name]), build(name, s)
     u, y = rng.normal(size=(30, plant.m)) * 3, rng.normal(size=(30, plant.p)) * 10
@@ -125,7 +138,11 @@ def test_external_evaluates_the_exact_relations_to_rounding(name, s, rng):
     assert out.shape == (30, r.count) and np.isnan(out[:s]).all()
     for k in range(s, 30):
         Y = [Fraction(v) - plant.offset_y[i] for row in y[k - s : k + 1] for i, v in enumerate(row)]
-        U = [Fraction(v) - plant.offset_u[i] for row in u[k - s : k - s + plant.lags(s)] for i, v in enumerate(row)]
+        U = [
+            Fraction(v) - plant.offset_u[i]
+            for row in u[k - s : k - s + plant.lags(s)]
+            for i, v in enumerate(row)
+        ]
         dot = lambda a, b: sum((x * v for x, v in zip(a, b, strict=True)), Fraction(0))
         exact = np.array([float(dot(h, Y) - dot(g, U)) for h, g in zip(r.W, r.K, strict=True)])  # noqa: B023
         size = np.array([float(sum(abs(a * b) for a, b in zip(h, Y, strict=True))) for h in r.W]) + 10
@@ -139,10 +156,14 @@ def test_internal_form_contains_the_external_form_of_healthy_data(name, s, rng):
     external, internal = np.asarray(r.external(u, y))[:, s], r.internal(u, y)
     lo, hi = np.asarray(internal.lo)[:, s], np.asarray(internal.hi)[:, s]
     assert ((lo <= external) & (external <= hi)).all()
-    assert not (abs(external - (lo + hi) / 2) <= (hi - lo) / 4).all()  # the bounds bite: half of them would not do
+    assert not (
+        abs(external - (lo + hi) / 2) <= (hi - lo) / 4
+    ).all()  # the bounds bite: half of them would not do
 
 
-@pytest.mark.parametrize("name, s", [("paper", 1), ("three states", 1), ("feedthrough", 2), ("offsets", 1), ("no input", 1)])
+@pytest.mark.parametrize(
+    "name, s", [("paper", 1), ("three states", 1), ("feedthrough", 2), ("offsets", 1), ("no input", 1)]
+)
 def test_first_form_has_coprime_integers_and_starts_and_ends_apart(name, s):
     W = build(name, s).W
     assert all(x.denominator == 1 for row in W for x in row)
@@ -163,7 +184,9 @@ def test_offsets_shift_the_signals_and_nothing_else(rng):
     shifted = paper(offset={"u": [0.5], "y": [3, -0.25]})
     plain, moved = jb.parity_relations(paper(), horizon=2), jb.parity_relations(shifted, horizon=2)
     assert plain.W == moved.W and plain.K == moved.K
-    np.testing.assert_allclose(moved.external(u + 0.5, y + [3, -0.25]), plain.external(u, y), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        moved.external(u + 0.5, y + [3, -0.25]), plain.external(u, y), rtol=0, atol=1e-12
+    )
 
 
 def test_bounds_of_the_relation_are_never_below_the_models_decimals():

@@ -15,13 +15,16 @@ def test_horizon_chosen_for_section_5_is_one():
     assert jb.parity_relations(paper()).horizon == 1
 
 
-@pytest.mark.parametrize("C, expected", [
-    ([[1, 0]], 2),  # one output needs as many earlier samples as there are states
-    ([[1, 0], [1, 0]], 0),  # two equal sensors check each other at once
-    ([[1, 0], [1, 0], [0, 1]], 1),  # the third needs the dynamics
-    ([[0, 1]], 1),  # sees a single state of its own
-    ([[1, 0], [0, 1]], 1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "C, expected",
+    [
+        ([[1, 0]], 2),  # one output needs as many earlier samples as there are states
+        ([[1, 0], [1, 0]], 0),  # two equal sensors check each other at once
+        ([[1, 0], [1, 0], [0, 1]], 1),  # the third needs the dynamics
+        ([[0, 1]], 1),  # sees a single state of its own
+        ([[1, 0], [0, 1]], 1),
+    ],
+)
 def test_horizon_chosen_is_the_smallest_that_checks_every_output(C, expected):
     assert jb.parity_relations(jb.LinearSystem([[0.8, 1], [0, 0.2]], [[0], [1]], C)).horizon == expected
 
@@ -34,7 +37,10 @@ def test_the_horizon_of_the_model_is_the_default():
 
 
 def test_horizon_too_small_names_the_smallest():
-    with pytest.raises(ValueError, match=r"horizon 1 gives no relation: 2 samples .* 2 states; the smallest horizon with one is 2"):
+    with pytest.raises(
+        ValueError,
+        match=r"horizon 1 gives no relation: 2 samples .* 2 states; the smallest horizon with one is 2",
+    ):
         jb.parity_relations(jb.LinearSystem(**ONE_OUTPUT), horizon=1)
 
 
@@ -82,16 +88,24 @@ def test_text_of_circuits_has_one_line_each():
 
 def test_text_uses_the_names_of_the_model():
     m = paper(inputs=("valve",), outputs=("flow", "level"))
-    assert jb.parity_relations(m).text().split("\n")[1] == "r2: 4 level[k-1] - 10 flow[k] + 5 level[k] - 5 valve[k-1] = 0"
+    assert (
+        jb.parity_relations(m).text().split("\n")[1]
+        == "r2: 4 level[k-1] - 10 flow[k] + 5 level[k] - 5 valve[k-1] = 0"
+    )
 
 
 def test_text_shows_the_newest_input_with_feedthrough():
-    m = jb.LinearSystem([["1/2"]], [[1]], [[1]], [[2]], noise=0.1)  # y+ = x/2 + u + 2 u+ = (y - 2 u) / 2 + u + 2 u+
+    m = jb.LinearSystem(
+        [["1/2"]], [[1]], [[1]], [[2]], noise=0.1
+    )  # y+ = x/2 + u + 2 u+ = (y - 2 u) / 2 + u + 2 u+
     assert jb.parity_relations(m).text() == "r1: y1[k-1] - 2 y1[k] + 4 u1[k] = 0"
 
 
 def test_text_without_inputs_speaks_of_outputs_only():
-    assert jb.parity_relations(jb.LinearSystem([["1/2"]], None, [[1]], noise=0.1)).text() == "r1: y1[k-1] - 2 y1[k] = 0"
+    assert (
+        jb.parity_relations(jb.LinearSystem([["1/2"]], None, [[1]], noise=0.1)).text()
+        == "r1: y1[k-1] - 2 y1[k] = 0"
+    )
 
 
 def test_external_without_inputs_needs_no_u():
@@ -100,20 +114,27 @@ def test_external_without_inputs_needs_no_u():
 
 
 def test_external_keeps_leading_axes(rng):
-    r, u, y = jb.parity_relations(paper(), horizon=2), rng.normal(size=(2, 3, 9, 1)), rng.normal(size=(2, 3, 9, 2))
+    r, u, y = (
+        jb.parity_relations(paper(), horizon=2),
+        rng.normal(size=(2, 3, 9, 1)),
+        rng.normal(size=(2, 3, 9, 2)),
+    )
     whole = np.asarray(r.external(u, y))
     assert whole.shape == (2, 3, 9, 4)
     np.testing.assert_array_equal(whole[1, 2], r.external(u[1, 2], y[1, 2]))
 
 
-@pytest.mark.parametrize("bounds, message", [
-    ({"gain": 1.0}, r"bounds are \['noise', 'tolerance'\], not \['gain'\]"),
-    ({"noise": [1.0, 2.0, 3.0]}, r"noise needs one number or one per output \(2\): its shape is \(3,\)"),
-    ({"noise": [0.1, -0.1]}, r"noise must be in \[0, inf\): output 'y2' has -0.1"),
-    ({"noise": float("nan")}, "output 'y1' has nan"),
-    ({"noise": float("inf")}, "output 'y1' has inf"),
-    ({"tolerance": [0.1, 1.0]}, r"tolerance must be in \[0, 1\): output 'y2' has 1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bounds, message",
+    [
+        ({"gain": 1.0}, r"bounds are \['noise', 'tolerance'\], not \['gain'\]"),
+        ({"noise": [1.0, 2.0, 3.0]}, r"noise needs one number or one per output \(2\): its shape is \(3,\)"),
+        ({"noise": [0.1, -0.1]}, r"noise must be in \[0, inf\): output 'y2' has -0.1"),
+        ({"noise": float("nan")}, "output 'y1' has nan"),
+        ({"noise": float("inf")}, "output 'y1' has inf"),
+        ({"tolerance": [0.1, 1.0]}, r"tolerance must be in \[0, 1\): output 'y2' has 1"),
+    ],
+)
 def test_with_bounds_refuses_and_says_why(bounds, message):
     with pytest.raises(ValueError, match=message):
         jb.parity_relations(paper()).with_bounds(bounds)

@@ -13,7 +13,10 @@ def draw(rng, rows, columns, variables=3, terms=5):
     found = {}
     for _ in range(terms):
         alpha = tuple(int(e) for e in rng.integers(0, 3, variables))
-        places = {(int(rng.integers(rows)), int(rng.integers(columns))): Fraction(int(rng.integers(1, 9)), 7) for _ in range(3)}
+        places = {
+            (int(rng.integers(rows)), int(rng.integers(columns))): Fraction(int(rng.integers(1, 9)), 7)
+            for _ in range(3)
+        }
         found.setdefault(alpha, {}).update(places)
     return PolynomialMatrix(rows, columns, variables, found)
 
@@ -38,8 +41,12 @@ def test_stacked_and_picked_are_those_of_the_values(rng, points):
     P, Q, R, S = draw(rng, 2, 3), draw(rng, 2, 1), draw(rng, 1, 3), draw(rng, 1, 1)
     whole = stacked([[P, Q], [R, S]])
     for v in points:
-        assert (values(whole, v) == np.block([[values(P, v), values(Q, v)], [values(R, v), values(S, v)]])).all()
-        assert (values(whole.pick(rows=[2, 0], columns=[3, 1]), v) == values(whole, v)[[2, 0]][:, [3, 1]]).all()
+        assert (
+            values(whole, v) == np.block([[values(P, v), values(Q, v)], [values(R, v), values(S, v)]])
+        ).all()
+        assert (
+            values(whole.pick(rows=[2, 0], columns=[3, 1]), v) == values(whole, v)[[2, 0]][:, [3, 1]]
+        ).all()
 
 
 def test_what_cancels_leaves_no_term(rng):
@@ -58,7 +65,14 @@ def test_monomials_are_all_of_them_once_by_order(variables, order):
 
 def test_terms_come_by_order_the_first_variables_first():
     v = lambda *alpha: PolynomialMatrix(1, 1, 2, {alpha: {(0, 0): Fraction(1)}})
-    assert list((v(0, 1) + v(1, 0) + v(2, 0) + v(0, 0) + v(0, 2) + v(1, 1)).terms) == [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+    assert list((v(0, 1) + v(1, 0) + v(2, 0) + v(0, 0) + v(0, 2) + v(1, 1)).terms) == [
+        (0, 0),
+        (1, 0),
+        (0, 1),
+        (2, 0),
+        (1, 1),
+        (0, 2),
+    ]
 
 
 def test_a_coefficient_that_is_not_there_is_zero():

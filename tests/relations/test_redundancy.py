@@ -1,4 +1,6 @@
-"""Minimal polynomial relations: the paper's example, golden's corrections, and degrees of random systems by python-flint."""
+"""Minimal polynomial relations: the paper's example, golden's corrections, and degrees of random systems by
+python-flint.
+"""
 
 import json
 from fractions import Fraction
@@ -29,7 +31,9 @@ def example(ragot, unknown=("v",)):
 
 def polynomial_rows(rows):
     """Read golden's rows, numbers by ascending powers, as rows of polynomials."""
-    return [tuple(shift.trim([Fraction(x) for x in column]) for column in zip(*row, strict=True)) for row in rows]
+    return [
+        tuple(shift.trim([Fraction(x) for x in column]) for column in zip(*row, strict=True)) for row in rows
+    ]
 
 
 def rank_over_q(rows, q):
@@ -71,15 +75,23 @@ def test_the_basis_of_the_example_is_the_papers(ragot):
 def test_indices_and_module_are_golden_for_every_choice_of_unknown_inputs(ragot, unknown, method):
     known = ragot["forney_and_window"][unknown or "none"]
     r = jb.redundancy(example(ragot, [x for x in unknown.split(",") if x]), method)
-    golden = polynomial_rows([[y + [Fraction(x) for x in u] for y, u in zip(b["My"], b["Mu"], strict=True)] for b in known["basis"]])
+    golden = polynomial_rows(
+        [
+            [y + [Fraction(x) for x in u] for y, u in zip(b["My"], b["Mu"], strict=True)]
+            for b in known["basis"]
+        ]
+    )
     assert r.degrees.tolist() == known["forney"] and same_module(r.rows, golden)
 
 
-@pytest.mark.parametrize("bank, unknown, rows", [
-    ("bank1", ("u1",), ("r11(u1 unknown,v=0)", "r12(u1 and v unknown ok)", "r13(u1 unknown,v=0)")),
-    ("bank2", ("u2",), ("r21(u2 unknown,v=0)", "r22(u2 unknown,v=0)", "r23(u2 and v unknown ok)")),
-    ("sensors alone", ("u1", "u2", "v"), ("sensor_only",)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bank, unknown, rows",
+    [
+        ("bank1", ("u1",), ("r11(u1 unknown,v=0)", "r12(u1 and v unknown ok)", "r13(u1 unknown,v=0)")),
+        ("bank2", ("u2",), ("r21(u2 unknown,v=0)", "r22(u2 unknown,v=0)", "r23(u2 and v unknown ok)")),
+        ("sensors alone", ("u1", "u2", "v"), ("sensor_only",)),
+    ],
+)
 def test_the_printed_banks_span_the_module(ragot, bank, unknown, rows):
     printed = polynomial_rows([ragot["residual_rows_ascending_q_coefs"][name] for name in rows])
     assert same_module(jb.redundancy(example(ragot, unknown)).rows, printed), bank
@@ -99,11 +111,17 @@ def test_combinations_of_the_example(ragot):
     assert known(printed) == ((zero, zero), (one, zero), (zero, p(-2, 2)))
     assert known(better) == ((zero, zero), (one, zero), (zero, p(-1)))
     names = ("e1", "e2", "e3_improved")
-    assert list(shift.matmul(better, M)) == polynomial_rows([ragot["residual_rows_ascending_q_coefs"][name] for name in names])
+    assert list(shift.matmul(better, M)) == polynomial_rows(
+        [ragot["residual_rows_ascending_q_coefs"][name] for name in names]
+    )
     stable = ((one, zero, zero), (zero, one, p(-2)), (zero, zero, p(-1)))
-    isolating = tuple(tuple(row[i] for i in (0, 1, 4)) for row in shift.matmul(stable, M))  # outputs 1 and 2 and input 1
+    isolating = tuple(
+        tuple(row[i] for i in (0, 1, 4)) for row in shift.matmul(stable, M)
+    )  # outputs 1 and 2 and input 1
     assert isolating == ((p(0, -2, 1), zero, zero), (zero, p(-1, 1), zero), (zero, zero, one))
-    assert rank_over_q([tuple(row[i] for i in (1, 3, 4)) for row in M], 7) == 2  # outputs 2 and 4 and input 1: not isolable
+    assert (
+        rank_over_q([tuple(row[i] for i in (1, 3, 4)) for row in M], 7) == 2
+    )  # outputs 2 and 4 and input 1: not isolable
 
 
 def test_relations_vanish_on_the_golden_trajectory(ragot):
@@ -128,14 +146,21 @@ def test_where_unknown_inputs_do_not_show_at_once_only_the_window_finds_relation
         if case["rankCF"]:
             assert same_module(jb.redundancy(m, "elimination").rows, r.rows)
         else:
-            with pytest.raises(ValueError, match=r"needs rank\(C F\) = rank F, .* rank\(C F\) is 0, rank F is 1; use method='window'"):
+            with pytest.raises(
+                ValueError,
+                match=r"needs rank\(C F\) = rank F, .* rank\(C F\) is 0, rank F is 1; use method='window'",
+            ):
                 jb.redundancy(m, "elimination")
 
 
 def random_system(rng, n, p, m, d, sparse, direct):
-    """Return the keywords of a random system: decimals of one digit, or sparse small integers, scaled up and down by a thousand."""
-    draw = lambda r, c: [[Fraction(int(x), 1 if sparse else 10) for x in row] for row in
-                         rng.integers(-9, 10, (r, c)) * (rng.uniform(size=(r, c)) < (0.3 if sparse else 1.0))]  # fmt: skip
+    """Return the keywords of a random system: decimals of one digit, or sparse small integers, scaled up and
+    down by a thousand.
+    """
+    draw = lambda r, c: [
+        [Fraction(int(x), 1 if sparse else 10) for x in row]
+        for row in rng.integers(-9, 10, (r, c)) * (rng.uniform(size=(r, c)) < (0.3 if sparse else 1.0))
+    ]
     scale = [SCALES[i] for i in rng.integers(0, 3, n)]
     own = [SCALES[i] for i in rng.integers(0, 3, d)]
     A = [[x * scale[i] / scale[j] for j, x in enumerate(row)] for i, row in enumerate(draw(n, n))]
@@ -147,9 +172,15 @@ def random_system(rng, n, p, m, d, sparse, direct):
 
 
 def degrees_by_flint(plant, longest):
-    """Return the Forney indices from the nullities d_h of windows: their number of value h is d_h - 2 d_{h-1} + d_{h-2}."""
+    """Return the Forney indices from the nullities d_h of windows: their number of value h is d_h - 2 d_{h-1}
+    + d_{h-2}.
+    """
     A, F, power = rational_matrix(plant.A), rational_matrix(plant.F), rational_matrix(plant.C)
-    on_state, on_unknown, none = [power], [rational_matrix(plant.D_v)], rational_matrix([[Fraction(0)] * plant.d] * plant.p)
+    on_state, on_unknown, none = (
+        [power],
+        [rational_matrix(plant.D_v)],
+        rational_matrix([[Fraction(0)] * plant.d] * plant.p),
+    )
     for _ in range(longest):
         on_unknown.append(power * F)
         power = power * A
@@ -178,7 +209,9 @@ def test_degrees_of_random_systems_are_exact_and_the_elimination_agrees_or_says_
             E, H = plant.equation(r.horizon)
             W, K = r.windows()
             assert not any(x for row in times(W, E) for x in row) and [list(k) for k in K] == times(W, H)
-        shows = (rational_matrix(times(plant.C, plant.F)).rank() == rational_matrix(plant.F).rank()) and not m.has_direct_unknown
+        shows = (
+            rational_matrix(times(plant.C, plant.F)).rank() == rational_matrix(plant.F).rank()
+        ) and not m.has_direct_unknown
         if shows:
             assert jb.redundancy(m, "elimination").degrees.tolist() == expected
             agreed += 1
@@ -200,4 +233,6 @@ def test_an_unknown_method_is_refused(ragot):
     with pytest.raises(ValueError, match="method must be one of window, elimination, not 'svd'"):
         jb.redundancy(example(ragot), "svd")
     with pytest.raises(ValueError, match="D_v is not zero; use method='window'"):
-        jb.redundancy(jb.LinearSystem([[1]], None, [[1], [1]], unknown_inputs=([[1]], [[0], [1]])), "elimination")
+        jb.redundancy(
+            jb.LinearSystem([[1]], None, [[1], [1]], unknown_inputs=([[1]], [[0], [1]])), "elimination"
+        )

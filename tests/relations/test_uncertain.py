@@ -20,20 +20,30 @@ FAST = [name for name in SYSTEMS if name != "n3p2_var3_h3"]
 
 def draw(rng, *shape):
     """Return random Fractions in [-1, 1]."""
-    return np.vectorize(lambda k: Fraction(int(k), 2**12), otypes=[object])(rng.integers(-(2**12), 2**12 + 1, shape))
+    return np.vectorize(lambda k: Fraction(int(k), 2**12), otypes=[object])(
+        rng.integers(-(2**12), 2**12 + 1, shape)
+    )
 
 
 def test_o3_of_the_example_has_the_golden_monomials(golden):
     variables, E, _, _ = uncertain_window(model("n2p1_paper_h3"), 2)
     assert variables == (("th", 0), ("th", 1), ("vt", None))
-    expected = {tuple(eval(k)): tuple(tuple(map(Fraction, row)) for row in m) for k, m in golden["p1"]["example"]["O3"].items()}
+    expected = {
+        tuple(eval(k)): tuple(tuple(map(Fraction, row)) for row in m)
+        for k, m in golden["p1"]["example"]["O3"].items()
+    }
     assert {a: E.coefficient(a) for a in E.terms} == expected
 
 
 def test_gamma_of_the_example_is_the_golden_one(golden):
     _, _, H, _ = uncertain_window(model("n2p1_paper_h3"), 2)
-    expected = {tuple(eval(k)): tuple(tuple(map(Fraction, row)) for row in m) for k, m in golden["p1"]["example"]["Gamma3"].items()}
-    assert {a: H.coefficient(a) for a in H.terms} == {a: tuple(row[:2] for row in m) for a, m in expected.items()}  # no u_{k+2}
+    expected = {
+        tuple(eval(k)): tuple(tuple(map(Fraction, row)) for row in m)
+        for k, m in golden["p1"]["example"]["Gamma3"].items()
+    }
+    assert {a: H.coefficient(a) for a in H.terms} == {
+        a: tuple(row[:2] for row in m) for a, m in expected.items()
+    }  # no u_{k+2}
 
 
 def test_relation_of_the_example_is_the_corrected_printed_one():
@@ -43,7 +53,10 @@ def test_relation_of_the_example_is_the_corrected_printed_one():
     assert r.N.coefficient((1, 0, 0)) == ((Fraction(2, 100), 0, 0),)
     assert r.N.coefficient((0, 1, 0)) == ((0, Fraction(-1, 10), 0),)
     assert r.K.coefficient((0, 0, 0)) == ((1, 0),) and r.K.coefficient((0, 0, 1)) == ((Fraction(1, 10), 0),)
-    assert r.text() == "r1: (0.16 + 0.02 th[k-2]) y1[k-2] - (1 + 0.1 th[k-1]) y1[k-1] + y1[k] - (1 + 0.1 vt) u1[k-2] = 0"
+    assert (
+        r.text()
+        == "r1: (0.16 + 0.02 th[k-2]) y1[k-2] - (1 + 0.1 th[k-1]) y1[k-1] + y1[k] - (1 + 0.1 vt) u1[k-2] = 0"
+    )
 
 
 def test_second_order_term_of_btwo_is_the_golden_one(golden):
@@ -69,7 +82,9 @@ def test_kernels_of_the_example_by_flint_are_multiples_of_one_relation(order, si
     assert big.nrows() - big.rank() == kernel == (comb(3 + order - 1, 3) if order else 0)
     if order == 1:
         r = relations("n2p1_paper_h3")
-        omega = flint.fmpq_mat(1, 12, [flint.fmpq(x.numerator, x.denominator) for b in betas for x in r.N.coefficient(b)[0]])
+        omega = flint.fmpq_mat(
+            1, 12, [flint.fmpq(x.numerator, x.denominator) for b in betas for x in r.N.coefficient(b)[0]]
+        )
         assert (omega * big).rank() == 0
 
 
@@ -77,7 +92,14 @@ def test_kernels_of_the_example_by_flint_are_multiples_of_one_relation(order, si
 def test_search_has_the_golden_orders_and_kernels(name, golden):
     known = golden["p1"]["n3p2_var3_h3_to_r4"] if name == "n3p2_var3_h3" else golden["p1"]["systems"][name]
     r = relations(name)
-    sizes = lambda step: (step["r"], step["rows"], step["cols"], step["kernel_dim"], step["multiples_dim"], step["new"])
+    sizes = lambda step: (
+        step["r"],
+        step["rows"],
+        step["cols"],
+        step["kernel_dim"],
+        step["multiples_dim"],
+        step["new"],
+    )
     ours = [(s.order, s.unknowns, s.equations, s.kernel, s.multiples, s.new) for s in r.steps]
     expected = [sizes(step) for step in known["log"]]
     if name == "n2p1_Btwo_h3":  # golden also tries monomials of b, which does not act on the state
@@ -110,7 +132,11 @@ def test_relations_hold_exactly_for_every_plant_in_the_box(name, rng):
     matrices, parameters, h = SYSTEMS[name]
     r = relations(name)
     for _ in range(5):
-        values = {(p["name"], k): draw(rng) for p in parameters for k in ([None] if not p.get("varying", True) else range(h))}
+        values = {
+            (p["name"], k): draw(rng)
+            for p in parameters
+            for k in ([None] if not p.get("varying", True) else range(h))
+        }
         values = {k: x.item() if hasattr(x, "item") else x for k, x in values.items()}
         u = draw(rng, h, 1)
         y = trajectory(matrices, parameters, values, list(draw(rng, r.model.n)), [list(row) for row in u])
@@ -125,7 +151,10 @@ def test_relations_hold_exactly_for_every_plant_in_the_box(name, rng):
 def test_relations_are_complete_over_the_box(name, rng):
     r = relations(name)
     _, E, _, _ = uncertain_window(r.model, r.horizon)
-    points = [(Fraction(0),) * len(r.variables), *(tuple(map(Fraction, rng.choice([-1, 1], len(r.variables)).tolist())) for _ in range(6))]
+    points = [
+        (Fraction(0),) * len(r.variables),
+        *(tuple(map(Fraction, rng.choice([-1, 1], len(r.variables)).tolist())) for _ in range(6)),
+    ]
     for v in [*points, *(tuple(draw(rng, len(r.variables))) for _ in range(6))]:
         O, N = rational_matrix(E.at(v)), rational_matrix(r.N.at(v))
         assert (N * O).rank() == 0
@@ -133,11 +162,23 @@ def test_relations_are_complete_over_the_box(name, rng):
 
 
 def test_disturbances_unknown_inputs_intervals_and_feedthrough_hold_exactly(rng):
-    matrices = dict(A=[[0.5, 1, 0], [-0.3, 0.9, 0.1], [0, 0, 0.4]], B=[[1], [0.5], [0]], C=np.eye(3).tolist(), D=[[0.7], [0], [0]])
-    parameters = [dict(name="gain", B=[[1], [0], [0]], D=[[0.5], [0], [0]], between=(2, 6)),
-                  dict(name="decay", A=entry((3, 3), (2, 2, 1)), between=(-0.2, "1/3"), varying=False)]  # fmt: skip
+    matrices = dict(
+        A=[[0.5, 1, 0], [-0.3, 0.9, 0.1], [0, 0, 0.4]],
+        B=[[1], [0.5], [0]],
+        C=np.eye(3).tolist(),
+        D=[[0.7], [0], [0]],
+    )
+    parameters = [
+        dict(name="gain", B=[[1], [0], [0]], D=[[0.5], [0], [0]], between=(2, 6)),
+        dict(name="decay", A=entry((3, 3), (2, 2, 1)), between=(-0.2, "1/3"), varying=False),
+    ]
     G, F, D_v = [[0, 1], [1, 0], [0, 0.5]], [[1], [0], [0.2]], [[0], [0], [1]]
-    m = jb.LinearSystem(**matrices, uncertainties=[jb.Uncertainty(**p) for p in parameters], disturbance=(G, 0.1), unknown_inputs=(F, D_v))
+    m = jb.LinearSystem(
+        **matrices,
+        uncertainties=[jb.Uncertainty(**p) for p in parameters],
+        disturbance=(G, 0.1),
+        unknown_inputs=(F, D_v),
+    )
     r = jb.parity_relations(m, horizon=2)
     assert r.count > 0 and r.N.columns == 9 + 4
     for _ in range(5):
@@ -146,14 +187,18 @@ def test_disturbances_unknown_inputs_intervals_and_feedthrough_hold_exactly(rng)
         values = {("gain", k): 4 + 2 * by.get(("gain", k), Fraction(0)) for k in range(3)}
         values["decay", None] = Fraction(1, 15) + Fraction(4, 15) * by["decay", None]
         u, w, d = draw(rng, 3, 1), draw(rng, 3, 2), draw(rng, 3, 1)
-        y = trajectory(matrices, parameters, values, list(draw(rng, 3)), u.tolist(), w.tolist(), G, d.tolist(), F, D_v)
+        y = trajectory(
+            matrices, parameters, values, list(draw(rng, 3)), u.tolist(), w.tolist(), G, d.tolist(), F, D_v
+        )
         z, U = [*y, *w[:2].ravel()], list(u.ravel())
         dot = lambda a, b: sum((p * q for p, q in zip(a, b, strict=True)), Fraction(0))
         assert [dot(n, z) for n in r.N.at(v)] == [dot(k, U) for k in r.K.at(v)]
 
 
 def test_default_horizon_is_the_papers_smallest():
-    assert [jb.parity_relations(model(name)).horizon for name in ("n2p1_paper_h3", "n3p2_var3_h2", "n3p1_inv2_h4")] == [2, 1, 3]
+    assert [
+        jb.parity_relations(model(name)).horizon for name in ("n2p1_paper_h3", "n3p2_var3_h2", "n3p1_inv2_h4")
+    ] == [2, 1, 3]
 
 
 @pytest.mark.parametrize("s", range(2, 8))
@@ -164,8 +209,16 @@ def test_relations_of_longer_windows_grow_as_golden(s, golden):
 
 
 def test_a_parameter_that_hides_the_state_is_named():
-    m = jb.LinearSystem([[0.5, 1], [0, 0.5]], None, [[1, 0]], uncertainties=[jb.Uncertainty("gain", C=[[1, 0]], between=(-1, "0.5"))])
-    with pytest.raises(ValueError, match=r"not regularly observable: at gain = -1 \(sample \d of the window\).*a window of 3 samples"):
+    m = jb.LinearSystem(
+        [[0.5, 1], [0, 0.5]],
+        None,
+        [[1, 0]],
+        uncertainties=[jb.Uncertainty("gain", C=[[1, 0]], between=(-1, "0.5"))],
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"not regularly observable: at gain = -1 \(sample \d of the window\).*a window of 3 samples",
+    ):
         jb.parity_relations(m)
 
 
@@ -190,8 +243,14 @@ def test_rank_over_a_box_is_proved_refuted_or_open():
 
 def test_an_unseen_state_is_left_out_and_noted(rng):
     bigger = dict(EXAMPLE, A=[[0.8, 1, 0], [0, 0.2, 0], [0.3, 0, 0.9]], B=[[0], [1], [1]], C=[[1, 0, 0]])
-    parameters = [jb.Uncertainty("th", A=entry((3, 3), (0, 0, 0.1))), jb.Uncertainty("vt", C=[[0.1, 0, 0]], varying=False)]
-    r, small = jb.parity_relations(jb.LinearSystem(**bigger, uncertainties=parameters)), relations("n2p1_paper_h3")
+    parameters = [
+        jb.Uncertainty("th", A=entry((3, 3), (0, 0, 0.1))),
+        jb.Uncertainty("vt", C=[[0.1, 0, 0]], varying=False),
+    ]
+    r, small = (
+        jb.parity_relations(jb.LinearSystem(**bigger, uncertainties=parameters)),
+        relations("n2p1_paper_h3"),
+    )
     assert len(r.notes) == 1 and r.notes[0].startswith("1 of 3 states acts on no output within the horizon")
     assert r.horizon == 2 and r.N.terms == small.N.terms and r.K.terms == small.K.terms
 
@@ -201,14 +260,20 @@ def test_a_static_model_has_its_equations_as_relations():
     m = jb.LinearSystem(None, None, None, [[1, 2], [3, 4]], noise=0.1, uncertainties=[k])
     r = jb.parity_relations(m)
     assert (r.horizon, r.count, r.complete) == (0, 2, "proved")
-    assert r.text().splitlines() == ["r1: y1[k] - (1.1 + 0.1 k[k]) u1[k] - 2 u2[k] = 0", "r2: y2[k] - (3.2 + 0.2 k[k]) u1[k] - 4 u2[k] = 0"]
+    assert r.text().splitlines() == [
+        "r1: y1[k] - (1.1 + 0.1 k[k]) u1[k] - 2 u2[k] = 0",
+        "r2: y2[k] - (3.2 + 0.2 k[k]) u1[k] - 4 u2[k] = 0",
+    ]
 
 
-@pytest.mark.parametrize("change, message", [
-    (dict(horizon=1), "horizon 1 gives no relation: 2 samples do not outnumber the 2 unknowns"),
-    (dict(form="second"), "form 'second' is for models without uncertainties"),
-    (dict(horizon=1.5), "horizon must be a whole number"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(horizon=1), "horizon 1 gives no relation: 2 samples do not outnumber the 2 unknowns"),
+        (dict(form="second"), "form 'second' is for models without uncertainties"),
+        (dict(horizon=1.5), "horizon must be a whole number"),
+    ],
+)
 def test_what_gives_no_relation_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         jb.parity_relations(model("n2p1_paper_h3"), **change)
@@ -220,7 +285,12 @@ def test_a_constant_sensor_gain_is_told_to_become_an_uncertainty():
 
 
 def test_relations_of_one_sample_that_no_parameter_touches_are_found_and_test_windows():
-    twice = jb.LinearSystem([["0.5"]], [[1]], [[1], [1]], noise="0.1", uncertainties=[jb.Uncertainty("a", A=[["0.05"]])])
+    twice = jb.LinearSystem(
+        [["0.5"]], [[1]], [[1], [1]], noise="0.1", uncertainties=[jb.Uncertainty("a", A=[["0.05"]])]
+    )
     r = jb.parity_relations(twice)
     assert (r.horizon, r.text()) == (0, "r1: y1[k] - y2[k] = 0")
-    assert jb.detect(r, np.zeros((2, 1)), [[1, 1.1], [0, 0.5]]).status.tolist() == [jb.Status.CONSISTENT, jb.Status.FAULT]
+    assert jb.detect(r, np.zeros((2, 1)), [[1, 1.1], [0, 0.5]]).status.tolist() == [
+        jb.Status.CONSISTENT,
+        jb.Status.FAULT,
+    ]

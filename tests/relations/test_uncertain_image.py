@@ -11,15 +11,23 @@ import jaxbound as jb
 from jaxbound.models import window
 from jaxbound.sets.strips import polynomials
 
-NOISY = dict(noise=[0.05, "0.01"], tolerance=[0.02, 0], offset={"u": [1], "y": [2, "1/3"]}, resolution=[0, "1/300"])
+NOISY = dict(
+    noise=[0.05, "0.01"], tolerance=[0.02, 0], offset={"u": [1], "y": [2, "1/3"]}, resolution=[0, "1/300"]
+)
 LEAKY = dict(NOISY, disturbance=([[1], [0], [0.5]], [[-0.1, 0.3]]))
 CASES = [
-    ("n3p2_mixed3_h3", {}), ("n3p2_mixed3_h3", dict(noise=[0.05, 0])), ("n3p2_var3_h2", NOISY), ("n3p2_inv3_h3", LEAKY),
-    ("n3p1_var2_h4", {}), ("n2p1_Btwo_h3", dict(tolerance=0.1)),
-]  # fmt: skip
+    ("n3p2_mixed3_h3", {}),
+    ("n3p2_mixed3_h3", dict(noise=[0.05, 0])),
+    ("n3p2_var3_h2", NOISY),
+    ("n3p2_inv3_h3", LEAKY),
+    ("n3p1_var2_h4", {}),
+    ("n2p1_Btwo_h3", dict(tolerance=0.1)),
+]
 QUICK = [(5, "float64"), (3, "float32")]
 TYPES = [
-    (c, d) if (c, d) in QUICK else pytest.param(c, d, marks=pytest.mark.long) for c in range(len(CASES)) for d in ("float32", "float64")
+    (c, d) if (c, d) in QUICK else pytest.param(c, d, marks=pytest.mark.long)
+    for c in range(len(CASES))
+    for d in ("float32", "float64")
 ]
 
 
@@ -30,9 +38,17 @@ def rows(r, y, dtype):
     largest = [max(abs(v) for v in y[:, i]) for i in range(m.p)]
     for sample in y:
         for i, v in enumerate(sample):
-            rho = m.noise[i] + m.resolution[i] + ulps * (largest[i] + m.noise[i]) + Fraction(float(np.finfo(dtype).tiny))
+            rho = (
+                m.noise[i]
+                + m.resolution[i]
+                + ulps * (largest[i] + m.noise[i])
+                + Fraction(float(np.finfo(dtype).tiny))
+            )
             d, sigma = v - m.offset["y"][i], m.tolerance[i]
-            hi, lo = max((d + rho) / (1 + sigma), (d + rho) / (1 - sigma)), min((d - rho) / (1 + sigma), (d - rho) / (1 - sigma))
+            hi, lo = (
+                max((d + rho) / (1 + sigma), (d + rho) / (1 - sigma)),
+                min((d - rho) / (1 + sigma), (d - rho) / (1 - sigma)),
+            )
             mid.append((hi + lo) / 2), rad.append((hi - lo) / 2)
     for lo, hi in m.disturbance * r.horizon:
         mid.append((lo + hi) / 2), rad.append((hi - lo) / 2 + Fraction(float(np.finfo(dtype).tiny)))
@@ -62,7 +78,10 @@ def exact_terms(r, u, y, dtype):
 def draw_windows(r, rng, dtype, count=7):
     """Draw windows, if nothing else is asked for always as many: more would be compiled anew."""
     s = r.horizon
-    u, y = rng.normal(size=(s + 1, r.model.m, count)), rng.normal(size=(s + 1, r.model.p, count)) * 10.0 ** rng.integers(-2, 3, count)
+    u, y = (
+        rng.normal(size=(s + 1, r.model.m, count)),
+        rng.normal(size=(s + 1, r.model.p, count)) * 10.0 ** rng.integers(-2, 3, count),
+    )
     return u.astype(dtype), y.astype(dtype)
 
 
@@ -105,10 +124,17 @@ def check_image(case, dtype, rng, how):
         for i in range(r.count):
             by = dict(zip(alphas, value[i], strict=True))
             even = [a for a in monomials if all(e % 2 == 0 for e in a)]
-            columns = [by.get(a, Fraction(0)) for a in units] + [by[a] / 2 if a in even else by[a] for a in monomials]
+            columns = [by.get(a, Fraction(0)) for a in units] + [
+                by[a] / 2 if a in even else by[a] for a in monomials
+            ]
             mixed = sum((sum(abs(x[j]) for x in spread[i][1:]) * rad[j] for j in noisy), Fraction(0))
-            columns += [spread[i][0][j] * rad[j] for j in noisy] + [mixed if q == i else Fraction(0) for q in range(r.count) if noisy]
-            off = sum((sum(abs(x[j]) for x in spread[i]) * rad[j] for j in range(len(rad)) if j not in noisy), Fraction(0))
+            columns += [spread[i][0][j] * rad[j] for j in noisy] + [
+                mixed if q == i else Fraction(0) for q in range(r.count) if noisy
+            ]
+            off = sum(
+                (sum(abs(x[j]) for x in spread[i]) * rad[j] for j in range(len(rad)) if j not in noisy),
+                Fraction(0),
+            )
             off += abs(Fraction(float(c[i, k])) - value[i][0] - sum(by[a] / 2 for a in even))
             off += sum(abs(Fraction(float(g)) - x) for g, x in zip(G[i, :, k], columns, strict=True))
             assert off <= Fraction(float(bound[i, k]))
@@ -126,8 +152,16 @@ def test_polynomials_are_the_exact_ones_within_their_errors(case, dtype, rng):
         for i in range(r.count):
             for a in range(len(r.exponents)):
                 off = abs(Fraction(float(value[i, a, k])) - exact_value[i][a])
-                off += sum((abs(Fraction(float(spread[i, a, q])) * Fraction(float(rad[q, k])) - exact_spread[i][a][j] * exact_rad[j])
-                            for q, j in enumerate(noisy)), Fraction(0))  # fmt: skip
+                off += sum(
+                    (
+                        abs(
+                            Fraction(float(spread[i, a, q])) * Fraction(float(rad[q, k]))
+                            - exact_spread[i][a][j] * exact_rad[j]
+                        )
+                        for q, j in enumerate(noisy)
+                    ),
+                    Fraction(0),
+                )
                 assert off <= Fraction(float(error[i, a, k]))
 
 
@@ -136,16 +170,27 @@ def test_the_polynomials_of_a_healthy_window_vanish_at_what_made_it(name, change
     """With the very parameters and noises, exactly; and what made the window is within the box."""
     r, (matrices, parameters, h) = relations(name, **changes), SYSTEMS[name]
     m = r.model
-    draw = lambda count: [Fraction(int(x), 2**10) for x in rng.choice([-(2**10), 2**10, *range(-1000, 1000, 77)], count)]
+    draw = lambda count: [
+        Fraction(int(x), 2**10) for x in rng.choice([-(2**10), 2**10, *range(-1000, 1000, 77)], count)
+    ]
     for _ in range(6):
-        values = {(p["name"], k): draw(1)[0] for p in parameters for k in (range(h) if p.get("varying", True) else [None])}
+        values = {
+            (p["name"], k): draw(1)[0]
+            for p in parameters
+            for k in (range(h) if p.get("varying", True) else [None])
+        }
         u = [draw(1) for _ in range(h)]
-        w = [[(lo + hi) / 2 + (hi - lo) / 2 * x for (lo, hi), x in zip(m.disturbance, draw(m.g), strict=True)] for _ in range(h)]
+        w = [
+            [(lo + hi) / 2 + (hi - lo) / 2 * x for (lo, hi), x in zip(m.disturbance, draw(m.g), strict=True)]
+            for _ in range(h)
+        ]
         deviation = [[x - m.offset["u"][0] for x in row] for row in u]
         G = [[float(x) for x in row] for row in m.G] if m.g else None
         true = trajectory(matrices, parameters, values, draw(m.n), deviation, w, G)
-        y = [(1 + m.tolerance[j % m.p] * t) * x + m.noise[j % m.p] * e + m.offset["y"][j % m.p]
-             for j, (x, t, e) in enumerate(zip(true, draw(len(true)), draw(len(true)), strict=True))]  # fmt: skip
+        y = [
+            (1 + m.tolerance[j % m.p] * t) * x + m.noise[j % m.p] * e + m.offset["y"][j % m.p]
+            for j, (x, t, e) in enumerate(zip(true, draw(len(true)), draw(len(true)), strict=True))
+        ]
         recorded = np.array(y, float).reshape(h, m.p)  # within the resolution of the recorder
         value, spread, rad = exact_terms(r, np.array(u, float), recorded, "float64")
         mid, _ = rows(r, recorded, "float64")
@@ -156,7 +201,11 @@ def test_the_polynomials_of_a_healthy_window_vanish_at_what_made_it(name, change
         power = [np.prod([x**e for x, e in zip(v, a, strict=True)], initial=Fraction(1)) for a in r.exponents]
         for i in range(r.count):
             total = sum(c * p for c, p in zip(value[i], power, strict=True))
-            total += sum(n[j] * p * rad[j] * xi[j] for n, p in zip(spread[i], power, strict=True) for j in range(len(rad)))
+            total += sum(
+                n[j] * p * rad[j] * xi[j]
+                for n, p in zip(spread[i], power, strict=True)
+                for j in range(len(rad))
+            )
             assert total == 0
 
 
@@ -211,12 +260,18 @@ def test_a_wider_box_is_no_longer_proved_to_be_described_completely():
     assert r.with_bounds({"parameters": 1.5}).complete == "sampled"
 
 
-@pytest.mark.parametrize("bounds, message", [
-    ({"parameters": [1, 2, 3]}, r"parameters needs one number or one per parameter \(2\): its shape is \(3,\)"),
-    ({"parameters": [1, -1]}, r"parameters must be in \[0, inf\): parameter 'vt' has -1"),
-    ({"parameters": np.nan}, "parameter 'th' has nan"),
-    ({"parameter": 1}, r"bounds are \['noise', 'parameters', 'tolerance'\], not \['parameter'\]"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bounds, message",
+    [
+        (
+            {"parameters": [1, 2, 3]},
+            r"parameters needs one number or one per parameter \(2\): its shape is \(3,\)",
+        ),
+        ({"parameters": [1, -1]}, r"parameters must be in \[0, inf\): parameter 'vt' has -1"),
+        ({"parameters": np.nan}, "parameter 'th' has nan"),
+        ({"parameter": 1}, r"bounds are \['noise', 'parameters', 'tolerance'\], not \['parameter'\]"),
+    ],
+)
 def test_bounds_that_mean_nothing_are_refused(bounds, message):
     with pytest.raises(ValueError, match=message):
         relations("n2p1_paper_h3").with_bounds(bounds)
@@ -224,7 +279,10 @@ def test_bounds_that_mean_nothing_are_refused(bounds, message):
 
 def test_a_second_call_and_another_model_of_the_shape_do_not_trace(rng):
     r = relations("n2p1_paper_h3", noise=0.1)
-    parameters = [jb.Uncertainty("th", A=[[0.2, 0], [0, 0]]), jb.Uncertainty("vt", C=[[0.05, 0]], varying=False)]
+    parameters = [
+        jb.Uncertainty("th", A=[[0.2, 0], [0, 0]]),
+        jb.Uncertainty("vt", C=[[0.05, 0]], varying=False),
+    ]
     other = jb.LinearSystem(**EXAMPLE, uncertainties=parameters, noise=1)
     traces = []
     count = jax.jit(lambda test, u, y: (traces.append(1), test.polynomials(u, y))[1])
@@ -257,10 +315,15 @@ def test_external_is_the_residual_at_the_middle_of_all_bounds(rng):
     assert np.isnan(out[:2]).all() and out.shape == (9, 3)
     zero = (0,) * len(r.variables)
     for k in range(2, 9):
-        Y = [Fraction(float(v)) - r.model.offset["y"][i] for row in y[k - 2 : k + 1] for i, v in enumerate(row)]
+        Y = [
+            Fraction(float(v)) - r.model.offset["y"][i] for row in y[k - 2 : k + 1] for i, v in enumerate(row)
+        ]
         U = known(r, u[k - 2 : k + 1])
         dot = lambda a, b: sum((p * q for p, q in zip(a, b, strict=True)), Fraction(0))
-        exact = [float(dot(n, Y) - dot(g, U)) for n, g in zip(r.N.coefficient(zero), r.K.coefficient(zero), strict=True)]
+        exact = [
+            float(dot(n, Y) - dot(g, U))
+            for n, g in zip(r.N.coefficient(zero), r.K.coefficient(zero), strict=True)
+        ]
         np.testing.assert_allclose(out[k], exact, atol=1e-13)
     assert np.asarray(r.external(np.stack([u, u]), np.stack([y, y]))).shape == (2, 9, 3)
 
@@ -268,7 +331,9 @@ def test_external_is_the_residual_at_the_middle_of_all_bounds(rng):
 @pytest.mark.slow
 def test_healthy_residuals_are_inside_their_internal_forms(rng):
     r = relations("n3p2_mixed3_h3", noise=0.02)
-    t = jb.simulate(r.model, rng.uniform(0, 2, (3, 200, 1)), jax.random.key(int(rng.integers(99))), at="vertices")
+    t = jb.simulate(
+        r.model, rng.uniform(0, 2, (3, 200, 1)), jax.random.key(int(rng.integers(99))), at="vertices"
+    )
     external, internal = np.asarray(r.external(t.u, t.y))[:, 2:], r.internal(t.u, t.y)
     lo, hi = np.asarray(internal.lo)[:, 2:], np.asarray(internal.hi)[:, 2:]
     assert ((lo <= external) & (external <= hi)).all()
@@ -277,5 +342,10 @@ def test_healthy_residuals_are_inside_their_internal_forms(rng):
 
 
 def test_relations_of_a_long_entry_print_powers_and_products():
-    m = jb.LinearSystem([[0.5]], [[1]], [[1]], uncertainties=[jb.Uncertainty("a", A=[[0.1]], B=entry((1, 1), (0, 0, -0.2)), varying=False)])
+    m = jb.LinearSystem(
+        [[0.5]],
+        [[1]],
+        [[1]],
+        uncertainties=[jb.Uncertainty("a", A=[[0.1]], B=entry((1, 1), (0, 0, -0.2)), varying=False)],
+    )
     assert jb.parity_relations(m).text() == "r1: (0.5 + 0.1 a) y1[k-1] - y1[k] + (1 - 0.2 a) u1[k-1] = 0"

@@ -1,4 +1,6 @@
-"""Charts of a report: what they draw is what was recorded and violated, at any length, in times as they were written, for every reader."""
+"""Charts of a report: what they draw is what was recorded and violated, at any length, in times as they were
+written, for every reader.
+"""
 
 import base64
 import json
@@ -29,7 +31,9 @@ def page_of(folder, res, recording, alarms):
 
 
 def numbers_of(page):
-    found = json.loads(re.search(r'<script type="application/json" id="numbers">(.*?)</script>', page, re.S)[1])
+    found = json.loads(
+        re.search(r'<script type="application/json" id="numbers">(.*?)</script>', page, re.S)[1]
+    )
     decode = lambda text: np.frombuffer(base64.b64decode(text), "<f4")
     return found, decode
 
@@ -46,10 +50,19 @@ def page(run, tmp_path_factory):
 
 class TestCombination:
     def test_it_is_that_of_exact_fractions_in_every_window(self, rng):
-        """Tolerance, noise, resolution, offset, disturbance and an input: each enters, in each window, as `exact_window` has it."""
-        m = jb.LinearSystem([["0.8", 1], [0, "0.2"]], [[0], [1]], [[1, 0], [1, 1]], tolerance=["0.02", "0.1"], noise="0.1",
-                            resolution="0.05",
-                            disturbance=([[1], [0]], [[-0.1, 0.3]]), offset={"y": [3, 0], "u": [1]})  # fmt: skip
+        """Tolerance, noise, resolution, offset, disturbance and an input: each enters, in each window, as
+        `exact_window` has it.
+        """
+        m = jb.LinearSystem(
+            [["0.8", 1], [0, "0.2"]],
+            [[0], [1]],
+            [[1, 0], [1, 1]],
+            tolerance=["0.02", "0.1"],
+            noise="0.1",
+            resolution="0.05",
+            disturbance=([[1], [0]], [[-0.1, 0.3]]),
+            offset={"y": [3, 0], "u": [1]},
+        )
         r = jb.parity_relations(m, 2)
         u, y = rng.normal(size=(12, 1)), 5 * rng.normal(size=(12, 2))
         y[9, 0] = np.nan
@@ -58,8 +71,15 @@ class TestCombination:
         value, width = combination(c, u, y)
         for k in range(2, 9):
             _, residual, allowed = exact_window(r, u[k - 2 : k + 1], y[k - 2 : k + 1]).relation(c.h)
-            assert abs(value[k] - float(residual)) < 1e-12 * abs(value[k]) + 1e-12 and abs(width[k] / float(allowed) - 1) < 1e-12
-        assert np.isnan(value[:2]).all() and np.isnan(value[9]) == any(c.h[4:5]) and np.isnan(width[np.isnan(value)]).all()
+            assert (
+                abs(value[k] - float(residual)) < 1e-12 * abs(value[k]) + 1e-12
+                and abs(width[k] / float(allowed) - 1) < 1e-12
+            )
+        assert (
+            np.isnan(value[:2]).all()
+            and np.isnan(value[9]) == any(c.h[4:5])
+            and np.isnan(width[np.isnan(value)]).all()
+        )
 
     def test_what_is_drawn_around_an_alarm_leaves_its_bounds_there(self, run, page):
         """In the worst window of each alarm, by as much as the bounds needed."""
@@ -79,7 +99,9 @@ class TestCombination:
     def test_it_leaves_its_bounds_where_every_residual_alone_stays_inside(self, run):
         res = run[0]
         allowed = res.relations.internal(res.u, res.y)
-        inside = (abs(np.asarray(res.relations.external(res.u, res.y)) - allowed.mid) < 0.99 * allowed.rad).all(1)
+        inside = (
+            abs(np.asarray(res.relations.external(res.u, res.y)) - allowed.mid) < 0.99 * allowed.rad
+        ).all(1)
         hidden = np.flatnonzero(inside & (res.status == FAULT))
         assert len(hidden)
         for k in hidden[:3]:
@@ -89,19 +111,31 @@ class TestCombination:
     def test_what_is_shaded_there_is_proved_by_it(self, run, page):
         """A curve inside its band is never under a shade."""
         panel = re.search(r'data-key="combination".*?</div></div>', page, re.S)[0]
-        points = [(float(x), float(y)) for x, y in re.findall(r"[ML]([\d.]+) ([\d.]+)", re.search('class="line" d="([^"]*)"', panel)[1])]
-        shades = [(float(a), float(b)) for a, b in re.findall(r"M([\d.]+) 0H([\d.]+)V", re.search('class="shade" d="([^"]*)"', panel)[1])]
+        points = [
+            (float(x), float(y))
+            for x, y in re.findall(r"[ML]([\d.]+) ([\d.]+)", re.search('class="line" d="([^"]*)"', panel)[1])
+        ]
+        shades = [
+            (float(a), float(b))
+            for a, b in re.findall(r"M([\d.]+) 0H([\d.]+)V", re.search('class="shade" d="([^"]*)"', panel)[1])
+        ]
         top, height = map(float, re.search(r'y="([\d.]+)" height="([\d.]+)"', panel).groups())
         inside = [x for x, y in points if top + 0.06 < y < top + height - 0.06]
         assert shades and inside and not [x for x in inside if any(a + 0.1 < x < b - 0.1 for a, b in shades)]
 
     def test_a_healthy_recording_shows_its_tightest_combination(self, tmp_path):
         m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
-        res = jb.detect(jb.parity_relations(m), np.zeros((50, 1)), 0.05 * np.random.default_rng(0).uniform(-1, 1, (50, 1)))
+        res = jb.detect(
+            jb.parity_relations(m), np.zeros((50, 1)), 0.05 * np.random.default_rng(0).uniform(-1, 1, (50, 1))
+        )
         text = page_of(tmp_path, res, recording_of(res), [])
         found, decode = numbers_of(text)
         ((i, relation, share),) = found["near"][0]["combined"]
-        assert i == -1 and "around the tightest window" in text and abs(np.nanmax(abs(decode(share))) - (1 - np.nanmin(res.margin))) < 1e-6
+        assert (
+            i == -1
+            and "around the tightest window" in text
+            and abs(np.nanmax(abs(decode(share))) - (1 - np.nanmin(res.margin))) < 1e-6
+        )
 
     def test_uncertain_parameters_show_each_relation(self, tmp_path):
         m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, uncertainties=[jb.Uncertainty("p", A=[[0.05]])])
@@ -119,7 +153,9 @@ class TestRecorded:
         whole = found["whole"]
         np.testing.assert_array_equal(decode(whole["series"]["s0"][0]), run[0].y[:, 0].astype(np.float32))
         np.testing.assert_array_equal(decode(whole["series"]["s2"][0]), run[0].u[:, 0].astype(np.float32))
-        assert whole["status"] == "".join(map(str, run[0].status)) and all(f">{name}" in page for name in ("y1", "y2", "u1"))
+        assert whole["status"] == "".join(map(str, run[0].status)) and all(
+            f">{name}" in page for name in ("y1", "y2", "u1")
+        )
 
     def test_long_recordings_keep_every_extreme_in_a_page_of_bounded_size(self, tmp_path):
         T = 60_000
@@ -133,9 +169,16 @@ class TestRecorded:
         text = page_of(tmp_path, res, recording_of(res), alarms)
         found, decode = numbers_of(text)
         whole = found["whole"]
-        assert sum(decode(z).size for both in whole["series"].values() for z in both) <= VALUES and len(text) < 800_000
+        assert (
+            sum(decode(z).size for both in whole["series"].values() for z in both) <= VALUES
+            and len(text) < 800_000
+        )
         assert decode(whole["series"]["s1"][1]).max() == 7 and whole["status"].count("3") == len(alarms)
-        assert len(found["near"]) == len(alarms) == len(re.findall('<i style="left:', re.search('class="alarmed".*?</div>', text, re.S)[0]))
+        assert (
+            len(found["near"])
+            == len(alarms)
+            == len(re.findall('<i style="left:', re.search('class="alarmed".*?</div>', text, re.S)[0]))
+        )
 
     @pytest.mark.slow
     def test_a_million_rows_and_200_alarms_are_one_megabyte(self, tmp_path):
@@ -155,11 +198,18 @@ class TestRecorded:
         assert panel["line"].count("M") == 2
 
     def test_between_the_extremes_of_bins_there_is_no_line(self):
-        """A step from one bin to the next goes straight up or down, at most as far as the extremes of either."""
+        """A step from one bin to the next goes straight up or down, at most as far as the extremes of
+        either.
+        """
         low = np.where(np.arange(4000) % 2, -8.0, 8.0)
         piece = pieces_of(np.arange(4000.0), np.ones(4000, np.int8), {"s0": low})
         (panel,) = drawn([Row("s0", "y1")], piece, Clock())["panels"]
-        assert "L" not in panel["line"] and panel["line"].count("M") == 1 and panel["line"].endswith("Z") and panel["binned"]
+        assert (
+            "L" not in panel["line"]
+            and panel["line"].count("M") == 1
+            and panel["line"].endswith("Z")
+            and panel["binned"]
+        )
         (panel,) = drawn([Row("s0", "y1")], piece.cut(0, 60), Clock())["panels"]
         assert panel["line"].count("L") == 59 and "V" not in panel["line"] and not panel["binned"]
 
@@ -169,7 +219,10 @@ class TestRecorded:
         (panel,) = drawn([Row("s0", "y1")], points, Clock())["panels"]
         corners = [(letter, float(v)) for letter, v in re.findall(r"([HV])([-\d.]+)", panel["line"])]
         rights = [v for letter, v in corners[: 2 * most - 1] if letter == "H"]
-        tops = [float(re.match(r"M\S+ ([\d.]+)", panel["line"])[1]), *(v for letter, v in corners[: 2 * most - 1] if letter == "V")]
+        tops = [
+            float(re.match(r"M\S+ ([\d.]+)", panel["line"])[1]),
+            *(v for letter, v in corners[: 2 * most - 1] if letter == "V"),
+        ]
         assert len(rights) == len(tops) == most and rights == sorted(rights) and rights[-1] <= 1000
         bottoms = [v for letter, v in corners[2 * most - 1 :] if letter == "V"][::-1]
         assert len(bottoms) == most and all(a <= b for a, b in zip(tops, bottoms, strict=True))
@@ -186,11 +239,20 @@ class TestRecorded:
         margin[100] = worst
         piece = pieces_of(np.arange(200.0), np.where(margin < 0, 3, 1), {"margin": margin})
         (panel,) = drawn([Row("margin", "margin", kind="margin")], piece, Clock())["panels"]
-        one, zero = (next(mark["top"] for mark in panel["marks"] if mark["text"] == text) for text in ("1", "0"))
+        one, zero = (
+            next(mark["top"] for mark in panel["marks"] if mark["text"] == text) for text in ("1", "0")
+        )
         assert zero - one > 5 and "inf" not in panel["line"]
 
 
-WRITTEN = ("%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M", "%m/%d/%Y %H:%M", "%-m/%-d/%Y %-H:%M", "%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d %H:%M:%S+01:00")
+WRITTEN = (
+    "%Y-%m-%d %H:%M:%S",
+    "%d.%m.%Y %H:%M",
+    "%m/%d/%Y %H:%M",
+    "%-m/%-d/%Y %-H:%M",
+    "%Y-%m-%dT%H:%M:%SZ",
+    "%Y-%m-%d %H:%M:%S+01:00",
+)
 
 
 @pytest.mark.parametrize("form", WRITTEN)
@@ -207,7 +269,9 @@ def test_axes_have_times_as_they_were_written(form):
 @pytest.mark.parametrize("step, text", [(0.01, "2.5 s"), (60.0, "15000 s")])
 def test_seconds_stay_seconds(step, text):
     time = np.arange(300) * step
-    clock = clock_of(Recording(np.zeros((300, 1)), np.zeros((300, 1)), time=time).label, time, None, 300, step)
+    clock = clock_of(
+        Recording(np.zeros((300, 1)), np.zeros((300, 1)), time=time).label, time, None, 300, step
+    )
     assert text in [written for _, written in ticks(clock, time[0], time[-1])]
 
 
@@ -221,14 +285,21 @@ def test_a_clock_without_a_date_and_words_for_months():
 
 def test_years_are_marked_at_the_first_of_a_month():
     clock = clock_of(lambda k: "x", np.arange(2.0), np.datetime64("2024-03-05"), 2, 60.0)
-    assert [text[:10] for _, text in ticks(clock, 0.0, 700 * 86400.0)] == ["2024-07-01", "2025-01-01", "2025-07-01", "2026-01-01"]
+    assert [text[:10] for _, text in ticks(clock, 0.0, 700 * 86400.0)] == [
+        "2024-07-01",
+        "2025-01-01",
+        "2025-07-01",
+        "2026-01-01",
+    ]
 
 
 def palettes():
     """Return {medium: {name: colour}} of the style sheet."""
     blocks = re.findall(r"(@media ([^{]*)\{ )?:root \{([^}]*)\}", STYLE)
     light = dict(re.findall(r"--(\w+): (#\w+)", blocks[0][2]))
-    return {medium or "light": light | dict(re.findall(r"--(\w+): (#\w+)", body)) for _, medium, body in blocks}
+    return {
+        medium or "light": light | dict(re.findall(r"--(\w+): (#\w+)", body)) for _, medium, body in blocks
+    }
 
 
 def contrast(a, b):
@@ -237,7 +308,10 @@ def contrast(a, b):
     def luminance(text):
         text = "".join(c + c for c in text[1:]) if len(text) == 4 else text[1:]
         parts = [int(text[i : i + 2], 16) / 255 for i in (0, 2, 4)]
-        return np.dot([0.2126, 0.7152, 0.0722], [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts])
+        return np.dot(
+            [0.2126, 0.7152, 0.0722],
+            [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts],
+        )
 
     dark, bright = sorted((luminance(a), luminance(b)))
     return (bright + 0.05) / (dark + 0.05)
@@ -250,14 +324,19 @@ def test_colours_are_told_apart_on_screen_in_the_dark_and_in_grey(medium):
     for text in ("ink", "soft", "accent", "fault", "ok", "open", "none"):
         for ground in ("page", "card"):
             assert contrast(colours[text], colours[ground]) >= 4.5, (text, ground)
-    assert contrast(colours["curve"], colours["shade"]) >= 4.5 and contrast(colours["curve"], colours["allowed"]) >= 4.5
+    assert (
+        contrast(colours["curve"], colours["shade"]) >= 4.5
+        and contrast(colours["curve"], colours["allowed"]) >= 4.5
+    )
     assert contrast(colours["FAULT"], colours["page"]) >= 3
 
 
 def test_pictures_have_the_colours_of_the_pages():
     from jaxbound.plots.canvas import COLOURS
 
-    assert {status.name: colour for status, colour in COLOURS.items()} == {s.name: palettes()["light"][s.name] for s in jb.Status}
+    assert {status.name: colour for status, colour in COLOURS.items()} == {
+        s.name: palettes()["light"][s.name] for s in jb.Status
+    }
 
 
 def test_a_reader_without_eyes_or_mouse_gets_everything(page):
@@ -269,7 +348,9 @@ def test_a_reader_without_eyes_or_mouse_gets_everything(page):
     for target in set(re.findall('href="#([^"]*)"', page)):
         assert f'id="{target}"' in page
     assert '<figure id="zoom" tabindex="0"' in page and page.count("data-alarm=") == page.count("<option")
-    assert page.index("data-alarm=") > page.index('id="numbers"')  # below the script, which must not look for links while it is read
+    assert page.index("data-alarm=") > page.index(
+        'id="numbers"'
+    )  # below the script, which must not look for links while it is read
     assert 'querySelectorAll("a[data-alarm]")' not in page
     buttons = re.findall("<button[^>]*>([^<]*)", page)
     assert len(buttons) == 9 and all('type="button"' in b for b in re.findall("<button[^>]*>", page))
@@ -285,4 +366,8 @@ def test_without_its_script_a_page_shows_the_whole_and_the_worst(page, run):
 def test_a_band_of_which_nothing_is_left_is_not_drawn():
     band = jb.Interval(np.array([0.0, 2.0, -np.inf, 0.0]), np.array([1.0, 1.0, np.inf, 1.0]))
     piece = piece_of(np.arange(4), np.zeros(4, np.int8), {"s0": np.zeros(4)}, {band_key("s0"): band})
-    assert np.isnan(piece.low["s0:band"]).tolist() == np.isnan(piece.high["s0:band"]).tolist() == [False, True, True, False]
+    assert (
+        np.isnan(piece.low["s0:band"]).tolist()
+        == np.isnan(piece.high["s0:band"]).tolist()
+        == [False, True, True, False]
+    )

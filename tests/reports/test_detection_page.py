@@ -17,7 +17,9 @@ from jaxbound.runs.summary import summarised
 
 
 def write(folder, res, recording, alarms, hints=(), **options):
-    return write_report(folder, res, recording, alarms, summarised(res, alarms, recording.label, hints=hints), **options)
+    return write_report(
+        folder, res, recording, alarms, summarised(res, alarms, recording.label, hints=hints), **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +66,10 @@ class TestAlarmsTable:
     def test_names_the_smallest_error_of_each_sensor_that_would_explain_it(self, page, run):
         deepest = min(run[0].alarms(), key=lambda a: a.depth)
         first, *rest = deepest.candidates
-        assert f"{first} {float(deepest.errors[first]):.3g}" in page[0].text and "one sensor wrong by" in page[0].text
+        assert (
+            f"{first} {float(deepest.errors[first]):.3g}" in page[0].text
+            and "one sensor wrong by" in page[0].text
+        )
 
     def test_says_where_no_single_sensor_explains_it(self, tmp_path):
         m = jb.LinearSystem([[1]], None, [[1], [1], [1], [1]], noise=0.1, units={"y2": "bar"})
@@ -79,29 +84,63 @@ class TestAlarmsTable:
 class TestReport:
     def test_is_one_self_contained_file(self, page):
         reader, folder = page
-        assert set(reader.links) == {"#main", "#zoom"} and reader.seen.count("script") == 2  # numbers, and what moves them
+        assert (
+            set(reader.links) == {"#main", "#zoom"} and reader.seen.count("script") == 2
+        )  # numbers, and what moves them
         assert not {"link", "iframe", "object", "img"} & set(reader.seen)
         assert not re.search(r"url\(|@import|https?:", (folder / "report.html").read_text())
 
     def test_says_what_an_engineer_needs(self, page, run):
         text, res = page[0].text, run[0]
-        for part in ("Fault proved", "would need bounds", str(res.counts["FAULT"]), "Please check", "mind this", "y1[k-1] - 5 y2[k-1]",
-                     "origin not stated", "mathematical proof", f"jax {jax.__version__}", np.__version__, "float64", "run.csv",
-                     "10 %"):  # fmt: skip
+        for part in (
+            "Fault proved",
+            "would need bounds",
+            str(res.counts["FAULT"]),
+            "Please check",
+            "mind this",
+            "y1[k-1] - 5 y2[k-1]",
+            "origin not stated",
+            "mathematical proof",
+            f"jax {jax.__version__}",
+            np.__version__,
+            "float64",
+            "run.csv",
+            "10 %",
+        ):
             assert part in text, part
 
     def test_every_alarm_has_its_row(self, page, run):
-        assert page[0].seen.count("tr") > len(run[0].alarms()) and f"Alarms ({len(run[0].alarms())})" in page[0].text
+        assert (
+            page[0].seen.count("tr") > len(run[0].alarms())
+            and f"Alarms ({len(run[0].alarms())})" in page[0].text
+        )
 
     def test_names_are_escaped(self, tmp_path):
         evil = "<script>alert('1')</script>&\"$x_1$"
-        m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name=evil, inputs=[f"u{evil}"], outputs=[f"y{evil}"], states=[f"x{evil}"],
-                            units={f"y{evil}": evil}, provenance={"noise": evil, "model": evil})  # fmt: skip
+        m = jb.LinearSystem(
+            [[0.5]],
+            [[1]],
+            [[1]],
+            noise=0.1,
+            name=evil,
+            inputs=[f"u{evil}"],
+            outputs=[f"y{evil}"],
+            states=[f"x{evil}"],
+            units={f"y{evil}": evil},
+            provenance={"noise": evil, "model": evil},
+        )
         y = np.zeros((50, 1))
         y[20] = 9
         res = jb.detect(jb.parity_relations(m), np.zeros((50, 1)), y)
         recording = Recording(res.u, res.y, time=np.arange(50.0), source=evil)
-        write(tmp_path, res, recording, res.alarms(), hints=[evil], extra=[(evil, None, evil, [(evil,), (evil,)])])
+        write(
+            tmp_path,
+            res,
+            recording,
+            res.alarms(),
+            hints=[evil],
+            extra=[(evil, None, evil, [(evil,), (evil,)])],
+        )
         text = (tmp_path / "report.html").read_text()
         assert text.count("<script") == 2 and Reader(text).text.count(evil) > 12
 
@@ -118,7 +157,10 @@ class TestReport:
         object.__setattr__(res, "y", np.random.default_rng(0).normal(size=(600, 2)) * 100)
         write(tmp_path, res, recording_of(res), res.alarms())
         reader = Reader((tmp_path / "report.html").read_text())
-        assert "The 200 deepest of 300 alarms; alarms.csv has all of them" in reader.text and "× 600" in reader.text
+        assert (
+            "The 200 deepest of 300 alarms; alarms.csv has all of them" in reader.text
+            and "× 600" in reader.text
+        )
         assert 200 < reader.seen.count("tr") < 230 and reader.seen.count("option") == 200
 
     @pytest.mark.parametrize("status", [[MISSING] * 6, [MISSING] + [FAULT] * 5, [MISSING] + [UNDECIDED] * 5])
@@ -129,7 +171,9 @@ class TestReport:
 
     def test_a_model_without_states_has_its_equation_and_no_empty_matrices(self, tmp_path):
         res = jb.detect(
-            jb.parity_relations(jb.LinearSystem(None, None, None, D=[[1], [2]], noise=0.1), 0), np.zeros((5, 1)), np.zeros((5, 2))
+            jb.parity_relations(jb.LinearSystem(None, None, None, D=[[1], [2]], noise=0.1), 0),
+            np.zeros((5, 1)),
+            np.zeros((5, 2)),
         )
         write(tmp_path, res, recording_of(res), [])
         text = " ".join(Reader((tmp_path / "report.html").read_text()).text.split())

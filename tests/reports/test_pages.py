@@ -1,4 +1,6 @@
-"""Every page: what a user wrote is escaped exactly once, a value that is missing is refused, style sheet and templates travel along."""
+"""Every page: what a user wrote is escaped exactly once, a value that is missing is refused, style sheet and
+templates travel along.
+"""
 
 import re
 import shlex
@@ -28,19 +30,36 @@ PNG = b"\x89PNG"
 
 
 def evil(what):
-    """Return a name that would end an attribute, begin a script, or be taken for an entity or an expression."""
+    """Return a name that would end an attribute, begin a script, or be taken for an entity or an
+    expression.
+    """
     return f"""'><script>alert("1")</script>&amp;{{{{ 7 * 7 }}}} {what}"""
 
 
 MODEL = dict(
-    A=[[0.5]], B=[[1]], C=[[1]], noise=0.1, disturbance=([[1]], [0.01]), name=evil("model"), inputs=[evil("u")], outputs=[evil("y")],
-    states=[evil("x")], units={evil("y"): evil("unit"), evil("u"): evil("V")}, columns={evil("y"): evil("column")},
-    provenance={field: evil(field) for field in ("noise", "tolerance", "resolution", "disturbance", "model")})  # fmt: skip
+    A=[[0.5]],
+    B=[[1]],
+    C=[[1]],
+    noise=0.1,
+    disturbance=([[1]], [0.01]),
+    name=evil("model"),
+    inputs=[evil("u")],
+    outputs=[evil("y")],
+    states=[evil("x")],
+    units={evil("y"): evil("unit"), evil("u"): evil("V")},
+    columns={evil("y"): evil("column")},
+    provenance={field: evil(field) for field in ("noise", "tolerance", "resolution", "disturbance", "model")},
+)
 OF_MODEL = ("model", "u", "y", "x", "unit", "V", "column", "noise", "tolerance", "resolution", "disturbance")
 
 
 def recorded(T):
-    return SimpleNamespace(time=np.arange(T) * 1.0, axis=np.arange(T) * 1.0, source=evil("source"), label=lambda k: evil(f"at {k}"))
+    return SimpleNamespace(
+        time=np.arange(T) * 1.0,
+        axis=np.arange(T) * 1.0,
+        source=evil("source"),
+        label=lambda k: evil(f"at {k}"),
+    )
 
 
 def detection(folder):
@@ -84,14 +103,30 @@ def fleet(folder):
     unit = Unit(evil("unit"), Path(evil("file")), Path(evil("recording")))
     numbers = Evidence("joint", 1, 10, {"MISSING": 1, "CONSISTENT": 2, "UNDECIDED": 3, "FAULT": 4}, alarms=1)
     worst = Window(3, evil("worst"), -1.0)
-    summary = Summary("fault", evil("sentence"), numbers, worst, evil("first"), evil("ended"), (evil("hint"),))
+    summary = Summary(
+        "fault", evil("sentence"), numbers, worst, evil("first"), evil("ended"), (evil("hint"),)
+    )
     found = UnitResult(unit, summary)
     wrong = UnitResult.untested(Unit(evil("other"), Path("m"), Path("r")), evil("why"))
     return fleet_page([found, wrong], ("fault", 1, evil("all")), evil("title"))
 
 
 PAGES = {
-    detection: (*OF_MODEL, "source", "at 0", "at 20", "at 29", "hint", "stage", "title", "caption", "head", "cell", "other", "text"),
+    detection: (
+        *OF_MODEL,
+        "source",
+        "at 0",
+        "at 20",
+        "at 29",
+        "hint",
+        "stage",
+        "title",
+        "caption",
+        "head",
+        "cell",
+        "other",
+        "text",
+    ),
     uncertain: ("model", "parameter"),
     validation: (*OF_MODEL, "source", "at 0", "at 5", "at 8", "hint", "stage"),
     study: (*OF_MODEL, "setting"),
@@ -113,7 +148,9 @@ class Reader(HTMLParser):
         self.tags.add(tag)
         self.scripts += tag == "script"
         self.attributes += [name for name, _ in attributes]
-        self.shown += " ".join(value or "" for name, value in attributes if name in ("alt", "aria-label", "value"))
+        self.shown += " ".join(
+            value or "" for name, value in attributes if name in ("alt", "aria-label", "value")
+        )
 
     def handle_data(self, data):
         self.shown += data
@@ -121,7 +158,9 @@ class Reader(HTMLParser):
 
 @every_page
 def test_what_a_user_wrote_is_escaped_exactly_once(make, tmp_path):
-    """Read back by a parser of HTML, each name is what was written: not less (a tag, an attribute), not more (escaped twice)."""
+    """Read back by a parser of HTML, each name is what was written: not less (a tag, an attribute), not more
+    (escaped twice).
+    """
     reader = Reader(make(tmp_path))
     ours = SCRIPTS[make]  # and none of a user's
     assert reader.scripts == ours and not reader.tags & {"iframe", "link", "object"}
@@ -130,12 +169,18 @@ def test_what_a_user_wrote_is_escaped_exactly_once(make, tmp_path):
 
 
 def test_the_command_of_a_fleet_is_quoted_for_the_shell_and_escaped(tmp_path):
-    assert shlex.join(["jaxbound", "detect", evil("file"), evil("recording")]) in Reader(fleet(tmp_path)).shown
+    assert (
+        shlex.join(["jaxbound", "detect", evil("file"), evil("recording")]) in Reader(fleet(tmp_path)).shown
+    )
 
 
 def test_a_fleet_leads_to_the_reports_of_its_units_and_tells_what_it_is_sorted_by(tmp_path):
     unit = Unit(evil("unit"), Path("m"), Path("r"))
-    page = fleet_page([UnitResult(unit, Summary("fault", "s"), "units/1-x.html"), UnitResult.untested(unit, "why")], ("fault", 1, "s"), "t")
+    page = fleet_page(
+        [UnitResult(unit, Summary("fault", "s"), "units/1-x.html"), UnitResult.untested(unit, "why")],
+        ("fault", 1, "s"),
+        "t",
+    )
     assert page.count('<a href="units/1-x.html">') == 1 and "leads to its own report" in page
     rows = re.findall(r"<tr data-verdict=.*?</tr>", page, re.S)
     assert len(rows) == 2 and all(row.count("data-key=") == 4 and '<th scope="row"' in row for row in rows)
@@ -145,7 +190,11 @@ def test_a_fleet_leads_to_the_reports_of_its_units_and_tells_what_it_is_sorted_b
 @every_page
 def test_a_page_is_one_file_that_asks_nobody(make, tmp_path):
     text = make(tmp_path)
-    assert not re.search(r"url\(|@import|https?:", text) and text.startswith("<!doctype html>") and text.rstrip().endswith("</html>")
+    assert (
+        not re.search(r"url\(|@import|https?:", text)
+        and text.startswith("<!doctype html>")
+        and text.rstrip().endswith("</html>")
+    )
     assert all(src.startswith("data:image/png;base64,") for src in re.findall('src="([^"]*)"', text))
 
 
@@ -157,15 +206,33 @@ def test_a_value_that_is_missing_is_refused_by_name():
 
 
 def test_every_class_of_the_style_sheet_is_on_a_page():
-    sheet, templates = (HOME / "style.css").read_text(), "".join(f.read_text() for f in (HOME / "templates").iterdir())
+    sheet, templates = (
+        (HOME / "style.css").read_text(),
+        "".join(f.read_text() for f in (HOME / "templates").iterdir()),
+    )
     styled = set(re.findall(r"\.([A-Za-z][\w-]*)", re.sub(r"\{[^{}]*\}", "{}", sheet)))
-    drawn = {"fault", "too", "not", *(status.name for status in jb.Status)}  # verdicts and statuses become classes
-    drawn |= {"enclosed", "seen", "windows", "size0", "size1", "size2", "size3"}  # and what a chart or a curve is of
+    drawn = {
+        "fault",
+        "too",
+        "not",
+        *(status.name for status in jb.Status),
+    }  # verdicts and statuses become classes
+    drawn |= {
+        "enclosed",
+        "seen",
+        "windows",
+        "size0",
+        "size1",
+        "size2",
+        "size3",
+    }  # and what a chart or a curve is of
     assert styled and [name for name in styled - drawn if not re.search(rf"\b{name}\b", templates)] == []
 
 
 def test_what_is_no_python_is_installed_too():
-    data = tomllib.loads((HOME.parents[1] / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["jaxbound.reports"]
+    data = tomllib.loads((HOME.parents[1] / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "package-data"
+    ]["jaxbound.reports"]
     kept = {f for pattern in data for f in HOME.glob(pattern)}
     assert kept == {f for f in HOME.rglob("*") if f.is_file() and f.suffix not in (".py", ".pyc")}
 

@@ -1,4 +1,6 @@
-"""The scripts of pages in a real browser: what they draw is what Python drew, buttons do what they say, nothing fails in silence."""
+"""The scripts of pages in a real browser: what they draw is what Python drew, buttons do what they say,
+nothing fails in silence.
+"""
 
 import html
 import json
@@ -23,10 +25,20 @@ def seen(page, folder, deeds):
     watch = "<script>const errors = [], notes = [], note = (x) => notes.push(x);"
     watch += "addEventListener('error', (e) => errors.push(e.message));</script>"
     told = "addEventListener('load', () => { document.title = JSON.stringify([notes, errors]); });"
-    page = page.replace("<head>", f"<head>{watch}", 1).replace("</body>", f"<script>{deeds}\n{told}</script></body>", 1)
+    page = page.replace("<head>", f"<head>{watch}", 1).replace(
+        "</body>", f"<script>{deeds}\n{told}</script></body>", 1
+    )
     (folder / "watched.html").write_text(page)
-    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000", "--dump-dom",
-               f"--user-data-dir={folder / 'browser'}", (folder / "watched.html").as_uri()]  # fmt: skip
+    command = [
+        BROWSER,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--virtual-time-budget=3000",
+        "--dump-dom",
+        f"--user-data-dir={folder / 'browser'}",
+        (folder / "watched.html").as_uri(),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     return json.loads(html.unescape(re.search(r"<title>(.*?)</title>", done.stdout, re.S)[1]))
 
@@ -78,9 +90,11 @@ def long_page(tmp_path_factory):
 
 
 ZOOM = """
-  const zoom = document.getElementById("zoom"), field = zoom.querySelector("input"), wrong = zoom.querySelector(".wrong");
+  const zoom = document.getElementById("zoom"), field = zoom.querySelector("input");
+  const wrong = zoom.querySelector(".wrong");
   const said = () => zoom.querySelector(".said").textContent;
-  const press = (what) => zoom.querySelector(`[data-do=${what}]`).click(), go = (x) => { field.value = x; press("go"); };
+  const press = (what) => zoom.querySelector(`[data-do=${what}]`).click();
+  const go = (x) => { field.value = x; press("go"); };
   const path = (key) => zoom.querySelector(`[data-key=${key}] .line`).getAttribute("d");
 """
 
@@ -106,12 +120,16 @@ def test_a_line_goes_from_edge_to_edge_and_not_beyond(long_page, tmp_path):
     """
     (drawn, clip), errors = seen(long_page, tmp_path, ZOOM + deeds)
     across = points(drawn)[:, 0]
-    assert errors == [] and 4 <= drawn.count("L") <= 8 and across.min() <= 0 and across.max() >= 1000  # the line goes on at both sides
+    assert (
+        errors == [] and 4 <= drawn.count("L") <= 8 and across.min() <= 0 and across.max() >= 1000
+    )  # the line goes on at both sides
     assert clip.startswith("inset(")
 
 
 def tried(texts):
-    """Return deeds that note of each time typed into the field: whether the chart moved, and what is said beside the field."""
+    """Return deeds that note of each time typed into the field: whether the chart moved, and what is said
+    beside the field.
+    """
     each = """{
       press("worst"); press("in");
       const before = said();
@@ -121,19 +139,35 @@ def tried(texts):
 
 
 def test_a_time_that_is_none_of_the_recording_is_said_beside_the_field(long_page, tmp_path):
-    found, errors = seen(long_page, tmp_path, tried(["200", "200 s", "tomorrow", "", "12 apples", "1e9", "-5", "NaN", "1,5"]))
+    found, errors = seen(
+        long_page, tmp_path, tried(["200", "200 s", "tomorrow", "", "12 apples", "1e9", "-5", "NaN", "1,5"])
+    )
     refused = [False, "this is no time of the recording, which goes from 0 s to 599.99 s"]
     assert errors == [] and found == [[True, ""]] * 2 + [refused] * 7
 
 
 def test_a_date_of_the_recording_is_found_and_another_refused(tmp_path):
     good = ["2024-02-29 12:00:00", "2024-03-01", "2024-03-01T01:00"]
-    bad = ["noon", "2024-13-01 00:00:00", "2024-02-30 12:00", "2024-02-29 12:00:00 99", "2023-02-28", "99", "", "2024-02-29 12h"]
+    bad = [
+        "noon",
+        "2024-13-01 00:00:00",
+        "2024-02-30 12:00",
+        "2024-02-29 12:00:00 99",
+        "2023-02-28",
+        "99",
+        "",
+        "2024-02-29 12h",
+    ]
     res = synthetic([MISSING] + [CONSISTENT] * 299)
     stamps = np.datetime64("2024-02-28T22:30") + np.arange(300) * np.timedelta64(10, "m")
-    page = page_of(tmp_path, res, Recording(res.u, res.y, time=600.0 * np.arange(300), stamps=stamps, index=stamps), [])
+    page = page_of(
+        tmp_path, res, Recording(res.u, res.y, time=600.0 * np.arange(300), stamps=stamps, index=stamps), []
+    )
     found, errors = seen(page, tmp_path, tried(good + bad))
-    refused = [False, "this is no time of the recording, which goes from 2024-02-28 22:30:00 to 2024-03-02 00:20:00"]
+    refused = [
+        False,
+        "this is no time of the recording, which goes from 2024-02-28 22:30:00 to 2024-03-02 00:20:00",
+    ]
     assert errors == [] and found == [[True, ""]] * len(good) + [refused] * len(bad)
 
 
@@ -141,14 +175,24 @@ def test_a_table_of_units_is_filtered_and_sorted(tmp_path):
     page = fleet(tmp_path)
     units = re.findall(r'<tr data-verdict="([^"]*)"', page)
     deeds = """
-      const rows = () => [...document.querySelectorAll("#units tbody tr")], filter = document.getElementById("filter");
-      const choose = (v) => { const s = filter.querySelector("select"); s.value = v; s.dispatchEvent(new Event("change")); };
-      note(filter.hidden); choose("fault"); note(rows().filter((r) => !r.hidden).map((r) => r.dataset.verdict));
+      const rows = () => [...document.querySelectorAll("#units tbody tr")];
+      const filter = document.getElementById("filter");
+      const choose = (v) => {
+        const s = filter.querySelector("select"); s.value = v; s.dispatchEvent(new Event("change"));
+      };
+      note(filter.hidden); choose("fault");
+      note(rows().filter((r) => !r.hidden).map((r) => r.dataset.verdict));
       choose(""); const head = document.querySelectorAll("#units th button")[3];
       const keys = () => rows().map((r) => Number(r.cells[3].dataset.key));
       head.click(); note(keys()); head.click(); note(keys());
       note(filter.querySelector(".said").textContent);
     """
     (hidden, faults, down, up, said), errors = seen(page, tmp_path, deeds)
-    assert errors == [] and hidden is False and set(faults) <= {"fault"} and len(faults) == units.count("fault")
-    assert down == sorted(down, reverse=True) and up == sorted(up) and said.startswith(f"{len(units)} of {len(units)}")
+    assert (
+        errors == [] and hidden is False and set(faults) <= {"fault"} and len(faults) == units.count("fault")
+    )
+    assert (
+        down == sorted(down, reverse=True)
+        and up == sorted(up)
+        and said.startswith(f"{len(units)} of {len(units)}")
+    )

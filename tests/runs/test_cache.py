@@ -11,7 +11,11 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import jaxbound as jb
 
-OPTIONS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs", "jax_persistent_cache_min_entry_size_bytes")
+OPTIONS = (
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_persistent_cache_min_entry_size_bytes",
+)
 
 
 @pytest.fixture(autouse=True)
@@ -78,6 +82,8 @@ def test_without_a_name_it_is_the_folder_of_the_command_line(tmp_path, monkeypat
 def test_a_folder_that_cannot_be_is_refused_in_a_sentence(tmp_path, monkeypatch, named):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with pytest.raises(ValueError, match="cannot be kept in .*: Not a directory; give use_cache a folder that can be written"):
+    with pytest.raises(
+        ValueError, match="cannot be kept in .*: Not a directory; give use_cache a folder that can be written"
+    ):
         jb.use_cache(tmp_path / "file" / "sub" if named else None)
     assert jax.config.jax_compilation_cache_dir is None and os.listdir(tmp_path) == ["file"]

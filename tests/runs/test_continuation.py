@@ -1,4 +1,6 @@
-"""A fleet whose recordings come in several files, one after the other: what is said is what is said of one file."""
+"""A fleet whose recordings come in several files, one after the other: what is said is what is said of one
+file.
+"""
 
 import json
 
@@ -16,18 +18,33 @@ START = pd.Timestamp("2026-03-01")
 
 @pytest.fixture(scope="module")
 def plant():
-    """Return a model and T samples of it, of which y2 drifts from 45 on; with a missing sample at 38 and a gap behind 60."""
-    m = jb.LinearSystem([["0.9", "0.05"], [0, "0.9"]], [[0], ["0.1"]], [[1, 0], [0, 1]], noise="0.1",
-                        disturbance=([[1, 0], [0, 1]], "0.005"), dt=1, inputs="u1", outputs=["y1", "y2"])  # fmt: skip
+    """Return a model and T samples of it, of which y2 drifts from 45 on; with a missing sample at 38 and a
+    gap behind 60.
+    """
+    m = jb.LinearSystem(
+        [["0.9", "0.05"], [0, "0.9"]],
+        [[0], ["0.1"]],
+        [[1, 0], [0, 1]],
+        noise="0.1",
+        disturbance=([[1, 0], [0, 1]], "0.005"),
+        dt=1,
+        inputs="u1",
+        outputs=["y1", "y2"],
+    )
     rng, x, y = np.random.default_rng(5), np.zeros(2), np.zeros((T, 2))
     u = rng.uniform(0, 2, (T, 1)).round(3)
     for k in range(T):
-        y[k], x = x, np.array([0.9 * x[0] + 0.05 * x[1], 0.9 * x[1] + 0.1 * u[k, 0]]) + rng.uniform(-0.004, 0.004, 2)
+        y[k], x = (
+            x,
+            np.array([0.9 * x[0] + 0.05 * x[1], 0.9 * x[1] + 0.1 * u[k, 0]]) + rng.uniform(-0.004, 0.004, 2),
+        )
     y = (y + rng.uniform(-0.09, 0.09, y.shape)).round(6)
     y[45:, 1] += 0.02 * np.arange(T - 45)
     y[38, 0] = np.nan
     seconds = np.arange(T) + 7 * (np.arange(T) >= 60)
-    return m, pd.DataFrame({"time": START + pd.to_timedelta(seconds, "s"), "u1": u[:, 0], "y1": y[:, 0], "y2": y[:, 1]})
+    return m, pd.DataFrame(
+        {"time": START + pd.to_timedelta(seconds, "s"), "u1": u[:, 0], "y1": y[:, 0], "y2": y[:, 1]}
+    )
 
 
 def fleet(folder, tables, **how):
@@ -40,10 +57,15 @@ def fleet(folder, tables, **how):
     return list(detect_fleet(units, page=page, **how)), kept
 
 
-@pytest.mark.parametrize("how", [
-    {"horizon": 3}, {"method": "observer"}, {"method": "observer", "options": {"restart": False}},
-    {"method": "observer", "options": {"method": "joint", "window": 8}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"horizon": 3},
+        {"method": "observer"},
+        {"method": "observer", "options": {"restart": False}},
+        {"method": "observer", "options": {"method": "joint", "window": 8}},
+    ],
+)
 @pytest.mark.parametrize("units", [1, 3])
 def test_recordings_in_several_files_are_judged_as_one(plant, tmp_path, how, units):
     model, table = plant
@@ -51,12 +73,18 @@ def test_recordings_in_several_files_are_judged_as_one(plant, tmp_path, how, uni
     tables = [table.assign(y1=table["y1"] + 0.001 * i) for i in range(units)]
     found: dict = {}
     for first, stop in zip(CUTS, CUTS[1:], strict=False):
-        results, kept = fleet(tmp_path, [one.iloc[first:stop] for one in tables], state=tmp_path / "state", **how)
-        assert not any(hint.startswith("the recording begins anew") for r in results for hint in r.summary.hints)
+        results, kept = fleet(
+            tmp_path, [one.iloc[first:stop] for one in tables], state=tmp_path / "state", **how
+        )
+        assert not any(
+            hint.startswith("the recording begins anew") for r in results for hint in r.summary.hints
+        )
         for result in results:
             res, recording = kept[result.unit.name][:2]
             known = len(res.status) - (stop - first)
-            assert (np.asarray(res.status)[:known] == jb.Status.MISSING).all() and result.summary.counts == res.counts
+            assert (
+                np.asarray(res.status)[:known] == jb.Status.MISSING
+            ).all() and result.summary.counts == res.counts
             assert recording.label(known) == str(table["time"][first])
             found.setdefault(result.unit.name, []).append((res.status[known:], res.margin[known:]))
     jb.save_model(model, tmp_path / "plant.toml")
@@ -71,13 +99,18 @@ def test_recordings_in_several_files_are_judged_as_one(plant, tmp_path, how, uni
 def test_the_same_recording_again_is_judged_as_it_was_and_what_does_not_follow_begins_anew(plant, tmp_path):
     model, table = plant
     jb.save_model(model, tmp_path / "plant.toml")
-    say = lambda first, stop: fleet(tmp_path, [table.iloc[first:stop]], method="observer", state=tmp_path / "state")
+    say = lambda first, stop: fleet(
+        tmp_path, [table.iloc[first:stop]], method="observer", state=tmp_path / "state"
+    )
     say(0, 30)
     (once,), _ = say(30, 60)
     (twice,), _ = say(30, 60)
     assert once.summary.plain() == twice.summary.plain() and once.summary.counts["FAULT"]
     (gap,), _ = say(60, 90)
-    assert any("which ended 8 s before its first sample" in hint for hint in gap.summary.hints) and gap.summary.found.samples == 30
+    assert (
+        any("which ended 8 s before its first sample" in hint for hint in gap.summary.hints)
+        and gap.summary.found.samples == 30
+    )
     (back,), _ = say(0, 30)
     assert any("s after its first sample" in hint for hint in back.summary.hints)
     jb.save_model(model.replace(noise="0.2"), tmp_path / "plant.toml")
@@ -125,7 +158,12 @@ def test_a_recording_without_times_begins_anew(plant, tmp_path, how, stored):
         path = tmp_path / f"run.{stored}"
         part = table.iloc[first:stop]
         part.to_csv(path, index=False) if stored == "csv" else part.to_parquet(path, index=False)
-        (found,) = detect_fleet([Unit("unit", tmp_path / "plant.toml", path)], state=tmp_path / "state", **how)
-        hint = "the recording begins anew, as if there were none before, which has no times: nobody knows whether it follows"
+        (found,) = detect_fleet(
+            [Unit("unit", tmp_path / "plant.toml", path)], state=tmp_path / "state", **how
+        )
+        hint = (
+            "the recording begins anew, as if there were none before, which has no times: nobody knows "
+            "whether it follows"
+        )
         assert (hint in found.summary.hints) == (first > 0)
     assert found.summary.found.samples == 15 and found.summary.counts["FAULT"] == 0

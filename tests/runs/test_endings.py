@@ -1,4 +1,6 @@
-"""A fault that lasts after its alarm is over: page, table, JSON and terminal say that this cannot be told from a repair."""
+"""A fault that lasts after its alarm is over: page, table, JSON and terminal say that this cannot be told
+from a repair.
+"""
 
 import csv
 import html
@@ -18,8 +20,14 @@ from jaxbound.runs.endings import ending_hints, sizes_text
 
 N, ONSET = 100, 50
 HEATER = jb.LinearSystem(
-    [["0.98", "0.01"], ["0.013", "0.97"]], [["0.02"], ["0"]], [[1, 0], [0, 1]], noise=0.2,
-    disturbance=([[1, 0], [0, 1]], [0.05, 0.05]), units={"y1": "degC"}, horizon=4)  # fmt: skip
+    [["0.98", "0.01"], ["0.013", "0.97"]],
+    [["0.02"], ["0"]],
+    [[1, 0], [0, 1]],
+    noise=0.2,
+    disturbance=([[1, 0], [0, 1]], [0.05, 0.05]),
+    units={"y1": "degC"},
+    horizon=4,
+)
 
 
 def recorded(model, *faults):
@@ -34,7 +42,10 @@ def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
     jb.save_model(paper(units={"y1": "<bar>"}), "model.toml")
-    for name, fault in (("bias", jb.Fault("y1", "bias", 0.2, ONSET)), ("gain", jb.Fault("y2", "gain", 1.0, ONSET))):
+    for name, fault in (
+        ("bias", jb.Fault("y1", "bias", 0.2, ONSET)),
+        ("gain", jb.Fault("y2", "gain", 1.0, ONSET)),
+    ):
         u, y = recorded(paper(), fault)
         lines = [f"{k / 100},{float(u[k, 0])},{float(y[k, 0])},{float(y[k, 1])}\n" for k in range(N)]
         (tmp_path / f"{name}.csv").write_text("time,u1,y1,y2\n" + "".join(lines))
@@ -43,15 +54,31 @@ def place(tmp_path, monkeypatch):
 
 def test_page_table_and_json_of_a_lasting_bias_say_repaired_or_lasting(place, capsys):
     assert main.main(["detect", "model.toml", "bias.csv", "--out", "out", "--json"]) == 1
-    found, rows = json.loads(capsys.readouterr().out), list(csv.DictReader((place / "out/alarms.csv").read_text().splitlines()))
+    found, rows = (
+        json.loads(capsys.readouterr().out),
+        list(csv.DictReader((place / "out/alarms.csv").read_text().splitlines())),
+    )
     ended = Counter(row["ended"] for row in rows)
-    assert found["counts"]["CONSISTENT"] > found["counts"]["FAULT"] and rows[-1]["ended"] == ONSET_LEFT  # it turned green
-    assert found["ended"] == ended and sum(ended.values()) == found["alarms"] and list(found)[-2:] == ["ended", "always_seen"]
-    (hint,) = found["hints"]
-    assert f"{ended[ONSET_LEFT]} of 4 alarms may have ended because the onset left the window: repaired or lasting; " in hint
-    assert f"{ended[NO_LONGER]} of 4 alarms ended after windows without the onset: repaired, or hidden within the bounds" in hint
     assert (
-        found["always_seen"]["y1"] > 0.2 and f"to show a constant error that lasts from y1 {found['always_seen']['y1']:.3g} <bar>" in hint
+        found["counts"]["CONSISTENT"] > found["counts"]["FAULT"] and rows[-1]["ended"] == ONSET_LEFT
+    )  # it turned green
+    assert (
+        found["ended"] == ended
+        and sum(ended.values()) == found["alarms"]
+        and list(found)[-2:] == ["ended", "always_seen"]
+    )
+    (hint,) = found["hints"]
+    assert (
+        f"{ended[ONSET_LEFT]} of 4 alarms may have ended because the onset left the window: repaired or "
+        f"lasting; " in hint
+    )
+    assert (
+        f"{ended[NO_LONGER]} of 4 alarms ended after windows without the onset: repaired, or hidden within "
+        f"the bounds" in hint
+    )
+    assert (
+        found["always_seen"]["y1"] > 0.2
+        and f"to show a constant error that lasts from y1 {found['always_seen']['y1']:.3g} <bar>" in hint
     )
     page = (place / "out/report.html").read_text()
     assert html.escape(hint) in page and page.count(ONSET_LEFT) == ended[ONSET_LEFT] and "<bar>" not in page
@@ -63,7 +90,9 @@ def test_the_terminal_says_so_too_and_not_where_the_fault_is_seen_while_it_lasts
     assert main.main(["detect", "model.toml", "bias.csv", "--out", "out"]) == 1
     assert "may have ended because the onset left the window: repaired or lasting" in capsys.readouterr().out
     assert main.main(["detect", "model.toml", "gain.csv", "--out", "out"]) == 1
-    assert "repaired" not in capsys.readouterr().out and "repaired" not in (place / "out/alarms.csv").read_text()
+    assert (
+        "repaired" not in capsys.readouterr().out and "repaired" not in (place / "out/alarms.csv").read_text()
+    )
     assert main.main(["detect", "model.toml", "gain.csv", "--out", "out", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["ended"] == {"still on at the last sample": 1}
 
@@ -78,7 +107,11 @@ def test_parquet_says_the_same(place, monkeypatch, capsys):
         assert main.main(["detect", "model.toml", name, "--out", name[-3:], "--json"]) == 1
         found[name] = json.loads(capsys.readouterr().out)
     one, other = found.values()
-    assert other["ended"] == one["ended"] and other["hints"] == one["hints"] and other["always_seen"] == one["always_seen"]
+    assert (
+        other["ended"] == one["ended"]
+        and other["hints"] == one["hints"]
+        and other["always_seen"] == one["always_seen"]
+    )
     assert (place / "csv/alarms.csv").read_bytes() == (place / "uet/alarms.csv").read_bytes()
 
 
@@ -102,7 +135,8 @@ def test_a_slow_plant_shows_the_onset_alone():
     sizes = always_seen(res.relations)
     assert sizes["y1"] > 1.5 and sizes["y1"] == jb.detectable(HEATER, "y1", 4)
     assert ending_hints(res, [alarm], sizes) == [
-        "the alarm may have ended because the onset left the window: repaired or lasting; windows of 5 samples are sure to show a constant "
+        "the alarm may have ended because the onset left the window: repaired or lasting; windows of 5 "
+        "samples are sure to show a constant "
         f"error that lasts from y1 {sizes['y1']:.3g} degC, y2 {sizes['y2']:.3g}, u1 {sizes['u1']:.3g} on; "
         "smaller ones may show in a longer --horizon, or with the lags of jb.suggest_lags(model); "
         "bounds from data must be fitted for these again"
@@ -116,9 +150,16 @@ def test_sizes_that_are_not_known_and_those_that_no_size_is(rng):
     u, y = recorded(HEATER)
     long = jb.parity_relations(HEATER, 40)
     assert always_seen(long) is None and always_seen(jb.parity_relations(HEATER), "box") is None
-    assert always_seen(jb.parity_relations(paper())) is None  # with a tolerance it depends on how large the readings are
+    assert (
+        always_seen(jb.parity_relations(paper())) is None
+    )  # with a tolerance it depends on how large the readings are
     res = jb.detect(jb.parity_relations(HEATER), u, y)
     assert sizes_text(res, None) == "windows of 5 samples alone cannot tell"
-    assert sizes_text(res, {"y1": np.inf}) == "windows of 5 samples are sure of no constant error that lasts, whatever its size"
-    assert sizes_text(res, {"y1": 2.0, "u1": np.inf}).endswith("that lasts from y1 2 degC on, of u1 at no size")
+    assert (
+        sizes_text(res, {"y1": np.inf})
+        == "windows of 5 samples are sure of no constant error that lasts, whatever its size"
+    )
+    assert sizes_text(res, {"y1": 2.0, "u1": np.inf}).endswith(
+        "that lasts from y1 2 degC on, of u1 at no size"
+    )
     assert ending_hints(res, []) == []

@@ -1,4 +1,6 @@
-"""Work spread by dask: the bytes of one process, whoever dies meanwhile; and a sentence where workers are of no use."""
+"""Work spread by dask: the bytes of one process, whoever dies meanwhile; and a sentence where workers are of
+no use.
+"""
 
 import json
 import os
@@ -34,7 +36,9 @@ WRITTEN = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d \+0000")  # when a page wa
 
 @pytest.fixture(scope="module")
 def client():
-    pytest.importorskip("distributed", reason="dask.distributed is not installed: pip install 'jaxbound[dask]'")
+    pytest.importorskip(
+        "distributed", reason="dask.distributed is not installed: pip install 'jaxbound[dask]'"
+    )
     with connected(workers=2) as found:
         yield found
 
@@ -63,7 +67,9 @@ class TestSameBytes:
             assert getattr(found, name) == getattr(one[1], name), name
         assert shares == sorted(shares) and shares[-1] == 1.0
 
-    def test_what_workers_read_is_not_read_again_to_know_what_was_tested(self, case, client, tmp_path, monkeypatch):
+    def test_what_workers_read_is_not_read_again_to_know_what_was_tested(
+        self, case, client, tmp_path, monkeypatch
+    ):
         r, folder, _, _ = case("section 5")
         held, source = open_parquet(folder, r.model).content, open_parquet(folder, r.model)
         streaming.write_parts(r, source, tmp_path, client=client)
@@ -76,10 +82,21 @@ class TestSameBytes:
         before = {p.name: p.stat().st_mtime_ns for p in made}
         detect_dataset(r, folder, tmp_path, client=client)
         assert parts_of(tmp_path / "verdicts.parquet") == parts_of(one[0] / "verdicts.parquet")
-        assert before == {p.name: p.stat().st_mtime_ns for p in part_files(tmp_path / "verdicts.parquet") if p.name in before}
+        assert before == {
+            p.name: p.stat().st_mtime_ns
+            for p in part_files(tmp_path / "verdicts.parquet")
+            if p.name in before
+        }
 
     def test_a_study_counts_the_same_and_keeps_the_same_rows(self, client, tmp_path):
-        asked = {"faults": ["y1:bias", "y2:gain"], "n": 9000, "key": 0, "sizes": [0.5, 2.5], "samples": 30, "rows": True}
+        asked = {
+            "faults": ["y1:bias", "y2:gain"],
+            "n": 9000,
+            "key": 0,
+            "sizes": [0.5, 2.5],
+            "samples": 30,
+            "rows": True,
+        }
         alone = jb.study(paper(), **asked, out=tmp_path / "alone")
         spread_out = jb.study(paper(), **asked, out=tmp_path / "spread", client=client)
         for a, b in zip(alone.tallies, spread_out.tallies, strict=True):
@@ -96,15 +113,24 @@ class TestSameBytes:
         for i in range(12):
             y = rng.uniform(-0.01, 0.01, (50, 2)) + (3.0 * (np.arange(50) > 20)[:, None] if i % 3 == 0 else 0)
             rows = [f"{k},0,{a!r},{b!r}" for k, (a, b) in enumerate(y.tolist())]
-            (tmp_path / f"{i}.csv").write_text("\n".join(["t,u1,y1,y2", *rows][: 1 if i == 5 else None]) + "\n")
+            (tmp_path / f"{i}.csv").write_text(
+                "\n".join(["t,u1,y1,y2", *rows][: 1 if i == 5 else None]) + "\n"
+            )
             lines.append(f"unit {i},m.toml,{i}.csv")
         (tmp_path / "fleet.csv").write_text("\n".join(lines) + "\n")
         argv = ["fleet", str(tmp_path / "fleet.csv"), "--out"]
         assert main.main([*argv, str(tmp_path / "alone")]) == 1
         monkeypatch.setattr(fleet_command, "engine_of", lambda args: nullcontext(client))
         assert main.main([*argv, str(tmp_path / "spread")]) == 1
-        files = lambda name: {str(p.relative_to(tmp_path / name)): WRITTEN.sub("", p.read_text()) for p in (tmp_path / name).rglob("*.*ml")}
-        assert files("alone") == files("spread") and sorted(files("alone")) == ["fleet.html", "units/1-unit_0.html", "units/2-unit_3.html"]
+        files = lambda name: {
+            str(p.relative_to(tmp_path / name)): WRITTEN.sub("", p.read_text())
+            for p in (tmp_path / name).rglob("*.*ml")
+        }
+        assert files("alone") == files("spread") and sorted(files("alone")) == [
+            "fleet.html",
+            "units/1-unit_0.html",
+            "units/2-unit_3.html",
+        ]
         assert (tmp_path / "alone/fleet.csv").read_bytes() == (tmp_path / "spread/fleet.csv").read_bytes()
 
     def test_the_precision_of_the_caller_holds_on_workers(self, client):
@@ -114,12 +140,17 @@ class TestSameBytes:
         with jax.enable_x64(False):
             narrow = jb.study(*asked, sizes=[0.5], samples=20, client=client)
             alone = jb.study(*asked, sizes=[0.5], samples=20)
-        assert narrow.settings["dtype"] == "float32" and (narrow.tallies[0].delays == alone.tallies[0].delays).all()
+        assert (
+            narrow.settings["dtype"] == "float32"
+            and (narrow.tallies[0].delays == alone.tallies[0].delays).all()
+        )
 
 
 class TestCost:
     def test_workers_keep_their_memory_for_the_next_chunk(self, client):
-        """Else the system clears the same pages again and again, which takes as long as the tests of windows."""
+        """Else the system clears the same pages again and again, which takes as long as the tests of
+        windows.
+        """
         assert max(client.run(_pages_of_a_chunk_after_another).values()) < 1000
 
 
@@ -148,7 +179,9 @@ class TestTrouble:
     def test_a_task_that_refuses_is_not_tried_again(self, client):
         with pytest.raises(ValueError, match="this one is bad"):
             dict(spread(client, Slow(), [1, "bad", 2]))
-        assert sorted(number for number, _ in spread(client, Slow(), range(30))) == list(range(30))  # workers are as before
+        assert sorted(number for number, _ in spread(client, Slow(), range(30))) == list(
+            range(30)
+        )  # workers are as before
 
     def test_a_worker_that_dies_costs_its_task_alone(self, case, one, client, tmp_path):
         r, folder, _, _ = case("section 5")
@@ -162,19 +195,37 @@ class TestTrouble:
         detect_dataset(r, folder, tmp_path, client=client, progress=kill)
         assert killed and parts_of(tmp_path / "verdicts.parquet") == parts_of(one[0] / "verdicts.parquet")
 
-    @pytest.mark.parametrize("answers, sentence", [
-        ({"tcp://a": ModuleNotFoundError("no", name="jaxbound")}, "the worker tcp://a cannot import jaxbound: it needs jaxbound"),
-        ({"tcp://a": {"jax": "0.1"}}, r"the worker tcp://a has jax 0\.1, not .*the same kind of processor and the same versions"),
-        ({"tcp://a": {"processor": "left"}, "tcp://b": {"processor": "right"}}, "the worker tcp://b has processor right, not left"),
-        ({"tcp://a": RuntimeError("no space")}, "the worker tcp://a is of no use: RuntimeError: no space"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "answers, sentence",
+        [
+            (
+                {"tcp://a": ModuleNotFoundError("no", name="jaxbound")},
+                "the worker tcp://a cannot import jaxbound: it needs jaxbound",
+            ),
+            (
+                {"tcp://a": {"jax": "0.1"}},
+                r"the worker tcp://a has jax 0\.1, not .*the same kind of processor and the same versions",
+            ),
+            (
+                {"tcp://a": {"processor": "left"}, "tcp://b": {"processor": "right"}},
+                "the worker tcp://b has processor right, not left",
+            ),
+            (
+                {"tcp://a": RuntimeError("no space")},
+                "the worker tcp://a is of no use: RuntimeError: no space",
+            ),
+        ],
+    )
     def test_workers_that_would_write_other_bytes_are_refused(self, answers, sentence):
         class Scheduler:
             def wait_for_workers(self, n, timeout):
                 pass
 
             def run(self, function, on_error):
-                return {a: x if isinstance(x, Exception) else (engine._kind() | x, 1, False) for a, x in answers.items()}
+                return {
+                    a: x if isinstance(x, Exception) else (engine._kind() | x, 1, False)
+                    for a, x in answers.items()
+                }
 
         with pytest.raises(ConnectionError, match=sentence):
             engine._alike(Scheduler())
@@ -208,23 +259,38 @@ class TestTrouble:
     def test_a_scheduler_that_is_not_there(self, monkeypatch):
         pytest.importorskip("distributed", reason="dask.distributed is not installed")
         monkeypatch.setattr(engine, "WAIT", 1)
-        with pytest.raises(ConnectionError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"), connected("tcp://127.0.0.1:9"):
+        with (
+            pytest.raises(ConnectionError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"),
+            connected("tcp://127.0.0.1:9"),
+        ):
             pass
 
 
 class TestCommand:
-    @pytest.mark.parametrize("data, option, sentence", [
-        ("run.csv", (), "--workers is for Parquet and other methods: .*run.csv is read as a whole"),
-        ("run", ("--part", "1/2"), "--workers spreads the work itself: leave out --part and --merge"),
-        ("-", (), "--workers is for Parquet: samples through a pipe are judged as they come"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "data, option, sentence",
+        [
+            ("run.csv", (), "--workers is for Parquet and other methods: .*run.csv is read as a whole"),
+            ("run", ("--part", "1/2"), "--workers spreads the work itself: leave out --part and --merge"),
+            ("-", (), "--workers is for Parquet: samples through a pipe are judged as they come"),
+        ],
+    )
     def test_what_cannot_be_spread_is_refused(self, tmp_path, monkeypatch, capsys, data, option, sentence):
         monkeypatch.setattr(main, "_configure", lambda: None)
         jb.save_model(paper(), tmp_path / "model.toml")
         (tmp_path / "run.csv").write_text("t,u1,y1,y2\n0,0,0,0\n")
         write(tmp_path / "run", *recording())
         where = data if data == "-" else str(tmp_path / data)
-        argv = ["detect", str(tmp_path / "model.toml"), where, "--out", str(tmp_path / "out"), "--workers", "2", *option]
+        argv = [
+            "detect",
+            str(tmp_path / "model.toml"),
+            where,
+            "--out",
+            str(tmp_path / "out"),
+            "--workers",
+            "2",
+            *option,
+        ]
         assert main.main(argv) == 2
         assert re.search(sentence, capsys.readouterr().err)
 
@@ -232,7 +298,9 @@ class TestCommand:
 class TestMany:
     @pytest.mark.long
     def test_twenty_kills(self, case, one, client, tmp_path, monkeypatch):
-        """Workers are killed at random while a recording is judged again and again; each run ends with the same bytes."""
+        """Workers are killed at random while a recording is judged again and again; each run ends with the
+        same bytes.
+        """
         r, folder, _, _ = case("section 5")
         monkeypatch.setattr(streaming, "PART", 64)
         detect_dataset(r, folder, tmp_path / "alone")
@@ -247,7 +315,9 @@ class TestMany:
 
         while len(killed) < 20:
             detect_dataset(r, folder, tmp_path / str(runs), client=client, progress=reap)
-            assert parts_of(tmp_path / str(runs) / "verdicts.parquet") == parts_of(tmp_path / "alone/verdicts.parquet")
+            assert parts_of(tmp_path / str(runs) / "verdicts.parquet") == parts_of(
+                tmp_path / "alone/verdicts.parquet"
+            )
             runs += 1
         assert len(set(killed)) > 10 and runs < 20
 
@@ -264,7 +334,9 @@ class TestMany:
                 if share > 0.3:
                     process.kill()
 
-            with pytest.raises(ConnectionError, match=f"the scheduler {address} is gone: what is done is kept"):
+            with pytest.raises(
+                ConnectionError, match=f"the scheduler {address} is gone: what is done is kept"
+            ):
                 detect_dataset(r, folder, tmp_path / "out", client=first, progress=kill)
         made = {p.name: p.stat().st_mtime_ns for p in part_files(tmp_path / "out/verdicts.partial")}
         assert 0.3 * len(whole) <= len(made) < len(whole)
@@ -286,8 +358,22 @@ class _scheduler:
         file = self.folder / "scheduler.json"
         dask = [sys.executable, "-m", "dask"]
         told = {"cwd": self.folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self.processes = [subprocess.Popen([*dask, "scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)], **told)]
-        worker = [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard", "--death-timeout", "60"]
+        self.processes = [
+            subprocess.Popen(
+                [*dask, "scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)], **told
+            )
+        ]
+        worker = [
+            *dask,
+            "worker",
+            "--scheduler-file",
+            str(file),
+            "--nthreads",
+            "1",
+            "--no-dashboard",
+            "--death-timeout",
+            "60",
+        ]
         self.processes += [subprocess.Popen(worker, **told) for _ in range(2)]
         for _ in range(600):
             if file.exists() and (text := file.read_text()):

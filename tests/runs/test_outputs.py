@@ -1,4 +1,6 @@
-"""What a command may write: never an input, never a file of somebody else, nothing half, and nothing beside another command."""
+"""What a command may write: never an input, never a file of somebody else, nothing half, and nothing beside
+another command.
+"""
 
 import errno
 import io
@@ -28,12 +30,16 @@ MODEL = "# bounds measured by hand\n"  # a comment that no program would write a
 
 
 def csv_text(samples=60):
-    return "t,u1,y1,y2\n" + "".join(f"{k / 100},0,{(-1) ** k * 0.05},{(-1) ** k * -0.005}\n" for k in range(samples))
+    return "t,u1,y1,y2\n" + "".join(
+        f"{k / 100},0,{(-1) ** k * 0.05},{(-1) ** k * -0.005}\n" for k in range(samples)
+    )
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """Return a folder with a model that somebody commented, a healthy recording and a recording in Parquet; commands run in it."""
+    """Return a folder with a model that somebody commented, a healthy recording and a recording in Parquet;
+    commands run in it.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(main, "_configure", lambda: None)
     monkeypatch.setattr(detecting, "write_report", lambda *args, **options: None)
@@ -53,7 +59,12 @@ def parquet(place):
 @contextmanager
 def untouched(*paths):
     """Check that files keep their bytes."""
-    before = {p: p.read_bytes() for path in paths for p in ([path] if path.is_file() else path.rglob("*")) if p.is_file()}
+    before = {
+        p: p.read_bytes()
+        for path in paths
+        for p in ([path] if path.is_file() else path.rglob("*"))
+        if p.is_file()
+    }
     assert before
     yield
     assert {p: p.read_bytes() for p in before} == before
@@ -71,21 +82,34 @@ PARQUET = ["detect", "model.toml", "parts", "--out", "out"]
 FIT = ["fit", "run.csv", "--inputs", "u1", "--outputs", "y1", "--horizon", "4", "--out"]
 WRITTEN = {"verdicts.csv", "alarms.csv", "run.json", "tested_model.toml"}
 TUNE = ["tune", "model.toml", "run.csv", "--steps", "0", "--out"]
-NAMES = {"itself": lambda p, q: Path(p), "a link": lambda p, q: q.symlink_to(p), "a hard link": lambda p, q: q.hardlink_to(p)}
+NAMES = {
+    "itself": lambda p, q: Path(p),
+    "a link": lambda p, q: q.symlink_to(p),
+    "a hard link": lambda p, q: q.hardlink_to(p),
+}
 
 
 class TestOneFile:
     @pytest.mark.parametrize("name", NAMES)
-    @pytest.mark.parametrize("args, victim", [
-        ([*FIT], "run.csv"), ([*FIT, "new.toml", "--plot"], "run.csv"), ([*TUNE], "run.csv"), ([*TUNE], "model.toml"),
-        ([*TUNE, "new.toml", "--plot"], "model.toml"), ([*TUNE, "new.toml", "--faulty", "model.toml", "--plot"], "run.csv"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "args, victim",
+        [
+            ([*FIT], "run.csv"),
+            ([*FIT, "new.toml", "--plot"], "run.csv"),
+            ([*TUNE], "run.csv"),
+            ([*TUNE], "model.toml"),
+            ([*TUNE, "new.toml", "--plot"], "model.toml"),
+            ([*TUNE, "new.toml", "--faulty", "model.toml", "--plot"], "run.csv"),
+        ],
+    )
     def test_an_input_is_never_an_output(self, place, capsys, args, victim, name):
         target = NAMES[name](place / victim, place / "other") or place / "other"
         with untouched(place / victim):
             refused([*args, target, "--force"], "an input is never an output", capsys)
 
-    def test_the_name_in_other_letters_is_the_same_file_where_the_system_says_so(self, place, capsys, monkeypatch):
+    def test_the_name_in_other_letters_is_the_same_file_where_the_system_says_so(
+        self, place, capsys, monkeypatch
+    ):
         """A folder that does not tell RUN.csv from run.csv, as a second name of one file."""
         (place / "RUN.CSV").hardlink_to(place / "run.csv")
         with untouched(place / "run.csv"):
@@ -93,11 +117,21 @@ class TestOneFile:
 
     def test_a_file_in_a_recording_that_is_a_folder_is_a_part_of_it(self, parquet, capsys):
         with untouched(parquet / "parts"):
-            refused(["tune", "model.toml", "parts", "--out", "parts/0.parquet", "--force"], "a part of parts", capsys)
-            refused(["tune", "model.toml", "parts", "--out", "m.toml", "--plot", "parts/9.parquet"], "a part of parts", capsys)
+            refused(
+                ["tune", "model.toml", "parts", "--out", "parts/0.parquet", "--force"],
+                "a part of parts",
+                capsys,
+            )
+            refused(
+                ["tune", "model.toml", "parts", "--out", "m.toml", "--plot", "parts/9.parquet"],
+                "a part of parts",
+                capsys,
+            )
 
     @pytest.mark.parametrize(
-        "args", [FIT, TUNE, [*FIT, "new.toml", "--plot"], [*TUNE, "new.toml", "--plot"]], ids=lambda a: f"{a[0]}{a[-1]}"
+        "args",
+        [FIT, TUNE, [*FIT, "new.toml", "--plot"], [*TUNE, "new.toml", "--plot"]],
+        ids=lambda a: f"{a[0]}{a[-1]}",
     )
     def test_what_is_there_is_replaced_with_force_only(self, place, capsys, args):
         (place / "mine").write_text(MODEL)
@@ -140,13 +174,24 @@ class TestOneFile:
             refused([*TUNE, "mine.toml", "--force"], "mine.toml: no space left on device", capsys)
         assert not [p for p in place.iterdir() if p.name.startswith(".")]
 
-    @pytest.mark.parametrize("args", [
-        ["detect", "model.toml", "run.csv", "--out", ""], ["demo", "--out", ""],
-        ["study", "model.toml", "--faults", "y1:bias", "--out", ""],
-        ["fleet", "run.csv", "--out", ""], [*FIT, ""], [*FIT, "m.toml", "--plot", ""], [*TUNE, ""], ["explain", "", "--at", "3"],
-        ["detect", "model.toml", "", "--out", "out"], ["detect", "", "run.csv", "--out", "out"], ["info", ""],
-        ["detect", "model.toml", "-", "--state", ""],
-    ], ids=lambda args: " ".join(args[-2:]))  # fmt: skip
+    @pytest.mark.parametrize(
+        "args",
+        [
+            ["detect", "model.toml", "run.csv", "--out", ""],
+            ["demo", "--out", ""],
+            ["study", "model.toml", "--faults", "y1:bias", "--out", ""],
+            ["fleet", "run.csv", "--out", ""],
+            [*FIT, ""],
+            [*FIT, "m.toml", "--plot", ""],
+            [*TUNE, ""],
+            ["explain", "", "--at", "3"],
+            ["detect", "model.toml", "", "--out", "out"],
+            ["detect", "", "run.csv", "--out", "out"],
+            ["info", ""],
+            ["detect", "model.toml", "-", "--state", ""],
+        ],
+        ids=lambda args: " ".join(args[-2:]),
+    )
     def test_an_empty_name_is_none(self, place, capsys, args):
         before = sorted(p.name for p in place.iterdir())
         refused(args, "needs a name, not an empty text", capsys)
@@ -154,7 +199,9 @@ class TestOneFile:
 
 
 class TestFolder:
-    @pytest.mark.parametrize("name", ["verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml"])
+    @pytest.mark.parametrize(
+        "name", ["verdicts.csv", "alarms.csv", "report.html", "run.json", "tested_model.toml"]
+    )
     def test_somebody_elses_file_is_in_the_way(self, place, capsys, name):
         (place / "out").mkdir()
         (place / "out" / name).write_text("years of work")
@@ -170,7 +217,9 @@ class TestFolder:
             refused(DETECT, "is in the way", capsys)
         assert (place / "out/verdicts.csv").is_symlink()
 
-    @pytest.mark.parametrize("name", [".jaxbound-lock", ".jaxbound.json", ".jaxbound-work", ".jaxbound-part-of-the-list"])
+    @pytest.mark.parametrize(
+        "name", [".jaxbound-lock", ".jaxbound.json", ".jaxbound-work", ".jaxbound-part-of-the-list"]
+    )
     @pytest.mark.parametrize("link", ["a link", "a hard link", "a link to nothing", "a link to a folder"])
     def test_no_link_under_a_name_of_ours_is_followed(self, place, capsys, name, link):
         """Before, a link called .jaxbound-lock had its target emptied."""
@@ -182,7 +231,11 @@ class TestFolder:
         (place / "files" / ".before").write_text("years of work")
         target = {"a link to nothing": "nothing", "a link to a folder": "files"}.get(link, "precious")
         NAMES["a hard link" if link == "a hard link" else "a link"](place / target, place / "out" / name)
-        sentence = "is no list of jaxbound's files" if (name, link) == (".jaxbound.json", "a hard link") else "is in the way"
+        sentence = (
+            "is no list of jaxbound's files"
+            if (name, link) == (".jaxbound.json", "a hard link")
+            else "is in the way"
+        )
         with untouched(place / "precious", place / "files"):
             refused(DETECT, sentence, capsys)
             refused(["fleet", "units.csv", "--out", "out"], sentence, capsys)
@@ -216,21 +269,36 @@ class TestFolder:
             shutil.copytree(parquet / "parts", parquet / "out", dirs_exist_ok=True)
             (parquet / "out" / name).write_text(csv_text())
             with untouched(parquet / "out"):
-                refused(["detect", "model.toml", f"out/{name}", "--out", "out"], "an input is never an output", capsys)
+                refused(
+                    ["detect", "model.toml", f"out/{name}", "--out", "out"],
+                    "an input is never an output",
+                    capsys,
+                )
         shutil.copytree(parquet / "parts", parquet / "in/verdicts.parquet")
         with untouched(parquet / "in"):
-            refused(["detect", "model.toml", "in/verdicts.parquet", "--out", "in"], "an input is never an output", capsys)
+            refused(
+                ["detect", "model.toml", "in/verdicts.parquet", "--out", "in"],
+                "an input is never an output",
+                capsys,
+            )
 
     def test_our_own_verdicts_are_an_input_too(self, place, capsys):
         """A list that names them gives no right to what is read."""
         assert main.main(DETECT) == 0
         with untouched(place / "out"):
-            refused(["detect", "model.toml", "out/verdicts.csv", "--out", "out"], "an input is never an output", capsys)
+            refused(
+                ["detect", "model.toml", "out/verdicts.csv", "--out", "out"],
+                "an input is never an output",
+                capsys,
+            )
 
     def test_standard_input_from_a_file_is_an_input(self, place, capsys):
         (place / "out").mkdir()
         (place / "out/verdicts.csv").write_text(csv_text())
-        code = "import sys; from jaxbound.cli.main import main; sys.exit(main(['detect', 'model.toml', '-', '--out', 'out']))"
+        code = (
+            "import sys; from jaxbound.cli.main import main; sys.exit(main(['detect', 'model.toml', '-', "
+            "'--out', 'out']))"
+        )
         with untouched(place / "out/verdicts.csv"), open("out/verdicts.csv") as f:
             done = subprocess.run([sys.executable, "-c", code], stdin=f, capture_output=True, text=True)
         assert done.returncode == 2 and "an input is never an output" in done.stderr
@@ -248,12 +316,22 @@ class TestFolder:
         with untouched(place / "model.toml"):
             assert main.main(["detect", "model.toml", "-", "--out", "out", "--state", state]) == 2
         out, err = capsys.readouterr()
-        assert out == "" and ("an input is never" in err or "is where the verdicts are written" in err) and not (place / "out").exists()
+        assert (
+            out == ""
+            and ("an input is never" in err or "is where the verdicts are written" in err)
+            and not (place / "out").exists()
+        )
 
     def test_a_state_may_lie_in_a_folder_that_is_made(self, place, capsysbinary, monkeypatch):
         monkeypatch.setattr(pipe, "_chunks", lambda *args: [csv_text().encode()])
         assert main.main(["detect", "model.toml", "-", "--out", "out", "--state", "out/s.jsonl"]) == 0
-        assert {p.name for p in (place / "out").iterdir()} == {".jaxbound.json", "verdicts.csv", "s.jsonl", "run.json", "tested_model.toml"}
+        assert {p.name for p in (place / "out").iterdir()} == {
+            ".jaxbound.json",
+            "verdicts.csv",
+            "s.jsonl",
+            "run.json",
+            "tested_model.toml",
+        }
 
     def test_the_model_that_was_tested_may_be_tested_again(self, place, capsys):
         assert main.main(DETECT) == 0
@@ -266,7 +344,11 @@ class TestFolder:
         assert main.main(DETECT) == 0
         (place / "out/alarms.csv").write_text((place / "out/alarms.csv").read_text() + "seen by Ann\n")
         with untouched(place / "out"):
-            refused(DETECT, "out/alarms.csv is in the way: it was not written by jaxbound, or was changed since", capsys)
+            refused(
+                DETECT,
+                "out/alarms.csv is in the way: it was not written by jaxbound, or was changed since",
+                capsys,
+            )
 
     def test_a_copy_of_a_report_is_known_again(self, place, capsys):
         assert main.main(DETECT) == 0
@@ -289,13 +371,19 @@ class TestFolder:
         with untouched(place / "out"):
             refused(DETECT, "is no list of jaxbound's files", capsys)
 
-    @pytest.mark.parametrize("args, name", [
-        (["demo", "--runs", "1", "--out", "out"], "run.csv"), (["demo", "--runs", "1", "--out", "out"], "model.toml"),
-        (["study", "model.toml", "--faults", "y1:bias", "--out", "out"], "summary.csv"),
-        (["study", "model.toml", "--faults", "y1:bias", "--out", "out"], "report.html"),
-        (["fleet", "units.csv", "--out", "out"], "fleet.csv"), (["fleet", "units.csv", "--out", "out"], "fleet.html"),
-        ([*DETECT, "--method", "validation"], "alarms.csv"),
-    ], ids=lambda x: x if isinstance(x, str) else x[0])  # fmt: skip
+    @pytest.mark.parametrize(
+        "args, name",
+        [
+            (["demo", "--runs", "1", "--out", "out"], "run.csv"),
+            (["demo", "--runs", "1", "--out", "out"], "model.toml"),
+            (["study", "model.toml", "--faults", "y1:bias", "--out", "out"], "summary.csv"),
+            (["study", "model.toml", "--faults", "y1:bias", "--out", "out"], "report.html"),
+            (["fleet", "units.csv", "--out", "out"], "fleet.csv"),
+            (["fleet", "units.csv", "--out", "out"], "fleet.html"),
+            ([*DETECT, "--method", "validation"], "alarms.csv"),
+        ],
+        ids=lambda x: x if isinstance(x, str) else x[0],
+    )
     def test_no_command_replaces_what_it_did_not_write(self, place, capsys, args, name):
         (place / "units.csv").write_text("unit,model,recording\na,model.toml,run.csv\n")
         (place / "out").mkdir()
@@ -313,8 +401,23 @@ class TestFolder:
         (place / "out/scenarios").mkdir(parents=True)
         (place / "out/scenarios/part-00000.parquet").write_text("years of work")
         with untouched(place / "out"):
-            refused(["study", "model.toml", "--faults", "y1:bias", "--rows", "--n", "10", "--samples", "40", "--out", "out"],
-                    "holds part-00000.parquet, which is not of this study", capsys)  # fmt: skip
+            refused(
+                [
+                    "study",
+                    "model.toml",
+                    "--faults",
+                    "y1:bias",
+                    "--rows",
+                    "--n",
+                    "10",
+                    "--samples",
+                    "40",
+                    "--out",
+                    "out",
+                ],
+                "holds part-00000.parquet, which is not of this study",
+                capsys,
+            )
 
     def test_a_certificate_replaces_no_file_of_somebody(self, place, capsys):
         assert main.main(DETECT) == 0
@@ -324,10 +427,16 @@ class TestFolder:
         with untouched(place / "out"):
             refused(explain, "--json prints the certificate instead", capsys)
 
-    def test_a_report_that_cannot_be_written_into_says_so_without_options_of_others(self, place, capsys, monkeypatch):
+    def test_a_report_that_cannot_be_written_into_says_so_without_options_of_others(
+        self, place, capsys, monkeypatch
+    ):
         assert main.main(DETECT) == 0
         monkeypatch.setattr(os, "access", lambda *args: False)
-        refused(["explain", "out", "--at", "30"], "cannot write into out: permission denied; --json prints", capsys)
+        refused(
+            ["explain", "out", "--at", "30"],
+            "cannot write into out: permission denied; --json prints",
+            capsys,
+        )
 
     def test_verdicts_of_the_library_replace_no_folder_of_somebody(self, parquet):
         (parquet / "out/verdicts.parquet").mkdir(parents=True)
@@ -353,7 +462,9 @@ class TestNothingHalf:
     @pytest.mark.parametrize("after", range(4))
     def test_a_disk_that_is_full_in_the_end_leaves_the_older_report(self, place, capsys, monkeypatch, after):
         assert main.main(DETECT) == 0
-        (place / "run.csv").write_text(csv_text(50))  # other verdicts, another run.json: each has to leave its place, and one to take it
+        (place / "run.csv").write_text(
+            csv_text(50)
+        )  # other verdicts, another run.json: each has to leave its place, and one to take it
         before = {p.name: p.read_bytes() for p in (place / "out").iterdir() if p.name[0] != "."}
         with monkeypatch.context() as patch:
             self.full(patch, after)
@@ -370,12 +481,19 @@ class TestNothingHalf:
         """A mount point with room for verdicts, not for their report."""
         disk = place / "disk"
         disk.mkdir()
-        if os.geteuid() or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", disk], capture_output=True).returncode:
+        if (
+            os.geteuid()
+            or subprocess.run(
+                ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", disk], capture_output=True
+            ).returncode
+        ):
             pytest.skip("mounting a small disk needs rights that are not given here")
         try:
             (place / "long.csv").write_text(csv_text(5000))
             (disk / "mine.txt").write_text("mine")
-            refused(["detect", "model.toml", "long.csv", "--out", disk], "disk: no space left on device", capsys)
+            refused(
+                ["detect", "model.toml", "long.csv", "--out", disk], "disk: no space left on device", capsys
+            )
             assert os.listdir(disk) == ["mine.txt"]
             assert main.main(["detect", "model.toml", "run.csv", "--out", str(disk)]) == 0
         finally:
@@ -389,7 +507,10 @@ class TestNothingHalf:
 
         monkeypatch.setattr(detecting, "write_report", meanwhile)
         assert main.main(DETECT) == 0 and codes == [2]
-        assert f"another jaxbound, process {os.getpid()}, is writing into out: wait for it" in capsys.readouterr().err
+        assert (
+            f"another jaxbound, process {os.getpid()}, is writing into out: wait for it"
+            in capsys.readouterr().err
+        )
         assert (place / "out/verdicts.csv").exists() and not (place / "out/.jaxbound-lock").exists()
 
     def test_what_a_killed_command_left_is_found_and_removed(self, place, capsys):
@@ -431,19 +552,26 @@ class TestSignals:
         signal.signal(signal.SIGHUP, before)
 
     def stopped_by(self, number, monkeypatch):
-        monkeypatch.setattr(detecting, "write_report", lambda *a, **k: (os.kill(os.getpid(), number), time.sleep(5)))
+        monkeypatch.setattr(
+            detecting, "write_report", lambda *a, **k: (os.kill(os.getpid(), number), time.sleep(5))
+        )
         return main.main(DETECT)
 
     @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
     def test_they_clean_up_as_ctrl_c_does(self, place, capsys, monkeypatch, number, code):
         before = signal.getsignal(number)
         assert self.stopped_by(number, monkeypatch) == code and signal.getsignal(number) == before
-        assert capsys.readouterr().err == "jaxbound: interrupted: nothing was written\n" and not (place / "out").exists()
+        assert (
+            capsys.readouterr().err == "jaxbound: interrupted: nothing was written\n"
+            and not (place / "out").exists()
+        )
 
     def test_what_is_ignored_stays_ignored(self, place, capsys, monkeypatch):
         before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
         try:
-            monkeypatch.setattr(detecting, "write_report", lambda *a, **k: os.kill(os.getpid(), signal.SIGHUP))
+            monkeypatch.setattr(
+                detecting, "write_report", lambda *a, **k: os.kill(os.getpid(), signal.SIGHUP)
+            )
             assert main.main(DETECT) == 0 and (place / "out/verdicts.csv").exists()
         finally:
             signal.signal(signal.SIGHUP, before)
@@ -504,7 +632,9 @@ class TestSignals:
         process.kill()
         process.wait()
         process.stdout.close()
-        assert (place / "out/.jaxbound-work/verdicts.csv").exists() and not (place / "out/verdicts.csv").exists()
+        assert (place / "out/.jaxbound-work/verdicts.csv").exists() and not (
+            place / "out/verdicts.csv"
+        ).exists()
         assert main.main(DETECT) == 0
         assert {p.name for p in (place / "out").iterdir()} == {
             ".jaxbound.json",
@@ -517,16 +647,24 @@ class TestSignals:
     @pytest.mark.slow
     @pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
     def test_from_a_shell(self, place, number, code):
-        process = subprocess.Popen([sys.executable, "-c", SLOW], cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", SLOW], cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
         assert process.stdout.read(5) == b"ready"
         process.send_signal(number)
         err = process.communicate(timeout=60)[1]
-        assert process.returncode == code and err == b"jaxbound: interrupted: nothing was written\n" and not (place / "out").exists()
+        assert (
+            process.returncode == code
+            and err == b"jaxbound: interrupted: nothing was written\n"
+            and not (place / "out").exists()
+        )
 
 
 def test_models_and_states_are_written_whole(place, monkeypatch):
     (place / "other.toml").write_text(MODEL)
-    monkeypatch.setattr(os, "fsync", lambda fd: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left on device")))
+    monkeypatch.setattr(
+        os, "fsync", lambda fd: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left on device"))
+    )
     with untouched(place / "other.toml"), pytest.raises(OSError, match="No space"):
         jb.save_model(paper(), place / "other.toml")
     assert not list(place.glob(".other*"))

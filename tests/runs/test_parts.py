@@ -1,4 +1,6 @@
-"""Shares of one recording, made apart and merged: the bytes of one process, and a sentence wherever that cannot be."""
+"""Shares of one recording, made apart and merged: the bytes of one process, and a sentence wherever that
+cannot be.
+"""
 
 import json
 import re
@@ -37,7 +39,9 @@ class TestSameBytes:
     def test_as_one_process_writes(self, case, one, tmp_path, n, chunk):
         r, folder, _, _ = case("section 5")
         made = shares(case, tmp_path, n, chunk=chunk)
-        assert sorted(p.name for files in made for p in files) == [f"part-{k:05d}.parquet" for k in range(COUNT)]
+        assert sorted(p.name for files in made for p in files) == [
+            f"part-{k:05d}.parquet" for k in range(COUNT)
+        ]
         found = detect_dataset(r, folder, tmp_path, merge=True)
         assert parts_of(tmp_path / "verdicts.parquet") == parts_of(one[0] / "verdicts.parquet")
         assert {p.name for p in tmp_path.iterdir()} == {"verdicts.parquet", ".jaxbound.json"}
@@ -55,7 +59,9 @@ class TestSameBytes:
         detect_dataset(r, folder, tmp_path, part=(1, 3))
         detect_dataset(r, folder, tmp_path, part=(4, 4))
         tested = []
-        monkeypatch.setattr(judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
+        monkeypatch.setattr(
+            judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k)
+        )
         assert detect_dataset(r, folder, tmp_path).counts == whole.counts
         assert sum(tested) == 2 * 1024 + r.horizon  # parts 2 and 3, and the window before them
         assert parts_of(tmp_path / "verdicts.parquet") == parts_of(one[0] / "verdicts.parquet")
@@ -93,12 +99,35 @@ class TestSameBytes:
 
 
 class TestMissing:
-    @pytest.mark.parametrize("made, n, sentence", [
-        ((1, 3), 3, "lacks part-00002.parquet and part-00003.parquet, 2 of 6 parts: the same without merge makes only these"),
-        ((2, 3, 4, 5), 6, "lacks part-00000.parquet and part-00005.parquet, 2 of 6 parts: the same without merge makes only these"),
-        ((1,), 6, "lacks part-00001.parquet to part-00005.parquet, 5 of 6 parts: the same without merge makes only these"),
-        ((), 2, "lacks part-00000.parquet to part-00005.parquet, 6 of 6 parts: the same without merge makes only these"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "made, n, sentence",
+        [
+            (
+                (1, 3),
+                3,
+                "lacks part-00002.parquet and part-00003.parquet, 2 of 6 parts: the same without merge makes "
+                "only these",
+            ),
+            (
+                (2, 3, 4, 5),
+                6,
+                "lacks part-00000.parquet and part-00005.parquet, 2 of 6 parts: the same without merge makes "
+                "only these",
+            ),
+            (
+                (1,),
+                6,
+                "lacks part-00001.parquet to part-00005.parquet, 5 of 6 parts: the same without merge makes "
+                "only these",
+            ),
+            (
+                (),
+                2,
+                "lacks part-00000.parquet to part-00005.parquet, 6 of 6 parts: the same without merge makes "
+                "only these",
+            ),
+        ],
+    )
     def test_parts_are_named_and_what_makes_them(self, case, tmp_path, made, n, sentence):
         r, folder, _, _ = case("section 5")
         for i in made:
@@ -123,7 +152,10 @@ class TestMissing:
         assert str(shared.value) == str(alone.value)
         for i in range(2, 6):
             detect_dataset(r, folder, tmp_path / "out", chunk=500, part=(i, 6))
-        with pytest.raises(ValueError, match=r"lacks part-00005.parquet, 1 of 6 parts: the same without merge makes only these"):
+        with pytest.raises(
+            ValueError,
+            match=r"lacks part-00005.parquet, 1 of 6 parts: the same without merge makes only these",
+        ):
             detect_dataset(r, folder, tmp_path / "out", merge=True)
 
     def test_a_share_that_was_stopped_goes_on_and_what_is_there_stays(self, case, one, tmp_path, monkeypatch):
@@ -132,9 +164,13 @@ class TestMissing:
             detect_dataset(r, folder, tmp_path, part=(2, 2), chunk=300, progress=stopped_after(0.5))
         kept = {p: p.stat().st_mtime_ns for p in part_files(tmp_path / "verdicts.partial")}
         assert [p.name for p in kept] == ["part-00003.parquet"]
-        (tmp_path / "verdicts.partial/.part-00004.parquet.jaxbound-part").write_bytes(b"PAR1 and half of the rest")  # kill -9
+        (tmp_path / "verdicts.partial/.part-00004.parquet.jaxbound-part").write_bytes(
+            b"PAR1 and half of the rest"
+        )  # kill -9
         tested = []
-        monkeypatch.setattr(judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
+        monkeypatch.setattr(
+            judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k)
+        )
         shares(case, tmp_path, 2, chunk=N)
         assert sum(tested) == N - 1024 + r.horizon and {p: p.stat().st_mtime_ns for p in kept} == kept
         detect_dataset(r, folder, tmp_path, merge=True)
@@ -148,7 +184,9 @@ class TestAnother:
         detect_dataset(other, folder, tmp_path, part=(2, 2))
         kept = parts_of(tmp_path / "verdicts.partial")
         for options in ({"part": (1, 2)}, {"merge": True}, {}):
-            with pytest.raises(ValueError, match="part-00003.parquet is of another model: choose another place, or delete it"):
+            with pytest.raises(
+                ValueError, match="part-00003.parquet is of another model: choose another place, or delete it"
+            ):
                 detect_dataset(r, folder, tmp_path, **options)
         assert parts_of(tmp_path / "verdicts.partial") == kept
 
@@ -184,7 +222,9 @@ class TestAnother:
         chunk = pq.read_metadata(folder / "3.parquet").row_group(2).column(2)
         data[chunk.data_page_offset + chunk.total_compressed_size - 9] ^= 1
         (folder / "3.parquet").write_bytes(data)
-        with pytest.raises(ValueError, match="part-00005.parquet is of another content of the recording: choose"):
+        with pytest.raises(
+            ValueError, match="part-00005.parquet is of another content of the recording: choose"
+        ):
             detect_dataset(r, folder, tmp_path / "out", merge=True)
 
     def test_a_part_under_another_number_is_refused(self, case, tmp_path):
@@ -202,7 +242,9 @@ def test_a_share_reads_no_more_of_the_recording_than_it_judges(case, tmp_path, m
     """Not even to know it again: of the bytes, few are digested by more than one of many shares."""
     monkeypatch.setattr(contents, "BLOCK", 4096)
     digested = []
-    monkeypatch.setattr(contents, "_digest", lambda file, at, f=contents._digest: digested.append((file, at)) or f(file, at))
+    monkeypatch.setattr(
+        contents, "_digest", lambda file, at, f=contents._digest: digested.append((file, at)) or f(file, at)
+    )
     each = [len(digested) for _ in shares(case, tmp_path, 6)]
     blocks = sum(-(-p.stat().st_size // 4096) for p in case("section 5")[1].iterdir())
     assert len(set(digested)) == blocks and each == sorted(each)
@@ -213,13 +255,17 @@ class TestDoor:
     @pytest.mark.parametrize("part", [(0, 2), (3, 2), (1, 0), (1.0, 2), (True, 2), (1,), 1, "1/2"])
     def test_a_share_that_is_none(self, case, tmp_path, part):
         r, folder, _, _ = case("section 5")
-        with pytest.raises(ValueError, match=r"part is \(i, n\), the i-th of n shares with 1 <= i <= n, not "):
+        with pytest.raises(
+            ValueError, match=r"part is \(i, n\), the i-th of n shares with 1 <= i <= n, not "
+        ):
             detect_dataset(r, folder, tmp_path / "out", part=part)
         assert not (tmp_path / "out").exists()
 
     def test_part_and_merge_together(self, case, tmp_path):
         r, folder, _, _ = case("section 5")
-        with pytest.raises(ValueError, match="part makes verdicts and merge reports on them: give one of the two"):
+        with pytest.raises(
+            ValueError, match="part makes verdicts and merge reports on them: give one of the two"
+        ):
             detect_dataset(r, folder, tmp_path, part=(1, 2), merge=True)
 
     def test_a_share_keeps_away_who_merges_and_not_another_share(self, case, tmp_path):
@@ -242,7 +288,9 @@ class TestDoor:
 def place(tmp_path, monkeypatch, case):
     """Return a folder with model.toml and the recording run, in which commands run."""
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(detecting, "write_report", lambda work, *args, **options: (work / "report.html").touch())
+    monkeypatch.setattr(
+        detecting, "write_report", lambda work, *args, **options: (work / "report.html").touch()
+    )
     monkeypatch.chdir(tmp_path)
     jb.save_model(paper(), tmp_path / "model.toml")
     (tmp_path / "run").symlink_to(case("section 5")[1])
@@ -263,29 +311,42 @@ class TestCommand:
         assert main.main([*DETECT, "out", "--merge", "--alarm", "2/3", "--json"]) == 1
         merged = json.loads(capsys.readouterr().out)
         assert {**merged, "seconds": 0, "out": 0} == {**alone, "seconds": 0, "out": 0}
-        files = lambda out: {p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and p.name[0] != "."}
+        files = lambda out: {
+            p.relative_to(out).as_posix(): p.read_bytes()
+            for p in out.rglob("*")
+            if p.is_file() and p.name[0] != "."
+        }
         assert files(place / "out") == files(place / "one") and "alarms.csv" in files(place / "out")
         assert {p.name for p in (place / "out").iterdir()} == {p.name for p in (place / "one").iterdir()}
 
     def test_a_share_says_what_it_did_and_what_comes_next(self, place, capsys):
         assert main.main([*DETECT, "out", "--part", "2/3", "--horizon", "2"]) == 0
         said = capsys.readouterr().out
-        assert said.startswith("Part 2/3 is done: the verdicts of samples 2048 to 4095 are in out/verdicts.partial\n")
+        assert said.startswith(
+            "Part 2/3 is done: the verdicts of samples 2048 to 4095 are in out/verdicts.partial\n"
+        )
         assert "jaxbound detect model.toml run --out out --horizon 2 --merge" in said
 
     def test_a_share_of_nothing_is_done(self, place, capsys):
         assert main.main([*DETECT, "out", "--part", "1/7"]) == 0
-        assert "Part 1/7 is done: there are 6 parts, and none of them is in this share" in capsys.readouterr().out
+        assert (
+            "Part 1/7 is done: there are 6 parts, and none of them is in this share"
+            in capsys.readouterr().out
+        )
         assert not (place / "out").exists()
 
     def test_a_missing_part_is_2_and_what_makes_it(self, place, capsys):
         main.main([*DETECT, "out", "--part", "1/2"])
         capsys.readouterr()
         assert main.main([*DETECT, "out", "--merge"]) == 2
-        assert capsys.readouterr() == ("", (
-            "jaxbound: out/verdicts.partial lacks part-00003.parquet to part-00005.parquet, 3 of 6 parts: the same without merge "
-            "makes only these\n"
-        ))  # fmt: skip
+        assert capsys.readouterr() == (
+            "",
+            (
+                "jaxbound: out/verdicts.partial lacks part-00003.parquet to part-00005.parquet, 3 of 6 "
+                "parts: the same without merge "
+                "makes only these\n"
+            ),
+        )
 
     def test_interrupted_it_says_how_to_go_on(self, place, capsys, monkeypatch):
         calls = []
@@ -299,19 +360,38 @@ class TestCommand:
         monkeypatch.setattr(judges, "detect", detect)
         assert main.main([*DETECT, "out", "--part", "1/2", "--chunk", "500"]) == 130
         assert capsys.readouterr().err == (
-            "jaxbound: interrupted: what part 1/2 has done is kept in out/verdicts.partial; the same command goes on from there\n"
+            "jaxbound: interrupted: what part 1/2 has done is kept in out/verdicts.partial; the same command "
+            "goes on from there\n"
         )
 
-    @pytest.mark.parametrize("args, sentence", [
-        (("run.csv", "--out", "out", "--part", "1/2"), "--part is for Parquet: run.csv is read as a whole"),
-        (("run.csv", "--out", "out", "--merge"), "--merge is for Parquet: run.csv is read as a whole"),
-        (("-", "--out", "out", "--part", "1/2"), "--part is for recordings: give a file instead of -"),
-        (("-", "--out", "out", "--merge"), "--merge is for recordings: give a file instead of -"),
-        (("run", "--out", "out", "--part", "1/2", "--method", "validation"), "--part is for other methods: validation reads run"),
-        (("run", "--out", "out", "--part", "1/2", "--merge"), "--merge reports on what --part makes: give one of the two"),
-        (("run", "--out", "out", "--part", "3/2"), "--part needs i/n with 1 <= i <= n, like 2/3, not '3/2'"),
-        (("run", "--out", "run/0.parquet", "--part", "1/2"), "run/0.parquet is a file: a folder is needed"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "args, sentence",
+        [
+            (
+                ("run.csv", "--out", "out", "--part", "1/2"),
+                "--part is for Parquet: run.csv is read as a whole",
+            ),
+            (("run.csv", "--out", "out", "--merge"), "--merge is for Parquet: run.csv is read as a whole"),
+            (("-", "--out", "out", "--part", "1/2"), "--part is for recordings: give a file instead of -"),
+            (("-", "--out", "out", "--merge"), "--merge is for recordings: give a file instead of -"),
+            (
+                ("run", "--out", "out", "--part", "1/2", "--method", "validation"),
+                "--part is for other methods: validation reads run",
+            ),
+            (
+                ("run", "--out", "out", "--part", "1/2", "--merge"),
+                "--merge reports on what --part makes: give one of the two",
+            ),
+            (
+                ("run", "--out", "out", "--part", "3/2"),
+                "--part needs i/n with 1 <= i <= n, like 2/3, not '3/2'",
+            ),
+            (
+                ("run", "--out", "run/0.parquet", "--part", "1/2"),
+                "run/0.parquet is a file: a folder is needed",
+            ),
+        ],
+    )
     def test_where_there_are_no_shares(self, place, capsys, args, sentence):
         (place / "run.csv").write_text("t,u1,y1,y2\n0,0,0,0\n0.01,0,0,0\n")
         assert main.main(["detect", "model.toml", *args]) == 2
@@ -322,7 +402,10 @@ class TestCommand:
         (place / "out/verdicts.partial/mine.txt").write_text("mine")
         for option in (("--part", "1/2"), ("--merge",)):
             assert main.main([*DETECT, "out", *option]) == 2
-            assert "out/verdicts.partial holds mine.txt, which was not written by jaxbound: move it" in capsys.readouterr().err
+            assert (
+                "out/verdicts.partial holds mine.txt, which was not written by jaxbound: move it"
+                in capsys.readouterr().err
+            )
 
 
 def test_a_part_made_by_another_share_meanwhile_is_looked_at_before_it_is_replaced(case, tmp_path):
@@ -343,4 +426,7 @@ def test_killed_shares_leave_no_lock(case, tmp_path):
     shares(case, tmp_path, 2)
     (tmp_path / ".jaxbound-lock").write_text("1")
     assert detect_dataset(r, folder, tmp_path, merge=True).counts == whole.counts
-    assert not (tmp_path / ".jaxbound-lock").exists() and verdicts(tmp_path)[0].tobytes() == whole.status.tobytes()
+    assert (
+        not (tmp_path / ".jaxbound-lock").exists()
+        and verdicts(tmp_path)[0].tobytes() == whole.status.tobytes()
+    )

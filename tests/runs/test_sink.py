@@ -14,7 +14,11 @@ from jaxbound.runs.runfile import load_run
 from jaxbound.runs.sink import SINKS, Sink, register
 
 MODEL = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1)
-COMMANDS = {"csv": ["run.csv"], "parquet": ["run.parquet"], "validation": ["run.csv", "--method", "validation"]}
+COMMANDS = {
+    "csv": ["run.csv"],
+    "parquet": ["run.parquet"],
+    "validation": ["run.csv", "--method", "validation"],
+}
 
 
 @pytest.fixture
@@ -44,7 +48,9 @@ def plain():
 
 @pytest.mark.parametrize("options", COMMANDS.values(), ids=COMMANDS)
 def test_a_new_output_is_one_small_class(place, plain, options):
-    codes = [main.main(["detect", "model.toml", *options, "--out", "out"]) for _ in range(2)]  # the second replaces what the first wrote
+    codes = [
+        main.main(["detect", "model.toml", *options, "--out", "out"]) for _ in range(2)
+    ]  # the second replaces what the first wrote
     assert codes[0] == codes[1] in (0, 1)
     assert sum(json.loads((place / "out/summary.json").read_text())["counts"].values()) == 8
     assert "summary.json" in (place / "out/.jaxbound.json").read_text()
@@ -52,7 +58,15 @@ def test_a_new_output_is_one_small_class(place, plain, options):
 
 def test_a_pipe_writes_a_new_output_where_it_ends(place, plain):
     args = dict(
-        model="model.toml", data="-", out=Path("out"), state=None, horizon=None, lags=None, method="joint", min_coverage=0.5, json=False
+        model="model.toml",
+        data="-",
+        out=Path("out"),
+        state=None,
+        horizon=None,
+        lags=None,
+        method="joint",
+        min_coverage=0.5,
+        json=False,
     )
     head, *rows = (place / "run.csv").read_bytes().splitlines(True)
     for part, samples in ((rows[:5], 5), (rows[5:], 8)):  # the second process goes on behind the first

@@ -1,4 +1,6 @@
-"""Recordings larger than memory: the verdicts of one piece, whatever the chunks, and again after any interruption."""
+"""Recordings larger than memory: the verdicts of one piece, whatever the chunks, and again after any
+interruption.
+"""
 
 import os
 import shutil
@@ -43,13 +45,19 @@ class TestSameVerdicts:
     @pytest.mark.parametrize("name", MODELS)
     def test_one_piece_has_something_to_compare(self, case, name):
         whole = case(name)[2]
-        expected = {jb.Status.MISSING, jb.Status.FAULT, jb.Status.UNDECIDED if whole.method == "box" else jb.Status.CONSISTENT}
+        expected = {
+            jb.Status.MISSING,
+            jb.Status.FAULT,
+            jb.Status.UNDECIDED if whole.method == "box" else jb.Status.CONSISTENT,
+        }
         assert expected <= set(whole.status)
 
     @pytest.mark.parametrize("name", MODELS)
     def test_whatever_the_chunks(self, case, name, small, tmp_path, rng):
         r, folder, whole, _ = case(name)
-        for chunk in (int(rng.integers(150, 500)), 1000, N) if name == "section 5" else (int(rng.integers(700, 2000)),):
+        for chunk in (
+            (int(rng.integers(150, 500)), 1000, N) if name == "section 5" else (int(rng.integers(700, 2000)),)
+        ):
             found = detect_dataset(r, folder, tmp_path / str(chunk), method=whole.method, chunk=chunk)
             status, margin = verdicts(tmp_path / str(chunk))
             assert status.tobytes() == whole.status.tobytes() and found.counts == whole.counts
@@ -83,7 +91,9 @@ class TestSameVerdicts:
     def test_time_is_written_as_it_was_read(self, case, small, tmp_path):
         r, folder, _, whole = case("section 5")
         detect_dataset(r, folder, tmp_path / "out")
-        np.testing.assert_array_equal(pq.read_table(tmp_path / "out/verdicts.parquet")["time"].to_numpy(), whole.time)
+        np.testing.assert_array_equal(
+            pq.read_table(tmp_path / "out/verdicts.parquet")["time"].to_numpy(), whole.time
+        )
 
 
 class TestDigest:
@@ -91,20 +101,36 @@ class TestDigest:
     def test_alarms_are_those_of_one_piece(self, case, small, tmp_path, k, n):
         r, folder, whole, rec = case("section 5")
         partial, _ = write_parts(r, open_parquet(folder, r.model), tmp_path)
-        found = digest(r, open_parquet(folder, r.model), partial, alarm=(k, n), alarms_csv=tmp_path / "streamed.csv")
+        found = digest(
+            r, open_parquet(folder, r.model), partial, alarm=(k, n), alarms_csv=tmp_path / "streamed.csv"
+        )
         alarms = whole.alarms(k, n)
         write_alarms(tmp_path / "whole.csv", alarms, rec, r.model.dt)
         assert (tmp_path / "streamed.csv").read_text() == (tmp_path / "whole.csv").read_text()
-        assert found.alarm_count == len(alarms) and all(a in alarms for a in found.alarms) and found.alarms[0] == alarms[0]
+        assert (
+            found.alarm_count == len(alarms)
+            and all(a in alarms for a in found.alarms)
+            and found.alarms[0] == alarms[0]
+        )
         deepest = sorted(a.depth for a in alarms)[:200]
         assert sorted(a.depth for a in found.alarms)[: len(deepest)] == deepest and len(found.alarms) <= 201
 
     def test_everything_else_too(self, case, small, tmp_path):
         r, folder, whole, rec = case("section 5")
         found = detect_dataset(r, folder, tmp_path / "out", chunk=777)
-        assert found.worst == (evidence(whole, ()).at, evidence(whole, ()).margin) and found.counts == whole.counts and found.samples == N
-        assert found.hints == rec.hints and any("stays at exactly" in h for h in found.hints) and any("gap" in h for h in found.hints)
-        assert [found.label(k) for k in (0, 2999, 3000, 4321, N - 1)] == [rec.label(k) for k in (0, 2999, 3000, 4321, N - 1)]
+        assert (
+            found.worst == (evidence(whole, ()).at, evidence(whole, ()).margin)
+            and found.counts == whole.counts
+            and found.samples == N
+        )
+        assert (
+            found.hints == rec.hints
+            and any("stays at exactly" in h for h in found.hints)
+            and any("gap" in h for h in found.hints)
+        )
+        assert [found.label(k) for k in (0, 2999, 3000, 4321, N - 1)] == [
+            rec.label(k) for k in (0, 2999, 3000, 4321, N - 1)
+        ]
         line = Timeline(N)
         line.add(0, rec.axis, whole.status, whole.margin)
         line.mark([a.worst for a in whole.alarms()])
@@ -125,10 +151,15 @@ class TestDigest:
 
     def test_all_fault_is_one_alarm_and_none_is_none(self, small, tmp_path):
         model = paper()
-        for name, y in (("healthy", np.zeros((N, 2))), ("wild", np.tile([[9.0, -9.0], [-9.0, 9.0]], (N // 2, 1)))):
+        for name, y in (
+            ("healthy", np.zeros((N, 2))),
+            ("wild", np.tile([[9.0, -9.0], [-9.0, 9.0]], (N // 2, 1))),
+        ):
             folder = write(tmp_path / name, 0.01 * np.arange(N), np.zeros((N, 1)), y)
             found = detect_dataset(jb.parity_relations(model), folder, tmp_path / f"{name} out", chunk=999)
-            assert [(a.start, a.end, a.windows) for a in found.alarms] == ([(1, N - 1, N - 1)] if name == "wild" else [])
+            assert [(a.start, a.end, a.windows) for a in found.alarms] == (
+                [(1, N - 1, N - 1)] if name == "wild" else []
+            )
 
     def test_runs_survive_their_way_through_a_file(self, case, small, tmp_path):
         r, folder, _, rec = case("section 5")
@@ -136,7 +167,12 @@ class TestDigest:
         last = read_runs(part_files(partial))
         for runs, x in zip(last, (rec.u[:, 0], rec.y[:, 0], rec.y[:, 1]), strict=True):
             once = follow(Runs(), x)
-            assert (runs.samples, runs.present, runs.longest, runs.last) == (once.samples, once.present, once.longest, once.last)
+            assert (runs.samples, runs.present, runs.longest, runs.last) == (
+                once.samples,
+                once.present,
+                once.longest,
+                once.last,
+            )
             np.testing.assert_array_equal(runs.counts, once.counts)
 
 
@@ -150,17 +186,24 @@ def test_windows_of_another_device_are_decided_again_chunk_by_chunk(case, small,
     (said,) = (hint for hint in found.hints if "decided again" in hint)
     count = int(said.split("; ")[1].split()[0])
     assert said.startswith("judged on gpu; ") and 100 <= count < 130 and found.counts == whole.counts
-    detect = lambda *a, **k: (res := jb.detect(*a, **k), res.status.__setitem__(res.status == jb.Status.CONSISTENT, jb.Status.FAULT))[0]
+    detect = lambda *a, **k: (
+        res := jb.detect(*a, **k),
+        res.status.__setitem__(res.status == jb.Status.CONSISTENT, jb.Status.FAULT),
+    )[0]
     monkeypatch.setattr(judges, "detect", detect)
     with pytest.raises(RuntimeError, match="windows were decided otherwise on the CPU"):
         detect_dataset(r, folder, tmp_path / "wrong")
 
 
 class TestResume:
-    def test_stopped_anywhere_it_goes_on_without_losing_or_repeating_a_window(self, case, small, tmp_path, rng, monkeypatch):
+    def test_stopped_anywhere_it_goes_on_without_losing_or_repeating_a_window(
+        self, case, small, tmp_path, rng, monkeypatch
+    ):
         r, folder, whole, _ = case("section 5")
         tested = []
-        monkeypatch.setattr(judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k))
+        monkeypatch.setattr(
+            judges, "detect", lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k)
+        )
         source, out = open_parquet(folder, r.model), tmp_path / "out"
         for share in np.sort(rng.uniform(0.1, 0.95, 3)):
             before = len(part_files(out / "verdicts.partial"))
@@ -168,7 +211,9 @@ class TestResume:
             with pytest.raises(Stop):
                 write_parts(r, source, out, chunk=int(rng.integers(200, 900)), progress=stopped_after(share))
             assert len(part_files(out / "verdicts.partial")) >= before
-            assert sum(tested) < (share + 0.3) * N - 1024 * before + len(tested) * 2  # parts that are there are not tested again
+            assert (
+                sum(tested) < (share + 0.3) * N - 1024 * before + len(tested) * 2
+            )  # parts that are there are not tested again
         write_parts(r, source, out, chunk=400)
         parts = part_files(out / "verdicts.partial")
         assert [pq.read_metadata(p).num_rows for p in parts] == [1024] * 5 + [N - 5 * 1024]
@@ -184,7 +229,9 @@ class TestResume:
         r, folder, whole, _ = case("section 5")
         with pytest.raises(Stop):
             write_parts(r, open_parquet(folder, r.model), tmp_path, chunk=500, progress=stopped_after(0.5))
-        (tmp_path / "verdicts.partial/.part-00003.parquet.jaxbound-part").write_bytes(b"PAR1 and half of the rest")
+        (tmp_path / "verdicts.partial/.part-00003.parquet.jaxbound-part").write_bytes(
+            b"PAR1 and half of the rest"
+        )
         detect_dataset(r, folder, tmp_path)
         np.testing.assert_array_equal(verdicts(tmp_path)[0], whole.status)
         assert {p.suffix for p in (tmp_path / "verdicts.parquet").iterdir()} == {".parquet"}
@@ -194,12 +241,20 @@ class TestResume:
         write_parts(r, open_parquet(folder, r.model), tmp_path)
         assert detect_dataset(r, folder, tmp_path).counts == whole.counts
 
-    @pytest.mark.parametrize("change, what", [
-        ("matrix", "another model"), ("offset", "another model"),
-        ("horizon", "another horizon"), ("bounds", "another model"), ("method", "another method"),
-        ("content", "another content of the recording"), ("another file", "another recording"),
-        ("version", "another version of jaxbound"), ("precision", "another precision"),
-    ])  # fmt: skip
+    @pytest.mark.parametrize(
+        "change, what",
+        [
+            ("matrix", "another model"),
+            ("offset", "another model"),
+            ("horizon", "another horizon"),
+            ("bounds", "another model"),
+            ("method", "another method"),
+            ("content", "another content of the recording"),
+            ("another file", "another recording"),
+            ("version", "another version of jaxbound"),
+            ("precision", "another precision"),
+        ],
+    )
     def test_another_run_is_not_continued(self, case, small, tmp_path, monkeypatch, change, what):
         r, folder, _, _ = case("section 5")
         folder = shutil.copytree(folder, tmp_path / "copy")
@@ -225,7 +280,9 @@ class TestResume:
             monkeypatch.setattr(jb, "__version__", "0.0.1")
         elif change == "precision":
             monkeypatch.setattr(identity.jax.dtypes, "canonicalize_dtype", lambda kind: np.dtype(np.float32))
-        with pytest.raises(ValueError, match=f"part-00000.parquet is of {what}: choose another place, or delete it"):
+        with pytest.raises(
+            ValueError, match=f"part-00000.parquet is of {what}: choose another place, or delete it"
+        ):
             detect_dataset(r, folder, tmp_path, method=method)
         assert part_files(tmp_path / "verdicts.partial") == kept != []
 
@@ -241,7 +298,9 @@ class TestResume:
     def test_a_recording_that_grows_meanwhile_is_refused(self, case, small, tmp_path):
         r, folder, _, _ = case("section 5")
         folder = shutil.copytree(folder, tmp_path / "copy")
-        touch = lambda share: share > 0.5 and (folder / "0.parquet").write_bytes((folder / "0.parquet").read_bytes() + b" ")
+        touch = lambda share: (
+            share > 0.5 and (folder / "0.parquet").write_bytes((folder / "0.parquet").read_bytes() + b" ")
+        )
         with pytest.raises(ValueError, match="0.parquet has changed since it was opened: test it again"):
             write_parts(r, open_parquet(folder, r.model), tmp_path / "out", chunk=500, progress=touch)
         assert not any((tmp_path / "out").iterdir())
@@ -251,7 +310,10 @@ class TestResume:
         write_parts(r, open_parquet(folder, r.model), tmp_path)
         part = part_files(tmp_path / "verdicts.partial")[2]
         edited_in_place(part)
-        with pytest.raises(ValueError, match="part-00002.parquet is a damaged Parquet file: .* CRC checksum verification failed"):
+        with pytest.raises(
+            ValueError,
+            match="part-00002.parquet is a damaged Parquet file: .* CRC checksum verification failed",
+        ):
             detect_dataset(r, folder, tmp_path)
 
     def test_a_finished_run_is_replaced(self, case, small, tmp_path):
@@ -296,7 +358,9 @@ class TestResume:
         assert detect_dataset(r, folder, tmp_path, chunk=500).counts == whole.counts
 
     def test_other_relations_are_refused(self, case, tmp_path):
-        with pytest.raises(TypeError, match="needs relations of a model, whose verdicts can be kept, not LinearSystem"):
+        with pytest.raises(
+            TypeError, match="needs relations of a model, whose verdicts can be kept, not LinearSystem"
+        ):
             detect_dataset(paper(), case("section 5")[1], tmp_path)
 
     def test_a_method_that_does_not_apply_is_refused_before_anything_is_written(self, case, tmp_path):

@@ -24,7 +24,8 @@ class TestSummary:
         res = synthetic([MISSING] + [CONSISTENT] * 9, [np.nan] + [0.4] * 8 + [0.2])
         assert summary(res, [], self.label) == (
             "no fault",
-            "No fault found: the model explains all 9 windows within its bounds; the tightest, at sample 9, uses 80 % of them.",
+            "No fault found: the model explains all 9 windows within its bounds; the tightest, at sample 9, "
+            "uses 80 % of them.",
         )
 
     def test_fault(self):
@@ -36,7 +37,8 @@ class TestSummary:
     def test_all_fault_says_that_model_or_bounds_do_not_fit(self):
         res = synthetic([MISSING] + [FAULT] * 9, [np.nan] + [-1.0] * 8 + [-11.0])
         assert summary(res, [], self.label)[1] == (
-            "Every one of the 9 windows with data is FAULT: the model or its bounds do not fit this recording: "
+            "Every one of the 9 windows with data is FAULT: the model or its bounds do not fit this "
+            "recording: "
             "all bounds times about 12 would make every window consistent."
         )
 
@@ -46,7 +48,10 @@ class TestSummary:
         r = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
         res = jb.detect(r, None, y)
         assert res.counts["FAULT"] == 29
-        said = re.search("all bounds times about ([0-9.]+) would make every window consistent", summary(res, [], self.label)[1])
+        said = re.search(
+            "all bounds times about ([0-9.]+) would make every window consistent",
+            summary(res, [], self.label)[1],
+        )
         for share, left in ((0.99, True), (1.01, False)):
             wider = jb.detect(r.with_bounds({"noise": 0.1 * share * float(said[1])}), None, y)
             assert (wider.counts["FAULT"] > 0) == left
@@ -63,12 +68,32 @@ class TestSummary:
 
     def test_nothing_at_all(self):
         res = synthetic([MISSING] * 5)
-        assert summary(res, [], self.label)[0] == "too little evidence" and summarised(res, [], self.label).worst is None
+        assert (
+            summary(res, [], self.label)[0] == "too little evidence"
+            and summarised(res, [], self.label).worst is None
+        )
 
     def test_numbers_read_well(self):
-        assert [percent(x) for x in (0, 1e-9, 0.1234, 0.99999, 1)] == ["0 %", "<0.1 %", "12.3 %", ">99.9 %", "100 %"]
-        assert [times(x) for x in (1.0004, 2.149, 12345.6, 3e12)] == ["1.0004 times", "2.15 times", "12,346 times", "3e+12 times"]
-        assert [duration(x) for x in (0.01, 90, 600, 9000, 10**6)] == ["0.01 s", "90 s", "10 min", "2.5 h", "11.6 d"]
+        assert [percent(x) for x in (0, 1e-9, 0.1234, 0.99999, 1)] == [
+            "0 %",
+            "<0.1 %",
+            "12.3 %",
+            ">99.9 %",
+            "100 %",
+        ]
+        assert [times(x) for x in (1.0004, 2.149, 12345.6, 3e12)] == [
+            "1.0004 times",
+            "2.15 times",
+            "12,346 times",
+            "3e+12 times",
+        ]
+        assert [duration(x) for x in (0.01, 90, 600, 9000, 10**6)] == [
+            "0.01 s",
+            "90 s",
+            "10 min",
+            "2.5 h",
+            "11.6 d",
+        ]
 
     def test_bounds_that_nobody_can_mean(self):
         assert bound_hints(paper()) == []
@@ -83,12 +108,28 @@ class TestSummary:
 
 
 def test_bounds_from_data_are_asked_whether_they_hold_so_long():
-    """They were found for windows of four samples: longer ones, and an observer, may contradict what is healthy."""
-    fitted = jb.LinearSystem([["0.9"]], None, [[1]], noise=1, horizon=3, provenance={"noise": "fitted to 2 recordings"})
+    """They were found for windows of four samples: longer ones, and an observer, may contradict what is
+    healthy.
+    """
+    fitted = jb.LinearSystem(
+        [["0.9"]], None, [[1]], noise=1, horizon=3, provenance={"noise": "fitted to 2 recordings"}
+    )
     stated = fitted.replace(provenance={"noise": "data sheet"})
-    longer, lags = jb.parity_relations(fitted, 8), jb.parity_relations(fitted.replace(horizon=None), lags=(0, 3, 9))
-    assert bound_hints(fitted, jb.parity_relations(fitted, 3)) == bound_hints(fitted) == bound_hints(stated, longer) == []
+    longer, lags = (
+        jb.parity_relations(fitted, 8),
+        jb.parity_relations(fitted.replace(horizon=None), lags=(0, 3, 9)),
+    )
+    assert (
+        bound_hints(fitted, jb.parity_relations(fitted, 3))
+        == bound_hints(fitted)
+        == bound_hints(stated, longer)
+        == []
+    )
     (said,) = bound_hints(fitted, longer)
-    assert said.startswith("the bounds were found from data for windows of 4 samples, and these windows reach over 9: ")
-    assert said.endswith("fit again with --horizon 8") and bound_hints(fitted, lags)[0].endswith("fit again with --lags 0,3,9")
+    assert said.startswith(
+        "the bounds were found from data for windows of 4 samples, and these windows reach over 9: "
+    )
+    assert said.endswith("fit again with --horizon 8") and bound_hints(fitted, lags)[0].endswith(
+        "fit again with --lags 0,3,9"
+    )
     assert "an observer looks back on all samples" in bound_hints(fitted, jb.observer(fitted))[0]

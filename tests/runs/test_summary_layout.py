@@ -14,14 +14,32 @@ from jaxbound.runs.summary import LAYOUT, Evidence, Summary, evidence, said, sum
 
 T = 40
 MODEL = jb.LinearSystem([[0.5]], [[1]], [[1], [2]], noise=0.1, columns={"where": "y2 < 100"}, name="tank")
-KEYS = ["layout", "verdict", "exit_code", "summary", "model", "method", "horizon", "samples", "counts", "decided", "margin", "worst",
-        "alarms", "first_alarm", "last_ended", "hints"]  # fmt: skip
+KEYS = [
+    "layout",
+    "verdict",
+    "exit_code",
+    "summary",
+    "model",
+    "method",
+    "horizon",
+    "samples",
+    "counts",
+    "decided",
+    "margin",
+    "worst",
+    "alarms",
+    "first_alarm",
+    "last_ended",
+    "hints",
+]
 LAST = ["ended", "always_seen"]
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """Leave a model, a recording with a gap, an excluded stretch and a fault, and a fleet of it in a folder; draw nothing."""
+    """Leave a model, a recording with a gap, an excluded stretch and a fault, and a fleet of it in a folder;
+    draw nothing.
+    """
     for name in ("write_report", "write_page"):
         monkeypatch.setattr(detect, name, lambda *args, **options: None)
     monkeypatch.setattr(main, "_configure", lambda: None)
@@ -31,7 +49,9 @@ def place(tmp_path, monkeypatch):
     y = np.stack([x, 2 * x], 1)
     y[30, 0] += 5
     y[[8, 9], 1] = 1e3
-    time = np.arange(T) + np.where(np.arange(T) < 24, 0.0, 60.0)  # stretches of at most 16 samples: one compiled size
+    time = np.arange(T) + np.where(
+        np.arange(T) < 24, 0.0, 60.0
+    )  # stretches of at most 16 samples: one compiled size
     frame = pd.DataFrame({"time": time, "u1": u, "y1": y[:, 0], "y2": y[:, 1]})
     frame.to_csv(tmp_path / "run.csv", index=False)
     frame.to_parquet(tmp_path / "run.parquet")
@@ -50,23 +70,42 @@ def shell(capsys, *args):
 def test_every_command_has_one_layout(place, capsys):
     about = ["data", "seconds", "out"]
     code, whole = shell(capsys, "detect", "m.toml", "run.csv")
-    assert code == whole["exit_code"] == 1 and list(whole) == [*KEYS, *about, *LAST] and whole["layout"] == LAYOUT == 1
+    assert (
+        code == whole["exit_code"] == 1
+        and list(whole) == [*KEYS, *about, *LAST]
+        and whole["layout"] == LAYOUT == 1
+    )
     _, parts = shell(capsys, "detect", "m.toml", "run.parquet")
     other = ("data", "seconds", "hints")  # rows of a CSV file are counted with the header
-    assert {k: v for k, v in whole.items() if k not in other} == {k: v for k, v in parts.items() if k not in other}
+    assert {k: v for k, v in whole.items() if k not in other} == {
+        k: v for k, v in parts.items() if k not in other
+    }
     _, fleet = shell(capsys, "fleet", "fleet.csv")
     unit, untested = fleet["units"]
     assert fleet["layout"] == 1 and list(unit) == list(untested) == ["unit", *KEYS, *LAST, "recording"]
     alike = [k for k in (*KEYS, "ended") if k not in ("hints", "model")]
     assert {k: unit[k] for k in alike} == {k: whole[k] for k in alike}
-    assert untested["verdict"] == "not tested" and untested["counts"] == dict.fromkeys(whole["counts"], 0) and untested["worst"] is None
+    assert (
+        untested["verdict"] == "not tested"
+        and untested["counts"] == dict.fromkeys(whole["counts"], 0)
+        and untested["worst"] is None
+    )
     _, validated = shell(capsys, "detect", "m.toml", "run.csv", "--method", "validation")
     assert list(validated) == [*KEYS, "tested", "faulty", *about, *LAST] and validated["faulty"] == {"y1": 1}
 
 
 def test_the_pipe_says_what_detect_says(place, capsys):
     _, whole = shell(capsys, "detect", "m.toml", "run.csv")
-    args = argparse.Namespace(model="m.toml", horizon=None, lags=None, method="joint", out=None, state=None, min_coverage=0.5, json=False)
+    args = argparse.Namespace(
+        model="m.toml",
+        horizon=None,
+        lags=None,
+        method="joint",
+        out=None,
+        state=None,
+        min_coverage=0.5,
+        json=False,
+    )
     assert follow(args, [(place / "run.csv").read_bytes()]) == 1
     assert whole["summary"] in " ".join(capsys.readouterr().err.split())
 
@@ -74,10 +113,22 @@ def test_the_pipe_says_what_detect_says(place, capsys):
 def test_numbers_agree_with_the_verdicts(place):
     res = jb.detect(jb.parity_relations(MODEL), jb.read("run.csv", MODEL))
     found = evidence(res, alarms := res.alarms())
-    assert found.windows == T - res.relations.horizon - res.aside < T and found.counts == res.counts and found.alarms == len(alarms)
-    assert found.at == np.nanargmin(np.where(res.status == jb.Status.FAULT, res.margin, np.nan)) and found.first == 30
+    assert (
+        found.windows == T - res.relations.horizon - res.aside < T
+        and found.counts == res.counts
+        and found.alarms == len(alarms)
+    )
+    assert (
+        found.at == np.nanargmin(np.where(res.status == jb.Status.FAULT, res.margin, np.nan))
+        and found.first == 30
+    )
     summary = summarised(res, alarms, "sample {}".format)
-    assert summary.verdict == "fault" and summary.exit_code == 1 and summary.first_alarm == "sample 30" and summary.worst.sample == found.at
+    assert (
+        summary.verdict == "fault"
+        and summary.exit_code == 1
+        and summary.first_alarm == "sample 30"
+        and summary.worst.sample == found.at
+    )
 
 
 def test_nothing_to_test_is_too_little_evidence_of_no_windows():

@@ -1,4 +1,6 @@
-"""What the tests of the sets share: numbers that break floating-point code, exact members of intervals, ways to run a kernel."""
+"""What the tests of the sets share: numbers that break floating-point code, exact members of intervals, ways
+to run a kernel.
+"""
 
 import math
 from fractions import Fraction
@@ -8,16 +10,38 @@ import jax.numpy as jnp
 import numpy as np
 
 DTYPES = (np.float32, np.float64)
-MODES = {"eager": lambda f: lambda *args: f(*jax.tree.map(jnp.asarray, args)), "jit": jax.jit, "vmap": lambda f: jax.jit(jax.vmap(f))}
+MODES = {
+    "eager": lambda f: lambda *args: f(*jax.tree.map(jnp.asarray, args)),
+    "jit": jax.jit,
+    "vmap": lambda f: jax.jit(jax.vmap(f)),
+}
 BEYOND = Fraction(10) ** 400  # a real number that no float reaches: every half-line has such members
 
 
 def corners(dtype):
-    """Return finite corners of a dtype, both signs: zeros, the ends of the normal range, powers at which reciprocals underflow."""
+    """Return finite corners of a dtype, both signs: zeros, the ends of the normal range, powers at which
+    reciprocals underflow.
+    """
     info = np.finfo(dtype)
     root = 2.0 ** (info.maxexp // 2)
-    positive = [0, info.tiny, 2 * info.tiny, 1 / root, 0.1, 1 / 3, 1 - info.epsneg, 1, 1 + info.eps, 3, root, root * (1 + info.eps),
-                0.3 * info.max, 0.83 * info.max, 0.95 * info.max, info.max]  # fmt: skip
+    positive = [
+        0,
+        info.tiny,
+        2 * info.tiny,
+        1 / root,
+        0.1,
+        1 / 3,
+        1 - info.epsneg,
+        1,
+        1 + info.eps,
+        3,
+        root,
+        root * (1 + info.eps),
+        0.3 * info.max,
+        0.83 * info.max,
+        0.95 * info.max,
+        info.max,
+    ]
     return np.array([sign * float(x) for x in positive for sign in (1, -1)], dtype)
 
 
@@ -54,7 +78,9 @@ def bounds(rng, dtype, count, unbounded=True):
 
 
 def members(lo, hi):
-    """Return exact members of [lo, hi]: its ends (or numbers beyond all floats), 0 and 1 if inside, the middle."""
+    """Return exact members of [lo, hi]: its ends (or numbers beyond all floats), 0 and 1 if inside, the
+    middle.
+    """
     lo, hi = float(lo), float(hi)
     ends = [-BEYOND if lo == -math.inf else Fraction(lo), BEYOND if hi == math.inf else Fraction(hi)]
     inner = [Fraction(v) for v in (0, 1) if ends[0] < v < ends[1]]
@@ -62,7 +88,9 @@ def members(lo, hi):
 
 
 def in_blocks(kernel, count, *arrays):
-    """Run a compiled kernel on blocks of one size, the last one filled up, so that arrays of any length share one compilation."""
+    """Run a compiled kernel on blocks of one size, the last one filled up, so that arrays of any length share
+    one compilation.
+    """
     total = len(arrays[0])
     rows = np.resize(np.arange(total), -(-total // count) * count)
     parts = [kernel(*(a[rows[k : k + count]] for a in arrays)) for k in range(0, len(rows), count)]
@@ -70,16 +98,27 @@ def in_blocks(kernel, count, *arrays):
 
 
 def misses(lo, hi, exact):
-    """Return [(place, exact value, lo, hi)] of the exact values that an interval fails to hold; exact: one iterable an entry."""
+    """Return [(place, exact value, lo, hi)] of the exact values that an interval fails to hold; exact: one
+    iterable an entry.
+    """
     lo, hi = np.ravel(lo).tolist(), np.ravel(hi).tolist()
     assert len(lo) == len(hi) == len(exact), (len(lo), len(hi), len(exact))
-    return [(i, v, a, b) for i, (a, b, values) in enumerate(zip(lo, hi, exact, strict=True)) for v in values if not a <= v <= b]
+    return [
+        (i, v, a, b)
+        for i, (a, b, values) in enumerate(zip(lo, hi, exact, strict=True))
+        for v in values
+        if not a <= v <= b
+    ]
 
 
 def far(lo, hi, exact, relative, absolute):
-    """Return the places at which a bound is further than relative |v| + absolute from the exact range (least, largest)."""
+    """Return the places at which a bound is further than relative |v| + absolute from the exact range (least,
+    largest).
+    """
     bad = []
-    for i, (a, b, (least, largest)) in enumerate(zip(np.ravel(lo).tolist(), np.ravel(hi).tolist(), exact, strict=True)):
+    for i, (a, b, (least, largest)) in enumerate(
+        zip(np.ravel(lo).tolist(), np.ravel(hi).tolist(), exact, strict=True)
+    ):
         for got, v in ((a, least), (b, largest)):
             if not math.isfinite(got) or abs(Fraction(got) - v) > relative * abs(v) + absolute:
                 bad.append((i, got, float(v)))

@@ -1,6 +1,8 @@
-"""Functions of known range: each as a user writes it in JAX, and once more for 200-bit balls (python-flint), with where its extremes are.
+"""Functions of known range: each as a user writes it in JAX, and once more for 200-bit balls (python-flint),
+with where its extremes are.
 
-`least` and `greatest` list, for each output, a point of the box in exact numbers at which the extreme is attained.
+`least` and `greatest` list, for each output, a point of the box in exact numbers at which the extreme is
+attained.
 """
 
 from dataclasses import dataclass
@@ -52,7 +54,10 @@ def network(z):
 
 
 def network_ball(z):
-    hidden = [(sum((const(w) * x for w, x in zip(row, z, strict=True)), arb(0)) + const(b)).tanh() for row, b in zip(W1, B1, strict=True)]
+    hidden = [
+        (sum((const(w) * x for w, x in zip(row, z, strict=True)), arb(0)) + const(b)).tanh()
+        for row, b in zip(W1, B1, strict=True)
+    ]
     return [sum((const(w) * h for w, h in zip(row, hidden, strict=True)), arb(0)) for row in W2]
 
 
@@ -65,7 +70,12 @@ def tanks(x):
 
 def tanks_ball(x):
     q = [v.sqrt() / 4 for v in x]
-    return [x[0] + (arb(1) / 8 - q[0]) / 2, x[1] + (q[0] - q[1]) / 2, x[2] + (arb(1) / 16 - q[2]) / 2, x[3] + (q[2] - q[3]) / 2]
+    return [
+        x[0] + (arb(1) / 8 - q[0]) / 2,
+        x[1] + (q[0] - q[1]) / 2,
+        x[2] + (arb(1) / 16 - q[2]) / 2,
+        x[3] + (q[2] - q[3]) / 2,
+    ]
 
 
 def van_der_pol(z):
@@ -91,7 +101,9 @@ def scanned_ball(z):
 
 
 def horner(z):
-    return jax.lax.fori_loop(0, 4, lambda i, c: c * z[0] + jnp.asarray([1.0, -2.0, 0.5, 3.0], z.dtype)[i], jnp.zeros((), z.dtype))
+    return jax.lax.fori_loop(
+        0, 4, lambda i, c: c * z[0] + jnp.asarray([1.0, -2.0, 0.5, 3.0], z.dtype)[i], jnp.zeros((), z.dtype)
+    )
 
 
 def horner_ball(z):
@@ -102,7 +114,11 @@ def horner_ball(z):
 
 
 def until_large(z):
-    return jax.lax.while_loop(lambda s: s[0] < z[0], lambda s: (2 * s[0], s[1] + 1.0), (jnp.ones((), z.dtype), jnp.zeros((), z.dtype)))[1]
+    return jax.lax.while_loop(
+        lambda s: s[0] < z[0],
+        lambda s: (2 * s[0], s[1] + 1.0),
+        (jnp.ones((), z.dtype), jnp.zeros((), z.dtype)),
+    )[1]
 
 
 def until_large_ball(z):
@@ -116,24 +132,114 @@ A = np.array([[2.0, 1.0], [1.0, 2.0]])
 ONE = ((1,), (0,))
 CASES = [
     Case("square", lambda z: z[0] ** 2, lambda z: [z[0] ** 2], (-1,), (2,), both(0), both(2)),
-    Case("parabola", lambda z: z[0] * z[0] - z[0], lambda z: [z[0] * (z[0] - 1)], (0,), (1,), both(0.5), both(1)),
-    Case("logistic map", lambda z: z[0] * (1 - z[0]), lambda z: [z[0] * (1 - z[0])], (0,), (1,), both(0), both(0.5)),
-    Case("cubic", lambda z: z[0] ** 3 - 3 * z[0], lambda z: [z[0] ** 3 - 3 * z[0]], (-2,), (2,), both(1), both(-1)),
-    Case("reciprocal", lambda z: 1 / z[0], lambda z: [1 / z[0]], (2,), (4,), both(4), both(2)),
-    Case("rational", lambda z: z[0] / (1 + z[0] ** 2), lambda z: [z[0] / (1 + z[0] * z[0])], (-2,), (2,), both(-1), both(1)),
-    Case("root", lambda z: jnp.sqrt(z[0]), lambda z: [z[0].sqrt()], (0,), (4,), both(0), both(4)),
-    Case("bell", lambda z: jnp.exp(-(z[0] ** 2)), lambda z: [(-z[0] * z[0]).exp()], (-1,), (2,), both(2), both(0)),
-    Case("sine", lambda z: jnp.sin(z[0]), lambda z: [z[0].sin()], (0,), (1.5,), both(0), both(1.5)),
-    Case("sine cosine", lambda z: jnp.sin(z[0]) * jnp.cos(z[0]), lambda z: [z[0].sin() * z[0].cos()], (0,), (1,), both(0), both(PI)),
-    Case("entropy", lambda z: z[0] * jnp.log(z[0]), lambda z: [z[0] * z[0].log()], (0.125,), (1,), both("1/e"), both(1)),
-    Case("saturation", lambda z: jnp.tanh(z[0]) - z[0] / 2, lambda z: [z[0].tanh() - z[0] / 2], (0,), (0.5,), both(0), both(0.5)),
-    Case("angle", lambda z: jnp.arctan2(z[0], z[1]), lambda z: [arb.atan2(z[0], z[1])], (1, 1), (2, 2), both(1, 2), both(2, 1)),
-    Case("rectifier", lambda z: abs(z[0]) - z[0], lambda z: [abs(z[0]) - z[0]], (-1,), (2,), both(1), both(-1)),
-    Case("spread", lambda z: jnp.max(z) - jnp.min(z), lambda z: [max(z) - min(z)], (0, 2), (1, 3), both(1, 2), both(0, 3)),
     Case(
-        "where", lambda z: jnp.where(z[0] > 0, z[0], 2 * z[0]), lambda z: [z[0] if z[0] > 0 else 2 * z[0]], (-1,), (1,), both(-1), both(1)
+        "parabola",
+        lambda z: z[0] * z[0] - z[0],
+        lambda z: [z[0] * (z[0] - 1)],
+        (0,),
+        (1,),
+        both(0.5),
+        both(1),
     ),
-    Case("product", lambda z: z[0] * z[1], lambda z: [z[0] * z[1]], (-1, -3), (2, 1), both(2, -3), both(-1, -3)),
+    Case(
+        "logistic map",
+        lambda z: z[0] * (1 - z[0]),
+        lambda z: [z[0] * (1 - z[0])],
+        (0,),
+        (1,),
+        both(0),
+        both(0.5),
+    ),
+    Case(
+        "cubic",
+        lambda z: z[0] ** 3 - 3 * z[0],
+        lambda z: [z[0] ** 3 - 3 * z[0]],
+        (-2,),
+        (2,),
+        both(1),
+        both(-1),
+    ),
+    Case("reciprocal", lambda z: 1 / z[0], lambda z: [1 / z[0]], (2,), (4,), both(4), both(2)),
+    Case(
+        "rational",
+        lambda z: z[0] / (1 + z[0] ** 2),
+        lambda z: [z[0] / (1 + z[0] * z[0])],
+        (-2,),
+        (2,),
+        both(-1),
+        both(1),
+    ),
+    Case("root", lambda z: jnp.sqrt(z[0]), lambda z: [z[0].sqrt()], (0,), (4,), both(0), both(4)),
+    Case(
+        "bell",
+        lambda z: jnp.exp(-(z[0] ** 2)),
+        lambda z: [(-z[0] * z[0]).exp()],
+        (-1,),
+        (2,),
+        both(2),
+        both(0),
+    ),
+    Case("sine", lambda z: jnp.sin(z[0]), lambda z: [z[0].sin()], (0,), (1.5,), both(0), both(1.5)),
+    Case(
+        "sine cosine",
+        lambda z: jnp.sin(z[0]) * jnp.cos(z[0]),
+        lambda z: [z[0].sin() * z[0].cos()],
+        (0,),
+        (1,),
+        both(0),
+        both(PI),
+    ),
+    Case(
+        "entropy",
+        lambda z: z[0] * jnp.log(z[0]),
+        lambda z: [z[0] * z[0].log()],
+        (0.125,),
+        (1,),
+        both("1/e"),
+        both(1),
+    ),
+    Case(
+        "saturation",
+        lambda z: jnp.tanh(z[0]) - z[0] / 2,
+        lambda z: [z[0].tanh() - z[0] / 2],
+        (0,),
+        (0.5,),
+        both(0),
+        both(0.5),
+    ),
+    Case(
+        "angle",
+        lambda z: jnp.arctan2(z[0], z[1]),
+        lambda z: [arb.atan2(z[0], z[1])],
+        (1, 1),
+        (2, 2),
+        both(1, 2),
+        both(2, 1),
+    ),
+    Case(
+        "rectifier", lambda z: abs(z[0]) - z[0], lambda z: [abs(z[0]) - z[0]], (-1,), (2,), both(1), both(-1)
+    ),
+    Case(
+        "spread",
+        lambda z: jnp.max(z) - jnp.min(z),
+        lambda z: [max(z) - min(z)],
+        (0, 2),
+        (1, 3),
+        both(1, 2),
+        both(0, 3),
+    ),
+    Case(
+        "where",
+        lambda z: jnp.where(z[0] > 0, z[0], 2 * z[0]),
+        lambda z: [z[0] if z[0] > 0 else 2 * z[0]],
+        (-1,),
+        (1,),
+        both(-1),
+        both(1),
+    ),
+    Case(
+        "product", lambda z: z[0] * z[1], lambda z: [z[0] * z[1]], (-1, -3), (2, 1), both(2, -3), both(-1, -3)
+    ),
     Case(
         "figure 1",
         lambda z: jnp.stack([2 * z[0] ** 2 + z[1], z[0] - z[1]]),
@@ -143,10 +249,34 @@ CASES = [
         [(0, 1), (-1, 3)],
         [(2, 3), (2, 1)],
     ),
-    Case("van der pol step", van_der_pol, van_der_pol_ball, (1, -0.5), (1.25, 0.5), [(1, -0.5), (1, -0.5)], [(1.25, 0.5), (1, 0.5)]),
+    Case(
+        "van der pol step",
+        van_der_pol,
+        van_der_pol_ball,
+        (1, -0.5),
+        (1.25, 0.5),
+        [(1, -0.5), (1, -0.5)],
+        [(1.25, 0.5), (1, 0.5)],
+    ),
     Case("tanh network", network, network_ball, (-1, -0.5), (0.5, 1), [(-1, -0.5)] * 2, [(0.5, 1)] * 2),
-    Case("two double tanks", tanks, tanks_ball, (1, 1, 0.5, 0.25), (2, 1.5, 1, 1), [(1, 1, 0.5, 0.25)] * 4, [(2, 1.5, 1, 1)] * 4),
-    Case("scan of 50 steps", scanned, scanned_ball, (0.5, 0.25), (0.625, 0.5), both(0.5, 0.25), both(0.625, 0.5)),
+    Case(
+        "two double tanks",
+        tanks,
+        tanks_ball,
+        (1, 1, 0.5, 0.25),
+        (2, 1.5, 1, 1),
+        [(1, 1, 0.5, 0.25)] * 4,
+        [(2, 1.5, 1, 1)] * 4,
+    ),
+    Case(
+        "scan of 50 steps",
+        scanned,
+        scanned_ball,
+        (0.5, 0.25),
+        (0.625, 0.5),
+        both(0.5, 0.25),
+        both(0.625, 0.5),
+    ),
     Case("horner", horner, horner_ball, (2,), (3,), both(2), both(3)),
     Case(
         "quadratic form",
@@ -157,10 +287,36 @@ CASES = [
         both(0, 0),
         both(1, 1),
     ),
-    Case("norm", lambda z: jnp.linalg.norm(z), lambda z: [(z[0] ** 2 + z[1] ** 2).sqrt()], (3, 4), (3.5, 4.5), both(3, 4), both(3.5, 4.5)),
-    Case("log sum exp", lambda z: jax.nn.logsumexp(z), lambda z: [(z[0].exp() + z[1].exp()).log()], (0, 0), (1, 1), both(0, 0), both(1, 1)),
-    Case("power", lambda z: z[0] ** 0.375, lambda z: [z[0] ** (arb(3) / 8)], (0.5,), (2,), both(0.5), both(2)),
-    Case("sigmoid", lambda z: jax.nn.sigmoid(z[0]), lambda z: [1 / (1 + (-z[0]).exp())], (-1,), (1,), both(-1), both(1)),
+    Case(
+        "norm",
+        lambda z: jnp.linalg.norm(z),
+        lambda z: [(z[0] ** 2 + z[1] ** 2).sqrt()],
+        (3, 4),
+        (3.5, 4.5),
+        both(3, 4),
+        both(3.5, 4.5),
+    ),
+    Case(
+        "log sum exp",
+        lambda z: jax.nn.logsumexp(z),
+        lambda z: [(z[0].exp() + z[1].exp()).log()],
+        (0, 0),
+        (1, 1),
+        both(0, 0),
+        both(1, 1),
+    ),
+    Case(
+        "power", lambda z: z[0] ** 0.375, lambda z: [z[0] ** (arb(3) / 8)], (0.5,), (2,), both(0.5), both(2)
+    ),
+    Case(
+        "sigmoid",
+        lambda z: jax.nn.sigmoid(z[0]),
+        lambda z: [1 / (1 + (-z[0]).exp())],
+        (-1,),
+        (1,),
+        both(-1),
+        both(1),
+    ),
     Case(
         "small differences",
         lambda z: jnp.stack([jnp.expm1(z[0]), jnp.log1p(z[0])]),
@@ -179,7 +335,15 @@ CASES = [
         both(1, 1),
         both(-1, -1),
     ),
-    Case("clip", lambda z: jnp.clip(z[0], 0, 1), lambda z: [min(max(z[0], arb(0)), arb(1))], (-1,), (2,), both(-1), both(2)),
+    Case(
+        "clip",
+        lambda z: jnp.clip(z[0], 0, 1),
+        lambda z: [min(max(z[0], arb(0)), arb(1))],
+        (-1,),
+        (2,),
+        both(-1),
+        both(2),
+    ),
     Case(
         "branch",
         lambda z: jax.lax.cond(z[0] < 0, lambda x: -x, lambda x: 2 * x, z[0]),
@@ -190,7 +354,15 @@ CASES = [
         both(1),
     ),
     Case("while", until_large, until_large_ball, (1.5,), (5,), both(1.5), both(5)),
-    Case("remainder", lambda z: z[0] % 1.0, lambda z: [z[0] - z[0].floor()], (-0.75,), (0.5,), both(0), both(-0.25 / 2)),
+    Case(
+        "remainder",
+        lambda z: z[0] % 1.0,
+        lambda z: [z[0] - z[0].floor()],
+        (-0.75,),
+        (0.5,),
+        both(0),
+        both(-0.25 / 2),
+    ),
     Case(
         "running sum",
         lambda z: jnp.cumsum(z)[::-1][:2],

@@ -13,8 +13,13 @@ from jaxbound import sets
 from jaxbound.sets.intervals.interval import Interval
 
 BINARY = {
-    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": lambda a, b: a / b if b else None, "min": min, "max": max,
-}  # fmt: skip
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": lambda a, b: a / b if b else None,
+    "min": min,
+    "max": max,
+}
 UNARY = {"neg": operator.neg, "abs": abs, "sqr": lambda a: a * a, "recip": lambda a: 1 / a if a else None}
 EMPTY, ENTIRE = (np.inf, -np.inf), (-np.inf, np.inf)
 

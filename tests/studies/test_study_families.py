@@ -1,4 +1,6 @@
-"""tune and study for every family of relations: what works counts and scales as it should, what cannot says why."""
+"""tune and study for every family of relations: what works counts and scales as it should, what cannot says
+why.
+"""
 
 import functools
 
@@ -22,7 +24,9 @@ def residual():
     return jb.residual(recurrence, jb.interval([-0.1, -0.1], [0.1, 0.1]), 1)
 
 
-TWICE = jb.LinearSystem([["0.5"]], None, [[1], [1]], noise="0.1")  # so many relations of 25 samples that they are searched
+TWICE = jb.LinearSystem(
+    [["0.5"]], None, [[1], [1]], noise="0.1"
+)  # so many relations of 25 samples that they are searched
 
 
 STUDIED = {
@@ -37,20 +41,34 @@ STUDIED = {
 }
 
 
-RARELY = {"uncertain": "slow", "constant": "long", "long": "long", "paving": "long", "residual": "long"}  # for the time that they take
+RARELY = {
+    "uncertain": "slow",
+    "constant": "long",
+    "long": "long",
+    "paving": "long",
+    "residual": "long",
+}  # for the time that they take
 
 
 @functools.cache
 def studied(family):
     model, build, method = STUDIED[family]
-    return jb.study(model, "y1:bias", 4, 0, build(model), sizes=[0.0, 5.0], samples=40, onset=30, method=method)
+    return jb.study(
+        model, "y1:bias", 4, 0, build(model), sizes=[0.0, 5.0], samples=40, onset=30, method=method
+    )
 
 
-@pytest.mark.parametrize("family", [pytest.param(f, marks=getattr(pytest.mark, RARELY[f])) if f in RARELY else f for f in STUDIED])
+@pytest.mark.parametrize(
+    "family", [pytest.param(f, marks=getattr(pytest.mark, RARELY[f])) if f in RARELY else f for f in STUDIED]
+)
 def test_a_study_finds_what_is_large_and_alarms_nobody_else(family):
     res = studied(family)
     (tally,) = res.tallies
-    assert tally.detected.tolist() == [0, 2] and res.false_alarms[0] == 0 and res.settings["method"] == STUDIED[family][2]
+    assert (
+        tally.detected.tolist() == [0, 2]
+        and res.false_alarms[0] == 0
+        and res.settings["method"] == STUDIED[family][2]
+    )
 
 
 def test_the_joint_test_guarantees_what_no_other_does():
@@ -86,16 +104,22 @@ def test_tuned_bounds_are_the_smallest_that_explain_the_data(family):
     model, build, _ = STUDIED[family]
     y = np.array([[1.0], [0.8], [0.3], [0.2], [0.05]])
     res = jb.tune(build(model), (None, y), steps=0)
-    assert res.counts["FAULT"] == 0 and not (jb.detect(res.relations, None, y).status == jb.Status.FAULT).any()
+    assert (
+        res.counts["FAULT"] == 0 and not (jb.detect(res.relations, None, y).status == jb.Status.FAULT).any()
+    )
     less = res.relations.with_bounds({name: 0.99 * np.asarray(b) for name, b in res.smallest.items()})
     assert (jb.detect(less, None, y).status == jb.Status.FAULT).any()
 
 
-@pytest.mark.parametrize("relations, says", [
-    (jb.redundancy(EXACT), "tune that, and build the bank of the tuned .model"),
-    (residual(), "no margin to scale or to derive"),
-    (EXACT, "tune needs relations"),
-], ids=["bank", "residual", "model"])  # fmt: skip
+@pytest.mark.parametrize(
+    "relations, says",
+    [
+        (jb.redundancy(EXACT), "tune that, and build the bank of the tuned .model"),
+        (residual(), "no margin to scale or to derive"),
+        (EXACT, "tune needs relations"),
+    ],
+    ids=["bank", "residual", "model"],
+)
 def test_what_cannot_be_tuned_says_why_and_what_to_do(relations, says):
     with pytest.raises(TypeError, match=says):
         jb.tune(relations, (None, [[1.0], [0.8], [0.3]]), steps=0)

@@ -1,6 +1,8 @@
-"""Check certificates with the standard library alone: python -I DIR CERTIFICATE.json... --model MODEL.toml --data RUN.csv
+"""Check certificates with the standard library alone: python -I DIR CERTIFICATE.json... --model MODEL.toml
+--data RUN.csv
 
-DIR is this folder, wherever it lies. Exit codes: 0 every certificate is confirmed, 1 one of them is not, 2 bad usage or files.
+DIR is this folder, wherever it lies. Exit codes: 0 every certificate is confirmed, 1 one of them is not, 2
+bad usage or files.
 """
 
 import sys
@@ -11,7 +13,9 @@ HERE = Path(__file__).resolve().parent
 
 
 def _alone():
-    """Let the files of this folder import each other by their names without the package they belong to, which would import JAX."""
+    """Let the files of this folder import each other by their names without the package they belong to, which
+    would import JAX.
+    """
     name = ""
     for part in ("jaxbound", "certificates", "checker"):
         name = f"{name}.{part}".strip(".")

@@ -1,7 +1,8 @@
-"""FAULT of a model with uncertain parameters: a tree of boxes of them, each with a combination of relations that cannot be 0 in it.
+"""FAULT of a model with uncertain parameters: a tree of boxes of them, each with a combination of relations
+that cannot be 0 in it.
 
-The words are those of `proof`. A relation is a list of polynomials in the parameters, a polynomial a list of [coefficient, number of a
-variable, ..], with a variable squared twice.
+The words are those of `proof`. A relation is a list of polynomials in the parameters, a polynomial a list of
+[coefficient, number of a variable, ..], with a variable squared twice.
 """
 
 from collections.abc import Sequence
@@ -53,8 +54,13 @@ class Polynomial:
         return sum((prod([x, *(v[int(i)] for i in m)]) for m, x in self.terms.items()), F(0))
 
     def span(self, lo: Sequence[F], hi: Sequence[F]) -> tuple[F, F]:
-        """Return (low, high), which holds all values over a box: each monomial around the middle by itself."""
-        v = [Polynomial({(): (a + b) / 2, (i,): (b - a) / 2}) for i, (a, b) in enumerate(zip(lo, hi, strict=True))]
+        """Return (low, high), which holds all values over a box: each monomial around the middle by
+        itself.
+        """
+        v = [
+            Polynomial({(): (a + b) / 2, (i,): (b - a) / 2})
+            for i, (a, b) in enumerate(zip(lo, hi, strict=True))
+        ]
         whole = Polynomial({})
         for m, x in self.terms.items():
             whole = whole + prod([x, *(v[int(i)] for i in m)])

@@ -1,10 +1,11 @@
 """What a certificate claims, built anew from a model and samples: no number of the certificate takes part.
 
-A model is a dict of exact numbers, lists of them and names, as `plain.plain_model` makes it of a LinearSystem and `files.read_model` of a
-file; nothing in it is rounded yet. Samples are s + 1 rows of numbers, None where one is missing.
+A model is a dict of exact numbers, lists of them and names, as `plain.plain_model` makes it of a LinearSystem
+and `files.read_model` of a file; nothing in it is rounded yet. Samples are s + 1 rows of numbers, None where
+one is missing.
 
-Bounds are rounded outward to the float type in which the samples were judged, as the judging kernels take them: so a certificate of either
-verdict speaks of the same numbers.
+Bounds are rounded outward to the float type in which the samples were judged, as the judging kernels take
+them: so a certificate of either verdict speaks of the same numbers.
 """
 
 import math
@@ -21,7 +22,9 @@ PRECISIONS = {DOUBLE: (F(1, 2**53), F(1, 2**1022)), SINGLE: (F(1, 2**24), F(1, 2
 LONGEST_EXPONENT = 5
 """Characters of an exponent: the digits of 1e-12345, written out, would be no work for a checker."""
 RECORDER_ULPS = 4
-"""A sample is known to so many unit roundoffs times the largest of its signal: see the argument `resolution` of a LinearSystem."""
+"""A sample is known to so many unit roundoffs times the largest of its signal: see the argument `resolution`
+of a LinearSystem.
+"""
 
 
 def claimed(
@@ -32,11 +35,14 @@ def claimed(
     lags: Sequence[int] | None = None,
     first: Sequence[Sequence[F]] | None = None,
 ) -> dict[str, Any]:
-    """Return the numbers of a certificate that are no part of its proof: those of the model, of its bounds and of the samples.
+    """Return the numbers of a certificate that are no part of its proof: those of the model, of its bounds
+    and of the samples.
 
     Args:
-        model: exact numbers. u, y: the samples, s + 1 rows each. precision: float type in which they were judged.
-        lags: so many samples before its last the window looks at outputs; None: always. first: (lo, hi) of each first state, or None.
+        model: exact numbers. u, y: the samples, s + 1 rows each. precision: float type in which they were
+            judged.
+        lags: so many samples before its last the window looks at outputs; None: always. first: (lo, hi) of
+            each first state, or None.
     """
     unit, floor = PRECISIONS[precision]
 
@@ -45,7 +51,9 @@ def claimed(
 
     out = {name: model[name] for name in ("A", "B", "C", "D", "G", "F", "D_v", "offset_u", "offset_y")}
     out |= {name: up(model[name]) for name in ("tolerance", "noise", "resolution")}
-    out["disturbance"] = [[-rounded_up(-lo, precision), rounded_up(hi, precision)] for lo, hi in model["disturbance"]]
+    out["disturbance"] = [
+        [-rounded_up(-lo, precision), rounded_up(hi, precision)] for lo, hi in model["disturbance"]
+    ]
     out |= {"recorder": RECORDER_ULPS * unit, "floor": floor}
     out |= {"u": _inputs(model, u), "y": _looked_at(y, lags)}
     if lags is not None:
@@ -76,11 +84,16 @@ def statement(verdict: str, names: dict[str, Any], claim: dict[str, Any]) -> str
     if "lags" in claim:
         seen = f", outputs looked at {', '.join(map(str, claim['lags']))} samples before the last,"
     begins = " and from a first state within its bounds" if "first_state" in claim else ""
-    return f"{who} of {names['model']} within its bounds{begins} explains the {count} samples that end at sample {last}{seen}".rstrip(",")
+    return (
+        f"{who} of {names['model']} within its bounds{begins} explains the {count} samples that end at "
+        f"sample {last}{seen}"
+    ).rstrip(",")
 
 
 def compare(shown: dict[str, Any], claim: dict[str, Any], where: str = "numbers") -> None:
-    """Raise ValueError naming the first difference between what a certificate shows and what model and samples make of it."""
+    """Raise ValueError naming the first difference between what a certificate shows and what model and
+    samples make of it.
+    """
     for name, value in claim.items():
         if name not in shown:
             raise ValueError(f"{where}.{name} is missing")
@@ -88,7 +101,8 @@ def compare(shown: dict[str, Any], claim: dict[str, Any], where: str = "numbers"
         if found is not None:
             path, one, other = found
             raise ValueError(
-                f"the certificate is about something else: {where}.{name}{path} is {_text(one)}, model and data say {_text(other)}"
+                f"the certificate is about something else: {where}.{name}{path} is {_text(one)}, model and "
+                f"data say {_text(other)}"
             )
 
 
@@ -134,7 +148,9 @@ def rounded_up(x: F, precision: str = DOUBLE) -> F:
 
 
 def _inputs(model, u):
-    """Return the inputs that outputs of the window depend on: the last sample's only where one acts at once."""
+    """Return the inputs that outputs of the window depend on: the last sample's only where one acts at
+    once.
+    """
     at_once = list(model["D"])
     for parameter in model["uncertainties"]:
         at_once += parameter["D"] or []
@@ -149,7 +165,9 @@ def _looked_at(y, lags):
 
 
 def _runs(model, samples, lags):
-    """Return {average, first sample} of every run of an average in the window; first None where it is not looked at."""
+    """Return {average, first sample} of every run of an average in the window; first None where it is not
+    looked at.
+    """
     runs = []
     for a, average in enumerate(model["averages"]):
         length = len(average["weights"])

@@ -1,4 +1,5 @@
-"""A certificate as text for independent programs: VIPR 1.0 for checkers of exact proofs, SMT-LIB 2 for solvers that decide anew.
+"""A certificate as text for independent programs: VIPR 1.0 for checkers of exact proofs, SMT-LIB 2 for
+solvers that decide anew.
 
 Source: scipopt/vipr, cert_spec_v1_0.md; smt-lib.org, version 2.6.
 """
@@ -14,13 +15,14 @@ __all__ = ["smt2", "vipr"]
 
 PROOF = ("witness", "relation", "errors", "relations", "proof", "parameters", "sum")
 NONLINEAR = (
-    "VIPR proves linear inequalities only, and here uncertain parameters multiply unknown states: to_smt2 writes this window for solvers"
+    "VIPR proves linear inequalities only, and here uncertain parameters multiply unknown states: "
+    "to_smt2 writes this window for solvers"
 )
 
 
 def vipr(document: dict[str, Any]) -> str:
-    """Return a certificate as VIPR 1.0: for FAULT the rows and the combination of them that is 0 >= a positive number, for CONSISTENT the
-    rows and a solution.
+    """Return a certificate as VIPR 1.0: for FAULT the rows and the combination of them that is 0 >= a
+    positive number, for CONSISTENT the rows and a solution.
 
     Raises:
         NotImplementedError: a FAULT of a model with uncertain parameters.
@@ -40,12 +42,16 @@ def vipr(document: dict[str, Any]) -> str:
         for sense, end in sides:
             if end is not None:
                 at[sense] = len(constraints)
-                constraints.append(f"{row.name}{'' if sense == 'E' else sense} {sense} {end} {_sparse(row, place)}")
+                constraints.append(
+                    f"{row.name}{'' if sense == 'E' else sense} {sense} {end} {_sparse(row, place)}"
+                )
         ends.append(at)
     lines += [f"CON {len(constraints)} 0", *constraints]
     if not fault:
         values = [f"{place[name]} {x}" for name, x in solution(c, proof["witness"], v) if name in place and x]
-        return "\n".join([*lines, "RTP range -inf inf", "SOL 1", f"witness {len(values)} {' '.join(values)}", "DER 0", ""])
+        return "\n".join(
+            [*lines, "RTP range -inf inf", "SOL 1", f"witness {len(values)} {' '.join(values)}", "DER 0", ""]
+        )
     used, total = [], F(0)
     for row, at, x in zip(rows, ends, combination(c, proof["relation"], rows), strict=True):
         if x:
@@ -59,11 +65,17 @@ def vipr(document: dict[str, Any]) -> str:
 
 
 def smt2(document: dict[str, Any]) -> str:
-    """Return the rows of a certificate's window as an SMT-LIB 2 script, with the answer that is expected: unsat for FAULT, else sat."""
+    """Return the rows of a certificate's window as an SMT-LIB 2 script, with the answer that is expected:
+    unsat for FAULT, else sat.
+    """
     c, _ = _read(document)
     rows = rows_of(c)
     products = any(len(monomial) > 1 for row in rows for monomial in row.terms)
-    lines = [*_head(document, ";"), "(set-info :smt-lib-version 2.6)", f"(set-logic {'QF_NRA' if products else 'QF_LRA'})"]
+    lines = [
+        *_head(document, ";"),
+        "(set-info :smt-lib-version 2.6)",
+        f"(set-logic {'QF_NRA' if products else 'QF_LRA'})",
+    ]
     lines.append(f"(set-info :status {'unsat' if document['certificate'] == 'FAULT' else 'sat'})")
     lines += [f"(declare-fun {name} () Real)" for name in unknowns(rows)]
     for row in rows:
@@ -76,13 +88,18 @@ def smt2(document: dict[str, Any]) -> str:
 def _read(document):
     """Return (claim, proof) of a document."""
     c = numbers(document["numbers"], [])
-    return {name: x for name, x in c.items() if name not in PROOF}, {name: x for name, x in c.items() if name in PROOF}
+    return {name: x for name, x in c.items() if name not in PROOF}, {
+        name: x for name, x in c.items() if name in PROOF
+    }
 
 
 def _head(document, mark):
     """Return comments that say what the text is about; whatever names are, they stay within their line."""
     said = " ".join(document["statement"].split())
-    unknown = "xJ_I: state I at sample J, wJ_I: disturbance, vJ_I: unknown input, uJ_I: missing input, gI: gain, pK: parameter"
+    unknown = (
+        "xJ_I: state I at sample J, wJ_I: disturbance, vJ_I: unknown input, uJ_I: missing input, gI: "
+        "gain, pK: parameter"
+    )
     return [f"{mark} {document['certificate']}: {said}", f"{mark} {unknown}, in deviations from the offsets"]
 
 

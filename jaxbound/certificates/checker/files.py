@@ -1,7 +1,9 @@
-"""A model file and a CSV file in their plainest forms, read by the standard library alone: what is not plain is refused, never guessed.
+"""A model file and a CSV file in their plainest forms, read by the standard library alone: what is not plain
+is refused, never guessed.
 
-A model is TOML as the page on model files describes it, without [matrices] E, decouple, where, and columns that are expressions. Data are
-a UTF-8 CSV file with a header, a row for each sample, and an empty cell or nan for a missing one.
+A model is TOML as the page on model files describes it, without [matrices] E, decouple, where, and columns
+that are expressions. Data are a UTF-8 CSV file with a header, a row for each sample, and an empty cell or nan
+for a missing one.
 """
 
 import csv
@@ -24,15 +26,19 @@ LATE = F(1, 2)
 
 
 def read_model(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str], str | None, F]:
-    """Return (model, names, columns of inputs and outputs, column of the time or None, sampling period) of a model file.
+    """Return (model, names, columns of inputs and outputs, column of the time or None, sampling period) of a
+    model file.
 
     Raises:
-        OSError, ValueError: it cannot be read, or is more than this reader understands: `jaxbound verify` reads every model.
+        OSError, ValueError: it cannot be read, or is more than this reader understands: `jaxbound verify`
+            reads every model.
     """
     table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=str)
     matrices = table["matrices"]
     for field in ("decouple", "where"):
-        insist(field not in table, f"{path}: {field} is more than this script reads; jaxbound verify reads it")
+        insist(
+            field not in table, f"{path}: {field} is more than this script reads; jaxbound verify reads it"
+        )
     insist("E" not in matrices, f"{path}: E is more than this script reads; jaxbound verify reads it")
     inputs, outputs, disturbances = (table.get(kind, []) for kind in ("inputs", "outputs", "disturbances"))
     states = [{"name": s} if isinstance(s, str) else s for s in table.get("states", [])]
@@ -43,15 +49,24 @@ def read_model(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str], s
     model: dict[str, Any] = {}
     for letter, shape in shapes.items():
         model[letter] = _matrix(matrices.get(letter), *shape)
-    model |= {f"offset_{side}": _each(signals, "offset", k) for side, signals, k in (("u", inputs, m), ("y", outputs, p))}
+    model |= {
+        f"offset_{side}": _each(signals, "offset", k)
+        for side, signals, k in (("u", inputs, m), ("y", outputs, p))
+    }
     model |= {bound: _each(outputs, bound, p) for bound in ("tolerance", "noise", "resolution")}
     model["disturbance"] = [_pair(d["bound"]) for d in disturbances]
     model["averages"] = _averages(outputs, True) + _averages(disturbances, False)
     model["constant"] = table.get("constant_tolerance", False)
     model["lags"] = None if "lags" not in table else sorted(int(lag) for lag in table["lags"])
-    model["uncertainties"] = [_parameter(parameter, model, shapes) for parameter in table.get("uncertainty", [])]
+    model["uncertainties"] = [
+        _parameter(parameter, model, shapes) for parameter in table.get("uncertainty", [])
+    ]
     names: dict[str, Any] = {"model": table.get("name", "model")}
-    for kind, signals, letter, count in (("states", states, "x", n), ("inputs", inputs, "u", m), ("outputs", outputs, "y", p)):
+    for kind, signals, letter, count in (
+        ("states", states, "x", n),
+        ("inputs", inputs, "u", m),
+        ("outputs", outputs, "y", p),
+    ):
         names[kind] = [s["name"] for s in signals] or [f"{letter}{i + 1}" for i in range(count)]
     names["units"] = {s["name"]: s["unit"] for s in inputs + outputs + states if "unit" in s}
     if model["uncertainties"]:
@@ -59,31 +74,51 @@ def read_model(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str], s
     stated = {s["name"]: s.get("column", s["name"]) for s in inputs + outputs}
     columns = [stated.get(name, name) for name in names["inputs"] + names["outputs"]]
     for column in columns:
-        insist(not column.startswith("="), f"{path}: the column {column!r} is more than this script reads; jaxbound verify reads it")
+        insist(
+            not column.startswith("="),
+            f"{path}: the column {column!r} is more than this script reads; jaxbound verify reads it",
+        )
     return model, names, columns, table.get("time"), F(str(table["dt"]))
 
 
 def read_samples(
-    path: Path, columns: Sequence[str], time: str | None, dt: F, last: int, count: int, precision: str = DOUBLE
+    path: Path,
+    columns: Sequence[str],
+    time: str | None,
+    dt: F,
+    last: int,
+    count: int,
+    precision: str = DOUBLE,
 ) -> tuple[list[list[F | None]], list[str] | None]:
     """Return (count rows of samples that end at sample `last`, the text of their times or None).
 
     Args:
-        columns: of the signals. time: column of the time; None: the data have none. dt: sampling period in seconds. precision: float type
+        columns: of the signals. time: column of the time; None: the data have none. dt: sampling period in
+            seconds. precision: float type
         to which a number of the file is rounded.
 
     Raises:
-        OSError, ValueError: no such column or sample, a cell that is no number, a row of another width, samples across a gap in time.
+        OSError, ValueError: no such column or sample, a cell that is no number, a row of another width,
+            samples across a gap in time.
     """
     with open(path, encoding="utf-8-sig", newline="") as file:
         header, *rows = csv.reader(file, strict=True)
     header = [name.strip() for name in header]
     for column in (*columns, *([] if time is None else [time])):
-        insist(header.count(column) == 1, f"{path}: there must be one column {column!r}, there are {header.count(column)}")
-    insist(count - 1 <= last < len(rows), f"{path}: there are no {count} samples that end at sample {last} among its {len(rows)} rows")
+        insist(
+            header.count(column) == 1,
+            f"{path}: there must be one column {column!r}, there are {header.count(column)}",
+        )
+    insist(
+        count - 1 <= last < len(rows),
+        f"{path}: there are no {count} samples that end at sample {last} among its {len(rows)} rows",
+    )
     samples, times = [], []
     for k in range(last - count + 1, last + 1):
-        insist(len(rows[k]) == len(header), f"{path}: sample {k} has {len(rows[k])} cells, the header {len(header)}")
+        insist(
+            len(rows[k]) == len(header),
+            f"{path}: sample {k} has {len(rows[k])} cells, the header {len(header)}",
+        )
         samples.append([_cell(rows[k][header.index(column)], precision, path, k) for column in columns])
         if time is not None:
             times.append(rows[k][header.index(time)].strip())
@@ -91,7 +126,10 @@ def read_samples(
         return samples, None
     for one, other in zip(times, times[1:], strict=False):
         step = _seconds(other) - _seconds(one)
-        insist(abs(step - dt) <= LATE * dt, f"{path}: from {one} to {other} is no step of {dt} s: the samples lie across a gap in time")
+        insist(
+            abs(step - dt) <= LATE * dt,
+            f"{path}: from {one} to {other} is no step of {dt} s: the samples lie across a gap in time",
+        )
     return samples, times
 
 
@@ -124,7 +162,10 @@ def _matrix(rows, height, width):
     """Return rows of exact numbers, of zeros where there is no matrix."""
     if not rows:
         return [[ZERO] * width for _ in range(height)]
-    insist(len(rows) == height and all(len(row) == width for row in rows), "a matrix has another shape than the others ask for")
+    insist(
+        len(rows) == height and all(len(row) == width for row in rows),
+        "a matrix has another shape than the others ask for",
+    )
     return [[F(str(x)) for x in row] for row in rows]
 
 
@@ -143,14 +184,22 @@ def _averages(signals, measured):
     found = []
     for i, signal in enumerate(signals):
         for average in signal.get("averages", []):
-            weights = average["weights"] if "weights" in average else [F(1, average["samples"])] * average["samples"]
+            weights = (
+                average["weights"]
+                if "weights" in average
+                else [F(1, average["samples"])] * average["samples"]
+            )
             numbers = [F(str(x)) for x in weights]
-            found.append({"output": F(measured), "number": F(i), "weights": numbers, "bound": F(str(average["bound"]))})
+            found.append(
+                {"output": F(measured), "number": F(i), "weights": numbers, "bound": F(str(average["bound"]))}
+            )
     return found
 
 
 def _parameter(table, model, shapes):
-    """Return a parameter as half its width times what it multiplies, and move the model to the middle of it."""
+    """Return a parameter as half its width times what it multiplies, and move the model to the middle of
+    it.
+    """
     lo, hi = (F(str(x)) for x in table.get("between", [-1, 1]))
     out: dict[str, Any] = {"varying": F(table.get("varying", True))}
     for letter in "ABCD":

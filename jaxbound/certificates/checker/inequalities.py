@@ -1,7 +1,9 @@
-"""All that model, bounds and samples say of one window, written out row by row for programs that know nothing of plants.
+"""All that model, bounds and samples say of one window, written out row by row for programs that know nothing
+of plants.
 
-Unknowns, all in deviations from the offsets: xJ_I (state I at sample J), wJ_I (disturbance), vJ_I (unknown input), uJ_I (an input that is
-missing), gI (gain of output I, 1 / (1 + theta), where it keeps one value), pK (uncertain parameter K at a sample, or over the window).
+Unknowns, all in deviations from the offsets: xJ_I (state I at sample J), wJ_I (disturbance), vJ_I (unknown
+input), uJ_I (an input that is missing), gI (gain of output I, 1 / (1 + theta), where it keeps one value), pK
+(uncertain parameter K at a sample, or over the window).
 
 A row is lo <= sum of coefficients times products of unknowns <= hi. The words are those of `proof`.
 """
@@ -23,7 +25,8 @@ ZERO, ONE = F(0), F(1)
 class Row:
     """lo <= sum of terms <= hi; an end that is None says nothing.
 
-    Fields: name; terms: {(unknown, ..): coefficient}; lo, hi; place: (kind, sample, number) of what it speaks of.
+    Fields: name; terms: {(unknown, ..): coefficient}; lo, hi; place: (kind, sample, number) of what it speaks
+    of.
     """
 
     name: str
@@ -37,18 +40,28 @@ def rows_of(c: dict[str, Any], parameters: Sequence[F] | None = None) -> list[Ro
     """Return the rows of a claim, equations of the states included.
 
     Args:
-        c: see `claim.claimed`. parameters: values of uncertain parameters that are put in; None: they are unknowns, and rows not linear.
+        c: see `claim.claimed`. parameters: values of uncertain parameters that are put in; None: they are
+            unknowns, and rows not linear.
     """
     names = [f"p{k}" for k in range(len(c.get("variables", [])))]
     v: Sequence = [Polynomial({(name,): ONE}) for name in names] if parameters is None else parameters
-    rows = [_row(name, Polynomial({(name,): ONE}), -bound, bound, ("p", 0, k)) for k, (name, bound) in enumerate(_bounds(c, names))]
+    rows = [
+        _row(name, Polynomial({(name,): ONE}), -bound, bound, ("p", 0, k))
+        for k, (name, bound) in enumerate(_bounds(c, names))
+    ]
     if parameters is not None:
-        rows += [_row(f"{name}_is", Polynomial({(name,): ONE}), x, x, ("is", 0, 0)) for name, x in zip(names, parameters, strict=True)]
+        rows += [
+            _row(f"{name}_is", Polynomial({(name,): ONE}), x, x, ("is", 0, 0))
+            for name, x in zip(names, parameters, strict=True)
+        ]
     n, last = len(c["A"]), len(c["y"]) - 1
     state, seen = _signals("x", 0, n), []
     ends = c.get("first_state")
     if ends is not None:
-        rows += [_row(f"first{i}", x, lo, hi, ("x", 0, i)) for i, (x, (lo, hi)) in enumerate(zip(state, ends, strict=True))]
+        rows += [
+            _row(f"first{i}", x, lo, hi, ("x", 0, i))
+            for i, (x, (lo, hi)) in enumerate(zip(state, ends, strict=True))
+        ]
     gains = _signals("g", None, len(c["noise"])) if "constant" in c else None
     if gains is not None:
         for i, (gain, tolerance) in enumerate(zip(gains, c["tolerance"], strict=True)):
@@ -56,17 +69,25 @@ def rows_of(c: dict[str, Any], parameters: Sequence[F] | None = None) -> list[Ro
     for j, (readings, w_ends) in enumerate(limits(c, None, None if gains is None else [ONE] * len(gains))):
         A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
         u, w, free = _inputs(c, j), _signals("w", j, len(w_ends)), _signals("v", j, len(c["D_v"][0]))
-        true = [sum(parts, Polynomial({})) for parts in zip(dots(C, state), dots(D, u), dots(c["D_v"], free), strict=True)]
+        true = [
+            sum(parts, Polynomial({}))
+            for parts in zip(dots(C, state), dots(D, u), dots(c["D_v"], free), strict=True)
+        ]
         seen.append((true, w))
         for i, (t, reading) in enumerate(zip(true, readings, strict=True)):
             rows += _reading(j, i, t, reading, gains)
         if j == last:
             continue
-        rows += [_row(f"w{j}_{i}_bound", x, lo, hi, ("w", j, i)) for i, (x, (lo, hi)) in enumerate(zip(w, w_ends, strict=True))]
+        rows += [
+            _row(f"w{j}_{i}_bound", x, lo, hi, ("w", j, i))
+            for i, (x, (lo, hi)) in enumerate(zip(w, w_ends, strict=True))
+        ]
         after = _signals("x", j + 1, n)
         parts = zip(after, dots(A, state), dots(B, u), dots(c["G"], w), dots(c["F"], free), strict=True)
         for i, (new, *moved) in enumerate(parts):
-            rows.append(_row(f"step{j}_{i}", new + sum(moved, Polynomial({})) * -ONE, ZERO, ZERO, ("step", j, i)))
+            rows.append(
+                _row(f"step{j}_{i}", new + sum(moved, Polynomial({})) * -ONE, ZERO, ZERO, ("step", j, i))
+            )
         state = after
     return rows + list(_averages(c, seen))
 
@@ -84,7 +105,10 @@ def _reading(j, i, t, reading, gains):
     if gains is None:
         return [_row(f"y{j}_{i}", t, lo, hi, ("y", j, i))]
     above, below = t + gains[i] * -lo, t + gains[i] * -hi
-    return [_row(f"y{j}_{i}_above", above, ZERO, None, ("above", j, i)), _row(f"y{j}_{i}_below", below, None, ZERO, ("below", j, i))]
+    return [
+        _row(f"y{j}_{i}_above", above, ZERO, None, ("above", j, i)),
+        _row(f"y{j}_{i}_below", below, None, ZERO, ("below", j, i)),
+    ]
 
 
 def _averages(c, seen):
@@ -128,7 +152,8 @@ def unknowns(rows: Sequence[Row]) -> list[str]:
 
 
 def combination(c: dict[str, Any], r: dict[str, Any], rows: Sequence[Row]) -> list[F]:
-    """Return a multiplier for each row: their sum is 0 = .., and is at least more than 0. Positive ones use lo, negative ones hi.
+    """Return a multiplier for each row: their sum is 0 = .., and is at least more than 0. Positive ones use
+    lo, negative ones hi.
 
     Args: c: a claim. r: the relation of a FAULT, as a certificate shows it. rows: as `rows_of` returns them.
     """
@@ -180,7 +205,9 @@ def solution(c: dict[str, Any], witness: dict[str, Any], v: Sequence[F]) -> Iter
     yield from ((f"p{k}", x) for k, x in enumerate(v))
     yield from ((f"g{i}", x) for i, x in enumerate(witness.get("gains", [])))
     state = witness["state"]
-    for j, (u, w, free) in enumerate(zip(witness["inputs"], witness["disturbances"], witness["unknown_inputs"], strict=True)):
+    for j, (u, w, free) in enumerate(
+        zip(witness["inputs"], witness["disturbances"], witness["unknown_inputs"], strict=True)
+    ):
         u = [value - offset for value, offset in zip(u, c["offset_u"], strict=True)]
         for letter, values in (("x", state), ("w", w), ("v", free), ("u", u)):
             yield from ((f"{letter}{j}_{i}", x) for i, x in enumerate(values))

@@ -1,16 +1,19 @@
-"""Whether a certificate proves what model and samples make it claim: exact fractions, the standard library alone.
+"""Whether a certificate proves what model and samples make it claim: exact fractions, the standard library
+alone.
 
-Plant x+ = A x + B u + G w + F v, readings y = (1 + theta) (C x + D u + D_v v) + delta, in deviations from the offsets; v any number,
-|theta| <= tolerance, w in its bounds, |delta| <= noise + resolution + recorder (largest |y| of the signal + noise) + floor (+ an error of
-one sensor).
+Plant x+ = A x + B u + G w + F v, readings y = (1 + theta) (C x + D u + D_v v) + delta, in deviations from the
+offsets; v any number, |theta| <= tolerance, w in its bounds, |delta| <= noise + resolution + recorder
+(largest |y| of the signal + noise) + floor (+ an error of one sensor).
 
-"averages" bound weighted sums of consecutive deltas of one output, or of one disturbance, in every run of samples that is looked at.
-"first_state" bounds the state of the first sample, as one who gives it to an observer says; without it, it is any.
-A document with "constant" has one theta for all samples of an output: one gain 1 / (1 + theta).
-With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i.
+"averages" bound weighted sums of consecutive deltas of one output, or of one disturbance, in every run of
+samples that is looked at. "first_state" bounds the state of the first sample, as one who gives it to an
+observer says; without it, it is any. A document with "constant" has one theta for all samples of an output:
+one gain 1 / (1 + theta). With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is A
++ sum v_i dA_i, and so B, C, D; |v_i| <= bound_i.
 
-FAULT: multipliers of a relation that holds for every trajectory and that the samples cannot keep; with uncertain parameters a tree of boxes
-(`boxes`). CONSISTENT: a trajectory within all bounds. Everything else that is shown must be what the claim says.
+FAULT: multipliers of a relation that holds for every trajectory and that the samples cannot keep; with
+uncertain parameters a tree of boxes (`boxes`). CONSISTENT: a trajectory within all bounds. Everything else
+that is shown must be what the claim says.
 """
 
 from collections.abc import Sequence
@@ -18,7 +21,15 @@ from fractions import Fraction as F
 from typing import Any
 
 from jaxbound.certificates.checker.boxes import contradict
-from jaxbound.certificates.checker.claim import DOUBLE, PRECISIONS, SINGLE, claimed, compare, numbers, statement
+from jaxbound.certificates.checker.claim import (
+    DOUBLE,
+    PRECISIONS,
+    SINGLE,
+    claimed,
+    compare,
+    numbers,
+    statement,
+)
 from jaxbound.certificates.checker.sets import decide
 from jaxbound.certificates.checker.trajectories import add, dots, follow, insist, limits, now, runs_of
 
@@ -31,19 +42,25 @@ RELATION = {"h", "g", "k", "residual", "width", "factor"}
 SENSOR_ERROR = {"output", "smallest", "relation", "enough", "witness"}
 
 
-def confirm(document: dict[str, Any], names: dict[str, Any] | None = None, claim: dict[str, Any] | None = None) -> None:
+def confirm(
+    document: dict[str, Any], names: dict[str, Any] | None = None, claim: dict[str, Any] | None = None
+) -> None:
     """Raise an exception unless a certificate proves what it says.
 
     Args:
-        document: the certificate as JSON gives it. names, claim: names and numbers that are claimed, from the model and the samples
-            themselves (`claim.claimed`); None: those that the certificate shows, which then may be of another plant or another day.
+        document: the certificate as JSON gives it. names, claim: names and numbers that are claimed, from the
+            model and the samples themselves (`claim.claimed`); None: those that the certificate shows, which
+            then may be of another plant or another day.
 
     Raises:
         ArithmeticError, LookupError, TypeError, ValueError: it does not, ValueError says why in a sentence.
     """
     if "question" in document:
         return decide(document)
-    insist(set(document) == {"certificate", "statement", "names", "numbers"}, "a field of the certificate is missing or unknown")
+    insist(
+        set(document) == {"certificate", "statement", "names", "numbers"},
+        "a field of the certificate is missing or unknown",
+    )
     verdict = document["certificate"]
     insist(verdict in ("FAULT", "CONSISTENT"), "it proves neither FAULT nor CONSISTENT")
     seen: list[F] = []
@@ -66,9 +83,27 @@ def confirm(document: dict[str, Any], names: dict[str, Any] | None = None, claim
 
 def _shown(c):
     """Return the claim that the shown model and samples make."""
-    names = ("A", "B", "C", "D", "G", "F", "D_v", "offset_u", "offset_y", "tolerance", "noise", "resolution", "disturbance")
+    names = (
+        "A",
+        "B",
+        "C",
+        "D",
+        "G",
+        "F",
+        "D_v",
+        "offset_u",
+        "offset_y",
+        "tolerance",
+        "noise",
+        "resolution",
+        "disturbance",
+    )
     model = {name: c[name] for name in names}
-    model |= {"averages": c.get("averages", []), "constant": "constant" in c, "uncertainties": c.get("uncertainties", [])}
+    model |= {
+        "averages": c.get("averages", []),
+        "constant": "constant" in c,
+        "uncertainties": c.get("uncertainties", []),
+    }
     precision = SINGLE if c["floor"] == PRECISIONS[SINGLE][1] else DOUBLE
     return claimed(model, c["u"], c.get("all_y", c["y"]), precision, c.get("lags"), c.get("first_state"))
 
@@ -77,7 +112,11 @@ def _compare_names(shown, names):
     insist(set(shown) == set(names), "a name of the certificate is missing or unknown")
     for name, value in names.items():
         same = type(shown[name]) is type(value) and shown[name] == value
-        insist(same, f"the certificate is about something else: names.{name} is {shown[name]}, model and data say {value}")
+        insist(
+            same,
+            f"the certificate is about something else: names.{name} is {shown[name]}, model and data say "
+            f"{value}",
+        )
 
 
 def _certain(c, proof, fault):
@@ -89,7 +128,10 @@ def _certain(c, proof, fault):
         insist(not proof["errors"], "a CONSISTENT says nothing of errors of sensors")
         _explain(c, proof["witness"])
     outputs = [e["output"] for e in proof["errors"]]
-    insist(outputs == sorted(set(outputs)) and set(outputs) <= set(range(len(c["noise"]))), "an output is named twice or unknown")
+    insist(
+        outputs == sorted(set(outputs)) and set(outputs) <= set(range(len(c["noise"]))),
+        "an output is named twice or unknown",
+    )
     for e in proof["errors"]:
         _sensor_error(c, e)
 
@@ -103,12 +145,18 @@ def _sensor_error(c, e):
         if average["output"] and average["number"] == i:
             multipliers.append(x)
     if e["smallest"] is None:
-        insist(not any(multipliers) and _factor(c, e["relation"]) > 1, "an error of this sensor might explain the window")
+        insist(
+            not any(multipliers) and _factor(c, e["relation"]) > 1,
+            "an error of this sensor might explain the window",
+        )
         insist(e["enough"] is None and e["witness"] is None, "an error of this sensor cannot be enough")
         return
     insist(any(multipliers), "the relation does not use this sensor")
     insist(_factor(c, e["relation"], (i, e["smallest"])) == 1, "a smaller error would explain the window")
-    insist(0 < e["smallest"] <= e["enough"] <= ROUNDED * e["smallest"], "the error that is enough is not the smallest, rounded up")
+    insist(
+        0 < e["smallest"] <= e["enough"] <= ROUNDED * e["smallest"],
+        "the error that is enough is not the smallest, rounded up",
+    )
     _explain(c, e["witness"], (i, e["enough"]))
 
 
@@ -124,7 +172,9 @@ def _uncertain(c, proof, fault):
 
 
 def _factor(c, r, error=None):
-    """Check that a relation holds for every trajectory; return the factor on all bounds at which the samples can keep it."""
+    """Check that a relation holds for every trajectory; return the factor on all bounds at which the samples
+    can keep it.
+    """
     allowed = RELATION | {name for name, there in (("a", "runs"), ("x", "first_state")) if there in c}
     insist(set(r) <= allowed, "a number of the relation is unknown")
     follow(c, _single(c, r), [])
@@ -145,7 +195,10 @@ def _factor(c, r, error=None):
         if x:
             low, high = low + min(x * end for end in ends), high + max(x * end for end in ends)
     residual, width = (low + high) / 2, (high - low) / 2
-    insist([residual, width, abs(residual) / width] == [r["residual"], r["width"], r["factor"]], "residual, width or factor is wrong")
+    insist(
+        [residual, width, abs(residual) / width] == [r["residual"], r["width"], r["factor"]],
+        "residual, width or factor is wrong",
+    )
     return r["factor"]
 
 
@@ -160,7 +213,9 @@ def _readings_range(c, r, error):
                     low, high = low + min(x * end for end in ends), high + max(x * end for end in ends)
         return low, high
     for i in range(len(c["tolerance"])):
-        own = [_own_range(c, r, i, 1 + sign * c["tolerance"][i], error) for sign in (1, -1)]  # extreme at the ends of the gain
+        own = [
+            _own_range(c, r, i, 1 + sign * c["tolerance"][i], error) for sign in (1, -1)
+        ]  # extreme at the ends of the gain
         low, high = low + min(a for a, _ in own), high + max(b for _, b in own)
     return low, high
 
@@ -172,7 +227,10 @@ def _own_range(c, r, i, theta, error):
     for h, (readings, _) in zip(r["h"], limits(c, error, gains), strict=True):
         insist(not h[i] or readings[i] is not None, "the relation needs a reading that is missing")
         if h[i]:
-            low, high = low + min(h[i] * end for end in readings[i]), high + max(h[i] * end for end in readings[i])
+            low, high = (
+                low + min(h[i] * end for end in readings[i]),
+                high + max(h[i] * end for end in readings[i]),
+            )
     return low, high
 
 
@@ -191,7 +249,10 @@ def _single(c, r):
 
 def _explain(c: dict, witness: dict, error: tuple | None = None, v: Sequence[F] = ()) -> None:
     """Check that the witness is a trajectory with every reading, input and disturbance within its bounds."""
-    insist(set(witness) == (WITNESS | {"gains"} if "constant" in c else WITNESS), "a number of the witness is missing or unknown")
+    insist(
+        set(witness) == (WITNESS | {"gains"} if "constant" in c else WITNESS),
+        "a number of the witness is missing or unknown",
+    )
     for x, (who, _) in zip(v, c.get("variables", []), strict=True):
         insist(abs(x) <= c["uncertainties"][int(who)]["bound"], "a parameter is out of its bounds")
     state = witness["state"]
@@ -201,7 +262,10 @@ def _explain(c: dict, witness: dict, error: tuple | None = None, v: Sequence[F] 
     for gain, tolerance in zip(gains or [], c["tolerance"] if gains else [], strict=True):
         insist(1 / (1 + tolerance) <= gain <= 1 / (1 - tolerance), "a gain is out of its bounds")
     samples = zip(
-        c["u"], limits(c, error, gains), *(witness[n] for n in ("inputs", "disturbances", "unknown_inputs", "outputs")), strict=True
+        c["u"],
+        limits(c, error, gains),
+        *(witness[n] for n in ("inputs", "disturbances", "unknown_inputs", "outputs")),
+        strict=True,
     )
     for j, (recorded, (readings, bounds), u, w, free, y) in enumerate(samples):
         A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")

@@ -1,4 +1,5 @@
-"""YES or NO to a question about sets {center + generators x : every |x_i| <= 1, constraints x = offsets}, checked in fractions.
+"""YES or NO to a question about sets {center + generators x : every |x_i| <= 1, constraints x = offsets},
+checked in fractions.
 
 YES shows an x, NO a combination l of the equations that no x keeps.
 """
@@ -13,7 +14,9 @@ __all__ = ["decide"]
 
 
 def decide(document: dict[str, Any]) -> None:
-    """Check equations M x = d of what was asked, and an x in [-1, 1]^q or a direction l with l d > sum |l M|."""
+    """Check equations M x = d of what was asked, and an x in [-1, 1]^q or a direction l with l d > sum |l
+    M|.
+    """
     seen: list[F] = []
     c, yes = numbers(document["numbers"], seen), {"YES": True, "NO": False}[document["certificate"]]
     insist(sum(seen) == 2 * c["sum"], "the numbers do not add up: one was changed")
@@ -30,7 +33,10 @@ def decide(document: dict[str, Any]) -> None:
         shift = add(second["center"], [-v for v in first["center"]])
         if document["question"] == "contains_set":
             insist(not A2, "the inner set must be a zonotope")
-            M, D = G + A, [[v, *row] for v, row in zip(shift + b, G2 + [[F(0)] * len(G2[0]) for _ in b], strict=True)]
+            M, D = (
+                G + A,
+                [[v, *row] for v, row in zip(shift + b, G2 + [[F(0)] * len(G2[0]) for _ in b], strict=True)],
+            )
         else:
             insist(document["question"] == "intersects", "this question is not known")
             M = [row + [-v for v in other] for row, other in zip(G, G2, strict=True)]

@@ -1,4 +1,5 @@
-"""What holds for every trajectory of a plant, and what samples and bounds say of its signals: exact fractions.
+"""What holds for every trajectory of a plant, and what samples and bounds say of its signals: exact
+fractions.
 
 The words are those of `proof`, c the numbers that a certificate claims.
 """
@@ -26,7 +27,9 @@ def follow(c: dict[str, Any], r: dict[str, Any], v: Sequence) -> None:
     for j, (h, g, k) in reversed(list(enumerate(zip(r["h"], r["g"], r["k"], strict=True)))):
         A, B, C, D = (now(c, letter, j, v) for letter in "ABCD")
         insist(not any(add(dots(turned(c["G"]), q), g)), "the relation leaves a disturbance over")
-        insist(not any(dots(turned([*c["D_v"], *c["F"]]), h + q)), "the relation leaves an unknown input over")
+        insist(
+            not any(dots(turned([*c["D_v"], *c["F"]]), h + q)), "the relation leaves an unknown input over"
+        )
         insist(dots(turned([*D, *B]), h + q) == k, "the relation does not fit the inputs")
         q = dots(turned([*C, *A]), h + q)
     insist(not any(add(q, r.get("x", [F(0)] * len(q)))), "the relation leaves the unknown state over")
@@ -38,12 +41,18 @@ def now(c: dict[str, Any], letter: str, j: int, v: Sequence) -> Any:
     for (who, lag), x in zip(c.get("variables", []), v, strict=True):
         change = c["uncertainties"][int(who)][letter]
         if change is not None and lag in (None, j):
-            out = [[a + x * b for a, b in zip(row, by, strict=True)] for row, by in zip(out, change, strict=True)]
+            out = [
+                [a + x * b for a, b in zip(row, by, strict=True)] for row, by in zip(out, change, strict=True)
+            ]
     return out
 
 
-def limits(c: dict[str, Any], error: tuple | None = None, gains: Sequence[F] | None = None) -> list[tuple[list, list]]:
-    """Return for each time ([lo, hi] of the true value behind each reading, None where it is missing; [lo, hi] of each disturbance)."""
+def limits(
+    c: dict[str, Any], error: tuple | None = None, gains: Sequence[F] | None = None
+) -> list[tuple[list, list]]:
+    """Return for each time ([lo, hi] of the true value behind each reading, None where it is missing; [lo,
+    hi] of each disturbance).
+    """
     deltas = [_delta(c, i, error) for i in range(len(c["noise"]))]
     bounds = [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]]
     out = []
@@ -54,14 +63,20 @@ def limits(c: dict[str, Any], error: tuple | None = None, gains: Sequence[F] | N
                 readings.append(None)
                 continue
             d = y - c["offset_y"][i]
-            factors = [1 / (1 - c["tolerance"][i]), 1 / (1 + c["tolerance"][i])] if gains is None else [gains[i]]
+            factors = (
+                [1 / (1 - c["tolerance"][i]), 1 / (1 + c["tolerance"][i])] if gains is None else [gains[i]]
+            )
             readings.append((min(f * (d - delta) for f in factors), max(f * (d + delta) for f in factors)))
         out.append((readings, bounds))
     return out
 
 
-def runs_of(c: dict[str, Any], multipliers: Sequence[F] | None = None, error: tuple | None = None) -> Iterator[tuple]:
-    """Yield (multiplier, average, [lo, hi] or None where it says nothing) of each run of an average, in deviations of true values."""
+def runs_of(
+    c: dict[str, Any], multipliers: Sequence[F] | None = None, error: tuple | None = None
+) -> Iterator[tuple]:
+    """Yield (multiplier, average, [lo, hi] or None where it says nothing) of each run of an average, in
+    deviations of true values.
+    """
     runs = c.get("runs", [])
     for x, run in zip([F(0)] * len(runs) if multipliers is None else multipliers, runs, strict=True):
         average = c["averages"][int(run["average"])]
@@ -69,7 +84,9 @@ def runs_of(c: dict[str, Any], multipliers: Sequence[F] | None = None, error: tu
 
 
 def _run_ends(c, average, first, error):
-    """Return (lo, hi) of the weighted sum over a run, None where it is not looked at or a reading is missing."""
+    """Return (lo, hi) of the weighted sum over a run, None where it is not looked at or a reading is
+    missing.
+    """
     if first is None:
         return None
     i, size, middle = int(average["number"]), sum(map(abs, average["weights"])), F(0)
@@ -88,7 +105,9 @@ def _delta(c, i, error):
     """Return the largest |delta| of an output."""
     largest = max(_looked_at(c, i), default=F(0))
     allowed = error[1] if error is not None and error[0] == i else F(0)
-    return c["noise"][i] + c["resolution"][i] + c["recorder"] * (largest + c["noise"][i]) + c["floor"] + allowed
+    return (
+        c["noise"][i] + c["resolution"][i] + c["recorder"] * (largest + c["noise"][i]) + c["floor"] + allowed
+    )
 
 
 def _looked_at(c, i):

@@ -1,1 +1,3 @@
-"""Floats that bound real numbers: directed rounding, what it assumes of a machine, verdicts in three values."""
+"""Floats that bound real numbers: directed rounding, what it assumes of a machine, verdicts in three
+values.
+"""

@@ -9,8 +9,18 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 
 __all__ = ["bind", "body", "by_key", "dtype_of", "inexact", "inside"]
 
-CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call", "custom_vjp_call",
-         "custom_vjp_call_jaxpr"}  # fmt: skip
+CALLS = {
+    "jit",
+    "pjit",
+    "closed_call",
+    "core_call",
+    "remat",
+    "remat2",
+    "checkpoint",
+    "custom_jvp_call",
+    "custom_vjp_call",
+    "custom_vjp_call_jaxpr",
+}
 LOOPS_AND_BRANCHES = ("scan", "while", "cond")
 
 
@@ -43,7 +53,9 @@ def by_key(eqn: JaxprEqn) -> bool:
 
 def _jaxprs(params: Mapping[str, Any]) -> Iterator[ClosedJaxpr]:
     for value in params.values():
-        yield from (v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, ClosedJaxpr))
+        yield from (
+            v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, ClosedJaxpr)
+        )
 
 
 def inexact(aval: object) -> bool:

@@ -19,18 +19,30 @@ from jaxbound.sets.floats import rounding, unrolled
 
 __all__ = ["examination", "premises", "reductions"]
 
-EXACTLY = {"sum": operator.add, "difference": operator.sub, "product": operator.mul, "quotient": operator.truediv}
+EXACTLY = {
+    "sum": operator.add,
+    "difference": operator.sub,
+    "product": operator.mul,
+    "quotient": operator.truediv,
+}
 ONE, SQUARE = 2.84, 5.7  # units that one operation, and the square of a root, may be off
 CHAINS: dict[str, Callable] = {
-    "(a b) c": lambda a, b, c: (a * b) * c, "(a / b) / c": lambda a, b, c: (a / b) / c, "a b + c": lambda a, b, c: a * b + c,
-    "(a + b) c": lambda a, b, c: (a + b) * c, "a / (b + c)": lambda a, b, c: a / (b + c)}  # fmt: skip
+    "(a b) c": lambda a, b, c: (a * b) * c,
+    "(a / b) / c": lambda a, b, c: (a / b) / c,
+    "a b + c": lambda a, b, c: a * b + c,
+    "(a + b) c": lambda a, b, c: (a + b) * c,
+    "a / (b + c)": lambda a, b, c: a / (b + c),
+}
 
 
-def examination(device: jax.Device, dtype: DTypeLike, count: int = 600, seed: int = 0) -> dict[str, tuple[float, float]]:
+def examination(
+    device: jax.Device, dtype: DTypeLike, count: int = 600, seed: int = 0
+) -> dict[str, tuple[float, float]]:
     """Return {claim: (what compiled kernels did on a device, the most that is assumed)}, errors in units u.
 
     Args:
-        device: of jax; kernels run on it with the flags in force. dtype: np.float32 or np.float64. count: numbers of each kind.
+        device: of jax; kernels run on it with the flags in force. dtype: np.float32 or np.float64. count:
+            numbers of each kind.
         seed: of the numbers.
 
     Example:
@@ -41,11 +53,22 @@ def examination(device: jax.Device, dtype: DTypeLike, count: int = 600, seed: in
     """
     rng, info, found = np.random.default_rng(seed), np.finfo(dtype), {}
     u, smallest = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny))
-    numbers = lambda low, high: (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(dtype)
+    numbers = lambda low, high: (np.exp2(rng.uniform(low, high, count)) * rng.choice([-1, 1], count)).astype(
+        dtype
+    )
     run = lambda f, *x: jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
-    error = lambda got, want: max(float(abs(f - w) / abs(f) / u) if f else float(w != 0) * np.inf for f, w in zip(got, want, strict=True))
+    error = lambda got, want: max(
+        float(abs(f - w) / abs(f) / u) if f else float(w != 0) * np.inf
+        for f, w in zip(got, want, strict=True)
+    )
 
-    with jax.ensure_compile_time_eval(), jax.default_device(device), jax.debug_nans(False), jax.debug_infs(False), jax.disable_jit(False):
+    with (
+        jax.ensure_compile_time_eval(),
+        jax.default_device(device),
+        jax.debug_nans(False),
+        jax.debug_infs(False),
+        jax.disable_jit(False),
+    ):
         a, b = numbers(-40, 40), numbers(-40, 40)
         forms: dict[str, tuple[Callable, np.ndarray]] = {
             "": (lambda f: run(f, a, b), b),
@@ -64,29 +87,62 @@ def examination(device: jax.Device, dtype: DTypeLike, count: int = 600, seed: in
         roots = _exact(run(jnp.sqrt, x := abs(numbers(info.minexp + 1, info.maxexp - 1))))
         found["error of the square of a root"] = error([r * r for r in roots], _exact(x)), SQUARE
         c, d = numbers(-12, 12), numbers(-12, 12)
-        kept = run(lambda c, d: (rounding.two_sum(c, d), rounding.two_prod(c, d), rounding.two_sum(c * d + c, d), c * d + c), c, d)
-        lost = lambda pair, want: float(sum(s + e != w for s, e, w in zip(*map(_exact, pair), want, strict=True)))
+        kept = run(
+            lambda c, d: (
+                rounding.two_sum(c, d),
+                rounding.two_prod(c, d),
+                rounding.two_sum(c * d + c, d),
+                c * d + c,
+            ),
+            c,
+            d,
+        )
+        lost = lambda pair, want: float(
+            sum(s + e != w for s, e, w in zip(*map(_exact, pair), want, strict=True))
+        )
         C, D, inexact = _exact(c), _exact(d), _exact(kept[3])
         found["sums that two_sum loses digits of"] = lost(kept[0], map(operator.add, C, D)), 0.0
         found["products that two_prod loses digits of"] = lost(kept[1], map(operator.mul, C, D)), 0.0
-        found["sums of inexact numbers that two_sum loses digits of"] = lost(kept[2], map(operator.add, inexact, D)), 0.0
+        found["sums of inexact numbers that two_sum loses digits of"] = (
+            lost(kept[2], map(operator.add, inexact, D)),
+            0.0,
+        )
         small, half = numbers(info.minexp + 1, info.minexp + 4), numbers(-6, -1)
-        for name, other in {"difference": numbers(info.minexp + 1, info.minexp + 4), "product": half, "quotient": 1 / half}.items():
-            got, exact = _exact(run(EXACTLY[name], small, other)), map(EXACTLY[name], _exact(small), _exact(other))
+        for name, other in {
+            "difference": numbers(info.minexp + 1, info.minexp + 4),
+            "product": half,
+            "quotient": 1 / half,
+        }.items():
+            got, exact = (
+                _exact(run(EXACTLY[name], small, other)),
+                map(EXACTLY[name], _exact(small), _exact(other)),
+            )
             over = [abs(f - w) - Fraction(float(info.eps)) * abs(f) for f, w in zip(got, exact, strict=True)]
-            found[f"error of a {name} that underflows, in smallest numbers"] = float(max(over) / smallest), 1.0
+            found[f"error of a {name} that underflows, in smallest numbers"] = (
+                float(max(over) / smallest),
+                1.0,
+            )
         signed = run(operator.truediv, small, np.full(count, 2.0 ** (info.maxexp // 2), dtype))
         found["underflows that lose their sign"] = float((np.signbit(signed) != np.signbit(small)).sum()), 0.0
         top = run(lambda x: x + x, np.array([info.max, -info.max], dtype))
         found["overflows that are finite"] = float((top != [np.inf, -np.inf]).sum()), 0.0
         many = numbers(-4, 4)
         total, terms = _exact([run(jnp.sum, many)])[0], _exact(many)
-        found["error of a sum of many, in units a term"] = float(abs(total - sum(terms)) / (count * u * sum(map(abs, terms)))), 1.01
+        found["error of a sum of many, in units a term"] = (
+            float(abs(total - sum(terms)) / (count * u * sum(map(abs, terms)))),
+            1.01,
+        )
         whole = np.concatenate([rng.uniform(-2000, 2000, count), [0.5, 1.5, -0.5, 0.49, -2.51]]).astype(dtype)
-        found["distance of a rounded number"] = float(abs(run(jnp.round, whole).astype(float) - whole.astype(float)).max()), 0.5
+        found["distance of a rounded number"] = (
+            float(abs(run(jnp.round, whole).astype(float) - whole.astype(float)).max()),
+            0.5,
+        )
         odd = np.where(np.arange(count) % 2, np.nan, np.inf).astype(dtype)
         found["NaN that are lost"] = float((~np.isnan(run(lambda x: (x - x) + 1, odd))).sum()), 0.0
-        found["comparisons with NaN that are true"] = float(sum(map(np.sum, run(_comparisons, np.full(count, np.nan, dtype))))), 0.0
+        found["comparisons with NaN that are true"] = (
+            float(sum(map(np.sum, run(_comparisons, np.full(count, np.nan, dtype))))),
+            0.0,
+        )
     return found | premises(device, dtype, seed)
 
 
@@ -106,7 +162,13 @@ def premises(device: jax.Device, dtype: DTypeLike, seed: int = 0) -> dict[str, t
     """
     rng, found = np.random.default_rng(seed), {}
     run = lambda f, *x: jax.tree.map(np.asarray, jax.jit(f)(*(jax.device_put(v, device) for v in x)))
-    with jax.ensure_compile_time_eval(), jax.default_device(device), jax.debug_nans(False), jax.debug_infs(False), jax.disable_jit(False):
+    with (
+        jax.ensure_compile_time_eval(),
+        jax.default_device(device),
+        jax.debug_nans(False),
+        jax.debug_infs(False),
+        jax.disable_jit(False),
+    ):
         for count in SIZES:
             a, b, c = (rng.uniform(1, 2, count).astype(dtype) for _ in range(3))
             kept = {
@@ -114,10 +176,19 @@ def premises(device: jax.Device, dtype: DTypeLike, seed: int = 0) -> dict[str, t
                 "calls that are not kept apart": unrolled.apart(operator.mul),
             }
             for claim, product in kept.items():
-                pairs = [run(partial(use, product), a, b, c, np.int32(1)) for use in (_beside, _in_a_loop, _in_a_reduction)]
-                found[f"{claim}, of {count}"] = float(sum((later != number + c).sum() for number, later in pairs)), 0.0
+                pairs = [
+                    run(partial(use, product), a, b, c, np.int32(1))
+                    for use in (_beside, _in_a_loop, _in_a_reduction)
+                ]
+                found[f"{claim}, of {count}"] = (
+                    float(sum((later != number + c).sum() for number, later in pairs)),
+                    0.0,
+                )
             number, later = run(_carried, a, b, c, np.int32(1))
-            found[f"carries of a loop that are rounded anew, of {count}"] = float((later != number + c).sum()), 0.0
+            found[f"carries of a loop that are rounded anew, of {count}"] = (
+                float((later != number + c).sum()),
+                0.0,
+            )
         found |= reductions(rng.uniform(-1, 1, MANY).astype(dtype).reshape(-1, 8), run)
         top = np.full(16, 2.0 ** (np.finfo(dtype).maxexp - 2), dtype)
         twice = run(lambda x, y: jax.lax.optimization_barrier(x / y) / y, top, np.sqrt(top) * 4)
@@ -133,7 +204,9 @@ def _beside(product, a, b, c, times):
 
 def _in_a_loop(product, a, b, c, times):
     """Return as `_beside`, from within a loop in time."""
-    return jax.lax.fori_loop(0, times, lambda _, x: _beside(product, a, b, c, times), jnp.zeros((2, len(a)), a.dtype))
+    return jax.lax.fori_loop(
+        0, times, lambda _, x: _beside(product, a, b, c, times), jnp.zeros((2, len(a)), a.dtype)
+    )
 
 
 def _in_a_reduction(product, a, b, c, times):
@@ -173,7 +246,12 @@ def reductions(x: np.ndarray, run: Callable) -> dict[str, tuple[float, float]]:
 def _nan_of_rows(x):
     """Return what is NaN, and what is false, of each row with a NaN."""
     sums = jnp.sum(x, 1), jnp.sum(jnp.abs(x) * 0, 1)
-    return sums, (jnp.all(x < jnp.inf, 1), jnp.all(jnp.abs(x) - 1 < jnp.inf, 1), jnp.all(jnp.isfinite(x), 1), jnp.all(x == x, 1))
+    return sums, (
+        jnp.all(x < jnp.inf, 1),
+        jnp.all(jnp.abs(x) - 1 < jnp.inf, 1),
+        jnp.all(jnp.isfinite(x), 1),
+        jnp.all(x == x, 1),
+    )
 
 
 def _ends_of_rows(x):

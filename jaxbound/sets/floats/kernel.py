@@ -1,8 +1,9 @@
 """Kernels: functions that XLA compiles, and that NumPy can evaluate in its place.
 
-XLA copies wrongly at times, and no bound on rounding covers that. What proves something is therefore written as a `kernel`, which is
-`jax.jit` and nothing else until somebody asks `outside_xla`: there the same program is evaluated primitive by primitive in NumPy
-(`numpy_primitives`, `numpy_moves`), from the arrays on the host. Nothing fuses, no loop is vectorised, no copy is left out.
+XLA copies wrongly at times, and no bound on rounding covers that. What proves something is therefore written
+as a `kernel`, which is `jax.jit` and nothing else until somebody asks `outside_xla`: there the same program
+is evaluated primitive by primitive in NumPy (`numpy_primitives`, `numpy_moves`), from the arrays on the host.
+Nothing fuses, no loop is vectorised, no copy is left out.
 """
 
 import contextlib
@@ -32,7 +33,9 @@ def is_outside_xla() -> bool:
 
 @contextlib.contextmanager
 def outside_xla(active: bool = True) -> Iterator[None]:
-    """Evaluate kernels in NumPy, on this thread, until the block ends. active: False evaluates them by XLA, as anywhere."""
+    """Evaluate kernels in NumPy, on this thread, until the block ends. active: False evaluates them by XLA,
+    as anywhere.
+    """
     before = is_outside_xla()
     _state.outside = active
     try:
@@ -42,12 +45,16 @@ def outside_xla(active: bool = True) -> Iterator[None]:
 
 
 class Kernel:
-    """A jitted function that `outside_xla` evaluates in NumPy. Build it with `kernel`; its other attributes are those of `jax.jit`."""
+    """A jitted function that `outside_xla` evaluates in NumPy. Build it with `kernel`; its other attributes
+    are those of `jax.jit`.
+    """
 
     def __init__(self, function: Callable, **how: Any) -> None:
         self._compiled = jax.jit(function, **how)
         arguments = inspect.signature(function).parameters
-        self._names = tuple(name for name, x in arguments.items() if x.kind in (x.POSITIONAL_ONLY, x.POSITIONAL_OR_KEYWORD))
+        self._names = tuple(
+            name for name, x in arguments.items() if x.kind in (x.POSITIONAL_ONLY, x.POSITIONAL_OR_KEYWORD)
+        )
         numbers, names = how.get("static_argnums", ()), how.get("static_argnames", ())
         numbers = (numbers,) if isinstance(numbers, int) else tuple(numbers)
         names = (names,) if isinstance(names, str) else tuple(names)
@@ -59,7 +66,9 @@ class Kernel:
         if not is_outside_xla():
             return self._compiled(*args, **kwargs)
         given = self._arrays(args, kwargs)
-        if any(isinstance(x, jax.core.Tracer) for x in given):  # a part of a program that is being written down
+        if any(
+            isinstance(x, jax.core.Tracer) for x in given
+        ):  # a part of a program that is being written down
             return self._compiled(*args, **kwargs)
         traced = self._compiled.trace(*args, **kwargs)
         out = evaluated(traced.jaxpr, given)
@@ -69,7 +78,9 @@ class Kernel:
         return getattr(self._compiled, name)
 
     def _arrays(self, args, kwargs):
-        """Return the leaves of the arguments that are not static, in the order in which the program takes them."""
+        """Return the leaves of the arguments that are not static, in the order in which the program takes
+        them.
+        """
         names = (*self._names, *[""] * len(args))  # others have none
         placed = [x for name, x in zip(names, args, strict=False) if name not in self._static]
         named = {name: x for name, x in kwargs.items() if name not in self._static}
@@ -96,7 +107,9 @@ def evaluated(program: ClosedJaxpr, args: Sequence[Any]) -> list[np.ndarray]:
 
 
 class _Step(NamedTuple):
-    """One equation. Fields: function; where its inputs are found and its outputs go; numbers that nothing needs afterwards."""
+    """One equation. Fields: function; where its inputs are found and its outputs go; numbers that nothing
+    needs afterwards.
+    """
 
     function: Callable
     inputs: tuple[int, ...]
@@ -149,7 +162,9 @@ class _Steps:
         return scope[v]
 
     def _written_out(self, jaxpr, scope):
-        """Return the steps of a jaxpr, those of the calls in it among them. scope: numbers of its variables."""
+        """Return the steps of a jaxpr, those of the calls in it among them. scope: numbers of its
+        variables.
+        """
         steps = []
         for eqn in jaxpr.eqns:
             inputs = tuple(self._number(v, scope) for v in eqn.invars)
@@ -158,7 +173,9 @@ class _Steps:
                 outputs = tuple(self._number(v, scope) for v in eqn.outvars)
                 steps.append(_Step(_function(eqn), inputs, outputs, not eqn.primitive.multiple_results, ()))
                 continue
-            inner = dict(zip(called.jaxpr.constvars, (self._new(np.asarray(x)) for x in called.consts), strict=True))
+            inner = dict(
+                zip(called.jaxpr.constvars, (self._new(np.asarray(x)) for x in called.consts), strict=True)
+            )
             inner.update(zip(called.jaxpr.invars, inputs, strict=True))
             steps += self._written_out(called.jaxpr, inner)
             results = [self._number(v, inner) for v in called.jaxpr.outvars]
@@ -201,14 +218,19 @@ def _while(params):
 def _scan(eqn):
     inner, length, backward = eqn.params["jaxpr"], eqn.params["length"], eqn.params["reverse"]
     step = _closed(inner)
-    # how many constants and carries there are stands in other places from version to version: what is stacked has an axis more
+    # how many constants and carries there are stands in other places from version to version: what is stacked
+    # has an axis more
     whole = lambda outside, avals: sum(v.aval.ndim == x.ndim for v, x in zip(outside, avals, strict=True))
     carried = whole(eqn.outvars, inner.out_avals)
     constants = whole(eqn.invars, inner.in_avals) - carried
     stacked = inner.out_avals[carried:]
 
     def run(*args):
-        fixed, carry, rows = args[:constants], list(args[constants : constants + carried]), args[constants + carried :]
+        fixed, carry, rows = (
+            args[:constants],
+            list(args[constants : constants + carried]),
+            args[constants + carried :],
+        )
         outs = [np.empty((length, *x.shape), x.dtype) for x in stacked]
         for k in reversed(range(length)) if backward else range(length):
             found = step(*fixed, *carry, *(x[k] for x in rows))
@@ -226,4 +248,6 @@ def _cond(params):
 
 
 PRIMITIVES = {**COMPUTED, **MOVED, "while": _while, "cond": _cond}
-"""{name of a primitive: of the parameters of an equation, the function of NumPy arrays that it stands for}."""
+"""{name of a primitive: of the parameters of an equation, the function of NumPy arrays that it stands
+for}.
+"""

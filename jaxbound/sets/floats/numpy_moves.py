@@ -177,8 +177,15 @@ def _gather(params):
     numbers, sizes, mode = params["dimension_numbers"], params["slice_sizes"], str(params["mode"])
 
     def gathered(x, indices):
-        at, outside = _places(x.shape, indices, numbers.start_index_map, numbers.operand_batching_dims,
-                              numbers.start_indices_batching_dims, numbers.collapsed_slice_dims, sizes)  # fmt: skip
+        at, outside = _places(
+            x.shape,
+            indices,
+            numbers.start_index_map,
+            numbers.operand_batching_dims,
+            numbers.start_indices_batching_dims,
+            numbers.collapsed_slice_dims,
+            sizes,
+        )
         found = x[at]
         lead = indices.ndim - 1
         if "FILL" in mode and outside.any():
@@ -189,13 +196,17 @@ def _gather(params):
             found = np.where(gone, np.asarray(fill, x.dtype), found)
         batch = iter(range(lead))
         rest = iter(range(lead, found.ndim))
-        return found.transpose([next(rest) if i in numbers.offset_dims else next(batch) for i in range(found.ndim)])
+        return found.transpose(
+            [next(rest) if i in numbers.offset_dims else next(batch) for i in range(found.ndim)]
+        )
 
     return gathered
 
 
 def _places(shape, indices, index_map, operand_batch, index_batch, left_out, sizes):
-    """Return (index arrays of the parts of an array that start at `indices`, which of these starts lie outside)."""
+    """Return (index arrays of the parts of an array that start at `indices`, which of these starts lie
+    outside).
+    """
     lead = indices.shape[:-1]
     kept = [i for i in range(len(shape)) if i not in (*left_out, *operand_batch)]
     outside = np.zeros(lead, bool)
@@ -229,8 +240,15 @@ def _scattered(combine: Function) -> Callable[[dict], Function]:
             lengths = iter(updates.shape[lead:])
             gone = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
             sizes = [1 if i in gone else next(lengths) for i in range(x.ndim)]
-            at, outside = _places(x.shape, indices, numbers.scatter_dims_to_operand_dims, numbers.operand_batching_dims,
-                                  numbers.scatter_indices_batching_dims, numbers.inserted_window_dims, sizes)  # fmt: skip
+            at, outside = _places(
+                x.shape,
+                indices,
+                numbers.scatter_dims_to_operand_dims,
+                numbers.operand_batching_dims,
+                numbers.scatter_indices_batching_dims,
+                numbers.inserted_window_dims,
+                sizes,
+            )
             if "CLIP" not in mode and outside.any():
                 inside = ~outside
                 at = tuple(np.broadcast_to(i, updates.shape)[inside] for i in at)

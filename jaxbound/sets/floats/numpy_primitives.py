@@ -1,8 +1,9 @@
-"""The primitives of JAX that compute, in NumPy: each rounds once, as IEEE 754 says, and nothing fuses or reorders them.
+"""The primitives of JAX that compute, in NumPy: each rounds once, as IEEE 754 says, and nothing fuses or
+reorders them.
 
-A primitive is looked up by its name. Its entry takes the parameters of an equation and returns a function of arrays. What `sets` states
-of rounding holds here too: a bound that allows any compiler its choices allows NumPy's, which makes none. Those that move numbers are
-in `numpy_moves`.
+A primitive is looked up by its name. Its entry takes the parameters of an equation and returns a function of
+arrays. What `sets` states of rounding holds here too: a bound that allows any compiler its choices allows
+NumPy's, which makes none. Those that move numbers are in `numpy_moves`.
 """
 
 import math
@@ -78,16 +79,65 @@ def _bits_set(x):
 
 
 _plain(
-    add=np.add, add_any=np.add, sub=np.subtract, mul=np.multiply, div=_quotient, rem=np.fmod, neg=np.negative, sign=np.sign,
-    abs=np.absolute, max=np.maximum, min=np.minimum, floor=np.floor, ceil=np.ceil, sqrt=np.sqrt, rsqrt=_reciprocal_root, cbrt=np.cbrt,
-    square=np.square, exp=np.exp, exp2=np.exp2, expm1=np.expm1, log=np.log, log1p=np.log1p, sin=np.sin, cos=np.cos, tan=np.tan,
-    asin=np.arcsin, acos=np.arccos, atan=np.arctan, atan2=np.arctan2, sinh=np.sinh, cosh=np.cosh, tanh=np.tanh, asinh=np.arcsinh,
-    acosh=np.arccosh, atanh=np.arctanh, pow=np.power, nextafter=np.nextafter, logistic=_logistic, is_finite=np.isfinite,
-    eq=np.equal, ne=np.not_equal, lt=np.less, le=np.less_equal, gt=np.greater, ge=np.greater_equal, select_n=_select,
-    shift_left=np.left_shift, shift_right_logical=_shifted_right, shift_right_arithmetic=np.right_shift, population_count=_bits_set,
-    real=np.real, imag=np.imag, conj=np.conj, copy=_identity, copy_p=_identity, stop_gradient=_identity,
-    optimization_barrier=_several, device_put=_several,
-)  # fmt: skip
+    add=np.add,
+    add_any=np.add,
+    sub=np.subtract,
+    mul=np.multiply,
+    div=_quotient,
+    rem=np.fmod,
+    neg=np.negative,
+    sign=np.sign,
+    abs=np.absolute,
+    max=np.maximum,
+    min=np.minimum,
+    floor=np.floor,
+    ceil=np.ceil,
+    sqrt=np.sqrt,
+    rsqrt=_reciprocal_root,
+    cbrt=np.cbrt,
+    square=np.square,
+    exp=np.exp,
+    exp2=np.exp2,
+    expm1=np.expm1,
+    log=np.log,
+    log1p=np.log1p,
+    sin=np.sin,
+    cos=np.cos,
+    tan=np.tan,
+    asin=np.arcsin,
+    acos=np.arccos,
+    atan=np.arctan,
+    atan2=np.arctan2,
+    sinh=np.sinh,
+    cosh=np.cosh,
+    tanh=np.tanh,
+    asinh=np.arcsinh,
+    acosh=np.arccosh,
+    atanh=np.arctanh,
+    pow=np.power,
+    nextafter=np.nextafter,
+    logistic=_logistic,
+    is_finite=np.isfinite,
+    eq=np.equal,
+    ne=np.not_equal,
+    lt=np.less,
+    le=np.less_equal,
+    gt=np.greater,
+    ge=np.greater_equal,
+    select_n=_select,
+    shift_left=np.left_shift,
+    shift_right_logical=_shifted_right,
+    shift_right_arithmetic=np.right_shift,
+    population_count=_bits_set,
+    real=np.real,
+    imag=np.imag,
+    conj=np.conj,
+    copy=_identity,
+    copy_p=_identity,
+    stop_gradient=_identity,
+    optimization_barrier=_several,
+    device_put=_several,
+)
 COMPUTED["and"] = partial(_ignoring, np.bitwise_and)
 COMPUTED["or"] = partial(_ignoring, np.bitwise_or)
 COMPUTED["xor"] = partial(_ignoring, np.bitwise_xor)
@@ -142,11 +192,15 @@ def _converted(params):
 def _cast(dtype, x):
     if x.dtype == dtype:
         return x
-    if x.dtype.kind == "f" and dtype.kind in "iu":  # XLA takes the nearest end where NumPy wraps around; NaN is 0
+    if (
+        x.dtype.kind == "f" and dtype.kind in "iu"
+    ):  # XLA takes the nearest end where NumPy wraps around; NaN is 0
         ends = np.iinfo(dtype)
         inside = np.clip(np.nan_to_num(x, nan=0.0), float(ends.min), float(ends.max))
         out = inside.astype(np.float64).astype(dtype)
-        return np.where(x >= float(ends.max), ends.max, np.where(x <= float(ends.min), ends.min, out)).astype(dtype)
+        return np.where(x >= float(ends.max), ends.max, np.where(x <= float(ends.min), ends.min, out)).astype(
+            dtype
+        )
     return x.astype(dtype)
 
 
@@ -159,7 +213,9 @@ def _bitcast(params):
 def _reduced_precision(params):
     whole = (params["exponent_bits"], params["mantissa_bits"]) in ((8, 23), (11, 52))
     if not whole:
-        raise NotImplementedError("reduce_precision to other than float32 and float64 is not written in NumPy")
+        raise NotImplementedError(
+            "reduce_precision to other than float32 and float64 is not written in NumPy"
+        )
     return _identity
 
 
@@ -192,7 +248,11 @@ def _extreme(function: Any, end: str) -> Callable[[dict], Function]:
                 return function.reduce(x, axis=axes)
             limits = np.finfo(x.dtype) if x.dtype.kind == "f" else np.iinfo(x.dtype)
             nothing = getattr(limits, end)
-            return np.full(np.delete(x.shape, axes), np.copysign(np.inf, nothing) if x.dtype.kind == "f" else nothing, x.dtype)
+            return np.full(
+                np.delete(x.shape, axes),
+                np.copysign(np.inf, nothing) if x.dtype.kind == "f" else nothing,
+                x.dtype,
+            )
 
         return reduced
 

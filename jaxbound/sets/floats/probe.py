@@ -1,12 +1,14 @@
-"""May this process prove anything? What `rounding` assumes of processor, device and compiler, asked before every proof.
+"""May this process prove anything? What `rounding` assumes of processor, device and compiler, asked before
+every proof.
 
-**The rounding mode** of the processor is asked at every call: it takes a microsecond, and an import can change it at any time.
-**The device** has to be of a kind whose arithmetic was examined: CPU, so far. An accelerator of NVIDIA is known by its compute capability,
-its driver and the version of jaxlib (`kind_of_device`); none is in `EXAMINED` before `examination` has run on one, with every test of this
-house, and before what no probe can show (`PREMISES`) holds for what is computed there.
-**Flags of XLA, and switches of the environment,** that give arithmetic up are refused by name (`settings`):
-what they allow, a compiler need not do to the kernels of a probe.
-**The probe** (`measure`), one small kernel, catches what names do not, and asks the premises beside
+**The rounding mode** of the processor is asked at every call: it takes a microsecond, and an import can
+change it at any time. **The device** has to be of a kind whose arithmetic was examined: CPU, so far. An
+accelerator of NVIDIA is known by its compute capability, its driver and the version of jaxlib
+(`kind_of_device`); none is in `EXAMINED` before `examination` has run on one, with every test of this house,
+and before what no probe can show (`PREMISES`) holds for what is computed there. **Flags of XLA, and switches
+of the environment,** that give arithmetic up are refused by name (`settings`): what they allow, a compiler
+need not do to the kernels of a probe. **The probe** (`measure`), one small kernel, catches what names do not,
+and asks the premises beside
 rounding: that a stored quotient is one number for all its uses, that a callee is kept apart. It runs once a
 process for each device and setting, with the flags in force.
 **Versions of jaxlib, flags and options of jax** that no table knows are examined in full, once (`examined`).
@@ -25,7 +27,13 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding, unrolled
 from jaxbound.sets.floats.examined import doubt_of
-from jaxbound.sets.floats.settings import examined_versions, loose_flags, odd_options, set_switches, unknown_flags
+from jaxbound.sets.floats.settings import (
+    examined_versions,
+    loose_flags,
+    odd_options,
+    set_switches,
+    unknown_flags,
+)
 
 __all__ = [
     "EXAMINED",
@@ -41,15 +49,20 @@ __all__ = [
 ]
 
 EXAMINED = frozenset({"cpu"})
-"""Kinds of devices, as `kind_of_device` names them without the driver, on which this house's tests were run."""
+"""Kinds of devices, as `kind_of_device` names them without the driver, on which this house's tests were
+run.
+"""
 
 PREMISES = {
     "cpu": (),
     "NVIDIA": (
-        "float32: a quotient may be off by 2 ulp, 4 units (PTX ISA, div.full.f32); `outward` must widen it by 6 units, and widens by 4",
-        "float32: a root may be off by 1 ulp, 2 units (PTX ISA, sqrt.approx.f32), within the 2.84 that are assumed",
+        "float32: a quotient may be off by 2 ulp, 4 units (PTX ISA, div.full.f32); `outward` must widen it "
+        "by 6 units, and widens by 4",
+        "float32: a root may be off by 1 ulp, 2 units (PTX ISA, sqrt.approx.f32), within the 2.84 that are "
+        "assumed",
         "float64: + - * / fma and sqrt are rounded correctly (PTX ISA, .rn)",
-        "a * b + c may be contracted; subnormals are kept in float64, and in float32 unless xla_gpu_ftz is set: both are allowed for",
+        "a * b + c may be contracted; subnormals are kept in float64, and in float32 unless xla_gpu_ftz is "
+        "set: both are allowed for",
         "dots of libraries may compute in TF32 or emulate float64: what is proved computes none there",
     ),
 }
@@ -64,7 +77,8 @@ def refuse_unverified(*given: object) -> None:
     """Raise Unverified if a proof from these arguments would rest on arithmetic that was not verified.
 
     Args:
-        given: PyTrees; where jax arrays among them lie, the work is done. Without any: on the devices of `usable_devices`.
+        given: PyTrees; where jax arrays among them lie, the work is done. Without any: on the devices of
+            `usable_devices`.
     """
     refuse_other_modes()
     devices = {usable_devices()[0]}
@@ -77,19 +91,24 @@ def refuse_unverified(*given: object) -> None:
 
 
 def refuse_other_modes() -> None:
-    """Raise Unverified if this process does not round to the nearest float, on which all bounds in `rounding` rest, or flushes small ones.
+    """Raise Unverified if this process does not round to the nearest float, on which all bounds in `rounding`
+    rest, or flushes small ones.
 
-    Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on, in threads to come too.
+    Importing some libraries for intervals (codac, for one) sets the processor to round upward from then on,
+    in threads to come too.
     """
     one, half = float(np.ones(())), float(np.finfo(np.float64).eps) / 4
     if one + half != one or one - half != one:
         raise Unverified(
-            "this process does not round to nearest: some library that was imported (codac does it) has changed the rounding mode of the "
-            "processor, so nothing can be proved here; run it in another process, or set the mode back to nearest (fesetround)"
+            "this process does not round to nearest: some library that was imported (codac does it) has "
+            "changed the rounding mode of the "
+            "processor, so nothing can be proved here; run it in another process, or set the mode back to "
+            "nearest (fesetround)"
         )
     if not one * float(np.finfo(np.float64).tiny) / 2 > 0:
         raise Unverified(
-            "this thread reads numbers below the smallest normal one as 0, or makes them 0: some library has set the processor to flush "
+            "this thread reads numbers below the smallest normal one as 0, or makes them 0: some library has "
+            "set the processor to flush "
             "them, so nothing can be proved here; ask in another thread or process, or switch that off"
         )
 
@@ -100,7 +119,9 @@ def default_device() -> Any:
 
 
 def usable_devices() -> tuple[jax.Device, ...]:
-    """Return the devices that work goes to: all of this process, or the one of `jax.default_device` where that is set."""
+    """Return the devices that work goes to: all of this process, or the one of `jax.default_device` where
+    that is set.
+    """
     chosen = default_device()
     if chosen is None:
         return tuple(jax.local_devices())
@@ -108,7 +129,9 @@ def usable_devices() -> tuple[jax.Device, ...]:
 
 
 def verified(device: jax.Device) -> bool:
-    """Return whether what is computed on a device may carry a proof; the first question about a device takes a tenth of a second."""
+    """Return whether what is computed on a device may carry a proof; the first question about a device takes
+    a tenth of a second.
+    """
     return not _doubt(device)
 
 
@@ -116,7 +139,8 @@ def kind_of_device(device: jax.Device) -> dict[str, str]:
     """Return what tells one kind of device from another: {"platform", "capability", "driver", "jaxlib"}.
 
     Args:
-        device: of jax. capability: of an NVIDIA device its compute capability, like "9.0", else ""; driver: what its plug-in says.
+        device: of jax. capability: of an NVIDIA device its compute capability, like "9.0", else ""; driver:
+            what its plug-in says.
 
     Example:
         >>> import jax
@@ -125,8 +149,17 @@ def kind_of_device(device: jax.Device) -> dict[str, str]:
     """
     capability = str(getattr(device, "compute_capability", "") or "")
     nvidia = capability and "nvidia" in str(getattr(device, "device_kind", "")).lower()
-    driver = "" if device.platform == "cpu" else str(getattr(getattr(device, "client", None), "platform_version", ""))
-    return {"platform": "NVIDIA" if nvidia else device.platform, "capability": capability, "driver": driver, "jaxlib": version("jaxlib")}
+    driver = (
+        ""
+        if device.platform == "cpu"
+        else str(getattr(getattr(device, "client", None), "platform_version", ""))
+    )
+    return {
+        "platform": "NVIDIA" if nvidia else device.platform,
+        "capability": capability,
+        "driver": driver,
+        "jaxlib": version("jaxlib"),
+    }
 
 
 def _doubt(device: jax.Device) -> str:
@@ -137,25 +170,42 @@ def _doubt(device: jax.Device) -> str:
 
 
 @lru_cache
-def _found(device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] = (), options: tuple[str, ...] = ()) -> str:
+def _found(
+    device: jax.Device, flags: str, x64: bool, switches: tuple[str, ...] = (), options: tuple[str, ...] = ()
+) -> str:
     kind = kind_of_device(device)
     named = " ".join(x for x in (kind["platform"], kind["capability"]) if x)
     if switches:
-        return f"the environment has {' and '.join(switches)}, by which libraries of {named} compute otherwise: start without"
+        return (
+            f"the environment has {' and '.join(switches)}, by which libraries of {named} compute "
+            f"otherwise: start without"
+        )
     if named not in EXAMINED:
         return (
-            f"proofs need a device whose rounding was verified, so far only CPU, not {named}: set JAX_PLATFORMS=cpu, or give "
+            f"proofs need a device whose rounding was verified, so far only CPU, not {named}: set "
+            f"JAX_PLATFORMS=cpu, or give "
             'NumPy arrays under `with jax.default_device("cpu")`; margins gives unproved values anywhere'
         )
     if loose := loose_flags(flags):
-        return f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start without, nothing can be proved so"
+        return (
+            f"XLA_FLAGS has {' and '.join(loose)}, with which the compiler keeps to no rounding: start "
+            f"without, nothing can be proved so"
+        )
     if kind["platform"] == "NVIDIA" and not x64:
-        return f"on {named} a quotient in float32 may be off by 4 units, more than proofs allow for: switch on jax_enable_x64"
+        return (
+            f"on {named} a quotient in float32 may be off by 4 units, more than proofs allow for: switch "
+            f"on jax_enable_x64"
+        )
     measured = measure(device, jnp.result_type(float))
-    if broken := [f"{name}: {value:.3g}, at most {most:g} assumed" for name, (value, most) in measured.items() if not value <= most]:
+    if broken := [
+        f"{name}: {value:.3g}, at most {most:g} assumed"
+        for name, (value, most) in measured.items()
+        if not value <= most
+    ]:
         settings = f"XLA_FLAGS={flags}" if flags else "what changes the compiler"
         return (
-            f"compiled arithmetic in this process is not what proofs rest on ({'; '.join(broken)}), so nothing can be proved with "
+            f"compiled arithmetic in this process is not what proofs rest on ({'; '.join(broken)}), so "
+            f"nothing can be proved with "
             f"jax {jax.__version__} and jaxlib {kind['jaxlib']}: start without {settings}, "
             f"or install a jaxlib that was examined ({examined_versions()})"
         )
@@ -172,9 +222,11 @@ EVEN = np.arange(COUNT) % 2 == 0
 
 
 def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, float]]:
-    """Return {what `rounding` assumes: (what a compiled kernel did on a device, the most that is assumed)}, errors in units u.
+    """Return {what `rounding` assumes: (what a compiled kernel did on a device, the most that is assumed)},
+    errors in units u.
 
-    Few numbers, and a kernel that compiles fast: it stands before every first verdict. `tests/sets/test_probe.py` asks more, of thousands.
+    Few numbers, and a kernel that compiles fast: it stands before every first verdict.
+    `tests/sets/test_probe.py` asks more, of thousands.
 
     A product p = a b that is rounded once leaves p - fl(a b) = 0. If the compiler sees through what should
     store it, or works it out anew where it is used, then it contracts the difference, and the error of the
@@ -186,12 +238,24 @@ def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, floa
     small, top = numbers(0.732, info.minexp + 1, info.minexp + 3.9), np.full(COUNT, info.max, dtype)
     odd, divisor = np.where(k % 4 == 0, np.nan, np.inf).astype(dtype), np.full(1, -17.3, dtype)
     given = a, b, divisor, small, top, odd, np.where(EVEN, a * b, a * a), EVEN
-    with jax.ensure_compile_time_eval(), jax.default_device(device), jax.debug_nans(False), jax.debug_infs(False), jax.disable_jit(False):
+    with (
+        jax.ensure_compile_time_eval(),
+        jax.default_device(device),
+        jax.debug_nans(False),
+        jax.debug_infs(False),
+        jax.disable_jit(False),
+    ):
         found = np.asarray(_kernel(*(jax.device_put(x, device) for x in given)))
     *exact, A, B, least = (list(map(Fraction, x.astype(float).tolist())) for x in (*found[:6], a, b, small))
     total, rest, quotient, share, root, flushed = exact
-    u, smallest, pairs = Fraction(float(info.eps)) / 2, Fraction(float(info.tiny)), list(zip(A, B, strict=True))
-    error = lambda found, want: max(float(abs(f - w) / abs(f) / u) if f else np.inf for f, w in zip(found, want, strict=True))
+    u, smallest, pairs = (
+        Fraction(float(info.eps)) / 2,
+        Fraction(float(info.tiny)),
+        list(zip(A, B, strict=True)),
+    )
+    error = lambda found, want: max(
+        float(abs(f - w) / abs(f) / u) if f else np.inf for f, w in zip(found, want, strict=True)
+    )
     lost = sum(s + e != x + y for s, e, (x, y) in zip(total, rest, pairs, strict=True))
     by = Fraction(float(divisor[0]))
     underflow = max(abs(f - x / by) for f, x in zip(flushed, least, strict=True)) / smallest
@@ -212,11 +276,23 @@ def measure(device: jax.Device, dtype: DTypeLike) -> dict[str, tuple[float, floa
 
 @jax.jit
 def _kernel(
-    a: jax.Array, b: jax.Array, divisor: jax.Array, small: jax.Array, top: jax.Array, odd: jax.Array, product: jax.Array, even: jax.Array
+    a: jax.Array,
+    b: jax.Array,
+    divisor: jax.Array,
+    small: jax.Array,
+    top: jax.Array,
+    odd: jax.Array,
+    product: jax.Array,
+    even: jax.Array,
 ) -> jax.Array:
-    """Return (8, COUNT) results: more of them would be spread over several loops, and take four times as long to compile."""
+    """Return (8, COUNT) results: more of them would be spread over several loops, and take four times as long
+    to compile.
+    """
     lost = jnp.maximum(odd - odd, b)  # odd: NaN and infinite
-    held = unrolled.stored(a * b) - product, product - _squared(a)  # differences of one form, or of one product, would become one
+    held = (
+        unrolled.stored(a * b) - product,
+        product - _squared(a),
+    )  # differences of one form, or of one product, would become one
     ends = jax.lax.select(even, top + top, lost), jax.lax.select(even, *held)
     return jnp.stack([*rounding.two_sum(a, b), a / b, a / divisor, jnp.sqrt(b), small / divisor, *ends])
 

@@ -1,7 +1,8 @@
 """The only file that knows about ulps: how far a compiled floating-point result can be from the exact one.
 
-What a compiler may do to `a * b + c` is wide: contract it into one FMA, replace a division by a product with a
-reciprocal, add in any order, flush subnormals to zero on the way in and on the way out. Everything here holds under all of these.
+What a compiler may do to `a * b + c` is wide: contract it into one FMA, replace a division by a product with
+a reciprocal, add in any order, flush subnormals to zero on the way in and on the way out. Everything here
+holds under all of these.
 
 Notation: u is half the spacing of floats at 1, tiny the smallest normal number, both of the working dtype.
 
@@ -9,18 +10,22 @@ What is assumed of processor, device and compiler is asked by `probe`, before ev
 
 **One operation** (`outward`). A compiled +, -, * or / whose exact result is r returns f with
 |f - r| <= 2.84 u |f| + tiny (2.84: a quotient by a reciprocal, 1.42 ulp; tiny: a flushed result). Subtracting
-4 u |f| + 2 tiny and rounding once more costs at most u |f|, and 2.84 + 1 < 4. The claim needs no barrier: contraction into an
-FMA only removes roundings. A quotient needs a divisor whose reciprocal is not flushed: `interval.div` scales it first.
+4 u |f| + 2 tiny and rounding once more costs at most u |f|, and 2.84 + 1 < 4. The claim needs no barrier:
+contraction into an FMA only removes roundings. A quotient needs a divisor whose reciprocal is not flushed:
+`interval.div` scales it first.
 
-**One sum of products** (`residual_error`). See its docstring: a forward error bound that covers a whole residual, once.
+**One sum of products** (`residual_error`). See its docstring: a forward error bound that covers a whole
+residual, once.
 
-**NaN.** A reduction of 4096 numbers or more, with the operations that only it reads, may go to a library whose maximum and minimum, along
-an axis or of two arrays, overlook NaN; infinity stays, and so do errors as above. So no proof waits for a maximum to show NaN: it
-compares something else that is NaN then (a sum, or the row itself), and a comparison with NaN proves nothing; but what cannot be below 0,
-like |x| and x x, is >= 0 for the compiler without a look, NaN or not.
+**NaN.** A reduction of 4096 numbers or more, with the operations that only it reads, may go to a library
+whose maximum and minimum, along an axis or of two arrays, overlook NaN; infinity stays, and so do errors as
+above. So no proof waits for a maximum to show NaN: it compares something else that is NaN then (a sum, or the
+row itself), and a comparison with NaN proves nothing; but what cannot be below 0, like |x| and x x, is >= 0
+for the compiler without a look, NaN or not.
 
-**Bounds and coefficients** come from decimals. `fraction_to_float` rounds them to nearest (counted in `residual_error`),
-`round_up` away from zero, so that a float bound is never smaller than the decimal the user wrote.
+**Bounds and coefficients** come from decimals. `fraction_to_float` rounds them to nearest (counted in
+`residual_error`), `round_up` away from zero, so that a float bound is never smaller than the decimal the user
+wrote.
 """
 
 from fractions import Fraction
@@ -87,8 +92,8 @@ def tiny(dtype: DTypeLike) -> np.floating:
 def outward(lo: ArrayLike, hi: ArrayLike, units: float | np.floating = 4) -> tuple[jax.Array, jax.Array]:
     """Widen the computed bounds (lo, hi) of one operation so that they enclose the exact ones.
 
-    The bounds may be off by (units - 1.16) u |f| + tiny: four units fit one operation; `approximations` states its own.
-    A bound that overflowed to the wrong infinity falls back to the largest finite number.
+    The bounds may be off by (units - 1.16) u |f| + tiny: four units fit one operation; `approximations`
+    states its own. A bound that overflowed to the wrong infinity falls back to the largest finite number.
     """
     lo, hi = jnp.asarray(lo), jnp.asarray(hi)
     u4, t2, top = np.asarray(units, lo.dtype)[()] * unit(lo.dtype), 2 * tiny(lo.dtype), np.finfo(lo.dtype).max
@@ -98,7 +103,9 @@ def outward(lo: ArrayLike, hi: ArrayLike, units: float | np.floating = 4) -> tup
 
 
 def raised(x: np.ndarray) -> np.ndarray:
-    """Return a float above the exact result of one operation of NumPy, on the host, that gave x: as wide as `outward`."""
+    """Return a float above the exact result of one operation of NumPy, on the host, that gave x: as wide as
+    `outward`.
+    """
     return x + (4 * unit(x.dtype) * np.abs(x) + 2 * tiny(x.dtype))
 
 
@@ -106,8 +113,8 @@ def raised(x: np.ndarray) -> np.ndarray:
 def outward_sum(lo: jax.Array, hi: jax.Array, axis: int) -> tuple[jax.Array, jax.Array]:
     """Enclose the sums of lo and of hi along `axis`, in any order of addition.
 
-    n terms added in any order are off by at most (n - 1) u sum|x|, and sum|x| is at most its computed value / (1 - n u).
-    A sum whose magnitudes overflow, or of more than 1 / (2 u) terms, is unbounded.
+    n terms added in any order are off by at most (n - 1) u sum|x|, and sum|x| is at most its computed value /
+    (1 - n u). A sum whose magnitudes overflow, or of more than 1 / (2 u) terms, is unbounded.
     """
     n = lo.shape[axis]
     share = (n + 4) * float(unit(lo.dtype))
@@ -136,32 +143,38 @@ def residual_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floati
         d = y - offset,  m = d + sigma clip(d, -rho, rho),  r = rho + sigma max(|d|, rho),
         scale = sum_i |h_i| ((1 + sigma_i)(|y_i| + |offset_i|) + r_i) + sum_j |k_j| (|v_j| + |offset_j|).
 
-    Proof, counting relative roundings, every one <= u: y and v may have been rounded once to the working dtype and so has each
-    offset, the difference adds one: 2 u (|y| + |offset|) on d. With clip(d, -rho, rho) and max(|d|, rho) computed as half the difference
-    and half the sum of |d + rho| and |d - rho|, m is off by 5 u (1 + sigma)(|y| + |offset|) + 3 u r.
-    h is a rounded rational times a rounded 1 / ((1 - sigma)(1 + sigma)): 8 u. A product adds 1, a sum of N terms N - 1, in any order.
-    Hence (N + 13) u on the left-hand side; likewise (N + 11) u on the right-hand side; comparing the two adds 2.
-    Sum: (2 N + 26) u scale to first order; 2 N + 32 covers second-order terms and the rounding of the slack itself for
-    N u < 1e-3. Each of at most 8 N operations may flush a result below `tiny`, after which a factor |h| may follow: `floor` is
-    to be multiplied by 1 + max|h|.
+    Proof, counting relative roundings, every one <= u: y and v may have been rounded once to the working
+    dtype and so has each offset, the difference adds one: 2 u (|y| + |offset|) on d. With clip(d, -rho, rho)
+    and max(|d|, rho) computed as half the difference and half the sum of |d + rho| and |d - rho|, m is off by
+    5 u (1 + sigma)(|y| + |offset|) + 3 u r. h is a rounded rational times a rounded 1 / ((1 - sigma)(1 +
+    sigma)): 8 u. A product adds 1, a sum of N terms N - 1, in any order. Hence (N + 13) u on the left-hand
+    side; likewise (N + 11) u on the right-hand side; comparing the two adds 2.
+    Sum: (2 N + 26) u scale to first order; 2 N + 32 covers second-order terms and the rounding of the slack
+    itself for N u < 1e-3. Each of at most 8 N operations may flush a result below `tiny`, after which a
+    factor |h| may follow: `floor` is to be multiplied by 1 + max|h|.
     """
     return _scalar((2 * terms + 32) * unit(dtype), dtype), _scalar(8 * terms * tiny(dtype), dtype)
 
 
 def search_error(outer: int, inner: int, known: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:
-    """Return (gamma, floor) for the two proofs of `sets.strips.separation`, with c outer rows, k inner rows and l known values.
+    """Return (gamma, floor) for the two proofs of `sets.strips.separation`, with c outer rows, k inner rows
+    and l known values.
 
-    Per outer row, z_j = m_j - sum_i R_ji m_i - sum_b K_jb v_b is one sum of N = k + l + 1 products as in `residual_error`, whose bound
-    (2 N + 32) u M_j, M_j = scale_j + sum_i |R_ji| scale_i + sum_b |K_jb| (|v_b| + |offset_b|), covers z_j and the radii in its row.
+    Per outer row, z_j = m_j - sum_i R_ji m_i - sum_b K_jb v_b is one sum of N = k + l + 1 products as in
+    `residual_error`, whose bound (2 N + 32) u M_j, M_j = scale_j + sum_i |R_ji| scale_i + sum_b |K_jb| (|v_b|
+    + |offset_b|), covers z_j and the radii in its row.
 
-    Inside, |z_j - R_j d| <= r_j with |d_i| <= r_i: rounded R, products and the sum add (k + 3) u (|z_j| + |R_j| r) <= 2 (k + 3) u M_j.
-    Outside, |h z| > sum_j |h_j| r_j + sum_i |h R|_i r_i: the outer sum adds (c + 1) u |h| M on the left; on the right, h R is off by
-    (c + 2) u |h| |R|, the radii by 11 u, their sum by (c + k + 1) u. Together at most (3 c + 3 k + 2 l + 50) u |h| M.
-    Both are below (4 (c + k + l) + 52) u, the bound of `residual_error` for 2 (c + k + l) + 10 terms. h is exact: whatever it is.
+    Inside, |z_j - R_j d| <= r_j with |d_i| <= r_i: rounded R, products and the sum add (k + 3) u (|z_j| +
+    |R_j| r) <= 2 (k + 3) u M_j. Outside, |h z| > sum_j |h_j| r_j + sum_i |h R|_i r_i: the outer sum adds (c +
+    1) u |h| M on the left; on the right, h R is off by (c + 2) u |h| |R|, the radii by 11 u, their sum by (c
+    + k + 1) u. Together at most (3 c + 3 k + 2 l + 50) u |h| M. Both are below (4 (c + k + l) + 52) u, the
+    bound of `residual_error` for 2 (c + k + l) + 10 terms. h is
+    exact: whatever it is.
 
-    An underflow, in any of the sums of row j or in a coefficient off by that much (`nearest_normals`), costs tiny times at most one
-    coefficient of R or K and one M, inner scale_i or |v_b| + |offset_b| (a column of R can be as small as tiny, and M then says nothing
-    of its scale): `floor` is to be multiplied by 1 + max|R|, 1 + max|K|, and 1 + the sum of all these.
+    An underflow, in any of the sums of row j or in a coefficient off by that much (`nearest_normals`), costs
+    tiny times at most one coefficient of R or K and one M, inner scale_i or |v_b| + |offset_b| (a column of R
+    can be as small as tiny, and M then says nothing of its scale): `floor` is to be multiplied by 1 + max|R|,
+    1 + max|K|, and 1 + the sum of all these.
     """
     terms = 2 * (outer + inner + known) + 10
     gamma, floor = residual_error(terms, dtype)
@@ -170,8 +183,12 @@ def search_error(outer: int, inner: int, known: int, dtype: DTypeLike) -> tuple[
 
 @jax.jit
 def settle_subnormals(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Move subnormal bounds outward to the smallest normal number where reading them as 0, as compiled code does, would go inward."""
-    return jnp.where(_inward(lo, False), -tiny(lo.dtype), lo), jnp.where(_inward(hi, True), tiny(hi.dtype), hi)
+    """Move subnormal bounds outward to the smallest normal number where reading them as 0, as compiled code
+    does, would go inward.
+    """
+    return jnp.where(_inward(lo, False), -tiny(lo.dtype), lo), jnp.where(
+        _inward(hi, True), tiny(hi.dtype), hi
+    )
 
 
 def settled_on_host(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -186,7 +203,9 @@ def _inward(x, up):
 
 
 def readable(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return bounds that compiled code reads as they are or further out: subnormal ones settled, none (infinite) for NaN."""
+    """Return bounds that compiled code reads as they are or further out: subnormal ones settled, none
+    (infinite) for NaN.
+    """
     return unbounded(*settle_subnormals(lo, hi))
 
 
@@ -204,7 +223,9 @@ def _pattern(x):
 
 
 def order(x: jax.Array) -> jax.Array:
-    """Return integers in the order of the floats x, subnormal ones included; -0 is 0. NaN is beyond all others of its sign."""
+    """Return integers in the order of the floats x, subnormal ones included; -0 is 0. NaN is beyond all
+    others of its sign.
+    """
     pattern, _, first = _pattern(x)
     return jnp.where(pattern < 0, first - pattern, pattern)
 
@@ -238,11 +259,13 @@ def positive(x: jax.Array) -> jax.Array:
 
 
 def product_error(terms: int, dtype: DTypeLike) -> tuple[np.floating, np.floating]:
-    """Return (gamma, floor): a compiled sum of `terms` products a b is within half of gamma sum|a b| + floor (1 + max|a|)(1 + max|b|).
+    """Return (gamma, floor): a compiled sum of `terms` products a b is within half of gamma sum|a b| + floor
+    (1 + max|a|)(1 + max|b|).
 
-    Proof: in any order, with or without FMA, the sum is off by terms u sum|a b| to first order. An a that is read as zero costs
-    tiny max|b|, and likewise b; a product or partial sum that is flushed costs tiny. gamma holds twice that and 8 u, floor twice that:
-    the half that is left covers the rounding of this bound itself and of a few operations more on it and the sum.
+    Proof: in any order, with or without FMA, the sum is off by terms u sum|a b| to first order. An a that is
+    read as zero costs tiny max|b|, and likewise b; a product or partial sum that is flushed costs tiny. gamma
+    holds twice that and 8 u, floor twice that: the half that is left covers the rounding of this bound itself
+    and of a few operations more on it and the sum.
     """
     return _scalar(2 * (2 * terms + 8) * unit(dtype), dtype), _scalar(16 * (terms + 1) * tiny(dtype), dtype)
 
@@ -253,13 +276,16 @@ def fraction_to_float(value: Fraction | float, dtype: DTypeLike = np.float64) ->
         out = _scalar(_nearest(value), dtype)
     if value != 0 and (abs(out) < tiny(dtype) or not np.isfinite(out)):
         raise ValueError(
-            f"the coefficients of a relation span more than {np.dtype(dtype).name} holds: give the signals units of similar size"
+            f"the coefficients of a relation span more than {np.dtype(dtype).name} holds: give the signals "
+            f"units of similar size"
         )
     return out
 
 
 def nearest_normals(values: list, dtype: DTypeLike = np.float64) -> np.ndarray:
-    """Round exact rationals to the nearest floats, one below the normal range to the smallest normal number of its sign: never to 0."""
+    """Round exact rationals to the nearest floats, one below the normal range to the smallest normal number
+    of its sign: never to 0.
+    """
     out = np.array([_nearest(x) for x in values], np.float64).astype(dtype)
     for i in np.flatnonzero(abs(out) < tiny(dtype)).tolist():
         out[i] = ((values[i] > 0) - (values[i] < 0)) * tiny(dtype)
@@ -275,12 +301,16 @@ def _nearest(value):
 
 
 def round_up(value: object, dtype: DTypeLike = np.float64) -> np.ndarray:
-    """Return the float of `dtype` next above or equal to `value` (an array of floats, or of any exact numbers), on the host."""
+    """Return the float of `dtype` next above or equal to `value` (an array of floats, or of any exact
+    numbers), on the host.
+    """
     return _directed(value, dtype, np.inf)
 
 
 def round_down(value: object, dtype: DTypeLike = np.float64) -> np.ndarray:
-    """Return the float of `dtype` next below or equal to `value` (an array of floats, or of any exact numbers), on the host."""
+    """Return the float of `dtype` next below or equal to `value` (an array of floats, or of any exact
+    numbers), on the host.
+    """
     return _directed(value, dtype, -np.inf)
 
 
@@ -299,7 +329,8 @@ def _directed(value, dtype, towards):
 def two_sum(a: jax.Array, b: ArrayLike) -> Pair:
     """Return (s, e) with s = fl(a + b) and s + e = a + b exactly (Knuth).
 
-    The barrier keeps the compiler from turning (1 + b) - 1 into b. An inexact product handed in directly may be fused into the sum.
+    The barrier keeps the compiler from turning (1 + b) - 1 into b. An inexact product handed in directly may
+    be fused into the sum.
     """
     return _two_sum(*jax.lax.optimization_barrier((a, b)))
 
@@ -313,8 +344,8 @@ def _two_sum(a: jax.Array, b: jax.Array) -> Pair:
 def two_prod(a: jax.Array, b: jax.Array) -> Pair:
     """Return (p, e) with p = fl(a * b) and p + e = a * b exactly barring underflow of e.
 
-    The products of halves and the sum of the two mixed ones fit the digits, so that contraction into an FMA changes nothing (it
-    breaks Dekker's splitting, and his fl(a * b), in a batched loop).
+    The products of halves and the sum of the two mixed ones fit the digits, so that contraction into an FMA
+    changes nothing (it breaks Dekker's splitting, and his fl(a * b), in a batched loop).
     """
     (a_hi, a_lo), (b_hi, b_lo) = _halves(a), _halves(b)
     mixed = a_hi * b_lo + a_lo * b_hi
@@ -347,11 +378,12 @@ def dd_mul(x: Pair, y: Pair) -> Pair:
 
 
 def quotient(n: jax.Array, d: jax.Array) -> jax.Array:
-    """Divide with an error of 1.01 u |n / d|, whatever the compiler makes of the division; d and 1 / d normal, n / d far from overflow.
+    """Divide with an error of 1.01 u |n / d|, whatever the compiler makes of the division; d and 1 / d
+    normal, n / d far from overflow.
 
-    Half the digits of n / d leave a remainder n - q d that is exact (its products fit the digits, its digits start where those of q
-    end), so that one more step gives the other half. Where n, d or q is so small that digits of the remainder could be flushed, it is
-    n (1 / d), off by 2.84 u.
+    Half the digits of n / d leave a remainder n - q d that is exact (its products fit the digits, its digits
+    start where those of q end), so that one more step gives the other half. Where n, d or q is so small that
+    digits of the remainder could be flushed, it is n (1 / d), off by 2.84 u.
     """
     inverse = 1 / d
     rough = n * inverse
@@ -362,18 +394,27 @@ def quotient(n: jax.Array, d: jax.Array) -> jax.Array:
 
 
 def root(x: jax.Array) -> jax.Array:
-    """Return the square root of x >= 0 with an error of 1.01 u, whatever the compiler's is; sqrt(0) = 0, x far from underflow."""
+    """Return the square root of x >= 0 with an error of 1.01 u, whatever the compiler's is; sqrt(0) = 0, x
+    far from underflow.
+    """
     s = jnp.sqrt(x)
     p, e = two_prod(s, s)
     return s + ((x - p) - e) / jnp.where(s > 0, 2 * s, 1)
 
 
 def mantissa_exponent(x: jax.Array) -> Pair:
-    """Split x > 0, subnormal or not, exactly into m 2^k with sqrt(1/2) <= m < sqrt(2); k is an integer as a float."""
+    """Split x > 0, subnormal or not, exactly into m 2^k with sqrt(1/2) <= m < sqrt(2); k is an integer as a
+    float.
+    """
     bits, mantissa, bias, magic = _layout(x.dtype)
-    as_bits, as_float = (lambda v: np.asarray(v, x.dtype).view(bits)), (lambda v: jax.lax.bitcast_convert_type(v, x.dtype))
+    as_bits, as_float = (
+        (lambda v: np.asarray(v, x.dtype).view(bits)),
+        (lambda v: jax.lax.bitcast_convert_type(v, x.dtype)),
+    )
     pattern = jax.lax.bitcast_convert_type(x, bits)
-    whole = as_float(pattern | as_bits(2.0**mantissa)) - 2.0**mantissa  # a subnormal number's digits count its smallest one
+    whole = (
+        as_float(pattern | as_bits(2.0**mantissa)) - 2.0**mantissa
+    )  # a subnormal number's digits count its smallest one
     small = pattern < 1 << mantissa
     pattern = jnp.where(small, jax.lax.bitcast_convert_type(whole, bits), pattern)
     k = (pattern - as_bits(np.sqrt(0.5))) >> mantissa
@@ -384,17 +425,24 @@ def mantissa_exponent(x: jax.Array) -> Pair:
 def power_of_two(k: jax.Array) -> jax.Array:
     """Return 2^k, exactly, for an integer k (as a float) in the normal range."""
     bits, mantissa, bias, magic = _layout(k.dtype)
-    # the last digits of k + magic are those of k + bias in two's complement; the shift leaves them as an exponent
-    return jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(k + (magic + bias), bits) << mantissa, k.dtype)
+    # the last digits of k + magic are those of k + bias in two's complement; the shift leaves them as an
+    # exponent
+    return jax.lax.bitcast_convert_type(
+        jax.lax.bitcast_convert_type(k + (magic + bias), bits) << mantissa, k.dtype
+    )
 
 
 def scale(x: jax.Array, k: jax.Array) -> jax.Array:
-    """Return x 2^k, exact barring underflow (flushed) and overflow (infinite), for |k| up to twice the normal range."""
+    """Return x 2^k, exact barring underflow (flushed) and overflow (infinite), for |k| up to twice the normal
+    range.
+    """
     half = jnp.floor(k * 0.5)
     return x * power_of_two(half) * power_of_two(k - half)
 
 
 def _layout(dtype):
-    """Return the integers of one size, the mantissa's digits, the exponent's bias and a float whose last digit counts ones."""
+    """Return the integers of one size, the mantissa's digits, the exponent's bias and a float whose last
+    digit counts ones.
+    """
     bits, mantissa, bias = {8: (np.int64, 52, 1023), 4: (np.int32, 23, 127)}[jnp.dtype(dtype).itemsize]
     return bits, mantissa, bias, 1.5 * 2.0**mantissa

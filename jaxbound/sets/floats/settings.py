@@ -24,9 +24,11 @@ __all__ = [
     "unknown_flags",
 ]
 
-VERSIONS = frozenset({"0.8.0", "0.8.1", "0.8.2", "0.8.3", "0.9.0", "0.9.0.1", "0.9.1", "0.9.2", "0.10.0", "0.10.1", "0.10.2"})
-"""Versions of jaxlib that passed the whole examination on a CPU (x86-64). A new one is listed once it did, with
-the tests of `sets/floats`. 0.11.1 is not to be installed at all, see pyproject.toml."""
+VERSIONS = frozenset(
+    {"0.8.0", "0.8.1", "0.8.2", "0.8.3", "0.9.0", "0.9.0.1", "0.9.1", "0.9.2", "0.10.0", "0.10.1", "0.10.2"}
+)
+"""Versions of jaxlib that passed the whole examination on a CPU (x86-64). A new one is listed once it did,
+with the tests of `sets/floats`. 0.11.1 is not to be installed at all, see pyproject.toml."""
 GIVES_UP = {
     "xla_cpu_enable_fast_math": ("false", "0"),
     "xla_cpu_fast_math_honor_nans": ("", "true", "1"),

@@ -7,7 +7,8 @@ class Status(IntEnum):
     """The verdict on one window, one point or one paving.
 
     `MISSING`: no usable data. `CONSISTENT`: proved to be explained by some value inside the bounds.
-    `UNDECIDED`: rounding or the effort allowed did not settle it. `FAULT`: proved that nothing inside the bounds explains it.
+    `UNDECIDED`: rounding or the effort allowed did not settle it. `FAULT`: proved that nothing inside the
+    bounds explains it.
 
     Example:
         >>> Status.FAULT > Status.CONSISTENT

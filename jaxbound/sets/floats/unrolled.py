@@ -17,7 +17,9 @@ from jax.experimental.xla_metadata import set_xla_metadata
 __all__ = ["FEW", "apart", "foremost", "highest", "largest", "most", "stored", "summed", "total"]
 
 FEW = 8
-"""Rows up to which a sum is written out; more are added in a loop, four at a time: it compiles to no more with their number."""
+"""Rows up to which a sum is written out; more are added in a loop, four at a time: it compiles to no more
+with their number.
+"""
 TOGETHER = 4
 
 
@@ -26,7 +28,8 @@ Tree = TypeVar("Tree")
 
 
 def stored(x: Tree) -> Tree:
-    """Return x, divided by ones that the compiler takes for numbers: it stores a quotient, not to work it out for each of its uses again.
+    """Return x, divided by ones that the compiler takes for numbers: it stores a quotient, not to work it out
+    for each of its uses again.
 
     (A barrier does not stop it from doing so, and a division by a broadcast becomes a product.)
     """
@@ -79,7 +82,9 @@ def largest(rows: Sequence[jax.Array] | jax.Array, one: jax.Array) -> tuple[jax.
     return top, (first / one).astype(jnp.int32)
 
 
-def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int] | None = None, few: int = FEW) -> jax.Array:
+def summed(
+    term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int] | None = None, few: int = FEW
+) -> jax.Array:
     """Return the sum of term(*row) over the rows of arrays, added up in order.
 
     Args:
@@ -90,8 +95,15 @@ def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int]
 
     def at(i):
         if isinstance(i, int):
-            return term(*(jax.lax.index_in_dim(x, i, axis, keepdims=False) for x, axis in zip(rows, places, strict=True)))
-        take = lambda x, axis: jax.lax.dynamic_index_in_dim(x, i, axis, keepdims=False, allow_negative_indices=False)
+            return term(
+                *(
+                    jax.lax.index_in_dim(x, i, axis, keepdims=False)
+                    for x, axis in zip(rows, places, strict=True)
+                )
+            )
+        take = lambda x, axis: jax.lax.dynamic_index_in_dim(
+            x, i, axis, keepdims=False, allow_negative_indices=False
+        )
         return term(*map(take, rows, places))
 
     whole = count // TOGETHER if count > few else 0
@@ -103,7 +115,9 @@ def summed(term: Callable[..., jax.Array], *rows: jax.Array, axes: Sequence[int]
 
 
 def highest(rows: jax.Array) -> jax.Array:
-    """Return the largest of the rows (n, N); a NaN among them may be left out, so that no proof rests on it."""
+    """Return the largest of the rows (n, N); a NaN among them may be left out, so that no proof rests on
+    it.
+    """
     return most(rows) if len(rows) <= FEW else jnp.max(rows, 0)
 
 

@@ -1,7 +1,7 @@
 """A function prepared so that the derivative that JAX takes of it is that of its mathematics.
 
-Custom rules and stop_gradient may state another derivative than the function has; they are dropped. max, min and clamp become
-selections by a comparison, which an interval can decide.
+Custom rules and stop_gradient may state another derivative than the function has; they are dropped. max, min
+and clamp become selections by a comparison, which an interval can decide.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,9 @@ __all__ = ["plain"]
 
 
 def plain(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
-    """Evaluate a jaxpr on numbers like JAX does, with the primitives replaced whose derivative would not serve."""
+    """Evaluate a jaxpr on numbers like JAX does, with the primitives replaced whose derivative would not
+    serve.
+    """
     env = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, args, strict=True))
     read = lambda v: jnp.asarray(v.val, dtype_of(v)) if isinstance(v, Literal) else env[v]
     for eqn in jaxpr.eqns:
@@ -37,7 +39,11 @@ def _apply(eqn: JaxprEqn, values: list[Any]) -> Sequence[Any]:
 
 
 def _holds_jaxpr(value: object) -> bool:
-    return isinstance(value, ClosedJaxpr) or isinstance(value, tuple) and any(isinstance(v, ClosedJaxpr) for v in value)
+    return (
+        isinstance(value, ClosedJaxpr)
+        or isinstance(value, tuple)
+        and any(isinstance(v, ClosedJaxpr) for v in value)
+    )
 
 
 def _plain_param(value):

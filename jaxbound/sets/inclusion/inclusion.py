@@ -2,7 +2,8 @@
 
     natural      every primitive evaluated over Intervals
     mean_value   f(c) + J (z - c), c the middle of the box, J enclosing the derivatives all over it
-    best         the intersection of both, and of natural over the faces to which a derivative with a sign pins each bound
+    best         the intersection of both, and of natural over the faces to which a derivative with a sign
+    pins each bound
 
 Source: Moore, Kearfott, Cloud 2009, chapters 5 and 6.
 """
@@ -38,22 +39,25 @@ def inclusion(f: Callable[..., Any], method: str = "natural") -> Inclusion:
     """Return F with F(box) enclosing {f(z) : z in box}.
 
     Args:
-        f: any JAX function of arrays: elementwise mathematics, matrix products, indexing, where, reductions, scan, loops and
-            branches, jit, vmap and custom derivatives inside. Its constants are taken as the floats they are.
-        method: "natural"; "mean_value", whose excess width shrinks with the square of the width of the box; "best", never wider
-            than "natural" and at 2 m more evaluations for m outputs.
+        f: any JAX function of arrays: elementwise mathematics, matrix products, indexing, where, reductions,
+            scan, loops and branches, jit, vmap and custom derivatives inside. Its constants are taken as the
+            floats they are.
+        method: "natural"; "mean_value", whose excess width shrinks with the square of the width of the box;
+            "best", never wider than "natural" and at 2 m more evaluations for m outputs.
 
     Returns:
-        An Inclusion: called like f, with Intervals wherever a set is meant. Arrays and numbers are points. It vmaps and jits; a
-        second call with boxes of the same shape does not trace f again.
+        An Inclusion: called like f, with Intervals wherever a set is meant. Arrays and numbers are points. It
+        vmaps and jits; a second call with boxes of the same shape does not trace f again.
 
     Raises:
         ValueError: an unknown method. TypeError: f cannot be called.
 
-    Encloses: every value of the real function f over the part of the box where it is defined, in float32 and float64, compiled
-        or not. A NaN or an infinity inside, of which f makes a number again (nan_to_num, nanmax, where(isnan(...), ...)), counts
-        with what f makes of it, wherever it may arise. Where continuity over the whole box is not proved (an undecided where, floor
-        across a step, a division by an interval with 0), "mean_value" and "best" are "natural".
+    Encloses: every value of the real function f over the part of the box where it is defined, in float32 and
+    float64, compiled
+        or not. A NaN or an infinity inside, of which f makes a number again (nan_to_num, nanmax,
+        where(isnan(...), ...)), counts with what f makes of it, wherever it may arise. Where continuity over
+        the whole box is not proved (an undecided where, floor across a step, a division by an interval with
+        0), "mean_value" and "best" are "natural".
 
     Example:
         >>> import jax.numpy as jnp
@@ -87,7 +91,8 @@ class Inclusion:
         """Return the enclosure: f's own structure with an Interval for each float array.
 
         Raises:
-            ValueError: NaN or lo > hi in a box. NotImplementedError: f uses a primitive without a rule, or half precision.
+            ValueError: NaN or lo > hi in a box. NotImplementedError: f uses a primitive without a rule, or
+                half precision.
         """
         return _run(_enclose, self, args, options)
 
@@ -100,10 +105,12 @@ class Inclusion:
         return _run(_continuous, self, args, options)
 
     def jacobian(self, *args: Any, **options: Any) -> Interval:
-        """Return an Interval (m, n) that holds the derivatives of all m float outputs by all n numbers of the Interval arguments.
+        """Return an Interval (m, n) that holds the derivatives of all m float outputs by all n numbers of the
+        Interval arguments.
 
-        Entire where f is not proved to be defined and continuous over the box. Kinks of abs, max, min and clamp count with all
-        slopes between those of their sides, so that f(x) - f(y) is in J (x - y) for any two points x, y of the box.
+        Entire where f is not proved to be defined and continuous over the box. Kinks of abs, max, min and
+        clamp count with all slopes between those of their sides, so that f(x) - f(y) is in J (x - y) for any
+        two points x, y of the box.
 
         Raises:
             As the call.
@@ -123,9 +130,13 @@ def _run(kernel: Callable[..., Any], F: Inclusion, args: tuple[Any, ...], option
 
 
 def _widened(leaves, sets):
-    """Return the leaves with all Intervals of floats in the wider of their types, so that one vector can hold them."""
+    """Return the leaves with all Intervals of floats in the wider of their types, so that one vector can hold
+    them.
+    """
     real = [s and jnp.issubdtype(x.dtype, jnp.floating) for s, x in zip(sets, leaves, strict=True)]
-    dtype: Any = jnp.result_type(*(x.dtype for x, r in zip(leaves, real, strict=True) if r)) if any(real) else None
+    dtype: Any = (
+        jnp.result_type(*(x.dtype for x, r in zip(leaves, real, strict=True) if r)) if any(real) else None
+    )
     wider = lambda x: x if x.dtype == dtype else jax.tree.map(lambda v: rounding.widened(v, dtype), x)
     return [wider(x) if r else x for x, r in zip(leaves, real, strict=True)]
 
@@ -133,22 +144,35 @@ def _widened(leaves, sets):
 def _leaf(x):
     if isinstance(x, Interval):
         if jnp.shape(x.lo) != jnp.shape(x.hi):
-            raise ValueError(f"lo and hi of an Interval must have one shape: {jnp.shape(x.lo)} and {jnp.shape(x.hi)}")
-        return x if isinstance(x.lo, jax.core.Tracer) or isinstance(x.hi, jax.core.Tracer) else interval(x.lo, x.hi)
+            raise ValueError(
+                f"lo and hi of an Interval must have one shape: {jnp.shape(x.lo)} and {jnp.shape(x.hi)}"
+            )
+        return (
+            x
+            if isinstance(x.lo, jax.core.Tracer) or isinstance(x.hi, jax.core.Tracer)
+            else interval(x.lo, x.hi)
+        )
     if isinstance(x, bool | int | np.integer | np.bool_):
         return x
     if isinstance(x, jax.core.Tracer):
         return settled(x) if jnp.issubdtype(x.dtype, jnp.floating) else x
     host = np.asarray(x)
     if host.dtype.kind != "f":
-        if host.dtype.kind not in "iub" and not jnp.issubdtype(getattr(x, "dtype", host.dtype), jax.dtypes.prng_key):
+        if host.dtype.kind not in "iub" and not jnp.issubdtype(
+            getattr(x, "dtype", host.dtype), jax.dtypes.prng_key
+        ):
             raise TypeError(f"inclusion takes Intervals, arrays and numbers, not {type(x).__name__}")
         return x
     if np.isnan(host).any():
-        raise ValueError(f"a point must be a number, not NaN: {np.isnan(host).sum()} of {host.size} entries violate it")
+        raise ValueError(
+            f"a point must be a number, not NaN: {np.isnan(host).sum()} of {host.size} entries violate it"
+        )
     if np.isinf(host).any():
         return settled(jnp.asarray(host))
-    exact = host.dtype == jax.dtypes.canonicalize_dtype(host.dtype) and ((abs(host) >= np.finfo(host.dtype).tiny) | (host == 0)).all()
+    exact = (
+        host.dtype == jax.dtypes.canonicalize_dtype(host.dtype)
+        and ((abs(host) >= np.finfo(host.dtype).tiny) | (host == 0)).all()
+    )
     return x if exact else interval(host)
 
 
@@ -163,12 +187,18 @@ class _Traced:
 
     def __init__(self, f, leaves, structure, sets):
         name = getattr(f, "__name__", "f")
-        call = lambda *leaves: (lambda args, options: f(*args, **options))(*jax.tree.unflatten(structure, leaves))
+        call = lambda *leaves: (lambda args, options: f(*args, **options))(
+            *jax.tree.unflatten(structure, leaves)
+        )
         closed, self.shape = jax.make_jaxpr(call, return_shape=True)(*map(_spec, leaves))
-        refuse_unsupported(closed.jaxpr, "the function" if name == "<lambda>" else name, "write it with others")
+        refuse_unsupported(
+            closed.jaxpr, "the function" if name == "<lambda>" else name, "write it with others"
+        )
         self.jaxpr, self.consts, self.leaves = closed.jaxpr, closed.consts, leaves
         self.free = [i for i, x in enumerate(leaves) if sets[i] and jnp.issubdtype(x.dtype, jnp.floating)]
-        self.real = [i for i, v in enumerate(closed.jaxpr.outvars) if jnp.issubdtype(v.aval.dtype, jnp.floating)]
+        self.real = [
+            i for i, v in enumerate(closed.jaxpr.outvars) if jnp.issubdtype(v.aval.dtype, jnp.floating)
+        ]
 
     def outputs(self, leaves: Sequence[Value]) -> tuple[list[Value], jax.Array]:
         """Return (outs, continuous) over the leaves."""
@@ -195,7 +225,9 @@ class _Traced:
 
         def flat(z, *others):
             rest = iter(others)
-            outs = plain(self.jaxpr, self.consts, self.spread(z, lambda i, x: None if i in self.free else next(rest)))
+            outs = plain(
+                self.jaxpr, self.consts, self.spread(z, lambda i, x: None if i in self.free else next(rest))
+            )
             return jnp.concatenate([outs[i].ravel() for i in self.real])
 
         z = self.vector()
@@ -235,9 +267,11 @@ def _enclose(F, leaves, structure, sets):
 
 
 def _sharpened(traced, best):
-    """Return the outputs by the mean value form, or by the best of all forms, where f is continuous; else by natural evaluation.
+    """Return the outputs by the mean value form, or by the best of all forms, where f is continuous; else by
+    natural evaluation.
 
-    One batched evaluation of f serves the whole box, its middle and the faces to which derivatives with a sign pin the bounds.
+    One batched evaluation of f serves the whole box, its middle and the faces to which derivatives with a
+    sign pin the bounds.
     """
     z = traced.vector()
     J, c = _once(traced.jacobian()), mid(z)
@@ -264,13 +298,17 @@ def _sharpened(traced, best):
 
 
 def _once(J: Interval) -> Interval:
-    """Return J, worked out once: the compiler repeats what made it for each of its uses, but never a division, even one by 1."""
+    """Return J, worked out once: the compiler repeats what made it for each of its uses, but never a
+    division, even one by 1.
+    """
     one = jnp.where(J.lo > J.hi, 2, 1).astype(J.dtype)  # J is not empty, which the compiler does not know
     return Interval(J.lo / one, J.hi / one)
 
 
 def _faces(z: Interval, J: Interval) -> tuple[Interval, Interval]:
-    """Return the box without what a derivative with a sign spares, for the lower bound of each output, then for the upper one."""
+    """Return the box without what a derivative with a sign spares, for the lower bound of each output, then
+    for the upper one.
+    """
     rising = J.lo >= 0
     falling = (J.hi <= 0) & ~rising
     at_lo, at_hi = (jnp.broadcast_to(end, J.shape) for end in (z.lo, z.hi))

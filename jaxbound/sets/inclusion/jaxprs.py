@@ -1,8 +1,8 @@
 """Evaluate the jaxpr of a function over Intervals: equation by equation, through calls, branches and loops.
 
-Beside the enclosures, every evaluation says whether it proved the function defined and continuous over the box: derivatives
-speak about a function only there. It also follows where a number may be NaN (`undefined`), which comparisons, is_finite and
-conversions observe: a program may turn NaN back into a number.
+Beside the enclosures, every evaluation says whether it proved the function defined and continuous over the
+box: derivatives speak about a function only there. It also follows where a number may be NaN (`undefined`),
+which comparisons, is_finite and conversions observe: a program may turn NaN back into a number.
 """
 
 import functools
@@ -25,15 +25,30 @@ from jaxbound.sets.intervals.interval import Interval, computed
 
 __all__ = ["Value", "evaluate", "refuse_unsupported"]
 
-POINTWISE = {"abs", "neg", "max", "min", "select_n", "iota", "bitcast_convert_type", "argmax", "argmin", "is_finite"}  # exact on numbers
+POINTWISE = {
+    "abs",
+    "neg",
+    "max",
+    "min",
+    "select_n",
+    "iota",
+    "bitcast_convert_type",
+    "argmax",
+    "argmin",
+    "is_finite",
+}  # exact on numbers
 LOOPS = 10_000
-"""A while loop whose end depends on an interval is followed this far; one that may still run has any result."""
+"""A while loop whose end depends on an interval is followed this far; one that may still run has any
+result.
+"""
 
 
 Value: TypeAlias = Interval | jax.Array | np.ndarray
 
 
-def evaluate(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Value]) -> tuple[list[Value], bool | jax.Array]:
+def evaluate(
+    jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Value]
+) -> tuple[list[Value], bool | jax.Array]:
     """Return (outs, continuous): enclosures of the outputs of a jaxpr.
 
     Args:
@@ -41,12 +56,15 @@ def evaluate(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Value]) -> tupl
         args: an array (exact) or an Interval for each input.
 
     Returns:
-        outs: an array or an Interval for each output. continuous: True, or a boolean array (): proved over all of args.
+        outs: an array or an Interval for each output. continuous: True, or a boolean array (): proved over
+            all of args.
 
     Encloses: the real function that the jaxpr writes down, its constants being the floats they are.
     """
     absent = [None if isinstance(x, Interval) else _absent(x) for x in args]
-    outs, _, continuous = _follow(jaxpr, consts, [_door(x) for x in args], absent, [False] * len(jaxpr.outvars))
+    outs, _, continuous = _follow(
+        jaxpr, consts, [_door(x) for x in args], absent, [False] * len(jaxpr.outvars)
+    )
     return outs, continuous
 
 
@@ -58,13 +76,15 @@ def _door(x: Value) -> Value:
 def _follow(jaxpr, consts, args, absent, asked):
     """Return (outs, absent, continuous).
 
-    absent: None, or a boolean array, True where the number may be NaN, for each of args and outs. asked: of which outs it is needed.
-    The bounds of args are settled, whatever a loop or a branch made of them.
+    absent: None, or a boolean array, True where the number may be NaN, for each of args and outs. asked: of
+    which outs it is needed. The bounds of args are settled, whatever a loop or a branch made of them.
     """
     watched = _watched(jaxpr, asked)
     args = [_computed(x) if isinstance(x, Interval) else x for x in args]
     known = lambda x: (_constant(x), _absent(x))
-    env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(zip(jaxpr.invars, zip(args, absent, strict=True), strict=True))
+    env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(
+        zip(jaxpr.invars, zip(args, absent, strict=True), strict=True)
+    )
     read = lambda v: known(np.asarray(v.val, dtype_of(v))) if isinstance(v, Literal) else env[v]
     continuous = True
     for eqn in jaxpr.eqns:
@@ -77,7 +97,9 @@ def _follow(jaxpr, consts, args, absent, asked):
 
 
 def _watched(jaxpr: Jaxpr, asked: Sequence[bool]) -> set[Var]:
-    """Return the variables that may not be NaN unnoticed: of outputs that are asked for, or of what a program observes."""
+    """Return the variables that may not be NaN unnoticed: of outputs that are asked for, or of what a program
+    observes.
+    """
     found = {v for v, a in zip(jaxpr.outvars, asked, strict=True) if a and not isinstance(v, Literal)}
     for eqn in reversed(jaxpr.eqns):
         called, passed = body(eqn), [v in found for v in eqn.outvars]
@@ -112,10 +134,14 @@ def refuse_unsupported(jaxpr: Jaxpr, name: str, advice: str) -> None:
     types: set[str] = set()
     _collect(jaxpr, missing, types)
     if types:
-        raise NotImplementedError(f"inclusion works in float32 and float64, but {name} computes in {', '.join(sorted(types))}")
+        raise NotImplementedError(
+            f"inclusion works in float32 and float64, but {name} computes in {', '.join(sorted(types))}"
+        )
     if missing:
         word = "primitive" if len(missing) == 1 else "primitives"
-        raise NotImplementedError(f"inclusion has no rule for the {word} {', '.join(sorted(missing))}, used by {name}: {advice}")
+        raise NotImplementedError(
+            f"inclusion has no rule for the {word} {', '.join(sorted(missing))}, used by {name}: {advice}"
+        )
 
 
 def _collect(jaxpr: Jaxpr, missing: set[str], types: set[str]) -> None:
@@ -132,7 +158,9 @@ def _collect(jaxpr: Jaxpr, missing: set[str], types: set[str]) -> None:
 
 
 def _constant(x):
-    """Return a constant as itself if floats can say it, as an Interval otherwise (NaN, infinite, subnormal, unknown yet)."""
+    """Return a constant as itself if floats can say it, as an Interval otherwise (NaN, infinite, subnormal,
+    unknown yet).
+    """
     if isinstance(x, Interval) or not jnp.issubdtype(x.dtype, jnp.floating):
         return x
     if isinstance(x, jax.core.Tracer):
@@ -151,10 +179,19 @@ def _apply(eqn, values, absent, asked):
         return CONTROL[name](values, absent, eqn.params, any(asked) or _observes(eqn))
     if not any(isinstance(v, Interval) for v in values) and _exact(eqn):
         outs = bind(eqn, *values)
-        made = name == "bitcast_convert_type" and inexact(eqn.outvars[0].aval)  # any bits: NaN, infinite and subnormal numbers too
-        return [settled(o) for o in outs] if made else outs, [jnp.isnan(o) if made else None for o in outs], True
+        made = name == "bitcast_convert_type" and inexact(
+            eqn.outvars[0].aval
+        )  # any bits: NaN, infinite and subnormal numbers too
+        return (
+            [settled(o) for o in outs] if made else outs,
+            [jnp.isnan(o) if made else None for o in outs],
+            True,
+        )
     about = {**eqn.params, "bind": lambda *v: bind(eqn, *v)[0], "numbers": [_number(v) for v in values]}
-    about |= {"known": [not isinstance(v, Interval) for v in values], "same": len(values) == 2 and eqn.invars[0] is eqn.invars[1]}
+    about |= {
+        "known": [not isinstance(v, Interval) for v in values],
+        "same": len(values) == 2 and eqn.invars[0] is eqn.invars[1],
+    }
     if name in MOVED:
         return _moved(eqn, values, absent, asked)
     sets = [v if name == "scatter-add" and i == 1 else enclose(v) for i, v in enumerate(values)]
@@ -162,19 +199,26 @@ def _apply(eqn, values, absent, asked):
         loose = lambda x, a: Interval(jnp.where(a, -jnp.inf, x.lo), jnp.where(a, jnp.inf, x.hi))
         sets = [x if a is None else loose(x, a) for x, a in zip(sets, absent, strict=True)]
     if name in RISING and not by_key(eqn):
-        outs = [Interval(*ends) for ends in zip(bind(eqn, *(v.lo for v in sets)), bind(eqn, *(v.hi for v in sets)), strict=True)]
+        outs = [
+            Interval(*ends)
+            for ends in zip(bind(eqn, *(v.lo for v in sets)), bind(eqn, *(v.hi for v in sets)), strict=True)
+        ]
     elif name in (rules := WHOLE if whole(sets[0]) else RULES):
         outs = [rules[name](*sets, **about)]
     else:
         kind = "integers or predicates" if whole(sets[0]) else "numbers"
         raise NotImplementedError(
-            f"inclusion has no rule for the primitive {name} of {kind} that depend on an interval: write it with others"
+            f"inclusion has no rule for the primitive {name} of {kind} that depend on an interval: write it "
+            f"with others"
         )
     if name in OBSERVED and observes(eqn) and any(a is not None for a in absent):
         outs = [OBSERVED[name](enclose(outs[0]), sets, absent, **about)]
     fine = jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
     shown = [_computed(o) if isinstance(o, Interval) and not whole(o) else o for o in outs]
-    found = [possible(name, enclose(o), sets, absent, about) if a else None for o, a in zip(outs, asked, strict=True)]
+    found = [
+        possible(name, enclose(o), sets, absent, about) if a else None
+        for o, a in zip(outs, asked, strict=True)
+    ]
     return shown, found, fine
 
 
@@ -191,7 +235,13 @@ def _exact(eqn: JaxprEqn) -> bool:
         return False
     (x,), (y,) = eqn.invars, eqn.outvars
     old, new = dtype_of(x), dtype_of(y)
-    return not inexact(y.aval) or jnp.issubdtype(old, jnp.bool_) or inexact(x.aval) and new.itemsize >= old.itemsize or _small(x)
+    return (
+        not inexact(y.aval)
+        or jnp.issubdtype(old, jnp.bool_)
+        or inexact(x.aval)
+        and new.itemsize >= old.itemsize
+        or _small(x)
+    )
 
 
 def _small(v):
@@ -204,20 +254,39 @@ def _number(value: object) -> float | None:
 
 
 def _moved(eqn, values, absent, asked):
-    """Move the lower and the upper bounds alike, and where they may be NaN; a gather beyond the end fills with NaN."""
+    """Move the lower and the upper bounds alike, and where they may be NaN; a gather beyond the end fills
+    with NaN.
+    """
     places = MOVED[eqn.primitive.name]
     moved = range(len(values)) if places is None else places
     if any(isinstance(v, Interval) for i, v in enumerate(values) if i not in moved):
-        raise NotImplementedError(f"inclusion cannot follow {eqn.primitive.name} where an index depends on an interval: use jnp.where")
+        raise NotImplementedError(
+            f"inclusion cannot follow {eqn.primitive.name} where an index depends on an interval: use "
+            f"jnp.where"
+        )
     ready = [enclose(v) if i in moved else v for i, v in enumerate(values)]
-    lower, upper = (bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready))) for end in ("lo", "hi"))
+    lower, upper = (
+        bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready)))
+        for end in ("lo", "hi")
+    )
     outs = [Interval(*pair) for pair in zip(lower, upper, strict=True)]
     floating = [inexact(v.aval) for v in eqn.outvars]
-    filled = eqn.primitive.name == "gather" and floating[0] and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
+    filled = (
+        eqn.primitive.name == "gather"
+        and floating[0]
+        and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
+    )
     if filled:
-        outs = [Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi)) for o in outs]
+        outs = [
+            Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi))
+            for o in outs
+        ]
     if not any(asked) or not filled and all(a is None for a in absent):
-        return [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)], [None] * len(outs), True
+        return (
+            [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)],
+            [None] * len(outs),
+            True,
+        )
     mark = lambda v, a: jnp.zeros_like(v.lo) if a is None else jnp.broadcast_to(a, v.shape).astype(v.dtype)
     marks = [mark(v, a) if i in moved else v for i, (v, a) in enumerate(zip(ready, absent, strict=True))]
     found = [mark != 0 if f else None for mark, f in zip(bind(eqn, *marks), floating, strict=True)]
@@ -242,18 +311,27 @@ def _steady(step, carry):
 
 
 def _marked(values, absent, asked):
-    """Return where each value of a loop's carry may be NaN as an array; None for what is never NaN, and where nobody asks."""
+    """Return where each value of a loop's carry may be NaN as an array; None for what is never NaN, and where
+    nobody asks.
+    """
     shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
     return [
-        jnp.broadcast_to(False if a is None else a, shape(v)) if asked and inexact(v) else None for v, a in zip(values, absent, strict=True)
+        jnp.broadcast_to(False if a is None else a, shape(v)) if asked and inexact(v) else None
+        for v, a in zip(values, absent, strict=True)
     ]
 
 
 def _scan(values, absent, params, asked):
-    (consts, carry, xs), (no_consts, no_carry, no_xs) = (_split(v, *_counts(params)) for v in (values, absent))
+    (consts, carry, xs), (no_consts, no_carry, no_xs) = (
+        _split(v, *_counts(params)) for v in (values, absent)
+    )
     inner, count, marked = params["jaxpr"], len(carry), functools.partial(_marked, asked=asked)
     one = lambda carry, x, away, gone: _follow(
-        inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *gone], [asked] * len(inner.jaxpr.outvars)
+        inner.jaxpr,
+        inner.consts,
+        [*consts, *carry, *x],
+        [*no_consts, *away, *gone],
+        [asked] * len(inner.jaxpr.outvars),
     )
     gone = [None if a is None else jnp.broadcast_to(a, x.shape) for a, x in zip(no_xs, xs, strict=True)]
     first = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], v.dtype), xs)
@@ -272,7 +350,9 @@ def _scan(values, absent, params, asked):
 
 
 def _counts(params):
-    """Return how many of the values of a scan are constants, and how many are its carry; jax 0.12 says it in another form."""
+    """Return how many of the values of a scan are constants, and how many are its carry; jax 0.12 says it in
+    another form.
+    """
     if "num_consts" in params:
         return params["num_consts"], params["num_carry"]
     consts, carry, _ = params["ft_in"].unpack()
@@ -288,12 +368,20 @@ def _split(values, *counts):
 
 
 def _while(values, absent, params, asked):
-    """Follow a loop; where its end depends on an interval, collect every state in which it may stop. Under vmap each entry ends alone."""
+    """Follow a loop; where its end depends on an interval, collect every state in which it may stop. Under
+    vmap each entry ends alone.
+    """
     counts = params["cond_nconsts"], params["body_nconsts"]
-    (cond_consts, body_consts, carry), (no_cond, no_body, away) = (_split(v, *counts) for v in (values, absent))
+    (cond_consts, body_consts, carry), (no_cond, no_body, away) = (
+        _split(v, *counts) for v in (values, absent)
+    )
     cond, inner, marked = params["cond_jaxpr"], params["body_jaxpr"], functools.partial(_marked, asked=asked)
-    test = lambda carry, away: _follow(cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away], [False])[0][0]
-    step = lambda carry, away: _follow(inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away], [asked] * len(carry))
+    test = lambda carry, away: _follow(
+        cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away], [False]
+    )[0][0]
+    step = lambda carry, away: _follow(
+        inner.jaxpr, inner.consts, [*body_consts, *carry], [*no_body, *away], [asked] * len(carry)
+    )
     nowhere = lambda carry: marked(carry, [None] * len(carry))
     carry = _steady(lambda c: step(c, nowhere(c))[0], carry)
     away = marked(carry, away)
@@ -302,7 +390,14 @@ def _while(values, absent, params, asked):
         """Return the state after one more step of the entries that may go on."""
         outs, found, fine = step(carry, away)
         outs = [_where(going, _as(o, c), c) for o, c in zip(outs, carry, strict=True)]
-        return outs, [a if a is None else _where(going, f, a) for f, a in zip(marked(carry, found), away, strict=True)], fine
+        return (
+            outs,
+            [
+                a if a is None else _where(going, f, a)
+                for f, a in zip(marked(carry, found), away, strict=True)
+            ],
+            fine,
+        )
 
     if not isinstance(jax.eval_shape(test, carry, away), Interval):
 
@@ -310,7 +405,9 @@ def _while(values, absent, params, asked):
             carry, away, fine = turn(test(*state[:2]), *state[:2])
             return carry, away, state[2] & fine
 
-        carry, away, fine = jax.lax.while_loop(lambda state: jnp.any(test(*state[:2])), once, (carry, away, jnp.asarray(True)))
+        carry, away, fine = jax.lax.while_loop(
+            lambda state: jnp.any(test(*state[:2])), once, (carry, away, jnp.asarray(True))
+        )
         return carry, away, fine
     carry = [enclose(c) for c in carry]
     away = marked(carry, away)
@@ -318,7 +415,10 @@ def _while(values, absent, params, asked):
     def gather(going, carry, away, ended, gone):
         """Add the states in which the loop may stop to those that were met before."""
         ended = [_hull_where(~going.lo, c, e) for c, e in zip(carry, ended, strict=True)]
-        return ended, [g if g is None else g | _where(going.lo, jnp.zeros_like(a), a) for a, g in zip(away, gone, strict=True)]
+        return ended, [
+            g if g is None else g | _where(going.lo, jnp.zeros_like(a), a)
+            for a, g in zip(away, gone, strict=True)
+        ]
 
     def follow(state):
         carry, away, ended, gone, fine, count = state
@@ -327,13 +427,17 @@ def _while(values, absent, params, asked):
         carry, away, continuous = turn(going.hi, carry, away)
         return carry, away, ended, gone, fine & continuous & jnp.all(going.lo == going.hi), count + 1
 
-    nothing = [Interval(jnp.full_like(c.lo, most(c.dtype)), jnp.full_like(c.hi, least(c.dtype))) for c in carry]
+    nothing = [
+        Interval(jnp.full_like(c.lo, most(c.dtype)), jnp.full_like(c.hi, least(c.dtype))) for c in carry
+    ]
     running = lambda state: jnp.any(test(*state[:2]).hi) & (state[5] < LOOPS)
     start = carry, away, nothing, nowhere(carry), jnp.asarray(True), 0
     carry, away, ended, gone, fine, _ = jax.lax.while_loop(running, follow, start)
     going = test(carry, away)
     ended, gone = gather(going, carry, away, ended, gone)
-    anything = [Interval(jnp.full_like(c.lo, least(c.dtype)), jnp.full_like(c.hi, most(c.dtype))) for c in carry]
+    anything = [
+        Interval(jnp.full_like(c.lo, least(c.dtype)), jnp.full_like(c.hi, most(c.dtype))) for c in carry
+    ]
     ended = [_hull_where(going.hi, a, e) for a, e in zip(anything, ended, strict=True)]
     gone = [g if g is None else g | _where(going.hi, jnp.ones_like(g), g) for g in gone]
     return ended, gone, fine & ~jnp.any(going.hi)
@@ -341,7 +445,9 @@ def _while(values, absent, params, asked):
 
 def _where(chosen, x, y):
     """Choose x or y; the axes of `chosen` are the first ones of theirs."""
-    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(chosen, tuple(range(chosen.ndim, jnp.ndim(a)))), a, b), x, y)
+    return jax.tree.map(
+        lambda a, b: jnp.where(jnp.expand_dims(chosen, tuple(range(chosen.ndim, jnp.ndim(a)))), a, b), x, y
+    )
 
 
 def _hull_where(possible, x, y):
@@ -351,10 +457,16 @@ def _hull_where(possible, x, y):
 
 def _cond(values, absent, params, asked):
     index, operands, away = values[0], values[1:], absent[1:]
-    branches = [lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away, [asked] * len(b.jaxpr.outvars)) for b in params["branches"]]
+    branches = [
+        lambda ops, away, b=b: _follow(b.jaxpr, b.consts, ops, away, [asked] * len(b.jaxpr.outvars))
+        for b in params["branches"]
+    ]
     if isinstance(index, Interval):
         found = [branch(operands, away) for branch in branches]
-        outs = [RULES["select_n"](index, *map(enclose, cases)) for cases in zip(*(outs for outs, *_ in found), strict=True)]
+        outs = [
+            RULES["select_n"](index, *map(enclose, cases))
+            for cases in zip(*(outs for outs, *_ in found), strict=True)
+        ]
         gone = [either(*cases) for cases in zip(*(gone for _, gone, _ in found), strict=True)]
         return outs, gone, functools.reduce(operator.and_, (fine for *_, fine in found), index.lo == index.hi)
     shapes = [jax.eval_shape(lambda ops, b=b: b(ops, away)[0], operands) for b in branches]

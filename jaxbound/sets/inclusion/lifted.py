@@ -1,4 +1,5 @@
-"""Primitives of JAX lifted from numbers to sets of numbers; those of integers and predicates are in `predicates`.
+"""Primitives of JAX lifted from numbers to sets of numbers; those of integers and predicates are in
+`predicates`.
 
 Operations that `interval` and `elementary` offer as they are do not appear here.
 """
@@ -15,13 +16,48 @@ from jax.typing import ArrayLike, DTypeLike
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.inclusion.predicates import Rule, equals, extreme, least, most, negated, whole
 from jaxbound.sets.intervals.elementary import atan2, atanh, exp, log, sqrt, tanh
-from jaxbound.sets.intervals.interval import Interval, add, computed, div, hull, intersection, mag, mul, neg, pown, recip, sqr, sub
+from jaxbound.sets.intervals.interval import (
+    Interval,
+    add,
+    computed,
+    div,
+    hull,
+    intersection,
+    mag,
+    mul,
+    neg,
+    pown,
+    recip,
+    sqr,
+    sub,
+)
 from jaxbound.sets.intervals.interval import sum as total
 
 __all__ = [
-    "added", "angle", "contracted", "converted", "cube_root", "divided", "enclose", "expm1", "integral", "log1p", "logistic",
-    "multiplied", "of", "poles", "power", "product", "remainder", "scanned", "scattered", "selected", "settled", "subtracted", "summed",
-]  # fmt: skip
+    "added",
+    "angle",
+    "contracted",
+    "converted",
+    "cube_root",
+    "divided",
+    "enclose",
+    "expm1",
+    "integral",
+    "log1p",
+    "logistic",
+    "multiplied",
+    "of",
+    "poles",
+    "power",
+    "product",
+    "remainder",
+    "scanned",
+    "scattered",
+    "selected",
+    "settled",
+    "subtracted",
+    "summed",
+]
 
 
 Known: TypeAlias = Sequence[bool]
@@ -34,7 +70,9 @@ def enclose(x: Interval | ArrayLike) -> Interval:
 
 
 def settled(x: jax.Array) -> Interval:
-    """Return an Interval that holds any float `x`: NaN becomes the empty set, infinity all numbers too large for a float."""
+    """Return an Interval that holds any float `x`: NaN becomes the empty set, infinity all numbers too large
+    for a float.
+    """
     lo, hi = rounding.settle_subnormals(x, x)
     absent, top = jnp.isnan(x), np.finfo(x.dtype).max
     lo, hi = jnp.where(x == jnp.inf, top, lo), jnp.where(x == -jnp.inf, -top, hi)
@@ -44,7 +82,10 @@ def settled(x: jax.Array) -> Interval:
 def added(x: Interval, y: Interval, **_: object) -> Interval:
     """Return the sum; 2 min(lo) and 2 max(hi) keep its sign, and 0 + 0 exact, which proves monotonicity."""
     out = add(x, y)
-    return Interval(jnp.maximum(out.lo, _twice(jnp.minimum(x.lo, y.lo), -1)), jnp.minimum(out.hi, _twice(jnp.maximum(x.hi, y.hi), 1)))
+    return Interval(
+        jnp.maximum(out.lo, _twice(jnp.minimum(x.lo, y.lo), -1)),
+        jnp.minimum(out.hi, _twice(jnp.maximum(x.hi, y.hi), 1)),
+    )
 
 
 def _twice(bound: jax.Array, side: int) -> jax.Array:
@@ -59,9 +100,16 @@ def subtracted(x: Interval, y: Interval, same: bool = False, **_: object) -> Int
 
 
 def multiplied(
-    x: Interval, y: Interval, same: bool = False, known: Known = (False, False), numbers: Numbers = (None, None), **_: object
+    x: Interval,
+    y: Interval,
+    same: bool = False,
+    known: Known = (False, False),
+    numbers: Numbers = (None, None),
+    **_: object,
 ) -> Interval:
-    """Return the product; x * x is a square, and a factor that is a number needs two products instead of four."""
+    """Return the product; x * x is a square, and a factor that is a number needs two products instead of
+    four.
+    """
     if same:
         return sqr(x)
     if known[0]:
@@ -69,15 +117,21 @@ def multiplied(
     return scaled(x, y.lo if numbers[1] is None else numbers[1]) if known[1] else mul(x, y)
 
 
-def divided(x: Interval, y: Interval, known: Known = (False, False), numbers: Numbers = (None, None), **_: object) -> Interval:
-    """Return the quotient; a divisor that is one number of ordinary size needs two quotients instead of four."""
+def divided(
+    x: Interval, y: Interval, known: Known = (False, False), numbers: Numbers = (None, None), **_: object
+) -> Interval:
+    """Return the quotient; a divisor that is one number of ordinary size needs two quotients instead of
+    four.
+    """
     c = numbers[1]
     if not known[1] or c is None or not 2.0**-60 < abs(c) < 2.0**60:
         out, pole = div(x, y), (y.lo == 0) & (y.hi == 0) & ~x.is_empty  # of which a program may make a number
         return Interval(jnp.where(pole, -jnp.inf, out.lo), jnp.where(pole, jnp.inf, out.hi))
     if math.frexp(c)[0] in (0.5, -0.5):
         return scaled(x, 1 / c)
-    lo, hi = jax.lax.optimization_barrier((x.lo, x.hi) if c > 0 else (-x.hi, -x.lo))  # else merged with a quotient that made x
+    lo, hi = jax.lax.optimization_barrier(
+        (x.lo, x.hi) if c > 0 else (-x.hi, -x.lo)
+    )  # else merged with a quotient that made x
     return _kept_sign(Interval(lo, hi), *rounding.outward(lo / abs(c), hi / abs(c)))
 
 
@@ -85,7 +139,10 @@ def scaled(x: Interval, factor: float | jax.Array) -> Interval:
     """Return x times numbers; 0, 1 and -1 are exact, because derivatives are full of them."""
     if isinstance(factor, float):
         if factor == 0:
-            return Interval(jnp.where(x.is_empty, jnp.inf, jnp.zeros_like(x.lo)), jnp.where(x.is_empty, -jnp.inf, jnp.zeros_like(x.hi)))
+            return Interval(
+                jnp.where(x.is_empty, jnp.inf, jnp.zeros_like(x.lo)),
+                jnp.where(x.is_empty, -jnp.inf, jnp.zeros_like(x.hi)),
+            )
         turned = x if factor > 0 else neg(x)
         return turned if abs(factor) == 1 else _scaled_up(turned, abs(factor))
     positive = factor > 0
@@ -93,7 +150,10 @@ def scaled(x: Interval, factor: float | jax.Array) -> Interval:
     size = jnp.abs(factor)
     out = _scaled_up(turned, size)
     one, none = size == 1, (size == 0) & ~x.is_empty
-    return Interval(jnp.where(none, 0, jnp.where(one, turned.lo, out.lo)), jnp.where(none, 0, jnp.where(one, turned.hi, out.hi)))
+    return Interval(
+        jnp.where(none, 0, jnp.where(one, turned.lo, out.lo)),
+        jnp.where(none, 0, jnp.where(one, turned.hi, out.hi)),
+    )
 
 
 def _scaled_up(x: Interval, size: float | jax.Array) -> Interval:
@@ -102,7 +162,9 @@ def _scaled_up(x: Interval, size: float | jax.Array) -> Interval:
 
 def _kept_sign(x: Interval, lo: jax.Array, hi: jax.Array) -> Interval:
     """Keep rounding from carrying a positive multiple of x across 0."""
-    return Interval(jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi))
+    return Interval(
+        jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi)
+    )
 
 
 def summed(x: Interval, axes: Sequence[int], **_: object) -> Interval:
@@ -118,14 +180,19 @@ def summed(x: Interval, axes: Sequence[int], **_: object) -> Interval:
     # the least of many numbers may overlook NaN, a bound that is not known
     known = [~jnp.any(jnp.isnan(x), -1) for x in (terms.lo, terms.hi)]
     positive, negative = known[0] & (jnp.min(terms.lo, -1) >= 0), known[1] & (jnp.max(terms.hi, -1) <= 0)
-    return Interval(jnp.where(positive, jnp.maximum(out.lo, 0), out.lo), jnp.where(negative, jnp.minimum(out.hi, 0), out.hi))
+    return Interval(
+        jnp.where(positive, jnp.maximum(out.lo, 0), out.lo),
+        jnp.where(negative, jnp.minimum(out.hi, 0), out.hi),
+    )
 
 
 def product(x: Interval, axes: Sequence[int], **_: object) -> Interval:
     """Multiply along axes, half by half."""
     for axis in sorted(axes, reverse=True):
         while (count := x.shape[axis]) > 1:
-            part = lambda a, b, x=x, axis=axis: jax.tree.map(lambda v: jax.lax.slice_in_dim(v, a, b, axis=axis), x)
+            part = lambda a, b, x=x, axis=axis: jax.tree.map(
+                lambda v: jax.lax.slice_in_dim(v, a, b, axis=axis), x
+            )
             halves = mul(part(0, count // 2), part(count // 2, count // 2 * 2))
             join = lambda a, b, axis=axis: jax.tree.map(lambda *v: jnp.concatenate(v, axis), a, b)
             x = join(halves, part(count - 1, count)) if count % 2 else halves
@@ -192,7 +259,9 @@ def selected(which: Interval, *cases: Interval, **_: object) -> Interval:
 
 
 def converted(x: Interval, new_dtype: DTypeLike, **_: object) -> Interval:
-    """Change the type and not the number; a float cut to an integer rounds towards 0, and a predicate says whether it is not 0."""
+    """Change the type and not the number; a float cut to an integer rounds towards 0, and a predicate says
+    whether it is not 0.
+    """
     new = jnp.dtype(new_dtype)
     if new == jnp.bool_:
         return negated(enclose(equals(x, enclose(jnp.zeros_like(x.lo)))))
@@ -211,7 +280,9 @@ def converted(x: Interval, new_dtype: DTypeLike, **_: object) -> Interval:
 
 
 def _near_zero(x: Interval, out: Interval, near: Callable[[Interval], Interval], limit: float) -> Interval:
-    """Replace the ends of an increasing function within [-limit, limit] by those of a formula that keeps its digits there."""
+    """Replace the ends of an increasing function within [-limit, limit] by those of a formula that keeps its
+    digits there.
+    """
     low, high = (jnp.clip(v, -limit, limit) for v in (x.lo, x.hi))
     lo, hi = near(Interval(low, low)).lo, near(Interval(high, high)).hi
     return Interval(jnp.where(low == x.lo, lo, out.lo), jnp.where(high == x.hi, hi, out.hi))
@@ -258,9 +329,14 @@ def power(x: Interval, y: Interval, numbers: Numbers = (None, None), **_: object
         pick = lambda e, o, b: jnp.where(known, jnp.where(n.lo == 0, 1, jnp.where(parity, o, e)), b)
         return Interval(pick(even.lo, odd.lo, either.lo), pick(even.hi, odd.hi, either.hi))
     out = _signed_power(_cut(x, 0, jnp.inf), lambda v: exp(mul(y, log(v))), False, y.hi > 0)
-    left = exp(mul(y, log(_cut(neg(x), 0, jnp.inf))))  # of a negative number where y is an integer, even or odd
+    left = exp(
+        mul(y, log(_cut(neg(x), 0, jnp.inf)))
+    )  # of a negative number where y is an integer, even or odd
     some = (jnp.ceil(y.lo) <= jnp.floor(y.hi)) & ~left.is_empty
-    out = Interval(jnp.where(some, jnp.minimum(out.lo, -left.hi), out.lo), jnp.where(some, jnp.maximum(out.hi, left.hi), out.hi))
+    out = Interval(
+        jnp.where(some, jnp.minimum(out.lo, -left.hi), out.lo),
+        jnp.where(some, jnp.maximum(out.hi, left.hi), out.hi),
+    )
     return _with(out, 1, _meets_zero(x) & _meets_zero(y))  # 0^0
 
 
@@ -271,7 +347,10 @@ def angle(y: Interval, x: Interval, **_: object) -> Interval:
 
 def _with(x: Interval, number: float, present: jax.Array) -> Interval:
     """Add a number where it is present."""
-    return Interval(jnp.where(present, jnp.minimum(x.lo, number), x.lo), jnp.where(present, jnp.maximum(x.hi, number), x.hi))
+    return Interval(
+        jnp.where(present, jnp.minimum(x.lo, number), x.lo),
+        jnp.where(present, jnp.maximum(x.hi, number), x.hi),
+    )
 
 
 def _meets_zero(x: Interval) -> jax.Array:
@@ -284,7 +363,9 @@ def poles(f: Callable[..., Interval], *places: tuple[float, float]) -> Rule:
     def rule(x, **_):
         out, top = f(x), np.finfo(x.dtype).max
         for place, sign in places:
-            out = _with(_with(out, sign * np.inf, here := (x.lo <= place) & (x.hi >= place)), sign * top, here)
+            out = _with(
+                _with(out, sign * np.inf, here := (x.lo <= place) & (x.hi >= place)), sign * top, here
+            )
         return out
 
     return rule
@@ -299,8 +380,12 @@ def _cut(x: Interval, lo: float, hi: float) -> Interval:
     return intersection(x, Interval(jnp.full_like(x.lo, lo), jnp.full_like(x.hi, hi)))
 
 
-def _signed_power(x: Interval, power: Callable[[Interval], Interval], odd: bool, at_zero: bool | jax.Array) -> Interval:
-    """Join the powers of the positive and of the negative numbers of x; `at_zero` says where 0 has the power 0 (log 0 has no value)."""
+def _signed_power(
+    x: Interval, power: Callable[[Interval], Interval], odd: bool, at_zero: bool | jax.Array
+) -> Interval:
+    """Join the powers of the positive and of the negative numbers of x; `at_zero` says where 0 has the power
+    0 (log 0 has no value).
+    """
 
     def half(v):
         out = power(v)
@@ -320,7 +405,10 @@ def remainder(x: Interval, y: Interval, **_: object) -> Interval:
     one = (low == high) & jnp.isfinite(low)
     turn = jnp.where(one, low, 0)
     straight = sub(x, mul(y, Interval(turn, turn)))
-    lo, hi = jnp.where(one, jnp.maximum(lo, straight.lo), lo), jnp.where(one, jnp.minimum(hi, straight.hi), hi)
+    lo, hi = (
+        jnp.where(one, jnp.maximum(lo, straight.lo), lo),
+        jnp.where(one, jnp.minimum(hi, straight.hi), hi),
+    )
     return Interval(jnp.where(turns.is_empty, jnp.inf, lo), jnp.where(turns.is_empty, -jnp.inf, hi))
 
 

@@ -1,7 +1,7 @@
 """Sets of integers and of predicates, and what the primitives of JAX make of them.
 
-An Interval of predicates says in `lo` what surely holds and in `hi` what possibly does; an Interval of integers holds all integers
-from lo to hi.
+An Interval of predicates says in `lo` what surely holds and in `hi` what possibly does; an Interval of
+integers holds all integers from lo to hi.
 """
 
 import functools
@@ -14,7 +14,18 @@ import numpy as np
 
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["Rule", "comparison", "equals", "extreme", "integers", "least", "most", "negated", "predicates", "whole"]
+__all__ = [
+    "Rule",
+    "comparison",
+    "equals",
+    "extreme",
+    "integers",
+    "least",
+    "most",
+    "negated",
+    "predicates",
+    "whole",
+]
 
 Rule: TypeAlias = Callable[..., Interval | jax.Array]
 """What a primitive becomes: a function of Intervals, given the parameters of the primitive by name."""
@@ -27,16 +38,26 @@ def whole(x: Interval) -> bool:
 
 def least(dtype: np.dtype) -> float:
     """Return the least number (or predicate) of a type, -inf for floats."""
-    return False if dtype == jnp.bool_ else np.iinfo(dtype).min if jnp.issubdtype(dtype, jnp.integer) else -np.inf
+    return (
+        False
+        if dtype == jnp.bool_
+        else np.iinfo(dtype).min
+        if jnp.issubdtype(dtype, jnp.integer)
+        else -np.inf
+    )
 
 
 def most(dtype: np.dtype) -> float:
     """Return the greatest number (or predicate) of a type, inf for floats."""
-    return True if dtype == jnp.bool_ else np.iinfo(dtype).max if jnp.issubdtype(dtype, jnp.integer) else np.inf
+    return (
+        True if dtype == jnp.bool_ else np.iinfo(dtype).max if jnp.issubdtype(dtype, jnp.integer) else np.inf
+    )
 
 
 def integers(f: Callable[..., jax.Array]) -> Rule:
-    """Lift an integer operation that is monotone in each operand; where it could wrap around, anything is possible."""
+    """Lift an integer operation that is monotone in each operand; where it could wrap around, anything is
+    possible.
+    """
 
     def rule(*xs, axes=None, **_):
         dtype, along = xs[0].dtype, {} if axes is None else {"axis": axes}
@@ -46,7 +67,9 @@ def integers(f: Callable[..., jax.Array]) -> Rule:
         size = [f(*(jnp.abs(e.astype(float)) for e in ends), **along) for ends in corners]
         limit = 2.0 ** jnp.finfo(real[0].dtype).nmant  # floats hold all integers up to here
         wraps = (
-            (extreme(jnp.minimum, real) < least(dtype)) | (extreme(jnp.maximum, real) > most(dtype)) | (extreme(jnp.maximum, size) > limit)
+            (extreme(jnp.minimum, real) < least(dtype))
+            | (extreme(jnp.maximum, real) > most(dtype))
+            | (extreme(jnp.maximum, size) > limit)
         )
         lo, hi = extreme(jnp.minimum, exact), extreme(jnp.maximum, exact)
         return Interval(jnp.where(wraps, least(dtype), lo), jnp.where(wraps, most(dtype), hi))
@@ -60,7 +83,9 @@ def extreme(pick: Callable[[jax.Array, jax.Array], jax.Array], values: Sequence[
 
 
 def comparison(holds: Callable[[Any, Any], Any], swap: bool) -> Rule:
-    """Lift < or <= to Intervals: surely where it holds for the farthest ends, possibly where for the nearest."""
+    """Lift < or <= to Intervals: surely where it holds for the farthest ends, possibly where for the
+    nearest.
+    """
 
     def rule(x, y, same=False, **_):
         if same:
@@ -90,7 +115,9 @@ def predicates(f: Callable[..., jax.Array]) -> Rule:
 
 def _need_predicates(xs: Sequence[Interval]) -> None:
     if any(x.dtype != jnp.bool_ for x in xs):
-        raise NotImplementedError("inclusion cannot follow the bits of an integer that depends on an interval")
+        raise NotImplementedError(
+            "inclusion cannot follow the bits of an integer that depends on an interval"
+        )
 
 
 def negated(x: Interval, **_: object) -> Interval:

@@ -1,4 +1,5 @@
-"""What each primitive of JAX becomes over sets: tables of functions of Intervals, and where each one is continuous.
+"""What each primitive of JAX becomes over sets: tables of functions of Intervals, and where each one is
+continuous.
 
 | table | primitives | evaluated as |
 |---|---|---|
@@ -6,7 +7,8 @@
 | RISING | max, floor, sort, ... | the same: increasing in every operand, exactly |
 | RULES | add, exp, dot_general, ... | outward-rounded operations of `interval` and `elementary` |
 | WHOLE | add, and, lt, ... | the same for integers and predicates that depend on an interval |
-| CONTINUOUS | sqrt, div, floor, ... | a condition on the operands under which the primitive is defined and continuous; others always are |
+| CONTINUOUS | sqrt, div, floor, ... | a condition on the operands under which the primitive is defined and
+continuous; others always are |
 """
 
 import operator
@@ -47,13 +49,44 @@ from jaxbound.sets.intervals.interval import abs as absolute
 __all__ = ["CONTINUOUS", "MOVED", "RISING", "RULES", "WHOLE"]
 
 MOVED: dict[str, tuple[int, ...] | None] = {  # the operands that are moved; all others are indices
-    "broadcast_in_dim": (0,), "reshape": (0,), "transpose": (0,), "squeeze": (0,), "expand_dims": (0,), "slice": (0,), "rev": (0,),
-    "split": (0,), "tile": (0,), "copy": (0,), "copy_p": (0,), "stop_gradient": (0,), "dynamic_slice": (0,), "gather": (0,),
-    "pad": (0, 1), "dynamic_update_slice": (0, 1), "scatter": (0, 2), "concatenate": None, "stack": None,
-    "optimization_barrier": None, "unstack": (0,),
-}  # fmt: skip
-RISING = {"max", "min", "floor", "ceil", "round", "sign", "clamp", "sort", "reduce_max", "reduce_min", "reduce_and", "reduce_or", "cummax",
-          "cummin"}  # fmt: skip
+    "broadcast_in_dim": (0,),
+    "reshape": (0,),
+    "transpose": (0,),
+    "squeeze": (0,),
+    "expand_dims": (0,),
+    "slice": (0,),
+    "rev": (0,),
+    "split": (0,),
+    "tile": (0,),
+    "copy": (0,),
+    "copy_p": (0,),
+    "stop_gradient": (0,),
+    "dynamic_slice": (0,),
+    "gather": (0,),
+    "pad": (0, 1),
+    "dynamic_update_slice": (0, 1),
+    "scatter": (0, 2),
+    "concatenate": None,
+    "stack": None,
+    "optimization_barrier": None,
+    "unstack": (0,),
+}
+RISING = {
+    "max",
+    "min",
+    "floor",
+    "ceil",
+    "round",
+    "sign",
+    "clamp",
+    "sort",
+    "reduce_max",
+    "reduce_min",
+    "reduce_and",
+    "reduce_or",
+    "cummax",
+    "cummin",
+}
 
 
 COMPARISONS: dict[str, Rule] = {
@@ -92,12 +125,35 @@ RULES: dict[str, Rule] = COMPARISONS | {
     "cumprod": scanned(mul),
     "dot_general": contracted,
     "scatter-add": scattered,
-    "is_finite": lambda x, **_: Interval(jnp.isfinite(x.lo) & jnp.isfinite(x.hi), (x.lo < jnp.inf) & (x.hi > -jnp.inf)),
+    "is_finite": lambda x, **_: Interval(
+        jnp.isfinite(x.lo) & jnp.isfinite(x.hi), (x.lo < jnp.inf) & (x.hi > -jnp.inf)
+    ),
 }
-ELEMENTARY = ("sqrt", "exp", "exp2", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh",
-              "atanh")  # fmt: skip
+ELEMENTARY = (
+    "sqrt",
+    "exp",
+    "exp2",
+    "log",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "atan2",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+)
 RULES |= {name: of(getattr(elementary, name)) for name in ELEMENTARY} | {"atan2": angle}
-RULES |= {"log": poles(elementary.log, (0, -1)), "atanh": poles(elementary.atanh, (-1, -1), (1, 1)), "log1p": poles(log1p, (-1, -1))}
+RULES |= {
+    "log": poles(elementary.log, (0, -1)),
+    "atanh": poles(elementary.atanh, (-1, -1), (1, 1)),
+    "log1p": poles(log1p, (-1, -1)),
+}
 
 WHOLE: dict[str, Rule] = COMPARISONS | {
     "add": integers(jnp.add),
@@ -119,7 +175,9 @@ CONTINUOUS: dict[str, Callable[..., jax.Array]] = {
     "div": lambda out, x, y, **_: _nonzero(y),
     "rem": lambda out, x, y, **_: _nonzero(y) & _constant(jnp.trunc, div(x, y)),
     "integer_pow": lambda out, x, y, **_: _nonzero(x) | (y >= 0),
-    "pow": lambda out, x, y, numbers, **_: (x.lo > 0) | (x.lo >= 0) & (y.lo > 0) | integral(numbers[1]) & (_nonzero(x) | (y.lo >= 0)),
+    "pow": lambda out, x, y, numbers, **_: (
+        (x.lo > 0) | (x.lo >= 0) & (y.lo > 0) | integral(numbers[1]) & (_nonzero(x) | (y.lo >= 0))
+    ),
     "tan": lambda out, x, **_: jnp.isfinite(out.lo) & jnp.isfinite(out.hi),
     "atan2": lambda out, y, x, **_: (x.lo > 0) | _nonzero(y),
     "asin": lambda out, x, **_: (x.lo >= -1) & (x.hi <= 1),

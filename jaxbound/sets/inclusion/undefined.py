@@ -1,12 +1,15 @@
-"""Where a number of a program may be NaN, or infinite at a pole: undefined in mathematics, but a program can make numbers of it.
+"""Where a number of a program may be NaN, or infinite at a pole: undefined in mathematics, but a program can
+make numbers of it.
 
 | table | what it says |
 |---|---|
-| MADE | a condition on the operands under which a primitive may make one, by its domain, a pole, or out of infinities (0 inf, inf - inf) |
-| OBSERVED | what becomes of an enclosure where an operand may be one: a predicate is undecided, an integer anything |
+| MADE | a condition on the operands under which a primitive may make one, by its domain, a pole, or out of
+infinities (0 inf, inf - inf) | | OBSERVED | what becomes of an enclosure where an operand may be one: a
+predicate is undecided, an integer anything |
 
-They pass from operands to results, in a reduction from any of its terms. A number that overflows in floats is one that its enclosure
-does not bound, so unbounded operands count as infinite. -0 counts as 0. `None`: nowhere.
+They pass from operands to results, in a reduction from any of its terms. A number that overflows in floats is
+one that its enclosure does not bound, so unbounded operands count as infinite. -0 counts as 0. `None`:
+nowhere.
 """
 
 import functools
@@ -29,7 +32,9 @@ Mark: TypeAlias = jax.Array | None
 
 
 def observes(eqn: JaxprEqn) -> bool:
-    """True if the result of a primitive may be a number, a predicate or an integer though an operand is NaN."""
+    """True if the result of a primitive may be a number, a predicate or an integer though an operand is
+    NaN.
+    """
     name, params = eqn.primitive.name, eqn.params
     if name == "integer_pow":
         return params["y"] == 0
@@ -50,8 +55,12 @@ def either(*marks: Mark) -> Mark:
     return functools.reduce(operator.or_, given) if given else None
 
 
-def possible(name: str, out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], about: Mapping[str, Any]) -> Mark:
-    """Return where the result `out` of a primitive may be NaN, from its operands and from where they may be."""
+def possible(
+    name: str, out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], about: Mapping[str, Any]
+) -> Mark:
+    """Return where the result `out` of a primitive may be NaN, from its operands and from where they may
+    be.
+    """
     made = MADE[name](out, *sets, **about) if name in MADE else None
     if name == "select_n":
         return _chosen(sets[0], absent[1:], out.shape)
@@ -64,7 +73,9 @@ def possible(name: str, out: Interval, sets: Sequence[Interval], absent: Sequenc
 def _passed(name: str, mark: jax.Array, shape: tuple[int, ...], about: Mapping[str, Any]) -> jax.Array:
     """Return where NaN among the operands reaches the results."""
     if name == "sort":
-        return jnp.broadcast_to(jnp.any(mark, about["dimension"], keepdims=True), shape)  # NaN comes last, infinity at either end
+        return jnp.broadcast_to(
+            jnp.any(mark, about["dimension"], keepdims=True), shape
+        )  # NaN comes last, infinity at either end
     if name.startswith("reduce_"):
         return jnp.any(mark, about["axes"])
     if name.startswith("cum"):
@@ -103,7 +114,9 @@ def _product(out: Interval, x: Interval, y: Interval, **_: object) -> jax.Array:
 
 
 def _unbounded_anywhere(out: Interval, *xs: Interval, **_: object) -> jax.Array:
-    return _unbounded(out) | jnp.any(jnp.stack([jnp.any(_unbounded(x)) for x in xs if isinstance(x, Interval)]))
+    return _unbounded(out) | jnp.any(
+        jnp.stack([jnp.any(_unbounded(x)) for x in xs if isinstance(x, Interval)])
+    )
 
 
 def _large(out: Interval, x: Interval, **_: object) -> jax.Array:
@@ -156,7 +169,10 @@ def _converted(out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], 
     if not whole(out):
         return out
     lost = _anywhere(absent)
-    return Interval(jnp.where(lost, out.lo if out.dtype == bool else least(out.dtype), out.lo), jnp.where(lost, most(out.dtype), out.hi))
+    return Interval(
+        jnp.where(lost, out.lo if out.dtype == bool else least(out.dtype), out.lo),
+        jnp.where(lost, most(out.dtype), out.hi),
+    )
 
 
 def _power(out: Interval, sets: Sequence[Interval], absent: Sequence[Mark], **_: object) -> Interval:

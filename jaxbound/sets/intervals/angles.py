@@ -1,11 +1,13 @@
-"""Sine, cosine and their inverses of floats, from + - * / and bits alone, with known errors as in `approximations`.
+"""Sine, cosine and their inverses of floats, from + - * / and bits alone, with known errors as in
+`approximations`.
 
 | function | reduction | bound of the error in u |
 |---|---|---|
-| sin, cos | x = k pi/2 + r, pi/2 in parts so short that k times each is exact | 1.7: polynomials on |r| < 0.79 |
-| tan | sin / cos, a corrected quotient | 4.4 |
+| sin, cos | x = k pi/2 + r, pi/2 in parts so short that k times each is exact | 1.7: polynomials on |r| <
+0.79 | | tan | sin / cos, a corrected quotient | 4.4 |
 | atan, atan2 | t = (a - c b) / (b + c a), c in 0, 1/4, 1/2, 1; |t| < 0.163 | 4.2: t 2.1, two sums |
-| asin, acos | near 0 a polynomial, elsewhere atan2 with sqrt((1 - x)(1 + x)) | 4.2: the root 2.4, t 0.7, two sums |
+| asin, acos | near 0 a polynomial, elsewhere atan2 with sqrt((1 - x)(1 + x)) | 4.2: the root 2.4, t 0.7, two
+sums |
 """
 
 import math
@@ -27,7 +29,10 @@ ATAN_1_2 = Fraction("0.463647609000806116214256231461214402028537054286120263810
 
 PI_HALVES = {8: parts(PI / 2, (32, 65, 98)), 4: parts(PI / 2, (11, 23, 35, 47))}
 SHORT = {8: 51, 4: 22}  # one float and its rest
-ANGLES = {c: two_parts(v, SHORT) for c, v in ((0.25, ATAN_1_4), (0.5, ATAN_1_2), (1, PI / 4), ("half", PI / 2), ("whole", PI))}
+ANGLES = {
+    c: two_parts(v, SHORT)
+    for c, v in ((0.25, ATAN_1_4), (0.5, ATAN_1_2), (1, PI / 4), ("half", PI / 2), ("whole", PI))
+}
 FACTORIALS = [1 / math.factorial(n) for n in range(18)]
 SIN = {8: FACTORIALS[3:18:2], 4: FACTORIALS[3:10:2]}
 COS = {8: FACTORIALS[4:18:2], 4: FACTORIALS[4:12:2]}
@@ -51,7 +56,10 @@ def _reduced(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (r, rest, k) with x = k pi/2 + r + rest to more than twice the digits of x."""
     first, *middle, last = PI_HALVES[x.dtype.itemsize]
     k = jnp.round(x * float(2 / PI))
-    r, rest = x - k * first, jnp.zeros_like(x)  # exact: a multiple of the last digit of x, or of k times the first part
+    r, rest = (
+        x - k * first,
+        jnp.zeros_like(x),
+    )  # exact: a multiple of the last digit of x, or of k times the first part
     for part in middle:
         r, e = rounding.two_sum(r, -k * part)
         rest = rest + e
@@ -75,7 +83,12 @@ def _sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
 @_sin_cos.defjvp
 def _sin_cos_rule(primals, tangents):
     sine, cosine, k, below = _sin_cos(*primals)
-    return (sine, cosine, k, below), (cosine * tangents[0], -sine * tangents[0], jnp.zeros_like(k), jnp.zeros_like(k))
+    return (sine, cosine, k, below), (
+        cosine * tangents[0],
+        -sine * tangents[0],
+        jnp.zeros_like(k),
+        jnp.zeros_like(k),
+    )
 
 
 def _angle(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -84,7 +97,10 @@ def _angle(a: jax.Array, b: jax.Array) -> jax.Array:
     c, high, low = jnp.zeros_like(a), jnp.zeros_like(a), jnp.zeros_like(a)
     for value, limit in ((0.25, 0.125), (0.5, 0.37), (1, 0.72)):
         above = a > limit * b
-        c, high, low = (jnp.where(above, new, old) for new, old in zip((value, *ANGLES[value][size]), (c, high, low), strict=True))
+        c, high, low = (
+            jnp.where(above, new, old)
+            for new, old in zip((value, *ANGLES[value][size]), (c, high, low), strict=True)
+        )
     t = rounding.quotient(a - c * b, b + c * a)
     z = t * t
     return high + (t + (low - t * (z * series(z, ODD, alternating=True))))

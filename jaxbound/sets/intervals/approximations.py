@@ -1,23 +1,26 @@
-"""Exponentials, logarithms, hyperbolic functions and powers of floats, from + - * / and bits alone: their errors are known everywhere.
+"""Exponentials, logarithms, hyperbolic functions and powers of floats, from + - * / and bits alone: their
+errors are known everywhere.
 
-A compiler's own functions are not to be trusted: log1p was seen 113 ulps off. Here (and in `angles`) every argument is reduced exactly, or
-with digits to spare, to a range on which a Taylor polynomial has a remainder far below u, and roundings are counted: u as in `rounding`,
-in units of the result. `UNITS` is what `rounding.outward` needs: the bound of the error plus 1.16, rounded up.
+A compiler's own functions are not to be trusted: log1p was seen 113 ulps off. Here (and in `angles`) every
+argument is reduced exactly, or with digits to spare, to a range on which a Taylor polynomial has a remainder
+far below u, and roundings are counted: u as in `rounding`, in units of the result. `UNITS` is what
+`rounding.outward` needs: the bound of the error plus 1.16, rounded up.
 
 | function | reduction | bound of the error in u |
 |---|---|---|
-| exp, exp2, exp10 | x = k log 2 + r, e^x = 2^k (1 + r + ...) | 2.5: r 0.25, the polynomial 0.65, 1 + s 0.5, relative to 0.7 or more |
-| log | x = 2^k m, f = m - 1, log m = f - (f^2/2 - s (f^2/2 + R)), s = f / (2 + f) | 2.4: terms 0.45, relative to 0.34 or more, a sum |
-| log2, log10 | the same, times 1 / log 2 or 1 / log 10 | 3.9: two more roundings |
-| sinh, cosh | below 1 polynomials, from 1 on 2^k (1 + s), s as in exp | 3.7 |
-| tanh | x (1 - q), beyond 1: 1 - q, 2 / q = 2^k e^r + 1; q by a continued fraction | 4.1: q 10.3 of which 0.32 remain, a difference |
-| asinh, acosh, atanh | log(1 + a), a a corrected root or quotient | 4.6, acosh 5.1 |
-| power | x^n by squaring in double-word arithmetic | 1.1 + 16 n u |
+| exp, exp2, exp10 | x = k log 2 + r, e^x = 2^k (1 + r + ...) | 2.5: r 0.25, the polynomial 0.65, 1 + s 0.5,
+relative to 0.7 or more | | log | x = 2^k m, f = m - 1, log m = f - (f^2/2 - s (f^2/2 + R)), s = f / (2 + f) |
+2.4: terms 0.45, relative to 0.34 or more, a sum | | log2, log10 | the same, times 1 / log 2 or 1 / log 10 |
+3.9: two more roundings | | sinh, cosh | below 1 polynomials, from 1 on 2^k (1 + s), s as in exp | 3.7 |
+| tanh | x (1 - q), beyond 1: 1 - q, 2 / q = 2^k e^r + 1; q by a continued fraction | 4.1: q 10.3 of which
+0.32 remain, a difference | | asinh, acosh, atanh | log(1 + a), a a corrected root or quotient | 4.6, acosh
+5.1 | | power | x^n by squaring in double-word arithmetic | 1.1 + 16 n u |
 
-Every product of a reduction is exact, so that contraction into an FMA changes nothing. A flushed subnormal costs `tiny` at most.
-Derivatives are the analytic ones (0 where they are infinite), so that bounds can be tuned by gradient.
-Source: the reductions are those of Muller, Elementary Functions (2016), chapters 10 and 11; the polynomials are Taylor's, two of them
-shortened (`economized`).
+Every product of a reduction is exact, so that contraction into an FMA changes nothing. A flushed subnormal
+costs `tiny` at most. Derivatives are the analytic ones (0 where they are infinite), so that bounds can be
+tuned by gradient.
+Source: the reductions are those of Muller, Elementary Functions (2016), chapters 10 and 11; the polynomials
+are Taylor's, two of them shortened (`economized`).
 """
 
 import math
@@ -34,23 +37,60 @@ from jax.typing import ArrayLike
 from jaxbound.sets.floats import rounding
 
 __all__ = [
-    "UNITS", "acosh", "asinh", "atanh", "cosh", "exp", "exp10", "exp2", "log", "log10", "log2", "power", "parts", "series",
-    "sinh", "tanh", "two_parts", "with_derivative",
-]  # fmt: skip
+    "UNITS",
+    "acosh",
+    "asinh",
+    "atanh",
+    "cosh",
+    "exp",
+    "exp10",
+    "exp2",
+    "log",
+    "log10",
+    "log2",
+    "power",
+    "parts",
+    "series",
+    "sinh",
+    "tanh",
+    "two_parts",
+    "with_derivative",
+]
 
 Function: TypeAlias = Callable[[jax.Array], jax.Array]
 
 UNITS = {
-    "sqrt": 4, "exp": 4, "exp2": 4, "exp10": 4, "log": 4, "log2": 5.2, "log10": 5.2, "sin": 4, "cos": 4, "tan": 6, "asin": 6, "acos": 6,
-    "atan": 6, "atan2": 6, "sinh": 6, "cosh": 6, "tanh": 5.4, "asinh": 6, "acosh": 7, "atanh": 6, "power": 4,
-}  # fmt: skip
+    "sqrt": 4,
+    "exp": 4,
+    "exp2": 4,
+    "exp10": 4,
+    "log": 4,
+    "log2": 5.2,
+    "log10": 5.2,
+    "sin": 4,
+    "cos": 4,
+    "tan": 6,
+    "asin": 6,
+    "acos": 6,
+    "atan": 6,
+    "atan2": 6,
+    "sinh": 6,
+    "cosh": 6,
+    "tanh": 5.4,
+    "asinh": 6,
+    "acosh": 7,
+    "atanh": 6,
+    "power": 4,
+}
 
 LOG_2 = Fraction("0.69314718055994530941723212145817656807550013436025525412068000949339362196969472")
 LOG_10 = Fraction("2.30258509299404568401799145468436420760110148862877297603332790096757260967735248")
 
 
 def parts(value: Fraction, grids: Sequence[int]) -> list[float]:
-    """Split an exact number into floats: the first ones multiples of 2^-g for g in grids, the last one the rest."""
+    """Split an exact number into floats: the first ones multiples of 2^-g for g in grids, the last one the
+    rest.
+    """
     out = []
     for g in grids:
         out.append(Fraction(math.floor(value * 2**g), 2**g))
@@ -74,7 +114,9 @@ BASES = {  # base b: log_b 2 in two parts, 1 / log_b 2, log b
 
 
 def economized(coefficients: Sequence[Fraction], lo: Fraction, hi: Fraction, count: int) -> list[float]:
-    """Shorten a polynomial on [lo, hi] to `count` terms: from the top, each term gives way to its best approximation (Chebyshev's)."""
+    """Shorten a polynomial on [lo, hi] to `count` terms: from the top, each term gives way to its best
+    approximation (Chebyshev's).
+    """
     out, mid, rad = list(coefficients), (hi + lo) / 2, (hi - lo) / 2
     zero = Fraction(0)
     while len(out) > count:
@@ -87,13 +129,18 @@ def economized(coefficients: Sequence[Fraction], lo: Fraction, hi: Fraction, cou
 
 
 # Taylor coefficients, from the first one left out of the leading terms; the last term dropped is below 0.1 u.
-# Those of exp and log are shortened on their range of r and of s^2, which costs less than 0.2 u of e^r and 0.1 u of log m
+# Those of exp and log are shortened on their range of r and of s^2, which costs less than 0.2 u of e^r and
+# 0.1 u of log m
 FACTORIALS = [1 / math.factorial(n) for n in range(22)]
 EXP_TERMS = [Fraction(1, math.factorial(n)) for n in range(2, 15)]
-EXP = {size: economized(EXP_TERMS, Fraction(-26, 75), Fraction(26, 75), count) for size, count in ((8, 10), (4, 5))}
+EXP = {
+    size: economized(EXP_TERMS, Fraction(-26, 75), Fraction(26, 75), count)
+    for size, count in ((8, 10), (4, 5))
+}
 SINH = {8: FACTORIALS[3:20:2], 4: FACTORIALS[3:12:2]}
 COSH = {8: FACTORIALS[4:21:2], 4: FACTORIALS[4:13:2]}
-# tanh y = y (B - w N) / B, w = y^2: the continued fraction 1 / (1 + w / (3 + w / (5 + ...))) cut after 9 terms, or 6; exact integers
+# tanh y = y (B - w N) / B, w = y^2: the continued fraction 1 / (1 + w / (3 + w / (5 + ...))) cut after 9
+# terms, or 6; exact integers
 TANH_B = {8: [34459425.0, 16216200.0, 945945.0, 13860.0, 45.0], 4: [10395.0, 4725.0, 210.0, 1.0]}
 TANH_N = {8: [11486475.0, 810810.0, 12870.0, 44.0], 4: [3465.0, 189.0, 1.0]}
 LOG_TERMS = [Fraction(1, 2 * n + 1) for n in range(1, 12)]
@@ -111,7 +158,9 @@ def series(z: jax.Array, coefficients: Mapping[int, Sequence[float]], alternatin
     return total
 
 
-def with_derivative(derivative: Callable[[jax.Array, jax.Array], ArrayLike]) -> Callable[[Function], Function]:
+def with_derivative(
+    derivative: Callable[[jax.Array, jax.Array], ArrayLike],
+) -> Callable[[Function], Function]:
     """Make f(x) differentiable by derivative(x, f(x)), 0 where that is not finite."""
 
     def decorate(f):
@@ -146,7 +195,9 @@ def _exp_parts(x: jax.Array, base: str = "e") -> tuple[jax.Array, jax.Array]:
 
 
 def _exponential(x: jax.Array, base: str) -> jax.Array:
-    """Return base^x: 0 where it is below 1.42 times the smallest normal number, twice which `rounding.outward` adds."""
+    """Return base^x: 0 where it is below 1.42 times the smallest normal number, twice which
+    `rounding.outward` adds.
+    """
     top, per_unit = np.finfo(x.dtype).maxexp, BASES[base][1]
     if base == "2":  # its smallest value is exact
         s, k = _exp_parts(jnp.clip(x, -1.1 * top, 1.1 * top), base)
@@ -222,7 +273,9 @@ def _log1p(a: jax.Array, shift: jax.Array) -> jax.Array:
 
 @with_derivative(lambda x, y: 1 / jnp.sqrt(1 + x * x))
 def asinh(x: jax.Array) -> jax.Array:
-    """Return the inverse hyperbolic sine: log(1 + a), a = |x| + x^2 / (1 + sqrt(1 + x^2)); from 2^60 on log(2 |x|)."""
+    """Return the inverse hyperbolic sine: log(1 + a), a = |x| + x^2 / (1 + sqrt(1 + x^2)); from 2^60 on log(2
+    |x|).
+    """
     size = jnp.abs(x)
     big = size > 2.0**60
     v = jnp.minimum(size, 2.0**60)
@@ -234,7 +287,9 @@ def asinh(x: jax.Array) -> jax.Array:
 
 @with_derivative(lambda x, y: 1 / jnp.sqrt((x - 1) * (x + 1)))
 def acosh(x: jax.Array) -> jax.Array:
-    """Return the inverse hyperbolic cosine of x >= 1: log(1 + a), a = t + sqrt(t (t + 2)), t = x - 1; from 2^60 on log(2 x)."""
+    """Return the inverse hyperbolic cosine of x >= 1: log(1 + a), a = t + sqrt(t (t + 2)), t = x - 1; from
+    2^60 on log(2 x).
+    """
     big = x > 2.0**60
     t = jnp.minimum(x, 2.0**60) - 1
     a = jnp.where(big, x * 0.25, t + rounding.root(t * (t + 2)))
@@ -243,7 +298,9 @@ def acosh(x: jax.Array) -> jax.Array:
 
 @with_derivative(lambda x, y: 1 / ((1 - x) * (1 + x)))
 def atanh(x: jax.Array) -> jax.Array:
-    """Return the inverse hyperbolic tangent of -1 < x < 1: log(1 + 2 |x| / (1 - |x|)) / 2; near 0 its series."""
+    """Return the inverse hyperbolic tangent of -1 < x < 1: log(1 + 2 |x| / (1 - |x|)) / 2; near 0 its
+    series.
+    """
     size = jnp.abs(x)
     z = jnp.minimum(size, 0.17) ** 2
     inner = jnp.minimum(size, 1 - rounding.unit(x.dtype))
@@ -282,7 +339,8 @@ def cosh(x: jax.Array) -> jax.Array:
 
 @with_derivative(lambda x, y: (1 - y) * (1 + y))
 def tanh(x: jax.Array) -> jax.Array:
-    """Return the hyperbolic tangent: |x| (1 - q), q = w N / B, up to 1; from there 1 - q, q = 2 / (e^2|x| + 1); 1 beyond 30.
+    """Return the hyperbolic tangent: |x| (1 - q), q = w N / B, up to 1; from there 1 - q, q = 2 / (e^2|x| +
+    1); 1 beyond 30.
 
     With tanh y = y A / B, A = B - w N, e^r is (B + y A) / (B - y A), y = r / 2: one division serves both.
     """
@@ -303,7 +361,9 @@ def tanh(x: jax.Array) -> jax.Array:
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def power(x: jax.Array, n: int) -> jax.Array:
-    """Return x^n for normal x >= 0 and a Python integer n > 0, by squaring in double-word arithmetic with exponents apart."""
+    """Return x^n for normal x >= 0 and a Python integer n > 0, by squaring in double-word arithmetic with
+    exponents apart.
+    """
     inside = (x > 0) & jnp.isfinite(x)
     m, k = rounding.mantissa_exponent(jnp.where(inside, x, 1))
     base, exponent = (m, jnp.zeros_like(m)), jnp.zeros_like(m)

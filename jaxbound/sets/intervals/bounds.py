@@ -1,4 +1,6 @@
-"""What a user hands over as a bound, made a float: checked on the host, rounded outward where a float cannot say it."""
+"""What a user hands over as a bound, made a float: checked on the host, rounded outward where a float cannot
+say it.
+"""
 
 import re
 from collections.abc import Callable
@@ -20,7 +22,8 @@ Number: TypeAlias = ArrayLike | Fraction
 
 
 class Arrays:
-    """What a dataclass of arrays inherits to refuse lists: its factory takes them, checks them and rounds outward.
+    """What a dataclass of arrays inherits to refuse lists: its factory takes them, checks them and rounds
+    outward.
 
     A tree may hold anything else: what is mapped over a set need not be an array.
     """
@@ -28,13 +31,20 @@ class Arrays:
     def __post_init__(self) -> None:
         """Raise TypeError if a field is a list or a tuple of floats."""
         for name, value in vars(self).items():
-            if isinstance(value, list) or (isinstance(value, tuple) and any(isinstance(x, float) for x in value)):
+            if isinstance(value, list) or (
+                isinstance(value, tuple) and any(isinstance(x, float) for x in value)
+            ):
                 words = re.sub("(?<=.)(?=[A-Z])", "_", type(self).__name__).lower()
-                raise TypeError(f"{type(self).__name__} needs arrays, and {name} is a {type(value).__name__}: build it with {words}(...)")
+                raise TypeError(
+                    f"{type(self).__name__} needs arrays, and {name} is a {type(value).__name__}: build it "
+                    f"with {words}(...)"
+                )
 
 
 def check(lo: np.ndarray, hi: np.ndarray) -> None:
-    """Raise ValueError if two arrays of bounds are not intervals: NaN, lo > hi (unless empty), an infinite point."""
+    """Raise ValueError if two arrays of bounds are not intervals: NaN, lo > hi (unless empty), an infinite
+    point.
+    """
     empty = (lo == np.inf) & (hi == -np.inf)
     for bad, rule in (
         (np.isnan(lo) | np.isnan(hi), "bounds must be numbers, not NaN"),
@@ -61,9 +71,13 @@ def bound(x: Number, directed: Callable[..., np.ndarray]) -> jax.Array | np.ndar
 
 
 def settled(lo: jax.Array | np.ndarray, hi: jax.Array | np.ndarray) -> tuple[jax.Array, jax.Array]:
-    """Return bounds of one shape and dtype, none subnormal towards the inside; NumPy's on the host, where no shape is compiled for."""
+    """Return bounds of one shape and dtype, none subnormal towards the inside; NumPy's on the host, where no
+    shape is compiled for.
+    """
     shape, dtype = jnp.broadcast_shapes(jnp.shape(lo), jnp.shape(hi)), jnp.result_type(lo, hi)
     if isinstance(lo, np.ndarray) and isinstance(hi, np.ndarray):
         low, high = rounding.settled_on_host(*(np.broadcast_to(end, shape).astype(dtype) for end in (lo, hi)))
         return jax.device_put((low, high))  # jnp.asarray compiles a copy for each shape
-    return rounding.settle_subnormals(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi)))
+    return rounding.settle_subnormals(
+        *(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (lo, hi))
+    )

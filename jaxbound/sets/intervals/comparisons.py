@@ -1,4 +1,6 @@
-"""Relations between Intervals, and membership: exact for all floats, by their bits, for compiled code compares subnormal numbers as 0."""
+"""Relations between Intervals, and membership: exact for all floats, by their bits, for compiled code
+compares subnormal numbers as 0.
+"""
 
 import operator
 from collections.abc import Callable
@@ -20,14 +22,23 @@ def _ordered(x: Interval) -> Interval:
 
 
 def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], jax.Array]:
-    """Lift holds(x, y, no x, no y, infinity), its bounds integers in the order of floats; no relation holds for a bound that is NaN."""
+    """Lift holds(x, y, no x, no y, infinity), its bounds integers in the order of floats; no relation holds
+    for a bound that is NaN.
+    """
 
     def relation(x: Operand, y: Operand) -> jax.Array:
         x, y = pair(x, y)
         known = reduce(operator.and_, [end == end for end in (x.lo, x.hi, y.lo, y.hi)])
-        return known & holds(_ordered(x), _ordered(y), x.is_empty, y.is_empty, rounding.order(jnp.full((), jnp.inf, x.dtype)))
+        return known & holds(
+            _ordered(x), _ordered(y), x.is_empty, y.is_empty, rounding.order(jnp.full((), jnp.inf, x.dtype))
+        )
 
-    for name in ("__module__", "__name__", "__qualname__", "__doc__"):  # not the signature: what is lifted takes two Intervals
+    for name in (
+        "__module__",
+        "__name__",
+        "__qualname__",
+        "__doc__",
+    ):  # not the signature: what is lifted takes two Intervals
         setattr(relation, name, getattr(holds, name))
     return relation
 
@@ -45,7 +56,9 @@ def subset(x: Interval, y: Interval, nothing: jax.Array, *_: jax.Array) -> jax.A
 
 
 @_relation
-def interior(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, infinite: jax.Array) -> jax.Array:
+def interior(
+    x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, infinite: jax.Array
+) -> jax.Array:
     """True where x lies in the interior of y. Source: IEEE 1788 interior."""
     below, above = (x.lo > y.lo) | (y.lo == -infinite), (x.hi < y.hi) | (y.hi == infinite)
     return nothing | (below & above & ~nowhere)
@@ -72,7 +85,9 @@ def precedes(x: Interval, y: Interval, nothing: jax.Array, nowhere: jax.Array, _
 def contains(x: Interval, point: Number) -> jax.Array:
     """True where the number lies in x; infinities and NaN never do. Source: IEEE 1788 isMember."""
     # a number between two floats lies in x where both do
-    below, above = (jnp.asarray(bound(point, directed)) for directed in (rounding.round_down, rounding.round_up))
+    below, above = (
+        jnp.asarray(bound(point, directed)) for directed in (rounding.round_down, rounding.round_up)
+    )
     dtype = jnp.result_type(x.dtype, below.dtype)
     x, below, above = jax.tree.map(lambda v: rounding.widened(v, dtype), (x, below, above))
     inside = (x.lo == x.lo) & (x.hi == x.hi) & (below == below) & (jnp.isfinite(below) | jnp.isfinite(above))

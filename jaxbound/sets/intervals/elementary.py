@@ -1,12 +1,14 @@
-"""Elementary functions of Intervals, rounded outward: each encloses the exact range over the part of its argument inside its domain.
+"""Elementary functions of Intervals, rounded outward: each encloses the exact range over the part of its
+argument inside its domain.
 
-Operations follow IEEE 1788-2015 (set-based flavour): sqrt of [-1, 4] is [0, 2], log of [-1, 0] is empty. An argument is an Interval of any
-shape, or numbers, taken as points; two or three are broadcast. The bounds can be differentiated.
+Operations follow IEEE 1788-2015 (set-based flavour): sqrt of [-1, 4] is [0, 2], log of [-1, 0] is empty. An
+argument is an Interval of any shape, or numbers, taken as points; two or three are broadcast. The bounds can
+be differentiated.
 
-Encloses: f(v) for every v of the argument at which f is defined, eagerly and compiled, in float32 and float64: the floats at the ends
-come from `approximations` and `angles`, whose errors are known, and are widened by `rounding.outward`. They lie within 8 ulps of the
-tightest bounds (acosh: 9), results near the smallest normal number apart.
-Beyond 2^20 (float32: 2^11) sin and cos are [-1, 1], tan is entire.
+Encloses: f(v) for every v of the argument at which f is defined, eagerly and compiled, in float32 and
+float64: the floats at the ends come from `approximations` and `angles`, whose errors are known, and are
+widened by `rounding.outward`. They lie within 8 ulps of the tightest bounds (acosh: 9), results near the
+smallest normal number apart. Beyond 2^20 (float32: 2^11) sin and cos are [-1, 1], tan is entire.
 
 Example:
     >>> from jaxbound import sets
@@ -31,9 +33,28 @@ from jaxbound.sets.intervals import angles, approximations
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 
 __all__ = [
-    "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "exp10", "exp2", "fma", "log", "log10", "log2",
-    "sin", "sinh", "sqrt", "tan", "tanh",
-]  # fmt: skip
+    "acos",
+    "acosh",
+    "asin",
+    "asinh",
+    "atan",
+    "atan2",
+    "atanh",
+    "cos",
+    "cosh",
+    "exp",
+    "exp10",
+    "exp2",
+    "fma",
+    "log",
+    "log10",
+    "log2",
+    "sin",
+    "sinh",
+    "sqrt",
+    "tan",
+    "tanh",
+]
 
 
 @overload
@@ -41,7 +62,9 @@ def _elementary(f: Callable[[Interval], Interval]) -> Callable[[Operand], Interv
 @overload
 def _elementary(f: Callable[[Interval, Interval], Interval]) -> Callable[[Operand, Operand], Interval]: ...
 @overload
-def _elementary(f: Callable[[Interval, Interval, Interval], Interval]) -> Callable[[Operand, Operand, Operand], Interval]: ...
+def _elementary(
+    f: Callable[[Interval, Interval, Interval], Interval],
+) -> Callable[[Operand, Operand, Operand], Interval]: ...
 def _elementary(f: Callable[..., Interval]) -> Callable[..., Interval]:
     """Compile a function of Intervals; numbers and arrays are taken as points."""
 
@@ -50,7 +73,9 @@ def _elementary(f: Callable[..., Interval]) -> Callable[..., Interval]:
         sets = [Interval(*rounding.readable(x.lo, x.hi)) for x in xs]
         out = f(*sets)
         lo = jnp.where(reduce(jnp.logical_or, [x.lo == jnp.inf for x in sets]), jnp.inf, out.lo)
-        return Interval(lo, jnp.where(reduce(jnp.logical_or, [x.hi == -jnp.inf for x in sets]), -jnp.inf, out.hi))
+        return Interval(
+            lo, jnp.where(reduce(jnp.logical_or, [x.hi == -jnp.inf for x in sets]), -jnp.inf, out.hi)
+        )
 
     @wraps(f)
     def call(*xs):
@@ -70,10 +95,15 @@ def _joined(xs: Sequence[Operand]) -> list[Interval]:
         out.append(interval(x))
     dtype = jnp.result_type(*(x.dtype for x in out))
     shape = jnp.broadcast_shapes(*(x.shape for x in out))
-    return [Interval(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (x.lo, x.hi))) for x in out]
+    return [
+        Interval(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (x.lo, x.hi)))
+        for x in out
+    ]
 
 
-def _widen(name: str, lo: jax.Array, hi: jax.Array, least: ArrayLike = -np.inf, largest: ArrayLike = np.inf) -> tuple[jax.Array, jax.Array]:
+def _widen(
+    name: str, lo: jax.Array, hi: jax.Array, least: ArrayLike = -np.inf, largest: ArrayLike = np.inf
+) -> tuple[jax.Array, jax.Array]:
     """Widen by the bound of `name` and cut to its range."""
     lo, hi = rounding.outward(lo, hi, approximations.UNITS[name])
     return jnp.maximum(lo, least), jnp.minimum(hi, largest)
@@ -81,7 +111,9 @@ def _widen(name: str, lo: jax.Array, hi: jax.Array, least: ArrayLike = -np.inf, 
 
 def _odd(x: Interval, lo: jax.Array, hi: jax.Array) -> Interval:
     """Keep the sign of an odd increasing function, and 0 at 0."""
-    return Interval(jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi))
+    return Interval(
+        jnp.where(x.lo >= 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi <= 0, jnp.minimum(hi, 0), hi)
+    )
 
 
 def _up(value: object, dtype: DTypeLike) -> np.floating:
@@ -105,7 +137,10 @@ def sqrt(x: Interval) -> Interval:
     empty = rounding.positive(-x.hi)
     low, high = (_root(jnp.where(empty, jnp.nan, jnp.maximum(end, 0))) for end in (x.lo, x.hi))
     lo, hi = _widen("sqrt", low, high, least=0)
-    return Interval(jnp.where(jnp.isnan(low), jnp.inf, lo), jnp.where(jnp.isnan(high), -jnp.inf, jnp.where(high == 0, 0, hi)))
+    return Interval(
+        jnp.where(jnp.isnan(low), jnp.inf, lo),
+        jnp.where(jnp.isnan(high), -jnp.inf, jnp.where(high == 0, 0, hi)),
+    )
 
 
 @approximations.with_derivative(lambda x, y: 0.5 / y)
@@ -119,7 +154,9 @@ def _exponential(name: str, x: Interval) -> Interval:
     low, high = f(x.lo), f(x.hi)
     lo, hi = _widen(name, low, high, least=0)
     if name == "exp2":
-        exact = lambda bound, value: (bound == jnp.round(bound)) & (value >= rounding.tiny(x.dtype)) & jnp.isfinite(value)
+        exact = lambda bound, value: (
+            (bound == jnp.round(bound)) & (value >= rounding.tiny(x.dtype)) & jnp.isfinite(value)
+        )
     else:
         exact = lambda bound, value: bound == 0
     return Interval(jnp.where(exact(x.lo, low), low, lo), jnp.where(exact(x.hi, high), high, hi))
@@ -173,16 +210,22 @@ def _turns(x, f):
     limit = angles.LARGEST_ANGLE[x.dtype.itemsize]
     cut = ~((x.lo >= -limit) & (x.hi <= limit))
     # both bounds need both ends: without the barrier the compiler evaluates them twice
-    return jax.lax.optimization_barrier((f(jnp.clip(x.lo, -limit, limit)), f(jnp.clip(x.hi, -limit, limit)), cut))
+    return jax.lax.optimization_barrier(
+        (f(jnp.clip(x.lo, -limit, limit)), f(jnp.clip(x.hi, -limit, limit)), cut)
+    )
 
 
 def _meets(low: jax.Array, high: jax.Array, k: int, period: int) -> jax.Array:
-    """True where [lo, hi], in quadrants low to high, holds a multiple n of pi/2 with n = k modulo the period."""
+    """True where [lo, hi], in quadrants low to high, holds a multiple n of pi/2 with n = k modulo the
+    period.
+    """
     return jnp.floor((high - k) / period) > jnp.floor((low - k) / period)
 
 
 def _wave(x: Interval, which: int) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Enclose sin (which = 0) or cos (1), 1 at quarter turn `top`, -1 two quarters later; return the quadrants of the ends as well."""
+    """Enclose sin (which = 0) or cos (1), 1 at quarter turn `top`, -1 two quarters later; return the
+    quadrants of the ends as well.
+    """
     (*low, first), (*high, last), cut = _turns(x, angles.sin_cos_quadrant)
     a, b, top = low[which], high[which], 1 - which
     lo, hi = _widen(("sin", "cos")[which], jnp.minimum(a, b), jnp.maximum(a, b), -1, 1)
@@ -241,7 +284,9 @@ def atan(x: Interval) -> Interval:
 
 @_elementary
 def atan2(y: Interval, x: Interval) -> Interval:
-    """Return the angles in (-pi, pi] of the points (x, y), the origin left out; [-pi, pi] across the cut. Source: IEEE 1788 atan2."""
+    """Return the angles in (-pi, pi] of the points (x, y), the origin left out; [-pi, pi] across the cut.
+    Source: IEEE 1788 atan2.
+    """
     above, below = y.lo >= 0, y.hi <= 0
     straddling = ~above & ~below
     # off the cut the angle is least and largest at two corners, chosen by the signs of x and y
@@ -297,7 +342,11 @@ def atanh(x: Interval) -> Interval:
     """Return the inverse hyperbolic tangent of the numbers of x in (-1, 1). Source: IEEE 1788 atanh."""
     low, high, _ = _within(x, -1, 1)
     out = _odd(x, *_widen("atanh", approximations.atanh(low), approximations.atanh(high)))
-    return _emptied((x.hi <= -1) | (x.lo >= 1), jnp.where(x.lo <= -1, -jnp.inf, out.lo), jnp.where(x.hi >= 1, jnp.inf, out.hi))
+    return _emptied(
+        (x.hi <= -1) | (x.lo >= 1),
+        jnp.where(x.lo <= -1, -jnp.inf, out.lo),
+        jnp.where(x.hi >= 1, jnp.inf, out.hi),
+    )
 
 
 @_elementary
@@ -309,12 +358,16 @@ def fma(x: Interval, y: Interval, z: Interval) -> Interval:
 
 
 def _fused(a: jax.Array, b: jax.Array, c: jax.Array, side: int) -> jax.Array:
-    """Return a bound of a b + c from below (side 0) or above (1): two_prod and two_sum keep what the product and the sum lose.
+    """Return a bound of a b + c from below (side 0) or above (1): two_prod and two_sum keep what the product
+    and the sum lose.
 
-    Factors whose product could overflow or lose digits to underflow, and sums that could overflow, are rounded twice instead.
+    Factors whose product could overflow or lose digits to underflow, and sums that could overflow, are
+    rounded twice instead.
     """
     info, zero = np.finfo(a.dtype), (a == 0) | (b == 0)
-    moderate = lambda v: (jnp.abs(v) < 2.0 ** (info.maxexp // 2 - 2)) & (jnp.abs(v) > 2.0 ** (info.minexp // 4))
+    moderate = lambda v: (
+        (jnp.abs(v) < 2.0 ** (info.maxexp // 2 - 2)) & (jnp.abs(v) > 2.0 ** (info.minexp // 4))
+    )
     fine = (moderate(a) & moderate(b) | zero) & (jnp.abs(c) < info.max / 4)
     p, e = rounding.two_prod(*(jnp.where(fine & ~zero, v, 0) for v in (a, b)))
     s, t = rounding.two_sum(p, jnp.where(fine, c, 0))

@@ -1,10 +1,12 @@
-"""Closed intervals [lo, hi] as PyTrees, rounded outward: every operation encloses the exact range over its arguments.
+"""Closed intervals [lo, hi] as PyTrees, rounded outward: every operation encloses the exact range over its
+arguments.
 
-Empty is lo = +inf, hi = -inf; entire is [-inf, inf]. Operations follow IEEE 1788-2015 (set-based flavour); edges of domains
-give the tightest set, so 1 / [0, 1] is [1, inf] and x / [0, 0] is empty.
+Empty is lo = +inf, hi = -inf; entire is [-inf, inf]. Operations follow IEEE 1788-2015 (set-based flavour);
+edges of domains give the tightest set, so 1 / [0, 1] is [1, inf] and x / [0, 0] is empty.
 
-Compiled code reads a subnormal number as 0. Operations therefore move such a bound outward first (`_read`; what rounds sums outward
-has room for it), and comparisons look at the bits. So it does not matter who built an Interval, the factory or the class.
+Compiled code reads a subnormal number as 0. Operations therefore move such a bound outward first (`_read`;
+what rounds sums outward has room for it), and comparisons look at the bits. So it does not matter who built
+an Interval, the factory or the class.
 """
 
 from __future__ import annotations
@@ -25,9 +27,28 @@ from jaxbound.sets.intervals import approximations
 from jaxbound.sets.intervals.bounds import Arrays, Number, bound, check, settled
 
 __all__ = [
-    "Interval", "abs", "add", "div", "hull", "interval", "mag", "matmul", "max", "mid", "mig", "min", "mul", "neg", "pown",
-    "rad", "recip", "sqr", "sub", "sum", "wid",
-]  # fmt: skip
+    "Interval",
+    "abs",
+    "add",
+    "div",
+    "hull",
+    "interval",
+    "mag",
+    "matmul",
+    "max",
+    "mid",
+    "mig",
+    "min",
+    "mul",
+    "neg",
+    "pown",
+    "rad",
+    "recip",
+    "sqr",
+    "sub",
+    "sum",
+    "wid",
+]
 
 _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operations of the same name
 
@@ -36,11 +57,13 @@ _abs, _min, _max, _sum = abs, min, max, sum  # the built-ins, before the operati
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Interval(Arrays):
-    """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`, which checks what it is given.
+    """An array of closed intervals; `lo` and `hi` have one shape and dtype. Build it with `interval`, which
+    checks what it is given.
 
-    Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the exact results, eagerly
-    and compiled, for every two floats lo <= hi (not one and the same infinity), subnormal ones included; relations are exact for them.
-    A bound that is NaN bounds nothing: it counts as infinite, results are entire or have NaN for a bound again; no relation holds.
+    Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the
+    exact results, eagerly and compiled, for every two floats lo <= hi (not one and the same infinity),
+    subnormal ones included; relations are exact for them. A bound that is NaN bounds nothing: it counts as
+    infinite, results are entire or have NaN for a bound again; no relation holds.
     """
 
     lo: jax.Array
@@ -139,7 +162,8 @@ def interval(lo: Operand, hi: Number | None = None) -> Interval:
     Args:
         lo, hi: array-likes with lo <= hi. lo = +inf with hi = -inf is the empty interval.
 
-    Returns: an Interval of the wider float dtype of the two. Bounds that the dtype cannot hold (float64 numbers with x64 off, large
+    Returns: an Interval of the wider float dtype of the two. Bounds that the dtype cannot hold (float64
+    numbers with x64 off, large
         integers, exact fractions, subnormal numbers) are moved outward, never inward.
 
     Raises:
@@ -169,7 +193,11 @@ def pair(x: Operand, y: Operand) -> tuple[Interval, Interval]:
         x = interval(x)
     if not isinstance(y, Interval):
         number = isinstance(y, (int, float)) and not isinstance(y, bool)
-        y = interval(rounding.round_down(y, x.dtype), rounding.round_up(y, x.dtype)) if number else interval(y)
+        y = (
+            interval(rounding.round_down(y, x.dtype), rounding.round_up(y, x.dtype))
+            if number
+            else interval(y)
+        )
     if x.dtype != y.dtype:
         dtype = jnp.result_type(x.dtype, y.dtype)
         wider = lambda v: jax.tree.map(lambda end: rounding.widened(end, dtype), v)
@@ -178,9 +206,13 @@ def pair(x: Operand, y: Operand) -> tuple[Interval, Interval]:
 
 
 def computed(lo: jax.Array, hi: jax.Array) -> Interval:
-    """Return an Interval of bounds that an operation computed: none is subnormal towards the inside, so that the next need not look."""
+    """Return an Interval of bounds that an operation computed: none is subnormal towards the inside, so that
+    the next need not look.
+    """
     out = Interval(lo, hi)
-    object.__setattr__(out, "_settled", True)  # forgotten by a PyTree's round trip, after which the bounds are looked at again
+    object.__setattr__(
+        out, "_settled", True
+    )  # forgotten by a PyTree's round trip, after which the bounds are looked at again
     return out
 
 
@@ -195,7 +227,9 @@ def _close(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
 
 
 def _or_empty(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
-    """Make the result empty where an argument is; only an empty set has lo = inf, or hi = -inf, so that no bound asks for the other."""
+    """Make the result empty where an argument is; only an empty set has lo = inf, or hi = -inf, so that no
+    bound asks for the other.
+    """
     return computed(
         jnp.where(reduce(operator.or_, [x.lo == jnp.inf for x in arguments]), jnp.inf, lo),
         jnp.where(reduce(operator.or_, [x.hi == -jnp.inf for x in arguments]), -jnp.inf, hi),
@@ -246,24 +280,32 @@ def _times(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def div(x: Operand, y: Operand) -> Interval:
-    """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE 1788 div."""
+    """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE
+    1788 div.
+    """
     x, y = (computed(*rounding.unbounded(v.lo, v.hi)) for v in map(_read, pair(x, y)))
     down = y.hi <= 0  # x / y = (-x) / (-y)
     a, b, c, d = (jnp.where(down, -p, q) for p, q in ((x.hi, x.lo), (x.lo, x.hi), (y.hi, y.lo), (y.lo, y.hi)))
     nowhere, across = x.is_empty | y.is_empty | ((c == 0) & (d == 0)), (c < 0) & ~((a == 0) & (b == 0))
-    over = lambda n, sign: jnp.where(nowhere, jnp.nan, jnp.where(across, sign * jnp.inf, jnp.where(n == 0, sign * -0.0, n)))
+    over = lambda n, sign: jnp.where(
+        nowhere, jnp.nan, jnp.where(across, sign * jnp.inf, jnp.where(n == 0, sign * -0.0, n))
+    )
     low = _quotient(over(a, -1), jnp.where(across, 1, jnp.where(a >= 0, d, c)), -jnp.inf)
     high = _quotient(over(b, 1), jnp.where(across, 1, jnp.where(b > 0, c, d)), jnp.inf)
     lo, hi = rounding.outward(low, high)
-    lo, hi = jnp.where(jnp.signbit(low), lo, jnp.maximum(lo, 0)), jnp.where(jnp.signbit(high), jnp.minimum(hi, 0), hi)
+    lo, hi = (
+        jnp.where(jnp.signbit(low), lo, jnp.maximum(lo, 0)),
+        jnp.where(jnp.signbit(high), jnp.minimum(hi, 0), hi),
+    )
     return computed(jnp.where(jnp.isnan(low), jnp.inf, lo), jnp.where(jnp.isnan(high), -jnp.inf, hi))
 
 
 def _quotient(a: jax.Array, b: jax.Array, over_zero: float) -> jax.Array:
-    """Return a / b for b >= 0; a / 0 is `over_zero`. Its sign is that of a, even flushed, so that the caller need not ask a again.
+    """Return a / b for b >= 0; a / 0 is `over_zero`. Its sign is that of a, even flushed, so that the caller
+    need not ask a again.
 
-    A divisor beyond 2^(emax/2) is scaled first, so that its reciprocal, which the compiler may use, is not flushed to zero. The
-    barrier keeps the compiler from merging this quotient with one that made `a` or `b`.
+    A divisor beyond 2^(emax/2) is scaled first, so that its reciprocal, which the compiler may use, is not
+    flushed to zero. The barrier keeps the compiler from merging this quotient with one that made `a` or `b`.
     """
     zero, shrink = b == 0, 2.0 ** -(np.finfo(b.dtype).maxexp // 2)
     s = jnp.where(b > 1 / shrink, np.asarray(shrink, b.dtype), np.asarray(1, b.dtype))
@@ -302,7 +344,9 @@ def _power(x: Interval, n: int) -> Interval:
     x = _read(x)
     near, far = (x.lo, x.hi) if n % 2 else (mig(x), mag(x))
     power = lambda v: jnp.where(v < 0, -1, 1) * approximations.power(jnp.abs(v), n)
-    lo, hi = rounding.outward(power(near), power(far), approximations.UNITS["power"] + 16 * n * rounding.unit(x.dtype))
+    lo, hi = rounding.outward(
+        power(near), power(far), approximations.UNITS["power"] + 16 * n * rounding.unit(x.dtype)
+    )
     lo, hi = jnp.where(near >= 0, jnp.maximum(lo, 0), lo), jnp.where(far <= 0, jnp.minimum(hi, 0), hi)
     return _or_empty(lo, hi, x)
 
@@ -330,10 +374,15 @@ def sum(x: Interval, axis: int = 0) -> Interval:
 
 
 def matmul(x: Operand, y: Operand) -> Interval:
-    """Return the matrix product of (..., n, k) or (k,) and (..., k, m) or (k,): every entry an enclosed sum of products."""
+    """Return the matrix product of (..., n, k) or (k,) and (..., k, m) or (k,): every entry an enclosed sum
+    of products.
+    """
     x, y = pair(x, y)
     if not x.shape or not y.shape or x.shape[-1] != y.shape[-2:][0]:
-        raise ValueError(f"matmul needs (..., n, k) or (k,) and (..., k, m) or (k,): the shapes are {x.shape} and {y.shape}")
+        raise ValueError(
+            f"matmul needs (..., n, k) or (k,) and (..., k, m) or (k,): the shapes are {x.shape} and "
+            f"{y.shape}"
+        )
     vector = len(y.shape) == 1
     left = x if vector else x[..., None]
     right = y if vector or len(x.shape) == 1 else y[..., None, :, :]
@@ -344,20 +393,32 @@ def matmul(x: Operand, y: Operand) -> Interval:
 
 @partial(jax.jit, inline=True)
 def mid(x: Interval) -> jax.Array:
-    """Return a float inside x near its middle (half-line: the largest float, entire: 0, empty: NaN). Source: IEEE 1788 mid."""
+    """Return a float inside x near its middle (half-line: the largest float, entire: 0, empty: NaN). Source:
+    IEEE 1788 mid.
+    """
     top = np.finfo(x.dtype).max
     unbounded = jnp.isnan(x.lo) | (x.lo == -jnp.inf), jnp.isnan(x.hi) | (x.hi == jnp.inf)
     lo, hi = jnp.maximum(x.lo, -top), jnp.minimum(x.hi, top)
-    left, right = jax.lax.optimization_barrier((lo * 0.5, hi * 0.5))  # the compiler would make it (lo + hi) * 0.5, which overflows
+    left, right = jax.lax.optimization_barrier(
+        (lo * 0.5, hi * 0.5)
+    )  # the compiler would make it (lo + hi) * 0.5, which overflows
     middle = jnp.clip(left + right, lo, hi)
     # subnormal bounds, which clip reads as 0
-    middle = jnp.where(rounding.above(x.lo, middle), x.lo, jnp.where(rounding.above(middle, x.hi), x.hi, middle))
-    return jnp.where(x.is_empty, jnp.nan, jnp.where(unbounded[0], jnp.where(unbounded[1], 0, -top), jnp.where(unbounded[1], top, middle)))
+    middle = jnp.where(
+        rounding.above(x.lo, middle), x.lo, jnp.where(rounding.above(middle, x.hi), x.hi, middle)
+    )
+    return jnp.where(
+        x.is_empty,
+        jnp.nan,
+        jnp.where(unbounded[0], jnp.where(unbounded[1], 0, -top), jnp.where(unbounded[1], top, middle)),
+    )
 
 
 @partial(jax.jit, inline=True)
 def rad(x: Interval) -> jax.Array:
-    """Return a radius, rounded up, with x inside [mid - rad, mid + rad]; NaN for empty. Source: IEEE 1788 rad."""
+    """Return a radius, rounded up, with x inside [mid - rad, mid + rad]; NaN for empty. Source: IEEE 1788
+    rad.
+    """
     return _spread(x, jnp.maximum((m := mid(x)) - x.lo, x.hi - m))
 
 
@@ -368,9 +429,13 @@ def wid(x: Interval) -> jax.Array:
 
 
 def _spread(x: Interval, size: jax.Array) -> jax.Array:
-    """Return at least the size, off by two subnormal numbers read as 0: nothing for a point, infinite where a bound is not known."""
+    """Return at least the size, off by two subnormal numbers read as 0: nothing for a point, infinite where a
+    bound is not known.
+    """
     out = _close(jnp.zeros_like(size), jnp.where(jnp.isnan(size), jnp.inf, size), x).hi
-    return jnp.where(x.is_empty, jnp.nan, jnp.where(rounding.above(x.hi, x.lo) | jnp.isnan(x.lo + x.hi), out, 0))
+    return jnp.where(
+        x.is_empty, jnp.nan, jnp.where(rounding.above(x.hi, x.lo) | jnp.isnan(x.lo + x.hi), out, 0)
+    )
 
 
 def mag(x: Interval) -> jax.Array:

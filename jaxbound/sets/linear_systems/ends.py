@@ -1,7 +1,8 @@
-"""Intervals as one array of two upper bounds, (-lo, hi) on the first axis: both ends go through the same operation, of one kernel.
+"""Intervals as one array of two upper bounds, (-lo, hi) on the first axis: both ends go through the same
+operation, of one kernel.
 
-What is inexact is closed upward, as in `products`; no set is empty, infinity is no bound. Half as many kernels are half of the time that
-the compiler takes, and a bound costs the same.
+What is inexact is closed upward, as in `products`; no set is empty, infinity is no bound. Half as many
+kernels are half of the time that the compiler takes, and a bound costs the same.
 """
 
 import jax

@@ -1,8 +1,10 @@
-"""Interval linear systems whose matrix stays while right-hand sides come by the million: each is then a few matrix-vector products.
+"""Interval linear systems whose matrix stays while right-hand sides come by the million: each is then a few
+matrix-vector products.
 
 C h with C near the inverse of the middle of M, b its enclosure, encloses every solution x of M x = h in
 
-    x_i in (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]),   A = C M,   beta_i = sum over k != i of N_ik |b_k| / N_ii,
+    x_i in (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]),   A = C M,   beta_i = sum over k != i of
+    N_ik |b_k| / N_ii,
 
 N = <A>^-1 the inverse of the comparison matrix, alpha_i = <A>_ii - 1 / N_ii. All but b depends on M alone.
 
@@ -28,8 +30,9 @@ __all__ = ["Prepared", "prepare", "solutions"]
 class Prepared:
     """q systems that share all rows but their last, for K matrices (1: the same for all right-hand sides).
 
-    Fields: C (q, n, c, K) the preconditioners; weight (q, n, n, K) >= N_ik / N_ii, 0 on the diagonal; scale (q, n, K), Intervals of
-    positive numbers around 1 / (A_ii + [-alpha_i, alpha_i]), or NaN where no bound was proved.
+    Fields: C (q, n, c, K) the preconditioners; weight (q, n, n, K) >= N_ik / N_ii, 0 on the diagonal; scale
+    (q, n, K), Intervals of positive numbers around 1 / (A_ii + [-alpha_i, alpha_i]), or NaN where no bound
+    was proved.
     """
 
     C: jax.Array
@@ -38,7 +41,9 @@ class Prepared:
 
 
 def prepare(M: Interval, systems: int = 1) -> Prepared:
-    """Prepare `systems` systems of M (r, n, K): the first r - systems rows, and one of the last rows each. On the host."""
+    """Prepare `systems` systems of M (r, n, K): the first r - systems rows, and one of the last rows each. On
+    the host.
+    """
     r, n, _ = M.shape
     chosen = np.array([[*range(r - systems), last] for last in range(r - systems, r)])
     ends = (np.moveaxis(np.asarray(end)[chosen], -1, 1) for end in (M.lo, M.hi))  # (q, K, c, n)
@@ -97,7 +102,12 @@ def _bounds(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarra
     weight = up(most / low[..., None])
     scale = down(1 / divisor[1]), up(1 / divisor[0])
     proved = (
-        np.asarray(regular)[..., None] & np.isfinite(weight).all(-1) & (low > 0) & (divisor[0] > 0) & (scale[0] > 0) & (scale[1] < np.inf)
+        np.asarray(regular)[..., None]
+        & np.isfinite(weight).all(-1)
+        & (low > 0)
+        & (divisor[0] > 0)
+        & (scale[0] > 0)
+        & (scale[1] < np.inf)
     )
     return weight, scale, proved
 

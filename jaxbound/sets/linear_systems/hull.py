@@ -1,12 +1,14 @@
-"""Exact hulls of interval linear systems: a bounded dual simplex in plain floats finds multipliers, one rounded evaluation proves.
+"""Exact hulls of interval linear systems: a bounded dual simplex in plain floats finds multipliers, one
+rounded evaluation proves.
 
 In an orthant with signs S the solutions of M x = h are the polytope (Oettli, Prager 1964)
 
     (mid M - rad M S) x <= hi h,    (mid M + rad M S) x >= lo h,    x in the box.
 
-For ANY numbers w, one per row, and any e:  e x = w (M x) + (e - w M) x  lies in  w h + (e - w M) X. So the search for the best w may
-be rough; the bound is enclosed. It equals the linear program's optimum at the optimal w. A w with w M = 0 to which 0 does not fit
-makes the bound cross the opposite one: that is the proof that there is no solution.
+For ANY numbers w, one per row, and any e:  e x = w (M x) + (e - w M) x  lies in  w h + (e - w M) X. So the
+search for the best w may be rough; the bound is enclosed. It equals the linear program's optimum at the
+optimal w. A w with w M = 0 to which 0 does not fit makes the bound cross the opposite one: that is the proof
+that there is no solution.
 
 Lanes: one linear program each, all in step; the targets are axis 0 of (t, ..., N).
 """
@@ -26,7 +28,9 @@ _held = jax.lax.optimization_barrier
 
 
 def orthant_hull(M: Interval, h: Interval, box: Interval) -> Interval:
-    """Return the hull (n, N) of the solutions in the box: the union over all 2^n orthants, each found by `tighten`."""
+    """Return the hull (n, N) of the solutions in the box: the union over all 2^n orthants, each found by
+    `tighten`.
+    """
     n, N = box.shape
     signs = np.array(np.meshgrid(*[[1, -1]] * n, indexing="ij")).reshape(n, -1)  # (n, 2^n)
     count = signs.shape[1]
@@ -67,7 +71,9 @@ def tighten(M: Interval, h: Interval, box: Interval, steps: int) -> Interval:
 
 
 def _bound(M: Interval, h: Interval, X: Interval, w: jax.Array, targets: jax.Array) -> jax.Array:
-    """Return an upper bound (2n, N) of e x for each target e, by its multipliers w (2n, r, N); infinity where there is none."""
+    """Return an upper bound (2n, N) of e x for each target e, by its multipliers w (2n, r, N); infinity where
+    there is none.
+    """
     r, n = M.shape[:2]
     gamma, floor = rounding.product_error(r + n + 2, X.dtype)
     (middle, radius, size), (hm, hr, hs) = _ball(M), _ball(h)
@@ -87,29 +93,37 @@ def _bound(M: Interval, h: Interval, X: Interval, w: jax.Array, targets: jax.Arr
 
 
 def _ball(x: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return middle, radius and size of x; `_bound` counts their rounding as that of a factor; NaN where x is not bounded."""
+    """Return middle, radius and size of x; `_bound` counts their rounding as that of a factor; NaN where x is
+    not bounded.
+    """
     middle = 0.5 * x.lo + 0.5 * x.hi
     return middle, jnp.maximum(middle - x.lo, x.hi - middle), jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi))
 
 
 def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
-    """Search multipliers (2n, r, N) of the rows, in plain floats, by exchanges from the box: no claim is made.
+    """Search multipliers (2n, r, N) of the rows, in plain floats, by exchanges from the box: no claim is
+    made.
 
-    A vertex is n rows of P x <= c, the box's sides among them; T is the inverse of these rows, lam >= 0 what each adds to the target.
-    The most violated row enters, the least ratio leaves. |x_j| is replaced by its chord over X_j, exact where the sign is known.
+    A vertex is n rows of P x <= c, the box's sides among them; T is the inverse of these rows, lam >= 0 what
+    each adds to the target. The most violated row enters, the least ratio leaves. |x_j| is replaced by its
+    chord over X_j, exact where the sign is known.
     """
     r, n = M.shape[:2]
     t, N = 2 * n, X.shape[1]
     unit, dtype = float(rounding.unit(X.dtype)), X.dtype
     P, c, scale = _half_spaces(M, h, X)
     own = np.r_[:n, :n]
-    side = np.where(np.arange(n)[:, None] == own[None], np.where(np.arange(t) < n, 1.0, -1.0)[None], 1.0)  # (n, t): at hi, or at lo
+    side = np.where(
+        np.arange(n)[:, None] == own[None], np.where(np.arange(t) < n, 1.0, -1.0)[None], 1.0
+    )  # (n, t): at hi, or at lo
     full = lambda a, shape: jnp.broadcast_to(jnp.asarray(a, dtype)[..., None], (*shape, N))
     T = full(np.eye(n)[:, :, None] * side[:, None], (n, n, t))  # x_i = sum_k T[i, k] c_k
     at = jnp.where(jnp.asarray(side[..., None] > 0), X.hi[:, None], -X.lo[:, None])
     # the tilt breaks ties between the rows that carry nothing yet
     lam = full((np.arange(n)[:, None] == own[None]) + 64 * unit * (1 + np.arange(n))[:, None], (n, t))
-    which = jnp.broadcast_to(jnp.asarray(2 * r + np.arange(n)[:, None] + np.where(side > 0, 0, n), jnp.int32)[..., None], (n, t, N))
+    which = jnp.broadcast_to(
+        jnp.asarray(2 * r + np.arange(n)[:, None] + np.where(side > 0, 0, n), jnp.int32)[..., None], (n, t, N)
+    )
     reach = jnp.max(jnp.maximum(jnp.abs(X.lo), jnp.abs(X.hi)), 0)[None]
     slots = jnp.arange(n, dtype=jnp.int32)[:, None, None]
 
@@ -132,17 +146,23 @@ def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
         move = jnp.where(moving, least, 0)
         # a contradiction: as much of it as carries the bound across the box
         far = stored(jnp.where(stuck, 4 * (reach + 1) / jnp.where(stuck, worst, 1), 0))
-        column = stored(jnp.take_along_axis(T, place[None, None], 1, mode="clip")[:, 0] / stored(pivot)[None])  # (n, t, N)
+        column = stored(
+            jnp.take_along_axis(T, place[None, None], 1, mode="clip")[:, 0] / stored(pivot)[None]
+        )  # (n, t, N)
         held = jnp.where(moving[None], alpha, 0)
         T = jnp.where(leave[None], column[:, None], T - column[:, None] * held[None])
-        lam = jnp.where(leave, move[None], jnp.maximum(lam - move[None] * held, 0)) - far[None] * jnp.where(stuck[None], alpha, 0)
+        lam = jnp.where(leave, move[None], jnp.maximum(lam - move[None] * held, 0)) - far[None] * jnp.where(
+            stuck[None], alpha, 0
+        )
         at, which = jnp.where(leave, value[None], at), jnp.where(leave, enter[None], which)
         ray = (jnp.where(stuck, enter, ray[0]), jnp.where(stuck, far, ray[1]))
         return step + 1, T, at, lam, which, ray, moving
 
     ray = (jnp.full((t, N), -1, jnp.int32), jnp.zeros((t, N), dtype))
     start = (0, T, at, lam, which, ray, jnp.ones((t, N), bool))
-    _, _, _, lam, which, ray, _ = jax.lax.while_loop(lambda s: (s[0] < steps) & jnp.any(s[-1]), exchange, start)
+    _, _, _, lam, which, ray, _ = jax.lax.while_loop(
+        lambda s: (s[0] < steps) & jnp.any(s[-1]), exchange, start
+    )
     number = jnp.arange(2 * r, dtype=jnp.int32)[:, None, None]
     taken = total([jnp.where(which[k][None] == number, lam[k][None], 0) for k in range(n)])
     taken = (taken + jnp.where(ray[0][None] == number, ray[1][None], 0)) * scale[:, None]  # (2r, t, N)
@@ -163,7 +183,9 @@ def _largest(rows: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _half_spaces(M: Interval, h: Interval, X: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return P (2r + 2n, n, N), c (2r + 2n, N) with P x <= c for the solutions in the box X, and the factors (2r, N) put on its rows."""
+    """Return P (2r + 2n, n, N), c (2r + 2n, N) with P x <= c for the solutions in the box X, and the factors
+    (2r, N) put on its rows.
+    """
     r, n = M.shape[:2]
     middle, radius, _ = _ball(M)
     wide = X.hi - X.lo
@@ -174,6 +196,8 @@ def _half_spaces(M: Interval, h: Interval, X: Interval) -> tuple[jax.Array, jax.
     P = jnp.concatenate([middle - radius * slope[None], -middle - radius * slope[None]])
     c = jnp.concatenate([h.hi + extra, extra - h.lo])
     scale = _held(1 / jnp.maximum(jnp.max(jnp.abs(P), 1), rounding.tiny(X.dtype)))
-    eye = jnp.broadcast_to(jnp.asarray(np.concatenate([np.eye(n), -np.eye(n)]), X.dtype)[..., None], (2 * n, n, P.shape[-1]))
+    eye = jnp.broadcast_to(
+        jnp.asarray(np.concatenate([np.eye(n), -np.eye(n)]), X.dtype)[..., None], (2 * n, n, P.shape[-1])
+    )
     c = jnp.broadcast_to(c * scale, (2 * r, X.shape[1]))
     return _held((jnp.concatenate([P * scale[:, None], eye]), jnp.concatenate([c, X.hi, -X.lo]), scale))

@@ -1,13 +1,14 @@
 """Kernels of interval linear systems: elimination, comparison matrices, iteration.
 
-One system lies in the leading axes, A (n, n, ...) and b (n, ...), a batch in the axis behind: every step is a pass over the batch.
-A matrix that all systems share has a last axis of length 1 and is prepared once.
+One system lies in the leading axes, A (n, n, ...) and b (n, ...), a batch in the axis behind: every step is a
+pass over the batch. A matrix that all systems share has a last axis of length 1 and is prepared once.
 
-Preconditioning (`linear_products`) replaces M x = h by (C M) x = C h with C near the inverse of the middle of M. C may be any numbers:
-a solution of the first system solves the second. So C is searched in plain floats, and C M, C h are enclosed.
+Preconditioning (`linear_products`) replaces M x = h by (C M) x = C h with C near the inverse of the middle of
+M. C may be any numbers: a solution of the first system solves the second. So C is searched in plain floats,
+and C M, C h are enclosed.
 
-Source: Neumaier 1990, 1999 (comparison matrix, Hansen-Bliek-Rohn); Alhaj-Dibo, Maquin, Ragot 2004, appendix (Gauss, Gauss-Seidel,
-Krawczyk).
+Source: Neumaier 1990, 1999 (comparison matrix, Hansen-Bliek-Rohn); Alhaj-Dibo, Maquin, Ragot 2004, appendix
+(Gauss, Gauss-Seidel, Krawczyk).
 """
 
 from collections.abc import Callable
@@ -37,7 +38,17 @@ from jaxbound.sets.linear_systems.products import (
     where,
 )
 
-__all__ = ["comparison_inverse", "contract", "enclose", "factor", "minus", "over", "preconditioner", "product", "times"]
+__all__ = [
+    "comparison_inverse",
+    "contract",
+    "enclose",
+    "factor",
+    "minus",
+    "over",
+    "preconditioner",
+    "product",
+    "times",
+]
 
 SWEEPS = 100  # at most: Gauss-Seidel and Krawczyk stop where a sweep gains less than 1e-4 of the width
 
@@ -45,7 +56,9 @@ SWEEPS = 100  # at most: Gauss-Seidel and Krawczyk stop where a sweep gains less
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Factored:
-    """All of a square system that does not depend on its right-hand side: A, its triangular factors, its comparison matrix's bounds."""
+    """All of a square system that does not depend on its right-hand side: A, its triangular factors, its
+    comparison matrix's bounds.
+    """
 
     A: Interval  # (n, n, N)
     lefts: tuple[Interval, ...]  # (n - k, n - k, N): what is left of A after k steps of the elimination
@@ -55,7 +68,9 @@ class Factored:
 
 
 def factor(A: Interval) -> Factored:
-    """Prepare a square system: triangular factors without exchange of rows, and bounds of the inverse of its comparison matrix."""
+    """Prepare a square system: triangular factors without exchange of rows, and bounds of the inverse of its
+    comparison matrix.
+    """
     lefts, reciprocals, shares = [A], [_reciprocal(A)], []
     for _ in range(1, A.shape[0]):
         shares.append(_shares(lefts[-1], reciprocals[-1]))
@@ -73,8 +88,8 @@ _substituted = apart(lambda y, shares: _less(y[1:], shares, y[0][None], True))
 def _shares(x: Interval, over_pivot: Interval) -> Interval:
     """Enclose what each row takes of the first one, and widen it by gamma of its size.
 
-    The products of a share s with y are then wide enough for their own rounding: where s y is largest (or least), s moved outward by
-    gamma mag(s), which adds (or takes) gamma mag(s) |y| >= gamma |s y|.
+    The products of a share s with y are then wide enough for their own rounding: where s y is largest (or
+    least), s moved outward by gamma mag(s), which adds (or takes) gamma mag(s) |y| >= gamma |s y|.
     """
     s = product(_unless_infinite(x[1:, 0]), over_pivot[None])
     wider = rounding.product_error(1, s.dtype)[0] * jnp.maximum(jnp.abs(s.lo), jnp.abs(s.hi))
@@ -84,7 +99,8 @@ def _shares(x: Interval, over_pivot: Interval) -> Interval:
 def _less(x: Interval, s: Interval, y: Interval, widened: bool = False) -> Interval:
     """Enclose x - s y; an end that overflowed stays infinite, or NaN, until `_unless_infinite`.
 
-    The rounding of a product, of the difference, and of the bound are u each, or tiny; gamma and the floor hold many times that.
+    The rounding of a product, of the difference, and of the bound are u each, or tiny; gamma and the floor
+    hold many times that.
     """
     gamma, floor = rounding.product_error(1, x.dtype)
     least, greatest = extremes(s, y)
@@ -99,16 +115,22 @@ def _unless_infinite(x: Interval) -> Interval:
 
 
 def comparison_inverse(A: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (near, v, omega) with |<A>^-1 - near| <= v omega' entry by entry, <A> the comparison matrix; NaN where none is proved.
+    """Return (near, v, omega) with |<A>^-1 - near| <= v omega' entry by entry, <A> the comparison matrix; NaN
+    where none is proved.
 
-    <A> has the least |a_ii| on its diagonal and -max|a_ij| beside it. v > 0 with <A> v > 0 proves that every matrix in A is regular and
-    <A>^-1 >= 0. From <A>^-1 - near = <A>^-1 (I - <A> near) and |I - <A> near|_k <= omega_k <A> v. Source: Neumaier 1999; Rump 2013.
+    <A> has the least |a_ii| on its diagonal and -max|a_ij| beside it. v > 0 with <A> v > 0 proves that every
+    matrix in A is regular and <A>^-1 >= 0. From <A>^-1 - near = <A>^-1 (I - <A> near) and |I - <A> near|_k <=
+    omega_k <A> v. Source: Neumaier 1999; Rump 2013.
     """
     n = A.shape[0]
     eye = jnp.eye(n, dtype=A.dtype)
     S = _comparison(A, eye[..., None])
-    near = jax.lax.fori_loop(0, n, lambda k, a: solved_for(a, at(eye, k, 0)[:, None], k), S)  # pivots of such a matrix need no exchange
-    v = apart(lambda near: jnp.maximum(total([near[:, k] for k in range(n)]), rounding.tiny(near.dtype)))(near)
+    near = jax.lax.fori_loop(
+        0, n, lambda k, a: solved_for(a, at(eye, k, 0)[:, None], k), S
+    )  # pivots of such a matrix need no exchange
+    v = apart(lambda near: jnp.maximum(total([near[:, k] for k in range(n)]), rounding.tiny(near.dtype)))(
+        near
+    )
     both = jnp.concatenate([near, v[:, None]], 1)
     image = times(S, Interval(both, both))
     w = image.lo[:, n]
@@ -121,7 +143,9 @@ _reciprocal_of = apart(lambda w: reciprocal(Interval(w, w)).hi)
 
 @apart
 def _largest_quotient(x: Interval, over_w: jax.Array, eye: jax.Array) -> jax.Array:
-    """Return an upper bound (n, N) of the largest |x - I| / w over the rows, over_w >= 1 / w > 0; NaN where it is unknown."""
+    """Return an upper bound (n, N) of the largest |x - I| / w over the rows, over_w >= 1 / w > 0; NaN where
+    it is unknown.
+    """
     n = len(eye)
     off = jnp.maximum(jnp.abs(x.lo[:, :n] - eye), jnp.abs(x.hi[:, :n] - eye)) + 4 * rounding.tiny(x.dtype)
     largest = most([off[i] * over_w[i][None] for i in range(n)])
@@ -129,7 +153,9 @@ def _largest_quotient(x: Interval, over_w: jax.Array, eye: jax.Array) -> jax.Arr
 
 
 @apart
-def _proved(near: jax.Array, v: jax.Array, w: jax.Array, omega: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _proved(
+    near: jax.Array, v: jax.Array, w: jax.Array, omega: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     proved = (most(list(-w)) < 0) & (most(list(omega)) < jnp.inf)
     near, v, omega = (jnp.where(proved[(None,) * (x.ndim - 1)], x, jnp.nan) for x in (near, v, omega))
     return near, v, omega
@@ -142,7 +168,10 @@ def enclose(F: Factored, b: Interval, method: str, start: Interval) -> Interval:
         solved, first = _hansen_bliek_rohn(F, b)
         if method in ("hbr", "intersection"):
             found.append(solved)
-        if method in ("gauss_seidel", "intersection"):  # its limit lies in Krawczyk's, which the intersection does not need
+        if method in (
+            "gauss_seidel",
+            "intersection",
+        ):  # its limit lies in Krawczyk's, which the intersection does not need
             found.append(_iterate(gauss_seidel, F.A, b, intersection(first, start)))
         if method == "krawczyk":
             found.append(_iterate(krawczyk, F.A, b, intersection(first, start)))
@@ -153,7 +182,9 @@ _all_of = apart(lambda box, *others: reduce(intersection, others, box))
 
 
 def _gauss(F: Factored, b: Interval) -> Interval:
-    """Substitute forward and backward. Source: Alhaj-Dibo et al. 2004, appendix; a pivot that holds 0 gives everything."""
+    """Substitute forward and backward. Source: Alhaj-Dibo et al. 2004, appendix; a pivot that holds 0 gives
+    everything.
+    """
     right = [b]
     x: list[Interval] = []
     for share in F.shares:
@@ -171,9 +202,11 @@ def _solved(y: Interval, left: Interval, x: list[Interval], over_pivot: Interval
 
 
 def _hansen_bliek_rohn(F: Factored, b: Interval) -> tuple[Interval, Interval]:
-    """Return the enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]), and |x| <= <A>^-1 |b| as a box.
+    """Return the enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]), and |x| <= <A>^-1 |b| as
+    a box.
 
-    With N = <A>^-1: alpha_i = <A>_ii - 1 / N_ii and beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source: Neumaier 1999, theorem 2.1.
+    With N = <A>^-1: alpha_i = <A>_ii - 1 / N_ii and beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source:
+    Neumaier 1999, theorem 2.1.
     """
     above = _above(*F.inverse)
     low, divisor = _divisor(F.A, *F.inverse)
@@ -224,11 +257,17 @@ def _hbr_box(b: Interval, beside: jax.Array, low: jax.Array, divisor: Interval) 
     return Interval(jnp.where(jnp.isnan(beside), -jnp.inf, x.lo), jnp.where(jnp.isnan(beside), jnp.inf, x.hi))
 
 
-_around = apart(lambda size: Interval(jnp.where(jnp.isnan(size), -jnp.inf, -size), jnp.where(jnp.isnan(size), jnp.inf, size)))
+_around = apart(
+    lambda size: Interval(
+        jnp.where(jnp.isnan(size), -jnp.inf, -size), jnp.where(jnp.isnan(size), jnp.inf, size)
+    )
+)
 
 
 def gauss_seidel(A: Interval, b: Interval, x: Interval) -> Interval:
-    """Solve each row for its own unknown, one after another, and intersect. Source: Alhaj-Dibo et al. 2004, appendix."""
+    """Solve each row for its own unknown, one after another, and intersect. Source: Alhaj-Dibo et al. 2004,
+    appendix.
+    """
 
     def row(i, x):
         a = at(A, i, 0)
@@ -264,8 +303,12 @@ def _off(A: Interval, x: Interval) -> Interval:
 _contracted = apart(lambda off, b, x: intersection(x, minus(b, interval_sum(off, axis=1))))
 
 
-def _iterate(step: Callable[[Interval, Interval, Interval], Interval], A: Interval, b: Interval, x: Interval) -> Interval:
-    """Repeat a contracting step; a system whose widths no longer shrink by 1e-4 is left as it is, whatever its neighbours do."""
+def _iterate(
+    step: Callable[[Interval, Interval, Interval], Interval], A: Interval, b: Interval, x: Interval
+) -> Interval:
+    """Repeat a contracting step; a system whose widths no longer shrink by 1e-4 is left as it is, whatever
+    its neighbours do.
+    """
     shape = jnp.broadcast_shapes(x.shape, b.shape, A.shape[1:])
     wide = lambda v: jax.tree.map(lambda a: jnp.broadcast_to(a, shape), v)
     b, empty = wide(b), jnp.any(x.is_empty, 0)
@@ -276,19 +319,28 @@ def _iterate(step: Callable[[Interval, Interval, Interval], Interval], A: Interv
         return count + 1, *_progress(step(A, b, x), x, active, gone)
 
     active = jnp.broadcast_to(~empty, shape[1:])
-    _, x, _, gone = jax.lax.while_loop(lambda c: (c[0] < SWEEPS) & jnp.any(c[2]), advance, (0, x, active, ~active))
+    _, x, _, gone = jax.lax.while_loop(
+        lambda c: (c[0] < SWEEPS) & jnp.any(c[2]), advance, (0, x, active, ~active)
+    )
     return Interval(jnp.where(gone[None], jnp.inf, x.lo), jnp.where(gone[None], -jnp.inf, x.hi))
 
 
 @apart
-def _progress(new: Interval, x: Interval, active: jax.Array, gone: jax.Array) -> tuple[Interval, jax.Array, jax.Array]:
+def _progress(
+    new: Interval, x: Interval, active: jax.Array, gone: jax.Array
+) -> tuple[Interval, jax.Array, jax.Array]:
     lost = jnp.any(new.is_empty, 0)
-    better = jnp.any((new.hi - new.lo < 0.9999 * (x.hi - x.lo)) | ((new.hi - new.lo < jnp.inf) & (x.hi - x.lo == jnp.inf)), 0)
+    better = jnp.any(
+        (new.hi - new.lo < 0.9999 * (x.hi - x.lo)) | ((new.hi - new.lo < jnp.inf) & (x.hi - x.lo == jnp.inf)),
+        0,
+    )
     return where((active & ~lost)[None], new, x), active & better & ~lost, gone | (active & lost)
 
 
 def contract(M: Interval, h: Interval, x: Interval) -> Interval:
-    """Solve every row of M x = h for every unknown once, and intersect; a row that no x in the box fulfils leaves nothing."""
+    """Solve every row of M x = h for every unknown once, and intersect; a row that no x in the box fulfils
+    leaves nothing.
+    """
     n, shape = M.shape[1], jnp.broadcast_shapes(x.shape, h.shape[-1:], M.shape[-1:])
     gone = jnp.any(x.is_empty, 0)
     x = where(gone[None], Interval(jnp.zeros_like(x.lo), jnp.zeros_like(x.hi)), x)
@@ -316,6 +368,8 @@ def _each(x: Interval, terms: Interval, m: Interval, right: Interval, eye: jax.A
 
 
 @apart
-def _kept(new: Interval, x: Interval, terms: Interval, right: Interval, gone: jax.Array) -> tuple[Interval, jax.Array]:
+def _kept(
+    new: Interval, x: Interval, terms: Interval, right: Interval, gone: jax.Array
+) -> tuple[Interval, jax.Array]:
     lost = jnp.any(new.is_empty, 0) | disjoint(interval_sum(terms), right)
     return where(lost[None], x, new), gone | lost

@@ -1,4 +1,5 @@
-"""Products of float matrices with interval matrices, inverses in plain floats, and operations on intervals without empty sets.
+"""Products of float matrices with interval matrices, inverses in plain floats, and operations on intervals
+without empty sets.
 
 One matrix lies in the leading axes, a batch in the axis behind: every step is a pass over the batch.
 """
@@ -14,7 +15,19 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import apart, most, total
 from jaxbound.sets.intervals.interval import Interval, mag, mig
 
-__all__ = ["at", "extremes", "inverse", "minus", "over", "preconditioner", "product", "reciprocal", "solved_for", "times", "where"]
+__all__ = [
+    "at",
+    "extremes",
+    "inverse",
+    "minus",
+    "over",
+    "preconditioner",
+    "product",
+    "reciprocal",
+    "solved_for",
+    "times",
+    "where",
+]
 
 
 Tree = TypeVar("Tree")
@@ -27,7 +40,12 @@ def preconditioner(M: Interval, kind: str = "midpoint") -> jax.Array | None:
     middle = _middle(M.lo, M.hi)
     r, n = middle.shape[:2]
     if kind == "diagonal":
-        return jnp.stack([jnp.stack([(1 / middle[i, i] if i == j else jnp.zeros_like(middle[i, i])) for j in range(n)]) for i in range(n)])
+        return jnp.stack(
+            [
+                jnp.stack([(1 / middle[i, i] if i == j else jnp.zeros_like(middle[i, i])) for j in range(n)])
+                for i in range(n)
+            ]
+        )
     if r == n:
         return inverse(middle)
     near = inverse(apart(lambda m: total([m[i, :, None] * m[i, None] for i in range(r)]))(middle))
@@ -38,7 +56,9 @@ _middle = apart(lambda lo, hi: 0.5 * lo + 0.5 * hi)
 
 
 def inverse(a: jax.Array) -> jax.Array:
-    """Return a float inverse of a (n, n, N): Gauss-Jordan in place, each step takes the row with the largest entry; no claim is made."""
+    """Return a float inverse of a (n, n, N): Gauss-Jordan in place, each step takes the row with the largest
+    entry; no claim is made.
+    """
     n, N = a.shape[0], a.shape[2]
     index = jnp.arange(n)[:, None]
 
@@ -52,7 +72,9 @@ def inverse(a: jax.Array) -> jax.Array:
     a, _, order = jax.lax.fori_loop(0, n, step, start)
     # row p_k belongs to unknown k, column j to right-hand side p_j
     source = total([jnp.where(order[j][None] == index, j, 0) for j in range(n)])
-    return jnp.take_along_axis(a.reshape(n * n, N), (order[:, None] * n + source[None]).reshape(n * n, N), 0).reshape(n, n, N)
+    return jnp.take_along_axis(
+        a.reshape(n * n, N), (order[:, None] * n + source[None]).reshape(n * n, N), 0
+    ).reshape(n, n, N)
 
 
 @apart
@@ -69,7 +91,9 @@ _picked = apart(lambda place, free: (place[None] == jnp.arange(len(free))[:, Non
 
 
 def solved_for(a: jax.Array, pick: jax.Array, k: ArrayLike) -> jax.Array:
-    """Solve the row that pick (n, N) marks with 1 for unknown k and put it into the others; column k becomes that of the inverse."""
+    """Solve the row that pick (n, N) marks with 1 for unknown k and put it into the others; column k becomes
+    that of the inverse.
+    """
     return _combined(a, pick, *_pivot_row(a, pick, k))
 
 
@@ -83,7 +107,9 @@ def _pivot_row(a: jax.Array, pick: jax.Array, k: ArrayLike) -> tuple[jax.Array, 
 
 
 @apart
-def _combined(a: jax.Array, pick: jax.Array, row: jax.Array, share: jax.Array, others: jax.Array) -> jax.Array:
+def _combined(
+    a: jax.Array, pick: jax.Array, row: jax.Array, share: jax.Array, others: jax.Array
+) -> jax.Array:
     return (1 - pick)[:, None] * (a * others[None]) + share[:, None] * row[None]
 
 
@@ -97,8 +123,9 @@ def times(C: jax.Array, A: Interval) -> Interval:
 def _ball(A: Interval) -> tuple[jax.Array, jax.Array]:
     """Return the middle of A, and a radius that covers its rounding and that of a product with C.
 
-    By `rounding.product_error` a row of C A is off by less than gamma sum|C| size + floor (1 + max|C|) (1 + max size). With
-    t = sqrt(floor), sum (|C| + t) (radius + gamma size + t) is above that, and above the rounding of itself.
+    By `rounding.product_error` a row of C A is off by less than gamma sum|C| size + floor (1 + max|C|) (1 +
+    max size). With t = sqrt(floor), sum (|C| + t) (radius + gamma size + t) is above that, and above the
+    rounding of itself.
     """
     gamma, floor = rounding.product_error(len(A), A.dtype)
     middle, size = 0.5 * A.lo + 0.5 * A.hi, jnp.maximum(jnp.abs(A.lo), jnp.abs(A.hi))
@@ -159,12 +186,15 @@ def reciprocal(y: Interval) -> Interval:
 
 
 def _divides(y: Interval) -> jax.Array:
-    """True where 0 is not in y, and its ends are not so large that the compiler's reciprocal could be flushed."""
+    """True where 0 is not in y, and its ends are not so large that the compiler's reciprocal could be
+    flushed.
+    """
     return (mig(y) > 0) & (mag(y) < 2.0 ** (np.finfo(y.dtype).maxexp // 2))
 
 
 def over(x: Interval, y: Interval) -> Interval:
-    """Enclose every z with y' z = x' for some x' in x and y' in y, for non-empty Intervals: everything where y holds 0.
+    """Enclose every z with y' z = x' for some x' in x and y' in y, for non-empty Intervals: everything where
+    y holds 0.
 
     (The set-based quotient by [0, 0] is empty, which would pass for a proof that there is no solution.)
     """

@@ -26,8 +26,9 @@ BLOCK = 64  # systems: a 9 x 9 one takes 1.3 KB, several times, and has to stay 
 class Solvability(IntEnum):
     """What is known of an interval linear system.
 
-    `NOT_REGULAR`: no bounded enclosure was proved (a matrix in M may be singular); the box is the start box, or everything.
-    `SOLVED`: the box encloses every solution. `INFEASIBLE`: proved that there is none (none in x0); the box is empty.
+    `NOT_REGULAR`: no bounded enclosure was proved (a matrix in M may be singular); the box is the start box,
+    or everything. `SOLVED`: the box encloses every solution. `INFEASIBLE`: proved that there is none (none in
+    x0); the box is empty.
 
     Example:
         >>> Solvability.SOLVED.name
@@ -43,34 +44,44 @@ class Solvability(IntEnum):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Enclosures of the solutions of interval linear systems: x, an Interval (..., n), and status (...,) int8, see `Solvability`."""
+    """Enclosures of the solutions of interval linear systems: x, an Interval (..., n), and status (...,)
+    int8, see `Solvability`.
+    """
 
     x: Interval
     status: jax.Array
 
 
 def solve_interval(
-    M: Operand, h: Operand, method: str = "intersection", x0: Operand | None = None, precondition: str = "midpoint"
+    M: Operand,
+    h: Operand,
+    method: str = "intersection",
+    x0: Operand | None = None,
+    precondition: str = "midpoint",
 ) -> Solution:
     """Enclose every solution of an interval linear system M x = h, or of a batch of them.
 
     Args:
         M: Interval (or numbers) (..., r, n), r >= n. r > n: all rows hold at once.
-        h: Interval (or numbers) (..., r). Leading axes of M and h broadcast; a matrix without them is prepared once for all h.
-        method: "gauss" elimination, "gauss_seidel" or "krawczyk" iteration from a start box that the comparison matrix proves, "hbr"
-            (Hansen-Bliek-Rohn), "intersection" of all four, or "hull": the exact hull but for rounding, orthant by orthant (n <= 8).
+        h: Interval (or numbers) (..., r). Leading axes of M and h broadcast; a matrix without them is
+            prepared once for all h.
+        method: "gauss" elimination, "gauss_seidel" or "krawczyk" iteration from a start box that the
+            comparison matrix proves, "hbr" (Hansen-Bliek-Rohn), "intersection" of all four, or "hull": the
+            exact hull but for rounding, orthant by orthant (n <= 8).
         x0: Interval (..., n): only solutions in this box are asked for.
-        precondition: "midpoint" inverse of the middle of M, "diagonal" inverse of the middle of its diagonal, or "none". More rows than
-            unknowns need "midpoint" (a pseudo-inverse).
+        precondition: "midpoint" inverse of the middle of M, "diagonal" inverse of the middle of its diagonal,
+            or "none". More rows than unknowns need "midpoint" (a pseudo-inverse).
 
     Returns:
         A Solution: x Interval (..., n), status (...,).
 
-    Encloses: where status is SOLVED, x holds every solution (in x0 if given), rounding included; INFEASIBLE is a proof; where no bound
-    was proved the status is NOT_REGULAR and x is x0 or everything: never a wrong box.
+    Encloses: where status is SOLVED, x holds every solution (in x0 if given), rounding included; INFEASIBLE
+    is a proof; where no bound was proved the status is NOT_REGULAR and x is x0 or everything: never a wrong
+    box.
 
     Raises:
-        ValueError: shapes that do not fit, fewer rows than unknowns, an unknown method, "hull" of more than 8 unknowns.
+        ValueError: shapes that do not fit, fewer rows than unknowns, an unknown method, "hull" of more than 8
+            unknowns.
 
     Source: Neumaier 1990; Oettli, Prager 1964 (hull); Alhaj-Dibo, Maquin, Ragot 2004.
 
@@ -88,7 +99,11 @@ def solve_interval(
     batch = np.broadcast_shapes(M.shape[:-2], h.shape[:-1], () if x0 is None else x0.shape[:-1])
     dtype = jnp.result_type(M.dtype, h.dtype)
     M, h = (_flat(v, tail, batch, dtype) for v, tail in ((M, (r, n)), (h, (r,))))
-    start = interval(jnp.full((1, n), -jnp.inf, dtype), jnp.full((1, n), jnp.inf, dtype)) if x0 is None else _flat(x0, (n,), batch, dtype)
+    start = (
+        interval(jnp.full((1, n), -jnp.inf, dtype), jnp.full((1, n), jnp.inf, dtype))
+        if x0 is None
+        else _flat(x0, (n,), batch, dtype)
+    )
     x, status = _solve(M, h, start, method, precondition)
     full = lambda v, tail: jnp.broadcast_to(v, (max(1, int(np.prod(batch))), *tail)).reshape(*batch, *tail)
     return Solution(jax.tree.map(lambda v: full(v, (n,)), x), full(status, ()))
@@ -97,10 +112,14 @@ def solve_interval(
 def _flat(v: Interval, tail: tuple[int, ...], batch: tuple[int, ...], dtype: DTypeLike) -> Interval:
     """Make the batch axes one; an array that all systems share keeps length 1 there."""
     shared = v.shape[: -len(tail)] == (1,) * (len(v.shape) - len(tail))
-    return jax.tree.map(lambda a: (a if shared else jnp.broadcast_to(a, batch + tail)).astype(dtype).reshape(-1, *tail), v)
+    return jax.tree.map(
+        lambda a: (a if shared else jnp.broadcast_to(a, batch + tail)).astype(dtype).reshape(-1, *tail), v
+    )
 
 
-def _check(M: tuple[int, ...], h: tuple[int, ...], x0: tuple[int, ...] | None, method: str, precondition: str) -> None:
+def _check(
+    M: tuple[int, ...], h: tuple[int, ...], x0: tuple[int, ...] | None, method: str, precondition: str
+) -> None:
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     if precondition not in PRECONDITIONS:
@@ -111,16 +130,24 @@ def _check(M: tuple[int, ...], h: tuple[int, ...], x0: tuple[int, ...] | None, m
     if r < n or not n:
         raise ValueError(f"M needs at least as many rows as unknowns (and one unknown): it is {r} x {n}")
     if r > n and precondition != "midpoint":
-        raise ValueError(f"a system of {r} rows and {n} unknowns needs precondition='midpoint', not {precondition!r}")
+        raise ValueError(
+            f"a system of {r} rows and {n} unknowns needs precondition='midpoint', not {precondition!r}"
+        )
     if x0 is not None and (not len(x0) or x0[-1] != n):
         raise ValueError(f"x0 needs one interval for each of {n} unknowns: its shape is {x0}")
     if method == "hull" and n > 8:
-        raise ValueError(f"the hull visits 2^n orthants and takes at most 8 unknowns, not {n}: use method='intersection'")
+        raise ValueError(
+            f"the hull visits 2^n orthants and takes at most 8 unknowns, not {n}: use method='intersection'"
+        )
 
 
 @kernel(static_argnames=("method", "precondition"))
-def _solve(M: Interval, h: Interval, start: Interval, method: str, precondition: str) -> tuple[Interval, jax.Array]:
-    """Enclose N systems, BLOCK at a time: they stay in the processor's cache. Shapes (N or 1, r, n), (N or 1, r), (N or 1, n)."""
+def _solve(
+    M: Interval, h: Interval, start: Interval, method: str, precondition: str
+) -> tuple[Interval, jax.Array]:
+    """Enclose N systems, BLOCK at a time: they stay in the processor's cache. Shapes (N or 1, r, n), (N or 1,
+    r), (N or 1, n).
+    """
     prepared = _prepared(_last(M), precondition) if len(M) == 1 else None
     given, count = (M, h, start), max(len(M), len(h), len(start))
 
@@ -133,8 +160,13 @@ def _solve(M: Interval, h: Interval, start: Interval, method: str, precondition:
         return block(*given)
 
     def step(i, out):  # the last block overlaps with the one before it: slices end where the arrays end
-        part = [jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, i * BLOCK, BLOCK), v) if len(v) > 1 else v for v in given]
-        return jax.tree.map(lambda a, b: jax.lax.dynamic_update_slice_in_dim(a, b, i * BLOCK, 0), out, block(*part))
+        part = [
+            jax.tree.map(lambda a: jax.lax.dynamic_slice_in_dim(a, i * BLOCK, BLOCK), v) if len(v) > 1 else v
+            for v in given
+        ]
+        return jax.tree.map(
+            lambda a, b: jax.lax.dynamic_update_slice_in_dim(a, b, i * BLOCK, 0), out, block(*part)
+        )
 
     boxes = Interval(*[jnp.zeros((count, M.shape[2]), M.dtype)] * 2)
     return jax.lax.fori_loop(0, -(-count // BLOCK), step, (boxes, jnp.zeros(count, jnp.int8)))
@@ -148,7 +180,9 @@ def _prepared(M: Interval, precondition: str) -> tuple[jax.Array | None, Factore
     return C, factor(M if C is None else times(C, M))
 
 
-def _enclosed(M: Interval, h: Interval, C: jax.Array | None, F: Factored, method: str, start: Interval) -> tuple[Interval, jax.Array]:
+def _enclosed(
+    M: Interval, h: Interval, C: jax.Array | None, F: Factored, method: str, start: Interval
+) -> tuple[Interval, jax.Array]:
     """Enclose one block; shapes (r, n, N or 1), (r, N or 1), ..., (n, N or 1)."""
     box = enclose(F, h if C is None else times(C, h), "hbr" if method == "hull" else method, start)
     if method == "hull":
@@ -163,5 +197,7 @@ def _judged(box: Interval) -> tuple[Interval, jax.Array]:
     proved = jnp.all(jnp.isfinite(box.lo) & jnp.isfinite(box.hi), 0)
     empty = jnp.any(box.is_empty, 0)
     box = Interval(jnp.where(empty[None], jnp.inf, box.lo).T, jnp.where(empty[None], -jnp.inf, box.hi).T)
-    status = jnp.where(empty, Solvability.INFEASIBLE, jnp.where(proved, Solvability.SOLVED, Solvability.NOT_REGULAR))
+    status = jnp.where(
+        empty, Solvability.INFEASIBLE, jnp.where(proved, Solvability.SOLVED, Solvability.NOT_REGULAR)
+    )
     return box, status.astype(jnp.int8)

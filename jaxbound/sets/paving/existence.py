@@ -1,12 +1,15 @@
 """Is there a solution of f(z) in T in a box? One step of a search that proves either answer.
 
-    excluded   f(X) misses T, or f(c) + f'(X) (X - c) does, or the Krawczyk operator misses X                (nothing of X is lost)
+    excluded   f(X) misses T, or f(c) + f'(X) (X - c) does, or the Krawczyk operator misses X
+    (nothing of X is lost)
     rest       X intersected with c + P (T - f(c)) + (I - P f'(X)) (X - c)
-    proved     a point x of the box with f(x) in T, T having an interior; or: with z(s) = x + P s, |s_i| <= r_i,
-               |f(x) - t| + |I - f'(Z) P| r <= r maps {s} into itself, so that f(z(s)) = t has a solution by Brouwer's theorem
+    proved     a point x of the box with f(x) in T, T having an interior; or: with z(s) = x + P s, |s_i| <=
+               r_i, |f(x) - t| + |I - f'(Z) P| r <= r maps {s} into itself, so that f(z(s)) = t has a solution
+               by Brouwer's theorem
 
-P (n, m) is any float matrix, near a right inverse of f' on the box; surplus variables (n > m) follow as little as they can. No proof
-depends on how good P or x are. Slopes are used only where f is proved to be continuous.
+P (n, m) is any float matrix, near a right inverse of f' on the box; surplus variables (n > m) follow as
+little as they can. No proof depends on how good P or x are. Slopes are used only where f is proved to be
+continuous.
 
 Source: Krawczyk 1969 (the operator); Neumaier 1990, Interval methods for systems of equations, section 5.
 """
@@ -53,7 +56,9 @@ def _is_interval(x: object) -> bool:
 
 
 def _flat(f: Callable[..., Any], args: tuple[jax.Array, ...]) -> Inclusion:
-    """Return z -> f(z, *args) with all its outputs in one array, f a JAX function of numbers, as an inclusion function."""
+    """Return z -> f(z, *args) with all its outputs in one array, f a JAX function of numbers, as an inclusion
+    function.
+    """
     return inclusion(lambda z: jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(f(z, *args))]))
 
 
@@ -79,16 +84,24 @@ def _slope(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> I
 
 
 def search(
-    f: Callable[..., Any], X: Interval, T: Interval, domain: Interval, args: tuple[jax.Array, ...], unique: bool, region: bool
+    f: Callable[..., Any],
+    X: Interval,
+    T: Interval,
+    domain: Interval,
+    args: tuple[jax.Array, ...],
+    unique: bool,
+    region: bool,
 ) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes X, an Interval (n, N), with f of numbers and args (..., N).
 
     Args:
         T: Interval (m, N), the target of each box. domain: Interval (n,), where solutions count.
         unique: prove that a solution is the only one of its box too, which then is settled.
-        region: any point of T is a solution's image; else T encloses one point, whichever, that has to be the image.
+        region: any point of T is a solution's image; else T encloses one point, whichever, that has to be the
+            image.
 
-    f and its slope are compiled once each; what depends on f only through them, for all functions of one shape.
+    f and its slope are compiled once each; what depends on f only through them, for all functions of one
+    shape.
     """
     image, smooth = _image(f, X, args)
     if T.shape != image.shape:
@@ -99,18 +112,29 @@ def search(
     out, rest, x, P = _narrow(X, T, domain, image, smooth, centre, value, slope)
     reached, defined = _image(f, _point(x), args)
     miss, r, Z, wide = _around(X, T, slope, x, P, reached, rest, unique, region)
-    return _conclude(T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, _slope(f, wide, args), region)
+    return _conclude(
+        T, domain, out, rest, slope, x, P, reached, defined, miss, r, Z, _slope(f, wide, args), region
+    )
 
 
 def _over_boxes(one: Callable[..., Any], *given: Any) -> Any:
-    """Return one(..) of each column, with the boxes first while it works: one layout for all, and half of what compiles is transposing."""
+    """Return one(..) of each column, with the boxes first while it works: one layout for all, and half of
+    what compiles is transposing.
+    """
     first = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), given)
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), jax.vmap(one)(*first))
 
 
 @kernel
 def _narrow(
-    X: Interval, T: Interval, domain: Interval, image: Interval, smooth: jax.Array, centre: jax.Array, value: Interval, slope: Interval
+    X: Interval,
+    T: Interval,
+    domain: Interval,
+    image: Interval,
+    smooth: jax.Array,
+    centre: jax.Array,
+    value: Interval,
+    slope: Interval,
 ) -> tuple[jax.Array, Interval, jax.Array, jax.Array]:
     """Return (excluded, what is left of X, a guess x at a solution, P)."""
     return _over_boxes(partial(_narrowed, domain), X, T, image, smooth, centre, value, slope)
@@ -119,7 +143,9 @@ def _narrow(
 def _narrowed(domain, X, T, image, smooth, centre, value, slope):
     d, J = rad(X), mid(slope)
     reach = _upper(mag(slope), d)
-    out = _apart(image, T) | smooth & _apart(value + Interval(-reach, reach), T)  # the second by the mean value theorem
+    out = _apart(image, T) | smooth & _apart(
+        value + Interval(-reach, reach), T
+    )  # the second by the mean value theorem
     P = _right_inverse(J, d)
     step, error = _times(P, mid(T - value))
     strays = _upper(_stray(P, J, jnp.abs(P), rad(slope)), d) + _upper(jnp.abs(P), rad(T - value)) + error
@@ -137,7 +163,15 @@ def _narrowed(domain, X, T, image, smooth, centre, value, slope):
 
 @kernel(static_argnums=(7, 8))
 def _around(
-    X: Interval, T: Interval, slope: Interval, x: jax.Array, P: jax.Array, reached: Interval, rest: Interval, unique: bool, region: bool
+    X: Interval,
+    T: Interval,
+    slope: Interval,
+    x: jax.Array,
+    P: jax.Array,
+    reached: Interval,
+    rest: Interval,
+    unique: bool,
+    region: bool,
 ) -> tuple[jax.Array, jax.Array, Interval, Interval]:
     """Return (|f(x) - t|, r, the box Z around x, the box over which slopes have to be close).
 
@@ -151,7 +185,10 @@ def _around(
         share = jnp.max(jnp.where(usable, miss / jnp.where(usable, moves, 1), 0))
         r = miss + jnp.where(usable, share * moves, miss) + 1024 * rounding.tiny(miss.dtype)
         reach = _upper(jnp.abs(P), r)
-        Z, fixed = _point(x) + Interval(-reach, reach), jnp.all(P == 0, 1)  # rows of zeros move nothing, exactly
+        Z, fixed = (
+            _point(x) + Interval(-reach, reach),
+            jnp.all(P == 0, 1),
+        )  # rows of zeros move nothing, exactly
         Z = Interval(jnp.where(fixed, x, Z.lo), jnp.where(fixed, x, Z.hi))
         return miss, r, Z, hull(Z, rest) if unique else Z
 
@@ -179,7 +216,9 @@ def _conclude(
         n, m = P.shape
         J = mid(near)
         bend = _stray(J, P, rad(near), jnp.abs(P))
-        into = _upward(miss + _upper(bend, r)) < r  # strictly: then near P is regular, which makes the solution unique
+        into = (
+            _upward(miss + _upper(bend, r)) < r
+        )  # strictly: then near P is regular, which makes the solution unique
         holds = (n >= m) & jnp.all(into) & jnp.all(subset(Z, domain))
         inside = region & jnp.all(subset(reached, T) & ~reached.is_empty) & defined
         proved = ~out & (inside | holds)
@@ -221,7 +260,9 @@ def _stray(A: jax.Array, B: jax.Array, A_size: jax.Array, B_size: jax.Array) -> 
     A_size, B_size: absolute values of the one and radii of the other.
     """
     product, error = _times(A, B)
-    return _upward(jnp.abs(jnp.eye(len(product), dtype=product.dtype) - product) + error + _upper(A_size, B_size))
+    return _upward(
+        jnp.abs(jnp.eye(len(product), dtype=product.dtype) - product) + error + _upper(A_size, B_size)
+    )
 
 
 def _upward(x: jax.Array) -> jax.Array:
@@ -230,7 +271,9 @@ def _upward(x: jax.Array) -> jax.Array:
 
 
 def _right_inverse(J: jax.Array, scale: jax.Array) -> jax.Array:
-    """Return P (n, m) with J P near I (n >= m) or P J near I (n < m), moving variables in proportion to `scale`; zeros if there is none."""
+    """Return P (n, m) with J P near I (n >= m) or P J near I (n < m), moving variables in proportion to
+    `scale`; zeros if there is none.
+    """
     m, n = J.shape
     scale = scale / jnp.max(scale)
     A = J * scale[None]
@@ -244,5 +287,7 @@ def _right_inverse(J: jax.Array, scale: jax.Array) -> jax.Array:
 
 
 def _inverse(M: jax.Array) -> jax.Array:
-    """Return the inverse of a square matrix; a single residual, which many have, costs no elimination to compile."""
+    """Return the inverse of a square matrix; a single residual, which many have, costs no elimination to
+    compile.
+    """
     return 1 / M if len(M) == 1 else jnp.linalg.inv(M)

@@ -1,7 +1,7 @@
 """One list of boxes for all targets of a batch, worked off level by level: the host only drives.
 
-A level judges all its boxes in blocks of fixed sizes, by one compiled kernel; what is neither excluded nor settled is cut in two.
-That gives the same boxes and counts as one target at a time, first in, first out.
+A level judges all its boxes in blocks of fixed sizes, by one compiled kernel; what is neither excluded nor
+settled is cut in two. That gives the same boxes and counts as one target at a time, first in, first out.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -25,7 +25,8 @@ Boxes: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 class Verdicts(NamedTuple, Generic[Array]):
     """What a kernel says of N boxes (n, N). None: nothing to say.
 
-    Fields: keep (N,): neither excluded nor settled; proved (N,): `proof` holds a solution of the box's target; proof: (lo, hi) (n, N);
+    Fields: keep (N,): neither excluded nor settled; proved (N,): `proof` holds a solution of the box's
+    target; proof: (lo, hi) (n, N);
     rest: (lo, hi) (n, N), the box without parts that hold no solution; axis (N,): along which to cut.
     """
 
@@ -42,7 +43,9 @@ Kernel: TypeAlias = Callable[..., Verdicts[jax.Array] | tuple[Any, ...] | jax.Ar
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Where an exploration ended. lo, hi (n, N), owner (N,): boxes left; proofs: (lo (n, K), hi, owner (K,)); counts (B,); levels."""
+    """Where an exploration ended. lo, hi (n, N), owner (N,): boxes left; proofs: (lo (n, K), hi, owner (K,));
+    counts (B,); levels.
+    """
 
     lo: np.ndarray
     hi: np.ndarray
@@ -70,10 +73,12 @@ def explore(
     Args:
         kernel: of (lo, hi, owner) of a block; returns Verdicts of arrays, or keep alone.
         lo, hi: the first box (n,), the same for all `count` targets.
-        depth, max_boxes: no more levels than this; a target is left as it is before a level that would bring its boxes evaluated above.
+        depth, max_boxes: no more levels than this; a target is left as it is before a level that would bring
+            its boxes evaluated above.
         axis: "alternate", "widest" (the first if equal) or "kernel": where boxes are cut.
         first: drop all boxes of a target once one solution is proved.
-        progress: called with the share of levels done. sizes: of blocks, the smaller for levels that fit into one.
+        progress: called with the share of levels done. sizes: of blocks, the smaller for levels that fit into
+            one.
         followed: so many boxes of each target, evenly picked, are cut at most; the others are forgotten.
 
     Returns:
@@ -101,7 +106,11 @@ def explore(
             known[owner[which]] = True
             keep = keep & ~known[owner] if first else keep
         lo, hi = (lo, hi) if said.rest is None else said.rest
-        kept = np.flatnonzero(keep) if followed is None else _picked(np.flatnonzero(keep), owner, count, followed)
+        kept = (
+            np.flatnonzero(keep)
+            if followed is None
+            else _picked(np.flatnonzero(keep), owner, count, followed)
+        )
         lo, hi, owner = lo[:, kept], hi[:, kept], owner[kept]
         if axis == "alternate":
             along = np.full(len(kept), level % n)
@@ -131,8 +140,12 @@ def _picked(kept: np.ndarray, owner: np.ndarray, count: int, most: int) -> np.nd
     return kept[(rank + 1) * at // many[own] > rank * at // many[own]]
 
 
-def in_blocks(kernel: Kernel, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, sizes: Sequence[int] = BLOCKS) -> tuple[Any, ...]:
-    """Return what a kernel says of boxes (n, N), calling it with blocks of fixed sizes only: a tuple, N the last axis of everything."""
+def in_blocks(
+    kernel: Kernel, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, sizes: Sequence[int] = BLOCKS
+) -> tuple[Any, ...]:
+    """Return what a kernel says of boxes (n, N), calling it with blocks of fixed sizes only: a tuple, N the
+    last axis of everything.
+    """
     total = lo.shape[1]
     size = sizes[0] if total <= sizes[0] else sizes[-1]
     running = []
@@ -150,7 +163,9 @@ def _host(said, count):
     """Return the first `count` columns of everything, on the host."""
 
     def here(x: Any) -> Any:
-        return None if x is None else tuple(map(here, x)) if isinstance(x, tuple) else np.asarray(x)[..., :count]
+        return (
+            None if x is None else tuple(map(here, x)) if isinstance(x, tuple) else np.asarray(x)[..., :count]
+        )
 
     return tuple(map(here, said))
 

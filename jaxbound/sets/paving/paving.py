@@ -1,10 +1,12 @@
 """Paving: cover the image of a box by boxes, or prove that a point is, or is not, in it.
 
-Uniform subdivision of order q cuts every variable into q equal pieces. Adaptive bisection keeps a list of boxes, worked off level by
-level for all targets of a batch at once (`frontier`): one whose image misses the target is dropped; one that is proved to hold a
-solution (`existence`) is settled; any other is cut in two. An empty list without a solution proves that the target is not in the image.
+Uniform subdivision of order q cuts every variable into q equal pieces. Adaptive bisection keeps a list of
+boxes, worked off level by level for all targets of a batch at once (`frontier`): one whose image misses the
+target is dropped; one that is proved to hold a solution (`existence`) is settled; any other is cut in two. An
+empty list without a solution proves that the target is not in the image.
 
-Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded box goes on with step (5), and closed containment.
+Source: Adrot, Maquin, Ragot 2000, 4.3, with the errata of `golden`: an excluded box goes on with step (5),
+and closed containment.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +33,9 @@ __all__ = ["Paving", "pave", "reaches"]
 CUTS = ("alternate", "widest", "smear")
 SOLUTIONS = ("none", "one", "all")
 EXCLUDED = 2**12
-"""Boxes at once where boxes are only excluded: that is little work a box, beside what it costs to start a kernel."""
+"""Boxes at once where boxes are only excluded: that is little work a box, beside what it costs to start a
+kernel.
+"""
 FOLLOWED = 16
 """Boxes of a target that `reaches` follows first."""
 MANY = 2**62
@@ -43,11 +47,13 @@ class Paving:
     """The outcome of `pave`.
 
     Fields:
-        status: int8, one a target: FAULT (proved: the target is not in the image), CONSISTENT (proved: it is) or UNDECIDED (the
-            budget, `evaluated` and `levels`, did not settle it); None without a target.
-        boxes: Interval (N, n), what is left of the box, neither excluded nor settled; owner (N,): the target that each belongs to.
+        status: int8, one a target: FAULT (proved: the target is not in the image), CONSISTENT (proved: it is)
+            or UNDECIDED (the budget, `evaluated` and `levels`, did not settle it); None without a target.
+        boxes: Interval (N, n), what is left of the box, neither excluded nor settled; owner (N,): the target
+            that each belongs to.
         evaluated: boxes evaluated, one count a target.
-        witness: Interval (K, n), boxes that each hold a solution, proved, or None; witness_owner (K,): their targets.
+        witness: Interval (K, n), boxes that each hold a solution, proved, or None; witness_owner (K,): their
+            targets.
         levels: how often the first box was cut.
     """
 
@@ -81,7 +87,9 @@ class Paving:
         first, last = np.searchsorted(across, lo[:, 0]), np.searchsorted(across, hi[:, 0])
         low, high = np.searchsorted(along, lo[:, 1]), np.searchsorted(along, hi[:, 1])
         total, cover, rows = 0.0, np.zeros(len(along), np.int32), max(1, 2**24 // len(along))
-        for start in range(0, len(across) - 1, rows):  # a 2-D difference array, +1 at corners and -1 past edges, some rows at a time
+        for start in range(
+            0, len(across) - 1, rows
+        ):  # a 2-D difference array, +1 at corners and -1 past edges, some rows at a time
             stop = min(start + rows, len(across) - 1)
             part = np.zeros((stop - start, len(along)), np.int32)
             part[0] = cover
@@ -96,39 +104,50 @@ class Paving:
 
 
 def pave(
-    f: Callable[..., Any], box: Operand, target: Operand | None = None, subdivision: str = "adaptive", q: int | None = None,
-    cut: str | None = None, max_boxes: int | None = None, max_depth: int | None = None, args: Sequence[ArrayLike] = (),
-    progress: Callable[[float], object] | None = None, solutions: str | None = None,
-) -> Paving:  # fmt: skip
+    f: Callable[..., Any],
+    box: Operand,
+    target: Operand | None = None,
+    subdivision: str = "adaptive",
+    q: int | None = None,
+    cut: str | None = None,
+    max_boxes: int | None = None,
+    max_depth: int | None = None,
+    args: Sequence[ArrayLike] = (),
+    progress: Callable[[float], object] | None = None,
+    solutions: str | None = None,
+) -> Paving:
     """Cover {f(z) : z in box} by boxes, or decide whether `target` is in it, with a proof.
 
     Args:
-        f: any JAX function of z (n,) (and of `args` for one target) that returns (m,) or a list of m numbers; or a function of an
-            Interval (n,) that returns an Interval (m,) or a list of m, by outward-rounded operations. Pass the same function again to
-            reuse its compilation.
+        f: any JAX function of z (n,) (and of `args` for one target) that returns (m,) or a list of m numbers;
+            or a function of an Interval (n,) that returns an Interval (m,) or a list of m, by outward-rounded
+            operations. Pass the same function again to reuse its compilation.
         box: Interval (n,), bounded.
         target: None, a point (m,), points (B, m), or an Interval of either: is there a z with f(z) in it?
         subdivision: "adaptive" or "uniform".
-        q: uniform: the number of pieces per variable, default 10. Adaptive: the paper's algorithm and its threshold, stop at r > q - 1,
-            that is after n (q - 1) levels.
-        cut: "alternate" (variables in turn), "widest" (widest edge, the first if equal) or "smear" (the edge that moves f most);
-            default "alternate" where only excluding, else "smear".
-        max_boxes: a target is left before a level that would evaluate more boxes than this for it; default 10^8, searching for solutions
-            10^7. All targets together never take more than 10^8, or max_boxes.
-        max_depth: levels; default n (q - 1), else so many that every edge can be halved 20 times (float32: 9).
+        q: uniform: the number of pieces per variable, default 10. Adaptive: the paper's algorithm and its
+            threshold, stop at r > q - 1, that is after n (q - 1) levels.
+        cut: "alternate" (variables in turn), "widest" (widest edge, the first if equal) or "smear" (the edge
+            that moves f most); default "alternate" where only excluding, else "smear".
+        max_boxes: a target is left before a level that would evaluate more boxes than this for it; default
+            10^8, searching for solutions 10^7. All targets together never take more than 10^8, or max_boxes.
+        max_depth: levels; default n (q - 1), else so many that every edge can be halved 20 times (float32:
+            9).
         args: arrays with leading axis B, handed to f one entry a target.
         progress: called with the share of levels (adaptive) or targets (uniform) done.
-        solutions: "none": only exclude, as the paper does; "one": a target is settled by its first solution; "all": go on until no box
-            is left, so that `witness` and `boxes` hold all solutions, each box of `witness` exactly one (points, m = n), or nothing
-            else (a target with an interior). Default: "none" with q or an f of Intervals, "all" for points and m = n, else "one".
+        solutions: "none": only exclude, as the paper does; "one": a target is settled by its first solution;
+            "all": go on until no box is left, so that `witness` and `boxes` hold all solutions, each box of
+            `witness` exactly one (points, m = n), or nothing else (a target with an interior). Default:
+            "none" with q or an f of Intervals, "all" for points and m = n, else "one".
 
     Returns:
-        A Paving. Encloses: the images of `boxes`, together with what was excluded or settled, cover the image of `box`. FAULT: there is
-        no z in `box` with f(z) in the target. CONSISTENT: there is one, for f in exact arithmetic, its constants the floats they are.
+        A Paving. Encloses: the images of `boxes`, together with what was excluded or settled, cover the image
+        of `box`. FAULT: there is no z in `box` with f(z) in the target. CONSISTENT: there is one, for f in
+        exact arithmetic, its constants the floats they are.
 
     Raises:
-        ValueError: unbounded or empty box, a target that does not fit, a budget or q < 1, an unknown option, a uniform subdivision into
-            more than max_boxes boxes.
+        ValueError: unbounded or empty box, a target that does not fit, a budget or q < 1, an unknown option,
+            a uniform subdivision into more than max_boxes boxes.
 
     Example:
         >>> f = lambda z: [2 * z[0] ** 2 + z[1], z[0] - z[1]]
@@ -148,13 +167,22 @@ def pave(
     count = 1 if goal is None else goal.shape[0]
     given: tuple[Any, ...] = tuple(x if isinstance(x, jax.Array) else np.asarray(x) for x in args)
     if any(a.shape[:1] != (count,) for a in given):
-        raise ValueError(f"every array of args needs one entry for each of the {count} targets: shapes {[a.shape for a in given]}")
+        raise ValueError(
+            f"every array of args needs one entry for each of the {count} targets: shapes "
+            f"{[a.shape for a in given]}"
+        )
     plain = is_interval_function(f, lo, tuple(jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in given))
     region = isinstance(target, Interval)
     thick = region and goal is not None and bool((np.asarray(goal.lo) < np.asarray(goal.hi)).any())
     if solutions is None:
         m = 0 if goal is None else goal.shape[1]
-        solutions = "none" if q is not None or plain or subdivision == "uniform" else "all" if m == len(lo) and not thick else "one"
+        solutions = (
+            "none"
+            if q is not None or plain or subdivision == "uniform"
+            else "all"
+            if m == len(lo) and not thick
+            else "one"
+        )
     q = 10 if q is None and (solutions == "none" or subdivision == "uniform") else q
     cut = ("alternate" if solutions == "none" else "smear") if cut is None else cut
     _check_options(subdivision, q, cut, max_boxes, max_depth, solutions, plain)
@@ -165,12 +193,21 @@ def pave(
             raise ValueError("max_depth belongs to subdivision='adaptive': the depth of a uniform one is q")
         assert q is not None
         if int(q) ** len(lo) > most:
-            raise ValueError(f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = {most}")
+            raise ValueError(
+                f"{q} pieces of {len(lo)} variables are {int(q) ** len(lo)} boxes, more than max_boxes = "
+                f"{most}"
+            )
         left_lo, left_hi, owner, evaluated = _uniform(f, lo, hi, goal, given, count, int(q), progress)
     else:
         if goal is None:
-            raise ValueError("adaptive subdivision needs a target; subdivision='uniform' covers the whole image")
-        depth = len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5) if max_depth is None else max_depth
+            raise ValueError(
+                "adaptive subdivision needs a target; subdivision='uniform' covers the whole image"
+            )
+        depth = (
+            len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5)
+            if max_depth is None
+            else max_depth
+        )
         if solutions == "none":
             kernel = _of_targets(partial(_meets, f), goal, given)
         elif solutions == "all" and thick:
@@ -178,13 +215,32 @@ def pave(
         else:
             kernel = _of_targets(partial(_search, f, box, solutions == "all", region), goal, given)
         sizes = (EXCLUDED,) if solutions == "none" else BLOCKS
-        found = explore(kernel, lo, hi, count, depth, most, "kernel" if cut == "smear" else cut, solutions == "one", progress, sizes)
-        left_lo, left_hi, owner, evaluated, levels = found.lo, found.hi, found.owner, found.evaluated, found.levels
+        found = explore(
+            kernel,
+            lo,
+            hi,
+            count,
+            depth,
+            most,
+            "kernel" if cut == "smear" else cut,
+            solutions == "one",
+            progress,
+            sizes,
+        )
+        left_lo, left_hi, owner, evaluated, levels = (
+            found.lo,
+            found.hi,
+            found.owner,
+            found.evaluated,
+            found.levels,
+        )
         proofs = found.proofs if len(found.proofs[2]) else None
         if proofs is not None and not (solutions == "all" and thick):
             proofs = _distinct(proofs, solutions, kernel)
     if goal is not None:
-        status = np.where(np.bincount(owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED))
+        status = np.where(
+            np.bincount(owner, minlength=count) == 0, np.int8(Status.FAULT), np.int8(Status.UNDECIDED)
+        )
         if proofs is not None:
             status[proofs[2]] = Status.CONSISTENT
     if single:
@@ -195,10 +251,14 @@ def pave(
     return Paving(status, turned(left_lo, left_hi), owner, evaluated, witness, witness_owner, levels, again)
 
 
-def reaches(f: Callable[..., Any], box: Interval, target: Interval, q: int, max_boxes: int, args: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the status (B,) that `pave` gives by excluding alone, and no boxes, which takes a fraction of the time.
+def reaches(
+    f: Callable[..., Any], box: Interval, target: Interval, q: int, max_boxes: int, args: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Return the status (B,) that `pave` gives by excluding alone, and no boxes, which takes a fraction of
+    the time.
 
-    Of each target a few boxes are followed first: where one of them is left at the end, it is UNDECIDED whatever the others are.
+    Of each target a few boxes are followed first: where one of them is left at the end, it is UNDECIDED
+    whatever the others are.
 
     Args:
         f, box, target, q, max_boxes, args: as of `pave`; `target` is an Interval (B, m).
@@ -223,7 +283,13 @@ def reaches(f: Callable[..., Any], box: Interval, target: Interval, q: int, max_
 
 
 def _check_options(
-    subdivision: str, q: int | None, cut: str, max_boxes: int | None, max_depth: int | None, solutions: str, plain: bool
+    subdivision: str,
+    q: int | None,
+    cut: str,
+    max_boxes: int | None,
+    max_depth: int | None,
+    solutions: str,
+    plain: bool,
 ) -> None:
     if subdivision not in ("adaptive", "uniform"):
         raise ValueError(f"subdivision must be 'adaptive' or 'uniform', not {subdivision!r}")
@@ -232,7 +298,10 @@ def _check_options(
     if solutions not in SOLUTIONS:
         raise ValueError(f"solutions must be one of {', '.join(SOLUTIONS)}, not {solutions!r}")
     if plain and (solutions != "none" or cut == "smear"):
-        raise ValueError("proving solutions and cut='smear' need derivatives: give f as a function of numbers, not of Intervals")
+        raise ValueError(
+            "proving solutions and cut='smear' need derivatives: give f as a function of numbers, not of "
+            "Intervals"
+        )
     for name, value, least in (("q", q, 1), ("max_boxes", max_boxes, 1), ("max_depth", max_depth, 0)):
         whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         if value is not None and (not whole or value < least):
@@ -250,23 +319,36 @@ def _goals(target: Operand | None, dtype: DTypeLike) -> tuple[Interval | None, b
     return Interval(*(jnp.asarray(np.atleast_2d(end)) for end in (goal.lo, goal.hi))), single
 
 
-def _evaluate(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[jax.Array, ...]) -> list[Interval]:
-    """Enclose f over boxes (n, N) with args (..., N): a list of m Intervals (N,). Stacking them would break the fusion."""
+def _evaluate(
+    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[jax.Array, ...]
+) -> list[Interval]:
+    """Enclose f over boxes (n, N) with args (..., N): a list of m Intervals (N,). Stacking them would break
+    the fusion.
+    """
     return jax.vmap(lambda lo, hi, *a: components(f, Interval(lo, hi), a), in_axes=-1)(lo, hi, *args)
 
 
 def _of_targets(kernel: Callable[..., Any], goal: Interval, args: tuple[Any, ...]) -> Kernel:
     """Return kernel(boxes, targets (m, N), args (..., N)) as one of (lo, hi, owner).
 
-    The host looks up what belongs to the target of each box: then nothing that compiles depends on the number of targets.
+    The host looks up what belongs to the target of each box: then nothing that compiles depends on the number
+    of targets.
     """
     given = [np.moveaxis(np.asarray(x), 0, -1) for x in (goal.lo, goal.hi, *args)]
     same = [x.strides[-1] == 0 for x in given]  # broadcast: one entry for all targets
     columns = [x if one else np.ascontiguousarray(x) for x, one in zip(given, same, strict=True)]
-    alike = cache(lambda size: [jnp.asarray(x[..., :1].repeat(size, -1)) if one else None for x, one in zip(given, same, strict=True)])
+    alike = cache(
+        lambda size: [
+            jnp.asarray(x[..., :1].repeat(size, -1)) if one else None
+            for x, one in zip(given, same, strict=True)
+        ]
+    )
 
     def of(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Any:
-        own = [x.take(owner, -1) if one is None else one for x, one in zip(columns, alike(len(owner)), strict=True)]
+        own = [
+            x.take(owner, -1) if one is None else one
+            for x, one in zip(columns, alike(len(owner)), strict=True)
+        ]
         return kernel(Interval(lo, hi), Interval(*own[:2]), tuple(own[2:]))
 
     return of
@@ -279,7 +361,9 @@ def _meets(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Arra
 
 
 @kernel(static_argnums=0)
-def _inner(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> Verdicts[jax.Array]:
+def _inner(
+    f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]
+) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N): settled are those that map into the target altogether."""
     images = _evaluate(f, X.lo, X.hi, args)
     meets, inside = _touch(images, T), continuous(f, X.lo, X.hi, args)
@@ -289,7 +373,13 @@ def _inner(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Arra
 
 
 def _search(
-    f: Callable[..., Any], box: Interval, unique: bool, region: bool, X: Interval, T: Interval, args: tuple[Any, ...]
+    f: Callable[..., Any],
+    box: Interval,
+    unique: bool,
+    region: bool,
+    X: Interval,
+    T: Interval,
+    args: tuple[Any, ...],
 ) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N) by `existence.search`."""
     return search(f, X, T, box, args, unique, region)
@@ -306,7 +396,9 @@ def _touch(images: Sequence[Interval], T: Interval) -> jax.Array:
 
 
 def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
-    """Return one box for each solution that was proved, ordered by target, and as small as three more steps make it."""
+    """Return one box for each solution that was proved, ordered by target, and as small as three more steps
+    make it.
+    """
     order = np.argsort(proofs[2], kind="stable")
     lo, hi, owner = (x[..., order] for x in proofs)
     if solutions == "one":
@@ -320,9 +412,13 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
     if solutions == "one":
         return lo, hi, owner
     again = np.zeros(len(owner), bool)
-    for shift in range(1, int(np.bincount(owner).max())):  # two boxes that meet and whose hull has one solution: the same one
+    for shift in range(
+        1, int(np.bincount(owner).max())
+    ):  # two boxes that meet and whose hull has one solution: the same one
         i = np.flatnonzero(
-            (owner[:-shift] == owner[shift:]) & (lo[:, :-shift] <= hi[:, shift:]).all(0) & (lo[:, shift:] <= hi[:, :-shift]).all(0)
+            (owner[:-shift] == owner[shift:])
+            & (lo[:, :-shift] <= hi[:, shift:]).all(0)
+            & (lo[:, shift:] <= hi[:, :-shift]).all(0)
         )
         if len(i):
             whole = np.minimum(lo[:, i], lo[:, i + shift]), np.maximum(hi[:, i], hi[:, i + shift])
@@ -338,7 +434,14 @@ def _image_block(
     return tuple(x.lo for x in images), tuple(x.hi for x in images)
 
 
-def _images(f: Callable[..., Any], lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, args: tuple[jax.Array, ...], width: int) -> Interval:
+def _images(
+    f: Callable[..., Any],
+    lo: np.ndarray,
+    hi: np.ndarray,
+    owner: np.ndarray,
+    args: tuple[jax.Array, ...],
+    width: int,
+) -> Interval:
     if not len(owner):
         return Interval(jnp.zeros((0, width), lo.dtype), jnp.zeros((0, width), lo.dtype))
     ends = in_blocks(lambda *b: _image_block(f, *b, args), lo, hi, owner)
@@ -357,7 +460,9 @@ def _uniform(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = len(lo)
     share = np.arange(q + 1, dtype=lo.dtype) / q
-    edges = np.clip(lo[:, None] * (1 - share) + hi[:, None] * share, lo[:, None], hi[:, None])  # hi - lo could overflow
+    edges = np.clip(
+        lo[:, None] * (1 - share) + hi[:, None] * share, lo[:, None], hi[:, None]
+    )  # hi - lo could overflow
     edges[:, -1] = hi
     digits = np.indices((q,) * n).reshape(n, -1)
     cell_lo, cell_hi = (np.stack([edges[i][digits[i] + k] for i in range(n)]) for k in (0, 1))
@@ -379,7 +484,9 @@ def _uniform(
 
 
 @kernel(static_argnums=0)
-def _meets_uniform(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, goal: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
+def _meets_uniform(
+    f: Callable[..., Any], lo: jax.Array, hi: jax.Array, goal: Interval, args: tuple[jax.Array, ...]
+) -> jax.Array:
     def one(now):
         target, a = now
         return _touch(_evaluate(lambda z: f(z, *a), lo, hi, ()), target)

@@ -1,1 +1,3 @@
-"""Is a point in the image of a box? Strips, their circuits, the search where these are too many, polynomials in parameters."""
+"""Is a point in the image of a box? Strips, their circuits, the search where these are too many, polynomials
+in parameters.
+"""

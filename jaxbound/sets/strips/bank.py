@@ -1,8 +1,8 @@
 """Many strips, each with a verdict of its own: which relations of a bank hold, in one pass over the samples.
 
-The test of each strip is that of `strips`. Supports and the known values that a strip uses are static, so that nothing is computed for
-a coefficient that is 0. Verdicts are packed, two bits each, and travel with the margin in one complex number: a kernel with two results
-does its work twice.
+The test of each strip is that of `strips`. Supports and the known values that a strip uses are static, so
+that nothing is computed for a coefficient that is 0. Verdicts are packed, two bits each, and travel with the
+margin in one complex number: a kernel with two results does its work twice.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,7 +28,8 @@ PACKED = 16
 class Bank:
     """R strips h (over the box), k (over known values) in floats, nearest to the exact rationals.
 
-    Fields: h, k: coefficients that are not 0, strip by strip; rows, known: static, a tuple for each strip of what they belong to.
+    Fields: h, k: coefficients that are not 0, strip by strip; rows, known: static, a tuple for each strip of
+    what they belong to.
     """
 
     h: jax.Array | np.ndarray
@@ -47,7 +48,10 @@ def bank_of(exact_h: Rows, exact_k: Rows, dtype: DTypeLike) -> Bank:
     h, k = numbers(exact_h), numbers(exact_k)
     size = np.abs(np.concatenate([h, k]))
     if not ((size >= rounding.tiny(dtype)) & (size <= np.finfo(dtype).max)).all():
-        raise ValueError(f"the coefficients of the bank span more than {np.dtype(dtype).name} holds: rescale the signals or use float64")
+        raise ValueError(
+            f"the coefficients of the bank span more than {np.dtype(dtype).name} holds: rescale the signals "
+            f"or use float64"
+        )
     return Bank(h, k, used(exact_h), used(exact_k))
 
 
@@ -60,7 +64,8 @@ def bank_verdicts(
     known_scale: Sequence[jax.Array],
     lift: jax.Array | float,
 ) -> tuple[jax.Array, ...]:
-    """Return the proved Status of each strip alone and the margin of the tightest one, packed as `unpacked` reads it.
+    """Return the proved Status of each strip alone and the margin of the tightest one, packed as `unpacked`
+    reads it.
 
     Args:
         bank: from `bank_of`. mid, rad, scale, known, known_scale, lift: as for `strips.strip_verdict`.
@@ -70,8 +75,12 @@ def bank_verdicts(
     for c, (residual, width, error) in enumerate(_each(bank, mid, rad, scale, known, known_scale, lift)):
         size, absent = jnp.abs(residual), jnp.isnan(error)
         fault, holds = size - width > error, width - size > error
-        code = (jnp.where(fault, 3, 0) | jnp.where(holds, 1, 0)).astype(jnp.uint32)  # both comparisons are false for NaN
-        code = jnp.where(code == 0, jnp.where(absent, jnp.uint32(Status.MISSING), jnp.uint32(Status.UNDECIDED)), code)
+        code = (jnp.where(fault, 3, 0) | jnp.where(holds, 1, 0)).astype(
+            jnp.uint32
+        )  # both comparisons are false for NaN
+        code = jnp.where(
+            code == 0, jnp.where(absent, jnp.uint32(Status.MISSING), jnp.uint32(Status.UNDECIDED)), code
+        )
         code <<= np.uint32(2 * (c % PACKED))
         words = [*words, code] if c % PACKED == 0 else [*words[:-1], words[-1] | code]
         ratio = jnp.where(jnp.abs(size - width) > error, size / width, 1)
@@ -82,7 +91,9 @@ def bank_verdicts(
 
 
 def unpacked(first: np.ndarray, *others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the words (words, ...) uint32, strip c in two bits of word c // PACKED, and the margins (...), its sign as proved."""
+    """Return the words (words, ...) uint32, strip c in two bits of word c // PACKED, and the margins (...),
+    its sign as proved.
+    """
     word = np.ascontiguousarray(first.imag).view(_bits(first.real.dtype)).astype(np.uint32)
     return np.stack([word, *others]), np.ascontiguousarray(first.real)
 
@@ -106,10 +117,11 @@ def bank_range(
     known_scale: Sequence[jax.Array],
     lift: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array]:
-    """Return (lo, hi), what all strips that have their data say together of one number, h x - k v for every strip; entire where none has.
+    """Return (lo, hi), what all strips that have their data say together of one number, h x - k v for every
+    strip; entire where none has.
 
-    The number is within the width of the residual; its two ends are off by less than the error bound, which also covers their own
-    rounding twice over: it is more than 32 unit roundoffs of everything that enters.
+    The number is within the width of the residual; its two ends are off by less than the error bound, which
+    also covers their own rounding twice over: it is more than 32 unit roundoffs of everything that enters.
     """
     lo, hi = jnp.full_like(mid[0], -jnp.inf), jnp.full_like(mid[0], jnp.inf)
     for residual, width, error in _each(bank, mid, rad, scale, known, known_scale, lift):
@@ -128,7 +140,9 @@ def _each(
     known_scale: Sequence[jax.Array],
     lift: jax.Array | float,
 ) -> Iterator[tuple[jax.Array | int, jax.Array | int, jax.Array]]:
-    """Yield (residual, width, error bound of their comparison) of every strip; the last is NaN where data are missing."""
+    """Yield (residual, width, error bound of their comparison) of every strip; the last is NaN where data are
+    missing.
+    """
     widest = max(map(len, bank.rows)) + max(map(len, bank.known))
     gamma, least = rounding.residual_error(widest, mid[0].dtype)
     floor = least * (1 + jnp.max(jnp.abs(bank.h))) * lift

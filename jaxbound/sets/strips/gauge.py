@@ -1,18 +1,21 @@
 """The gauge of zonotopes that differ from window to window, when their strips are too many to enumerate.
 
-For c + G [-1, 1]^q with c (r, N), G (r, q, N), the factor t on all generators at which 0 just belongs to the set is
+For c + G [-1, 1]^q with c (r, N), G (r, q, N), the factor t on all generators at which 0 just belongs to the
+set is
 
     t = min { max_j |z_j| : c + G z = 0 }                                          (primal)
       = max over h of |h c| / sum_j |h g_j|                                        (dual)
 
-**Search** (`gauge_search`). The dual is a least-absolute-values problem, min sum_j |h g_j| with h c = 1, solved by descent along edges: a
-vertex h makes r - 1 generators, the basis, vanish; the one whose multiplier exceeds 1 most leaves, and h moves along that edge to the best
-point of all, a weighted median of the places where generators change sign. Source: Bloomfield, Steiger 1980; Barrodale, Roberts 1973. A
-basis that generators cannot fill keeps unit vectors in the open places: flat sets and less than r - 1 generators need no other care. Plain
-floats, no claim.
+**Search** (`gauge_search`). The dual is a least-absolute-values problem, min sum_j |h g_j| with h c = 1,
+solved by descent along edges: a vertex h makes r - 1 generators, the basis, vanish; the one whose multiplier
+exceeds 1 most leaves, and h moves along that edge to the best point of all, a weighted median of the places
+where generators change sign. Source: Bloomfield, Steiger 1980; Barrodale, Roberts 1973. A basis that
+generators cannot fill keeps unit vectors in the open places: flat sets and less than r - 1 generators need no
+other care. Plain floats, no claim.
 
-**Proof** is elsewhere: any h may refute (`varying.refutes`), any z may hold (`varying.holds`). They are arrays between two compiled
-functions, since within one a compiler may round a number anew for each of its uses.
+**Proof** is elsewhere: any h may refute (`varying.refutes`), any z may hold (`varying.holds`). They are
+arrays between two compiled functions, since within one a compiler may round a number anew for each of its
+uses.
 
 Everything is written for a block of N windows, the last axis.
 """
@@ -29,18 +32,22 @@ __all__ = ["gauge_search"]
 
 
 @partial(jax.jit, static_argnames="steps")
-def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) -> tuple[jax.Array, jax.Array, jax.Array]:
+def gauge_search(
+    c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h, z, done): candidates for the two problems, optimal up to rounding where done.
 
     Args:
         c (r, N), G (r, q, N): finite, rows scaled to a size of about 1. steps: at most so many vertices.
-        one: N ones, traced; `/ one` is nothing but a sign to the compiler not to work out a number again for each of its uses.
+        one: N ones, traced; `/ one` is nothing but a sign to the compiler not to work out a number again for
+            each of its uses.
 
     Returns:
         h (r, N), scaled so that h c = 1, or h = 0 where c = 0; z (q, N); done (N,).
 
     Example:
-        >>> h, z, done = gauge_search(jnp.array([[1.0], [0.5]]), jnp.array([[[2.0], [0.0]], [[0.0], [1.0]]]), jnp.ones(1))
+        >>> G = jnp.array([[[2.0], [0.0]], [[0.0], [1.0]]])
+    >>> h, z, done = gauge_search(jnp.array([[1.0], [0.5]]), G, jnp.ones(1))
         >>> float(jnp.abs(z).max()), bool(done[0])
         (0.5, True)
     """
@@ -48,7 +55,9 @@ def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) ->
     dtype, many = c.dtype, one[None]
     top = jnp.argmax(jnp.abs(c), 0).astype(jnp.int32)
     flat = _pick(c, top) == 0
-    T = _first_tableau(c, G, top)  # P G, and P: the inverse of the columns c and the generators or unit vectors of the basis
+    T = _first_tableau(
+        c, G, top
+    )  # P G, and P: the inverse of the columns c and the generators or unit vectors of the basis
     places, columns, rows = (jnp.arange(n, dtype=jnp.int32)[:, None] for n in (r - 1, q + r, r))
     close, noise = 16 * rounding.unit(dtype) ** 0.75, 32 * rounding.unit(dtype)
     signs = jnp.where(T[0, :q] < 0, -1, 1).astype(dtype)
@@ -74,14 +83,26 @@ def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) ->
         moves = (~done & (best > 0) & (gain > -jnp.inf))[None]
         column = jnp.take_along_axis(T, j[None, None], 1, mode="clip")[:, 0] / many
         pivot, at_s = _pick(column, s + 1)[None], rows == s[None] + 1
-        change = jnp.where(at_s, column - 1, column) * jnp.where(moves, 1 / jnp.where(pivot == 0, 1, pivot), 0) / many
+        change = (
+            jnp.where(at_s, column - 1, column)
+            * jnp.where(moves, 1 / jnp.where(pivot == 0, 1, pivot), 0)
+            / many
+        )
         signs = jnp.where(moves & crosses & (reach < -gain[None]), -signs, signs)
         signs = jnp.where(moves & (columns[:q] == _pick(ids, s)[None]), -jnp.sign(turn)[None], signs)
         signs = jnp.where(moves & (columns[:q] == j[None]), 0, signs)
         T = T - change[:, None] * row[None]
         T = jnp.where(((columns == j[None]) & moves)[None], jnp.where(at_s, 1, 0).astype(dtype)[:, None], T)
         here = (places == s[None]) & moves
-        return T, signs, jnp.where(here, 1, weight), slope, jnp.where(here, j[None], ids), ~moves[0], count + 1
+        return (
+            T,
+            signs,
+            jnp.where(here, 1, weight),
+            slope,
+            jnp.where(here, j[None], ids),
+            ~moves[0],
+            count + 1,
+        )
 
     start = T, signs, weight, weight, jnp.full((r - 1, N), -1, jnp.int32), flat, jnp.int32(0)
     going = lambda carry: (carry[-1] < steps) & ~jnp.all(carry[-2])
@@ -96,13 +117,18 @@ def gauge_search(c: jax.Array, G: jax.Array, one: jax.Array, steps: int = 60) ->
 
 
 def _first_tableau(c: jax.Array, G: jax.Array, top: jax.Array) -> jax.Array:
-    """Return P G, and P after it, for the basis of c and all unit vectors but the one along c's largest entry."""
+    """Return P G, and P after it, for the basis of c and all unit vectors but the one along c's largest
+    entry.
+    """
     r, N = c.shape
     whole = jnp.concatenate([G, jnp.broadcast_to(jnp.eye(r, dtype=c.dtype)[:, :, None], (r, r, N))], 1)
     biggest = _pick(c, top)
     lead = _row(whole, top) * (1 / jnp.where(biggest == 0, 1, biggest))[None]
     later = jnp.arange(r - 1, dtype=jnp.int32)[:, None] >= top[None]
-    rest = jnp.where(later[:, None], whole[1:], whole[:-1]) - jnp.where(later, c[1:], c[:-1])[:, None] * lead[None]
+    rest = (
+        jnp.where(later[:, None], whole[1:], whole[:-1])
+        - jnp.where(later, c[1:], c[:-1])[:, None] * lead[None]
+    )
     return jnp.concatenate([lead[None], rest])
 
 

@@ -1,9 +1,12 @@
-"""Polynomials with coefficients of their own in each window: images of boxes, ranges at vertices, zeros that are proved to exist.
+"""Polynomials with coefficients of their own in each window: images of boxes, ranges at vertices, zeros that
+are proved to exist.
 
-    p_k(v, e) = sum_a value[k, a] v^a + sum_j (sum_a spread[k, a, j] v^a) rad[j] e_j,    v in a box of [-1, 1]^n, e in [-1, 1]^m
+    p_k(v, e) = sum_a value[k, a] v^a + sum_j (sum_a spread[k, a, j] v^a) rad[j] e_j,    v in a box of [-1,
+    1]^n, e in [-1, 1]^m
 
-The exponents a are static, value is (r, K, N) for N windows, spread (r, K, m) is shared by them and rad is (m, N). The exact p_k differ
-from these by at most `error`, one bound a row for all v and e (`row_error`), rounding in here included.
+The exponents a are static, value is (r, K, N) for N windows, spread (r, K, m) is shared by them and rad is
+(m, N). The exact p_k differ from these by at most `error`, one bound a row for all v and e (`row_error`),
+rounding in here included.
 """
 
 import math
@@ -30,22 +33,29 @@ def multiaffine(exponents: Exponents) -> bool:
 
 
 def closure(exponents: Exponents) -> tuple[tuple[int, ...], ...]:
-    """Return the monomials that divide one of these, the constant first, then all variables, orders ascending: those of a moved origin."""
+    """Return the monomials that divide one of these, the constant first, then all variables, orders
+    ascending: those of a moved origin.
+    """
     n = len(exponents[0])
     units = {tuple(int(i == j) for j in range(n)) for i in range(n)}
     divisors = {d for a in exponents for d in product(*(range(e + 1) for e in a))}
     return tuple(sorted(divisors | units, key=lambda a: (sum(a), tuple(-e for e in a))))
 
 
-def row_error(value: jax.Array, error: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents) -> jax.Array:
+def row_error(
+    value: jax.Array, error: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents
+) -> jax.Array:
     """Return (r, N): at least |exact p_k - p_k as computed in here| for all |v| <= 1, |e| <= 1.
 
-    Args: error (r, K, N): the exact coefficients, and the noise terms with them, are within error[k, a] |v^a|.
+    Args: error (r, K, N): the exact coefficients, and the noise terms with them, are within error[k, a]
+    |v^a|.
 
-    Proof: on a box mid +- radius inside [-1, 1]^n, up to a rounding, (|mid| + radius)^a is at most 1 + n u; every part of an image or a
-    derivative is a sum of at most K + m + order products of at most 2 order + 3 factors, and the sizes of all products add up to at most
-    sum_a |value| + sum_j sum_a |spread| rad. Where the origin is moved (`_moved`) a product is added to what is there at most `moves` times
-    on its way, E (E + 1) / 2 for each variable with exponents up to E; each of at most K E products for a variable may be flushed.
+    Proof: on a box mid +- radius inside [-1, 1]^n, up to a rounding, (|mid| + radius)^a is at most 1 + n u;
+    every part of an image or a derivative is a sum of at most K + m + order products of at most 2 order + 3
+    factors, and the sizes of all products add up to at most sum_a |value| + sum_j sum_a |spread| rad. Where
+    the origin is moved (`_moved`) a product is added to what is there at most `moves` times on its way, E (E
+    + 1) / 2 for each variable with exponents up to E; each of at most K E products for a variable may be
+    flushed.
     """
     order, K, m = _order(exponents), value.shape[1], rad.shape[0]
     highest = [max(column) for column in zip(*exponents, strict=True)]
@@ -65,14 +75,16 @@ def image(
     radius: jax.Array | None = None,
     linear: bool = False,
 ) -> tuple[jax.Array, jax.Array]:
-    """Return (c (r, N), G (r, q, N)): p(v, e) is in c + G [-1, 1]^q, up to `row_error`, for all v in mid +- radius and e.
+    """Return (c (r, N), G (r, q, N)): p(v, e) is in c + G [-1, 1]^q, up to `row_error`, for all v in mid +-
+    radius and e.
 
-    Every monomial of order 2 and more in the variables of the box is a variable of its own, the noise e_j keeps its direction in the middle
-    of the box, and what this changes with v is lumped, row by row. Columns: n variables; further monomials, of a box those of `closure`; m
-    noises; r lumps.
+    Every monomial of order 2 and more in the variables of the box is a variable of its own, the noise e_j
+    keeps its direction in the middle of the box, and what this changes with v is lumped, row by row. Columns:
+    n variables; further monomials, of a box those of `closure`; m noises; r lumps.
 
     Args:
-        mid, radius: (n, N); None: the whole of [-1, 1]^n. linear: only variables and noise, guaranteeing nothing.
+        mid, radius: (n, N); None: the whole of [-1, 1]^n. linear: only variables and noise, guaranteeing
+            nothing.
 
     Source: Ploix, Adrot 2006, (14), with what it neglects.
     """
@@ -103,7 +115,9 @@ def image(
 
 
 def bends(value: jax.Array, exponents: Exponents, radius: jax.Array) -> jax.Array:
-    """Return (n, N): how much each variable of a box adds to what an image does not keep, relative to the rows: where to cut."""
+    """Return (n, N): how much each variable of a box adds to what an image does not keep, relative to the
+    rows: where to cut.
+    """
     n = len(exponents[0])
     size = jnp.sum(jnp.abs(value), 1)
     weight = jnp.sum(jnp.abs(value) / jnp.where(size > 0, size, 1)[:, None], 0)
@@ -119,12 +133,13 @@ def bends(value: jax.Array, exponents: Exponents, radius: jax.Array) -> jax.Arra
 def slopes(
     value: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents, z: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (p (r, N), J (r, n + m, N), bend (r, N)) at z = (v, e) (n + m, N): the values, their derivative and a bound on its change.
+    """Return (p (r, N), J (r, n + m, N), bend (r, N)) at z = (v, e) (n + m, N): the values, their derivative
+    and a bound on its change.
 
     p and the derivatives by v are the first coefficients of the polynomial with its origin moved to v.
 
-    bend: at least max_i |J(x) - J(z)|_i / max_i |x_i - z_i| for x, z in the box. Both p and J are within `row_error` of the exact ones, J
-    times the order, as long as |z| <= 1.
+    bend: at least max_i |J(x) - J(z)|_i / max_i |x_i - z_i| for x, z in the box. Both p and J are within
+    `row_error` of the exact ones, J times the order, as long as |z| <= 1.
     """
     n, m, order, kept = len(exponents[0]), rad.shape[0], _order(exponents), closure(exponents)
     bend = order * (order + 1) * _sizes(value, spread, rad) * (1 + 1e-6)
@@ -142,9 +157,11 @@ def slopes(
 def vertex_margin(
     value: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents, error: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return (margin (N,), inside (N,)) of one multi-affine polynomial: margin < 0 is proof that it has no zero, inside that it has one.
+    """Return (margin (N,), inside (N,)) of one multi-affine polynomial: margin < 0 is proof that it has no
+    zero, inside that it has one.
 
-    Its range over the box is the interval between its extremes at the vertices. margin is 1 - t, see `vertex_gauge`.
+    Its range over the box is the interval between its extremes at the vertices. margin is 1 - t, see
+    `vertex_gauge`.
     """
     t, low, high = vertex_gauge(value, spread, rad, exponents, smooth=False)
     outside = (low > error[0]) | (high < -error[0])
@@ -157,9 +174,11 @@ def vertex_margin(
 def vertex_gauge(
     value: jax.Array, spread: jax.Array, rad: jax.Array, exponents: Exponents, smooth: bool = True
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (t, low, high), each (N,), of one multi-affine polynomial: the ends of its range over the box, at the vertices.
+    """Return (t, low, high), each (N,), of one multi-affine polynomial: the ends of its range over the box,
+    at the vertices.
 
-    t is the factor on the box at which 0 just belongs to the range, within 2^+-10; not rounded, to about 1e-6. smooth: differentiable.
+    t is the factor on the box at which 0 just belongs to the range, within 2^+-10; not rounded, to about
+    1e-6. smooth: differentiable.
     """
     n, m = len(exponents[0]), rad.shape[0]
     at = lambda vertex: [math.prod(s**e for s, e in zip(vertex, a, strict=True)) for a in exponents]
@@ -170,17 +189,24 @@ def vertex_gauge(
     def ends(value, spread, rad, t=None):
         """Return the least and largest value over t times the box."""
         scale = [1.0 if t is None else t**k for k in range(order.max() + 2)]
-        middle = total(signs[:, a, None] * (value[0, a] * scale[order[a]])[None] for a in range(len(exponents)))
+        middle = total(
+            signs[:, a, None] * (value[0, a] * scale[order[a]])[None] for a in range(len(exponents))
+        )
         radius = jnp.zeros_like(middle)
         if m and t is None:
-            width = jnp.abs(total(signs[:, a, None] * spread[0, a][None] for a in range(len(exponents))))  # (vertices, m)
+            width = jnp.abs(
+                total(signs[:, a, None] * spread[0, a][None] for a in range(len(exponents)))
+            )  # (vertices, m)
             radius = total(width[:, j, None] * rad[j][None] for j in range(m))
         elif m:
             for j in range(m):
                 by_order = {
-                    k: total(signs[:, a] * spread[0, a, j] for a in np.flatnonzero(order == k)) for k in sorted(set(order.tolist()))
+                    k: total(signs[:, a] * spread[0, a, j] for a in np.flatnonzero(order == k))
+                    for k in sorted(set(order.tolist()))
                 }
-                radius += jnp.abs(total(part[:, None] * (rad[j] * scale[k + 1])[None] for k, part in by_order.items()))
+                radius += jnp.abs(
+                    total(part[:, None] * (rad[j] * scale[k + 1])[None] for k, part in by_order.items())
+                )
         return jnp.min(middle - radius, 0), jnp.max(middle + radius, 0)
 
     low, high = ends(value, spread, rad)
@@ -206,7 +232,9 @@ def vertex_gauge(
         return above, low, high
     slope = jax.jvp(lambda t: nearest(t, held), (above,), (one,))[1]
     slope = jnp.where((slope < 0) & (above < 2.0**10) & (below > 2.0**-10), slope, -jnp.inf)
-    t = above - nearest(above, (value, spread, rad)) / slope  # one step of Newton's: its derivative is that of the root
+    t = (
+        above - nearest(above, (value, spread, rad)) / slope
+    )  # one step of Newton's: its derivative is that of the root
     return jnp.clip(t, below * (1 - 1e-6), above * (1 + 1e-6)), low, high
 
 
@@ -220,7 +248,9 @@ def _among(x: jax.Array, exponents: Exponents, kept: Exponents) -> jax.Array:
 
 
 def _moved(rows: Sequence[jax.Array], kept: Exponents, mid: jax.Array) -> list[jax.Array]:
-    """Return the coefficients of p(mid + w) as a polynomial in w, from the rows of p: Horner's scheme, one variable after the other."""
+    """Return the coefficients of p(mid + w) as a polynomial in w, from the rows of p: Horner's scheme, one
+    variable after the other.
+    """
     rows, number = list(rows), {a: k for k, a in enumerate(kept)}
     for i, column in enumerate(zip(*kept, strict=True)):
         above = {a: (*a[:i], a[i] + 1, *a[i + 1 :]) for a in kept}

@@ -1,25 +1,28 @@
 """The exchange search: is a window consistent, when its strips are too many to enumerate?
 
-Rows y = E x + K u with x eliminated (`exact.frame`) say y_outer = R y_inner + K u. Each true y lies in [m - r, m + r], so with
-z = m_outer - R m_inner - K u the rows are consistent iff some d has
+Rows y = E x + K u with x eliminated (`exact.frame`) say y_outer = R y_inner + K u. Each true y lies in [m -
+r, m + r], so with z = m_outer - R m_inner - K u the rows are consistent iff some d has
 
-    |d_i| <= r_i (inner rows),   |z_j - R_j d| <= r_j (outer rows)                                                  (primal)
+    |d_i| <= r_i (inner rows),  |z_j - R_j d| <= r_j (outer rows)                      (primal)
 
 and the factor t on all r at which they just become so is a Chebyshev problem in k unknowns, with the dual
 
-    t = max over h of |h z| / (sum_j |h_j| r_j + sum_i |h R|_i r_i).                                                (dual)
+    t = max over h of |h z| / (sum_j |h_j| r_j + sum_i |h R|_i r_i).                       (dual)
 
-**Search** (single exchange; Source: Stiefel 1959, the dual simplex method on references of k + 1 rows). A reference is k rows S, of which
-P is the inverse, and a row e: with the other rows given, a_e = T_e a_S. It determines t and d; the row that d violates most enters. While
-its multiplier grows, those of S cross zero one after the other; the row at whose crossing t is largest leaves (a long step: to stop at the
-first crossing takes nearly twice as many exchanges), of several the one with the largest pivot. Plain floats, no claim.
+**Search** (single exchange; Source: Stiefel 1959, the dual simplex method on references of k + 1 rows). A
+reference is k rows S, of which P is the inverse, and a row e: with the other rows given, a_e = T_e a_S. It
+determines t and d; the row that d violates most enters. While its multiplier grows, those of S cross zero one
+after the other; the row at whose crossing t is largest leaves (a long step: to stop at the first crossing
+takes nearly twice as many exchanges), of several the one with the largest pivot. Plain floats, no claim.
 
-**Proof** (`separation_verdict`). ANY h with a strict (dual) inequality proves the window inconsistent, any d that passes (primal) proves it
-consistent; both are evaluated with the error bound of `rounding.search_error`. Since R and K are rationals rounded once, the
-unbounded x cannot leak into either. The search hands h and d over as arrays, from one compiled function to another: within one, a compiler
-may work a number out anew, and round it otherwise, for each of its uses.
+**Proof** (`separation_verdict`). ANY h with a strict (dual) inequality proves the window inconsistent, any d
+that passes (primal) proves it consistent; both are evaluated with the error bound of `rounding.search_error`.
+Since R and K are rationals rounded once, the unbounded x cannot leak into either. The search hands h and d
+over as arrays, from one compiled function to another: within one, a compiler may work a number out anew, and
+round it otherwise, for each of its uses.
 
-Everything is written for a block of N windows, the last axis, and elementwise over it: a window's verdict does not depend on its block.
+Everything is written for a block of N windows, the last axis, and elementwise over it: a window's verdict
+does not depend on its block.
 """
 
 from dataclasses import dataclass
@@ -58,8 +61,8 @@ Numbers: TypeAlias = jax.Array | np.ndarray
 class Frame:
     """An `exact.Frame` in floats.
 
-    Fields: R (c, k), K (c, l) nearest to the exact ones; inner (k,), outer (c,) row numbers; used (c,) as there; real (k,): False where
-    a column only fills up to a fixed width.
+    Fields: R (c, k), K (c, l) nearest to the exact ones; inner (k,), outer (c,) row numbers; used (c,) as
+    there; real (k,): False where a column only fills up to a fixed width.
     """
 
     R: Numbers
@@ -78,22 +81,37 @@ def frame_of(exact_frame: linalg.Frame, dtype: DTypeLike, width: int | None = No
     R = np.zeros((c, width), dtype)
     R[:, :k], K = rounded(exact_frame.R), rounded(exact_frame.K)
     inner = np.array([*exact_frame.inner, *[0] * (width - k)], np.int32)
-    return Frame(R, K, inner, np.array(exact_frame.outer, np.int32), np.array(exact_frame.used, bool), np.arange(width) < k)
+    return Frame(
+        R,
+        K,
+        inner,
+        np.array(exact_frame.outer, np.int32),
+        np.array(exact_frame.used, bool),
+        np.arange(width) < k,
+    )
 
 
-def separation_margin(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000) -> jax.Array:
-    """Return 1 - t, unrounded and differentiable in mid, rad and known; NaN where no relation has its data, or an inner row has none.
+def separation_margin(
+    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000
+) -> jax.Array:
+    """Return 1 - t, unrounded and differentiable in mid, rad and known; NaN where no relation has its data,
+    or an inner row has none.
 
     Args:
-        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N). steps: at most so many exchanges.
+        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N). steps: at most so
+            many exchanges.
     """
     h, z, rad, present, complete = _search(frame, mid, rad, known, steps)
     width = jnp.sum(jnp.abs(jnp.concatenate([h, _times(jnp.swapaxes(frame.R, 0, 1), h)])) * rad, 0)
     return jnp.where(complete & present[: len(h)].any(0), 1 - _factor(jnp.sum(h * z, 0), width), jnp.nan)
 
 
-def separation_best(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000) -> jax.Array:
-    """Return the combinations of rows and known values (rows + l, N) of which `margin_of` is that margin, 0 where it is NaN."""
+def separation_best(
+    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000
+) -> jax.Array:
+    """Return the combinations of rows and known values (rows + l, N) of which `margin_of` is that margin, 0
+    where it is NaN.
+    """
     h, _, _, present, complete = _search(frame, mid, rad, known, steps)
     through = -_times(jnp.swapaxes(_matrix(frame), 0, 1), h)
     order = jnp.concatenate([frame.outer, frame.inner])
@@ -104,14 +122,18 @@ def separation_best(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Arr
 
 
 def margin_of(best: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
-    """Return 1 - |residual| / width (N,) of combinations from `separation_best`; arguments as for `separation_margin`."""
+    """Return 1 - |residual| / width (N,) of combinations from `separation_best`; arguments as for
+    `separation_margin`.
+    """
     used = lambda weight, x: jnp.sum(weight * jnp.where(weight == 0, 0, x), 0)
     residual, width = used(best, jnp.concatenate([mid, known])), used(jnp.abs(best[: len(rad)]), rad)
     return jnp.where(width > 0, 1 - _factor(residual, width), jnp.nan)
 
 
 def _search(frame, mid, rad, known, steps):
-    """Return (h (c, N), z (c, N), radii, present (c + k, N), complete (N,)), the last four as of an `Image`, unrounded."""
+    """Return (h (c, N), z (c, N), radii, present (c + k, N), complete (N,)), the last four as of an `Image`,
+    unrounded.
+    """
     (mid, rad), present, complete = _ordered(frame, jnp.stack([mid, rad]), jnp.isnan(mid), jnp.isnan(known))
     c = len(frame.used)
     rad, one = jnp.where(present, rad, 1), jnp.ones_like(mid[0])
@@ -130,9 +152,10 @@ def _times(A: Numbers, x: jax.Array) -> jax.Array:
 class Image(NamedTuple):
     """What a search and its proofs need of N windows: arrays, the windows on the last axis.
 
-    z (c, N); radius, magnitude, present (c + k, N) of the outer rows, then the inner ones: without a sample radii are 1, all else 0;
-    magnitude: what rounding errors are relative to. floor (N,): more than what underflows cost. complete (N,): all samples on which the
-    frame is built are there.
+    z (c, N); radius, magnitude, present (c + k, N) of the outer rows, then the inner ones: without a sample
+    radii are 1, all else 0;
+    magnitude: what rounding errors are relative to. floor (N,): more than what underflows cost. complete
+    (N,): all samples on which the frame is built are there.
     """
 
     z: jax.Array
@@ -156,17 +179,27 @@ def separation_image(
     """Return the Image of N windows.
 
     Args:
-        frame, mid, rad, known: as for `separation_margin`. scale (rows, N), known_scale (l, N): magnitudes as in `rounding.residual_error`.
-        lift: at least every factor that multiplied a row after its own rounding. one: N ones, traced, see `exchange_search`.
+        frame, mid, rad, known: as for `separation_margin`. scale (rows, N), known_scale (l, N): magnitudes as
+            in `rounding.residual_error`.
+        lift: at least every factor that multiplied a row after its own rounding. one: N ones, traced, see
+            `exchange_search`.
     """
     c, k = frame.R.shape
     missing = jnp.isnan(known_scale)  # NaN is absence, never overflow
-    (mid, rad, scale), present, complete = _ordered(frame, jnp.stack([mid, rad, scale]), jnp.isnan(scale), missing)
-    inner = jnp.concatenate([jnp.stack([mid[c:], scale[c:]]), jnp.where(missing[None], 0, jnp.stack([known, known_scale]))], 1)
+    (mid, rad, scale), present, complete = _ordered(
+        frame, jnp.stack([mid, rad, scale]), jnp.isnan(scale), missing
+    )
+    inner = jnp.concatenate(
+        [jnp.stack([mid[c:], scale[c:]]), jnp.where(missing[None], 0, jnp.stack([known, known_scale]))], 1
+    )
     matrix = _matrix(frame)
     inner = inner / one[None, None]
     both = summed(
-        lambda columns, rows: columns[..., None] * rows[:, None], jnp.stack([matrix, jnp.abs(matrix)]), inner, axes=(2, 1), few=WRITTEN_OUT
+        lambda columns, rows: columns[..., None] * rows[:, None],
+        jnp.stack([matrix, jnp.abs(matrix)]),
+        inner,
+        axes=(2, 1),
+        few=WRITTEN_OUT,
     )
     both = stored(both)
     z = jnp.where(present[:c], mid[:c] - both[0], 0) / one[None]
@@ -180,12 +213,14 @@ def separation_image(
 def separation_search(
     frame: Frame, image: Image, one: jax.Array, steps: int, finer: jax.Array | float = 1.0
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly optimal where done.
+    """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly
+    optimal where done.
 
     Args:
-        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. steps: at most so many exchanges.
-        finer: factor on the share of the largest pivot below which none is taken: a small pivot spoils the inverse, but without it a
-            search may go round in circles.
+        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. steps: at most so many
+            exchanges.
+        finer: factor on the share of the largest pivot below which none is taken: a small pivot spoils the
+            inverse, but without it a search may go round in circles.
     """
     return exchange_search(frame.R, image.z, image.radius, image.present, one, steps, finer)
 
@@ -193,15 +228,16 @@ def separation_search(
 def separation_verdict(
     frame: Frame, image: Image, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return (margin, settled): margin > 0 inside, < 0 outside (both proved), 0 where rounding or the number of steps left it open, NaN
-    where no relation has its data.
+    """Return (margin, settled): margin > 0 inside, < 0 outside (both proved), 0 where rounding or the number
+    of steps left it open, NaN where no relation has its data.
 
-    settled is False where more steps may tell, or better the size of the margin, or (if an inner row or a used known value is absent)
-    another frame.
+    settled is False where more steps may tell, or better the size of the margin, or (if an inner row or a
+    used known value is absent) another frame.
 
     Args:
-        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. h, d, done: from `separation_search`; any finite h and
-            d will do. All of them must be arrays, not expressions of the same function.
+        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. h, d, done: from
+            `separation_search`; any finite h and d will do. All of them must be arrays, not expressions of
+            the same function.
     """
     z, radius, magnitude, present, floor, complete = image
     c, k = frame.R.shape
@@ -209,24 +245,35 @@ def separation_verdict(
     residual, width = jnp.abs(_dot(h, z)) / one, _width(frame.R, h, radius) / one
     outside = residual - width > gamma * _dot(jnp.abs(h), magnitude[:c]) + floor
     gap = jnp.concatenate([z - _product(frame.R, d), d])
-    within = jnp.abs(gap) + gamma * magnitude + floor[None] - radius <= 0  # false for NaN, which a largest may leave out
+    within = (
+        jnp.abs(gap) + gamma * magnitude + floor[None] - radius <= 0
+    )  # false for NaN, which a largest may leave out
     inner = jnp.arange(len(radius))[:, None] >= c
     inside = jnp.all(within | ~(present | inner), 0)
-    margin, eps = jnp.nan_to_num(1 - _factor(residual, width), nan=0.0), jnp.finfo(z.dtype).eps  # NaN says absent: sums may overflow
+    margin, eps = (
+        jnp.nan_to_num(1 - _factor(residual, width), nan=0.0),
+        jnp.finfo(z.dtype).eps,
+    )  # NaN says absent: sums may overflow
     margin = jnp.where(outside, jnp.minimum(margin, -eps), jnp.where(inside, jnp.maximum(margin, eps), 0))
     margin = jnp.where(complete, margin, 0)
     nothing = complete & ~present[:c].any(0)
     return jnp.where(nothing, jnp.nan, margin), nothing | (complete & done)
 
 
-def _ordered(frame: Frame, rows: jax.Array, absent: jax.Array, missing: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (rows (.., c + k, N), 0 without a sample, outer ones first; present, which have one and count; complete (N,))."""
+def _ordered(
+    frame: Frame, rows: jax.Array, absent: jax.Array, missing: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (rows (.., c + k, N), 0 without a sample, outer ones first; present, which have one and count;
+    complete (N,)).
+    """
     c = len(frame.used)
     order = jnp.concatenate([frame.outer, frame.inner]).astype(jnp.uint32)
     take = lambda x, axis: jnp.take(x, order, axis, mode="clip")
     present = jnp.concatenate([frame.used, frame.real])[:, None] & ~take(absent, 0)
     gone = jnp.concatenate([~present[c:], missing]).astype(jnp.float32)
-    lacking = (_matrix(frame) != 0).astype(jnp.float32) @ gone  # a count of at most c + k + l: exact, in whatever order
+    lacking = (_matrix(frame) != 0).astype(
+        jnp.float32
+    ) @ gone  # a count of at most c + k + l: exact, in whatever order
     complete = ~jnp.any(present[:c] & (lacking > 0), 0)
     return jnp.where(present[None], take(rows, 1), 0), present, complete
 
@@ -264,10 +311,12 @@ def exchange_search(
     steps: int,
     finer: jax.Array | float = 1.0,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where done.
+    """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where
+    done.
 
-    radius, present: (c + k, N), as of an `Image`. `/ one` in here is nothing but a sign to the compiler: it does not work out a quotient
-    again for each of its uses. Where inner rows are the more, a tableau of the others takes the place of the inverse: `tableau`.
+    radius, present: (c + k, N), as of an `Image`. `/ one` in here is nothing but a sign to the compiler: it
+    does not work out a quotient again for each of its uses. Where inner rows are the more, a tableau of the
+    others takes the place of the inverse: `tableau`.
     """
     c, k = R.shape
     if k > c:
@@ -277,8 +326,12 @@ def exchange_search(
     r_inner = radius[c:]
     nothing = jnp.zeros_like(r_inner)
     table = jnp.stack([jnp.concatenate([z, nothing]), radius]) / one[None, None]
-    ones = jnp.where(r_inner == r_inner, one[None], 0)  # not a broadcast: by one, a division becomes a product
-    counts = present | (jnp.arange(c + k)[:, None] >= c)  # an inner row without a sample has the window given up elsewhere
+    ones = jnp.where(
+        r_inner == r_inner, one[None], 0
+    )  # not a broadcast: by one, a division becomes a product
+    counts = present | (
+        jnp.arange(c + k)[:, None] >= c
+    )  # an inner row without a sample has the window given up elsewhere
     weight = jnp.where(counts, 1 / radius, 0) / one[None]
     slots = jnp.arange(k, dtype=jnp.int32)[:, None]
     close = closeness(dtype)
@@ -286,7 +339,9 @@ def exchange_search(
 
     def exchange(carry):
         P, row, column, basis, T, leader, done, count = carry
-        P = P - column[:, None] * row[None]  # of the exchange before: P is then read from memory by all its uses
+        P = (
+            P - column[:, None] * row[None]
+        )  # of the exchange before: P is then read from memory by all its uses
         _, value_e, radius_e, e = leader
         now = reference(basis, T, value_e, radius_e, one, ones)
         d = through(P, now.on_S) / ones
@@ -298,7 +353,8 @@ def exchange_search(
         value_w, radius_w = (picked(x, w) / one for x in table)
         sign_w = jnp.sign(value_w - summed(lambda a, b: a * b, enters, d, few=WRITTEN_OUT)) / one
         q, swap, by_w, row, stays, rest = long_step(
-            now, (T, radius_e), (T_w, radius_w, sign_w, worst), basis[2], done, one, ones, finer)  # fmt: skip
+            now, (T, radius_e), (T_w, radius_w, sign_w, worst), basis[2], done, one, ones, finer
+        )
         at_q = slots == q[None]
         column = picked(P, q) / ones
         entering = jnp.stack([sign_w, value_w, radius_w, w.astype(dtype)])
@@ -314,7 +370,9 @@ def exchange_search(
     alone = z / (radius[:c] + _product(jnp.abs(R), r_inner))
     _, e = foremost(jnp.where(present[:c], jnp.abs(alone), -1) / one[None])
     P = jnp.broadcast_to(jnp.eye(k, dtype=dtype)[:, :, None], (k, k, N))
-    basis = jnp.stack([jnp.ones_like(r_inner), nothing, r_inner, jnp.broadcast_to((c + slots).astype(dtype), (k, N))])
+    basis = jnp.stack(
+        [jnp.ones_like(r_inner), nothing, r_inner, jnp.broadcast_to((c + slots).astype(dtype), (k, N))]
+    )
     leader = jnp.stack([jnp.zeros_like(one), *picked(table, e), e.astype(dtype)])
     start = P, nothing, nothing, basis, jnp.take(R, e, 0, mode="clip").T, leader, jnp.zeros(N, bool), 0
     going = lambda carry: (carry[-1] < steps) & ~jnp.all(carry[-2])
@@ -323,7 +381,9 @@ def exchange_search(
     d = through(P, reference(basis, T, leader[1], leader[2], one, ones).on_S)
     outer = jnp.arange(c)[:, None]
     on_S = summed(lambda number, a: jnp.where(number[None] == outer, a[None], 0), basis[3], T)
-    h = jnp.where(present[:c], jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]  # multipliers: 1 on e, -T on S
+    h = (
+        jnp.where(present[:c], jnp.where(e[None] == outer, 1, 0) - on_S, 0) / one[None]
+    )  # multipliers: 1 on e, -T on S
     return scaled(h), d, done
 
 

@@ -1,15 +1,17 @@
-"""Strips with fixed directions: the exact test of whether a known point lies in the image of a box, as one elementwise kernel.
+"""Strips with fixed directions: the exact test of whether a known point lies in the image of a box, as one
+elementwise kernel.
 
-The set {h-combinations of b : b in a box with middle m and radius r} contains the known value k v iff, for every circuit h,
+The set {h-combinations of b : b in a box with middle m and radius r} contains the known value k v iff, for
+every circuit h,
 
     |sum_i h_i m_i - sum_j k_j v_j| <= sum_i |h_i| r_i                                        (strip)
 
-(Source: a zonotope is the intersection of the strips of its circuits; `golden` exactness theorem for Adrot 2000.) The gauge is the largest
-ratio of the two sides; the margin is 1 - gauge.
+(Source: a zonotope is the intersection of the strips of its circuits; `golden` exactness theorem for Adrot
+2000.) The gauge is the largest ratio of the two sides; the margin is 1 - gauge.
 
-m, r and the magnitudes are sequences with one entry a row; an entry is a scalar (one window) or an array over windows, and so is the
-result. A few circuits are unrolled with static supports, so that everything fuses into one pass over memory; many run in a scan over
-circuits, whose compile time does not grow with their number.
+m, r and the magnitudes are sequences with one entry a row; an entry is a scalar (one window) or an array over
+windows, and so is the result. A few circuits are unrolled with static supports, so that everything fuses into
+one pass over memory; many run in a scan over circuits, whose compile time does not grow with their number.
 """
 
 from __future__ import annotations
@@ -37,8 +39,9 @@ UNROLLED = 8  # up to here circuits are unrolled: above, compiling takes longer 
 class Strips:
     """C circuits h with their action k on the known values, in floats (nearest to the exact rationals).
 
-    Fields: rows (C, w): which rows a circuit uses; h (C, w); k (C, l); supports: the rows once more, static, if there are few.
-    A circuit shorter than w repeats its first row, with that row's coefficient split by powers of two.
+    Fields: rows (C, w): which rows a circuit uses; h (C, w); k (C, l); supports: the rows once more, static,
+    if there are few. A circuit shorter than w repeats its first row, with that row's coefficient split by
+    powers of two.
     """
 
     rows: jax.Array | np.ndarray
@@ -52,7 +55,8 @@ class Strips:
         high = [np.abs(x).max(initial=0) for x in (self.h, self.k)]
         if np.min(low) < rounding.tiny(dtype) or np.max(high) > np.finfo(dtype).max:
             raise ValueError(
-                f"the coefficients span {np.min(low):.1g} to {np.max(high):.1g}, more than {np.dtype(dtype).name} holds: "
+                f"the coefficients span {np.min(low):.1g} to {np.max(high):.1g}, more than "
+                f"{np.dtype(dtype).name} holds: "
                 "rescale the signals or use float64"
             )
         return Strips(self.rows, self.h.astype(dtype), self.k.astype(dtype), self.supports)
@@ -72,10 +76,14 @@ def strips_of(exact_h: Rows, exact_k: Rows) -> Strips:
         coefficients.append(values)
         known.append([rounding.fraction_to_float(x) for x in k])
     supports = tuple(map(tuple, rows)) if len(rows) <= UNROLLED else None
-    return Strips(np.array(rows, np.int32), np.array(coefficients), np.array(known).reshape(len(rows), -1), supports)
+    return Strips(
+        np.array(rows, np.int32), np.array(coefficients), np.array(known).reshape(len(rows), -1), supports
+    )
 
 
-def strip_margin(strips: Strips, mid: Sequence[jax.Array], rad: Sequence[jax.Array], known: Sequence[jax.Array]) -> jax.Array:
+def strip_margin(
+    strips: Strips, mid: Sequence[jax.Array], rad: Sequence[jax.Array], known: Sequence[jax.Array]
+) -> jax.Array:
     """Return 1 - gauge, unrounded and differentiable; NaN where no circuit has all its data.
 
     Args:
@@ -103,14 +111,17 @@ def strip_verdict(
     known_scale: Sequence[jax.Array],
     lift: jax.Array | float,
 ) -> jax.Array:
-    """Return the margin with a proved sign: > 0 inside, < 0 outside, 0 where rounding cannot tell, NaN where no circuit has its data.
+    """Return the margin with a proved sign: > 0 inside, < 0 outside, 0 where rounding cannot tell, NaN where
+    no circuit has its data.
 
-    Outside: one circuit is violated by more than its error bound. Inside: every circuit with data holds by more than its error bound, and
-    the circuits describe the set exactly. Holds under any rounding that the compiler may choose.
+    Outside: one circuit is violated by more than its error bound. Inside: every circuit with data holds by
+    more than its error bound, and the circuits describe the set exactly. Holds under any rounding that the
+    compiler may choose.
 
     Args:
         strips, mid, rad, known: as for `strip_margin`.
-        scale, known_scale: magnitudes of rows and known values as in `rounding.residual_error`, which has the proof.
+        scale, known_scale: magnitudes of rows and known values as in `rounding.residual_error`, which has the
+            proof.
         lift: at least every factor that multiplied a row after its own rounding (scalar).
     """
     gamma, least = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
@@ -120,23 +131,30 @@ def strip_verdict(
     def step(gauge, strip):
         residual, width, magnitude = _one(strip, mid, rad, scale, known, known_scale)
         excess, error = jnp.abs(residual) - width, gamma * magnitude + floor
-        # beyond its error bound a computed ratio is on the right side of 1; a strip that rounding leaves open counts as 1
+        # beyond its error bound a computed ratio is on the right side of 1; a strip that rounding leaves open
+        # counts as 1
         ratio = jnp.where(jnp.abs(excess) > error, jnp.abs(residual) / width, 1)
-        return jnp.maximum(gauge, jnp.where(jnp.isnan(magnitude), -1, ratio))  # magnitudes only grow: NaN is absent data, overflow is inf
+        return jnp.maximum(
+            gauge, jnp.where(jnp.isnan(magnitude), -1, ratio)
+        )  # magnitudes only grow: NaN is absent data, overflow is inf
 
     gauge = _fold(step, jnp.full_like(mid[0], -1), strips)
     return jnp.where(gauge < 0, jnp.nan, 1 - gauge)
 
 
 def status_of(margin: jax.Array | np.ndarray) -> Any:
-    """Read the proved sign of a margin as a Status (int8); on the host in NumPy, which compiles nothing for each number of windows."""
+    """Read the proved sign of a margin as a Status (int8); on the host in NumPy, which compiles nothing for
+    each number of windows.
+    """
     xp: Any = np if isinstance(margin, np.ndarray) else jnp
     status = xp.where(margin < 0, Status.FAULT, xp.where(margin > 0, Status.CONSISTENT, Status.UNDECIDED))
     return xp.where(xp.isnan(margin), Status.MISSING, status).astype(np.int8)
 
 
 def _one(strip, mid, rad, scale, known, known_scale):
-    """Evaluate one strip: the residual, its largest healthy size and the magnitude that its rounding error is relative to."""
+    """Evaluate one strip: the residual, its largest healthy size and the magnitude that its rounding error is
+    relative to.
+    """
     rows, h, k = strip
     residual: jax.Array | int = 0
     width: jax.Array | int = 0
@@ -154,7 +172,11 @@ def _one(strip, mid, rad, scale, known, known_scale):
 
 def _indexable(strips, *rows):
     """Stack the rows for a scan, which picks them by traced numbers."""
-    return rows if strips.supports is not None else tuple(x if isinstance(x, jax.Array) else jnp.stack(x) for x in rows)
+    return (
+        rows
+        if strips.supports is not None
+        else tuple(x if isinstance(x, jax.Array) else jnp.stack(x) for x in rows)
+    )
 
 
 def _fold(step, carry, strips):

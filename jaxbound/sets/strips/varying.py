@@ -1,27 +1,30 @@
 """Zonotopes that differ from window to window: is 0 in c + G [-1, 1]^q ?
 
-The set lies in a strip across every direction h, |h c| <= sum_j |h g_j|, and is the intersection of the strips whose h is orthogonal to
-r - 1 generators. Here the generators depend on the data, so that h does too. Source: Ploix, Adrot 2006, (15)-(17).
+The set lies in a strip across every direction h, |h c| <= sum_j |h g_j|, and is the intersection of the
+strips whose h is orthogonal to r - 1 generators. Here the generators depend on the data, so that h does too.
+Source: Ploix, Adrot 2006, (15)-(17).
 
-**Few rows** (`strip_margins`). Up to three rows all strips are unrolled into one pass, or, many of them, tested one by one. |h g| for h
-orthogonal to a and b is the determinant |a b g|: worked out once, it counts in three strips. Generators may be parallel, zero, fewer than
-r - 1 or span less than R^r: where they may, unit vectors without weight stand beside them, so that a subset that is too small is
+**Few rows** (`strip_margins`). Up to three rows all strips are unrolled into one pass, or, many of them,
+tested one by one. |h g| for h orthogonal to a and b is the determinant |a b g|: worked out once, it counts in
+three strips. Generators may be parallel, zero, fewer than r - 1 or span less than R^r: where they may, unit
+vectors without weight stand beside them, so that a subset that is too small is
 completed: one of them lies outside any plane.
 
 **Many rows**: a search (`gauge.gauge_search`) proposes one h (`refutes`).
 
-**Proof.** Whatever h is, a strict |h c| > sum_j |h g_j| puts 0 outside. Given |true row i - computed row i| <= E_i over the whole box, E_i
-including gamma M_i, M_i = |c_i| + sum_j |g_ij|, it is enough that
+**Proof.** Whatever h is, a strict |h c| > sum_j |h g_j| puts 0 outside. Given |true row i - computed row i|
+<= E_i over the whole box, E_i including gamma M_i, M_i = |c_i| + sum_j |g_ij|, it is enough that
 
     |h c| - sum_j |h g_j| > sum_i |h_i| E_i    (refutes)
 
-as computed: gamma is that of `rounding.product_error` for the longest chain of roundings. The h of a strip of r - 1 columns a, b, .. is
-taken as exact, its entries are minors; sum_i |h_i| E_i, and the rounding of the minors with it, is at most the permanent of
-(|a|, |b|, .., E), which is at most e s_a s_b .. prod_i D_i with s_a = sum_i |a_i| / D_i, for any D_i >= E_i / e.
+as computed: gamma is that of `rounding.product_error` for the longest chain of roundings. The h of a strip of
+r - 1 columns a, b, .. is taken as exact, its entries are minors; sum_i |h_i| E_i, and the rounding of the
+minors with it, is at most the permanent of (|a|, |b|, .., E), which is at most e s_a s_b .. prod_i D_i with
+s_a = sum_i |a_i| / D_i, for any D_i >= E_i / e.
 
-That 0 is inside is proved by a point (`holds`): near z, with R a right inverse of G, w -> w - (c + G (z + R w)) maps a box of w into
-itself, so that c + G x = 0 for some x = z + R w (Brouwer); x is in [-1, 1]^q if there is room. The same for curved images, whose J is G
-at z.
+That 0 is inside is proved by a point (`holds`): near z, with R a right inverse of G, w -> w - (c + G (z + R
+w)) maps a box of w into itself, so that c + G x = 0 for some x = z + R w (Brouwer); x is in [-1, 1]^q if
+there is room. The same for curved images, whose J is G at z.
 """
 
 import math
@@ -40,16 +43,32 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.unrolled import most, stored, summed, total
 from jaxbound.sets.strips.gauge import gauge_search
 
-__all__ = ["affine_error", "holds", "refutes", "right_inverse", "row_sizes", "scaled", "strip_count", "strip_margins", "zonotope_margins"]
+__all__ = [
+    "affine_error",
+    "holds",
+    "refutes",
+    "right_inverse",
+    "row_sizes",
+    "scaled",
+    "strip_count",
+    "strip_margins",
+    "zonotope_margins",
+]
 
 UNROLLED = {1: 300, 2: 300, 3: 60}
-"""Determinants, by rows, up to which strips are written out; beyond, compiling takes longer than a search loses."""
+"""Determinants, by rows, up to which strips are written out; beyond, compiling takes longer than a search
+loses.
+"""
 LOOPED = 220
-"""Determinants of three rows up to which a loop over all strips is faster than a search, where nothing else needs one."""
+"""Determinants of three rows up to which a loop over all strips is faster than a search, where nothing else
+needs one.
+"""
 FLAT = 2.0**10
 """How many times its error the widest strip must measure for the generators to span three dimensions."""
 BLOCK, HELD = 2**11, 2**17
-"""Windows at once; a quarter where the tableaus of their search hold more numbers than HELD: they should stay in the cache."""
+"""Windows at once; a quarter where the tableaus of their search hold more numbers than HELD: they should stay
+in the cache.
+"""
 
 
 Test: TypeAlias = tuple[jax.Array, jax.Array | int, jax.Array]
@@ -57,7 +76,8 @@ Test: TypeAlias = tuple[jax.Array, jax.Array | int, jax.Array]
 
 
 def strip_count(r: int, q: int, alone: bool = False) -> int:
-    """Return how many strips `strip_margins` tests for r rows and q generators, unit vectors included; 0 where a search is to be preferred.
+    """Return how many strips `strip_margins` tests for r rows and q generators, unit vectors included; 0
+    where a search is to be preferred.
 
     alone: whether no search is made anyhow.
     """
@@ -65,14 +85,21 @@ def strip_count(r: int, q: int, alone: bool = False) -> int:
     return math.comb(q + r, r - 1) if math.comb(q, r) <= most else 0
 
 
-def affine_error(c: jax.Array, G: jax.Array, c_error: jax.Array | None = None, G_error: jax.Array | None = None) -> jax.Array:
-    """Return E (r, N): at least |true row - computed row| over [-1, 1]^q, if c and G are off by up to c_error and G_error.
+def affine_error(
+    c: jax.Array, G: jax.Array, c_error: jax.Array | None = None, G_error: jax.Array | None = None
+) -> jax.Array:
+    """Return E (r, N): at least |true row - computed row| over [-1, 1]^q, if c and G are off by up to c_error
+    and G_error.
 
     Args:
         c, c_error: (r, N). G, G_error: (r, q, N). None: exact.
     """
     error = jnp.zeros_like(c) if c_error is None else c_error
-    return error if G_error is None else error + total(jnp.swapaxes(G_error, 0, 1)) * (1 + 4 * G.shape[1] * rounding.unit(c.dtype))
+    return (
+        error
+        if G_error is None
+        else error + total(jnp.swapaxes(G_error, 0, 1)) * (1 + 4 * G.shape[1] * rounding.unit(c.dtype))
+    )
 
 
 def strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
@@ -103,7 +130,9 @@ def _strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
 
 
 def _strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
-    """Return the margin of all strips; in three dimensions of those that two generators fix, 2 where these generators may be flat."""
+    """Return the margin of all strips; in three dimensions of those that two generators fix, 2 where these
+    generators may be flat.
+    """
     across, unit, slack = _scales(c, G, error)
     r, q = G.shape[:2]
     g = [[G[i, j] for i in range(r)] for j in range(q)]
@@ -122,7 +151,13 @@ def _strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
             for k in range(j + 1, q):
                 h = [g[j][m - 2] * g[k][m - 1] - g[j][m - 1] * g[k][m - 2] for m in range(3)]
                 for i in range(k + 1, q):
-                    _add(width, jnp.abs(h[0] * g[i][0] + h[1] * g[i][1] + h[2] * g[i][2]), (j, k), (j, i), (k, i))
+                    _add(
+                        width,
+                        jnp.abs(h[0] * g[i][0] + h[1] * g[i][1] + h[2] * g[i][2]),
+                        (j, k),
+                        (j, i),
+                        (k, i),
+                    )
                 residual = jnp.abs(h[0] * c[0] + h[1] * c[1] + h[2] * c[2])
                 tests.append((residual, width.get((j, k), 0), slack(across[j] * across[k])))
     margin = _worst(tests, slack(0), c[0])
@@ -135,7 +170,9 @@ def _strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
 
 
 def _completed_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
-    """Return the margin of the strips in three dimensions that a generator and a unit vector, or two unit vectors, fix."""
+    """Return the margin of the strips in three dimensions that a generator and a unit vector, or two unit
+    vectors, fix.
+    """
     across, unit, slack = _scales(c, G, error)
     q = G.shape[1]
     tests: list[Test] = []
@@ -145,33 +182,54 @@ def _completed_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array
         for j in range(q):
             for k in range(j + 1, q):
                 _add(width, jnp.abs(G[a, j] * G[b, k] - G[b, j] * G[a, k]), j, k)
-            tests.append((jnp.abs(G[a, j] * c[b] - G[b, j] * c[a]), width.get(j, 0), slack(across[j] * unit[m])))
+            tests.append(
+                (jnp.abs(G[a, j] * c[b] - G[b, j] * c[a]), width.get(j, 0), slack(across[j] * unit[m]))
+            )
         tests.append((jnp.abs(c[m]), total(jnp.abs(G[m, j]) for j in range(q)), slack(unit[a] * unit[b])))
     return _worst(tests, slack(0), c[0])
 
 
 def _looped_strips(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
-    """Return the margin of all strips in three dimensions, one after the other; unit vectors fix some where generators may be flat."""
+    """Return the margin of all strips in three dimensions, one after the other; unit vectors fix some where
+    generators may be flat.
+    """
     across, unit, slack = _scales(c, G, error)
     q, floor = G.shape[1], slack(0)
-    vectors = jnp.concatenate([G, jnp.broadcast_to(jnp.eye(3, dtype=G.dtype)[:, :, None], (3, 3, c.shape[1]))], 1)
-    sizes, pairs = jnp.stack([*across, *unit]), sorted(combinations(range(q + 3), 2), key=lambda pair: pair[1])
-    own, first, second = math.comb(q, 2), *(jnp.asarray(np.array(x, np.int32)) for x in zip(*pairs, strict=True))
+    vectors = jnp.concatenate(
+        [G, jnp.broadcast_to(jnp.eye(3, dtype=G.dtype)[:, :, None], (3, 3, c.shape[1]))], 1
+    )
+    sizes, pairs = (
+        jnp.stack([*across, *unit]),
+        sorted(combinations(range(q + 3), 2), key=lambda pair: pair[1]),
+    )
+    own, first, second = (
+        math.comb(q, 2),
+        *(jnp.asarray(np.array(x, np.int32)) for x in zip(*pairs, strict=True)),
+    )
     times = lambda h, g: jnp.abs(h[0] * g[0] + h[1] * g[1] + h[2] * g[2])
     flat = lambda excess, solid: (solid <= 0) & ~(excess > 0)
-    picked = lambda x, i, axis: jax.lax.dynamic_index_in_dim(x, i, axis, keepdims=False, allow_negative_indices=False)
+    picked = lambda x, i, axis: jax.lax.dynamic_index_in_dim(
+        x, i, axis, keepdims=False, allow_negative_indices=False
+    )
 
     def strip(carry):
         number, excess, gauge, solid = carry
         j, k = first[number], second[number]
         (a, s), (b, t) = ((picked(vectors, i, 1), picked(sizes, i, 0)) for i in (j, k))
-        h = stored([a[m - 2] * b[m - 1] - a[m - 1] * b[m - 2] for m in range(3)])  # else looked up and worked out for each use
+        h = stored(
+            [a[m - 2] * b[m - 1] - a[m - 1] * b[m - 2] for m in range(3)]
+        )  # else looked up and worked out for each use
         width = stored(total(jnp.where((i == j) | (i == k), 0, times(h, G[:, i])) for i in range(q)))
         loss = stored(slack(s * t))
         short, counts = stored(times(h, c) - loss), (number < own) | flat(excess, solid)
         gauge = jnp.where(counts, jnp.maximum(gauge, short / (width + floor)), gauge)
         excess = jnp.where(counts, jnp.maximum(excess, short - width), excess)
-        return number + 1, excess, gauge, jnp.where(number < own, jnp.maximum(solid, width - FLAT * loss), solid)
+        return (
+            number + 1,
+            excess,
+            gauge,
+            jnp.where(number < own, jnp.maximum(solid, width - FLAT * loss), solid),
+        )
 
     least = jnp.full_like(c[0], -jnp.inf)
     going = lambda carry: (carry[0] < own) | ((carry[0] < len(pairs)) & jnp.any(flat(carry[1], carry[3])))
@@ -186,10 +244,16 @@ def _scales(c, G, error):
     E, M = zip(*(_with_rounding(c[i], size, error[i], r, q) for i, size in enumerate(sizes)), strict=True)
     share = most([jnp.where(m > 0, e / jnp.where(m > 0, m, 1), 0) for e, m in zip(E, M, strict=True)])
     share = jnp.where(share > 0, share, 1)
-    size = [jnp.maximum(e / share, rounding.tiny(c.dtype) ** 0.4) for e in E]  # any will do: two reciprocals should not overflow
+    size = [
+        jnp.maximum(e / share, rounding.tiny(c.dtype) ** 0.4) for e in E
+    ]  # any will do: two reciprocals should not overflow
     kappa, unit = math.prod(size) * share, [1 / m for m in size]
     floor = _floor(c.dtype, r, q) * math.prod([1 + m + e for m, e in zip(M, E, strict=True)])
-    return [total(jnp.abs(G[i, j]) * unit[i] for i in range(r)) for j in range(q)], unit, lambda s: kappa * s + floor
+    return (
+        [total(jnp.abs(G[i, j]) * unit[i] for i in range(r)) for j in range(q)],
+        unit,
+        lambda s: kappa * s + floor,
+    )
 
 
 def _worst(tests: Iterable[Test], floor: jax.Array, like: jax.Array) -> jax.Array:
@@ -207,21 +271,30 @@ def _add(width, term, *strips):
 
 
 def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.Array:
-    """Return 1 - |h c| / sum_j |h g_j| (N,): < 0 is proof that 0 is outside, for any finite h (r, N) that is an array, not an expression.
+    """Return 1 - |h c| / sum_j |h g_j| (N,): < 0 is proof that 0 is outside, for any finite h (r, N) that is
+    an array, not an expression.
 
     Args: as for `strip_margins`.
     """
     r, q = G.shape[:2]
     E, _ = _with_rounding(c, summed(jnp.abs, G, axes=(1,)), error, r, q)
-    floor = _floor(c.dtype, r, q) * (1 + jnp.max(jnp.abs(h), 0)) * (1 + jnp.max(jnp.abs(c), 0) + jnp.max(jnp.abs(G), (0, 1)))
+    floor = (
+        _floor(c.dtype, r, q)
+        * (1 + jnp.max(jnp.abs(h), 0))
+        * (1 + jnp.max(jnp.abs(c), 0) + jnp.max(jnp.abs(G), (0, 1)))
+    )
     residual = jnp.abs(summed(lambda x, row: x * row, h, c))
     width = summed(jnp.abs, summed(lambda x, row: x[None] * row, h, G))
     short = residual - (summed(lambda x, e: jnp.abs(x) * e, h, E) + floor)
     return _signed(short / (width + floor), short - width)
 
 
-def _with_rounding(c: jax.Array, size: jax.Array, error: jax.Array, r: int, q: int) -> tuple[jax.Array, jax.Array]:
-    """Return (E, M): E with the rounding of a strip test, M the size |c_i| + sum_j |g_ij|; of one row, or of all."""
+def _with_rounding(
+    c: jax.Array, size: jax.Array, error: jax.Array, r: int, q: int
+) -> tuple[jax.Array, jax.Array]:
+    """Return (E, M): E with the rounding of a strip test, M the size |c_i| + sum_j |g_ij|; of one row, or of
+    all.
+    """
     gamma, floor = rounding.product_error(q + 2 * r + 8, c.dtype)
     M = jnp.abs(c) + size
     return (1 + 2 * gamma) * error + gamma * M + floor, M
@@ -238,7 +311,8 @@ def _signed(gauge: jax.Array, excess: jax.Array) -> jax.Array:
 
 
 def right_inverse(J: jax.Array, z: jax.Array) -> jax.Array:
-    """Return R (q, r, N), nearly J R = 1, that moves most the variables with most room in [-1, 1]; 0 where none was found. No claim.
+    """Return R (q, r, N), nearly J R = 1, that moves most the variables with most room in [-1, 1]; 0 where
+    none was found. No claim.
 
     Args: J (r, q, N), z (q, N).
     """
@@ -263,18 +337,27 @@ def right_inverse(J: jax.Array, z: jax.Array) -> jax.Array:
 
 
 def holds(
-    F: jax.Array, F_error: jax.Array, J: jax.Array, J_error: jax.Array, z: jax.Array, R: jax.Array, curvature: ArrayLike = 0.0
+    F: jax.Array,
+    F_error: jax.Array,
+    J: jax.Array,
+    J_error: jax.Array,
+    z: jax.Array,
+    R: jax.Array,
+    curvature: ArrayLike = 0.0,
 ) -> jax.Array:
     """Return where an x in [-1, 1]^q near z with f(x) = 0 is proved to exist, (N,) bool.
 
     Args:
-        F, F_error: f(z) and a bound on its error, (r, N). J, J_error: the derivative at z and a bound on its error, (r, q, N). z (q, N).
+        F, F_error: f(z) and a bound on its error, (r, N). J, J_error: the derivative at z and a bound on its
+            error, (r, q, N). z (q, N).
         R: from `right_inverse`; any will do. All these must be arrays, not expressions of the same function.
-        curvature: (r, N) or a number, at least max_i |J(x) - J(z)|_i / max_i |x_i - z_i| on the box; 0 for an affine f.
+        curvature: (r, N) or a number, at least max_i |J(x) - J(z)|_i / max_i |x_i - z_i| on the box; 0 for an
+            affine f.
 
-    Proof: with w_k = 2 (size_k) max_l (|F_l| + F_error_l) / size_l, |x - z| <= |R| w and every mean derivative on the way from z to x is
-    within J_error + curvature |R| w of J. If |F| + F_error + |1 - J R| w <= w row by row, w -> w - f(z + R w) maps the box into itself.
-    All terms are positive: each sum is raised by its own relative rounding.
+    Proof: with w_k = 2 (size_k) max_l (|F_l| + F_error_l) / size_l, |x - z| <= |R| w and every mean
+    derivative on the way from z to x is within J_error + curvature |R| w of J. If |F| + F_error + |1 - J R| w
+    <= w row by row, w -> w - f(z + R w) maps the box into itself. All terms are positive: each sum is raised
+    by its own relative rounding.
     """
     r, q = J.shape[:2]
     gamma, floor = rounding.product_error(q + r + 8, F.dtype)
@@ -295,11 +378,14 @@ def holds(
     return inside & jnp.all(loss * up <= w, 0)
 
 
-def zonotope_margins(c: ArrayLike, G: ArrayLike, c_error: ArrayLike | None = None, G_error: ArrayLike | None = None) -> np.ndarray:
-    """Return the margin 1 - gauge (N,) of 0 in each of N zonotopes c + G [-1, 1]^q: > 0 proved inside, < 0 proved outside, 0 unknown.
+def zonotope_margins(
+    c: ArrayLike, G: ArrayLike, c_error: ArrayLike | None = None, G_error: ArrayLike | None = None
+) -> np.ndarray:
+    """Return the margin 1 - gauge (N,) of 0 in each of N zonotopes c + G [-1, 1]^q: > 0 proved inside, < 0
+    proved outside, 0 unknown.
 
-    The gauge is the factor on G at which 0 just belongs to the set. A set that is flat, or flat but for rounding, can be proved to miss 0,
-    but not to hold it. NaN where a number of the window is NaN.
+    The gauge is the factor on G at which 0 just belongs to the set. A set that is flat, or flat but for
+    rounding, can be proved to miss 0, but not to hold it. NaN where a number of the window is NaN.
 
     Args:
         c (r, N), G (r, q, N); c_error, G_error: bounds >= 0 on the errors of their entries.
@@ -316,11 +402,18 @@ def zonotope_margins(c: ArrayLike, G: ArrayLike, c_error: ArrayLike | None = Non
     """
     c, G = np.asarray(c), np.asarray(G)
     if c.ndim != 2 or G.ndim != 3 or c.shape != (G.shape[0], G.shape[2]) or not G.shape[0] or not G.shape[1]:
-        raise ValueError(f"zonotope_margins needs c (r, N) and G (r, q, N), r and q at least 1: their shapes are {c.shape} and {G.shape}")
-    errors = [np.zeros_like(x) if e is None else np.asarray(e, x.dtype) for x, e in ((c, c_error), (G, G_error))]
+        raise ValueError(
+            f"zonotope_margins needs c (r, N) and G (r, q, N), r and q at least 1: their shapes are "
+            f"{c.shape} and {G.shape}"
+        )
+    errors = [
+        np.zeros_like(x) if e is None else np.asarray(e, x.dtype) for x, e in ((c, c_error), (G, G_error))
+    ]
     for name, x, e in (("c_error", c, errors[0]), ("G_error", G, errors[1])):
         if e.shape != x.shape:
-            raise ValueError(f"{name} must have the shape {x.shape} of what it bounds: its shape is {e.shape}")
+            raise ValueError(
+                f"{name} must have the shape {x.shape} of what it bounds: its shape is {e.shape}"
+            )
     dtype = jax.dtypes.canonicalize_dtype(np.result_type(c, G, np.float32))
     out = np.empty(c.shape[1], dtype)
     r, q = G.shape[:2]
@@ -328,7 +421,9 @@ def zonotope_margins(c: ArrayLike, G: ArrayLike, c_error: ArrayLike | None = Non
     for start in range(0, len(out), size):
         stop = min(start + size, len(out))
         block = [x[..., start:stop].astype(dtype) for x in (c, G, *errors)]
-        block = [np.concatenate([x, np.zeros((*x.shape[:-1], size - stop + start), dtype)], -1) for x in block]
+        block = [
+            np.concatenate([x, np.zeros((*x.shape[:-1], size - stop + start), dtype)], -1) for x in block
+        ]
         out[start:stop] = _margins(*map(jnp.asarray, block))[: stop - start]
     return out
 
@@ -366,14 +461,22 @@ def _polished(
     gamma, floor = rounding.product_error(q + 2, c.dtype)
     z = jnp.clip(z, -1, 1)
     F = c + jnp.sum(G * z[None], 1)
-    error = affine_error(c, G, c_error, G_error) + gamma * (jnp.abs(c) + jnp.sum(jnp.abs(G * z[None]), 1)) + 2 * floor
+    error = (
+        affine_error(c, G, c_error, G_error)
+        + gamma * (jnp.abs(c) + jnp.sum(jnp.abs(G * z[None]), 1))
+        + 2 * floor
+    )
     return (F, error), z, G_error
 
 
 @kernel
 def _settled(margin: jax.Array, inside: jax.Array) -> jax.Array:
     least = jnp.finfo(margin.dtype).eps
-    return jnp.where(margin < 0, margin, jnp.where(inside, jnp.maximum(margin, least), jnp.where(jnp.isnan(margin), margin, 0)))
+    return jnp.where(
+        margin < 0,
+        margin,
+        jnp.where(inside, jnp.maximum(margin, least), jnp.where(jnp.isnan(margin), margin, 0)),
+    )
 
 
 refutes_jit, holds_jit, right_inverse_jit = kernel(refutes), kernel(holds), kernel(right_inverse)

@@ -16,7 +16,10 @@ MEETS = {"contains": "YES", "contains_set": "YES", "intersects": "YES", "is_empt
 STATEMENTS = {
     ("contains", True): "the point is center + generators x, x keeps the constraints and every |x_i| <= 1",
     ("contains", False): "l times the equations of a point in the set cannot hold: the point is outside",
-    ("contains_set", True): "inner center and generators are those of the outer set times X, rows of |X| add up to at most 1",
+    (
+        "contains_set",
+        True,
+    ): "inner center and generators are those of the outer set times X, rows of |X| add up to at most 1",
     ("contains_set", False): "along l the inner set reaches farther than the outer one",
     ("intersects", True): "x gives a point of both sets",
     ("intersects", False): "l times the equations of a common point cannot hold: there is none",
@@ -26,16 +29,24 @@ STATEMENTS = {
 
 
 def exactly(question: Question, at: tuple[int, int], guess: np.ndarray) -> Found:
-    """Answer one question in exact numbers, from a guess (q,) of x: (x, None) or (None, l), as `feasibility.feasible`."""
+    """Answer one question in exact numbers, from a guess (q,) of x: (x, None) or (None, l), as
+    `feasibility.feasible`.
+    """
     M, D = question.exact(at)
     return feasible(M, [row[0] for row in D], guess.tolist(), np.argsort(abs(guess), kind="stable").tolist())
 
 
-def document(question: Question, at: tuple[int, int], answer: str, direction: np.ndarray, point: np.ndarray) -> dict[str, Any]:
+def document(
+    question: Question, at: tuple[int, int], answer: str, direction: np.ndarray, point: np.ndarray
+) -> dict[str, Any]:
     """Return the certificate of one answer, a dict ready for JSON; see `Decision.certificate`."""
     meets = answer == MEETS[question.name]
     if question.name == "contains_set":
-        found = {"X" if meets else "l": _matrix(question, at, point) if meets else _direction(question, at, direction)}
+        found = {
+            "X" if meets else "l": _matrix(question, at, point)
+            if meets
+            else _direction(question, at, direction)
+        }
     else:
         found = _either(question, at, meets, direction, point)
     parts = ("center", "generators", "constraints", "offsets")
@@ -54,8 +65,12 @@ def document(question: Question, at: tuple[int, int], answer: str, direction: np
     }
 
 
-def _either(question: Question, at: tuple[int, int], meets: bool, direction: np.ndarray, point: np.ndarray) -> dict[str, Any]:
-    """Return {"x": ..} or {"l": ..}: the direction as it is where it proves the answer, else in exact numbers."""
+def _either(
+    question: Question, at: tuple[int, int], meets: bool, direction: np.ndarray, point: np.ndarray
+) -> dict[str, Any]:
+    """Return {"x": ..} or {"l": ..}: the direction as it is where it proves the answer, else in exact
+    numbers.
+    """
     if not meets:
         try:
             return {"l": _direction(question, at, direction)}
@@ -87,8 +102,12 @@ def _matrix(question: Question, at: tuple[int, int], X: np.ndarray) -> list[list
     out = _exact(X.tolist())
     rest = [j for j in range(len(X)) if j not in basis]
     known = linalg.matmul([[row[j] for j in rest] for row in M], [out[j] for j in rest]) if rest else None
-    short = [[v - (0 if known is None else known[i][k]) for k, v in enumerate(row)] for i, row in enumerate(D)]
-    for j, row in zip(basis, linalg.matmul(linalg.inverse([[row[j] for j in basis] for row in M]), short), strict=True):
+    short = [
+        [v - (0 if known is None else known[i][k]) for k, v in enumerate(row)] for i, row in enumerate(D)
+    ]
+    for j, row in zip(
+        basis, linalg.matmul(linalg.inverse([[row[j] for j in basis] for row in M]), short), strict=True
+    ):
         out[j] = list(row)
     if any(sum(map(abs, row)) > 1 for row in out):
         raise NotImplementedError(BY_FACETS)
@@ -98,7 +117,13 @@ def _matrix(question: Question, at: tuple[int, int], X: np.ndarray) -> list[list
 def _exact(tree: Any) -> Any:
     if isinstance(tree, dict):
         return {k: _exact(v) for k, v in tree.items()}
-    return tree if tree is None or isinstance(tree, Fraction) else [_exact(v) for v in tree] if isinstance(tree, list) else Fraction(tree)
+    return (
+        tree
+        if tree is None or isinstance(tree, Fraction)
+        else [_exact(v) for v in tree]
+        if isinstance(tree, list)
+        else Fraction(tree)
+    )
 
 
 def _leaves(tree: Any) -> list[Fraction]:

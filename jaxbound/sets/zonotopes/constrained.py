@@ -1,4 +1,6 @@
-"""Constrained zonotopes: zonotopes whose coefficients obey linear equations; any bounded polyhedron is one."""
+"""Constrained zonotopes: zonotopes whose coefficients obey linear equations; any bounded polyhedron is
+one.
+"""
 
 from dataclasses import dataclass
 from typing import TypeAlias, cast
@@ -18,9 +20,11 @@ __all__ = ["ConstrainedZonotope", "constrained_zonotope", "parts"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class ConstrainedZonotope(Arrays):
-    """{center + generators x : every |x_i| <= 1, constraints x = offsets}; may be empty. Build it with `constrained_zonotope`.
+    """{center + generators x : every |x_i| <= 1, constraints x = offsets}; may be empty. Build it with
+    `constrained_zonotope`.
 
-    Fields: center c (..., n), generators G (..., n, q), constraints A (..., k, q), offsets b (..., k). Leading axes are a batch of sets.
+    Fields: center c (..., n), generators G (..., n, q), constraints A (..., k, q), offsets b (..., k).
+    Leading axes are a batch of sets.
 
     Source: Scott, Raimondo, Marseglia, Braatz, Constrained zonotopes, Automatica 69, 2016.
     """
@@ -34,8 +38,11 @@ class ConstrainedZonotope(Arrays):
 AnySet: TypeAlias = Zonotope | ConstrainedZonotope
 
 
-def constrained_zonotope(center: ArrayLike, generators: ArrayLike, A: ArrayLike, b: ArrayLike) -> ConstrainedZonotope:
-    """Build a ConstrainedZonotope {c + G x : |x_i| <= 1, A x = b}, rounded to nearest where the dtype cannot hold the numbers (x64 off).
+def constrained_zonotope(
+    center: ArrayLike, generators: ArrayLike, A: ArrayLike, b: ArrayLike
+) -> ConstrainedZonotope:
+    """Build a ConstrainedZonotope {c + G x : |x_i| <= 1, A x = b}, rounded to nearest where the dtype cannot
+    hold the numbers (x64 off).
 
     Args:
         center: (..., n). generators: (..., n, q). A: (..., k, q). b: (..., k); no row (k = 0) is a zonotope.
@@ -48,25 +55,42 @@ def constrained_zonotope(center: ArrayLike, generators: ArrayLike, A: ArrayLike,
         (1, 2)
     """
     center, generators, A, b = map(np.asarray, (center, generators, A, b))
-    shaped = center.ndim >= 1 and generators.ndim >= 2 and A.ndim >= 2 and b.ndim >= 1 and center.shape[-1:] != (0,)
-    if not shaped or center.shape != generators.shape[:-1] or b.shape != A.shape[:-1] or A.shape[-1] != generators.shape[-1]:
+    shaped = (
+        center.ndim >= 1
+        and generators.ndim >= 2
+        and A.ndim >= 2
+        and b.ndim >= 1
+        and center.shape[-1:] != (0,)
+    )
+    if (
+        not shaped
+        or center.shape != generators.shape[:-1]
+        or b.shape != A.shape[:-1]
+        or A.shape[-1] != generators.shape[-1]
+    ):
         shapes = f"{center.shape}, {generators.shape}, {A.shape} and {b.shape}"
         raise ValueError(
-            f"constrained_zonotope needs center (..., n), generators (..., n, q), A (..., k, q), b (..., k): their shapes are {shapes}"
+            f"constrained_zonotope needs center (..., n), generators (..., n, q), A (..., k, q), b (..., k): "
+            f"their shapes are {shapes}"
         )
     if center.shape[:-1] != b.shape[:-1]:
         raise ValueError(
-            f"a batch of sets needs as many constraints as centers: their leading shapes are {center.shape[:-1]} and {b.shape[:-1]}"
+            f"a batch of sets needs as many constraints as centers: their leading shapes are "
+            f"{center.shape[:-1]} and {b.shape[:-1]}"
         )
     return ConstrainedZonotope(*finite_arrays(center=center, generators=generators, A=A, b=b))
 
 
 def parts(S: object) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return (c, G, A, b) of a Zonotope, with no rows in A and b, or of a ConstrainedZonotope, or of a batch of them."""
+    """Return (c, G, A, b) of a Zonotope, with no rows in A and b, or of a ConstrainedZonotope, or of a batch
+    of them.
+    """
     if isinstance(S, ConstrainedZonotope):
         return S.center, S.generators, S.constraints, S.offsets
     if not isinstance(S, Zonotope):
         raise TypeError(f"a zonotope or a constrained zonotope is needed: this is {type(S).__name__}")
     *batch, _, q = S.generators.shape
-    none = lambda *shape: cast(jax.Array, np.zeros((*batch, *shape), S.center.dtype))  # of NumPy, for which nothing is run or compiled
+    none = lambda *shape: cast(
+        jax.Array, np.zeros((*batch, *shape), S.center.dtype)
+    )  # of NumPy, for which nothing is run or compiled
     return S.center, S.generators, none(0, q), none(0)

@@ -1,12 +1,14 @@
 """Does a zonotope or constrained zonotope hold a point, or a whole zonotope?
 
-**A zonotope in a set** {c + G x : A x = b}. With M = [G; A] and D = [c2 - c, G2; b, 0], it is enough that some X has M X = D and row sums
-of |X| at most 1: then c2 + G2 z = c + G x for x = X (1, z). Source: Sadraddini, Tedrake, Linear encodings for polytope containment
-problems, 2019, theorem 3. X is looked for by projections, in turn onto M X = D and onto rows of a sum of at most 1, and checked like a
-point (`proof.rows_below`). The condition is sufficient, not necessary: co-NP-hard otherwise.
+**A zonotope in a set** {c + G x : A x = b}. With M = [G; A] and D = [c2 - c, G2; b, 0], it is enough that
+some X has M X = D and row sums of |X| at most 1: then c2 + G2 z = c + G x for x = X (1, z). Source:
+Sadraddini, Tedrake, Linear encodings for polytope containment problems, 2019, theorem 3. X is looked for by
+projections, in turn onto M X = D and onto rows of a sum of at most 1, and checked like a point
+(`proof.rows_below`). The condition is sufficient, not necessary: co-NP-hard otherwise.
 
-Not held is proved by one direction l: l'd + sum_j |l' D_j| > sum_j |l' M_j|, looked for by climbing: the vertex of the inner set that is
-farthest along l, the direction that shows it to be outside most, its farthest vertex, ..
+Not held is proved by one direction l: l'd + sum_j |l' D_j| > sum_j |l' M_j|, looked for by climbing: the
+vertex of the inner set that is farthest along l, the direction that shows it to be outside most, its farthest
+vertex, ..
 
 Where both fail and the outer zonotope has few facets, these decide, in exact numbers.
 """
@@ -41,18 +43,25 @@ CLIMBS = 6
 
 
 @singledispatch
-def contains(Z: AnySet | Interval, inner: AnySet | ArrayLike) -> Any:  # a Decision, or of an Interval an array of bool
+def contains(
+    Z: AnySet | Interval, inner: AnySet | ArrayLike
+) -> Any:  # a Decision, or of an Interval an array of bool
     """Decide whether a set holds points, or a whole zonotope.
 
     Args:
-        Z: a Zonotope or ConstrainedZonotope of n dimensions, or a batch of them with leading axes (...); an Interval.
-        inner: points (..., N, n), any number of axes after those of the batch, or a Zonotope (with the same leading axes).
+        Z: a Zonotope or ConstrainedZonotope of n dimensions, or a batch of them with leading axes (...); an
+            Interval.
+        inner: points (..., N, n), any number of axes after those of the batch, or a Zonotope (with the same
+            leading axes).
 
     Returns:
-        A Decision with an answer a point, or a set. Its margin points in the answer's direction and does not overstate it: 1 - t, t the
-        factor on the generators at which the point just belongs to Z; exact ones are worked out by `membership`. For a zonotope the
-        condition for YES is sufficient, not necessary: what is neither that nor NO stays UNDECIDED unless the facets of Z are few.
-        For an Interval: an array of bool, IEEE 1788 isMember. Inside jit and vmap: the same answer or UNDECIDED, without certificate.
+        A Decision with an answer a point, or a set. Its margin points in the answer's direction and does not
+        overstate it: 1 - t, t the factor on the generators at which the point just belongs to Z; exact ones
+            are worked out by `membership`. For a zonotope the
+        condition for YES is sufficient, not necessary: what is neither that nor NO stays UNDECIDED unless the
+            facets of Z are few.
+        For an Interval: an array of bool, IEEE 1788 isMember. Inside jit and vmap: the same answer or
+            UNDECIDED, without certificate.
 
     Raises:
         ValueError: shapes that do not fit, NaN or infinity.
@@ -65,7 +74,9 @@ def contains(Z: AnySet | Interval, inner: AnySet | ArrayLike) -> Any:  # a Decis
         >>> bool(contains(Z, zonotope([0.5, 0.0], [[0.5], [0.5]])))
         True
     """
-    raise TypeError(f"an interval, a zonotope or a constrained zonotope is needed: this is {type(Z).__name__}")
+    raise TypeError(
+        f"an interval, a zonotope or a constrained zonotope is needed: this is {type(Z).__name__}"
+    )
 
 
 contains.register(Interval, contains_number)
@@ -74,24 +85,36 @@ contains.register(Interval, contains_number)
 @contains.register(Zonotope)
 @contains.register(ConstrainedZonotope)
 def _(Z: AnySet, inner: AnySet | ArrayLike) -> Decision:
-    return contains_set(Z, inner) if isinstance(inner, (Zonotope, ConstrainedZonotope)) else contains_points(Z, inner)
+    return (
+        contains_set(Z, inner)
+        if isinstance(inner, (Zonotope, ConstrainedZonotope))
+        else contains_points(Z, inner)
+    )
 
 
 def contains_set(Z: AnySet, inner: AnySet) -> Decision:
     """Decide whether a set holds a whole zonotope: see `contains`."""
     outer, inside = numbers(Z, inner)
     if inside[3].shape[-1]:
-        raise ValueError("the inner set must be a zonotope: for one with constraints ask `intersects`, or enclose it first")
+        raise ValueError(
+            "the inner set must be a zonotope: for one with constraints ask `intersects`, or enclose it first"
+        )
     if outer[0].shape[-1] != inside[0].shape[-1]:
-        raise ValueError(f"two sets must have one dimension: they have {outer[0].shape[-1]} and {inside[0].shape[-1]}")
+        raise ValueError(
+            f"two sets must have one dimension: they have {outer[0].shape[-1]} and {inside[0].shape[-1]}"
+        )
     batch = outer[0].shape[:-1]
     if inside[0].shape[:-1] != batch:
-        raise ValueError(f"a batch needs as many inner as outer sets: leading axes are {batch} and {inside[0].shape[:-1]}")
+        raise ValueError(
+            f"a batch needs as many inner as outer sets: leading axes are {batch} and {inside[0].shape[:-1]}"
+        )
     refuse_unverified()
     question = Question("contains_set", (flat(outer, batch), flat(inside, batch)), None)
     answer, margin, direction, point = (_traced if traced(question) else _decided)(question)
     lay = lambda v: v.reshape((*batch, *v.shape[1:]))
-    return Decision(lay(answer), lay(margin), None if traced(question) else question, lay(direction), lay(point))
+    return Decision(
+        lay(answer), lay(margin), None if traced(question) else question, lay(direction), lay(point)
+    )
 
 
 def _equations(question: Question) -> tuple[Any, Any]:
@@ -100,7 +123,9 @@ def _equations(question: Question) -> tuple[Any, Any]:
     xp = proof.library(c)
     with np.errstate(over="ignore", invalid="ignore"):
         top = xp.concatenate([(c2 - c)[..., None], G2], 2)
-    return xp.concatenate([G, A], 1), xp.concatenate([top, xp.pad(b[..., None], ((0, 0), (0, 0), (0, G2.shape[2])))], 1)
+    return xp.concatenate([G, A], 1), xp.concatenate(
+        [top, xp.pad(b[..., None], ((0, 0), (0, 0), (0, G2.shape[2])))], 1
+    )
 
 
 def _decided(question: Question) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -118,18 +143,24 @@ def _decided(question: Question) -> tuple[np.ndarray, np.ndarray, np.ndarray, np
     direction = np.where(not_held[:, None], unscaled(direction[:, None], image.powers)[:, 0], 0)
     (c, G, A, _), _ = question.sets
     if not A.shape[1] and math.comb(q, c.shape[1] - 1) <= FEW:
-        for i in np.nonzero((answer == 0) & known)[0]:  # X stays: exact numbers may still make a certificate of it
+        for i in np.nonzero((answer == 0) & known)[
+            0
+        ]:  # X stays: exact numbers may still make a certificate of it
             answer[i], margin[i], direction[i] = _by_facets(*(tuple(v[i] for v in x) for x in question.sets))
     return answer, margin, direction, X
 
 
 def _encode(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (X, t): M X = D nearly, and t (S,) at least the largest row sum of |X| of a true solution near it."""
+    """Return (X, t): M X = D nearly, and t (S,) at least the largest row sum of |X| of a true solution near
+    it.
+    """
     with np.errstate(all="ignore"):
         best = image.R @ D
         Z, least, rest = best.copy(), proof.rows_below(image, D, best), np.arange(len(D))
         for steps in STEPS:
-            rest = rest[~(least[rest] <= 1) & np.isfinite(D[rest]).all((1, 2)) & np.isfinite(image.loss[rest])]
+            rest = rest[
+                ~(least[rest] <= 1) & np.isfinite(D[rest]).all((1, 2)) & np.isfinite(image.loss[rest])
+            ]
             if not len(rest):
                 break
             some = image.of(rest)
@@ -142,7 +173,9 @@ def _encode(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _climb(image: proof.Image[np.ndarray], D: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (l (S, m), t): the directions found along which the inner sets reach farthest in terms of the outer, t at most that factor."""
+    """Return (l (S, m), t): the directions found along which the inner sets reach farthest in terms of the
+    outer, t at most that factor.
+    """
     S, m, _ = D.shape
     l = kernels.starts(image.R)
     best, least, rest = np.zeros((S, m)), np.zeros(S), np.nonzero(np.isfinite(D).all((1, 2)))[0]

@@ -1,4 +1,5 @@
-"""Yes or no, proved, for zonotopes and constrained zonotopes: does it hold a point, is it empty, do two of them meet?
+"""Yes or no, proved, for zonotopes and constrained zonotopes: does it hold a point, is it empty, do two of
+them meet?
 
 Each question asks whether some x in [-1, 1]^q has M x = d:
 
@@ -6,10 +7,11 @@ Each question asks whether some x in [-1, 1]^q has M x = d:
     {c + G x : A x = b} is not empty         M = A,                             d = b
     two of them meet                         M = [G1 -G2; A1 0; 0 A2],          d = [c2 - c1; b1; b2]
 
-and t, the least max|x_j| with M x = d, says how far it is from the other answer. The work is `gauges.gauge_bounds`; what is left of a
-single question, on the boundary or in a flat set, is settled in exact numbers (`feasibility`), of a batch it stays UNDECIDED. Inside jit
-and vmap the work is `kernels.bounds`, in the dtype of the sets, and what is left stays UNDECIDED, as do all sets with an entry below the
-smallest normal number, which compiled code reads as 0.
+and t, the least max|x_j| with M x = d, says how far it is from the other answer. The work is
+`gauges.gauge_bounds`; what is left of a single question, on the boundary or in a flat set, is settled in
+exact numbers (`feasibility`), of a batch it stays UNDECIDED. Inside jit and vmap the work is
+`kernels.bounds`, in the dtype of the sets, and what is left stays UNDECIDED, as do all sets with an entry
+below the smallest normal number, which compiled code reads as 0.
 """
 
 import math
@@ -32,7 +34,16 @@ from jaxbound.sets.zonotopes.gauges import gauge_bounds
 from jaxbound.sets.zonotopes.questions import Question, flat, normal, numbers, traced
 from jaxbound.sets.zonotopes.zonotope import refuse_infinite
 
-__all__ = ["Answer", "Decision", "Separation", "contains_points", "intersects", "is_empty", "separate", "unscaled"]
+__all__ = [
+    "Answer",
+    "Decision",
+    "Separation",
+    "contains_points",
+    "intersects",
+    "is_empty",
+    "separate",
+    "unscaled",
+]
 
 EXACT = 100_000
 """How large m^2 (m + q) may be for exact numbers: a second or so."""
@@ -57,10 +68,11 @@ class Answer(IntEnum):
 class Decision:
     """Answers with proofs, one a question.
 
-    Fields: answer (...,) int8, see `Answer`; margin (...,), a bound of how far the other answer is, with the sign of this one:
-    |1 - t|, t the factor on all generators (for constrained sets, on all |x_i| <= 1) at which the answer changes; 0 where undecided or on
-    the boundary. question, None inside jit and vmap; direction (..., m), the combination of equations that proves what misses; point
-    (..., q), the x that proves what meets.
+    Fields: answer (...,) int8, see `Answer`; margin (...,), a bound of how far the other answer is, with the
+    sign of this one: |1 - t|, t the factor on all generators (for constrained sets, on all |x_i| <= 1) at
+    which the answer changes; 0 where undecided or on the boundary. question, None inside jit and vmap;
+    direction (..., m), the combination of equations that proves what misses; point (..., q), the x that
+    proves what meets.
 
     `bool` of a single decision is its answer, and an error where there is none.
     """
@@ -83,21 +95,26 @@ class Decision:
 
     def __bool__(self) -> bool:
         if self.answer.shape or not self.answer:
-            raise ValueError("neither yes nor no: ask .yes or .no, which are False where a decision is UNDECIDED")
+            raise ValueError(
+                "neither yes nor no: ask .yes or .no, which are False where a decision is UNDECIDED"
+            )
         return bool(self.yes)
 
     def certificate(self, at: Any = ()) -> dict[str, Any]:
-        """Return what proves one answer, ready for JSON: all its numbers as exact text, to be checked by fractions alone.
+        """Return what proves one answer, ready for JSON: all its numbers as exact text, to be checked by
+        fractions alone.
 
         Args:
             at: which of the answers, an index.
 
         Raises:
-            ValueError: it is UNDECIDED, or was taken inside jit or vmap. NotImplementedError: no short proof is
-                known (a zonotope in another by all facets of that).
+            ValueError: it is UNDECIDED, or was taken inside jit or vmap. NotImplementedError: no short proof
+                is known (a zonotope in another by all facets of that).
         """
         if self.question is None:
-            raise ValueError("a decision taken inside jit or vmap keeps no sets: ask again outside for a certificate")
+            raise ValueError(
+                "a decision taken inside jit or vmap keeps no sets: ask again outside for a certificate"
+            )
         answer = Answer(int(self.answer[at]))
         if answer == Answer.UNDECIDED:
             raise ValueError("an answer that is UNDECIDED has no certificate")
@@ -123,7 +140,10 @@ def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
     batch, n = sets[0].shape[:-1], sets[0].shape[-1]
     lead = points.shape[:-1]
     if points.ndim < 1 or points.shape[-1] != n or lead[: len(batch)] != batch:
-        raise ValueError(f"points must have shape ({', '.join(map(str, (*batch, '...', n)))}): their shape is {points.shape}")
+        raise ValueError(
+            f"points must have shape ({', '.join(map(str, (*batch, '...', n)))}): their shape is "
+            f"{points.shape}"
+        )
     if not isinstance(points, jax.core.Tracer):
         refuse_infinite(points=points)
     off: jax.Array | float = 0.0
@@ -131,7 +151,9 @@ def contains_points(Z: AnySet, points: ArrayLike) -> Decision:
         points = np.asarray(points, float)
     else:
         dtype = sets[0].dtype
-        if isinstance(points, np.ndarray):  # where there is only float32, numbers of float64 become their middle and radius
+        if isinstance(
+            points, np.ndarray
+        ):  # where there is only float32, numbers of float64 become their middle and radius
             box = interval(points)
             points, off = mid(box), rad(box).astype(dtype).reshape(math.prod(batch), -1, n)
             off = jnp.pad(off, ((0, 0), (0, 0), (0, sets[3].shape[-1])))
@@ -147,8 +169,8 @@ def is_empty(Z: AnySet) -> Decision:
         Z: a ConstrainedZonotope or Zonotope, or a batch of them with leading axes (...).
 
     Returns:
-        A Decision (...,). Its margin is t - 1, t the least bound on all |x_i| at which the set is not empty. Inside jit and vmap: the
-        same answer or UNDECIDED, without certificate.
+        A Decision (...,). Its margin is t - 1, t the least bound on all |x_i| at which the set is not empty.
+        Inside jit and vmap: the same answer or UNDECIDED, without certificate.
 
     Example:
         >>> from jaxbound.sets import constrained_zonotope
@@ -167,8 +189,8 @@ def intersects(X: AnySet, Y: AnySet) -> Decision:
         X, Y: sets of one dimension, or batches of them whose leading axes broadcast.
 
     Returns:
-        A Decision (...,). Its margin is 1 - t, t the factor on the generators of both at which they just touch. Inside jit and vmap: the
-        same answer or UNDECIDED, without certificate.
+        A Decision (...,). Its margin is 1 - t, t the factor on the generators of both at which they just
+        touch. Inside jit and vmap: the same answer or UNDECIDED, without certificate.
 
     Example:
         >>> from jaxbound.sets import zonotope
@@ -182,9 +204,14 @@ def intersects(X: AnySet, Y: AnySet) -> Decision:
     try:
         batch = np.broadcast_shapes(*batches)
     except ValueError:
-        raise ValueError(f"leading axes of two sets must broadcast: they are {batches[0]} and {batches[1]}") from None
+        raise ValueError(
+            f"leading axes of two sets must broadcast: they are {batches[0]} and {batches[1]}"
+        ) from None
     xp = proof.library(pair[0][0])
-    wide = tuple(tuple(xp.broadcast_to(v, (*batch, *v.shape[len(b) :])) for v in x) for x, b in zip(pair, batches, strict=True))
+    wide = tuple(
+        tuple(xp.broadcast_to(v, (*batch, *v.shape[len(b) :])) for v in x)
+        for x, b in zip(pair, batches, strict=True)
+    )
     return _decide(Question("intersects", tuple(flat(x, batch) for x in wide), None), batch, meets=Answer.YES)
 
 
@@ -194,9 +221,10 @@ def intersects(X: AnySet, Y: AnySet) -> Decision:
 class Separation:
     """A hyperplane between two sets, or a common point.
 
-    Fields: apart, the Decision, its answer YES where the hyperplane is proved and NO where a common point is; normal (..., n) and offset
-    (...,): normal . x < offset < normal . y for all x of X, y of Y, NaN where not proved; point (..., n): a common point to rounding
-    (the exact one is in the certificate), NaN where not proved.
+    Fields: apart, the Decision, its answer YES where the hyperplane is proved and NO where a common point is;
+    normal (..., n) and offset (...,): normal . x < offset < normal . y for all x of X, y of Y, NaN where not
+    proved; point (..., n): a common point to rounding (the exact one is in the certificate), NaN where not
+    proved.
     """
 
     apart: Decision
@@ -250,7 +278,9 @@ def separate(X: AnySet, Y: AnySet) -> Separation:
 
 
 def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: ArrayLike = 0.0) -> Decision:
-    """Answer a question; `meets` is the answer where there is an x; its points are off by at most `off` beyond one rounding."""
+    """Answer a question; `meets` is the answer where there is an x; its points are off by at most `off`
+    beyond one rounding.
+    """
     refuse_unverified()
     (M, d), known = question.equations(), question.known()
     lay = lambda v: v.reshape((*shape, *v.shape[2:]))
@@ -282,6 +312,8 @@ def unscaled(l: np.ndarray, powers: np.ndarray) -> np.ndarray:
     """Return directions (S, N, m) for the rows as they were given, of a size near 1."""
     mantissa, exponent = np.frexp(l)
     exponent = exponent + powers[:, None]
-    top = np.where(l != 0, exponent, np.iinfo(np.int32).min).max(2, initial=np.iinfo(np.int32).min, keepdims=True)
+    top = np.where(l != 0, exponent, np.iinfo(np.int32).min).max(
+        2, initial=np.iinfo(np.int32).min, keepdims=True
+    )
     with np.errstate(under="ignore"):
         return np.where(l != 0, np.ldexp(mantissa, np.where(l != 0, exponent - top, 0)), 0.0)

@@ -1,8 +1,8 @@
 """How far zonotopes and constrained zonotopes reach: support functions and boxes, rounded outward.
 
-With constraints, max d'(c + G x) over A x = b is at most d'c + l'b + |G'd - A'l|_1 for every l (the dual linear program), so that any l
-found by a search in plain floats gives a bound. The search goes through the interior and solves k x k systems only; what it misses makes
-the bound wider, never wrong.
+With constraints, max d'(c + G x) over A x = b is at most d'c + l'b + |G'd - A'l|_1 for every l (the dual
+linear program), so that any l found by a search in plain floats gives a bound. The search goes through the
+interior and solves k x k systems only; what it misses makes the bound wider, never wrong.
 """
 
 import jax
@@ -21,13 +21,15 @@ STEPS = 25  # of the search: it halves its distance to the best bound, or better
 
 
 def support(S: AnySet, direction: Operand) -> jax.Array:
-    """Return an upper bound of max direction . p over S: tight to rounding for a Zonotope, nearly so with constraints.
+    """Return an upper bound of max direction . p over S: tight to rounding for a Zonotope, nearly so with
+    constraints.
 
     Args:
         S: a Zonotope or ConstrainedZonotope. direction: (n,).
 
     Returns:
-        A scalar. Along direction 0 it is below 0 only if the set is proved empty: an `is_empty` for jit, scan and vmap.
+        A scalar. Along direction 0 it is below 0 only if the set is proved empty: an `is_empty` for jit, scan
+        and vmap.
 
     Raises:
         ValueError: a direction of another dimension, NaN or infinity.
@@ -44,7 +46,8 @@ def support(S: AnySet, direction: Operand) -> jax.Array:
 
 
 def interval_hull(S: AnySet) -> Interval:
-    """Return a box around S, an Interval (n,): the smallest one but for rounding of a Zonotope, nearly so with constraints.
+    """Return a box around S, an Interval (n,): the smallest one but for rounding of a Zonotope, nearly so
+    with constraints.
 
     Args:
         S: a Zonotope or ConstrainedZonotope of n coordinates.
@@ -87,8 +90,9 @@ def _supports(S: AnySet, directions: Interval) -> jax.Array:
 def _multipliers(g: jax.Array, A: jax.Array, b: jax.Array) -> jax.Array:
     """Return l (k,) with l'b + |g - A'l|_1 nearly least; no claim is made.
 
-    Predictor and corrector steps (Mehrotra 1992) for max g'x over A x = b, |x| <= 1 with multipliers v, w >= 0 of 1 + x and 1 - x:
-    g = A'l + w - v. With D = v / (1 + x) + w / (1 - x), a step solves (A D^-1 A') dl = A D^-1 h - (b - A x).
+    Predictor and corrector steps (Mehrotra 1992) for max g'x over A x = b, |x| <= 1 with multipliers v, w >=
+    0 of 1 + x and 1 - x: g = A'l + w - v. With D = v / (1 + x) + w / (1 - x), a step solves (A D^-1 A') dl =
+    A D^-1 h - (b - A x).
     """
     size = jnp.max(jnp.abs(g))
     size = jnp.where(size > 0, size, 1)
@@ -118,7 +122,9 @@ def _multipliers(g: jax.Array, A: jax.Array, b: jax.Array) -> jax.Array:
         mu = (jnp.sum(below * v) + jnp.sum(above * w)) / (2 * len(x))
         dx, _, dv, dw = direction(-below * v, -above * w)
         p, d = (jnp.minimum(s, 1) for s in stride(dx, dv, dw))
-        after = (jnp.sum((below + p * dx) * (v + d * dv)) + jnp.sum((above - p * dx) * (w + d * dw))) / (2 * len(x))
+        after = (jnp.sum((below + p * dx) * (v + d * dv)) + jnp.sum((above - p * dx) * (w + d * dw))) / (
+            2 * len(x)
+        )
         target = mu * jnp.clip(after / mu, 0, 1) ** 3
         dx, dl, dv, dw = direction(target - below * v - dx * dv, target - above * w + dx * dw)
         p, d = (jnp.minimum(0.99 * s, 1) for s in stride(dx, dv, dw))

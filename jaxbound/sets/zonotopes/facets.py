@@ -32,8 +32,8 @@ AT_ONCE = 64
 def strips(Z: Zonotope) -> tuple[np.ndarray, np.ndarray]:
     """Return the strip representation: p is in Z iff |normal . (p - center)| <= half-width for every strip.
 
-    Computed exactly from the generators' floats, so zero, parallel and dependent generators need no care; directions in which Z is flat
-    come last with half-width 0.
+    Computed exactly from the generators' floats, so zero, parallel and dependent generators need no care;
+    directions in which Z is flat come last with half-width 0.
 
     Args:
         Z: a Zonotope of concrete numbers (not inside jit).
@@ -42,7 +42,8 @@ def strips(Z: Zonotope) -> tuple[np.ndarray, np.ndarray]:
         normals (k, n), largest entry 1, and half-widths (k,), as NumPy arrays rounded to nearest.
 
     Raises:
-        ValueError: so many generators in so many coordinates that it would take more than ten minutes. TypeError: inside jit.
+        ValueError: so many generators in so many coordinates that it would take more than ten minutes.
+            TypeError: inside jit.
 
     Example:
         >>> from jaxbound.sets import zonotope
@@ -63,15 +64,26 @@ def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
     refuse_infinite(center=Z.center, generators=Z.generators)
     G = [[Fraction(x) for x in row] for row in _floats(Z.generators).tolist()]
     n, q = np.shape(Z.generators)
-    flat = linalg.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
+    flat = (
+        linalg.left_null_space(G) if q else tuple(tuple(Fraction(i == j) for j in range(n)) for i in range(n))
+    )
     out: list[tuple[list[Fraction], Fraction]] = []
     if q and any(any(row) for row in G):
         kernel = linalg.transpose(linalg.left_null_space(linalg.transpose(G)))  # G kernel = 0
         _price(q, q - len(kernel[0]) if kernel else q)
-        shadows = linalg.circuits(kernel) if kernel else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
-        basis, pivots = linalg.row_reduce([(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)])
+        shadows = (
+            linalg.circuits(kernel)
+            if kernel
+            else tuple(tuple(Fraction(i == j) for j in range(q)) for i in range(q))
+        )
+        basis, pivots = linalg.row_reduce(
+            [(*row, *(Fraction(i == j) for j in range(n))) for i, row in enumerate(G)]
+        )
         for g in shadows:  # normal' G = g: combine the reduced rows with the entries of g at their pivots
-            normal = [sum((g[p] * row[q + j] for row, p in zip(basis, pivots, strict=True) if p < q), Fraction(0)) for j in range(n)]
+            normal = [
+                sum((g[p] * row[q + j] for row, p in zip(basis, pivots, strict=True) if p < q), Fraction(0))
+                for j in range(n)
+            ]
             out.append((normal, sum(map(abs, g), Fraction(0))))
     out = [([x / s for x in normal], w / s) for normal, w in out if (s := max(map(abs, normal)))]
     return out + [([x / max(map(abs, normal)) for x in normal], Fraction(0)) for normal in flat]
@@ -90,13 +102,15 @@ def _floats(x: ArrayLike) -> np.ndarray:
 
 
 def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
-    """Return the margin 1 - gauge of each point: > 0 proved inside, < 0 proved outside, 0 where rounding cannot tell.
+    """Return the margin 1 - gauge of each point: > 0 proved inside, < 0 proved outside, 0 where rounding
+    cannot tell.
 
-    By all facets where they are few, in any dimension by a search for the two points or directions that prove it (see `contains`, which
-    stops at the answer).
+    By all facets where they are few, in any dimension by a search for the two points or directions that prove
+    it (see `contains`, which stops at the answer).
 
-    The gauge is the factor on all generators at which the point just belongs to Z. A flat Z: -inf proved outside its plane, never > 0.
-    Inside jit and vmap by the search, in the dtype of what is given; a flat Z then has some number < 0 for what is proved outside.
+    The gauge is the factor on all generators at which the point just belongs to Z. A flat Z: -inf proved
+    outside its plane, never > 0. Inside jit and vmap by the search, in the dtype of what is given; a flat Z
+    then has some number < 0 for what is proved outside.
 
     Args:
         Z: a Zonotope.
@@ -137,12 +151,16 @@ def _traced(Z: Zonotope, points: ArrayLike) -> jax.Array:
 
 
 def _searched(Z: Zonotope, points: np.ndarray) -> np.ndarray:
-    """Return the margins by the search for the gauge; where a set is flat, its plane is found in exact numbers."""
+    """Return the margins by the search for the gauge; where a set is flat, its plane is found in exact
+    numbers.
+    """
     c, G = (_floats(x)[None] for x in (Z.center, Z.generators))
     image = proof.image(G)
     with np.errstate(over="ignore"):
         found = gauge_bounds(image, image.scaled(points.astype(float)[None] - c[:, None]), tight=True)
-    margin = np.where(found.lower > 1, 1 - found.lower, np.maximum(1 - found.upper, 0))[0].astype(Z.center.dtype)
+    margin = np.where(found.lower > 1, 1 - found.lower, np.maximum(1 - found.upper, 0))[0].astype(
+        Z.center.dtype
+    )
     if np.isfinite(image.loss[0]):
         return margin
     flat = linalg.left_null_space([[Fraction(x) for x in row] for row in G[0].tolist()])
@@ -152,11 +170,15 @@ def _searched(Z: Zonotope, points: np.ndarray) -> np.ndarray:
 def _beside_the_plane(
     flat: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray, margin: np.ndarray
 ) -> np.ndarray:
-    """Return the margins, -inf for points proved to be beside one of the strips without width, and no margin above 0 if there are any."""
+    """Return the margins, -inf for points proved to be beside one of the strips without width, and no margin
+    above 0 if there are any.
+    """
     return np.where(_margins(flat, Z, points) < 0, -np.inf, np.minimum(margin, 0)) if flat else margin
 
 
-def _margins(rows: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray) -> np.ndarray:
+def _margins(
+    rows: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, points: np.ndarray
+) -> np.ndarray:
     given, count = np.asarray(points, Z.center.dtype), len(points)
     if not rows:
         return np.ones(count, given.dtype)
@@ -168,11 +190,15 @@ def _margins(rows: Sequence[tuple[Sequence[Fraction], Fraction]], Z: Zonotope, p
 
 
 def _table(exact_rows: Sequence[Sequence[Fraction]]) -> Strips:
-    """Return strips over all of (p, 1), zero coefficients included: zonotopes of one shape then share one compilation."""
+    """Return strips over all of (p, 1), zero coefficients included: zonotopes of one shape then share one
+    compilation.
+    """
     scaled = [[x / max(map(abs, row)) for x in row] for row in exact_rows]
     h = np.array([[rounding.fraction_to_float(x) for x in row] for row in scaled])
     rows = np.tile(np.arange(h.shape[1], dtype=np.int32), (len(h), 1))
-    return Strips(rows, h, np.zeros((len(h), 0)), tuple(map(tuple, rows.tolist())) if len(h) <= UNROLLED else None)
+    return Strips(
+        rows, h, np.zeros((len(h), 0)), tuple(map(tuple, rows.tolist())) if len(h) <= UNROLLED else None
+    )
 
 
 @jax.jit

@@ -1,9 +1,11 @@
-"""Is there x in [-1, 1]^q with M x = d, exactly? For one point: on the boundary, in a flat set, or to be shown to somebody.
+"""Is there x in [-1, 1]^q with M x = d, exactly? For one point: on the boundary, in a flat set, or to be
+shown to somebody.
 
-Rows of M are solved for basic variables one after another; a basic variable outside of [-1, 1] changes places with one that can still move
-and helps it, the first of each kind (Bland's rule, by which it ends). If none helps, the row proves that there is no x. Source: Dutertre,
-de Moura, A fast linear-arithmetic solver for DPLL(T), 2006. All numbers are whole: every division is exact (Edmonds 1967; Bareiss 1968).
-A good guess leaves little to do but the elimination.
+Rows of M are solved for basic variables one after another; a basic variable outside of [-1, 1] changes places
+with one that can still move and helps it, the first of each kind (Bland's rule, by which it ends). If none
+helps, the row proves that there is no x. Source: Dutertre, de Moura, A fast linear-arithmetic solver for
+DPLL(T), 2006. All numbers are whole: every division is exact (Edmonds 1967; Bareiss 1968). A good guess
+leaves little to do but the elimination.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,7 +26,8 @@ def feasible(
     guess: Sequence[float] | None = None,
     order: Iterable[int] | None = None,
 ) -> Found:
-    """Return (x, None), a point x in [-1, 1]^q with M x = d, or (None, l), a direction with l'd > sum_j |l' M_j|: Fractions.
+    """Return (x, None), a point x in [-1, 1]^q with M x = d, or (None, l), a direction with l'd > sum_j |l'
+    M_j|: Fractions.
 
     Args:
         M: m rows of q numbers, floats or Fractions, read exactly. d: m numbers.
@@ -39,10 +42,14 @@ def feasible(
     for i, row in enumerate(M):
         exact = [Fraction(v) for v in row]
         scale = lcm(*(v.denominator for v in exact), 1)
-        rows.append([int(v * scale) for v in exact] + [int(i == k) for k in range(m)])  # beside M, what was done to its rows
+        rows.append(
+            [int(v * scale) for v in exact] + [int(i == k) for k in range(m)]
+        )  # beside M, what was done to its rows
         scales.append(scale)
     combination = lambda row: [Fraction(e * s) for e, s in zip(row[q:], scales, strict=True)]
-    value = lambda row: sum((Fraction(e * s) * v for e, s, v in zip(row[q:], scales, known, strict=True) if e), Fraction(0))
+    value = lambda row: sum(
+        (Fraction(e * s) * v for e, s, v in zip(row[q:], scales, known, strict=True) if e), Fraction(0)
+    )
 
     basis: list[int] = []
     last = 1
@@ -61,12 +68,19 @@ def feasible(
     x = [Fraction(v) if abs(v) < 1 - 2.0**-20 else Fraction(1 if v > 0 else -1) for v in start]
     while True:
         for row, j in zip(rows, basis, strict=True):
-            x[j] = (value(row) - sum((c * x[k] for k, c in enumerate(row[:q]) if c and k not in basis), Fraction(0))) / last
+            x[j] = (
+                value(row)
+                - sum((c * x[k] for k, c in enumerate(row[:q]) if c and k not in basis), Fraction(0))
+            ) / last
         j = min((j for j in basis if abs(x[j]) > 1), default=-1)
         if j < 0:
             return x, None
         i, up = basis.index(j), x[j] < -1
-        helps = (k for k, c in enumerate(rows[i][:q]) if c and k not in basis and (x[k] > -1 if (c * last > 0) == up else x[k] < 1))
+        helps = (
+            k
+            for k, c in enumerate(rows[i][:q])
+            if c and k not in basis and (x[k] > -1 if (c * last > 0) == up else x[k] < 1)
+        )
         k = next(helps, None)
         if k is None:
             sign = (-1 if up else 1) * (1 if last > 0 else -1)
@@ -77,7 +91,9 @@ def feasible(
 
 
 def _pivot(rows: list[list[int]], i: int, j: int, last: int) -> int:
-    """Solve row i for variable j and put it into the others; all basic columns then hold the number returned, alone."""
+    """Solve row i for variable j and put it into the others; all basic columns then hold the number returned,
+    alone.
+    """
     pivot = rows[i][j]
     for k, row in enumerate(rows):
         if k != i:

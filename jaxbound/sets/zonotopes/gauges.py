@@ -1,8 +1,9 @@
 """Proved bounds of the gauge of points in M [-1, 1]^q: easy points first, only the others go on.
 
-A few steps of projections for all points of a set at once (`search.project`), then interior points and the vertex that they point to
-(`search.advance`, `proof.vertices`) for what is left, in blocks. Proofs are looked at between the stages. All of it is NumPy: nothing
-is compiled, so the first question takes no longer than the next.
+A few steps of projections for all points of a set at once (`search.project`), then interior points and the
+vertex that they point to (`search.advance`, `proof.vertices`) for what is left, in blocks. Proofs are looked
+at between the stages. All of it is NumPy: nothing is compiled, so the first question takes no longer than the
+next.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,9 @@ from jaxbound.sets.zonotopes import proof, search
 __all__ = ["Bounds", "gauge_bounds"]
 
 STEPS = (6, 20)
-"""Steps of projections between two looks at the proofs; at |gauge - 1| = 0.05 some 20 suffice in 5 to 100 dimensions."""
+"""Steps of projections between two looks at the proofs; at |gauge - 1| = 0.05 some 20 suffice in 5 to 100
+dimensions.
+"""
 FRUITLESS = 0.8
 """The share of points still open after some steps from which on more of them are not worth it."""
 CLEAR = 2.0**-30
@@ -29,15 +32,26 @@ BLOCK, LARGEST = 2**19, 1024
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """lower <= gauge <= upper (S, N), by the direction l (S, N, m) and the point x (S, N, q), in the scaled rows of an Image."""
+    """lower <= gauge <= upper (S, N), by the direction l (S, N, m) and the point x (S, N, q), in the scaled
+    rows of an Image.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
     l: np.ndarray
     x: np.ndarray
 
-    def take(self, at: tuple[np.ndarray, np.ndarray], image: proof.Image[np.ndarray], d: np.ndarray, l: np.ndarray, x: np.ndarray) -> None:
-        """Check candidates for the points at (sets, numbers), two arrays of their leading shape, and keep what is better."""
+    def take(
+        self,
+        at: tuple[np.ndarray, np.ndarray],
+        image: proof.Image[np.ndarray],
+        d: np.ndarray,
+        l: np.ndarray,
+        x: np.ndarray,
+    ) -> None:
+        """Check candidates for the points at (sets, numbers), two arrays of their leading shape, and keep
+        what is better.
+        """
         l = proof.unit(l)
         lower, upper = proof.gauge_above(image, d, l), proof.gauge_below(image, d, x)
         for bound, new, better, proves, what in (
@@ -52,10 +66,13 @@ def gauge_bounds(image: proof.Image[np.ndarray], d: np.ndarray, tight: bool = Fa
     """Return Bounds for points d (S, N, m), scaled as by `Image.scaled`.
 
     Args:
-        image: an Image of S sets. tight: work out both bounds up to rounding; otherwise stop where one is on its side of 1.
+        image: an Image of S sets. tight: work out both bounds up to rounding; otherwise stop where one is on
+            its side of 1.
     """
     (S, m, q), N = image.M.shape, d.shape[1]
-    found = Bounds(np.zeros((S, N)), np.full((S, N), np.inf), *(np.zeros((S, k, N)).swapaxes(1, 2) for k in (m, q)))
+    found = Bounds(
+        np.zeros((S, N)), np.full((S, N), np.inf), *(np.zeros((S, k, N)).swapaxes(1, 2) for k in (m, q))
+    )
     d = _beside(d)
     with np.errstate(all="ignore"):
         z = _start(image, d, found)
@@ -71,12 +88,16 @@ def _settled(found: Bounds, tight: bool) -> np.ndarray:
 
 
 def _start(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds) -> np.ndarray:
-    """Try the point of least norm and the direction that its clipped entries point to; return it (S, N, q)."""
+    """Try the point of least norm and the direction that its clipped entries point to; return it (S, N,
+    q).
+    """
     back, turned = image.R.swapaxes(1, 2), image.M.swapaxes(1, 2)
     z = proof.product(d, back)
     y = np.clip(z, -1, 1)
     near = y + proof.product(d - proof.product(y, turned), back)
-    x = np.where((abs(near).max(2, initial=0) < abs(2 * near - z).max(2, initial=0))[..., None], near, 2 * near - z)
+    x = np.where(
+        (abs(near).max(2, initial=0) < abs(2 * near - z).max(2, initial=0))[..., None], near, 2 * near - z
+    )
     l = proof.product(z - y, image.R)
     if not np.isfinite(image.loss).all():  # flat sets: points may be beside the plane
         beside = d - proof.product(z, turned)
@@ -89,7 +110,9 @@ def _start(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds) -> np.n
 
 
 def _gathered(left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (sets (S, 1), points (S, N)): the sets with something left, as many points of each as of that with most."""
+    """Return (sets (S, 1), points (S, N)): the sets with something left, as many points of each as of that
+    with most.
+    """
     i = np.nonzero(left.any(1))[0]
     return i[:, None], np.argsort(~left[i], axis=1, kind="stable")[:, : left.sum(1).max()]
 
@@ -99,7 +122,9 @@ def _projected(image: proof.Image[np.ndarray], d: np.ndarray, z: np.ndarray, fou
     before = d.size
     for steps in STEPS:
         left = ~_settled(found, False)
-        fruitless = d.shape[1] > 1 and left.sum() > FRUITLESS * before  # of one point a set: others are none of its business
+        fruitless = (
+            d.shape[1] > 1 and left.sum() > FRUITLESS * before
+        )  # of one point a set: others are none of its business
         if not left.any() or (steps > STEPS[0] and fruitless):
             break  # they are near the boundary, where projections take too long
         before = left.sum()
@@ -123,13 +148,23 @@ def _interior(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, tigh
             _vertices(image, d, found, (sets[i : i + high], points[i : i + high, j : j + wide]), tight)
 
 
-def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: tuple[np.ndarray, np.ndarray], tight: bool) -> None:
-    """Look at the vertices that the points `at` tend to, now and then: most are known long before the optimum."""
+def _vertices(
+    image: proof.Image[np.ndarray],
+    d: np.ndarray,
+    found: Bounds,
+    at: tuple[np.ndarray, np.ndarray],
+    tight: bool,
+) -> None:
+    """Look at the vertices that the points `at` tend to, now and then: most are known long before the
+    optimum.
+    """
     (m, q), enough, rows = image.M.shape[1:], np.inf if tight else CLEAR, lambda v: v.reshape(-1, v.shape[2])
     some, points = _of(image, at[0]), _beside(d[at])
     state = search.start(some.M, some.R, points)
     few = m > proof.SMALL  # a look inverts a matrix a point, which takes longer than a step
-    for steps in ((search.STEPS,) if few else TIGHT) if tight else (6 + m // 16, *((search.STEPS,) if few else LATER)):
+    for steps in (
+        ((search.STEPS,) if few else TIGHT) if tight else (6 + m // 16, *((search.STEPS,) if few else LATER))
+    ):
         for _ in range(steps):
             if state[-1].all():
                 break
@@ -137,7 +172,9 @@ def _vertices(image: proof.Image[np.ndarray], d: np.ndarray, found: Bounds, at: 
         x, l, s = search.reached(state)
         found.take(at, some, points, l, _onto(some, points, x))
         if m <= q:
-            one = len(some.M) == 1 and points.shape[1] > 1  # a set of one point is worked out as if others stood beside it
+            one = (
+                len(some.M) == 1 and points.shape[1] > 1
+            )  # a set of one point is worked out as if others stood beside it
             M = some.M[0] if one else np.repeat(some.M, points.shape[1], 0)
             x, l = proof.vertices(M, rows(points), rows(x), rows(s))
             x, l = x.reshape(*points.shape[:2], q), l.reshape(points.shape)

@@ -1,7 +1,9 @@
-"""Decisions about zonotopes inside jit, vmap and scan: a search of few steps, then its proof, rounded outward in the dtype of the sets.
+"""Decisions about zonotopes inside jit, vmap and scan: a search of few steps, then its proof, rounded outward
+in the dtype of the sets.
 
-The stages are those of `gauges`: projections for all points, interior points and their vertex while some are open. What needs exact
-numbers, the boundary and flat sets, stays open here; float32 proves nothing within some 1e-4 of the boundary.
+The stages are those of `gauges`: projections for all points, interior points and their vertex while some are
+open. What needs exact numbers, the boundary and flat sets, stays open here; float32 proves nothing within
+some 1e-4 of the boundary.
 """
 
 import jax
@@ -24,7 +26,9 @@ CHUNK, CHUNKS = 16, 21
 
 
 def settled(*arrays: jax.Array) -> tuple[jax.Array, ...]:
-    """Return arrays that have one value for all their uses, NaN made infinite: the carry of a loop, whose length no compiler knows."""
+    """Return arrays that have one value for all their uses, NaN made infinite: the carry of a loop, whose
+    length no compiler knows.
+    """
     again = lambda carry: (carry[0] - 1, *(jnp.where(jnp.isnan(x), jnp.inf, x) for x in carry[1:]))
     rounds = jnp.any(jnp.isnan(jnp.concatenate([x.ravel() for x in arrays]))).astype(jnp.int32)
     return jax.lax.while_loop(lambda carry: carry[0] > 0, again, (rounds, *arrays))[1:]
@@ -51,8 +55,11 @@ def _right_inverse(M: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def bounds(M: jax.Array, d: jax.Array, off: ArrayLike, tight: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return (lower, upper, l, x): proved bounds (S, N) of the gauges of d (S, N, m) in M [-1, 1]^q, and what proves them.
+def bounds(
+    M: jax.Array, d: jax.Array, off: ArrayLike, tight: ArrayLike
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Return (lower, upper, l, x): proved bounds (S, N) of the gauges of d (S, N, m) in M [-1, 1]^q, and what
+    proves them.
 
     Args:
         M: (S, m, q). d: (S, N, m), rounded once and off by at most `off` beyond that.
@@ -94,7 +101,12 @@ def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) ->
         ahead, size, l, x = rated(*candidate)
         above, below = ahead > found[0], size < found[1]
         ahead, size = jnp.where(above, ahead, found[0]), jnp.where(below, size, found[1])
-        return (ahead, size, jnp.where(above[..., None], l, found[2]), jnp.where(below[..., None], x, found[3])), None
+        return (
+            ahead,
+            size,
+            jnp.where(above[..., None], l, found[2]),
+            jnp.where(below[..., None], x, found[3]),
+        ), None
 
     def unsettled(found):
         return ~(found[0] > 1 + enough) & ~(found[1] < 1 - enough) & jnp.all(jnp.isfinite(d), 2)
@@ -120,7 +132,9 @@ def _candidates(body: proof.Image[jax.Array], d: jax.Array, tight: ArrayLike) ->
 
 @jax.jit
 def contained(M: jax.Array, D: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return (l, X, least, most) for zonotopes D [1, z], D (S, m, 1 + p), in sets M (S, m, q): not held if least > 1, held if most <= 1."""
+    """Return (l, X, least, most) for zonotopes D [1, z], D (S, m, 1 + p), in sets M (S, m, q): not held if
+    least > 1, held if most <= 1.
+    """
     body = image(M)
     D = _scaled(body, D.swapaxes(1, 2)).swapaxes(1, 2)
     l, reach = _climbed(body, D)
@@ -133,12 +147,16 @@ def starts(R: Array) -> Array:
     """Return directions (S, N, m) to start from: any will do, the same ones each time."""
     S, _, m = R.shape
     xp = proof.library(R)
-    fixed: np.ndarray = np.concatenate([np.eye(m)[:STARTS], np.random.default_rng(0).normal(size=(STARTS, m))]).astype(R.dtype)
+    fixed: np.ndarray = np.concatenate(
+        [np.eye(m)[:STARTS], np.random.default_rng(0).normal(size=(STARTS, m))]
+    ).astype(R.dtype)
     return xp.concatenate([xp.broadcast_to(fixed[None], (S, *fixed.shape)), R.sum(1)[:, None]], 1)
 
 
 def farthest(D: Array, l: Array) -> tuple[Array, Array]:
-    """Return (l (S, N, m), points (S, N, m)): directions, turned round where D [1, z] is farther that way, and its corners there."""
+    """Return (l (S, N, m), points (S, N, m)): directions, turned round where D [1, z] is farther that way,
+    and its corners there.
+    """
     xp = proof.library(D)
     l = xp.where((l @ D)[..., :1] < 0, -l, l)
     along = l @ D
@@ -168,7 +186,9 @@ def _climbed(body: proof.Image[jax.Array], D: jax.Array) -> tuple[jax.Array, jax
 
 
 def _encoded(body: proof.Image[jax.Array], D: jax.Array, wanted: jax.Array) -> jax.Array:
-    """Return X (S, q, 1 + p) with M X = D nearly, and rows with sums of |X| of at most 1 where they were found; only where wanted."""
+    """Return X (S, q, 1 + p) with M X = D nearly, and rows with sums of |X| of at most 1 where they were
+    found; only where wanted.
+    """
 
     def more(carry):
         count, Z, best, least = carry
@@ -190,9 +210,13 @@ def _scaled(body: proof.Image[jax.Array], d: jax.Array) -> jax.Array:
 
 
 def _once(wanted, stage, found):
-    """Run a stage if it is wanted; under vmap too it does not run where nothing in the batch wants it, as it would with cond."""
+    """Run a stage if it is wanted; under vmap too it does not run where nothing in the batch wants it, as it
+    would with cond.
+    """
     going = lambda carry: carry[0] & wanted(carry[1])
-    return jax.lax.while_loop(going, lambda carry: (jnp.zeros_like(carry[0]), stage(carry[1])), (jnp.ones((), bool), found))[1]
+    return jax.lax.while_loop(
+        going, lambda carry: (jnp.zeros_like(carry[0]), stage(carry[1])), (jnp.ones((), bool), found)
+    )[1]
 
 
 def _clean(x: jax.Array) -> jax.Array:

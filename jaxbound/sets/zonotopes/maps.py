@@ -1,13 +1,14 @@
 """Maps, sums and products of zonotopes and constrained zonotopes: every result encloses the exact one.
 
-A set is {c + G x : |x_j| <= 1, A x = b}, a zonotope one without constraints. Rounding follows one rule: where entries of row i of
-[c, G] are computed, the result gets one more generator along coordinate i, at least as long as all that these entries can be off by in sum,
+A set is {c + G x : |x_j| <= 1, A x = b}, a zonotope one without constraints. Rounding follows one rule: where
+entries of row i of [c, G] are computed, the result gets one more generator along coordinate i, at least as
+long as all that these entries can be off by in sum,
 
     e_i >= |dc_i| + sum_j |dG_ij|,
 
-for then c + G x lies in (c + dc) + (G + dG) x + e_i [-1, 1] for every x. A map or a sum of n coordinates so adds n generators, which come
-last; `reduce_order` merges them again. Nothing is added where entries are only copied. An overflow leaves infinities or NaN, with which
-nothing is ever decided.
+for then c + G x lies in (c + dc) + (G + dG) x + e_i [-1, 1] for every x. A map or a sum of n coordinates so
+adds n generators, which come last; `reduce_order` merges them again. Nothing is added where entries are only
+copied. An overflow leaves infinities or NaN, with which nothing is ever decided.
 """
 
 from typing import cast
@@ -22,24 +23,47 @@ from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, r
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, parts
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["added", "blocks", "cartesian_product", "convex_hull", "dimension", "from_interval", "linear_map", "mapped", "minkowski_sum",
-           "product", "reach", "scale", "translate", "up", "weighed",
-           "whole"]  # fmt: skip
+__all__ = [
+    "added",
+    "blocks",
+    "cartesian_product",
+    "convex_hull",
+    "dimension",
+    "from_interval",
+    "linear_map",
+    "mapped",
+    "minkowski_sum",
+    "product",
+    "reach",
+    "scale",
+    "translate",
+    "up",
+    "weighed",
+    "whole",
+]
 
-SHORT = 16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
+SHORT = (
+    16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
+)
 
 
 def dimension(S: AnySet) -> int:
-    """Return how many coordinates a set has, at the door of an operation: refused where arithmetic was not verified."""
+    """Return how many coordinates a set has, at the door of an operation: refused where arithmetic was not
+    verified.
+    """
     refuse_unverified(S)
     shape = np.shape(S.center if isinstance(S, Zonotope) else parts(S)[0])
     if len(shape) != 1:
-        raise ValueError(f"one set is needed, with a center (n,): its shape is {shape}; use jax.vmap for a batch of sets")
+        raise ValueError(
+            f"one set is needed, with a center (n,): its shape is {shape}; use jax.vmap for a batch of sets"
+        )
     return shape[0]
 
 
 def whole(c: jax.Array, G: jax.Array, A: jax.Array, b: jax.Array, error: jax.Array | None = None) -> AnySet:
-    """Return the set {c + G x + diag(error) x' : A x = b}: a Zonotope where A has no rows, whatever it had before."""
+    """Return the set {c + G x + diag(error) x' : A x = b}: a Zonotope where A has no rows, whatever it had
+    before.
+    """
     if error is not None:
         G = jnp.concatenate([G, jnp.diag(error)], 1)
         A = jnp.concatenate([A, jnp.zeros((A.shape[0], len(error)), A.dtype)], 1)
@@ -53,7 +77,9 @@ def reach(c: jax.Array, G: jax.Array) -> jax.Array:
 
 
 def product(M: jax.Array, G: jax.Array) -> jax.Array:
-    """Return M G in floats, off by at most what `rounding.product_error` says, in whatever order it is added."""
+    """Return M G in floats, off by at most what `rounding.product_error` says, in whatever order it is
+    added.
+    """
     if M.shape[1] > SHORT:
         return jnp.matmul(M, G, precision="highest")
     return jnp.sum(M[:, :, None] * G[None], 1)
@@ -66,7 +92,9 @@ def weighed(W: jax.Array, x: jax.Array) -> jax.Array:
     return up(total + (gamma * total + floor * (1 + jnp.max(W, initial=0)) * (1 + jnp.max(x, initial=0))))
 
 
-def mapped(M: jax.Array, spread: jax.Array, c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def mapped(
+    M: jax.Array, spread: jax.Array, c: jax.Array, G: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (M c, M G, error) for a matrix of floats and a matrix `spread` of radii around its entries."""
     far, size = reach(c, G), M.shape[1]
     gamma, least = rounding.product_error(size, c.dtype)
@@ -84,11 +112,13 @@ def linear_map(matrix: Operand, S: AnySet, offset: Operand | None = None) -> Any
     """Return the image {M p + offset : p in S}, M a matrix of numbers or of intervals.
 
     Args:
-        matrix: (r, n) numbers or Interval: with intervals the result holds the images under every matrix inside.
+        matrix: (r, n) numbers or Interval: with intervals the result holds the images under every matrix
+            inside.
         S: a Zonotope or ConstrainedZonotope of n coordinates. offset: (r,) numbers or Interval, or None.
 
     Returns:
-        A set of r coordinates of the same kind with r generators more, which hold the rounding and the intervals' radii.
+        A set of r coordinates of the same kind with r generators more, which hold the rounding and the
+        intervals' radii.
 
     Encloses: M p + offset for every p in S, exact arithmetic.
 
@@ -105,7 +135,9 @@ def linear_map(matrix: Operand, S: AnySet, offset: Operand | None = None) -> Any
     """
     M, n = interval(matrix), dimension(S)
     if len(M.shape) != 2 or M.shape[1] != n:
-        raise ValueError(f"the matrix must have shape (r, {n}) for a set of {n} coordinates: its shape is {M.shape}")
+        raise ValueError(
+            f"the matrix must have shape (r, {n}) for a set of {n} coordinates: its shape is {M.shape}"
+        )
     move = None if offset is None else interval(offset)
     if move is not None and move.shape != (M.shape[0],):
         raise ValueError(f"the offset must have shape ({M.shape[0]},): its shape is {move.shape}")
@@ -120,7 +152,9 @@ def _linear_map(M: Interval, S: AnySet, move: Interval | None) -> AnySet:
     return whole(c, G, A, b, error) if move is None else _moved(c, G, A, b, move, error)
 
 
-def _moved(c: jax.Array, G: jax.Array, A: jax.Array, b: jax.Array, move: Interval, error: jax.Array) -> AnySet:
+def _moved(
+    c: jax.Array, G: jax.Array, A: jax.Array, b: jax.Array, move: Interval, error: jax.Array
+) -> AnySet:
     c, more = added(c, mid(move))
     return whole(c, G, A, b, up(up(error + more) + rad(move)))
 
@@ -134,7 +168,8 @@ def added(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
 def minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
     """Return {p + r : p in S, r in T}.
 
-    Generators of S, then of T, then n for the rounding of the center. Source: Kuehn 1998; Scott, Raimondo, Marseglia, Braatz 2016, (12).
+    Generators of S, then of T, then n for the rounding of the center. Source: Kuehn 1998; Scott, Raimondo,
+    Marseglia, Braatz 2016, (12).
 
     Args:
         S, T: each a Zonotope or a ConstrainedZonotope; both of n coordinates.
@@ -178,7 +213,9 @@ def translate(S: AnySet, vector: Operand) -> AnySet:
     """
     n = dimension(S)
     if isinstance(vector, (list, tuple)):
-        vector = interval(rounding.round_down(vector, S.center.dtype), rounding.round_up(vector, S.center.dtype))
+        vector = interval(
+            rounding.round_down(vector, S.center.dtype), rounding.round_up(vector, S.center.dtype)
+        )
     move = interval(vector)
     if move.shape != (n,):
         raise ValueError(f"the vector must have shape ({n},): its shape is {move.shape}")
@@ -213,7 +250,12 @@ def _scaled(S: AnySet, factor: Interval) -> AnySet:
     c, G, A, b = parts(S)
     middle, spread = (jnp.broadcast_to(x, c.shape) for x in (mid(factor), rad(factor)))
     gamma, least = rounding.product_error(1, c.dtype)
-    floor = least * (G.shape[1] + 1) * (1 + jnp.abs(middle) + spread) * (1 + jnp.max(jnp.abs(c)) + jnp.max(jnp.abs(G), initial=0))
+    floor = (
+        least
+        * (G.shape[1] + 1)
+        * (1 + jnp.abs(middle) + spread)
+        * (1 + jnp.max(jnp.abs(c)) + jnp.max(jnp.abs(G), initial=0))
+    )
     error = up(up(up(gamma * jnp.abs(middle) + spread) * reach(c, G)) + floor)
     return whole(middle * c, middle[:, None] * G, A, b, error)
 
@@ -241,7 +283,8 @@ def from_interval(box: Interval) -> Zonotope:
         box: an Interval (n,).
 
     Raises:
-        ValueError: an array of another rank, a box that is empty (inside jit it becomes a set of NaN, of which nothing is decided).
+        ValueError: an array of another rank, a box that is empty (inside jit it becomes a set of NaN, of
+            which nothing is decided).
     """
     refuse_unverified(box)
     if len(box.shape) != 1:
@@ -249,7 +292,10 @@ def from_interval(box: Interval) -> Zonotope:
     if not any(isinstance(x, jax.core.Tracer) for x in (box.lo, box.hi)):
         empty = np.nonzero(np.asarray(box.lo) > np.asarray(box.hi))[0]
         if empty.size:
-            raise ValueError(f"an empty box is no zonotope: {empty.size} of {box.shape[0]} coordinates are empty, first at ({empty[0]},)")
+            raise ValueError(
+                f"an empty box is no zonotope: {empty.size} of {box.shape[0]} coordinates are empty, first "
+                f"at ({empty[0]},)"
+            )
     return _from_interval(box)
 
 
@@ -261,8 +307,8 @@ def _from_interval(box: Interval) -> Zonotope:
 def convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     """Return a Zonotope that encloses the convex hull of two.
 
-    {(p + r) / 2 + (p - r) s / 2} with generators taken in pairs: half their sums, half their differences, half the difference of the
-    centers; missing ones of the smaller are 0.
+    {(p + r) / 2 + (p - r) s / 2} with generators taken in pairs: half their sums, half their differences,
+    half the difference of the centers; missing ones of the smaller are 0.
 
     Args:
         Z, Y: Zonotopes of one dimension.
@@ -274,7 +320,10 @@ def convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     """
     for S in (Z, Y):
         if not isinstance(S, Zonotope):
-            raise TypeError(f"the hull of two Zonotopes is enclosed, not of {type(S).__name__}: eliminate its constraints first")
+            raise TypeError(
+                f"the hull of two Zonotopes is enclosed, not of {type(S).__name__}: eliminate its "
+                f"constraints first"
+            )
     if (n := dimension(Z)) != (m := dimension(Y)):
         raise ValueError(f"the sets must have one dimension: they have {n} and {m} coordinates")
     return _convex_hull(Z, Y)
@@ -287,5 +336,9 @@ def _convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     c, d, G, H = 0.5 * c, 0.5 * d, 0.5 * G, 0.5 * H
     columns = jnp.concatenate([(c - d)[:, None], G + H, G - H], 1)
     center, error = added(c, d)
-    error = error + 4 * rounding.unit(c.dtype) * reach(center, columns) + 8 * columns.shape[1] * rounding.tiny(c.dtype)
+    error = (
+        error
+        + 4 * rounding.unit(c.dtype) * reach(center, columns)
+        + 8 * columns.shape[1] * rounding.tiny(c.dtype)
+    )
     return cast(Zonotope, whole(center, columns, jnp.zeros((0, columns.shape[1]), c.dtype), c[:0], up(error)))

@@ -1,21 +1,26 @@
 """What proves that a point lies in a zonotope or outside of it: checks of given candidates.
 
-The question is always whether some x in [-1, 1]^q has M x = d, for a set that its matrix M (m, q) holds and points d. Whatever found the
-candidates (`zonotopes.search`), on whatever device and in whatever precision, has no part in the proof. It is the same proof on the host,
-in float64, and inside jit (`zonotopes.kernels`), in the precision of what is given: products are plain sums of products in some order,
-fused or not, numbers below the smallest normal one perhaps read as 0, and `rounding.product_error` bounds them; that is the premise here.
-Candidates must have one value for all their uses: NumPy arrays do, inside jit `kernels.settled` sees to it.
+The question is always whether some x in [-1, 1]^q has M x = d, for a set that its matrix M (m, q) holds and
+points d. Whatever found the candidates (`zonotopes.search`), on whatever device and in whatever precision,
+has no part in the proof. It is the same proof on the host, in float64, and inside jit (`zonotopes.kernels`),
+in the precision of what is given: products are plain sums of products in some order, fused or not, numbers
+below the smallest normal one perhaps read as 0, and `rounding.product_error` bounds them; that is the premise
+here. Candidates must have one value for all their uses: NumPy arrays do, inside jit `kernels.settled` sees to
+it.
 
 **Outside** (`gauge_above`). Any l with l'd > sum_j |l' M_j|. In floats both sides together are off by at most
-gamma (|l|'|d| + sum_j |l|'|M_j|) + floor (1 + max|l|)(1 + max|M| + max|d|), that of a sum of m + q products; l has entries of at most 1.
-d, a difference of two floats rounded once, is off by u |d|, which gamma holds as well; by how much more d may be off, `off` says.
+gamma (|l|'|d| + sum_j |l|'|M_j|) + floor (1 + max|l|)(1 + max|M| + max|d|), that of a sum of m + q products;
+l has entries of at most 1. d, a difference of two floats rounded once, is off by u |d|, which gamma holds as
+well; by how much more d may be off, `off` says.
 
-**Inside** (`gauge_below`). Let R be such that every row sum of |1 - M R| is at most rho < 1 and x any point, r = d - M x. Then y with
-M R y = r exists, max|y| <= max|r| / (1 - rho), and M (x + R y) = d: x_j moves by at most reach_j max|y|, reach_j = sum_i |R_ji|.
-So min max|x| <= max_j (|x_j| + reach_j max|r| / (1 - rho)). A set that is flat, or flat but for rounding, has no such R.
+**Inside** (`gauge_below`). Let R be such that every row sum of |1 - M R| is at most rho < 1 and x any point,
+r = d - M x. Then y with M R y = r exists, max|y| <= max|r| / (1 - rho), and M (x + R y) = d: x_j moves by at
+most reach_j max|y|, reach_j = sum_i |R_ji|. So min max|x| <= max_j (|x_j| + reach_j max|r| / (1 - rho)). A
+set that is flat, or flat but for rounding, has no such R.
 
-**A zonotope** D [1, z], D (m, 1 + p): outside by l with l'D_0 + sum_k |l'D_k| > sum_j |l'M_j| (`reach_above`); inside by X (q, 1 + p) with
-M X = D and row sums of |X| of at most 1, a column at a time as above (`rows_below`).
+**A zonotope** D [1, z], D (m, 1 + p): outside by l with l'D_0 + sum_k |l'D_k| > sum_j |l'M_j|
+(`reach_above`); inside by X (q, 1 + p) with M X = D and row sums of |X| of at most 1, a column at a time as
+above (`rows_below`).
 """
 
 from __future__ import annotations
@@ -30,17 +35,35 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["SMALL", "Image", "gauge_above", "gauge_below", "image", "largest", "library", "measured", "more", "product", "reach_above",
-           "rows_below", "unit", "vertices"]  # fmt: skip
+__all__ = [
+    "SMALL",
+    "Image",
+    "gauge_above",
+    "gauge_below",
+    "image",
+    "largest",
+    "library",
+    "measured",
+    "more",
+    "product",
+    "reach_above",
+    "rows_below",
+    "unit",
+    "vertices",
+]
 
 
 Array = TypeVar("Array", np.ndarray, jax.Array)
 
 SINGLE = 2**18
-"""Products of numbers for which OpenBLAS stays on one thread; with two, 1000 points of 20 coordinates took five times as long."""
+"""Products of numbers for which OpenBLAS stays on one thread; with two, 1000 points of 20 coordinates took
+five times as long.
+"""
 
 SMALL = 24
-"""Rows up to which equations are solved many at a time on the host; larger ones one by one, while they are in the processor's cache."""
+"""Rows up to which equations are solved many at a time on the host; larger ones one by one, while they are in
+the processor's cache.
+"""
 
 
 def library(x: object) -> Any:
@@ -49,14 +72,17 @@ def library(x: object) -> Any:
 
 
 def largest(x: Array, axis: int | tuple[int, ...]) -> Array:
-    """Return the largest |x|, infinite where one is NaN, which a compiled maximum of many numbers may overlook; 0 of none."""
+    """Return the largest |x|, infinite where one is NaN, which a compiled maximum of many numbers may
+    overlook; 0 of none.
+    """
     xp, size = library(x), abs(x).max(axis, initial=0)
     fine = np.isfinite(size) if xp is np else jnp.isfinite(x).all(axis)  # that of NumPy overlooks none
     return xp.where(fine, size, np.inf)
 
 
 def product(A: Array, B: Array) -> Array:
-    """Return A @ B, (S, N, k) by (S, k, j); on the host with points side by side in memory, and by blocks of them that do not wake threads.
+    """Return A @ B, (S, N, k) by (S, k, j); on the host with points side by side in memory, and by blocks of
+    them that do not wake threads.
 
     NumPy adds up and compares the few entries of points that lie so several times as fast.
     """
@@ -85,10 +111,12 @@ def more(x: Array) -> np.floating:
 
 @dataclass(frozen=True, eq=False)
 class Image(Generic[Array]):
-    """M [-1, 1]^q for each of S sets, rows scaled by powers of two so that no entry exceeds 1, with what the proofs need of it.
+    """M [-1, 1]^q for each of S sets, rows scaled by powers of two so that no entry exceeds 1, with what the
+    proofs need of it.
 
-    Fields: M (S, m, q) and powers (S, m), M = 2^powers times the rows given; R (S, q, m), a right inverse, nearly; reach (S, q) = row sums
-    of |R|; loss (S,), at least every row sum of |1 - M R|, inf where that is of no use; sums (S, m), row sums of |M|.
+    Fields: M (S, m, q) and powers (S, m), M = 2^powers times the rows given; R (S, q, m), a right inverse,
+    nearly; reach (S, q) = row sums of |R|; loss (S,), at least every row sum of |1 - M R|, inf where that is
+    of no use; sums (S, m), row sums of |M|.
     """
 
     M: Array
@@ -99,7 +127,9 @@ class Image(Generic[Array]):
     sums: Array
 
     def scaled(self, d: np.ndarray) -> np.ndarray:
-        """Return points d (S, N, m) in the rows' own scale; NaN for a number that it would turn into 0 or infinity."""
+        """Return points d (S, N, m) in the rows' own scale; NaN for a number that it would turn into 0 or
+        infinity.
+        """
         with np.errstate(over="ignore", under="ignore"):
             out = np.ldexp(d, self.powers[:, None])
         return np.where(((out == 0) & (d != 0)) | ~np.isfinite(out), np.nan, out)
@@ -161,7 +191,8 @@ def _inverse(W: Array) -> tuple[Any, Any]:
 
 
 def gauge_above(image: Image[Array], d: Array, l: Array, off: Array | float = 0.0) -> Array:
-    """Return lower bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; above 1 only if proved outside.
+    """Return lower bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; above 1
+    only if proved outside.
 
     Args:
         l: (S, N, m), any directions of entries of at most 1.
@@ -173,12 +204,15 @@ def gauge_above(image: Image[Array], d: Array, l: Array, off: Array | float = 0.
         slack = (abs(l) * (gamma * (image.sums[:, None] + abs(d)) + off)).sum(2) * (1 + gamma)
         slack += floor * 2 * (q + 1) * (3 + largest(d, 2))
         bound = xp.maximum((ahead - slack) / (width + slack) / more(d), 0)
-        bound = xp.where(ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(d.dtype)), xp.minimum(bound, 1))
+        bound = xp.where(
+            ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(d.dtype)), xp.minimum(bound, 1)
+        )
         return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
 
 
 def gauge_below(image: Image[Array], d: Array, x: Array, off: Array | float = 0.0) -> Array:
-    """Return upper bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; at most 1 only if proved inside.
+    """Return upper bounds (S, N) of the gauges of d (S, N, m), off by at most `off` and one rounding; at most
+    1 only if proved inside.
 
     Args:
         x: (S, N, q), any points.
@@ -188,7 +222,11 @@ def gauge_below(image: Image[Array], d: Array, x: Array, off: Array | float = 0.
     with np.errstate(all="ignore"):
         size = largest(x, 2)[..., None]
         error = gamma * (size * image.sums[:, None] + abs(d)) + floor * 2 * (1 + size) + off
-        left = largest(abs(d - product(x, image.M.swapaxes(1, 2))) + error, 2) / (1 - image.loss[:, None]) * more(d)
+        left = (
+            largest(abs(d - product(x, image.M.swapaxes(1, 2))) + error, 2)
+            / (1 - image.loss[:, None])
+            * more(d)
+        )
         bound = largest(abs(x) + image.reach[:, None] * left[..., None], 2) * more(d)
         bound = xp.where(xp.isfinite(bound) & xp.isfinite(image.loss)[:, None], bound, np.inf)
         return (
@@ -197,7 +235,9 @@ def gauge_below(image: Image[Array], d: Array, x: Array, off: Array | float = 0.
 
 
 def reach_above(image: Image[Array], D: Array, l: Array) -> Array:
-    """Return lower bounds (S, N) of how far D [1, z] reaches in terms of M x, along directions l (S, N, m) of entries of at most 1."""
+    """Return lower bounds (S, N) of how far D [1, z] reaches in terms of M x, along directions l (S, N, m) of
+    entries of at most 1.
+    """
     xp, (_, m, p), q = library(D), D.shape, image.M.shape[2]
     gamma, floor = rounding.product_error(m + p + q + 4, D.dtype)
     with np.errstate(all="ignore"):
@@ -206,7 +246,9 @@ def reach_above(image: Image[Array], D: Array, l: Array) -> Array:
         slack = gamma * (abs(l) * (image.sums + abs(D).sum(2))[:, None]).sum(2)
         slack += (floor * 2 * (p + q + 1) * (3 + largest(D, (1, 2))))[:, None]
         bound = xp.maximum((ahead - slack) / (width + slack) / more(D), 0)
-        bound = xp.where(ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(D.dtype)), xp.minimum(bound, 1))
+        bound = xp.where(
+            ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(D.dtype)), xp.minimum(bound, 1)
+        )
         return xp.where(xp.isfinite(ahead) & xp.isfinite(width) & xp.isfinite(slack), bound, 0)
 
 
@@ -224,9 +266,11 @@ def rows_below(image: Image[Array], D: Array, X: Array) -> Array:
 
 
 def vertices(M: Array, d: Array, x: Array, s: Array) -> tuple[Array, Array]:
-    """Return (x, l): the vertices of both programs that the near-optimal x (N, q) and freedom s (N, q) point to; no claim.
+    """Return (x, l): the vertices of both programs that the near-optimal x (N, q) and freedom s (N, q) point
+    to; no claim.
 
-    The m - 1 freest entries are unknown, the others are at +-t: m equations for them and t. The last row of the inverse is l.
+    The m - 1 freest entries are unknown, the others are at +-t: m equations for them and t. The last row of
+    the inverse is l.
 
     Args: M (m, q) or (N, m, q), m <= q; d (N, m).
     """
@@ -258,7 +302,9 @@ def _solved_alone(W: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     y, normal, regular = np.zeros_like(d), np.zeros_like(d), np.zeros(len(d), bool)
     last = np.eye(W.shape[1])[-1]
     for i, (A, v) in enumerate(zip(W, d, strict=True)):
-        factor, pivots, singular = dgetrf(A.T, overwrite_a=False)  # of the transpose: no copy in another order
+        factor, pivots, singular = dgetrf(
+            A.T, overwrite_a=False
+        )  # of the transpose: no copy in another order
         regular[i] = not singular
         if regular[i]:
             solve = lambda r, trans, factor=factor, pivots=pivots: dgetrs(factor, pivots, r, trans=trans)[0]

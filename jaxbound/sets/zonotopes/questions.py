@@ -1,4 +1,6 @@
-"""What is asked of zonotopes and constrained zonotopes, as equations M x = d for x in [-1, 1]^q: rounded once, or exact."""
+"""What is asked of zonotopes and constrained zonotopes, as equations M x = d for x in [-1, 1]^q: rounded
+once, or exact.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -25,7 +27,8 @@ Parts: TypeAlias = tuple[Any, Any, Any, Any]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What was asked, "contains", "contains_set", "is_empty" or "intersects", of sets [(c, G, A, b)], each with one batch axis.
+    """What was asked, "contains", "contains_set", "is_empty" or "intersects", of sets [(c, G, A, b)], each
+    with one batch axis.
 
     Fields: name; sets; points (S, N, n), None for all but "contains".
     """
@@ -46,12 +49,16 @@ class Question:
                 return xp.concatenate([G, A], 1), xp.concatenate([self.points - c[:, None], beside], 2)
         c2, G2, A2, b2 = self.sets[1]
         zeros = lambda rows, columns: xp.zeros((len(c), rows.shape[1], columns.shape[2]), c.dtype)
-        M = xp.concatenate([xp.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1)
+        M = xp.concatenate(
+            [xp.concatenate(row, 2) for row in ([G, -G2], [A, zeros(A, G2)], [zeros(A2, G), A2])], 1
+        )
         with np.errstate(over="ignore", invalid="ignore"):
             return M, xp.concatenate([c2 - c, b, b2], 1)[:, None]
 
     def known(self) -> Any:
-        """Return (S, N), true where all numbers are finite: an overflow or NaN in a set, or a point, decides nothing."""
+        """Return (S, N), true where all numbers are finite: an overflow or NaN in a set, or a point, decides
+        nothing.
+        """
         known: Any = True
         for v in (v for x in self.sets for v in x):
             known = known & library(v).isfinite(v).all(tuple(range(1, v.ndim)))
@@ -59,7 +66,9 @@ class Question:
         return known if self.points is None else known & library(self.points).isfinite(self.points).all(2)
 
     def _distinct(self) -> Any:
-        """Return (S, N) or True: inside jit, where centers and points differ by no less than what may be read as 0, or not at all."""
+        """Return (S, N) or True: inside jit, where centers and points differ by no less than what may be read
+        as 0, or not at all.
+        """
         c, *_ = self.sets[0]
         if library(c) is not jnp or (self.points is None and len(self.sets) < 2):
             return True
@@ -68,7 +77,8 @@ class Question:
         return jnp.all((away >= 4 * rounding.tiny(c.dtype)) | (others == c[:, None]), 2)
 
     def exact(self, at: tuple[int, int]) -> tuple[list[list[Fraction]], list[list[Fraction]]]:
-        """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first column of D.
+        """Return M and D of one question (set i, point j) in Fractions, nothing rounded: d is the first
+        column of D.
 
         Of "contains_set" each generator of the inner set is one more column.
         """
@@ -96,17 +106,24 @@ def _exact(x: np.ndarray) -> list[Any]:
 
 
 def numbers(*sets: AnySet, points: ArrayLike | None = None) -> list[Parts]:
-    """Return (c, G, A, b) of each set: in float64 on the host, exactly; of one dtype if some of them, or the points, are inside jit."""
+    """Return (c, G, A, b) of each set: in float64 on the host, exactly; of one dtype if some of them, or the
+    points, are inside jit.
+    """
     found = [parts(S) for S in sets]
     if not traced((found, points)):
-        return [(np.asarray(c, float), np.asarray(G, float), np.asarray(A, float), np.asarray(b, float)) for c, G, A, b in found]
+        return [
+            (np.asarray(c, float), np.asarray(G, float), np.asarray(A, float), np.asarray(b, float))
+            for c, G, A, b in found
+        ]
     leaves, tree = jax.tree.flatten(found)
     dtype = jnp.result_type(*leaves, *([] if points is None else [points]), np.float32)
     return jax.tree.unflatten(tree, settled(*(rounding.widened(normal(x), dtype) for x in leaves)))
 
 
 def normal(x: Any) -> jax.Array:
-    """Return x with NaN for numbers below the smallest normal one, of which nothing is decided inside jit: it would read them as 0."""
+    """Return x with NaN for numbers below the smallest normal one, of which nothing is decided inside jit: it
+    would read them as 0.
+    """
     x = jnp.asarray(x)
     if not jnp.issubdtype(x.dtype, jnp.floating):
         return x

@@ -1,8 +1,9 @@
 """Fewer generators: sets around zonotopes and constrained zonotopes that cost less to carry on.
 
-All methods keep some generators and put the others into a box, or a turned box, around them. Source: Girard 2005 (largest difference of
-the 1-norm and the largest entry stay); Combastel 2003 (longest stay); Kopetzki, Schuermann, Althoff 2017 (PCA: the box lies along the
-principal axes); Scott et al. 2016, section 4.3 (constraints: the lifted zonotope is reduced).
+All methods keep some generators and put the others into a box, or a turned box, around them. Source: Girard
+2005 (largest difference of the 1-norm and the largest entry stay); Combastel 2003 (longest stay); Kopetzki,
+Schuermann, Althoff 2017 (PCA: the box lies along the principal axes); Scott et al. 2016, section 4.3
+(constraints: the lifted zonotope is reduced).
 """
 
 from functools import partial
@@ -23,8 +24,10 @@ def reduce_order(S: AnySet, order: float, method: str = "girard") -> AnySet:
     """Return a set around S with at most `order` generators a coordinate (and a constraint, if it has some).
 
     Args:
-        S: a Zonotope or ConstrainedZonotope; order: at least 1 ("pca": at least 2); a set with no more generators comes back as it is.
-        method: "girard", "combastel", "pca"; "last" boxes the last generators without sorting, for scans: put new ones first.
+        S: a Zonotope or ConstrainedZonotope; order: at least 1 ("pca": at least 2); a set with no more
+            generators comes back as it is.
+        method: "girard", "combastel", "pca"; "last" boxes the last generators without sorting, for scans: put
+            new ones first.
 
     Returns:
         A set of the same kind with int(order * n) generators, n counting coordinates and constraints.
@@ -72,7 +75,9 @@ def _sums(G: jax.Array) -> jax.Array:
 
 
 def _turned_box(R: jax.Array) -> list[jax.Array]:
-    """Return [U diag(r), diag(e)] around the generators R: R x = U (V R x) + (I - U V) R x for any U and V, here V = U' nearly U^-1."""
+    """Return [U diag(r), diag(e)] around the generators R: R x = U (V R x) + (I - U V) R x for any U and V,
+    here V = U' nearly U^-1.
+    """
     U = jnp.linalg.eigh(product(R, R.T))[1]
     U = jnp.where(jnp.isfinite(U), U, 0)
     n, far = len(R), _sums(R)
@@ -80,6 +85,8 @@ def _turned_box(R: jax.Array) -> list[jax.Array]:
     floor = least * (R.shape[1] + n) * n * (1 + jnp.max(jnp.abs(R))) * (1 + jnp.max(jnp.abs(U)))
     bound = lambda weight, x: up(weighed(weight, x) + floor)
     r = up(_sums(product(U.T, R)) + bound(gamma * jnp.abs(U.T), far))
-    rest = jnp.abs(jnp.eye(n, dtype=R.dtype) - product(U, U.T)) + gamma * (jnp.eye(n, dtype=R.dtype) + product(jnp.abs(U), jnp.abs(U.T)))
+    rest = jnp.abs(jnp.eye(n, dtype=R.dtype) - product(U, U.T)) + gamma * (
+        jnp.eye(n, dtype=R.dtype) + product(jnp.abs(U), jnp.abs(U.T))
+    )
     e = up(bound(up(rest + floor), far) + bound(4 * rounding.unit(R.dtype) * jnp.abs(U), r))
     return [U * r[None], jnp.diag(e)]

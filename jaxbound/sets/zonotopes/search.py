@@ -1,15 +1,19 @@
-"""Search for the gauge of a point in a zonotope: no claim is made here, `zonotopes.proof` checks what is found.
+"""Search for the gauge of a point in a zonotope: no claim is made here, `zonotopes.proof` checks what is
+found.
 
-The gauge of d is t = min { max_j |x_j| : M x = d } = max { l' d : sum_j |l' M_j| <= 1 }, M (m, q). Kernels are written for one point
-of one set and batched by vmap, or for all; over points of one set their products become matrix products. None is unrolled over generators.
+The gauge of d is t = min { max_j |x_j| : M x = d } = max { l' d : sum_j |l' M_j| <= 1 }, M (m, q). Kernels
+are written for one point of one set and batched by vmap, or for all; over points of one set their products
+become matrix products. None is unrolled over generators.
 
-**Projections** (`project`). Douglas-Rachford between {x : M x = d} and the box [-1, 1]^q: where they meet, the iterates tend to a common
-point, else their distance z - clip(z) tends to a vector M' l that separates them. Settles what is some per cent away from the boundary in
-some ten steps of two products. Source: Douglas, Rachford 1956; Bauschke, Combettes, Luke 2004 for what it does where they do not meet.
+**Projections** (`project`). Douglas-Rachford between {x : M x = d} and the box [-1, 1]^q: where they meet,
+the iterates tend to a common point, else their distance z - clip(z) tends to a vector M' l that separates
+them. Settles what is some per cent away from the boundary in some ten steps of two products. Source: Douglas,
+Rachford 1956; Bauschke, Combettes, Luke 2004 for what it does where they do not meet.
 
-**Interior points** (`interior_point`). A predictor-corrector method (Mehrotra 1992) for the pair of linear programs, with slacks a = t - x,
-b = t + x and multipliers u, w >= 0, u - w = M' l, sum(u + w) = 1. With s = a b / (u b + w a), a Newton step solves (M diag(s) M') dl = f.
-Ten to twenty steps, whatever the size. At the end s is large where |x_j| < t: the vertex is known (`vertex_basis` in `proof`).
+**Interior points** (`interior_point`). A predictor-corrector method (Mehrotra 1992) for the pair of linear
+programs, with slacks a = t - x, b = t + x and multipliers u, w >= 0, u - w = M' l, sum(u + w) = 1. With s = a
+b / (u b + w a), a Newton step solves (M diag(s) M') dl = f. Ten to twenty steps, whatever the size. At the
+end s is large where |x_j| < t: the vertex is known (`vertex_basis` in `proof`).
 """
 
 from collections.abc import Callable, Sequence
@@ -33,11 +37,12 @@ MANY = 64
 
 
 def project(M: Array, R: Array, d: Array, z: Array, steps: int) -> tuple[Array, Array, Array]:
-    """Return (x, l, z) for each point after so many steps: a candidate point, a candidate direction, and where to go on from.
+    """Return (x, l, z) for each point after so many steps: a candidate point, a candidate direction, and
+    where to go on from.
 
     Args:
-        M: (S, m, q). R: right inverses of M, nearly, (S, q, m). d: (S, N, m). z: (S, N, q), R d at first. NumPy arrays stay on the host,
-            where some steps take less time than to hand them to a device.
+        M: (S, m, q). R: right inverses of M, nearly, (S, q, m). d: (S, N, m). z: (S, N, q), R d at first.
+            NumPy arrays stay on the host, where some steps take less time than to hand them to a device.
     """
     xp, turned, back = library(z), M.swapaxes(1, 2), R.swapaxes(1, 2)
     least = product(d, back)
@@ -53,7 +58,9 @@ def project(M: Array, R: Array, d: Array, z: Array, steps: int) -> tuple[Array, 
 
 
 def project_rows(M: Array, R: Array, D: Array, Z: Array, steps: int) -> tuple[Array, Array]:
-    """Return (X, Z) for each set after so many steps between M X = D (S, m, p) and rows of |X| with sums of at most 1: as `project`."""
+    """Return (X, Z) for each set after so many steps between M X = D (S, m, p) and rows of |X| with sums of
+    at most 1: as `project`.
+    """
     xp = library(Z)
     onto = lambda X: X + R @ (D - M @ X)
 
@@ -86,15 +93,20 @@ def _repeated(step: Callable[[Any, Array], Array], z: Array, steps: int) -> Arra
 
 
 State: TypeAlias = tuple[Array, ...]
-"""x (S, N, q), t (S, N), l (S, N, m), u and w (S, N, q) as above, points in terms of size (S, N), and whether a point is done (S, N)."""
+"""x (S, N, q), t (S, N), l (S, N, m), u and w (S, N, q) as above, points in terms of size (S, N), and whether
+a point is done (S, N).
+"""
 
 
 @jax.jit
-def interior_point(M: jax.Array, R: jax.Array, d: jax.Array, enough: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
+def interior_point(
+    M: jax.Array, R: jax.Array, d: jax.Array, enough: ArrayLike
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (x, l, s) for each point: near-optimal for the two programs, and how free each x_j is.
 
     Args:
-        M, R, d: as for `project`. enough: a point for which t < 1 - enough or l' d > 1 + enough is settled; inf to go on to the optimum.
+        M, R, d: as for `project`. enough: a point for which t < 1 - enough or l' d > 1 + enough is settled;
+            inf to go on to the optimum.
     """
     going = lambda carry: (carry[1] < STEPS) & jnp.any(~carry[0][-1])
     advanced = lambda carry: (advance(M, d, carry[0], enough), carry[1] + 1)
@@ -108,7 +120,15 @@ def start(M: Array, R: Array, d: Array) -> State:
     size = largest(x, 2)
     size = xp.where((size > 0) & (size < np.inf), size, 1)
     even = xp.full_like(x, 0.5 / q)
-    return x / size[..., None], xp.full_like(size, 1.5), xp.zeros_like(d), even, even, size, ~xp.isfinite(x.sum(2))
+    return (
+        x / size[..., None],
+        xp.full_like(size, 1.5),
+        xp.zeros_like(d),
+        even,
+        even,
+        size,
+        ~xp.isfinite(x.sum(2)),
+    )
 
 
 def reached(state: State) -> tuple[Array, Array, Array]:
@@ -136,7 +156,9 @@ def advance(M: Array, d: Array, state: State, enough: ArrayLike) -> State:
     curve, gap = total(4 * alpha * beta * s) + total(v * Nv), total(a * u + b * w)
 
     def newton(_, carry):
-        """Take the step with a du + u da = ra and b dw + w db = rb; return what to correct it by, it, and how far it may go."""
+        """Take the step with a du + u da = ra and b dw + w db = rb; return what to correct it by, it, and how
+        far it may go.
+        """
         ra, rb, *_ = carry
         ra, rb = ra / a, rb / b
         h = slope - ra + rb
@@ -157,7 +179,10 @@ def advance(M: Array, d: Array, state: State, enough: ArrayLike) -> State:
     p, r = 0.995 * p, 0.995 * r
     new = x + p[each] * dx, t + p * dt, l + r[each] * dl, u + r[each] * du, w + r[each] * dw
     keep = done | ~xp.isfinite(total(new[0]) + total(new[2]) + new[1])
-    x, t, l, u, w = (xp.where(keep[each] if old.ndim == 3 else keep, old, now) for old, now in zip(state, new, strict=False))
+    x, t, l, u, w = (
+        xp.where(keep[each] if old.ndim == 3 else keep, old, now)
+        for old, now in zip(state, new, strict=False)
+    )
     least, most = total(l * d) / xp.maximum(total(abs(product(l, M))), eps), abs(x).max(2)
     settled = (most * size < 1 - enough) | (least * size > 1 + enough)
     return x, t, l, u, w, size, keep | settled | (most - least <= 2.0**-16 * eps**0.5 * most)
@@ -193,9 +218,11 @@ def _solver(M: Array, s: Array, room: float) -> Callable[[Any], Any]:
 
 
 def _one_by_one(M: np.ndarray, s: np.ndarray, room: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what `_solver` does for large matrices, each made and factored while it is in the processor's cache.
+    """Return what `_solver` does for large matrices, each made and factored while it is in the processor's
+    cache.
 
-    NumPy would multiply them on all threads, which on a machine with other work took seventy times as long as this.
+    NumPy would multiply them on all threads, which on a machine with other work took seventy times as long as
+    this.
     """
     from scipy.linalg.blas import dsyrk
     from scipy.linalg.lapack import dpotrf, dpotrs
@@ -206,7 +233,9 @@ def _one_by_one(M: np.ndarray, s: np.ndarray, room: float) -> Callable[[np.ndarr
         normal.T.flat[:: len(normal) + 1] += room * normal.trace()
         factors.append(dpotrf(normal, overwrite_a=True, clean=False)[0])
     flat = lambda r: r.reshape(-1, r.shape[2])
-    return lambda r: np.array([dpotrs(L, v)[0] for L, v in zip(factors, flat(r), strict=True)]).reshape(r.shape)
+    return lambda r: np.array([dpotrs(L, v)[0] for L, v in zip(factors, flat(r), strict=True)]).reshape(
+        r.shape
+    )
 
 
 def _each_alone(normal: np.ndarray, r: np.ndarray) -> np.ndarray:
@@ -220,7 +249,9 @@ def _each_alone(normal: np.ndarray, r: np.ndarray) -> np.ndarray:
 
 
 def _factored(N: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what solves N f = r for r (P, m), N (P, m, m) positive definite: many side by side, few one by one."""
+    """Return what solves N f = r for r (P, m), N (P, m, m) positive definite: many side by side, few one by
+    one.
+    """
     P, m, _ = N.shape
     if P < MANY:
         from scipy.linalg.lapack import dpotrf, dpotrs

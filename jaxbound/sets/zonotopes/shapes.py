@@ -1,7 +1,8 @@
-"""What small zonotopes look like: corners, area and volume, points inside, and what is left when another set is taken off.
+"""What small zonotopes look like: corners, area and volume, points inside, and what is left when another set
+is taken off.
 
-`volume` and `minkowski_difference` compute with exact rationals on the host, for small sets of concrete numbers; `vertices` and `sample`
-are for pictures and experiments, and prove nothing.
+`volume` and `minkowski_difference` compute with exact rationals on the host, for small sets of concrete
+numbers; `vertices` and `sample` are for pictures and experiments, and prove nothing.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,8 +34,9 @@ def vertices(Z: AnySet) -> np.ndarray:
     """Return the corners of a set in the plane counter-clockwise, or of a parallelotope of any dimension.
 
     Args:
-        Z: a Zonotope or ConstrainedZonotope of concrete numbers in the plane, or a Zonotope with linearly independent generators, at
-            most 12. With constraints, a linear program a corner and one a side find them all.
+        Z: a Zonotope or ConstrainedZonotope of concrete numbers in the plane, or a Zonotope with linearly
+            independent generators, at most 12. With constraints, a linear program a corner and one a side
+            find them all.
 
     Returns:
         (v, n) NumPy array in plain floats, for pictures: not proved. No rows where the set is empty.
@@ -48,45 +50,60 @@ def vertices(Z: AnySet) -> np.ndarray:
         [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
     """
     if traced(Z):
-        raise TypeError("corners need concrete numbers, since their number depends on them: ask outside jit, grad and vmap")
+        raise TypeError(
+            "corners need concrete numbers, since their number depends on them: ask outside jit, grad and "
+            "vmap"
+        )
     c, G, A, b = (np.asarray(x, float) for x in parts(Z))
     refuse_infinite(center=c, generators=G, A=A, b=b)
     if len(b):
         return _touched(c, G, A, b)
-    G = G[:, np.abs(G).max(0, initial=0) > 1e-13 * np.abs(G).max(initial=0)]  # what only holds roundings is no edge
+    G = G[
+        :, np.abs(G).max(0, initial=0) > 1e-13 * np.abs(G).max(initial=0)
+    ]  # what only holds roundings is no edge
     if len(c) == 2:
         return _corners(c, G)
     if G.shape[1] > min(12, np.linalg.matrix_rank(G)):
         raise ValueError(
-            f"corners are found in the plane, or of at most 12 independent generators: there are {G.shape[1]} in {len(c)} coordinates"
+            f"corners are found in the plane, or of at most 12 independent generators: there are "
+            f"{G.shape[1]} in {len(c)} coordinates"
         )
     signs = 1 - 2.0 * (np.arange(2 ** G.shape[1])[:, None] >> np.arange(G.shape[1]) & 1)
     return c + signs @ G.T
 
 
 def _corners(c: np.ndarray, G: np.ndarray) -> np.ndarray:
-    """Return the corners of a zonotope in the plane: its edges are its generators in the order of their angles."""
+    """Return the corners of a zonotope in the plane: its edges are its generators in the order of their
+    angles.
+    """
     G = np.where((G[1] < 0) | ((G[1] == 0) & (G[0] < 0)), -G, G)
     G = G[:, np.argsort(np.arctan2(G[1], G[0]), kind="stable")]
     edges: list[np.ndarray] = []
     for g in G.T:
-        if edges and abs(edges[-1][0] * g[1] - edges[-1][1] * g[0]) <= 1e-13 * np.hypot(*edges[-1]) * np.hypot(*g):
+        if edges and abs(edges[-1][0] * g[1] - edges[-1][1] * g[0]) <= 1e-13 * np.hypot(
+            *edges[-1]
+        ) * np.hypot(*g):
             edges[-1] = edges[-1] + g
         else:
             edges.append(g)
     if not edges:
         return c[None]
-    half = np.sum(edges, 0) - 2 * np.cumsum([np.zeros(2), *edges[:-1]], 0)  # from the corner where all are positive
+    half = np.sum(edges, 0) - 2 * np.cumsum(
+        [np.zeros(2), *edges[:-1]], 0
+    )  # from the corner where all are positive
     return c + np.concatenate([half, -half])
 
 
 def _touched(c: np.ndarray, G: np.ndarray, A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the corners of a constrained set in the plane: beyond a side there is another corner, or none."""
+    """Return the corners of a constrained set in the plane: beyond a side there is another corner, or
+    none.
+    """
     from scipy.optimize import linprog
 
     if len(c) != 2:
         raise ValueError(
-            f"corners of a set with constraints are found in the plane: it has {len(c)} coordinates, choose two with linear_map"
+            f"corners of a set with constraints are found in the plane: it has {len(c)} coordinates, choose "
+            f"two with linear_map"
         )
 
     def farthest(l):
@@ -99,22 +116,38 @@ def _touched(c: np.ndarray, G: np.ndarray, A: np.ndarray, b: np.ndarray) -> np.n
     size = 1e-9 * (abs(c).max() + abs(G).sum())
 
     def between(p, r):
-        """Return the corners after p and up to r, where the set lies to the left of the way from p to r, or beyond it."""
+        """Return the corners after p and up to r, where the set lies to the left of the way from p to r, or
+        beyond it.
+        """
         along = r - p
-        normal = np.array([along[1], -along[0]]) if abs(along).max() > size else np.array([0.0, 1.0 if p is first else -1.0])
+        normal = (
+            np.array([along[1], -along[0]])
+            if abs(along).max() > size
+            else np.array([0.0, 1.0 if p is first else -1.0])
+        )
         q = farthest(normal / abs(normal).max())
-        if q is None or normal @ (q - p) <= size * abs(normal).max() or min(abs(q - p).max(), abs(q - r).max()) <= size:
+        if (
+            q is None
+            or normal @ (q - p) <= size * abs(normal).max()
+            or min(abs(q - p).max(), abs(q - r).max()) <= size
+        ):
             return [r]
         return between(p, q) + between(q, r)
 
     round_trip = between(first, last) + between(last, first)
     return np.array(
-        [p for p, before in zip(round_trip, round_trip[-1:] + round_trip, strict=False) if abs(p - before).max() > size] or [first]
+        [
+            p
+            for p, before in zip(round_trip, round_trip[-1:] + round_trip, strict=False)
+            if abs(p - before).max() > size
+        ]
+        or [first]
     )
 
 
 def volume(Z: Zonotope) -> float:
-    """Return the volume 2^n sum |det(n generators)| of a small Zonotope, worked out exactly and rounded to nearest.
+    """Return the volume 2^n sum |det(n generators)| of a small Zonotope, worked out exactly and rounded to
+    nearest.
 
     Args:
         Z: a Zonotope of n coordinates; q generators have (q over n) determinants.
@@ -134,7 +167,10 @@ def volume(Z: Zonotope) -> float:
     refuse_infinite(center=Z.center, generators=Z.generators)
     n, q = Z.generators.shape
     if comb(q, n) > DETERMINANTS:
-        raise ValueError(f"{q} generators in {n} coordinates have {comb(q, n)} determinants, more than {DETERMINANTS}: reduce_order first")
+        raise ValueError(
+            f"{q} generators in {n} coordinates have {comb(q, n)} determinants, more than {DETERMINANTS}: "
+            f"reduce_order first"
+        )
     columns = [linalg.primitive_scale([Fraction(float(x)) for x in g]) for g in np.asarray(Z.generators).T]
     total = Fraction(0)
     for chosen in combinations(columns, n):
@@ -145,9 +181,9 @@ def volume(Z: Zonotope) -> float:
 def sample(Z: AnySet, key: jax.Array | int, count: int) -> jax.Array:
     """Draw points of a set, so more near the middle. Plain floats, not proved.
 
-    The coefficients are uniform in [-1, 1]; with constraints nearly uniform among those that keep them: each point ends a walk of its own
-    of 10 steps a generator, each uniform on a line through the last place in a direction drawn afresh (hit and run), from the coefficients
-    with most room.
+    The coefficients are uniform in [-1, 1]; with constraints nearly uniform among those that keep them: each
+    point ends a walk of its own of 10 steps a generator, each uniform on a line through the last place in a
+    direction drawn afresh (hit and run), from the coefficients with most room.
 
     Args:
         Z: a Zonotope or ConstrainedZonotope. key: a jax.random key, or a whole number. count: how many.
@@ -169,7 +205,9 @@ def _walked(A: jax.Array, b: jax.Array, key: jax.Array, count: int) -> jax.Array
     x, *_ = search.interior_point(A[None], R[None], b[None, None], np.inf)
     x = x[0, 0] + R @ (b - A @ x[0, 0])
     noise, eps = 64 * jnp.finfo(A.dtype).eps, jnp.finfo(A.dtype).eps ** 0.5
-    kept = (jnp.max(jnp.abs(b - A @ x)) <= eps * jnp.max(jnp.abs(b) + jnp.sum(jnp.abs(A), 1))) & (jnp.max(jnp.abs(x)) <= 1 + eps)
+    kept = (jnp.max(jnp.abs(b - A @ x)) <= eps * jnp.max(jnp.abs(b) + jnp.sum(jnp.abs(A), 1))) & (
+        jnp.max(jnp.abs(x)) <= 1 + eps
+    )
 
     def step(_, carry):
         x, key = carry
@@ -188,16 +226,20 @@ def _walked(A: jax.Array, b: jax.Array, key: jax.Array, count: int) -> jax.Array
 
 
 def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
-    """Return a Zonotope inside {p : p + r in Z for every r in Y}, equal to it but for rounding; None if Y does not fit into Z.
+    """Return a Zonotope inside {p : p + r in Z for every r in Y}, equal to it but for rounding; None if Y
+    does not fit into Z.
 
     Args:
-        Z: a Zonotope of concrete numbers in the plane, or a parallelotope (at most n independent generators) in n dimensions, where the
-            difference is a zonotope again. Y: any Zonotope of concrete numbers of the same dimension.
+        Z: a Zonotope of concrete numbers in the plane, or a parallelotope (at most n independent generators)
+            in n dimensions, where the difference is a zonotope again. Y: any Zonotope of concrete numbers of
+            the same dimension.
 
     Raises:
-        ValueError: sets of different dimension; a Z of neither kind, whose difference need not be a zonotope. TypeError: inside jit.
+        ValueError: sets of different dimension; a Z of neither kind, whose difference need not be a zonotope.
+            TypeError: inside jit.
 
-    Source: strips that move inward by the support of Y: Kolmanovsky, Gilbert 1998; for zonotopes Althoff 2015.
+    Source: strips that move inward by the support of Y: Kolmanovsky, Gilbert 1998; for zonotopes Althoff
+    2015.
 
     Example:
         >>> from jaxbound import sets
@@ -213,7 +255,8 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
     directions = _directions(Z)
     if n != 2 and len(directions) > linalg.rank(directions):
         raise ValueError(
-            f"the difference is a zonotope in the plane and for parallelotopes: this set has generators in {len(directions)} directions, "
+            f"the difference is a zonotope in the plane and for parallelotopes: this set has generators in "
+            f"{len(directions)} directions, "
             f"in {n} dimensions"
         )
     found = exact_strips(Z)
@@ -222,7 +265,10 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
     left = [(normal, width - sum((abs(along(normal, h)) for h in H), Fraction(0))) for normal, width in found]
     if any(width < 0 for _, width in left):
         return None
-    middle = [Fraction(float(x)) - Fraction(float(y)) for x, y in zip(np.asarray(Z.center), np.asarray(Y.center), strict=True)]
+    middle = [
+        Fraction(float(x)) - Fraction(float(y))
+        for x, y in zip(np.asarray(Z.center), np.asarray(Y.center), strict=True)
+    ]
     edges = _edges(left) if n == 2 else _columns(left)
     return _rounded_inward(middle, edges, left, along, Z.center.dtype)
 
@@ -241,7 +287,9 @@ def _columns(strips: Sequence[tuple[Sequence[Fraction], Fraction]]) -> list[list
 
 
 def _edges(strips: Sequence[tuple[Sequence[Fraction], Fraction]]) -> list[list[Fraction]]:
-    """Return the generators of the polygon |normal . p| <= width: half its edges, between neighbouring corners on each line."""
+    """Return the generators of the polygon |normal . p| <= width: half its edges, between neighbouring
+    corners on each line.
+    """
     corners = set()
     for (a, w), (b, v) in combinations(strips, 2):
         if det := a[0] * b[1] - a[1] * b[0]:
@@ -264,7 +312,9 @@ def _rounded_inward(
     along: Callable[[Sequence[Fraction], Sequence[Fraction]], Fraction],
     dtype: DTypeLike,
 ) -> Zonotope | None:
-    """Return the Zonotope of floats near (middle, edges), shrunk until it lies within the strips; None if no float lies within."""
+    """Return the Zonotope of floats near (middle, edges), shrunk until it lies within the strips; None if no
+    float lies within.
+    """
     center = np.array([rounding.fraction_to_float(x, dtype) for x in middle])
     off = [Fraction(float(x)) - y for x, y in zip(center, middle, strict=True)]
     room = [width - abs(along(normal, off)) for normal, width in strips]
@@ -272,8 +322,15 @@ def _rounded_inward(
         return None
     shrink = Fraction(1)
     while True:
-        G = np.array([[float(x * shrink) for x in edge] for edge in edges]).T.astype(dtype).reshape(len(center), -1)
-        taken = [sum((abs(along(normal, [Fraction(float(x)) for x in g])) for g in G.T), Fraction(0)) for normal, _ in strips]
+        G = (
+            np.array([[float(x * shrink) for x in edge] for edge in edges])
+            .T.astype(dtype)
+            .reshape(len(center), -1)
+        )
+        taken = [
+            sum((abs(along(normal, [Fraction(float(x)) for x in g])) for g in G.T), Fraction(0))
+            for normal, _ in strips
+        ]
         if all(t <= r for t, r in zip(taken, room, strict=True)):
             return Zonotope(jnp.asarray(center), jnp.asarray(G))
         worst = min((r / t for t, r in zip(taken, room, strict=True) if t > r))

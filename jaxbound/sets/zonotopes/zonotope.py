@@ -36,7 +36,8 @@ class Zonotope(Arrays):
 
 
 def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
-    """Build a Zonotope {c + G z : |z_i| <= 1}, rounded to nearest where the dtype cannot hold the numbers (x64 off).
+    """Build a Zonotope {c + G z : |z_i| <= 1}, rounded to nearest where the dtype cannot hold the numbers
+    (x64 off).
 
     Args:
         center: c (..., n).
@@ -50,9 +51,15 @@ def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
         (2, 2)
     """
     center, generators = np.asarray(center), np.asarray(generators)
-    if center.ndim < 1 or generators.ndim < 2 or center.shape != generators.shape[:-1] or not center.shape[-1]:
+    if (
+        center.ndim < 1
+        or generators.ndim < 2
+        or center.shape != generators.shape[:-1]
+        or not center.shape[-1]
+    ):
         raise ValueError(
-            f"zonotope needs center (..., n) and generators (..., n, q): their shapes are {center.shape} and {generators.shape}"
+            f"zonotope needs center (..., n) and generators (..., n, q): their shapes are {center.shape} and "
+            f"{generators.shape}"
         )
     return Zonotope(*finite_arrays(center=center, generators=generators))
 
@@ -60,16 +67,23 @@ def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
 def finite_arrays(**arrays: np.ndarray) -> tuple[jax.Array, ...]:
     """Return NumPy arrays as JAX arrays of their common float dtype; refuse NaN and infinity by name."""
     refuse_infinite(**arrays)
-    native = [x if x.dtype.isnative else x.astype(x.dtype.newbyteorder("=")) for x in map(np.asarray, arrays.values())]
+    native = [
+        x if x.dtype.isnative else x.astype(x.dtype.newbyteorder("="))
+        for x in map(np.asarray, arrays.values())
+    ]
     single = all(x.dtype == np.float32 for x in native)
     dtype = jnp.result_type(*native, np.float32 if single else float)
     return tuple(jnp.asarray(x, dtype) for x in native)
 
 
 def refuse_infinite(**arrays: ArrayLike) -> None:
-    """Raise ValueError, with its name, for an array of concrete numbers with NaN or infinity: what overflowed, or was never checked."""
+    """Raise ValueError, with its name, for an array of concrete numbers with NaN or infinity: what
+    overflowed, or was never checked.
+    """
     for name, x in arrays.items():
         finite = np.isfinite(np.asarray(x, float))
         if not finite.all():
             first = tuple(np.argwhere(~finite)[0].tolist())
-            raise ValueError(f"{name} must be finite: {(~finite).sum()} of {finite.size} entries are not, first at {first}")
+            raise ValueError(
+                f"{name} must be finite: {(~finite).sum()} of {finite.size} entries are not, first at {first}"
+            )

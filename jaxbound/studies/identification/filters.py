@@ -1,10 +1,12 @@
-"""A nominal model without a memory in which an error could hide: inputs through a few given filters, straight to each output.
+"""A nominal model without a memory in which an error could hide: inputs through a few given filters, straight
+to each output.
 
     y = c + D u + sum_j x_j,    x_j+ = a_j x_j + B_j u
 
-A regression on past outputs likes slow poles: its free first state then follows whatever the plant does, a constant error of a sensor or a
-leaking valve included. Here the poles are given, and so fast that what the first state of a window was has faded at its end; the rest is
-linear least squares, with the first states of each stretch of the recordings eliminated. It needs inputs that explain the outputs.
+A regression on past outputs likes slow poles: its free first state then follows whatever the plant does, a
+constant error of a sensor or a leaking valve included. Here the poles are given, and so fast that what the
+first state of a window was has faded at its end; the rest is linear least squares, with the first states of
+each stretch of the recordings eliminated. It needs inputs that explain the outputs.
 """
 
 from collections.abc import Sequence
@@ -16,7 +18,9 @@ from jaxbound.studies.identification.regression import Scales
 __all__ = ["filtered", "poles_of"]
 
 FADED, RATIO = 0.05, 3.0
-"""What is left of a first state after a window, at the slowest pole; how many times faster the next one is."""
+"""What is left of a first state after a window, at the slowest pole; how many times faster the next one
+is.
+"""
 RIDGE = 1e-2
 """Weight, relative to the samples, that keeps coefficients small which the data do not tell apart."""
 
@@ -32,12 +36,17 @@ def poles_of(order: int, horizon: int) -> list[float]:
 
 
 def filtered(
-    records: list[tuple[np.ndarray, np.ndarray, np.ndarray]], scales: Scales, poles: Sequence[float], direct: bool
+    records: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    scales: Scales,
+    poles: Sequence[float],
+    direct: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return (B (order, p, m), D (p, m), c (p,), spread (p,)) in standardised signals; spread: root mean square of what is left.
+    """Return (B (order, p, m), D (p, m), c (p,), spread (p,)) in standardised signals; spread: root mean
+    square of what is left.
 
     Args:
-        records: [(u (T, m), y (T, p), starts)]. scales: Scales of them. poles: those of each output. direct: whether D may differ from 0.
+        records: [(u (T, m), y (T, p), starts)]. scales: Scales of them. poles: those of each output. direct:
+            whether D may differ from 0.
     """
     rows = []
     for u, y, starts in records:
@@ -51,7 +60,10 @@ def filtered(
     size = np.maximum(np.sqrt((regressors**2).mean(0)), 1e-9) if len(regressors) else np.ones(width)
     weight = np.append(np.full(width - 1, RIDGE), 0.0)  # the constant is free
     normal = (regressors / size).T @ (regressors / size) / max(len(target), 1) + np.diag(weight**2)
-    theta = np.linalg.lstsq(normal, (regressors / size).T @ target / max(len(target), 1), rcond=None)[0] / size[:, None]
+    theta = (
+        np.linalg.lstsq(normal, (regressors / size).T @ target / max(len(target), 1), rcond=None)[0]
+        / size[:, None]
+    )
     left = target - regressors @ theta
     spread = np.sqrt((left**2).mean(0)) if len(left) else np.ones(p)
     parts = theta[:-1].T.reshape(p, len(poles) + direct, m)
@@ -70,7 +82,9 @@ def _stretches(u, starts):
 
 
 def _without_first_states(u, y, poles, direct):
-    """Return [(regressors, targets)] of the samples with all outputs, first states taken out; [] if there are too few."""
+    """Return [(regressors, targets)] of the samples with all outputs, first states taken out; [] if there are
+    too few.
+    """
     known = ~np.isnan(y).any(1)
     if known.sum() <= 2 * len(poles):
         return []
@@ -83,6 +97,8 @@ def _without_first_states(u, y, poles, direct):
 
 
 def _through(u, a):
-    """Return x with x+ = a x + u, x_0 = 0: u (T, m) with an impulse response that ends where a^k is below rounding."""
+    """Return x with x+ = a x + u, x_0 = 0: u (T, m) with an impulse response that ends where a^k is below
+    rounding.
+    """
     response = np.append(0.0, a ** np.arange(min(len(u), int(np.log(1e-16) / np.log(a)) + 1)))
     return np.stack([np.convolve(column, response)[: len(u)] for column in u.T], 1)

@@ -1,10 +1,13 @@
-"""From healthy recordings to a monitor: a nominal model by regression, and the smallest noise bounds that explain every training window.
+"""From healthy recordings to a monitor: a nominal model by regression, and the smallest noise bounds that
+explain every training window.
 
-The model is x+ = A x + B u, y = C x + D u in the states that an ARX model of the given order needs: those of all outputs together. Its
-coefficients are rounded to short decimals first and the bounds found afterwards, so that they hold for the model as it is saved. What the
-constant of the regression says becomes the operating point.
+The model is x+ = A x + B u, y = C x + D u in the states that an ARX model of the given order needs: those of
+all outputs together. Its coefficients are rounded to short decimals first and the bounds found afterwards, so
+that they hold for the model as it is saved. What the constant of the regression says becomes the operating
+point.
 
-Where errors average out, the mean of several of them has a smaller bound than one of them: `average` finds it too, of the same windows.
+Where errors average out, the mean of several of them has a smaller bound than one of them: `average` finds it
+too, of the same windows.
 """
 
 import dataclasses
@@ -30,13 +33,15 @@ from jaxbound.studies.identification.records import measured, read_records
 __all__ = ["FitCheck", "Fitted", "fit"]
 
 EXACT, LEAST = 1e-14, 1e-3
-"""The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits exactly."""
+"""The least noise, as a share of the largest sample, and of what is needed of it: for a plant that fits
+exactly.
+"""
 KINDS = ("least squares", "windows", "filters")
 AVERAGES = 0.95
 """Share of the bound of a sample from which on that of a mean says nothing."""
 FALSE_SHARE, CONTRADICTION, FEW = 0.02, 3.0, 10
-"""Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this number of windows that do not
-overlap, the user is told that the data do not carry the monitor."""
+"""Above this share of FAULT in held-out windows, this factor between the bounds of two recordings, below this
+number of windows that do not overlap, the user is told that the data do not carry the monitor."""
 
 
 @readable
@@ -46,16 +51,19 @@ class FitCheck:
 
     Fields:
         method: how the coefficients were found, see `fit`.
-        safety: the factor on the smallest bounds. smallest: those, {output: bound}. smallest_mean: those of the mean of `average` errors in
-            a row, {} where it was not asked for.
-        held_out: what a first fit, to the first parts of the recordings, made of their last parts: {"windows", "fault", "growth"}: how many
-            windows, the share in FAULT, and the factor by which the bounds would have had to be wider; None if nothing was held out. The
-            model itself was fitted to everything afterwards.
-        recordings: one {"samples", "windows", "used"} each: used is the largest share of the final bounds that a window needs.
-        jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT whatever the noise does.
+        safety: the factor on the smallest bounds. smallest: those, {output: bound}. smallest_mean: those of
+            the mean of `average` errors in a row, {} where it was not asked for.
+        held_out: what a first fit, to the first parts of the recordings, made of their last parts:
+            {"windows", "fault", "growth"}: how many windows, the share in FAULT, and the factor by which the
+            bounds would have had to be wider; None if nothing was held out. The model itself was fitted to
+            everything afterwards.
+        recordings: one {"samples", "windows", "used"} each: used is the largest share of the final bounds
+            that a window needs.
+        jump: {output: size}: a jump of one output in the middle of a window from which on the window is FAULT
+            whatever the noise does.
         steady: the same for an error that fills the window; inf if the model can follow it.
-        used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan where there is none): of the
-            final model, and of the first fit on the held-out parts.
+        used, held_out_used: one array (T,) a recording, the share of the bounds that each window needs (nan
+            where there is none): of the final model, and of the first fit on the held-out parts.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -81,39 +89,63 @@ class Fitted(LinearSystem):
         vars(self).update(vars(model), check=check)
 
 
-def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags: Sequence[int] | None = None,
-        inputs: str | Sequence[str] | None = None, outputs: str | Sequence[str] | None = None, dt: float | None = None,
-        direct: bool = False, safety: float = 1.25, held_out: float = 0.3, method: str = "auto", average: int | None = None,
-        name: str = "fitted", units: Mapping[str, str] | None = None, columns: Mapping[str, str] | None = None,
-        progress: Callable[[float], object] | None = None) -> Fitted:  # fmt: skip
+def fit(
+    recordings: object,
+    order: int = 2,
+    horizon: int | None = None,
+    *,
+    lags: Sequence[int] | None = None,
+    inputs: str | Sequence[str] | None = None,
+    outputs: str | Sequence[str] | None = None,
+    dt: float | None = None,
+    direct: bool = False,
+    safety: float = 1.25,
+    held_out: float = 0.3,
+    method: str = "auto",
+    average: int | None = None,
+    name: str = "fitted",
+    units: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> Fitted:
     """Find a nominal model and noise bounds from healthy recordings.
 
-    The smallest bounds are those under which every window of the recordings is consistent, in the ratio of the outputs' residuals: `tune`
-    moves each by its own. They are multiplied by `safety` and verified: `detect` finds every window CONSISTENT.
+    The smallest bounds are those under which every window of the recordings is consistent, in the ratio of
+    the outputs' residuals: `tune` moves each by its own. They are multiplied by `safety` and verified:
+    `detect` finds every window CONSISTENT.
 
     Args:
-        recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table with the columns `inputs` and
-            `outputs`; a Recording. NaN marks a missing sample. No window crosses gaps in the times of a table, or `starts`.
-        order: so many samples back determine the next one (of "filters": so many filters an output). order * p states.
-        horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small faults; the model says for which
-            it is made.
-        lags: of windows that look at the outputs at some samples only, in place of horizon; see `parity_relations` and `suggest_lags`.
-        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables or a Recording say, else 1.
+        recordings: one or several of: (u (T, m), y (T, p)) or (u, y, starts), u None without inputs; a table
+            with the columns `inputs` and `outputs`; a Recording. NaN marks a missing sample. No window
+            crosses gaps in the times of a table, or `starts`.
+        order: so many samples back determine the next one (of "filters": so many filters an output). order *
+            p states.
+        horizon: s, the bounds are found for windows of s + 1 samples; None: 15. Long windows see small
+            faults; the model says for which it is made.
+        lags: of windows that look at the outputs at some samples only, in place of horizon; see
+            `parity_relations` and `suggest_lags`.
+        inputs, outputs: names; needed with tables. dt: sampling period in s; None: what the times of tables
+            or a Recording say, else 1.
         direct: whether inputs act on the outputs of the same sample (D).
-        safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may deviate.
-        held_out: the last share of each recording, kept back from a first fit to see what it makes of data that it has not seen. 0: none.
-        method: "least squares" (ARX, one step ahead), "windows" (the same, refined over whole windows), "filters" (inputs through given
-            filters that fade within a window, so that no state can follow a lasting error) or "auto": whichever sees the smallest jump and
-            lasting error when its bounds cover the held-out parts too.
-        average: of so many errors in a row, at most horizon + 1, the mean gets a bound too: an average of the model. Lasting errors show
-            smaller where errors do average out. None: none.
-        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called with the share of the work done.
+        safety: factor >= 1 on the smallest bounds: how much more than in the recordings healthy operation may
+            deviate.
+        held_out: the last share of each recording, kept back from a first fit to see what it makes of data
+            that it has not seen. 0: none.
+        method: "least squares" (ARX, one step ahead), "windows" (the same, refined over whole windows),
+            "filters" (inputs through given filters that fade within a window, so that no state can follow a
+            lasting error) or "auto": whichever sees the smallest jump and lasting error when its bounds cover
+            the held-out parts too.
+        average: of so many errors in a row, at most horizon + 1, the mean gets a bound too: an average of the
+            model. Lasting errors show smaller where errors do average out. None: none.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
+            with the share of the work done.
 
     Returns:
         A Fitted: a LinearSystem with `.horizon`, provenance "fitted ..." and `.check`.
 
     Raises:
-        ValueError: recordings that do not fit each other, too few samples, an output that stands still, options out of range.
+        ValueError: recordings that do not fit each other, too few samples, an output that stands still,
+            options out of range.
 
     Example:
         >>> import jax, jaxbound as jb
@@ -136,7 +168,9 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
     refuse_unverified()  # at the end the bounds are verified
     scales = regression.scales_of(records)
     sentences = _standing_still(records, inputs, outputs)
-    room = len(regression.windows_of(records, scales, horizon, regression.MOST).y)  # a first fit to a part of them compiles nothing new
+    room = len(
+        regression.windows_of(records, scales, horizon, regression.MOST).y
+    )  # a first fit to a part of them compiles nothing new
     candidate = lambda records, kind: _candidate(records, scales, order, horizon, direct, kind, about, room)
     heads, tails = _parts(records, held_out, horizon)
     kinds = [k for k in KINDS if inputs or k != "filters"] if method == "auto" else [method]
@@ -149,13 +183,17 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
         for i, kind in enumerate(kinds):
             spec, relations, spread = candidate(heads, kind)
             own, unseen = _needs(relations, heads), _needs(relations, tails)
-            blindness = _blindness(LinearSystem(**spec, noise=np.fmax(_most(own), _most(unseen)) * spread), scales, spans)
+            blindness = _blindness(
+                LinearSystem(**spec, noise=np.fmax(_most(own), _most(unseen)) * spread), scales, spans
+            )
             found.append((blindness, i, spec, _most(own) * spread, tuple(x / _most(own) for x in unseen)))
             report(0.05 + 0.5 * (i + 1) / len(kinds))
         _, i, spec, bound, unseen = min(found, key=lambda f: f[:2])
         if average is not None:
             head = LinearSystem(**spec)
-            first_means = smallest_means(head, bound, average, explained(heads), lambda share: report(0.55 + 0.2 * share))
+            first_means = smallest_means(
+                head, bound, average, explained(heads), lambda share: report(0.55 + 0.2 * share)
+            )
             averages = {name: {average: x} for name, x in zip(outputs, first_means, strict=True)}
             unseen = _needs(parity_relations(head.replace(noise=bound, averages=averages)), tails)
         kind, first = kinds[i], tuple(x / safety for x in unseen)
@@ -164,24 +202,47 @@ def fit(recordings: object, order: int = 2, horizon: int | None = None, *, lags:
     means: np.ndarray | None = None
     report(0.8)
     if average is not None:
-        means = smallest_means(LinearSystem(**spec), smallest, average, explained(records), lambda share: report(0.8 + 0.1 * share))
+        means = smallest_means(
+            LinearSystem(**spec),
+            smallest,
+            average,
+            explained(records),
+            lambda share: report(0.8 + 0.1 * share),
+        )
     named = lambda bounds: dict(zip(outputs, bounds.tolist(), strict=True))
     spec |= {"ranges": _ranges(records, inputs)}
-    kept = {} if means is None else {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
+    kept = (
+        {} if means is None else {i: (average, x) for i, x in enumerate(means) if x < AVERAGES * smallest[i]}
+    )
     model, used = _verified(spec, [_rounded_up(x * safety) for x in smallest], kept, records, safety)
     largest = lambda x: float(np.nanmax(x)) if np.isfinite(x).any() else math.nan
     jump, steady = _visible(model, scales)
     check = FitCheck(
-        method=kind, safety=float(safety), smallest=named(smallest), smallest_mean={} if means is None else named(means),
+        method=kind,
+        safety=float(safety),
+        smallest=named(smallest),
+        smallest_mean={} if means is None else named(means),
         held_out=_unseen(first),
-        recordings=tuple({"samples": len(r[1]), "windows": int(np.isfinite(x).sum()), "used": largest(x)}
-                         for r, x in zip(records, used, strict=True)), used=tuple(used), held_out_used=first,
-        jump=jump, steady=steady)  # fmt: skip
+        recordings=tuple(
+            {"samples": len(r[1]), "windows": int(np.isfinite(x).sum()), "used": largest(x)}
+            for r, x in zip(records, used, strict=True)
+        ),
+        used=tuple(used),
+        held_out_used=first,
+        jump=jump,
+        steady=steady,
+    )
     if average is not None:
-        sentences += [f"errors of {name} do not average out: the mean of {average} in a row is as large as one of them, and gets no bound"
-                      for i, name in enumerate(outputs) if i not in kept]  # fmt: skip
+        sentences += [
+            f"errors of {name} do not average out: the mean of {average} in a row is as large as one of "
+            f"them, and gets no bound"
+            for i, name in enumerate(outputs)
+            if i not in kept
+        ]
     report(1.0)
-    return Fitted(model, dataclasses.replace(check, sentences=(*sentences, *_judged(model, check, held_out, spans))))
+    return Fitted(
+        model, dataclasses.replace(check, sentences=(*sentences, *_judged(model, check, held_out, spans)))
+    )
 
 
 def _check_options(order, horizon, safety, held_out, method, average):
@@ -197,7 +258,9 @@ def _check_options(order, horizon, safety, held_out, method, average):
     if method not in ("auto", *KINDS):
         raise ValueError(f"method must be auto, {', '.join(KINDS)}, not {method!r}")
     if average is not None and not (whole(average) and 2 <= average <= horizon + 1):
-        raise ValueError(f"average must be a whole number from 2 to the {horizon + 1} samples of a window, not {average!r}")
+        raise ValueError(
+            f"average must be a whole number from 2 to the {horizon + 1} samples of a window, not {average!r}"
+        )
 
 
 def _standing_still(records, inputs, outputs):
@@ -206,9 +269,13 @@ def _standing_still(records, inputs, outputs):
     still = lambda x: len(np.unique(x[~np.isnan(x)])) < 2
     for name, y in zip(outputs, stack[1].T, strict=True):
         if still(y):
-            raise ValueError(f"{name} stands still in all recordings: nothing can be learnt of it; leave it out, or look at the sensor")
+            raise ValueError(
+                f"{name} stands still in all recordings: nothing can be learnt of it; leave it out, or look "
+                f"at the sensor"
+            )
     return [
-        f"{name} never moves in these recordings: what it does to the outputs is unknown, and the model says nothing; record a step of it"
+        f"{name} never moves in these recordings: what it does to the outputs is unknown, and the model says "
+        f"nothing; record a step of it"
         for name, u in zip(inputs, stack[0].T, strict=True)
         if still(u)
     ]
@@ -233,7 +300,8 @@ def _cut(usable, share):
 
 
 def _candidate(records, scales, order, horizon, direct, kind, about, room):
-    """Return (spec, relations, spread): the arguments of a LinearSystem, its relations, and the root mean square of its window residuals.
+    """Return (spec, relations, spread): the arguments of a LinearSystem, its relations, and the root mean
+    square of its window residuals.
 
     The spread is in the unit of each output, and the noise bound of the relations.
     """
@@ -244,19 +312,30 @@ def _candidate(records, scales, order, horizon, direct, kind, about, room):
     if len(steps.y) < 2 * unknowns or not len(windows.y):
         total = f"{measured(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
         raise ValueError(
-            f"too few samples: {total}, hold {len(windows.y)} complete windows of {horizon + 1} samples, and {len(steps.y)} steps "
-            f"for {unknowns} coefficients an output, twice as many of which are needed: record longer, or choose a lower order or horizon"
+            f"too few samples: {total}, hold {len(windows.y)} complete windows of {horizon + 1} samples, and "
+            f"{len(steps.y)} steps "
+            f"for {unknowns} coefficients an output, twice as many of which are needed: record longer, or "
+            f"choose a lower order or horizon"
         )
-    digits = EXACT * np.array([np.nanmax(np.abs(y)) for y in np.concatenate([y for _, y, _ in records]).T])  # where all fits exactly
+    digits = EXACT * np.array(
+        [np.nanmax(np.abs(y)) for y in np.concatenate([y for _, y, _ in records]).T]
+    )  # where all fits exactly
     if kind == "filters":
         spec, spread = realised_filters(records, scales, filters.poles_of(order, horizon), direct)
         spread = np.maximum(spread, digits)
-        return spec | about, parity_relations(LinearSystem(**spec | about)).with_bounds({"noise": spread}), spread
+        return (
+            spec | about,
+            parity_relations(LinearSystem(**spec | about)).with_bounds({"noise": spread}),
+            spread,
+        )
     theta, _ = regression.least_squares(steps, order, direct)
     spread = regression.window_spread(theta, windows, order, direct, room)
     if kind == "windows":
         theta, spread = regression.refined(theta, windows, order, direct, room)
-    spec, spread = realised(theta, scales, order, direct, m, p) | about, np.maximum(spread * scales.y_spread, digits)
+    spec, spread = (
+        realised(theta, scales, order, direct, m, p) | about,
+        np.maximum(spread * scales.y_spread, digits),
+    )
     return spec, parity_relations(LinearSystem(**spec)).with_bounds({"noise": spread}), spread
 
 
@@ -267,7 +346,9 @@ def _rounded_up(x, digits=3):
 
 
 def _tested(relations, parts):
-    """Return (status, need) of each recording, (T,) each: verdicts, and the factor on the bounds that a window needs, nan for none."""
+    """Return (status, need) of each recording, (T,) each: verdicts, and the factor on the bounds that a
+    window needs, nan for none.
+    """
     found = []
     for u, y, starts in parts:
         if len(y) > relations.horizon:
@@ -288,14 +369,20 @@ def _most(needs):
 
 
 def _ranges(records, inputs):
-    """Return {input: (lowest, highest)} of what was recorded; an input that never moved, or was never recorded, has none."""
+    """Return {input: (lowest, highest)} of what was recorded; an input that never moved, or was never
+    recorded, has none.
+    """
     u = np.concatenate([r[0] for r in records])
     seen = {name: x[np.isfinite(x)] for name, x in zip(inputs, u.T, strict=True)}
-    return {name: (float(x.min()), float(x.max())) for name, x in seen.items() if len(x) and x.min() < x.max()}
+    return {
+        name: (float(x.min()), float(x.max())) for name, x in seen.items() if len(x) and x.min() < x.max()
+    }
 
 
 def _resolutions(records, p):
-    """Return half a step of what the recorder rounds each output to, Fractions of few digits; 0 where no step is seen."""
+    """Return half a step of what the recorder rounds each output to, Fractions of few digits; 0 where no step
+    is seen.
+    """
     y = np.concatenate([r[1] for r in records])
     return [Fraction(f"{recorded_step(y[:, i]) / 2:.6g}") for i in range(p)]
 
@@ -306,10 +393,13 @@ def _consistent(found):
 
 
 def _verified(spec, bounds, means, records, safety):
-    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the share of its bounds used.
+    """Return (model, used): the model under which every window is CONSISTENT by the proved test, and the
+    share of its bounds used.
 
-    A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller than that, nothing is
-    rounded: the plant itself moves in steps. means: {number of the output: (samples, smallest bound of their mean)}.
+    A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller
+    than that, nothing is
+    rounded: the plant itself moves in steps. means: {number of the output: (samples, smallest bound of their
+    mean)}.
     """
     rounds = _resolutions(records, len(bounds))
     total, count = measured(records), len(records)
@@ -321,12 +411,18 @@ def _verified(spec, bounds, means, records, safety):
         noise = [x - r for x, r in zip(exact, rounds, strict=True)]
         origin = {"model": source, "noise": f"{source}, safety factor {safety:g}"}
         origin |= {"resolution": "as the recordings are rounded"} if any(rounds) else {}
-        averages = {spec["outputs"][i]: {n: max(Fraction(repr(held[i])) - rounds[i], Fraction(0))} for i, (n, _) in means.items()}
+        averages = {
+            spec["outputs"][i]: {n: max(Fraction(repr(held[i])) - rounds[i], Fraction(0))}
+            for i, (n, _) in means.items()
+        }
         model = LinearSystem(**spec, noise=noise, resolution=rounds, provenance=origin, averages=averages)
         found = _tested(parity_relations(model), records)
         if _consistent(found):
             break
-        bounds, held = [_rounded_up(1.001 * x) for x in bounds], {i: _rounded_up(1.001 * x) for i, x in held.items()}
+        bounds, held = (
+            [_rounded_up(1.001 * x) for x in bounds],
+            {i: _rounded_up(1.001 * x) for i, x in held.items()},
+        )
     return model, [need for _, need in found]
 
 
@@ -334,11 +430,17 @@ def _unseen(shares):
     """Return what the held-out windows, each with the share of the bounds that it needs, say."""
     found = np.concatenate([*shares, [np.nan]])
     found = found[np.isfinite(found)]
-    return {"windows": len(found), "fault": float((found > 1).mean()), "growth": float(found.max())} if len(found) else None
+    return (
+        {"windows": len(found), "fault": float((found > 1).mean()), "growth": float(found.max())}
+        if len(found)
+        else None
+    )
 
 
 def _visible(model, scales):
-    """Return (jump, steady), {output: size} each, of an error of one output that no noise hides: from mid-window on, and all through it."""
+    """Return (jump, steady), {output: size} each, of an error of one output that no noise hides: from
+    mid-window on, and all through it.
+    """
     count, p = model.horizon + 1, model.p
     acts = np.stack([np.arange(count) >= count // 2, np.ones(count, bool)])
     wrong = acts[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (2, p, s + 1, p)
@@ -355,8 +457,11 @@ def _blindness(model, scales, spans):
 
     Beyond the span of an output it does not count how blind the monitor is for it.
     """
-    return sum(min(size[name], span) / spread for size in _visible(model, scales)
-               for name, span, spread in zip(model.outputs, spans, scales.y_spread, strict=True))  # fmt: skip
+    return sum(
+        min(size[name], span) / spread
+        for size in _visible(model, scales)
+        for name, span, spread in zip(model.outputs, spans, scales.y_spread, strict=True)
+    )
 
 
 def _judged(model, check, held_out, spans):
@@ -365,34 +470,51 @@ def _judged(model, check, held_out, spans):
     percent = lambda x: f"{100 * x:.3g} %"
     whole = sum(r["windows"] for r in check.recordings) // (model.horizon + 1)
     if whole < FEW:
-        out.append(f"the recordings hold only {whole} windows of {model.horizon + 1} samples that do not overlap: bounds from so little "
-                   "history may not last; record longer, or choose a shorter horizon")  # fmt: skip
+        out.append(
+            f"the recordings hold only {whole} windows of {model.horizon + 1} samples that do not overlap: "
+            f"bounds from so little "
+            "history may not last; record longer, or choose a shorter horizon"
+        )
     if check.held_out is None:
-        why = "nothing was held out" if not held_out else "the recordings are too short to hold a part of them out"
+        why = (
+            "nothing was held out"
+            if not held_out
+            else "the recordings are too short to hold a part of them out"
+        )
         out.append(f"{why}: what the monitor makes of data that it has not seen is unknown")
     elif check.held_out["fault"] > FALSE_SHARE:
         out.append(
-            f"{percent(check.held_out['fault'])} of {check.held_out['windows']} held-out windows would be FAULT under the bounds of the "
-            f"first {percent(1 - held_out)} of the recordings, which would have to be {check.held_out['growth']:.2f} times as wide: the "
+            f"{percent(check.held_out['fault'])} of {check.held_out['windows']} held-out windows would be "
+            f"FAULT under the bounds of the "
+            f"first {percent(1 - held_out)} of the recordings, which would have to be "
+            f"{check.held_out['growth']:.2f} times as wide: the "
             "recordings do not show all of healthy operation; record more of it, or raise the safety factor"
         )
     shares = {i: r["used"] for i, r in enumerate(check.recordings) if r["windows"]}
     if len(shares) > 1:
         low, high = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
         if shares[high] > CONTRADICTION * shares[low]:
-            out.append(f"recording {high + 1} needs bounds {shares[high] / shares[low]:.1f} times as wide as recording {low + 1}: they "
-                       "contradict each other; look at what was different, or fit a model to each")  # fmt: skip
+            out.append(
+                f"recording {high + 1} needs bounds {shares[high] / shares[low]:.1f} times as wide as "
+                f"recording {low + 1}: they "
+                "contradict each other; look at what was different, or fit a model to each"
+            )
     for i, name in enumerate(model.outputs):
         if check.jump[name] > spans[i]:
             unit = f" {model.unit(name)}".rstrip()
-            out.append(f"the monitor is blind for {name}: no jump below {check.jump[name]:.3g}{unit} is sure to be seen, but in all "
-                       f"recordings {name} moved by {spans[i]:.3g}{unit} only")  # fmt: skip
+            out.append(
+                f"the monitor is blind for {name}: no jump below {check.jump[name]:.3g}{unit} is sure to be "
+                f"seen, but in all "
+                f"recordings {name} moved by {spans[i]:.3g}{unit} only"
+            )
         elif check.steady[name] > spans[i]:
             size, unit = check.steady[name], f" {model.unit(name)}".rstrip()
             sure = "however large" if math.isinf(size) else f"below {size:.3g}{unit}"
             out.append(
-                f"an error of {name} that was there before the recording began and never changes may stay unseen, {sure}, and in all "
-                f"recordings {name} moved by {spans[i]:.3g}{unit} only: within {model.horizon + 1} samples the model can follow it; a "
+                f"an error of {name} that was there before the recording began and never changes may stay "
+                f"unseen, {sure}, and in all "
+                f"recordings {name} moved by {spans[i]:.3g}{unit} only: within {model.horizon + 1} samples "
+                f"the model can follow it; a "
                 "longer horizon sees smaller ones"
             )
     return out

@@ -1,7 +1,9 @@
-"""How far errors average out in recordings: the smallest bounds of the means of consecutive errors that explain every window.
+"""How far errors average out in recordings: the smallest bounds of the means of consecutive errors that
+explain every window.
 
-The bounds of single samples stay where they are, and those of the means are lowered: first together, in the ratio of the bounds of single
-samples, then each output's alone. A window that is explained stays so if a bound grows, so each is found by bisection.
+The bounds of single samples stay where they are, and those of the means are lowered: first together, in the
+ratio of the bounds of single samples, then each output's alone. A window that is explained stays so if a
+bound grows, so each is found by bisection.
 """
 
 from collections.abc import Callable
@@ -15,7 +17,9 @@ from jaxbound.relations.uncertain import UncertainRelations
 __all__ = ["smallest_means"]
 
 LEAST, STEPS = 1e-3, 10
-"""The least share of the bound of a sample that is tried, and halvings of the logarithm from there to 1: to about 1 %."""
+"""The least share of the bound of a sample that is tried, and halvings of the logarithm from there to 1: to
+about 1 %.
+"""
 LOOSE = 1 + 1e-6
 """On the bounds of single samples, the smallest that explain all: the worst window lies on their edge."""
 
@@ -27,11 +31,12 @@ def smallest_means(
     explained: Callable[[ParityRelation | UncertainRelations], bool],
     step: Callable[[float], object],
 ) -> np.ndarray:
-    """Return the smallest bound of the mean of so many consecutive errors of each output (p,), that of a sample where it says nothing.
+    """Return the smallest bound of the mean of so many consecutive errors of each output (p,), that of a
+    sample where it says nothing.
 
     Args:
-        model: without averages. noise: (p,), bounds of single samples. samples: >= 2. explained: whether all windows are. step: called with
-            the share of the work done.
+        model: without averages. noise: (p,), bounds of single samples. samples: >= 2. explained: whether all
+            windows are. step: called with the share of the work done.
     """
     noise, p = np.asarray(noise) * LOOSE, model.p
     means = {name: {samples: float(b)} for name, b in zip(model.outputs, noise, strict=True)}
@@ -44,7 +49,11 @@ def smallest_means(
             middle = (low + high) / 2
             trial = share.copy()
             trial[group] = np.exp(middle)
-            low, high = (low, middle) if explained(relations.with_bounds({"average": trial * noise})) else (middle, high)
+            low, high = (
+                (low, middle)
+                if explained(relations.with_bounds({"average": trial * noise}))
+                else (middle, high)
+            )
         share[group] = np.exp(high)
         step((number + 1) / len(groups))
     return share * noise

@@ -1,11 +1,14 @@
-"""A nominal model by regression: y_k = sum_i A_i y_{k-i} + sum_i B_i u_{k-i} + c, first one step ahead, then over whole windows.
+"""A nominal model by regression: y_k = sum_i A_i y_{k-i} + sum_i B_i u_{k-i} + c, first one step ahead, then
+over whole windows.
 
-One step ahead is linear least squares. It fits the noise of the sensors too, and is poor over long windows. Therefore the squared window
-residual is minimised next, from there on: what is left of a window of s + 1 samples once the best first state is taken out of it. That is
-the quantity, with another norm, whose size the bounds must have. Source of the elimination of the first state inside a nonlinear least
-squares problem: Golub, Pereyra 1973 (variable projection); the steps are those of Levenberg and Marquardt.
+One step ahead is linear least squares. It fits the noise of the sensors too, and is poor over long windows.
+Therefore the squared window residual is minimised next, from there on: what is left of a window of s + 1
+samples once the best first state is taken out of it. That is the quantity, with another norm, whose size the
+bounds must have. Source of the elimination of the first state inside a nonlinear least squares problem:
+Golub, Pereyra 1973 (variable projection); the steps are those of Levenberg and Marquardt.
 
-Everything is in standardised signals, (value - middle) / spread, so that neither units nor working points matter.
+Everything is in standardised signals, (value - middle) / spread, so that neither units nor working points
+matter.
 """
 
 from dataclasses import dataclass
@@ -20,7 +23,16 @@ from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.sizes import power
 from jaxbound.studies.identification.records import Records
 
-__all__ = ["Scales", "Windows", "coefficients", "growth", "least_squares", "refined", "scales_of", "windows_of"]
+__all__ = [
+    "Scales",
+    "Windows",
+    "coefficients",
+    "growth",
+    "least_squares",
+    "refined",
+    "scales_of",
+    "windows_of",
+]
 
 Array = jax.Array | np.ndarray
 STEPS, SETTLED = 60, 1e-6
@@ -59,24 +71,33 @@ def scales_of(recordings: Records) -> Scales:
 
 
 def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | None = None) -> Windows:
-    """Return the Windows of horizon + 1 samples, standardised, that are complete and cross no seam; at most `most` of them, spread evenly.
+    """Return the Windows of horizon + 1 samples, standardised, that are complete and cross no seam; at most
+    `most` of them, spread evenly.
 
     Args:
-        recordings: [(u (T, m), y (T, p), starts)], starts the numbers of samples that do not follow the one before.
+        recordings: [(u (T, m), y (T, p), starts)], starts the numbers of samples that do not follow the one
+            before.
     """
     found = []
     for number, (u, y, starts) in enumerate(recordings):
         if len(y) > horizon:
             gone = np.isnan(u).any(1) | np.isnan(y).any(1)
             before = np.append(0, np.cumsum(gone))
-            first = np.flatnonzero((before[horizon + 1 :] == before[: -horizon - 1]) & ~crossing(starts, horizon, horizon, len(y)))
+            first = np.flatnonzero(
+                (before[horizon + 1 :] == before[: -horizon - 1])
+                & ~crossing(starts, horizon, horizon, len(y))
+            )
             found.append(np.stack([np.full(len(first), number), first], 1))
     chosen = np.concatenate(found) if found else np.zeros((0, 2), int)
     if most is not None and len(chosen) > most:
         chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(int)]
     gather = lambda j, middle, spread: np.concatenate(
         [
-            (recordings[number][j][chosen[chosen[:, 0] == number, 1][:, None] + np.arange(horizon + 1)] - middle) / spread
+            (
+                recordings[number][j][chosen[chosen[:, 0] == number, 1][:, None] + np.arange(horizon + 1)]
+                - middle
+            )
+            / spread
             for number in range(len(recordings))
         ]
     )
@@ -84,19 +105,24 @@ def windows_of(recordings: Records, scales: Scales, horizon: int, most: int | No
 
 
 def least_squares(windows: Windows, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return (theta, singular): coefficients ((order (p + m) + direct m + 1), p), one step ahead, and how well the regressors span, (., ).
+    """Return (theta, singular): coefficients ((order (p + m) + direct m + 1), p), one step ahead, and how
+    well the regressors span, (., ).
 
     Args:
         windows: Windows of order + 1 samples. direct: whether u_k acts on y_k.
     """
     u, y = windows.u, windows.y
-    past = [y[:, order - i] for i in range(1, order + 1)] + [u[:, order - i] for i in range(0 if direct else 1, order + 1)]
+    past = [y[:, order - i] for i in range(1, order + 1)] + [
+        u[:, order - i] for i in range(0 if direct else 1, order + 1)
+    ]
     regressors = np.concatenate([*past, np.ones((len(y), 1))], 1)
     theta, _, _, singular = np.linalg.lstsq(regressors, y[:, order], rcond=1e-9)
     return theta, singular
 
 
-def coefficients(theta: Array, order: int, direct: bool, m: int, p: int) -> tuple[list[Array], list[Array], Array, Array]:
+def coefficients(
+    theta: Array, order: int, direct: bool, m: int, p: int
+) -> tuple[list[Array], list[Array], Array, Array]:
     """Return (A_1.., B_1.., D, c): lists of (p, p) and (p, m), (p, m), (p,)."""
     A = [theta[i * p : (i + 1) * p].T for i in range(order)]
     rest = theta[order * p :]
@@ -106,25 +132,34 @@ def coefficients(theta: Array, order: int, direct: bool, m: int, p: int) -> tupl
 
 @partial(jax.jit, static_argnames=("order", "direct"))
 def _residuals(theta, u, y, there, weight, order, direct):
-    """Return what the best first state leaves of windows u (N, s + 1, m), y (N, s + 1, p), times weight (p,): (N, (s + 1) p).
+    """Return what the best first state leaves of windows u (N, s + 1, m), y (N, s + 1, p), times weight (p,):
+    (N, (s + 1) p).
 
     there (N,): 1, or 0 for a window that only fills the array up.
     """
     N, count, p = y.shape
     A, B, D, c = coefficients(theta, order, direct, u.shape[2], p)
     states = order * p
-    times = lambda M, v: jnp.sum(M[:, :, None] * v[None], 1)  # small matrices and long vectors: a dot is ten times slower here
-    units = lambda x: jnp.pad(x, ((0, 0),) * (x.ndim - 1) + ((0, states),))  # columns of their own: each unit of the first state, alone
+    times = lambda M, v: jnp.sum(
+        M[:, :, None] * v[None], 1
+    )  # small matrices and long vectors: a dot is ten times slower here
+    units = lambda x: jnp.pad(
+        x, ((0, 0),) * (x.ndim - 1) + ((0, states),)
+    )  # columns of their own: each unit of the first state, alone
     constant = c[:, None] * units(there)[None]
 
     def step(x, now):  # x (order, p, N + states): x[i] waits i samples to be added
         yk, uk = now
         out = x[0] + times(D, uk)
         later = jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
-        return later + jnp.stack([times(A[i], out) + times(B[i], uk) + (constant if i == 0 else 0.0) for i in range(order)]), yk - out
+        return later + jnp.stack(
+            [times(A[i], out) + times(B[i], uk) + (constant if i == 0 else 0.0) for i in range(order)]
+        ), yk - out
 
     start = jnp.concatenate([jnp.zeros((order, p, N)), jnp.eye(states).reshape(order, p, states)], 2)
-    _, left = jax.lax.scan(step, start, (units(jnp.transpose(y, (1, 2, 0))), units(jnp.transpose(u, (1, 2, 0)))))
+    _, left = jax.lax.scan(
+        step, start, (units(jnp.transpose(y, (1, 2, 0))), units(jnp.transpose(u, (1, 2, 0))))
+    )
     left = (left * weight[None, :, None]).reshape(count * p, N + states)
     e = (left[:, :N] * there[None]).T
     Q = _orthonormal(left[:, N:])
@@ -132,7 +167,8 @@ def _residuals(theta, u, y, there, weight, order, direct):
 
 
 def _orthonormal(M):
-    """Return orthonormal columns that span those of M, which are independent: a first state is what the first samples show of it.
+    """Return orthonormal columns that span those of M, which are independent: a first state is what the first
+    samples show of it.
 
     Without LAPACK, for whose sake jax imports SciPy: that takes longer than a fit.
     """
@@ -148,18 +184,24 @@ def _orthonormal(M):
 
 @partial(jax.jit, static_argnames=("order", "direct"))
 def _around(theta, u, y, there, weight, order, direct):
-    """Return (J'J, J'e) of the residuals e and their slopes J: what a step needs, small whatever the number of windows."""
+    """Return (J'J, J'e) of the residuals e and their slopes J: what a step needs, small whatever the number
+    of windows.
+    """
     f = lambda theta: (_residuals(theta, u, y, there, weight, order, direct),) * 2
     J, e = jax.jacfwd(f, has_aux=True)(theta)
     J = J.reshape(e.size, theta.size)
     return J.T @ J, J.T @ e.ravel()
 
 
-def refined(theta: np.ndarray, windows: Windows, order: int, direct: bool, room: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own spread (p,).
+def refined(
+    theta: np.ndarray, windows: Windows, order: int, direct: bool, room: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own
+    spread (p,).
 
     Args:
-        theta: where to begin, from `least_squares`. windows: Windows of s + 1 samples. room: at least so many windows share a compilation.
+        theta: where to begin, from `least_squares`. windows: Windows of s + 1 samples. room: at least so many
+            windows share a compilation.
     """
     given = _filled(windows, room)
     spread = window_spread(theta, windows, order, direct, room)
@@ -170,14 +212,20 @@ def refined(theta: np.ndarray, windows: Windows, order: int, direct: bool, room:
 
 
 def window_spread(theta: Any, windows: Any, order: int, direct: Any, room: int = 0) -> Any:
-    """Return the root mean square (p,) of the window residuals of each output, standardised, each output weighed alike."""
-    e = np.asarray(_residuals(theta, *_filled(windows, room), np.ones(windows.y.shape[2]), order, direct))[: len(windows.y)]
+    """Return the root mean square (p,) of the window residuals of each output, standardised, each output
+    weighed alike.
+    """
+    e = np.asarray(_residuals(theta, *_filled(windows, room), np.ones(windows.y.shape[2]), order, direct))[
+        : len(windows.y)
+    ]
     spread = np.sqrt((e.reshape(windows.y.shape) ** 2).mean((0, 1)))
     return np.maximum(np.where(np.isfinite(spread), spread, 1.0), 1e-9)
 
 
 def _filled(windows, room):
-    """Return (u, y, there), filled up to a power of two of windows, at least `room`: few sizes, few compilations."""
+    """Return (u, y, there), filled up to a power of two of windows, at least `room`: few sizes, few
+    compilations.
+    """
     more = power(max(len(windows.y), LEAST, room)) - len(windows.y)
     fill = lambda x: jax.device_put(np.concatenate([x, np.zeros((more, *x.shape[1:]))]))
     return fill(windows.u), fill(windows.y), fill(np.ones(len(windows.y)))
@@ -194,7 +242,11 @@ def growth(theta: np.ndarray, order: int) -> float:
 def _marquardt(theta, windows, weight, order, direct):
     given = *windows, weight, order, direct
     cost_of = lambda theta: np.square(_residuals(theta, *given)).sum()
-    cost, damping, limit = cost_of(theta), 1e-3, max(1.0, growth(theta, order))  # no faster growth than the data asked for one step ahead
+    cost, damping, limit = (
+        cost_of(theta),
+        1e-3,
+        max(1.0, growth(theta, order)),
+    )  # no faster growth than the data asked for one step ahead
     for _ in range(STEPS):
         H, g = map(np.asarray, _around(theta, *given))
         size = np.diag(H) + 1e-9 * np.trace(H) / len(H)

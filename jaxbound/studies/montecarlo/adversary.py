@@ -1,9 +1,11 @@
-"""Unknowns that hide a fault: chosen within their bounds by somebody who knows the fault, so that no window shows it.
+"""Unknowns that hide a fault: chosen within their bounds by somebody who knows the fault, so that no window
+shows it.
 
-The factor t_k of a window (`strips`: the largest |residual| / width over its combinations) is lowered by the unknowns xi in [-1, 1] of
-the whole scenario. A scenario is hidden as well as it can be where max over windows of t_k is least: for sensors without tolerance a
-convex problem. It is solved by descent on the smooth maximum tau log sum exp(t_k / tau), tau falling, with normalised steps, momentum and
-projection on the box; the best xi of each scenario is kept. Nothing here is proved, and need not be: what comes out is a recording of
+The factor t_k of a window (`strips`: the largest |residual| / width over its combinations) is lowered by the
+unknowns xi in [-1, 1] of the whole scenario. A scenario is hidden as well as it can be where max over windows
+of t_k is least: for sensors without tolerance a convex problem. It is solved by descent on the smooth maximum
+tau log sum exp(t_k / tau), tau falling, with normalised steps, momentum and projection on the box; the best
+xi of each scenario is kept. Nothing here is proved, and need not be: what comes out is a recording of
 unknowns within their bounds, and the proved test judges it like any other.
 """
 
@@ -29,11 +31,16 @@ SHARPEST, BLUNTEST = 0.003, 0.3
 
 
 def _drawn(course, act, plant, key, numbers):
-    """Return the unknowns (T, 2p + g, N) of scenarios as the uniform study draws them, and the extra draws of a noise fault (T, N)."""
+    """Return the unknowns (T, 2p + g, N) of scenarios as the uniform study draws them, and the extra draws of
+    a noise fault (T, N).
+    """
 
     def now(_, k):
         theta, delta, share, extra = kernel.unknown_draws(course, act, plant, key, numbers, k)
-        return None, (jnp.stack([*theta, *delta, *share]), jnp.zeros_like(delta[0]) if extra is None else extra)
+        return None, (
+            jnp.stack([*theta, *delta, *share]),
+            jnp.zeros_like(delta[0]) if extra is None else extra,
+        )
 
     return jax.lax.scan(now, None, jnp.arange(course.samples, dtype=jnp.int32))[1]
 
@@ -58,18 +65,26 @@ def _factors(test, u, y):
     """Return t (T - s, N) of all windows, differentiable; NaN where no combination has its data."""
     count, N = y.shape[0] - test.horizon, y.shape[2]
     # stored: else the derivative is worked out anew for each sample of each window that it goes to
-    flat = lambda x, lags: [[stored(x[j : j + count, i].reshape(-1)) for i in range(x.shape[1])] for j in range(lags)]
+    flat = lambda x, lags: [
+        [stored(x[j : j + count, i].reshape(-1)) for i in range(x.shape[1])] for j in range(lags)
+    ]
     us, ys = flat(u, test.lags), flat(y, test.horizon + 1)
     if isinstance(test.shape, Frame):
-        stack = lambda rows: jnp.stack([jnp.stack(row) for row in rows]) if rows else jnp.zeros((0, 0, count * N), y.dtype)
-        mid, rad, _, known, _ = test.block(stack(us) if us and us[0] else jnp.zeros((test.lags, 0, count * N), y.dtype), stack(ys))
+        stack = lambda rows: (
+            jnp.stack([jnp.stack(row) for row in rows]) if rows else jnp.zeros((0, 0, count * N), y.dtype)
+        )
+        mid, rad, _, known, _ = test.block(
+            stack(us) if us and us[0] else jnp.zeros((test.lags, 0, count * N), y.dtype), stack(ys)
+        )
         return 1 - separation_margin(test.shape, mid, rad, known).reshape(count, N)
     mid, rad, _, known, _ = test.rows(us, ys)
     return stored(1 - strip_margin(test.shape, stored(mid), stored(rad), known).reshape(count, N))
 
 
 def worst_factor(test: Reading, act: Act, onset: Array, u: Array, y: Array) -> tuple[Array, Array]:
-    """Return (t of every window (T - s, N), -inf where the fault does not touch it; the largest of each scenario (N,))."""
+    """Return (t of every window (T - s, N), -inf where the fault does not touch it; the largest of each
+    scenario (N,)).
+    """
     t = _factors(test, u, y)
     end = jnp.arange(t.shape[0])[:, None] + test.horizon
     touched = (end >= onset[None]) & (end - test.horizon < (onset + act.length)[None])
@@ -89,10 +104,12 @@ def attack_block(
     numbers: Array,
     steps: int = STEPS,
 ) -> tuple[Array, Array, Array]:
-    """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) of N scenarios whose unknowns hide the fault as well as was found.
+    """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) of N scenarios whose unknowns hide the fault
+    as well as was found.
 
     Args:
-        as for `kernel.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of the descent.
+        as for `kernel.count_block`; the inputs, sizes and onsets are those of the uniform study. steps: of
+        the descent.
     """
     pair = key[0], key[1]
     inputs, size, onset = kernel.prepared(course, act, limits, pair, numbers)
@@ -102,7 +119,9 @@ def attack_block(
     def loss(xi, tau):
         t, worst = worst_factor(test, act, onset, *recorded(xi))
         top = jax.lax.stop_gradient(jnp.where(jnp.isfinite(worst), worst, 0))
-        smooth = tau * jnp.log(jnp.sum(jnp.where(t > -jnp.inf, jnp.exp((t - top[None]) / tau), 0), 0) + 1e-300)
+        smooth = tau * jnp.log(
+            jnp.sum(jnp.where(t > -jnp.inf, jnp.exp((t - top[None]) / tau), 0), 0) + 1e-300
+        )
         return jnp.sum(smooth), worst
 
     def descend(carry, i):

@@ -1,8 +1,11 @@
-"""Random numbers by counting: what is drawn depends on the key, the scenario and the step alone, never on how the work is cut up.
+"""Random numbers by counting: what is drawn depends on the key, the scenario and the step alone, never on how
+the work is cut up.
 
-Threefry-2x32 with 13 rounds, a function of 64 bits of key and 64 of counter that passes every test of BigCrush at 13 rounds and upwards.
-Written for arrays over scenarios it is some 75 integer operations that the compiler vectorises, for two draws of 32 bits.
-Source: J. Salmon, M. Moraes, R. Dror, D. Shaw, *Parallel random numbers: as easy as 1, 2, 3*, SC 2011, section 4.2.
+Threefry-2x32 with 13 rounds, a function of 64 bits of key and 64 of counter that passes every test of
+BigCrush at 13 rounds and upwards. Written for arrays over scenarios it is some 75 integer operations that the
+compiler vectorises, for two draws of 32 bits.
+Source: J. Salmon, M. Moraes, R. Dror, D. Shaw, *Parallel random numbers: as easy as 1, 2, 3*, SC 2011,
+section 4.2.
 """
 
 import jax
@@ -39,15 +42,21 @@ def threefry(key: tuple[Array, Array], counter: tuple[Array, Array], rounds: int
 
 
 def words(key: tuple[Array, Array], numbers: Array, first: Array | np.uint32, count: int) -> list[Array]:
-    """Return `count` arrays of 32 random bits, of the shape of `numbers` (uint32, of the scenarios), from the counter `first` on."""
+    """Return `count` arrays of 32 random bits, of the shape of `numbers` (uint32, of the scenarios), from the
+    counter `first` on.
+    """
     out: list[Array] = []
     for i in range(-(-count // 2)):
-        out += threefry(key, (numbers, jnp.zeros_like(numbers) + (jnp.asarray(first, jnp.uint32) + np.uint32(i))))
+        out += threefry(
+            key, (numbers, jnp.zeros_like(numbers) + (jnp.asarray(first, jnp.uint32) + np.uint32(i)))
+        )
     return out[:count]
 
 
 def share(bits: Array, dtype: np.dtype, vertices: bool = False) -> Array:
-    """Return numbers in [-1, 1] made of random bits: the middles of 2^32 equal parts, or -1 and 1 for `vertices`; symmetric about 0."""
+    """Return numbers in [-1, 1] made of random bits: the middles of 2^32 equal parts, or -1 and 1 for
+    `vertices`; symmetric about 0.
+    """
     signed = jax.lax.bitcast_convert_type(bits, jnp.int32)
     if vertices:
         return jnp.where(signed < 0, -1, 1).astype(dtype)

@@ -1,4 +1,6 @@
-"""What a study keeps in a folder while it runs: counts by which it goes on after a kill, and the rows of single scenarios."""
+"""What a study keeps in a folder while it runs: counts by which it goes on after a kill, and the rows of
+single scenarios.
+"""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -16,9 +18,13 @@ STATE, ROWS = "study.npz", "scenarios"
 
 
 class Keeper:
-    """The state of a study in a folder: counts, how many tasks they hold, and the rows of single scenarios if they are wanted."""
+    """The state of a study in a folder: counts, how many tasks they hold, and the rows of single scenarios if
+    they are wanted.
+    """
 
-    def __init__(self, folder: str | os.PathLike, identity: Mapping[str, str], tallies: Sequence[Tally], rows: bool) -> None:
+    def __init__(
+        self, folder: str | os.PathLike, identity: Mapping[str, str], tallies: Sequence[Tally], rows: bool
+    ) -> None:
         """Open a folder; take up the counts that a study with the same identity left there.
 
         Raises:
@@ -33,7 +39,10 @@ class Keeper:
         if rows:
             (self.folder / ROWS).mkdir(exist_ok=True)
             if not self.begun and (there := sorted(os.listdir(self.folder / ROWS))):
-                raise ValueError(f"{self.folder / ROWS} holds {there[0]}, which is not of this study: choose another folder")
+                raise ValueError(
+                    f"{self.folder / ROWS} holds {there[0]}, which is not of this study: choose another "
+                    f"folder"
+                )
             self._next_rows().unlink(missing_ok=True)  # written after the last state
             self.first = self._arrays()
 
@@ -48,7 +57,9 @@ class Keeper:
         return True
 
     def save(self, done: int) -> None:
-        """Write the counts of the first `done` tasks, and the rows since the last time: completely or not at all."""
+        """Write the counts of the first `done` tasks, and the rows since the last time: completely or not at
+        all.
+        """
         if self.rows and self.pending:
             if not self.begun:  # rows without a state would be nobody's
                 self.checkpoint.save(done=0, parts=0, **self.first)
@@ -57,7 +68,11 @@ class Keeper:
         self.done, self.begun = done, True
 
     def _arrays(self):
-        return {f"{i}.{name}": np.array(x) for i, tally in enumerate(self.tallies) for name, x in tally.arrays().items()}
+        return {
+            f"{i}.{name}": np.array(x)
+            for i, tally in enumerate(self.tallies)
+            for name, x in tally.arrays().items()
+        }
 
     def add_rows(
         self,
@@ -81,13 +96,20 @@ class Keeper:
         import pyarrow.parquet as pq
 
         columns = list(zip(*self.pending, strict=True))
-        labels = [label for label, number in zip(columns[0], columns[2], strict=True) for _ in range(len(number))]
+        labels = [
+            label for label, number in zip(columns[0], columns[2], strict=True) for _ in range(len(number))
+        ]
         join = lambda parts: np.concatenate(parts)
         delay = join(columns[6])
         table = {
-            "fault": pa.array(labels).dictionary_encode(), "size": pa.array(join(columns[1])), "scenario": pa.array(join(columns[2])),
-            "onset": pa.array(join(columns[3])), "fault_windows": pa.array(join(columns[4])), "false_alarms": pa.array(join(columns[5])),
-            "delay": pa.array(delay, mask=delay < 0)}  # fmt: skip
+            "fault": pa.array(labels).dictionary_encode(),
+            "size": pa.array(join(columns[1])),
+            "scenario": pa.array(join(columns[2])),
+            "onset": pa.array(join(columns[3])),
+            "fault_windows": pa.array(join(columns[4])),
+            "false_alarms": pa.array(join(columns[5])),
+            "delay": pa.array(delay, mask=delay < 0),
+        }
         with whole(self._next_rows(), links=False) as f:
             pq.write_table(pa.table(table), f)
         self.parts, self.pending = self.parts + 1, []

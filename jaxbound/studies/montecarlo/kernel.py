@@ -1,12 +1,14 @@
 """Scenarios simulated and tested in one kernel: nothing but counts leaves the processor's cache.
 
-A block of scenarios steps through time together. At each step the kernel draws the unknowns, moves the plant (`recursion.step`), applies
-the fault, and gives the newest window to the test that `detect` uses (`strip_verdict`, with its proof). The window of step k is tested at
-step k + 1: its samples are then the loop's carry, numbers in memory that all their uses share, not expressions that a compiler may round
+A block of scenarios steps through time together. At each step the kernel draws the unknowns, moves the plant
+(`recursion.step`), applies the fault, and gives the newest window to the test that `detect` uses
+(`strip_verdict`, with its proof). The window of step k is tested at step k + 1: its samples are then the
+loop's carry, numbers in memory that all their uses share, not expressions that a compiler may round
 differently for each.
 
-The limit, for two outputs and windows of two samples: two calls of Threefry, some 150 operations on integers, and some 170 on floats for a
-sample and its window; with vectors of 256 bits and two units about 30 cycles, 80 million windows a second and core at 2.5 GHz.
+The limit, for two outputs and windows of two samples: two calls of Threefry, some 150 operations on integers,
+and some 170 on floats for a sample and its window; with vectors of 256 bits and two units about 30 cycles, 80
+million windows a second and core at 2.5 GHz.
 """
 
 from dataclasses import dataclass
@@ -23,45 +25,76 @@ from jaxbound.studies.montecarlo.draws import Array
 from jaxbound.studies.montecarlo.recursion import Plant
 from jaxbound.studies.montecarlo.scenarios import Act
 
-__all__ = ["BLOCK", "Course", "count_block", "move", "prepared", "recorded_input", "replay_block", "unknown_draws"]
+__all__ = [
+    "BLOCK",
+    "Course",
+    "count_block",
+    "move",
+    "prepared",
+    "recorded_input",
+    "replay_block",
+    "unknown_draws",
+]
 
 Unknowns = tuple[list[Array], list[Array], list[Array], Array | None]
 """theta, delta and the disturbances' shares, a list over signals of (N,), and what a noise fault draws."""
 
 BLOCK = 4096
-"""Scenarios in a block: what a step works on stays in a core's cache, and a step takes much longer than to start it."""
+"""Scenarios in a block: what a step works on stays in a core's cache, and a step takes much longer than to
+start it.
+"""
 
 
 @dataclass(frozen=True)
 class Course:
-    """What is static of a study's scenarios: samples of each, steps that a level of the inputs holds, unknowns at vertices or not."""
+    """What is static of a study's scenarios: samples of each, steps that a level of the inputs holds,
+    unknowns at vertices or not.
+    """
 
     samples: int
     hold: int
     vertices: bool
 
 
-def unknown_draws(course: Course, act: Act, plant: Plant, key: tuple[Array, Array], numbers: Array, k: Array) -> Unknowns:
-    """Return (theta, delta, share, extra) of step k: relative errors (None where there is no tolerance), noises, disturbances, fault."""
+def unknown_draws(
+    course: Course, act: Act, plant: Plant, key: tuple[Array, Array], numbers: Array, k: Array
+) -> Unknowns:
+    """Return (theta, delta, share, extra) of step k: relative errors (None where there is no tolerance),
+    noises, disturbances, fault.
+    """
     p, g = plant.shape[2:]
     count = 2 * p + g + (act.kind == "noise")
-    bits = draws.words(key, numbers, draws.STEPS + jnp.asarray(k, jnp.uint32) * np.uint32(-(-count // 2)), count)
+    bits = draws.words(
+        key, numbers, draws.STEPS + jnp.asarray(k, jnp.uint32) * np.uint32(-(-count // 2)), count
+    )
     each = [draws.share(b, plant.noise.dtype, course.vertices) for b in bits[: 2 * p + g]]
     extra = draws.share(bits[-1], plant.noise.dtype) if act.kind == "noise" else None
-    return each[: 2 * p : 2], each[1 : 2 * p : 2], each[2 * p :], extra  # the two of an output share their rounds
+    return (
+        each[: 2 * p : 2],
+        each[1 : 2 * p : 2],
+        each[2 * p :],
+        extra,
+    )  # the two of an output share their rounds
 
 
 def levels(course: Course, limits: Array, key: tuple[Array, Array], numbers: Array) -> jax.Array:
     """Return the inputs of each hold, an array (holds, m, N), uniform within limits (m, 2)."""
     calls = -(-len(limits) // 2)
-    hold = jnp.arange(-(-course.samples // course.hold) + 1, dtype=jnp.uint32)[:, None] + jnp.zeros_like(numbers)[None]
-    bits = draws.words(key, jnp.broadcast_to(numbers[None], hold.shape), draws.INPUTS + hold * np.uint32(calls), len(limits))
+    hold = (
+        jnp.arange(-(-course.samples // course.hold) + 1, dtype=jnp.uint32)[:, None]
+        + jnp.zeros_like(numbers)[None]
+    )
+    bits = draws.words(
+        key, jnp.broadcast_to(numbers[None], hold.shape), draws.INPUTS + hold * np.uint32(calls), len(limits)
+    )
     each = [draws.share(b, limits.dtype) for b in bits]
     out = [jnp.clip(lo + 0.5 * (1 + r) * (hi - lo), lo, hi) for r, (lo, hi) in zip(each, limits, strict=True)]
     return jnp.stack(out, 1) if out else jnp.zeros((len(hold), 0, len(numbers)), limits.dtype)
 
 
-def prepared(course: Course, act: Act, limits: Array, key: tuple[Array, Array], numbers: Array) -> tuple[Array, Array, Array]:
+def prepared(
+    course: Course, act: Act, limits: Array, key: tuple[Array, Array], numbers: Array
+) -> tuple[Array, Array, Array]:
     """Return (inputs of each hold, sizes, onsets) of scenarios."""
     (bits,) = draws.words(key, numbers, draws.ONSETS, 1)
     size = act.sizes[numbers % np.uint32(act.sizes.shape[0])]
@@ -79,7 +112,9 @@ def move(
     x: list[Array],
     held: Array,
 ) -> tuple[list[Array], list[Array], Array]:
-    """Return (x+, y, held) of step k for N scenarios, with the fault: lists over states and outputs. unknowns: from `unknown_draws`."""
+    """Return (x+, y, held) of step k for N scenarios, with the fault: lists over states and outputs.
+    unknowns: from `unknown_draws`.
+    """
     theta, delta, share, extra = unknowns
     since = k - onset
     on = (since >= 0) & (since < act.length)
@@ -92,15 +127,22 @@ def move(
             mine = on & (channel == i)
             if act.kind == "stuck":
                 held = jnp.where(mine & (since == 0), value, held)
-            out.append(jnp.where(mine, scenarios.changed(act, value, size, since, extra, held, dropped), value))
+            out.append(
+                jnp.where(mine, scenarios.changed(act, value, size, since, extra, held, dropped), value)
+            )
         return out
 
     widened = act.kind == "tolerance"
-    bounds = [jnp.where(on & (act.output == i), size, plant.tolerance[i]) if widened else plant.tolerance[i] for i in range(p)]
+    bounds = [
+        jnp.where(on & (act.output == i), size, plant.tolerance[i]) if widened else plant.tolerance[i]
+        for i in range(p)
+    ]
     touched = act.kind not in ("none", "tolerance")
     applied = faulty(u, act.input, 0.0) if touched else u
     theta = [b * r for b, r in zip(bounds, theta, strict=True)]
-    x, y = recursion.step(plant, x, applied, theta, [b * r for b, r in zip(plant.noise, delta, strict=True)], share)
+    x, y = recursion.step(
+        plant, x, applied, theta, [b * r for b, r in zip(plant.noise, delta, strict=True)], share
+    )
     return x, faulty(y, act.output, jnp.nan) if touched else y, held
 
 
@@ -114,16 +156,25 @@ def recorded_input(u: Array | None, inputs: Array, k: Array, course: Course) -> 
 
 @partial(jax.jit, static_argnums=0)
 def count_block(
-    course: Course, test: Reading, plant: Plant, act: Act, limits: Array, u: Array | None, key: Array, numbers: Array
+    course: Course,
+    test: Reading,
+    plant: Plant,
+    act: Act,
+    limits: Array,
+    u: Array | None,
+    key: Array,
+    numbers: Array,
 ) -> tuple[Array, Array, Array, Array]:
     """Simulate and test N scenarios.
 
     Args:
-        course: a Course. test: a Reading with Strips. plant, act: see `recursion`, `scenarios`. limits: (m, 2) of the inputs.
+        course: a Course. test: a Reading with Strips. plant, act: see `recursion`, `scenarios`. limits: (m,
+            2) of the inputs.
         u: None, or (T, m) inputs for all. key: (2,) uint32. numbers: (N,) uint32, of the scenarios.
 
     Returns:
-        hits: FAULT windows wholly inside the fault; false: FAULT windows without a faulty sample; delay: samples from the onset to the
+        hits: FAULT windows wholly inside the fault; false: FAULT windows without a faulty sample; delay:
+            samples from the onset to the
         end of the first FAULT window that the fault touches, -1 if there is none; onset. All (N,) int32.
     """
     strips, s, (n, m, p, _) = test.shape, test.horizon, plant.shape
@@ -169,5 +220,7 @@ def replay_block(
         x, y, held = move(act, plant, unknowns, size, onset, u_now, k, x, held)
         return (x, held), (jnp.stack([*u_now, zero])[:-1], jnp.stack(y))
 
-    _, (us, ys) = jax.lax.scan(now, ([zero] * plant.shape[0], zero), jnp.arange(course.samples, dtype=jnp.int32))
+    _, (us, ys) = jax.lax.scan(
+        now, ([zero] * plant.shape[0], zero), jnp.arange(course.samples, dtype=jnp.int32)
+    )
     return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), onset

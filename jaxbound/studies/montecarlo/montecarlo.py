@@ -1,7 +1,9 @@
-"""Monte-Carlo studies of a monitor: how often and how soon it sees faults of which size, over a million scenarios.
+"""Monte-Carlo studies of a monitor: how often and how soon it sees faults of which size, over a million
+scenarios.
 
-Alarms are counted by the proved test alone. Scenarios are worked off in blocks of one size, on every CPU device, and a block's draws
-depend on the key, the fault and the scenarios' numbers only: counts are the same however the work is cut up, interrupted or spread.
+Alarms are counted by the proved test alone. Scenarios are worked off in blocks of one size, on every CPU
+device, and a block's draws depend on the key, the fault and the scenarios' numbers only: counts are the same
+however the work is cut up, interrupted or spread.
 """
 
 import dataclasses
@@ -48,33 +50,56 @@ __all__ = ["study"]
 
 AT = ("uniform", "vertices", "adversarial")
 LONGEST = 10**6  # samples of a scenario
-ATTACKED = 256  # scenarios that an adversary works on at once: the descent's memory is theirs times their length
+ATTACKED = (
+    256  # scenarios that an adversary works on at once: the descent's memory is theirs times their length
+)
 EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, tasks in a part
 TOGETHER = 16  # tasks that go to a worker at once
 
 
-def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int, key: jax.Array | int,
-          relations: Relations | None = None, *, samples: int = 200, sizes: Sequence[float] | dict[str, Sequence[float]] | None = None,
-          onset: int | tuple[int, int] | None = None, at: str = "uniform", inputs: object = None, input_range: ArrayLike | None = None,
-          hold: int = 20, method: str = "joint", confidence: float = 0.95, progress: Callable[[float], object] | None = None,
-          out: str | os.PathLike | None = None, rows: bool = False, client: "Client | None" = None) -> StudyResult:  # fmt: skip
+def study(
+    model: ModelLike,
+    faults: str | Fault | Sequence[str | Fault],
+    n: int,
+    key: jax.Array | int,
+    relations: Relations | None = None,
+    *,
+    samples: int = 200,
+    sizes: Sequence[float] | dict[str, Sequence[float]] | None = None,
+    onset: int | tuple[int, int] | None = None,
+    at: str = "uniform",
+    inputs: object = None,
+    input_range: ArrayLike | None = None,
+    hold: int = 20,
+    method: str = "joint",
+    confidence: float = 0.95,
+    progress: Callable[[float], object] | None = None,
+    out: str | os.PathLike | None = None,
+    rows: bool = False,
+    client: "Client | None" = None,
+) -> StudyResult:
     """Simulate n scenarios with faults, count what the proved test finds, and say how sure the shares are.
 
-    A scenario is a recording of `samples` samples from x = 0: inputs, unknowns within the model's bounds, and a fault of one size from its
-    onset on. Scenario j of a fault has its size number j modulo the number of sizes. What is counted: `StudyResult`.
+    A scenario is a recording of `samples` samples from x = 0: inputs, unknowns within the model's bounds, and
+    a fault of one size from its onset on. Scenario j of a fault has its size number j modulo the number of
+    sizes. What is counted: `StudyResult`.
 
     Args:
         model: a LinearSystem, the plant as it is.
-        faults: texts "signal:kind" (kinds as in `Fault`), Fault objects, or one of these; () for healthy scenarios only.
+        faults: texts "signal:kind" (kinds as in `Fault`), Fault objects, or one of these; () for healthy
+            scenarios only.
         n: scenarios, spread evenly over the faults.
         key: a jax.random key, or a whole number.
-        relations: of the monitor, whatever `detect` takes, a bank, a residual or an `observer` too (then windows are samples, those behind
-            the onset faulty); None: `parity_relations(model)`. Those of
+        relations: of the monitor, whatever `detect` takes, a bank, a residual or an `observer` too (then
+            windows are samples, those behind the onset faulty); None: `parity_relations(model)`. Those of
             another model with the same signals show what happens when its bounds are not the plant's.
-        samples: of a scenario. sizes: of the faults, in the unit of the signal (relative for gain and tolerance): a sequence for all,
-            or {"signal:kind": sequence}; None: a Fault's own, else twelve around the guaranteed size.
-        onset: a sample, or (lo, hi): drawn uniformly from lo <= k < hi; None: a Fault's own start and stop, else the second quarter.
-        at: "uniform" draws unknowns uniformly, "vertices" each at one of its bounds, "adversarial" chooses them to hide the fault.
+        samples: of a scenario. sizes: of the faults, in the unit of the signal (relative for gain and
+            tolerance): a sequence for all, or {"signal:kind": sequence}; None: a Fault's own, else twelve
+            around the guaranteed size.
+        onset: a sample, or (lo, hi): drawn uniformly from lo <= k < hi; None: a Fault's own start and stop,
+            else the second quarter.
+        at: "uniform" draws unknowns uniformly, "vertices" each at one of its bounds, "adversarial" chooses
+            them to hide the fault.
         inputs: (samples, m) for all, or a table; None: piecewise constant levels, uniform in input_range.
         hold: samples that each of these levels lasts.
         input_range: (lo, hi), or one such pair an input, in the unit of the inputs; None: the
@@ -82,10 +107,10 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         method: of the monitor, as for `detect`; all but "linearized", which proves nothing.
         confidence: of the intervals.
         progress: called with the share of the work done.
-        out: a folder where the state is kept every few seconds: the same call goes on where a killed one stopped, and ends with the
-            same counts.
-        rows: True keeps a row for each scenario there too, in Parquet files: fault, size, scenario, onset, fault_windows,
-            false_alarms, delay.
+        out: a folder where the state is kept every few seconds: the same call goes on where a killed one
+            stopped, and ends with the same counts.
+        rows: True keeps a row for each scenario there too, in Parquet files: fault, size, scenario, onset,
+            fault_windows, false_alarms, delay.
         client: of dask.distributed, whose workers simulate and test; the counts are the same.
 
     Returns:
@@ -95,7 +120,8 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         ValueError: an unknown fault, signal, `at`, or a number out of range; `out` holds another study.
         NotImplementedError: an adversary with uncertain parameters, unknown inputs or sensors without noise.
 
-    Encloses: where relations are those of the model, no window without a faulty sample is ever FAULT: the simulated data are explained by
+    Encloses: where relations are those of the model, no window without a faulty sample is ever FAULT: the
+    simulated data are explained by
         unknowns within their bounds, rounding included (`recursion`, `simulate`).
 
     Example:
@@ -122,17 +148,38 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
     key = key_of(key)
     words = [np.asarray(_words(key, i)) for i in range(len(trials))]
     reach = samples if remembers(relations) else relations.horizon
-    room = np.max([recursion.rounding_room(model, reach, scenarios.largest_input(model, t, highest, samples), samples, dtype)
-                   for t in trials], 0)  # fmt: skip
+    room = np.max(
+        [
+            recursion.rounding_room(
+                model, reach, scenarios.largest_input(model, t, highest, samples), samples, dtype
+            )
+            for t in trials
+        ],
+        0,
+    )
     course = kernel.Course(samples, hold, at == "vertices")
     made = model, relations, course, at, method, room, u, limits, dtype
     run, block = _engine(*made)
-    settings = {"method": method, "at": at, "samples": samples, "hold": hold, "n": n, "horizon": relations.horizon,
-                "dtype": np.dtype(dtype).name, "input range": limits.tolist(), "inputs": None if u is None else fingerprint(u),
-                "key": [w.tolist() for w in words], "engine": run.__name__,
-                "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials]}  # fmt: skip
+    settings = {
+        "method": method,
+        "at": at,
+        "samples": samples,
+        "hold": hold,
+        "n": n,
+        "horizon": relations.horizon,
+        "dtype": np.dtype(dtype).name,
+        "input range": limits.tolist(),
+        "inputs": None if u is None else fingerprint(u),
+        "key": [w.tolist() for w in words],
+        "engine": run.__name__,
+        "faults": [[t.label, t.sizes.tolist(), t.onset, t.length] for t in trials],
+    }
     tallies = [Tally(len(t.sizes), samples) for t in trials]
-    keeper = None if out is None else Keeper(out, identity(relations, plant=model, rows=rows, block=block, **settings), tallies, rows)
+    keeper = (
+        None
+        if out is None
+        else Keeper(out, identity(relations, plant=model, rows=rows, block=block, **settings), tallies, rows)
+    )
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
     job = _Scenarios(made, [scenarios.act_of(t, model, dtype) for t in trials], words, block)
 
@@ -144,15 +191,26 @@ def study(model: ModelLike, faults: str | Fault | Sequence[str | Fault], n: int,
         windows, clean = trials[i].spans(begun, samples, relations)
         tallies[i].add(which, hits, false, delay, windows, clean)
         if keeper is not None:
-            keeper.add_rows(trials[i].label, trials[i].sizes[which], np.arange(first, first + take), begun, hits, false, delay)
+            keeper.add_rows(
+                trials[i].label,
+                trials[i].sizes[which],
+                np.arange(first, first + take),
+                begun,
+                hits,
+                false,
+                delay,
+            )
 
     _work_off(client, job, tasks, collect, keeper, progress)
-    return StudyResult(model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings)
+    return StudyResult(
+        model, relations.horizon, tuple(trials), tuple(tallies), at, samples, confidence, settings
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Scenarios:
-    """The scenarios of a study as a `Job`: a task is (number of a fault, first scenario), a block from there on.
+    """The scenarios of a study as a `Job`: a task is (number of a fault, first scenario), a block from there
+    on.
 
     Fields: made: what `_engine` takes. acts, words: of each fault. block: scenarios in a task.
     """
@@ -168,10 +226,14 @@ class _Scenarios:
         return _engine(*self.made)[0]
 
     def run(self, task):
-        """Return what is found in each scenario of a block: hits, false, delay, onset; judged on the CPU, whatever there is beside."""
+        """Return what is found in each scenario of a block: hits, false, delay, onset; judged on the CPU,
+        whatever there is beside.
+        """
         i, first = task
         with jax.default_device(jax.local_devices(backend="cpu")[0]):
-            found = self.counted(self.acts[i], self.words[i], np.arange(first, first + self.block, dtype=np.uint32))
+            found = self.counted(
+                self.acts[i], self.words[i], np.arange(first, first + self.block, dtype=np.uint32)
+            )
         return tuple(map(np.asarray, found))
 
 
@@ -186,22 +248,34 @@ def _named(relations: Relations, model: LinearSystem) -> Relations:
     if not isinstance(relations, Residual):
         return relations
     inputs, outputs = relations.model.inputs, relations.model.outputs
-    inputs, outputs = (own if own is not None else plant for own, plant in ((inputs, model.inputs), (outputs, model.outputs)))
-    return dataclasses.replace(relations, model=dataclasses.replace(relations.model, inputs=inputs, outputs=outputs))
+    inputs, outputs = (
+        own if own is not None else plant for own, plant in ((inputs, model.inputs), (outputs, model.outputs))
+    )
+    return dataclasses.replace(
+        relations, model=dataclasses.replace(relations.model, inputs=inputs, outputs=outputs)
+    )
 
 
 def _check(model, relations, n, samples, hold, at, method, confidence):
     if not hasattr(relations, "test"):
-        raise TypeError(f"a study needs relations that `detect` takes, from parity_relations for example, not {type(relations).__name__}")
+        raise TypeError(
+            f"a study needs relations that `detect` takes, from parity_relations for example, not "
+            f"{type(relations).__name__}"
+        )
     if method == "linearized":
-        raise ValueError("method 'linearized' neglects terms and proves no FAULT, which is what a study counts: use 'joint' or 'paving'")
+        raise ValueError(
+            "method 'linearized' neglects terms and proves no FAULT, which is what a study counts: use "
+            "'joint' or 'paving'"
+        )
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
     for name, value in (("n", n), ("samples", samples), ("hold", hold)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
             raise ValueError(f"{name} must be a whole number >= 1, not {value!r}")
     if samples > LONGEST:
-        raise ValueError(f"samples must be at most {LONGEST}, not {samples}: a fault that is not seen by then never is")
+        raise ValueError(
+            f"samples must be at most {LONGEST}, not {samples}: a fault that is not seen by then never is"
+        )
     if n >= 2**32:
         raise ValueError(f"n must be below 2^32, not {n}: run several studies with different keys")
     if at not in AT:
@@ -216,7 +290,9 @@ def _inputs(model, inputs, input_range, samples, dtype):
     if inputs is not None:
         u = np.asarray(inputs_of(model, inputs, "inputs"), dtype)
         if u.ndim != 2 or u.shape[1] != model.m:
-            raise ValueError(f"inputs must have shape (samples, {model.m}), time first: their shape is {u.shape}")
+            raise ValueError(
+                f"inputs must have shape (samples, {model.m}), time first: their shape is {u.shape}"
+            )
         if not np.isfinite(u).all():
             refuse_infinite("inputs", u, model.inputs)
             raise ValueError("inputs of a study must not be missing (NaN)")
@@ -227,7 +303,10 @@ def _inputs(model, inputs, input_range, samples, dtype):
     else:
         limits = np.asarray(input_range, float)
     if limits.shape not in ((2,), (model.m, 2)):
-        raise ValueError(f"input_range needs a pair (lo, hi), or one for each of {model.m} inputs: its shape is {limits.shape}")
+        raise ValueError(
+            f"input_range needs a pair (lo, hi), or one for each of {model.m} inputs: its shape is "
+            f"{limits.shape}"
+        )
     limits = np.broadcast_to(limits, (model.m, 2)).astype(dtype)
     if not (np.isfinite(limits).all() and (limits[:, 0] <= limits[:, 1]).all()):
         raise ValueError(f"input_range needs finite lo <= hi, not {limits.tolist()}")
@@ -244,13 +323,16 @@ def _engine(model, relations, course, at, method, room, u, limits, dtype):
     if at == "adversarial":
         if not (plain and certain):
             raise NotImplementedError(
-                "an adversary needs a test by strips, down whose margin it goes: a certain model without averages, noise on every output, "
+                "an adversary needs a test by strips, down whose margin it goes: a certain model without "
+                "averages, noise on every output, "
                 "parity relations, method 'joint' or 'box'; use at='vertices' instead"
             )
         test = relations.reading(dtype)
 
         def attacked(act, key, numbers):
-            us, ys, onset = map(np.asarray, adversary.attack_block(course, test, plant, act, limits, u, key, numbers))
+            us, ys, onset = map(
+                np.asarray, adversary.attack_block(course, test, plant, act, limits, u, key, numbers)
+            )
             return *records.count_recordings(relations, act, us, ys, onset, method), onset
 
         return attacked, min(ATTACKED, records.recording_block(course))
@@ -260,7 +342,9 @@ def _engine(model, relations, course, at, method, room, u, limits, dtype):
 
         def counted(act, key, numbers):
             blocks = [(part,) for part in np.split(numbers, len(devices))]
-            found = on_devices(_counter(course), everywhere((test, plant, act, limits, u, key), devices), blocks, devices)
+            found = on_devices(
+                _counter(course), everywhere((test, plant, act, limits, u, key), devices), blocks, devices
+            )
             return tuple(map(np.concatenate, zip(*found, strict=True)))
 
         return counted, kernel.BLOCK * len(devices)
@@ -285,7 +369,9 @@ def _work_off(client, job, tasks, collect, keeper, progress):
     """Do the tasks that are left; collect them in order, and keep the state now and then."""
     done, saved = 0 if keeper is None else keeper.done, time.monotonic()
     try:
-        for found in _here(job, tasks[done:]) if client is None else in_order(client, job, tasks[done:], TOGETHER):
+        for found in (
+            _here(job, tasks[done:]) if client is None else in_order(client, job, tasks[done:], TOGETHER)
+        ):
             collect(done, found)
             done += 1
             due = done % PART == 0 if keeper is not None and keeper.rows else time.monotonic() - saved > EVERY
@@ -294,7 +380,9 @@ def _work_off(client, job, tasks, collect, keeper, progress):
                 saved = time.monotonic()
             if progress is not None:
                 progress(done / len(tasks))
-    except KeyboardInterrupt:  # what was collected since the last state may be half counted: it is drawn again
+    except (
+        KeyboardInterrupt
+    ):  # what was collected since the last state may be half counted: it is drawn again
         if keeper is None:
             raise
         kept = f"{keeper.done} of {len(tasks)} blocks of scenarios are kept in {keeper.folder}"
@@ -306,7 +394,9 @@ def _here(job, tasks):
     _, *others = jax.local_devices(backend="cpu")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     threads = max(1, cores // (1 + len(others)))
-    wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64  # in a context of the caller's thread, perhaps
+    wide = (
+        jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+    )  # in a context of the caller's thread, perhaps
     left, waiting = iter(tasks), deque()  # type: ignore[var-annotated]
 
     def placed(task):

@@ -6,10 +6,13 @@ from numpy.typing import ArrayLike
 __all__ = ["proportion_interval", "rate_interval"]
 
 
-def proportion_interval(found: ArrayLike, of: ArrayLike, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+def proportion_interval(
+    found: ArrayLike, of: ArrayLike, confidence: float = 0.95
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (lo, hi) of the true share behind `found` among `of` independent scenarios (Clopper, Pearson).
 
-    It holds with at least the confidence for any share, however few there are: 0 of n gives hi = 1 - ((1 - confidence) / 2)^(1/n).
+    It holds with at least the confidence for any share, however few there are: 0 of n gives hi = 1 - ((1 -
+    confidence) / 2)^(1/n).
 
     Args:
         found, of: whole numbers, or arrays of them that broadcast. confidence: in (0, 1).
@@ -37,13 +40,16 @@ def rate_interval(
     scenarios: ArrayLike,
     confidence: float = 0.95,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (rate, lo, hi) of hits / windows where the windows of one scenario depend on each other, but the scenarios do not.
+    """Return (rate, lo, hi) of hits / windows where the windows of one scenario depend on each other, but the
+    scenarios do not.
 
-    The standard error is that of a ratio of two means over scenarios, times the normal quantile: for many scenarios. Where no window or
-    every window is a hit, the spread says nothing: the end is then that of the share of scenarios with a hit, or with none missing.
+    The standard error is that of a ratio of two means over scenarios, times the normal quantile: for many
+    scenarios. Where no window or every window is a hit, the spread says nothing: the end is then that of the
+    share of scenarios with a hit, or with none missing.
 
     Args:
-        hits, windows: sums over scenarios of their hits h and windows w. squares, crossed, squared: sums of h^2, h w, w^2.
+        hits, windows: sums over scenarios of their hits h and windows w. squares, crossed, squared: sums of
+            h^2, h w, w^2.
         scenarios: how many. confidence: in (0, 1).
 
     Returns:
@@ -53,7 +59,9 @@ def rate_interval(
     """
     from scipy.special import ndtri
 
-    hits, windows, squares, crossed, squared, n = (np.asarray(x, float) for x in (hits, windows, squares, crossed, squared, scenarios))
+    hits, windows, squares, crossed, squared, n = (
+        np.asarray(x, float) for x in (hits, windows, squares, crossed, squared, scenarios)
+    )
     with np.errstate(all="ignore"):
         rate = hits / windows
         spread = np.maximum(squares - 2 * rate * crossed + rate**2 * squared, 0)  # sum of (h - rate w)^2

@@ -1,7 +1,7 @@
 """Scenarios written out as recordings and given to `detect`: for whatever the fused kernel has no room for.
 
-Long windows whose combinations are searched for, uncertain parameters, unknown inputs, gains that stay constant, sensors without noise, and
-unknowns that an adversary chose. What a study counts is the same.
+Long windows whose combinations are searched for, uncertain parameters, unknown inputs, gains that stay
+constant, sensors without noise, and unknowns that an adversary chose. What a study counts is the same.
 """
 
 import jax
@@ -25,9 +25,16 @@ def recording_block(course: kernel.Course, samples_at_once: int = 2**17) -> int:
 
 
 def count_recordings(
-    relations: Relations, act: scenarios.Act, u: np.ndarray, y: np.ndarray, onset: np.ndarray, method: str = "joint"
+    relations: Relations,
+    act: scenarios.Act,
+    u: np.ndarray,
+    y: np.ndarray,
+    onset: np.ndarray,
+    method: str = "joint",
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (hits, false, delay) as `kernel.count_block` does, of recordings u (N, T, m), y (N, T, p) with onsets (N,)."""
+    """Return (hits, false, delay) as `kernel.count_block` does, of recordings u (N, T, m), y (N, T, p) with
+    onsets (N,).
+    """
     s, end = relations.horizon, np.arange(y.shape[1])[None]
     fault = detect(relations, u, y, method).status == Status.FAULT
     start, length = np.asarray(onset)[:, None], int(act.length)
@@ -50,7 +57,8 @@ def simulate_block(
     key: np.ndarray,
     numbers: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) simulated by `simulate`; the unknowns depend on the block as a whole.
+    """Return recordings u (N, T, m), y (N, T, p) and onsets (N,) simulated by `simulate`; the unknowns depend
+    on the block as a whole.
 
     Args:
         as for `kernel.replay_block`, with a LinearSystem in place of the plant.
@@ -65,7 +73,9 @@ def simulate_block(
         u = np.broadcast_to(np.asarray(u), (len(numbers), *u.shape))
     since = jnp.arange(T, dtype=jnp.int32)[None] - onset
     on = (since >= 0) & (since < act.length)
-    k_run, k_extra = jax.random.split(jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), numbers[0]))
+    k_run, k_extra = jax.random.split(
+        jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), numbers[0])
+    )
     extra = jax.random.uniform(k_extra, since.shape, size.dtype, -1, 1)
 
     def faulty(values, channel, dropped):
@@ -74,7 +84,9 @@ def simulate_block(
             return values
         value = values[..., i]
         held = jnp.take_along_axis(value, jnp.minimum(onset, T - 1), 1)
-        return values.at[..., i].set(jnp.where(on, scenarios.changed(act, value, size, since, extra, held, dropped), value))
+        return values.at[..., i].set(
+            jnp.where(on, scenarios.changed(act, value, size, since, extra, held, dropped), value)
+        )
 
     touched = act.kind not in ("none", "tolerance")
     applied = faulty(jnp.asarray(u), act.input, 0.0) if touched else jnp.asarray(u)

@@ -1,29 +1,31 @@
 """Simulated data that are truly explained by unknowns within their bounds, at the speed of a plain recursion.
 
-`models.simulate` carries twice the digits, so that a sample is right to the last one. A study of windows needs less, because the state at
-the start of a window is free.
+`models.simulate` carries twice the digits, so that a sample is right to the last one. A study of windows
+needs less, because the state at the start of a window is free.
 
 **Claim.** Let floats of unit roundoff u be computed by
 
     x+ = A x + B (v - v0) + G w,    t = C x + D (v - v0),    y = t + theta t + delta + y0,
 
-in any order, with or without FMA, with floats |theta| <= sigma, lo <= w <= hi and |delta| <= rho - beta, beta from `rounding_room`, v the
-recorded input. Then every window of s + 1 samples y is exactly explained by the model: by a state, by these w and theta, and by
-noises of at most rho. So `detect` never calls it FAULT.
+in any order, with or without FMA, with floats |theta| <= sigma, lo <= w <= hi and |delta| <= rho - beta, beta
+from `rounding_room`, v the recorded input. Then every window of s + 1 samples y is exactly explained by the
+model: by a state, by these w and theta, and by noises of at most rho. So `detect` never calls it FAULT.
 
-**Proof.** Take as the state at the start of the window the float that the recursion had there, and let the exact model run on from it
-with the same v, w and theta. Each component of one step, a sum of N = n + m + g products of coefficients rounded once (B and D times v -
-v0, rounded too), is off by e <= (N + 8) u (|A| X + |B| (V + |v0|) + |G| W), where X, V, W bound the magnitudes of x, v and w: N products
-and sums, one rounding of a coefficient, three of v - v0, and second-order terms. Errors of steps before the window do not matter: its
-state is free. Within it they add up to at most sum_{i < s} |C A^i| e on t, whose own sum adds (n + m + 8) u (|C| X + |D| (V + |v0|));
-then (1 + sigma) of both, and at most 8 u (Y + |y0|) of the last line, Y bounding |y - y0|. beta is twice the sum of these, which covers
-the rounding of beta itself, of W and X as they are computed here, and the coefficients' rounding in `reach`; a few hundred times the
-smallest normal number covers underflow. What y differs from (1 + theta) t + delta + y0 of the exact model is then a noise of at most
+**Proof.** Take as the state at the start of the window the float that the recursion had there, and let the
+exact model run on from it with the same v, w and theta. Each component of one step, a sum of N = n + m + g
+products of coefficients rounded once (B and D times v - v0, rounded too), is off by e <= (N + 8) u (|A| X +
+|B| (V + |v0|) + |G| W), where X, V, W bound the magnitudes of x, v and w: N products and sums, one rounding
+of a coefficient, three of v - v0, and second-order terms. Errors of steps before the window do not matter:
+its state is free. Within it they add up to at most sum_{i < s} |C A^i| e on t, whose own sum adds (n + m + 8)
+u (|C| X + |D| (V + |v0|)); then (1 + sigma) of both, and at most 8 u (Y + |y0|) of the last line, Y bounding
+|y - y0|. beta is twice the sum of these, which covers the rounding of beta itself, of W and X as they are
+computed here, and the coefficients' rounding in `reach`; a few hundred times the smallest normal number
+covers underflow. What y differs from (1 + theta) t + delta + y0 of the exact model is then a noise of at most
 beta, and |delta| + beta <= rho.
 
-The room is some 1e-14 of a unit in float64: vertices lie that far inside, and an exact boundary is met up to it. Where it is more than
-`SHARE` of the noise (no noise at all, or a state that grows out of proportion) `fits` is False, and a study simulates with `simulate`
-instead.
+The room is some 1e-14 of a unit in float64: vertices lie that far inside, and an exact boundary is met up to
+it. Where it is more than `SHARE` of the noise (no noise at all, or a state that grows out of proportion)
+`fits` is False, and a study simulates with `simulate` instead.
 """
 
 from collections.abc import Sequence
@@ -49,7 +51,8 @@ SHARE = 1e-2
 class Plant:
     """The numbers of a model in floats; the noise is smaller by the room for rounding.
 
-    Fields: A (n, n), B (n, m), C (p, n), D (p, m), G (n, g), tolerance, noise, offset_y (p,), offset_u (m,), lo, hi (g,).
+    Fields: A (n, n), B (n, m), C (p, n), D (p, m), G (n, g), tolerance, noise, offset_y (p,), offset_u (m,),
+    lo, hi (g,).
     zeros: for each matrix, which entries are zero: static, so that they cost nothing.
     """
 
@@ -92,7 +95,12 @@ def reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tuple[np.nda
     """
     A, B, C, D, G = matrices(model)
     bound = np.array([max(abs(float(lo)), abs(float(hi))) for lo, hi in model.disturbance])
-    drive, power, states, outputs = np.hstack([B * inputs, G * bound]), np.eye(model.n), np.zeros(model.n), np.abs(D) @ inputs
+    drive, power, states, outputs = (
+        np.hstack([B * inputs, G * bound]),
+        np.eye(model.n),
+        np.zeros(model.n),
+        np.abs(D) @ inputs,
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(samples):
             states = states + np.abs(power @ drive).sum(1)
@@ -103,8 +111,12 @@ def reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tuple[np.nda
         return 1.001 * states, 1.001 * ((1 + tolerance) * outputs + noise)
 
 
-def rounding_room(model: LinearSystem, horizon: int, inputs: np.ndarray, samples: int, dtype: np.dtype) -> np.ndarray:
-    """Return beta (p,) of the claim above, for inputs whose |v - offset| is at most `inputs` (m,); inf where it is out of proportion."""
+def rounding_room(
+    model: LinearSystem, horizon: int, inputs: np.ndarray, samples: int, dtype: np.dtype
+) -> np.ndarray:
+    """Return beta (p,) of the claim above, for inputs whose |v - offset| is at most `inputs` (m,); inf where
+    it is out of proportion.
+    """
     A, B, C, D, G = matrices(model)
     u, (n, m, g) = float(rounding.unit(dtype)), (model.n, model.m, model.g)
     states, outputs = reach(model, inputs, samples)
@@ -126,10 +138,14 @@ def rounding_room(model: LinearSystem, horizon: int, inputs: np.ndarray, samples
 
 
 def fits(model: LinearSystem, room: np.ndarray) -> bool:
-    """Say whether the fast recursion may stand for this model: certain, all unknowns bounded, and noise enough for the room."""
+    """Say whether the fast recursion may stand for this model: certain, all unknowns bounded, and noise
+    enough for the room.
+    """
     if model.uncertainties or model.d or model.constant_tolerance or model.averages:
         return False
-    return all(taken <= SHARE * float(noise) for taken, noise in zip(_taken(model, room), model.noise, strict=True))
+    return all(
+        taken <= SHARE * float(noise) for taken, noise in zip(_taken(model, room), model.noise, strict=True)
+    )
 
 
 def _taken(model: LinearSystem, room: np.ndarray) -> list[float]:
@@ -139,9 +155,14 @@ def _taken(model: LinearSystem, room: np.ndarray) -> list[float]:
 
 def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> Plant:
     """Return the Plant of a model that `fits`, with `room` for rounding."""
-    noise = [float(rho) * (1 - 1e-15) - taken for rho, taken in zip(model.noise, _taken(model, room), strict=True)]
+    noise = [
+        float(rho) * (1 - 1e-15) - taken for rho, taken in zip(model.noise, _taken(model, room), strict=True)
+    ]
     A, B, C, D, G = exact = matrices(model)
-    lo, hi = rounding.round_up([b[0] for b in model.disturbance], dtype), rounding.round_down([b[1] for b in model.disturbance], dtype)
+    lo, hi = (
+        rounding.round_up([b[0] for b in model.disturbance], dtype),
+        rounding.round_down([b[1] for b in model.disturbance], dtype),
+    )
     vector = lambda values: np.array([float(x) for x in values], dtype)
     return Plant(
         A.astype(dtype),
@@ -170,8 +191,8 @@ def step(
     """Return (x+, y) of one step, lists of arrays over scenarios.
 
     Args:
-        x: n states. applied: m inputs, offset included. theta: p relative errors (None: none). delta: p noises. share: g numbers in
-            [-1, 1], where each disturbance lies within its bounds.
+        x: n states. applied: m inputs, offset included. theta: p relative errors (None: none). delta: p
+            noises. share: g numbers in [-1, 1], where each disturbance lies within its bounds.
     """
     zero_A, zero_B, zero_C, zero_D, zero_G = plant.zeros
     given = [v - plant.offset_u[i] for i, v in enumerate(applied)]
@@ -184,7 +205,11 @@ def step(
         y.append((t if theta[i] is None else t + theta[i] * t) + delta[i] + plant.offset_y[i])
     after = []
     for i in range(plant.shape[0]):
-        terms = [*parts(plant.A, zero_A, x, i), *parts(plant.B, zero_B, given, i), *parts(plant.G, zero_G, w, i)]
+        terms = [
+            *parts(plant.A, zero_A, x, i),
+            *parts(plant.B, zero_B, given, i),
+            *parts(plant.G, zero_G, w, i),
+        ]
         after.append(_sum(terms, delta[0]))
     return after, y
 

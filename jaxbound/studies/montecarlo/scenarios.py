@@ -37,9 +37,9 @@ GRID = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
 class Trial:
     """One fault in all its sizes and onsets.
 
-    Fields: fault: a Fault, its size meaning nothing; None for healthy scenarios. sizes: (S,). onset: (lo, hi), it starts at a sample drawn
-    uniformly from lo <= k < hi. length: samples that it lasts, at most to the end. guaranteed: from `detectable`, nan where it says
-    nothing.
+    Fields: fault: a Fault, its size meaning nothing; None for healthy scenarios. sizes: (S,). onset: (lo,
+    hi), it starts at a sample drawn uniformly from lo <= k < hi. length: samples that it lasts, at most to
+    the end. guaranteed: from `detectable`, nan where it says nothing.
     """
 
     fault: Fault | None
@@ -54,7 +54,8 @@ class Trial:
         return "no fault" if self.fault is None else f"{self.fault.signal}:{self.fault.kind}"
 
     def spans(self, onset: np.ndarray, samples: int, relations: Relations) -> tuple[np.ndarray, np.ndarray]:
-        """Return (windows wholly inside the fault, windows without a faulty sample) of scenarios with such onsets.
+        """Return (windows wholly inside the fault, windows without a faulty sample) of scenarios with such
+        onsets.
 
         Of an observer: samples of the fault, and those before it.
         """
@@ -68,9 +69,11 @@ class Trial:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Act:
-    """What a kernel needs of a Trial: kind is static ("shift" for bias, drift and gain), everything else traced.
+    """What a kernel needs of a Trial: kind is static ("shift" for bias, drift and gain), everything else
+    traced.
 
-    Fields: output, input: its number, or -1. bias, drift, gain: 1 where the fault is that. sizes (S,). first, span, length: of the onset.
+    Fields: output, input: its number, or -1. bias, drift, gain: 1 where the fault is that. sizes (S,). first,
+    span, length: of the onset.
     """
 
     output: Array
@@ -87,21 +90,35 @@ class Act:
 
 def act_of(trial: Trial, model: LinearSystem, dtype: np.dtype) -> Act:
     """Return the Act of a Trial."""
-    fault, number = trial.fault, lambda names, signal: np.asarray(names.index(signal) if signal in names else -1, np.int32)
+    fault, number = (
+        trial.fault,
+        lambda names, signal: np.asarray(names.index(signal) if signal in names else -1, np.int32),
+    )
     signal, kind = (fault.signal, fault.kind) if fault else (None, "none")
     bias, drift, gain = flags = [np.asarray(kind == k, dtype) for k in ("bias", "drift", "gain")]
     first, stop = trial.onset
     return Act(
-        number(model.outputs, signal), number(model.inputs, signal), bias, drift, gain, np.asarray(trial.sizes, dtype),
-        np.asarray(first, np.uint32), np.asarray(stop - first, np.uint32), np.asarray(trial.length, np.int32),
-        "shift" if any(flags) else kind)  # fmt: skip
+        number(model.outputs, signal),
+        number(model.inputs, signal),
+        bias,
+        drift,
+        gain,
+        np.asarray(trial.sizes, dtype),
+        np.asarray(first, np.uint32),
+        np.asarray(stop - first, np.uint32),
+        np.asarray(trial.length, np.int32),
+        "shift" if any(flags) else kind,
+    )
 
 
-def changed(act: Act, value: Array, size: Array, since: Array, extra: Array | None, held: Array, dropped: float) -> Array:
+def changed(
+    act: Act, value: Array, size: Array, since: Array, extra: Array | None, held: Array, dropped: float
+) -> Array:
     """Return a value as the fault leaves it, `since` samples after its onset.
 
     Args:
-        extra: a number in [-1, 1] for kind "noise". held: the value at the onset. dropped: what is left of a missing sample.
+        extra: a number in [-1, 1] for kind "noise". held: the value at the onset. dropped: what is left of a
+            missing sample.
     """
     if act.kind == "noise":
         assert extra is not None, "a noise fault draws"
@@ -123,15 +140,19 @@ def trials(
     """Return a list of Trial, everything checked.
 
     Args:
-        model, relations: as of the study. faults: a Fault, a text "signal:kind", a sequence of these, or none for healthy scenarios.
-        sizes: None; a sequence for all faults; {"signal:kind": sequence}. onset: None, a sample, or (lo, hi). samples: of a scenario.
+        model, relations: as of the study. faults: a Fault, a text "signal:kind", a sequence of these, or none
+            for healthy scenarios.
+        sizes: None; a sequence for all faults; {"signal:kind": sequence}. onset: None, a sample, or (lo, hi).
+            samples: of a scenario.
         highest: (m,) the largest |u - offset|.
 
     Raises:
         ValueError: an unknown signal or kind, sizes that no fault takes, onsets outside the scenario.
     """
     if samples <= relations.horizon:
-        raise ValueError(f"a scenario of {samples} samples has no window of {relations.horizon + 1}: take more samples")
+        raise ValueError(
+            f"a scenario of {samples} samples has no window of {relations.horizon + 1}: take more samples"
+        )
     faults = [faults] if isinstance(faults, str | Fault) else list(faults)
     given = [_fault(model, f) for f in faults]
     labels = [f"{f.signal}:{f.kind}" for f in given]
@@ -146,16 +167,30 @@ def trials(
         first, stop = (fault.start, fault.start + 1) if placed else _onset(onset, samples)
         length = samples if fault.stop is None else fault.stop - fault.start
         if not 0 <= first < stop <= samples:
-            raise ValueError(f"the fault {label} must start at a sample 0 <= k < {samples}, not in {first}..{stop - 1}")
+            raise ValueError(
+                f"the fault {label} must start at a sample 0 <= k < {samples}, not in {first}..{stop - 1}"
+            )
         if fault.kind in SIZELESS:
             own = (0.0,)
         elif own is None:
-            own = (fault.size,) if isinstance(original, Fault) and fault.size else _usual_sizes(model, fault, relations, highest, samples)
+            own = (
+                (fault.size,)
+                if isinstance(original, Fault) and fault.size
+                else _usual_sizes(model, fault, relations, highest, samples)
+            )
         each = np.atleast_1d(np.asarray(own, float))
         if each.ndim != 1 or not each.size or not np.isfinite(each).all():
             raise ValueError(f"sizes of {label} must be finite numbers, not {each.tolist()}")
         sure = guaranteed_size(model, fault, relations, highest, samples, float(np.abs(each).max()))
-        out.append(Trial(dataclasses.replace(fault, size=0.0, start=0, stop=None), each, (int(first), int(stop)), int(length), sure))
+        out.append(
+            Trial(
+                dataclasses.replace(fault, size=0.0, start=0, stop=None),
+                each,
+                (int(first), int(stop)),
+                int(length),
+                sure,
+            )
+        )
     return out
 
 
@@ -183,22 +218,38 @@ def largest_input(model: LinearSystem, trial: Trial | None, highest: np.ndarray,
         return out
     i, size, kind = model.inputs.index(trial.fault.signal), np.abs(trial.sizes).max(), trial.fault.kind
     level = abs(float(model.offset["u"][i]))
-    out[i] += {"bias": size, "noise": size, "drift": size * samples, "gain": size * (out[i] + level), "dropout": level}.get(kind, 0.0)
+    out[i] += {
+        "bias": size,
+        "noise": size,
+        "drift": size * samples,
+        "gain": size * (out[i] + level),
+        "dropout": level,
+    }.get(kind, 0.0)
     return out
 
 
-def guaranteed_size(model: Any, fault: Any, relations: Any, highest: Any, samples: int, largest: float) -> float:
-    """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan where nothing is known.
+def guaranteed_size(
+    model: Any, fault: Any, relations: Any, highest: Any, samples: int, largest: float
+) -> float:
+    """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan
+    where nothing is known.
 
     The operating range is what the readings of this study can come to, with a fault of that size.
     """
-    if fault.kind != "bias" or not isinstance(relations, ParityRelation) or relations.model.constant_tolerance or model.d:
+    if (
+        fault.kind != "bias"
+        or not isinstance(relations, ParityRelation)
+        or relations.model.constant_tolerance
+        or model.d
+    ):
         return np.nan
     monitor, own = relations.model, model_bounds(relations.model)
     if any(not np.array_equal(relations.bounds[name], own[name]) for name in own):
         return np.nan
     size, before = largest, None
-    for _ in range(8):  # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
+    for _ in range(
+        8
+    ):  # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
         trial = Trial(fault, np.array([size]), (0, 1), samples)
         _, readings = recursion.reach(model, largest_input(model, trial, highest, samples), samples)
         readings = np.maximum(readings, 1e-9 * max(float(readings.max(initial=0)), 1e-9))
@@ -216,7 +267,9 @@ def guaranteed_size(model: Any, fault: Any, relations: Any, highest: Any, sample
 
 
 def _usual_sizes(model, fault, relations, highest, samples):
-    """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds allow."""
+    """Return sizes around the one that is guaranteed to be seen as a bias, or around what the bounds
+    allow.
+    """
     base = guaranteed_size(model, Fault(fault.signal), relations, highest, samples, 0.0)
     if isinstance(relations, SetObserver):
         with suppress(NotImplementedError):
@@ -230,7 +283,9 @@ def _usual_sizes(model, fault, relations, highest, samples):
     if fault.kind == "tolerance":
         least = float(model.tolerance[i])
         return np.array([float(f"{least + (1 - least) * share:.3g}") for share in GRID[:10]])
-    base = {"drift": base / max(samples // 4, 1), "gain": base / level if level > 0 else 1.0}.get(fault.kind, base)
+    base = {"drift": base / max(samples // 4, 1), "gain": base / level if level > 0 else 1.0}.get(
+        fault.kind, base
+    )
     if not np.isfinite(base) or base <= 0:
         raise ValueError(f"no usual size is known for {fault.signal}:{fault.kind}: give sizes")
     return np.array([float(f"{base * share:.3g}") for share in GRID])

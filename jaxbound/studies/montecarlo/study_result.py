@@ -23,8 +23,9 @@ class StudyResult:
     """Counts of a study, by fault and size. Build it with `study`.
 
     Fields:
-        model: the plant that was simulated. horizon: of the windows. trials: one entry a fault, with .label, .sizes and .guaranteed, the
-            size of a constant fault from which on none stays hidden (nan where nothing is known). tallies: the counts of each.
+        model: the plant that was simulated. horizon: of the windows. trials: one entry a fault, with .label,
+            .sizes and .guaranteed, the size of a constant fault from which on none stays hidden (nan where
+            nothing is known). tallies: the counts of each.
         at: "uniform", "vertices" or "adversarial". samples: of a scenario. confidence: of the intervals.
         settings: what else the scenarios depend on, as plain values, for reports.
     """
@@ -40,7 +41,9 @@ class StudyResult:
 
     @property
     def remembers(self) -> bool:
-        """Whether an observer was studied: windows are samples then, and horizon those that it takes to begin."""
+        """Whether an observer was studied: windows are samples then, and horizon those that it takes to
+        begin.
+        """
         return self.settings["method"] == "observer"
 
     @property
@@ -50,7 +53,9 @@ class StudyResult:
 
     @property
     def false_alarms(self) -> tuple[int, int]:
-        """(FAULT windows, all windows) without a faulty sample: the first is 0 if the plant is what the relations take it for."""
+        """(FAULT windows, all windows) without a faulty sample: the first is 0 if the plant is what the
+        relations take it for.
+        """
         return int(sum(t.false.sum() for t in self.tallies)), int(sum(t.clean.sum() for t in self.tallies))
 
     def false_alarm_interval(self) -> tuple[float, float]:
@@ -62,17 +67,20 @@ class StudyResult:
     def to_pandas(self) -> "pd.DataFrame":
         """Return a DataFrame with a row for each fault and size.
 
-        Columns: fault, size; scenarios, detected; share with share_lo, share_hi: of scenarios detected (Clopper-Pearson); windows,
-        rate with rate_lo, rate_hi: FAULT windows among those wholly inside the fault (over scenarios, normal); delay_median, delay_90:
-        samples from the onset to the end of the first FAULT window, among all scenarios (inf: not detected by then); never: not detected;
-        false_alarms, clean_windows; guaranteed.
+        Columns: fault, size; scenarios, detected; share with share_lo, share_hi: of scenarios detected
+        (Clopper-Pearson); windows, rate with rate_lo, rate_hi: FAULT windows among those wholly inside the
+        fault (over scenarios, normal); delay_median, delay_90: samples from the onset to the end of the first
+        FAULT window, among all scenarios (inf: not detected by then); never: not detected; false_alarms,
+        clean_windows; guaranteed.
         """
         import pandas as pd
 
         return pd.DataFrame(study_table(self))
 
     def delays(self) -> "pd.DataFrame":
-        """Return a DataFrame with a row for each (fault, size, delay) that occurred: scenarios, delay null where never detected."""
+        """Return a DataFrame with a row for each (fault, size, delay) that occurred: scenarios, delay null
+        where never detected.
+        """
         import pandas as pd
 
         found = delay_table(self)
@@ -82,23 +90,36 @@ class StudyResult:
     def __repr__(self) -> str:
         false, clean = self.false_alarms
         labels = ", ".join(t.label for t in self.trials)
-        return f"StudyResult({self.scenarios} scenarios of {labels}, unknowns {self.at}; {false} false alarms in {clean} windows)"
+        return (
+            f"StudyResult({self.scenarios} scenarios of {labels}, unknowns {self.at}; {false} false "
+            f"alarms in {clean} windows)"
+        )
 
 
 def study_table(res: StudyResult) -> dict[str, np.ndarray]:
-    """Return the columns of `StudyResult.to_pandas` as {name: array}, without pandas, which takes longer to import than a small study."""
-    parts = [_columns(trial, tally, res.confidence) for trial, tally in zip(res.trials, res.tallies, strict=True)]
+    """Return the columns of `StudyResult.to_pandas` as {name: array}, without pandas, which takes longer to
+    import than a small study.
+    """
+    parts = [
+        _columns(trial, tally, res.confidence) for trial, tally in zip(res.trials, res.tallies, strict=True)
+    ]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def delay_table(res: StudyResult) -> dict[str, np.ndarray]:
-    """Return the columns of `StudyResult.delays` as {name: array}, NaN for the delay of what was never detected."""
+    """Return the columns of `StudyResult.delays` as {name: array}, NaN for the delay of what was never
+    detected.
+    """
     rows: list[tuple[str, float, float, int]] = []
     for trial, tally in zip(res.trials, res.tallies, strict=True):
         for i, size in enumerate(trial.sizes):
             found = np.flatnonzero(tally.delays[i])
             rows += [(trial.label, float(size), float(d), int(tally.delays[i, d])) for d in found]
-            rows += [(trial.label, float(size), np.nan, int(never))] if (never := tally.scenarios[i] - tally.detected[i]) else []
+            rows += (
+                [(trial.label, float(size), np.nan, int(never))]
+                if (never := tally.scenarios[i] - tally.detected[i])
+                else []
+            )
     kinds = {"fault": object, "size": float, "delay": float, "scenarios": np.int64}
     return {name: np.array([row[j] for row in rows], kind) for j, (name, kind) in enumerate(kinds.items())}
 
@@ -107,17 +128,34 @@ def _columns(trial, tally, confidence):
     """Return {name: (S,)} of one Trial."""
     (share, lo, hi), (rate, rate_lo, rate_hi) = tally.share(confidence), tally.rate(confidence)
     found = {
-        "fault": trial.label, "size": trial.sizes, "scenarios": tally.scenarios, "detected": tally.detected,
-        "share": share, "share_lo": lo, "share_hi": hi, "windows": tally.windows, "rate": rate, "rate_lo": rate_lo,
-        "rate_hi": rate_hi, "delay_median": delay_quantile(tally, 0.5), "delay_90": delay_quantile(tally, 0.9),
-        "never": tally.scenarios - tally.detected, "false_alarms": tally.false, "clean_windows": tally.clean,
-        "guaranteed": trial.guaranteed}  # fmt: skip
+        "fault": trial.label,
+        "size": trial.sizes,
+        "scenarios": tally.scenarios,
+        "detected": tally.detected,
+        "share": share,
+        "share_lo": lo,
+        "share_hi": hi,
+        "windows": tally.windows,
+        "rate": rate,
+        "rate_lo": rate_lo,
+        "rate_hi": rate_hi,
+        "delay_median": delay_quantile(tally, 0.5),
+        "delay_90": delay_quantile(tally, 0.9),
+        "never": tally.scenarios - tally.detected,
+        "false_alarms": tally.false,
+        "clean_windows": tally.clean,
+        "guaranteed": trial.guaranteed,
+    }
     like = {"fault": object, "size": float, "guaranteed": float}
-    return {name: np.array(np.broadcast_to(x, len(tally.scenarios)), like.get(name)) for name, x in found.items()}
+    return {
+        name: np.array(np.broadcast_to(x, len(tally.scenarios)), like.get(name)) for name, x in found.items()
+    }
 
 
 def delay_quantile(tally: Tally, share: float) -> np.ndarray:
-    """Return (S,) the least delay by which that share of all scenarios is detected, inf where it never is, nan without scenarios."""
+    """Return (S,) the least delay by which that share of all scenarios is detected, inf where it never is,
+    nan without scenarios.
+    """
     reached = np.cumsum(tally.delays, 1) >= share * tally.scenarios[:, None]
     out = np.where(reached.any(1), reached.argmax(1).astype(float), np.inf)
     return np.where(tally.scenarios > 0, out, np.nan)

@@ -1,4 +1,6 @@
-"""What is counted of scenarios, in whole numbers: the sums do not depend on the order or on how the work was cut up."""
+"""What is counted of scenarios, in whole numbers: the sums do not depend on the order or on how the work was
+cut up.
+"""
 
 from collections.abc import Mapping
 
@@ -8,15 +10,27 @@ from jaxbound.studies.montecarlo.proportions import proportion_interval, rate_in
 
 __all__ = ["Tally"]
 
-SUMS = ("scenarios", "detected", "hits", "windows", "squares", "crossed", "squared", "false", "clean", "alarmed")
+SUMS = (
+    "scenarios",
+    "detected",
+    "hits",
+    "windows",
+    "squares",
+    "crossed",
+    "squared",
+    "false",
+    "clean",
+    "alarmed",
+)
 
 
 class Tally:
     """The counts of one Trial, per size.
 
-    Fields, (S,) each: scenarios; detected: those with a FAULT window that the fault touches; hits, windows: FAULT windows and all windows
-    wholly inside the fault, with the sums of their squares and products over scenarios; false, clean: FAULT windows and all windows
-    without a faulty sample; alarmed: scenarios with one such. delays (S, T + 1): of the detected, by samples from the onset.
+    Fields, (S,) each: scenarios; detected: those with a FAULT window that the fault touches; hits, windows:
+    FAULT windows and all windows wholly inside the fault, with the sums of their squares and products over
+    scenarios; false, clean: FAULT windows and all windows without a faulty sample; alarmed: scenarios with
+    one such. delays (S, T + 1): of the detected, by samples from the onset.
     """
 
     scenarios: np.ndarray
@@ -37,27 +51,49 @@ class Tally:
         self.delays = np.zeros((sizes, samples + 1), np.int64)
 
     def add(
-        self, which: np.ndarray, hits: np.ndarray, false: np.ndarray, delay: np.ndarray, windows: np.ndarray, clean: np.ndarray
+        self,
+        which: np.ndarray,
+        hits: np.ndarray,
+        false: np.ndarray,
+        delay: np.ndarray,
+        windows: np.ndarray,
+        clean: np.ndarray,
     ) -> None:
         """Take scenarios: the number of the size of each, and what was found. All (N,)."""
         sizes = len(self.scenarios)
         h, w = hits.astype(np.int64), windows.astype(np.int64)
         seen = delay >= 0
-        parts = {"scenarios": None, "detected": seen, "hits": h, "windows": w, "squares": h * h, "crossed": h * w, "squared": w * w,
-                 "false": false, "clean": clean, "alarmed": false > 0}  # fmt: skip
+        parts = {
+            "scenarios": None,
+            "detected": seen,
+            "hits": h,
+            "windows": w,
+            "squares": h * h,
+            "crossed": h * w,
+            "squared": w * w,
+            "false": false,
+            "clean": clean,
+            "alarmed": false > 0,
+        }
         for name, part in parts.items():  # floats of bincount are exact below 2^53
-            total = np.bincount(which, part, sizes) if part is not None else np.bincount(which, minlength=sizes)
+            total = (
+                np.bincount(which, part, sizes) if part is not None else np.bincount(which, minlength=sizes)
+            )
             setattr(self, name, getattr(self, name) + total.astype(np.int64))
         np.add.at(self.delays, (which[seen], delay[seen]), 1)
 
     def share(self, confidence: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (share, lo, hi) of scenarios detected, (S,) each."""
         with np.errstate(invalid="ignore"):
-            return self.detected / self.scenarios, *proportion_interval(self.detected, self.scenarios, confidence)
+            return self.detected / self.scenarios, *proportion_interval(
+                self.detected, self.scenarios, confidence
+            )
 
     def rate(self, confidence: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (rate, lo, hi) of FAULT windows among those wholly inside the fault, (S,) each."""
-        return rate_interval(self.hits, self.windows, self.squares, self.crossed, self.squared, self.scenarios, confidence)
+        return rate_interval(
+            self.hits, self.windows, self.squares, self.crossed, self.squared, self.scenarios, confidence
+        )
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return {name: array}, which `load` takes."""

@@ -1,14 +1,17 @@
-"""What healthy data say about healthy data that nobody has seen: statements that hold for any number of samples.
+"""What healthy data say about healthy data that nobody has seen: statements that hold for any number of
+samples.
 
-The units are blocks of windows that share no sample. All statements assume that blocks are exchangeable: a new one is drawn as those seen
-were, and their order means nothing. Nothing is assumed about distributions.
+The units are blocks of windows that share no sample. All statements assume that blocks are exchangeable: a
+new one is drawn as those seen were, and their order means nothing. Nothing is assumed about distributions.
 
-n blocks that had no part in choosing the direction of the bounds scale them: a new block needs more than all of them with a
-probability of at most 1 / (n + 1), on average over such sets of blocks (its rank among n + 1 is uniform, ties help); if blocks are
-independent, then with confidence 1 - delta at most 1 - delta^(1/n) of all blocks do (else n of n would have had less than delta). Their
-factors are distributed as seen, within sqrt(log(2 / delta) / (2 n)).
+n blocks that had no part in choosing the direction of the bounds scale them: a new block needs more than all
+of them with a probability of at most 1 / (n + 1), on average over such sets of blocks (its rank among n + 1
+is uniform, ties help); if blocks are independent, then with confidence 1 - delta at most 1 - delta^(1/n) of
+all blocks do (else n of n would have had less than delta). Their factors are distributed as seen, within
+sqrt(log(2 / delta) / (2 n)).
 
-Source: Vovk, Gammerman, Shafer 2005 (split conformal prediction); Massart 1990 (Dvoretzky, Kiefer, Wolfowitz); Campi, Garatti 2008.
+Source: Vovk, Gammerman, Shafer 2005 (split conformal prediction); Massart 1990 (Dvoretzky, Kiefer,
+Wolfowitz); Campi, Garatti 2008.
 """
 
 import math
@@ -16,22 +19,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Risk", "blocks_of", "distribution_band", "held_out", "rank_risk", "rate_bound", "risk_of", "scenario_bound", "touched"]
+__all__ = [
+    "Risk",
+    "blocks_of",
+    "distribution_band",
+    "held_out",
+    "rank_risk",
+    "rate_bound",
+    "risk_of",
+    "scenario_bound",
+    "touched",
+]
 
 BLOCKS = 100  # that data are cut into, unless a length is asked for
 
 
 @dataclass(frozen=True)
 class Risk:
-    """The risk of a false alarm in a new block, for the smallest bounds: a safety factor comes on top and is not counted.
+    """The risk of a false alarm in a new block, for the smallest bounds: a safety factor comes on top and is
+    not counted.
 
     Fields:
         blocks: how many the statement rests on. length: windows in each.
-        average: at most this is the probability that a new block holds a window outside; None if nothing can be said.
-        rate, confidence: with this confidence at most this share of all blocks does; None if nothing can be said.
+        average: at most this is the probability that a new block holds a window outside; None if nothing can
+            be said.
+        rate, confidence: with this confidence at most this share of all blocks does; None if nothing can be
+            said.
         band: with the same confidence the distribution of `factors` is that of all blocks within this much.
         factors: (blocks,) ascending, the largest factor t of each block: 1 - t is the least margin in it.
-        guide: True where the two numbers belong to the exact optimum, which bounds found by gradient only come near to.
+        guide: True where the two numbers belong to the exact optimum, which bounds found by gradient only
+            come near to.
         text: all of this in sentences.
     """
 
@@ -57,7 +74,8 @@ def rank_risk(n: int) -> float:
 
 
 def rate_bound(n: int, confidence: float) -> float:
-    """Return the share of all blocks that need more than all of n independent ones, at most and with this confidence.
+    """Return the share of all blocks that need more than all of n independent ones, at most and with this
+    confidence.
 
     Example:
         >>> round(rate_bound(59, 0.95), 3)
@@ -67,7 +85,8 @@ def rate_bound(n: int, confidence: float) -> float:
 
 
 def distribution_band(n: int, confidence: float) -> float:
-    """Return by how much the distribution of n independent numbers differs from the true one anywhere, at most and with this confidence.
+    """Return by how much the distribution of n independent numbers differs from the true one anywhere, at
+    most and with this confidence.
 
     Example:
         >>> round(distribution_band(100, 0.95), 3)
@@ -77,7 +96,8 @@ def distribution_band(n: int, confidence: float) -> float:
 
 
 def scenario_bound(n: int, bounds: int, confidence: float) -> float:
-    """Return the share of all blocks that the optimum of a convex program over n blocks violates, at most and with this confidence.
+    """Return the share of all blocks that the optimum of a convex program over n blocks violates, at most and
+    with this confidence.
 
     It is the eps with sum over i < bounds of C(n, i) eps^i (1 - eps)^(n - i) = 1 - confidence.
 
@@ -94,7 +114,9 @@ def scenario_bound(n: int, bounds: int, confidence: float) -> float:
     low, high = 0.0, 1.0
     for _ in range(60):
         eps = 0.5 * (low + high)
-        tail = sum(math.exp(c + i * math.log(eps) + (n - i) * math.log1p(-eps)) for i, c in enumerate(log_choose))
+        tail = sum(
+            math.exp(c + i * math.log(eps) + (n - i) * math.log1p(-eps)) for i, c in enumerate(log_choose)
+        )
         low, high = (eps, high) if tail > 1 - confidence else (low, eps)
     return high
 
@@ -103,11 +125,12 @@ def blocks_of(across: np.ndarray, horizon: int, length: int | None = None) -> tu
     """Cut windows into blocks that share no sample.
 
     Args:
-        across: (T,) bool, True where no window ends. horizon: s. length: windows in a block; None: so many that there are about 100
-            blocks, and s + 1 at least.
+        across: (T,) bool, True where no window ends. horizon: s. length: windows in a block; None: so many
+            that there are about 100 blocks, and s + 1 at least.
 
     Returns:
-        (label (T,), length): the number of the block of each window, -1 where it is in none: there are s windows between two blocks.
+        (label (T,), length): the number of the block of each window, -1 where it is in none: there are s
+        windows between two blocks.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[True], across, [True]]).astype(np.int8)))
     runs = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
@@ -160,9 +183,11 @@ def risk_of(
     """Return the Risk of bounds that were scaled until all windows were inside.
 
     Args:
-        factors: (T,) t of every window at the smallest bounds, NaN where missing. label, length: from `blocks_of`.
-        kept: (blocks,) bool, blocks that had no part in choosing the direction. tuned: how many bounds moved. convex: True if
-            the program is. fixed: True if data had no part in the direction at all. confidence: of .rate.
+        factors: (T,) t of every window at the smallest bounds, NaN where missing. label, length: from
+            `blocks_of`.
+        kept: (blocks,) bool, blocks that had no part in choosing the direction. tuned: how many bounds moved.
+            convex: True if the program is. fixed: True if data had no part in the direction at all.
+                confidence: of .rate.
         safety: the factor on top. horizon: s.
     """
     worst = np.full(int(label.max(initial=-1)) + 1, -np.inf)
@@ -172,7 +197,9 @@ def risk_of(
     kept = seen if fixed else kept & seen
     n, all_blocks = int(kept.sum()), int(seen.sum())
     extra = f" The safety factor {safety:g} comes on top and is not counted." if safety != 1 else ""
-    assumed = "If blocks of healthy operation are exchangeable (a new one is drawn as these were, in any order)"
+    assumed = (
+        "If blocks of healthy operation are exchangeable (a new one is drawn as these were, in any order)"
+    )
     sure = f"with {100 * confidence:g} % confidence"
     if n:
         average, rate, band = rank_risk(n), rate_bound(n, confidence), distribution_band(n, confidence)
@@ -182,24 +209,32 @@ def risk_of(
             else "had no part in the search and only rescaled what it found"
         )
         text = (
-            f"{n} block{'s' * (n > 1)} of {length} windows, which share no sample, {role}. {assumed}, a new block "
-            f"holds a window outside the smallest bounds with a probability of at most 1/{n + 1} = {_percent(average)}, on average over "
-            f"such data; if they are independent, then {sure} in at most {_percent(rate)} of all blocks, and the "
+            f"{n} block{'s' * (n > 1)} of {length} windows, which share no sample, {role}. {assumed}, a new "
+            f"block "
+            f"holds a window outside the smallest bounds with a probability of at most 1/{n + 1} = "
+            f"{_percent(average)}, on average over "
+            f"such data; if they are independent, then {sure} in at most {_percent(rate)} of all blocks, and "
+            f"the "
             f"least margins of blocks are distributed as seen here within {_percent(band)}.{extra}"
         )
         return Risk(n, length, average, rate, confidence, band, np.sort(worst[kept]), False, text)
     if all_blocks > tuned and convex:
         average, rate = tuned / (all_blocks + 1), scenario_bound(all_blocks, tuned, confidence)
         text = (
-            f"No block was kept out of the search. {assumed} and independent, the exact optimum of {tuned} bounds over {all_blocks} "
-            f"blocks of {length} windows leaves a new block outside with a probability of at most {_percent(average)} on average, and "
-            f"{sure} at most {_percent(rate)} of all blocks. Bounds found by gradient come near to that optimum, so this is a guide and no "
+            f"No block was kept out of the search. {assumed} and independent, the exact optimum of {tuned} "
+            f"bounds over {all_blocks} "
+            f"blocks of {length} windows leaves a new block outside with a probability of at most "
+            f"{_percent(average)} on average, and "
+            f"{sure} at most {_percent(rate)} of all blocks. Bounds found by gradient come near to that "
+            f"optimum, so this is a guide and no "
             f"guarantee; a share of blocks kept out (calibrate=) gives one.{extra}"
         )
         return Risk(all_blocks, length, average, rate, confidence, None, np.sort(worst[seen]), True, text)
     text = (
-        f"Nothing can be said about other healthy data: {all_blocks} block{'s' * (all_blocks != 1)} of {length} windows of "
-        f"{horizon + 1} samples, none of them kept out of the search. More data, or calibrate= > 0, give a statement.{extra}"
+        f"Nothing can be said about other healthy data: {all_blocks} block{'s' * (all_blocks != 1)} of "
+        f"{length} windows of "
+        f"{horizon + 1} samples, none of them kept out of the search. More data, or calibrate= > 0, give a "
+        f"statement.{extra}"
     )
     return Risk(0, length, None, None, confidence, None, np.sort(worst[seen]), False, text)
 

@@ -1,13 +1,17 @@
-"""Moving bounds by gradient: what the worst windows need, as a smooth function of the bounds, and some steps of an optimiser on it.
+"""Moving bounds by gradient: what the worst windows need, as a smooth function of the bounds, and some steps
+of an optimiser on it.
 
-With values b of the moved bounds and lambda_k(b) the factor on them at which window k just becomes consistent, every direction b / |b| has
-its own smallest bounds lambda(b) b, lambda = max over k of lambda_k, so that the width to be made small is free of the size of b:
+With values b of the moved bounds and lambda_k(b) the factor on them at which window k just becomes
+consistent, every direction b / |b| has its own smallest bounds lambda(b) b, lambda = max over k of lambda_k,
+so that the width to be made small is free of the size of b:
 
-    log(w b) + log lambda(b),                          with a smooth maximum T log sum exp(log lambda_k / T), T falling.
+    log(w b) + log lambda(b),                          with a smooth maximum T log sum exp(log lambda_k / T),
+    T falling.
 
-lambda_k comes from the factor t_k on all half-widths: log lambda_k = log t_k / e_k, e_k = -d log t_k / d log(size of b). That is exact
-where all bounds move (e = 1) and to first order else, near t_k = 1; the steps stay there. Only the worst windows matter to it. Of faulty
-windows j it is the share outside, with a smooth step, that is made large:
+lambda_k comes from the factor t_k on all half-widths: log lambda_k = log t_k / e_k, e_k = -d log t_k / d
+log(size of b). That is exact where all bounds move (e = 1) and to first order else, near t_k = 1; the steps
+stay there. Only the worst windows matter to it. Of faulty windows j it is the share outside, with a smooth
+step, that is made large:
 
     mean over j of sigmoid((log lambda_j(b) - log lambda(b) - log safety) / tau).
 """
@@ -49,7 +53,8 @@ TIE = 0.01  # weight of the width where faulty windows count
 class Problem:
     """What a step needs beside the windows.
 
-    Fields: test, the Reading of parity relations; relations, if uncertain ones take its place; log_safety; fixed, select, weights, most,
+    Fields: test, the Reading of parity relations; relations, if uncertain ones take its place; log_safety;
+    fixed, select, weights, most,
     sizes: of a Moving.
     """
 
@@ -63,9 +68,13 @@ class Problem:
     relations: UncertainRelations | None = field(metadata={"static": True})
 
 
-def problem_of(relations: ParityRelation | UncertainRelations, moved: Moving, safety: float, dtype: np.dtype) -> Problem:
+def problem_of(
+    relations: ParityRelation | UncertainRelations, moved: Moving, safety: float, dtype: np.dtype
+) -> Problem:
     """Return the Problem of tuning the bounds `moved` of relations for recordings of a float dtype."""
-    fixed, select, weights, most = (jax.device_put(np.asarray(x, dtype)) for x in (moved.fixed, moved.select, moved.weights, moved.most))
+    fixed, select, weights, most = (
+        jax.device_put(np.asarray(x, dtype)) for x in (moved.fixed, moved.select, moved.weights, moved.most)
+    )
     own = relations if isinstance(relations, UncertainRelations) else None
     test = None if own else jax.device_put(relations.reading(dtype))
     log_safety = jax.device_put(np.log(np.asarray(safety, dtype)))
@@ -74,7 +83,9 @@ def problem_of(relations: ParityRelation | UncertainRelations, moved: Moving, sa
 
 @lru_cache(maxsize=1)
 def default_optimizer() -> "optax.GradientTransformation":
-    """Return Adam with steps of 1: `descend` makes them fall from RATE to nothing, whatever the number of steps, without compiling anew."""
+    """Return Adam with steps of 1: `descend` makes them fall from RATE to nothing, whatever the number of
+    steps, without compiling anew.
+    """
     import optax
 
     return optax.adam(1.0)
@@ -95,14 +106,18 @@ def descend(
     """Make `every` steps, as far as there are that many.
 
     Args:
-        problem: a Problem. optimizer: an optax.GradientTransformation. state: (z (b,), the logarithms of the values; that of the
-            optimizer). first, steps: number of the first step, and how many there are in all. rate: (first, last) factor on what the
-            optimizer says; between them half a period of a cosine.
-        healthy: u (s + 1, m, K), y (s + 1, p, K), the worst windows; present: (K,) bool, False where a column only fills up.
-        faulty: None, or (u (T, m), y (T, p), ends (blocks, N), present (blocks, N)): one block a step, in turn.
+        problem: a Problem. optimizer: an optax.GradientTransformation. state: (z (b,), the logarithms of the
+            values; that of the optimizer). first, steps: number of the first step, and how many there are in
+            all. rate: (first, last) factor on what the optimizer says; between them half a period of a
+            cosine.
+        healthy: u (s + 1, m, K), y (s + 1, p, K), the worst windows; present: (K,) bool, False where a column
+            only fills up.
+        faulty: None, or (u (T, m), y (T, p), ends (blocks, N), present (blocks, N)): one block a step, in
+            turn.
 
     Returns:
-        (state, z): after the steps, and the best values on the way, scaled so that these healthy windows are just consistent.
+        (state, z): after the steps, and the best values on the way, scaled so that these healthy windows are
+        just consistent.
     """
     best = state[0], jnp.full((), jnp.inf, state[0].dtype)
     for number in range(first, min(first + every, steps)):
@@ -112,15 +127,21 @@ def descend(
             block = number % len(ends)
             outside = *log_factors(z, problem, *_taken(u, y, ends[block], len(healthy[1]))), real[block]
         inside = log_factors(z, problem, *healthy)
-        state, best = _advance(optimizer, problem, state, best, number, number / steps, rate, inside, present, outside)
+        state, best = _advance(
+            optimizer, problem, state, best, number, number / steps, rate, inside, present, outside
+        )
     return state, best[0]
 
 
-def log_factors(z: jax.Array, problem: Problem, u: jax.Array, y: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-    """Return log t (N,) of windows u (s + 1, m, N), y (s + 1, p, N) under the values exp(z), and its slopes, arrays (., N) of b rows.
+def log_factors(
+    z: jax.Array, problem: Problem, u: jax.Array, y: jax.Array
+) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+    """Return log t (N,) of windows u (s + 1, m, N), y (s + 1, p, N) under the values exp(z), and its slopes,
+    arrays (., N) of b rows.
 
-    Forward mode: a sum over windows, as reverse mode has it, would be fused with the kernel, which is slow. Strips take a fraction of the
-    time to compile for one bound after the other; a search is made once for all.
+    Forward mode: a sum over windows, as reverse mode has it, would be fused with the kernel, which is slow.
+    Strips take a fraction of the time to compile for one bound after the other; a search is made once for
+    all.
     """
     every = np.eye(len(z), dtype=z.dtype)
     if problem.test is None or isinstance(problem.test.shape, Frame):
@@ -165,11 +186,12 @@ def gradient(
     present: jax.Array | np.ndarray,
     outside: tuple[jax.Array, tuple[jax.Array, ...], jax.Array] | None,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (gradient (b,), logarithm of the factor that these healthy windows need, what the best values are chosen by).
+    """Return (gradient (b,), logarithm of the factor that these healthy windows need, what the best values
+    are chosen by).
 
     Args:
-        share: of the steps made. inside: `log_factors` of healthy windows, present: which count. outside: None, or those of faulty
-            windows, and which count.
+        share: of the steps made. inside: `log_factors` of healthy windows, present: which count. outside:
+            None, or those of faulty windows, and which count.
     """
     needed, across = _scaled(*inside)
     needed = jnp.where(present, needed, -jnp.inf)

@@ -1,4 +1,6 @@
-"""Bounds as a vector of positive numbers: which of them move, what they weigh, and how they go back into relations and model files."""
+"""Bounds as a vector of positive numbers: which of them move, what they weigh, and how they go back into
+relations and model files.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,10 +29,12 @@ CEILING = 0.999  # of a tolerance while it moves
 
 @dataclass(frozen=True)
 class Moving:
-    """The bounds that move: `fixed + select @ values`, flat, tolerance, noise, disturbance (lo, hi of each) and parameters in this order.
+    """The bounds that move: `fixed + select @ values`, flat, tolerance, noise, disturbance (lo, hi of each)
+    and parameters in this order.
 
-    Fields: names (b,), as a reader would call them; start (b,) > 0; weights (b,), of the total width; most (b,), what values stay below;
-    fixed (flat,), select (flat, b): the latter has one 1, or for a lower end -1, in each row that moves. sizes: entries of each kind.
+    Fields: names (b,), as a reader would call them; start (b,) > 0; weights (b,), of the total width; most
+    (b,), what values stay below; fixed (flat,), select (flat, b): the latter has one 1, or for a lower end
+    -1, in each row that moves. sizes: entries of each kind.
     notes: sentences on what does not move. p: outputs.
     """
 
@@ -67,16 +71,20 @@ def unflatten(flat: Flat, sizes: Sizes) -> dict[str, Flat]:
 
 
 def moving(
-    relations: ParityRelation | UncertainRelations, which: str | Iterable[str] | None = None, weights: Mapping[str, ArrayLike] | None = None
+    relations: ParityRelation | UncertainRelations,
+    which: str | Iterable[str] | None = None,
+    weights: Mapping[str, ArrayLike] | None = None,
 ) -> Moving:
     """Say which bounds of relations move.
 
     Args:
         relations: with .bounds and .model. which: names of bounds, or one name; None: all that are not 0.
-        weights: {name: a number or one per entry} of the total width; None, and names left out: 1 / the starting bound.
+        weights: {name: a number or one per entry} of the total width; None, and names left out: 1 / the
+            starting bound.
 
     Raises:
-        ValueError: an unknown name, nothing that could move, a disturbance that excludes 0, weights that are not > 0.
+        ValueError: an unknown name, nothing that could move, a disturbance that excludes 0, weights that are
+            not > 0.
     """
     bounds, model = relations.bounds, relations.model
     which = tuple(bounds) if which is None else (which,) if isinstance(which, str) else tuple(which)
@@ -96,15 +104,20 @@ def moving(
             entry = own[i : i + 1] if name != "disturbance" else own[i]
             at, free = len(fixed), name in which
             if free and len(entry) == 2 and not entry[0] <= 0 <= entry[1]:
-                raise ValueError(f"{name} of {signal!r} lies in [{entry[0]:g}, {entry[1]:g}], away from 0, and cannot be scaled: take its "
-                                 "middle out of the model (as an input or offset), or leave it out of bounds=")  # fmt: skip
+                raise ValueError(
+                    f"{name} of {signal!r} lies in [{entry[0]:g}, {entry[1]:g}], away from 0, and cannot be "
+                    f"scaled: take its "
+                    "middle out of the model (as an input or offset), or leave it out of bounds="
+                )
             fixed += [0.0] * len(entry) if free else list(entry)
             if not free:
                 continue
             if not entry.any():
                 still.append(f"{name} of {signal}")
             ends: list[tuple[int | None, float, str]] = (
-                [(0, entry[0], "")] if len(entry) == 1 else [(0, -entry[0], "lower end of "), (1, entry[1], "upper end of ")]
+                [(0, entry[0], "")]
+                if len(entry) == 1
+                else [(0, -entry[0], "lower end of "), (1, entry[1], "upper end of ")]
             )
             if len(entry) == 2 and -entry[0] == entry[1]:  # the ends of a symmetric bound move together
                 ends = [(None, entry[1], "")]
@@ -113,34 +126,62 @@ def moving(
                     names.append(f"{side}{name} of {signal}")
                     start.append(value)
                     per_end = given is not None and given.ndim == 2
-                    weight = 1 / value if given is None else given[i] if end is None or not per_end else given[i, end]
-                    scale.append(float(np.sum(weight)) * (0.5 if side and not per_end else 1))  # of half the width
+                    weight = (
+                        1 / value
+                        if given is None
+                        else given[i]
+                        if end is None or not per_end
+                        else given[i, end]
+                    )
+                    scale.append(
+                        float(np.sum(weight)) * (0.5 if side and not per_end else 1)
+                    )  # of half the width
                     most.append(CEILING if name == "tolerance" else np.inf)
-                    columns.append([(at + e, -1.0 if len(entry) == 2 and e == 0 else 1.0) for e in ((0, 1) if end is None else (end,))])
+                    columns.append(
+                        [
+                            (at + e, -1.0 if len(entry) == 2 and e == 0 else 1.0)
+                            for e in ((0, 1) if end is None else (end,))
+                        ]
+                    )
     if not names:
         listed = " and ".join(which) or "nothing"
-        raise ValueError(f"no bound can move: every entry of {listed} is 0, and 0 times a factor stays 0. Start from a rough guess > 0")
+        raise ValueError(
+            f"no bound can move: every entry of {listed} is 0, and 0 times a factor stays 0. Start from a "
+            f"rough guess > 0"
+        )
     select = np.zeros((len(fixed), len(names)))
     for b, entries in enumerate(columns):
         for row, sign in entries:
             select[row, b] = sign
-    notes = (f"{', '.join(still)} {'is' if len(still) == 1 else 'are'} 0 and stay{'s' * (len(still) == 1)} 0",) if still else ()
+    notes = (
+        (f"{', '.join(still)} {'is' if len(still) == 1 else 'are'} 0 and stay{'s' * (len(still) == 1)} 0",)
+        if still
+        else ()
+    )
     first, weight_of, top, rest = (np.array(x, np.float64) for x in (start, scale, most, fixed))
     return Moving(tuple(names), first, weight_of, top, rest, select, sizes, notes)
 
 
 def _weights(name: str, given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     try:
-        given = np.broadcast_to(np.asarray(given, np.float64), shape if np.ndim(given) == len(shape) else shape[:1])
+        given = np.broadcast_to(
+            np.asarray(given, np.float64), shape if np.ndim(given) == len(shape) else shape[:1]
+        )
     except ValueError:
-        raise ValueError(f"the weights of {name} need one number, or one per entry {shape}: their shape is {np.shape(given)}") from None
+        raise ValueError(
+            f"the weights of {name} need one number, or one per entry {shape}: their shape is "
+            f"{np.shape(given)}"
+        ) from None
     if not ((given > 0) & (given < np.inf)).all():
         raise ValueError(f"weights must be > 0 and finite: those of {name} are {given.tolist()}")
     return given
 
 
-def model_with(relations: ParityRelation | UncertainRelations, moved: Moving, values: Sequence[Decimal], source: str) -> LinearSystem:
-    """Return the model with the bounds of the relations, those that moved at `values` (Decimals), and their horizon.
+def model_with(
+    relations: ParityRelation | UncertainRelations, moved: Moving, values: Sequence[Decimal], source: str
+) -> LinearSystem:
+    """Return the model with the bounds of the relations, those that moved at `values` (Decimals), and their
+    horizon.
 
     Args:
         relations: before tuning. moved: their Moving. source: provenance of every kind that moved.
@@ -150,23 +191,37 @@ def model_with(relations: ParityRelation | UncertainRelations, moved: Moving, va
     """
     model, old = relations.model, model_bounds(relations.model)
     provenance, fractions, at = dict(model.provenance), [Fraction(v) for v in values], 0
-    changes: dict[str, object] = {"provenance": provenance} | getattr(relations, "window", {"horizon": relations.horizon})
-    decimals = {"tolerance": model.tolerance, "noise": model.noise, "disturbance": [x for pair in model.disturbance for x in pair],
-                "average": [a.bound for a in model.averages]}  # fmt: skip
+    changes: dict[str, object] = {"provenance": provenance} | getattr(
+        relations, "window", {"horizon": relations.horizon}
+    )
+    decimals = {
+        "tolerance": model.tolerance,
+        "noise": model.noise,
+        "disturbance": [x for pair in model.disturbance for x in pair],
+        "average": [a.bound for a in model.averages],
+    }
     for kind, count in moved.sizes:
         now, before = np.ravel(relations.bounds[kind]), np.ravel(old[kind])
-        exact = list(decimals.get(kind, [Fraction(1)] * count))  # a bound that nobody changed keeps the decimal that the user wrote
-        exact = [x if a == b else Fraction(repr(float(a))) for x, a, b in zip(exact, now, before, strict=True)]
+        exact = list(
+            decimals.get(kind, [Fraction(1)] * count)
+        )  # a bound that nobody changed keeps the decimal that the user wrote
+        exact = [
+            x if a == b else Fraction(repr(float(a))) for x, a, b in zip(exact, now, before, strict=True)
+        ]
         rows, at = moved.select[at : at + count], at + count
         for i, b in np.argwhere(rows):
             exact[i] = int(rows[i, b]) * fractions[b]
         if kind == "disturbance":
             changes[kind] = model.G, tuple(zip(exact[::2], exact[1::2], strict=True))
         elif kind == "average":
-            changes["averages"] = tuple(replace(a, bound=x) for a, x in zip(model.averages, exact, strict=True))
+            changes["averages"] = tuple(
+                replace(a, bound=x) for a, x in zip(model.averages, exact, strict=True)
+            )
         elif kind == "parameters":
             pairs = zip(model.uncertainties, exact, strict=True)
-            changes["uncertainties"] = tuple(replace(u, between=(u.centre - k * u.radius, u.centre + k * u.radius)) for u, k in pairs)
+            changes["uncertainties"] = tuple(
+                replace(u, between=(u.centre - k * u.radius, u.centre + k * u.radius)) for u, k in pairs
+            )
         else:
             changes[kind] = exact
         if rows.any() and kind not in ("parameters", "average"):

@@ -1,7 +1,9 @@
-"""The smallest factor on given bounds at which every healthy window is explained, enclosed between two verdicts of the proved test.
+"""The smallest factor on given bounds at which every healthy window is explained, enclosed between two
+verdicts of the proved test.
 
-Along a ray of bounds the sets of explanations grow, so a window that is explained at one factor is explained at every larger one. The
-factor of a recording is that of its worst window; a few windows that are worst somewhere are searched, then all are tested again.
+Along a ray of bounds the sets of explanations grow, so a window that is explained at one factor is explained
+at every larger one. The factor of a recording is that of its worst window; a few windows that are worst
+somewhere are searched, then all are tested again.
 """
 
 import math
@@ -31,7 +33,8 @@ NEAR_ONE = 0.999999  # of a tolerance
 class Windows:
     """Recordings laid end to end.
 
-    Fields: u (T, m), y (T, p) NumPy; starts: samples (0 apart) that do not follow the one before; first: where each recording begins.
+    Fields: u (T, m), y (T, p) NumPy; starts: samples (0 apart) that do not follow the one before; first:
+    where each recording begins.
     """
 
     u: np.ndarray
@@ -47,7 +50,9 @@ class Windows:
         """Return (T,) bool: no window ends here, or one in which nothing at all was measured."""
         seen = np.cumsum(np.append(0, ~np.isnan(self.y).all(1)))
         empty = np.ones(len(self.y), bool)
-        empty[horizon:] = seen[horizon + 1 :] == seen[: len(self.y) - horizon] if len(self.y) > horizon else True
+        empty[horizon:] = (
+            seen[horizon + 1 :] == seen[: len(self.y) - horizon] if len(self.y) > horizon else True
+        )
         return empty | self.across(horizon)
 
     def gather(self, ends: ArrayLike, horizon: int) -> tuple[np.ndarray, np.ndarray]:
@@ -58,22 +63,31 @@ class Windows:
     def place(self, end: int) -> str:
         """Return words for the sample at which a window ends."""
         number = int(np.searchsorted(self.first, end, "right")) - 1
-        return f"sample {end - self.first[number]}" + (f" of recording {number + 1}" if len(self.first) > 1 else "")
+        return f"sample {end - self.first[number]}" + (
+            f" of recording {number + 1}" if len(self.first) > 1 else ""
+        )
 
 
 def windows_of(model: LinearSystem, horizon: int, given: object, what: str = "healthy") -> Windows:
     """Lay recordings end to end.
 
     Args:
-        given: a tuple (u, y) or (u, y, starts), batched or not, a table or a Recording that holds both, or a list of these. what: their
-            name in sentences.
+        given: a tuple (u, y) or (u, y, starts), batched or not, a table or a Recording that holds both, or a
+            list of these. what: their name in sentences.
 
     Raises:
         ValueError: anything else, samples that do not fit the model or are infinite, not one complete window.
     """
-    several = [one if isinstance(one, tuple) else (one,) for one in (given if isinstance(given, list) else [given])]
-    if not several or not all(len(one) in (2, 3) or (len(one) == 1 and holds_both(one[0])) for one in several):
-        raise ValueError(f"{what} needs a tuple (u, y) or a list of such tuples, one a recording; (u, y, starts) where samples are lost")
+    several = [
+        one if isinstance(one, tuple) else (one,) for one in (given if isinstance(given, list) else [given])
+    ]
+    if not several or not all(
+        len(one) in (2, 3) or (len(one) == 1 and holds_both(one[0])) for one in several
+    ):
+        raise ValueError(
+            f"{what} needs a tuple (u, y) or a list of such tuples, one a recording; (u, y, starts) where "
+            f"samples are lost"
+        )
     us, ys, starts, first, at = [], [], [], [], 0
     for one in several:
         given_one = Recording.of(model, *one).finite()
@@ -88,7 +102,10 @@ def windows_of(model: LinearSystem, horizon: int, given: object, what: str = "he
     inner = np.unique(np.array([s for s in starts if 0 < s < at], np.int64))
     found = Windows(np.concatenate(us), np.concatenate(ys), inner, np.array(first))
     if found.without(horizon).all():
-        raise ValueError(f"the {what} data hold no window of {horizon + 1} samples in a row: give longer recordings, or a shorter horizon")
+        raise ValueError(
+            f"the {what} data hold no window of {horizon + 1} samples in a row: give longer recordings, or a "
+            f"shorter horizon"
+        )
     return found
 
 
@@ -114,11 +131,12 @@ def smallest_scale(
     """Enclose the smallest factor on `values` at which the proved test accepts every window.
 
     Args:
-        relations: parity or uncertain ones. moved: a Moving. values: (b,) its values at the factor 1. windows: Windows.
+        relations: parity or uncertain ones. moved: a Moving. values: (b,) its values at the factor 1.
+            windows: Windows.
 
     Returns:
-        (low, high): at low the test proves some window inconsistent, so the true factor is above; at high it proves every window consistent
-        (with uncertain parameters, or a missing input: it refutes none).
+        (low, high): at low the test proves some window inconsistent, so the true factor is above; at high it
+        proves every window consistent (with uncertain parameters, or a missing input: it refutes none).
 
     Raises:
         ValueError: no factor explains some window, a tolerance would reach 1, or nothing is needed.
@@ -135,7 +153,12 @@ def smallest_scale(
         least = float(np.nanmin(res.margin, initial=1.0))
         return (not refuted if uncertain else least > 0), refuted, 1 - least, res.margin
 
-    few, low, scale, close = np.zeros(0, np.int64), 0.0, min(1.0, limit), 64 * float(np.finfo(windows.y.dtype).eps)
+    few, low, scale, close = (
+        np.zeros(0, np.int64),
+        0.0,
+        min(1.0, limit),
+        64 * float(np.finfo(windows.y.dtype).eps),
+    )
     grow = close
     while True:
         accepted, _, _, margin = judge(scale, windows.u, windows.y, windows.starts)
@@ -150,7 +173,9 @@ def smallest_scale(
         if isinstance(found, str):
             _refuse(found, moved, values, windows, int(few[np.argmin(_last(judge(limit, *batch)[3]))]))
         low, high = found
-        scale, grow = (max(high, scale * (1 + grow)), 4 * grow) if len(before) else (high, close)  # a search may end otherwise in company
+        scale, grow = (
+            (max(high, scale * (1 + grow)), 4 * grow) if len(before) else (high, close)
+        )  # a search may end otherwise in company
 
 
 def _last(margin):
@@ -160,22 +185,36 @@ def _last(margin):
 
 def _refuse(why, moved, values, windows, end):
     if why == "nothing":
-        raise ValueError("the bounds that stay explain every healthy window without those that move: there is nothing to tune")
+        raise ValueError(
+            "the bounds that stay explain every healthy window without those that move: there is nothing to "
+            "tune"
+        )
     tolerances = [i for i, top in enumerate(moved.most) if top < np.inf]
     where = f"the healthy window that ends at {windows.place(end)}"
     if tolerances:
         name = moved.names[max(tolerances, key=lambda i: values[i])]
-        raise ValueError(f"{name} would reach 1 before {where} is explained: let a noise bound move too, or look at that window")
-    raise ValueError(f"no size of {', '.join(moved.names)} explains {where}: let other bounds move too, or look at that window")
+        raise ValueError(
+            f"{name} would reach 1 before {where} is explained: let a noise bound move too, or look at that "
+            f"window"
+        )
+    raise ValueError(
+        f"no size of {', '.join(moved.names)} explains {where}: let other bounds move too, or look at that "
+        f"window"
+    )
 
 
 def _root(judge, x, limit, close):
-    """Return (low, high): refuted at low, accepted at high, relatively `close`; "nothing" or "never" where there is no such pair.
+    """Return (low, high): refuted at low, accepted at high, relatively `close`; "nothing" or "never" where
+    there is no such pair.
 
-    judge: factor -> (accepted, refuted, t). In the usual case t is inversely proportional to the factor: the secant of log t over log x
-    lands on the crossing, and both sides of it are tried.
+    judge: factor -> (accepted, refuted, t). In the usual case t is inversely proportional to the factor: the
+    secant of log t over log x lands on the crossing, and both sides of it are tried.
     """
-    low, high, proved = (0.0, math.inf), (math.inf, -math.inf), 0.0  # (factor, log t), and the largest factor that is refuted
+    low, high, proved = (
+        (0.0, math.inf),
+        (math.inf, -math.inf),
+        0.0,
+    )  # (factor, log t), and the largest factor that is refuted
 
     def look(at):
         nonlocal low, high, proved

@@ -20,7 +20,11 @@ def copies_over_itself(node):
     if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
         return False
     place = node.func.value
-    if not (isinstance(place, ast.Subscript) and isinstance(place.value, ast.Attribute) and place.value.attr == "at"):
+    if not (
+        isinstance(place, ast.Subscript)
+        and isinstance(place.value, ast.Attribute)
+        and place.value.attr == "at"
+    ):
         return False
     base, own = ast.dump(place.value.value), ast.dump(place.slice)
     parts = [x for given in node.args for x in ast.walk(given) if isinstance(x, ast.Subscript)]
@@ -50,11 +54,16 @@ def test_no_file_copies_as_xla_gets_it_wrong():
 
 @pytest.mark.parametrize("shape", [(4, 3), (1024, 8), (8, 1024)])
 def test_a_sum_of_terms_with_an_unknown_one_is_unknown_however_many_are_added(shape):
-    """The least of many numbers overlooks NaN: a sum with one was taken for one of terms that are not negative."""
+    """The least of many numbers overlooks NaN: a sum with one was taken for one of terms that are not
+    negative.
+    """
     lo, hi = np.ones(shape), np.full(shape, 2.0)
     lo[1, 1] = hi[2, 2] = np.nan
     summed = jax.jit(lambda x: lifted.summed(x, (1,)))
-    up, down = summed(Interval(jnp.asarray(lo), jnp.asarray(hi))), summed(Interval(jnp.asarray(-hi), jnp.asarray(-lo)))
+    up, down = (
+        summed(Interval(jnp.asarray(lo), jnp.asarray(hi))),
+        summed(Interval(jnp.asarray(-hi), jnp.asarray(-lo))),
+    )
     assert up.lo[1] == -np.inf and down.hi[1] == np.inf
     assert up.hi[2] == np.inf and down.lo[2] == -np.inf
     assert 0 < up.lo[0] <= shape[1] and -shape[1] <= down.hi[0] < 0

@@ -51,7 +51,9 @@ def test_a_premise_that_does_not_hold_is_refused_with_versions_and_advice(fresh,
     with pytest.raises(RuntimeError) as refusal:
         probe.refuse_unverified()
     said = str(refusal.value)
-    assert premise in said and f"jaxlib {jax.lib.__version__}" in said and "install" in said and "\n" not in said
+    assert (
+        premise in said and f"jaxlib {jax.lib.__version__}" in said and "install" in said and "\n" not in said
+    )
 
 
 @pytest.mark.parametrize("premise", [QUOTIENTS, CALLS])
@@ -61,9 +63,13 @@ def test_the_examination_finds_a_premise_that_does_not_hold_at_any_size(monkeypa
     assert lost == [f"{premise}, of {count}" for count in (16, 300, 5000)]
 
 
-@pytest.mark.parametrize("premise, lossy", [
-    ("sums of 8192 numbers that lose NaN", jnp.nan_to_num), ("maxima of 8192 numbers that lose infinity", lambda x: jnp.clip(x, -1, 1)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "premise, lossy",
+    [
+        ("sums of 8192 numbers that lose NaN", jnp.nan_to_num),
+        ("maxima of 8192 numbers that lose infinity", lambda x: jnp.clip(x, -1, 1)),
+    ],
+)
 def test_the_examination_finds_reductions_that_lose_what_proofs_read(monkeypatch, premise, lossy):
     for name in ("sum", "max"):
         whole = getattr(jnp, name)
@@ -84,8 +90,13 @@ def folder(monkeypatch, tmp_path):
 def test_a_version_that_is_not_listed_is_examined_once_in_one_sentence(fresh, folder):
     runs = []
     fresh.setattr(settings, "VERSIONS", frozenset())
-    fresh.setattr(examined, "examination", lambda *given: runs.append(given) or {"error of a sum": (1.0, 2.84)})
-    with pytest.warns(UserWarning, match=rf"jaxlib {jax.lib.__version__} is not among the versions that were examined: .* once") as said:
+    fresh.setattr(
+        examined, "examination", lambda *given: runs.append(given) or {"error of a sum": (1.0, 2.84)}
+    )
+    with pytest.warns(
+        UserWarning,
+        match=rf"jaxlib {jax.lib.__version__} is not among the versions that were examined: .* once",
+    ) as said:
         probe.refuse_unverified()
     assert len(said) == 1 and "\n" not in str(said[0].message) and len(runs) == 2
     probe._found.cache_clear()
@@ -101,8 +112,15 @@ def test_a_version_that_is_not_listed_is_examined_once_in_one_sentence(fresh, fo
 
 def test_a_version_that_fails_the_examination_is_refused_and_not_kept(fresh, folder):
     fresh.setattr(settings, "VERSIONS", frozenset())
-    fresh.setattr(examined, "examination", lambda *given: {"error of a sum": (1.0, 2.84), "NaN that are lost": (3.0, 0.0)})
-    with pytest.warns(UserWarning, match="once"), pytest.raises(RuntimeError, match=r"NaN that are lost, float32: 3, at most 0 assumed"):
+    fresh.setattr(
+        examined,
+        "examination",
+        lambda *given: {"error of a sum": (1.0, 2.84), "NaN that are lost": (3.0, 0.0)},
+    )
+    with (
+        pytest.warns(UserWarning, match="once"),
+        pytest.raises(RuntimeError, match=r"NaN that are lost, float32: 3, at most 0 assumed"),
+    ):
         probe.refuse_unverified()
     assert not folder.exists()
 
@@ -118,27 +136,43 @@ def test_an_examination_that_cannot_be_kept_still_allows_proofs(fresh, tmp_path)
 
 def test_the_installed_version_was_examined_or_says_so():
     """The lowest that pyproject.toml allows is listed; 0.11.1 is neither listed nor installed."""
-    assert "0.8.0" in settings.VERSIONS and "0.11.1" not in settings.VERSIONS and jax.lib.__version__ != "0.11.1"
+    assert (
+        "0.8.0" in settings.VERSIONS and "0.11.1" not in settings.VERSIONS and jax.lib.__version__ != "0.11.1"
+    )
 
 
-@pytest.mark.parametrize("flags, unknown", [
-    ("", []),
-    ("--xla_force_host_platform_device_count=8 --xla_dump_to=x --xla_gpu_autotune_level=0 --xla_cpu_enable_fast_math=false", []),
-    ("--xla_cpu_use_fusion_emitters=false --xla_dump_hlo_as_text", ["--xla_cpu_use_fusion_emitters=false"]),
-    ("'--xla_cpu_prefer_vector_width=128'", ["--xla_cpu_prefer_vector_width=128"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "flags, unknown",
+    [
+        ("", []),
+        (
+            "--xla_force_host_platform_device_count=8 --xla_dump_to=x --xla_gpu_autotune_level=0 "
+            "--xla_cpu_enable_fast_math=false",
+            [],
+        ),
+        (
+            "--xla_cpu_use_fusion_emitters=false --xla_dump_hlo_as_text",
+            ["--xla_cpu_use_fusion_emitters=false"],
+        ),
+        ("'--xla_cpu_prefer_vector_width=128'", ["--xla_cpu_prefer_vector_width=128"]),
+    ],
+)
 def test_flags_are_known_by_name_or_not(flags, unknown):
     assert settings.unknown_flags(flags, "cpu") == unknown
 
 
 def test_flags_for_cards_are_unknown_on_a_card():
-    assert settings.unknown_flags("--xla_gpu_autotune_level=0 --xla_dump_to=x", "NVIDIA") == ["--xla_gpu_autotune_level=0"]
+    assert settings.unknown_flags("--xla_gpu_autotune_level=0 --xla_dump_to=x", "NVIDIA") == [
+        "--xla_gpu_autotune_level=0"
+    ]
 
 
 def test_an_unknown_flag_or_option_is_examined_and_named(fresh, folder):
     fresh.setattr(examined, "examination", lambda *given: {})
     fresh.setenv("XLA_FLAGS", "--xla_cpu_prefer_vector_width=128")
-    with pytest.warns(UserWarning, match="^XLA_FLAGS has --xla_cpu_prefer_vector_width=128, under which .* once"):
+    with pytest.warns(
+        UserWarning, match="^XLA_FLAGS has --xla_cpu_prefer_vector_width=128, under which .* once"
+    ):
         probe.refuse_unverified()
     fresh.delenv("XLA_FLAGS")
     fresh.setattr(settings, "OPTIONS", {"jax_exec_time_optimization_effort": (0.5,)})
@@ -173,21 +207,81 @@ def test_a_process_with_an_unknown_flag_is_examined_once(folder, flag):
 
 
 HARMLESS_OPTIONS = (
-    "jax_array_garbage_collection_guard", "jax_auto_pcast", "jax_bcoo_cusparse_lowering", "jax_captured_constants_", "jax_check_",
-    "jax_compilation_cache_", "jax_compiler_detailed_logging_min_ops", "jax_compiler_enable_remat_pass", "jax_cpu_", "jax_cross_host_",
-    "jax_cuda_visible_devices", "jax_custom_vjp", "jax_debug_", "jax_default_", "jax_disable_", "jax_disallow_mesh_context_manager",
-    "jax_distributed_debug", "jax_dump_ir_", "jax_embedded_constants_max_bytes", "jax_enable_", "jax_error_checking_behavior_",
-    "jax_explain_cache_misses", "jax_explicit_x64_dtypes", "jax_export_", "jax_force_dcn_cross_host_transfers",
-    "jax_high_dynamic_range_gumbel", "jax_hlo_source_file_canonicalization_regex", "jax_include_", "jax_legacy_prng_key", "jax_log",
-    "jax_mosaic_allow_hlo", "jax_mutable_array_checks", "jax_no_tracing", "jax_num_cpu_devices", "jax_numpy_", "jax_oneapi_",
-    "jax_pallas_", "jax_persistent_cache_", "jax_pgle_", "jax_platform", "jax_pprint_use_color", "jax_ragged_dot_", "jax_raise_",
-    "jax_random_seed_offset", "jax_refs_to_pins", "jax_remat3", "jax_remove_", "jax_rocm_visible_devices", "jax_scan3",
-    "jax_send_traceback_to_runtime", "jax_serialization_version", "jax_share_binary_", "jax_softmax_custom_jvp", "jax_sort_devices_",
-    "jax_source_url_schema", "jax_thread_guard", "jax_threefry_", "jax_traceback_", "jax_tracer_", "jax_transfer_guard",
-    "jax_use_", "jax_pmap_", "jax_safer_randint", "jax_vjp3", "jax_vmap_primitive", "jax_collectives_common_channel_id",
-    "jax_dynamic_shapes", "jax_xla_backend", "jax_mock_gpu_topology", "jax_memory_fitting_", "mock_num_gpu_processes", "check_vma",
-    "eager_constant_folding", "jax2tf_",
-)  # fmt: skip
+    "jax_array_garbage_collection_guard",
+    "jax_auto_pcast",
+    "jax_bcoo_cusparse_lowering",
+    "jax_captured_constants_",
+    "jax_check_",
+    "jax_compilation_cache_",
+    "jax_compiler_detailed_logging_min_ops",
+    "jax_compiler_enable_remat_pass",
+    "jax_cpu_",
+    "jax_cross_host_",
+    "jax_cuda_visible_devices",
+    "jax_custom_vjp",
+    "jax_debug_",
+    "jax_default_",
+    "jax_disable_",
+    "jax_disallow_mesh_context_manager",
+    "jax_distributed_debug",
+    "jax_dump_ir_",
+    "jax_embedded_constants_max_bytes",
+    "jax_enable_",
+    "jax_error_checking_behavior_",
+    "jax_explain_cache_misses",
+    "jax_explicit_x64_dtypes",
+    "jax_export_",
+    "jax_force_dcn_cross_host_transfers",
+    "jax_high_dynamic_range_gumbel",
+    "jax_hlo_source_file_canonicalization_regex",
+    "jax_include_",
+    "jax_legacy_prng_key",
+    "jax_log",
+    "jax_mosaic_allow_hlo",
+    "jax_mutable_array_checks",
+    "jax_no_tracing",
+    "jax_num_cpu_devices",
+    "jax_numpy_",
+    "jax_oneapi_",
+    "jax_pallas_",
+    "jax_persistent_cache_",
+    "jax_pgle_",
+    "jax_platform",
+    "jax_pprint_use_color",
+    "jax_ragged_dot_",
+    "jax_raise_",
+    "jax_random_seed_offset",
+    "jax_refs_to_pins",
+    "jax_remat3",
+    "jax_remove_",
+    "jax_rocm_visible_devices",
+    "jax_scan3",
+    "jax_send_traceback_to_runtime",
+    "jax_serialization_version",
+    "jax_share_binary_",
+    "jax_softmax_custom_jvp",
+    "jax_sort_devices_",
+    "jax_source_url_schema",
+    "jax_thread_guard",
+    "jax_threefry_",
+    "jax_traceback_",
+    "jax_tracer_",
+    "jax_transfer_guard",
+    "jax_use_",
+    "jax_pmap_",
+    "jax_safer_randint",
+    "jax_vjp3",
+    "jax_vmap_primitive",
+    "jax_collectives_common_channel_id",
+    "jax_dynamic_shapes",
+    "jax_xla_backend",
+    "jax_mock_gpu_topology",
+    "jax_memory_fitting_",
+    "mock_num_gpu_processes",
+    "check_vma",
+    "eager_constant_folding",
+    "jax2tf_",
+)
 """Beginnings of the names of options that say how jax traces, logs, stores and moves, not how XLA
 compiles."""
 
@@ -195,6 +289,14 @@ compiles."""
 def test_every_option_of_a_listed_jax_is_known_to_reach_the_compiler_or_not():
     if jax.lib.__version__ not in settings.VERSIONS:
         pytest.skip("an unlisted version is examined in full")
-    new = [name for name in jax.config.values if name not in settings.OPTIONS and not name.startswith(HARMLESS_OPTIONS)]
+    new = [
+        name
+        for name in jax.config.values
+        if name not in settings.OPTIONS and not name.startswith(HARMLESS_OPTIONS)
+    ]
     assert not new, f"read what these do, then list them here or in settings.OPTIONS: {new}"
-    assert all(jax.config.values[name] in values for name, values in settings.OPTIONS.items() if name in jax.config.values)
+    assert all(
+        jax.config.values[name] in values
+        for name, values in settings.OPTIONS.items()
+        if name in jax.config.values
+    )

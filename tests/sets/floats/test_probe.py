@@ -1,4 +1,6 @@
-"""What rounding.py assumes of the compiler, one claim a test: a new XLA that breaks one of them fails here, and says which."""
+"""What rounding.py assumes of the compiler, one claim a test: a new XLA that breaks one of them fails here,
+and says which.
+"""
 
 import json
 import operator
@@ -35,7 +37,10 @@ def exact(x):
 def errors(found, exacts, dtype):
     """Return |found - exact| / |found| in units u."""
     u = Fraction(float(np.finfo(dtype).eps)) / 2
-    return [float(abs(f - e) / abs(f) / u) if f else float(e != 0) * np.inf for f, e in zip(exact(found), exacts, strict=True)]
+    return [
+        float(abs(f - e) / abs(f) / u) if f else float(e != 0) * np.inf
+        for f, e in zip(exact(found), exacts, strict=True)
+    ]
 
 
 @jax.jit
@@ -59,8 +64,13 @@ def test_one_operation_is_off_by_at_most_2_84_units(rng, form, dtype):
 @each_dtype
 def test_a_chain_of_operations_is_off_by_at_most_the_sum_of_its_errors(rng, dtype):
     a, b, c = (abs(numbers(rng, dtype, -8, 8)) for _ in range(3))
-    chains = {"(a b) c": lambda a, b, c: (a * b) * c, "(a / b) / c": lambda a, b, c: (a / b) / c, "a b + c": lambda a, b, c: a * b + c,
-              "(a + b) c": lambda a, b, c: (a + b) * c, "a / (b + c)": lambda a, b, c: a / (b + c)}  # fmt: skip
+    chains = {
+        "(a b) c": lambda a, b, c: (a * b) * c,
+        "(a / b) / c": lambda a, b, c: (a / b) / c,
+        "a b + c": lambda a, b, c: a * b + c,
+        "(a + b) c": lambda a, b, c: (a + b) * c,
+        "a / (b + c)": lambda a, b, c: a / (b + c),
+    }
     for name, f in chains.items():
         want = [f(*row) for row in zip(*map(exact, (a, b, c)), strict=True)]
         assert max(errors(jax.jit(f)(a, b, c), want, dtype)) <= 2 * 2.84, name
@@ -69,13 +79,18 @@ def test_a_chain_of_operations_is_off_by_at_most_the_sum_of_its_errors(rng, dtyp
 @each_dtype
 def test_a_flushed_result_or_operand_costs_at_most_the_smallest_normal_number(rng, dtype):
     info = np.finfo(dtype)
-    a, b = numbers(rng, dtype, info.minexp + 1, info.minexp + 4), numbers(rng, dtype, info.minexp + 1, info.minexp + 4)
+    a, b = (
+        numbers(rng, dtype, info.minexp + 1, info.minexp + 4),
+        numbers(rng, dtype, info.minexp + 1, info.minexp + 4),
+    )
     half = numbers(rng, dtype, -6, -1)
     found = {"add": (a, b), "sub": (a, b), "mul": (a, half), "div": (a, 1 / half)}
     for op, operands in found.items():
         results = operations(*operands)[op]
         for f, x, y in zip(exact(results), *map(exact, operands), strict=True):
-            assert abs(f - EXACTLY[op](x, y)) <= Fraction(float(info.tiny)) + Fraction(float(info.eps)) * abs(f), op
+            assert abs(f - EXACTLY[op](x, y)) <= Fraction(float(info.tiny)) + Fraction(float(info.eps)) * abs(
+                f
+            ), op
 
 
 @each_dtype
@@ -110,11 +125,17 @@ def test_two_sum_and_two_prod_lose_nothing_next_to_constants_and_inexact_operand
     @jax.jit
     def kernel(a, b):
         c = a * b + a  # inexact, and free to be fused
-        return {"sum": (c, b, rounding.two_sum(c, b)), "with 1": (jnp.ones_like(b), b, rounding.two_sum(jnp.ones_like(b), b)),
-                "product": (a, b, rounding.two_prod(a, b)), "square": (a, a, rounding.two_prod(a, a))}  # fmt: skip
+        return {
+            "sum": (c, b, rounding.two_sum(c, b)),
+            "with 1": (jnp.ones_like(b), b, rounding.two_sum(jnp.ones_like(b), b)),
+            "product": (a, b, rounding.two_prod(a, b)),
+            "square": (a, a, rounding.two_prod(a, a)),
+        }
 
     for name, (x, y, (s, e)) in kernel(a, b).items():
-        want = [p + q if name in ("sum", "with 1") else p * q for p, q in zip(exact(x), exact(y), strict=True)]
+        want = [
+            p + q if name in ("sum", "with 1") else p * q for p, q in zip(exact(x), exact(y), strict=True)
+        ]
         assert [p + q for p, q in zip(exact(s), exact(e), strict=True)] == want, name
 
 
@@ -145,7 +166,11 @@ def test_powers_of_two_are_exact(dtype):
 @each_dtype
 def test_mantissa_and_exponent_give_the_number_back_subnormal_or_not(rng, dtype):
     x = np.concatenate(
-        [abs(floats(rng, dtype, COUNT)), abs(corners(dtype)), np.finfo(dtype).smallest_subnormal * rng.integers(1, 2**20, 50)]
+        [
+            abs(floats(rng, dtype, COUNT)),
+            abs(corners(dtype)),
+            np.finfo(dtype).smallest_subnormal * rng.integers(1, 2**20, 50),
+        ]
     )
     x = x[x > 0].astype(dtype)
     m, k = jax.jit(rounding.mantissa_exponent)(x)
@@ -158,7 +183,9 @@ def test_scale_is_exact_over_the_whole_range(rng, dtype):
     info = np.finfo(dtype)
     m = rng.uniform(1, 2, COUNT).astype(dtype)
     k = rng.integers(info.minexp, info.maxexp, COUNT).astype(dtype)
-    assert exact(jax.jit(rounding.scale)(m, k)) == [a * Fraction(2) ** int(n) for a, n in zip(exact(m), k, strict=True)]
+    assert exact(jax.jit(rounding.scale)(m, k)) == [
+        a * Fraction(2) ** int(n) for a, n in zip(exact(m), k, strict=True)
+    ]
 
 
 @each_dtype
@@ -183,7 +210,9 @@ def test_a_sum_in_the_compilers_order_is_off_by_at_most_one_unit_a_term(rng, dty
     u = Fraction(float(np.finfo(dtype).eps)) / 2
     terms = exact(x)
     for run in (jnp.sum, lambda x: jnp.dot(x, jnp.ones_like(x), precision=jax.lax.Precision.HIGHEST)):
-        assert abs(exact([jax.jit(run)(x)])[0] - sum(terms)) <= (len(x) - 1) * u * sum(map(abs, terms)) * Fraction(101, 100)
+        assert abs(exact([jax.jit(run)(x)])[0] - sum(terms)) <= (len(x) - 1) * u * sum(
+            map(abs, terms)
+        ) * Fraction(101, 100)
 
 
 MANY = 2**13
@@ -200,7 +229,9 @@ def test_operations_that_a_large_reduction_takes_along_are_off_by_at_most_2_84_u
     a, b = numbers(rng, dtype, count=MANY), numbers(rng, dtype, count=MANY)
     for op, f in EXACTLY.items():
         found = within_a_reduction(f, a, b)
-        assert max(errors(found, [f(x, y) for x, y in zip(exact(a), exact(b), strict=True)], dtype)) <= 2.84, op
+        assert (
+            max(errors(found, [f(x, y) for x, y in zip(exact(a), exact(b), strict=True)], dtype)) <= 2.84
+        ), op
 
 
 @each_dtype
@@ -208,8 +239,16 @@ def test_what_proofs_read_of_many_numbers_keeps_nan(rng, dtype):
     """A maximum need not, which is why no proof asks it."""
     x = numbers(rng, dtype, count=MANY).reshape(-1, 8)
     x[::5, 3] = np.nan
-    read = jax.jit(lambda x: [jnp.sum(x, 1), jnp.sum(jnp.abs(x) * 0, 1), jnp.max(jnp.where(jnp.isfinite(x), 0, jnp.inf), 1)])
-    none = jax.jit(lambda x: [jnp.all(x < jnp.inf, 1), jnp.all(jnp.abs(x) - 1 < jnp.inf, 1), jnp.all(jnp.isfinite(x), 1)])
+    read = jax.jit(
+        lambda x: [
+            jnp.sum(x, 1),
+            jnp.sum(jnp.abs(x) * 0, 1),
+            jnp.max(jnp.where(jnp.isfinite(x), 0, jnp.inf), 1),
+        ]
+    )
+    none = jax.jit(
+        lambda x: [jnp.all(x < jnp.inf, 1), jnp.all(jnp.abs(x) - 1 < jnp.inf, 1), jnp.all(jnp.isfinite(x), 1)]
+    )
     assert all(np.array_equal(~np.isfinite(f), np.arange(len(x)) % 5 == 0) for f in read(x))
     assert all(np.array_equal(f, np.arange(len(x)) % 5 != 0) for f in none(x))
 
@@ -227,7 +266,17 @@ def test_a_comparison_with_a_number_other_than_0_is_false_for_nan(dtype):
     """|x| >= 0, compiled, may be true of NaN: what cannot be below 0 is not looked at."""
     x = np.full(MANY, np.nan, dtype)
     said = jax.jit(
-        lambda x: [x >= x, x == x, x <= jnp.inf, jnp.abs(x) < jnp.inf, jnp.abs(x) > -1, jnp.isfinite(x), x >= 0, x <= 0, x - 1 >= 0]
+        lambda x: [
+            x >= x,
+            x == x,
+            x <= jnp.inf,
+            jnp.abs(x) < jnp.inf,
+            jnp.abs(x) > -1,
+            jnp.isfinite(x),
+            x >= 0,
+            x <= 0,
+            x - 1 >= 0,
+        ]
     )
     assert not any(np.asarray(s).any() for s in said(x))
 
@@ -259,7 +308,8 @@ def test_the_examination_finds_fast_math():
     code = """
 import jax, numpy as np
 from jaxbound.sets.floats.examination import examination
-print([name for name, (found, most) in examination(jax.devices()[0], np.float32, 200).items() if not found <= most])
+found = examination(jax.devices()[0], np.float32, 200)
+print([name for name, (error, most) in found.items() if not error <= most])
 """
     said = in_a_process_with(FAST, "-c", code)
     assert "sums that two_sum loses digits of" in said
@@ -285,27 +335,44 @@ class Card:
 
 
 def test_a_card_is_known_by_its_capability_and_refused_until_it_was_examined(monkeypatch):
-    assert probe.kind_of_device(Card())["platform"] == "NVIDIA" and probe.kind_of_device(Card())["capability"] == "9.0"
-    assert not probe.verified(Card()) and "so far only CPU, not NVIDIA 9.0: set JAX_PLATFORMS=cpu" in probe._doubt(Card())
+    assert (
+        probe.kind_of_device(Card())["platform"] == "NVIDIA"
+        and probe.kind_of_device(Card())["capability"] == "9.0"
+    )
+    assert not probe.verified(
+        Card()
+    ) and "so far only CPU, not NVIDIA 9.0: set JAX_PLATFORMS=cpu" in probe._doubt(Card())
     monkeypatch.setattr(probe, "EXAMINED", probe.EXAMINED | {"NVIDIA 9.0"})
     monkeypatch.setattr(probe, "measure", lambda device, dtype: {"error of a quotient": (4.1, 2.84)})
-    assert not probe.verified(Card()) and "error of a quotient: 4.1, at most 2.84 assumed" in probe._doubt(Card())
+    assert not probe.verified(Card()) and "error of a quotient: 4.1, at most 2.84 assumed" in probe._doubt(
+        Card()
+    )
     monkeypatch.setattr(probe, "measure", lambda device, dtype: {"error of a quotient": (1.0, 2.84)})
     assert probe.verified(Card())
     with jax.enable_x64(False):
         assert "a quotient in float32 may be off by 4 units" in probe._doubt(Card())
 
 
-@pytest.mark.parametrize("name, value", [
-    ("NVIDIA_TF32_OVERRIDE", "1"), ("CUBLAS_EMULATE_DOUBLE_PRECISION", "1"), ("CUBLAS_EMULATE_SINGLE_PRECISION", "1"),
-    ("CUBLAS_EMULATION_STRATEGY", "eager"), ("XLA_FLAGS", "--xla_gpu_enable_fast_min_max=true"),
-])  # fmt: skip
-def test_switches_that_change_arithmetic_are_refused_by_name_on_a_card_that_was_examined(monkeypatch, name, value):
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("NVIDIA_TF32_OVERRIDE", "1"),
+        ("CUBLAS_EMULATE_DOUBLE_PRECISION", "1"),
+        ("CUBLAS_EMULATE_SINGLE_PRECISION", "1"),
+        ("CUBLAS_EMULATION_STRATEGY", "eager"),
+        ("XLA_FLAGS", "--xla_gpu_enable_fast_min_max=true"),
+    ],
+)
+def test_switches_that_change_arithmetic_are_refused_by_name_on_a_card_that_was_examined(
+    monkeypatch, name, value
+):
     monkeypatch.setattr(probe, "EXAMINED", probe.EXAMINED | {"NVIDIA 9.0"})
     monkeypatch.setattr(probe, "measure", lambda device, dtype: {})
     assert probe.verified(Card())
     monkeypatch.setenv(name, value)
-    assert not probe.verified(Card()) and (f"{name}={value}" in probe._doubt(Card()) or value in probe._doubt(Card()))
+    assert not probe.verified(Card()) and (
+        f"{name}={value}" in probe._doubt(Card()) or value in probe._doubt(Card())
+    )
     if name != "XLA_FLAGS":
         assert probe.verified(jax.devices()[0])  # no CPU knows them
         monkeypatch.setenv(name, "" if name.endswith("STRATEGY") else "0")
@@ -315,9 +382,17 @@ def test_switches_that_change_arithmetic_are_refused_by_name_on_a_card_that_was_
 def in_a_process_with(flags, *command):
     """Return what a Python process prints whose XLA has these flags."""
     out = subprocess.run(
-        [sys.executable, *command], env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        [sys.executable, *command],
+        env={
+            **os.environ,
+            "XLA_FLAGS": flags,
+            "JAX_PLATFORMS": "cpu",
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        },
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert out.returncode == 0, out.stderr
     return out.stdout
 
@@ -325,7 +400,11 @@ def in_a_process_with(flags, *command):
 def test_every_door_that_proves_refuses_fast_math_in_one_sentence():
     for name, said in json.loads(in_a_process_with(FAST, proving.__file__)).items():
         assert said is not None, f"{name} answered"
-        assert said == f"XLA_FLAGS has {FAST}, with which the compiler keeps to no rounding: start without, nothing can be proved so", name
+        assert (
+            said
+            == f"XLA_FLAGS has {FAST}, with which the compiler keeps to no rounding: start without, nothing "
+            f"can be proved so"
+        ), name
 
 
 def test_the_probe_finds_fast_math_that_no_name_tells(tmp_path):
@@ -346,17 +425,31 @@ with contextlib.redirect_stderr(sys.stdout):
     print(main(["detect", "{tmp_path}/model.toml", "{tmp_path}/run.csv", "--out", "{tmp_path}/out"]))
 """
     said, *shown, exit_code = in_a_process_with(FAST, "-c", code).splitlines()
-    assert said.startswith("compiled arithmetic in this process is not what proofs rest on (") and "two_sum" in said
-    assert exit_code == "2" and "compiled arithmetic in this process" in " ".join(shown) and not (tmp_path / "out").exists()
+    assert (
+        said.startswith("compiled arithmetic in this process is not what proofs rest on (")
+        and "two_sum" in said
+    )
+    assert (
+        exit_code == "2"
+        and "compiled arithmetic in this process" in " ".join(shown)
+        and not (tmp_path / "out").exists()
+    )
 
 
-@pytest.mark.parametrize("flags, refused", [
-    ("", []),
-    ("--xla_force_host_platform_device_count=8 --xla_cpu_enable_fast_math=false --xla_cpu_fast_math_honor_nans=true", []),
-    ("--xla_cpu_enable_fast_math --xla_dump_to=x", ["--xla_cpu_enable_fast_math"]),
-    ("--xla_cpu_fast_math_honor_nans=false", ["--xla_cpu_fast_math_honor_nans=false"]),
-    ("--xla_cpu_experimental_ynn_fusion_type=2", ["--xla_cpu_experimental_ynn_fusion_type=2"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "flags, refused",
+    [
+        ("", []),
+        (
+            "--xla_force_host_platform_device_count=8 --xla_cpu_enable_fast_math=false "
+            "--xla_cpu_fast_math_honor_nans=true",
+            [],
+        ),
+        ("--xla_cpu_enable_fast_math --xla_dump_to=x", ["--xla_cpu_enable_fast_math"]),
+        ("--xla_cpu_fast_math_honor_nans=false", ["--xla_cpu_fast_math_honor_nans=false"]),
+        ("--xla_cpu_experimental_ynn_fusion_type=2", ["--xla_cpu_experimental_ynn_fusion_type=2"]),
+    ],
+)
 def test_flags_that_give_arithmetic_up_are_refused_by_name(flags, refused, monkeypatch, tmp_path):
     (tmp_path / "flags").write_text(flags)
     for given in (flags, f"{tmp_path}/flags") if flags else ("",):

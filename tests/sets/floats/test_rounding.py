@@ -26,7 +26,10 @@ def around(a, b, d):
 
 def operands(rng, dtype, count=1200):
     """Draw points a, b and divisors d that outward speaks of: neither 0 nor beyond 2^(emax/2)."""
-    a, b = (np.concatenate([x.ravel(), floats(rng, dtype, count)])[:count] for x in np.meshgrid(corners(dtype), corners(dtype)))
+    a, b = (
+        np.concatenate([x.ravel(), floats(rng, dtype, count)])[:count]
+        for x in np.meshgrid(corners(dtype), corners(dtype))
+    )
     d = np.concatenate([np.repeat(corners(dtype), len(corners(dtype))), floats(rng, dtype, 3 * count)])
     return a, b, d[(d != 0) & (abs(d) <= 2.0 ** (np.finfo(dtype).maxexp // 2))][:count]
 
@@ -34,7 +37,10 @@ def operands(rng, dtype, count=1200):
 def exactly(op, a, b, d):
     """Return the exact results of one operation on arrays of floats, one tuple an entry."""
     other = d if op == "div" else b
-    return [(OPS[op](Fraction(x), Fraction(y)),) for x, y in zip(np.ravel(a).tolist(), np.ravel(other).tolist(), strict=True)]
+    return [
+        (OPS[op](Fraction(x), Fraction(y)),)
+        for x, y in zip(np.ravel(a).tolist(), np.ravel(other).tolist(), strict=True)
+    ]
 
 
 def missed(bounds, *points):
@@ -45,7 +51,9 @@ def missed(bounds, *points):
 @each_dtype
 def test_unit_is_half_the_spacing_of_floats_at_one(dtype):
     u = rounding.unit(dtype)
-    assert u.dtype == dtype and Fraction(float(np.nextafter(dtype(1), dtype(2)))) - 1 == 2 * Fraction(float(u))
+    assert u.dtype == dtype and Fraction(float(np.nextafter(dtype(1), dtype(2)))) - 1 == 2 * Fraction(
+        float(u)
+    )
 
 
 @each_dtype
@@ -81,19 +89,25 @@ def test_outward_encloses_results_with_a_traced_scalar_operand(rng, dtype):
 def test_outward_encloses_results_with_a_compiled_constant(rng, dtype):
     a, b, d = operands(rng, dtype)
     constants = [(b[i], d[i]) for i in rng.integers(0, len(a), 3)]
-    for bounds, (one, other) in zip(jax.jit(lambda a: [around(a, *c) for c in constants])(a), constants, strict=True):
+    for bounds, (one, other) in zip(
+        jax.jit(lambda a: [around(a, *c) for c in constants])(a), constants, strict=True
+    ):
         assert not missed(bounds, a, np.full_like(a, one), np.full_like(a, other))
 
 
 @each_dtype
 def test_outward_stays_within_nine_units_of_the_exact_result(rng, dtype):
     points = operands(rng, dtype)
-    u, tiny, top = (Fraction(float(x)) for x in (rounding.unit(dtype), rounding.tiny(dtype), np.finfo(dtype).max))
+    u, tiny, top = (
+        Fraction(float(x)) for x in (rounding.unit(dtype), rounding.tiny(dtype), np.finfo(dtype).max)
+    )
     for op, (lo, hi) in jax.jit(around)(*points).items():
         exact = exactly(op, *points)
         fits = np.array([abs(v) < top * Fraction(99, 100) for (v,) in exact])
         ranges = [(v, v) for (v,), keep in zip(exact, fits, strict=True) if keep]
-        assert fits.sum() > 100 and not far(np.asarray(lo)[fits], np.asarray(hi)[fits], ranges, 9 * u, 4 * tiny)
+        assert fits.sum() > 100 and not far(
+            np.asarray(lo)[fits], np.asarray(hi)[fits], ranges, 9 * u, 4 * tiny
+        )
 
 
 @pytest.mark.parametrize("mode", ["jit", "vmap"])
@@ -117,7 +131,9 @@ def exact_sums(x):
     return [(sum(map(Fraction, row)),) for row in np.asarray(x, np.float64).tolist()]
 
 
-@pytest.mark.parametrize(("count", "mode"), [(1, "jit"), (7, "eager"), (7, "vmap"), (40, "vmap"), (400, "jit")])
+@pytest.mark.parametrize(
+    ("count", "mode"), [(1, "jit"), (7, "eager"), (7, "vmap"), (40, "vmap"), (400, "jit")]
+)
 @each_dtype
 def test_outward_sum_encloses_the_exact_sum(rng, count, mode, dtype):
     x = terms(rng, dtype, count)
@@ -194,11 +210,21 @@ def test_outward_sum_is_no_wider_than_its_bound(rng, count, dtype):
 
 
 def rationals(rng, dtype, count=300):
-    """Draw exact numbers: floats of the dtype, numbers an instant beside them, and numbers beyond its range."""
-    near = [Fraction(float(x)) for x in np.concatenate([corners(dtype), subnormals(dtype), floats(rng, dtype, count)])]
+    """Draw exact numbers: floats of the dtype, numbers an instant beside them, and numbers beyond its
+    range.
+    """
+    near = [
+        Fraction(float(x))
+        for x in np.concatenate([corners(dtype), subnormals(dtype), floats(rng, dtype, count)])
+    ]
     beside = [x * (1 + Fraction(s, 10**30)) for x in near for s in (-1, 1)]
     between = [(x + Fraction(float(np.nextafter(dtype(x), dtype(0))))) / 2 for x in near]
-    return near + beside + between + [Fraction(1, 10**500), -Fraction(1, 10**500), Fraction(10) ** 500, -(Fraction(10) ** 500)]
+    return (
+        near
+        + beside
+        + between
+        + [Fraction(1, 10**500), -Fraction(1, 10**500), Fraction(10) ** 500, -(Fraction(10) ** 500)]
+    )
 
 
 @each_dtype
@@ -222,12 +248,16 @@ def test_round_down_gives_the_largest_float_below(rng, dtype):
 
 
 def test_float64_arrays_are_rounded_to_float32_in_the_direction_asked_for(rng):
-    x = np.concatenate([floats(rng, np.float64, 2000), [np.inf, -np.inf, 0.1, 1e300, -1e300, 1e-300]]).reshape(2, -1)
+    x = np.concatenate(
+        [floats(rng, np.float64, 2000), [np.inf, -np.inf, 0.1, 1e300, -1e300, 1e-300]]
+    ).reshape(2, -1)
     down, up = rounding.round_down(x, np.float32), rounding.round_up(x, np.float32)
     assert down.shape == up.shape == x.shape and down.dtype == up.dtype == np.float32
     assert (down <= x).all() and (x <= up).all()
     with np.errstate(all="ignore"):
-        assert (np.where(down == x, down, np.nextafter(down, np.float32(np.inf))) == up).all()  # neighbours, or x itself
+        assert (
+            np.where(down == x, down, np.nextafter(down, np.float32(np.inf))) == up
+        ).all()  # neighbours, or x itself
 
 
 @pytest.mark.parametrize("value", ["0.1", "1/3", Decimal("0.1"), Fraction(1, 3), 2**53 + 1, 10**400, True])
@@ -254,7 +284,11 @@ def test_fraction_to_float_rounds_to_nearest(rng, dtype):
         # through float64, a float32 can be off by a double rounding: half a unit of float64 more
         slack = Fraction(0) if dtype == np.float64 else Fraction(abs(float(f))) * Fraction(1, 2**52)
         with np.errstate(all="ignore"):
-            beside = [Fraction(float(np.nextafter(f, dtype(s * np.inf)))) for s in (-1, 1) if abs(f) < np.finfo(dtype).max]
+            beside = [
+                Fraction(float(np.nextafter(f, dtype(s * np.inf))))
+                for s in (-1, 1)
+                if abs(f) < np.finfo(dtype).max
+            ]
         assert all(abs(Fraction(float(f)) - v) <= abs(g - v) + slack for g in beside)
 
 
@@ -284,7 +318,9 @@ def test_fraction_to_float_of_zero_is_zero():
 def test_settle_moves_subnormals_outward_where_reading_them_as_0_would_not(mode, dtype):
     x, tiny = subnormals(dtype), np.finfo(dtype).tiny
     lo, hi = map(np.asarray, MODES[mode](rounding.settle_subnormals)(x, x))
-    assert lo.tolist() == np.where(x > 0, x, -tiny).tolist() and hi.tolist() == np.where(x > 0, tiny, x).tolist()
+    assert (
+        lo.tolist() == np.where(x > 0, x, -tiny).tolist() and hi.tolist() == np.where(x > 0, tiny, x).tolist()
+    )
 
 
 @each_mode
@@ -310,7 +346,9 @@ def test_two_sum_is_exact(rng, mode, dtype):
     a, b = pairs(rng, dtype, 60)
     s, e = MODES[mode](rounding.two_sum)(a, b)
     for x, y, big, small in zip(*(np.asarray(v).tolist() for v in (a, b, s, e)), strict=True):
-        assert Fraction(big) + Fraction(small) == Fraction(x) + Fraction(y) and big == dtype(Fraction(x) + Fraction(y))
+        assert Fraction(big) + Fraction(small) == Fraction(x) + Fraction(y) and big == dtype(
+            Fraction(x) + Fraction(y)
+        )
 
 
 @each_mode
@@ -327,15 +365,24 @@ def test_two_sum_and_two_prod_with_a_constant_are_exact(rng, dtype):
     x, _ = pairs(rng, dtype, 8, 1000)
     for c in (dtype(1), dtype(0.1), dtype(-37000)):
         results = jax.jit(
-            lambda x, c=c: [*rounding.two_sum(c, x), *rounding.two_sum(x, c), *rounding.two_prod(c, x), *rounding.two_prod(x, c)]
+            lambda x, c=c: [
+                *rounding.two_sum(c, x),
+                *rounding.two_sum(x, c),
+                *rounding.two_prod(c, x),
+                *rounding.two_prod(x, c),
+            ]
         )(x)
         for v, *parts in zip(x.tolist(), *(r.tolist() for r in results), strict=True):
             s, e, t, f, p, g, q, h = map(Fraction, parts)
-            assert s + e == t + f == Fraction(float(c)) + Fraction(v) and p + g == q + h == Fraction(float(c)) * Fraction(v)
+            assert s + e == t + f == Fraction(float(c)) + Fraction(v) and p + g == q + h == Fraction(
+                float(c)
+            ) * Fraction(v)
 
 
 def dot(x, y):
-    """Return sum x_i y_j of (k,) and (m,) for each j as double words, in a loop: the sum of exact products, each added without error."""
+    """Return sum x_i y_j of (k,) and (m,) for each j as double words, in a loop: the sum of exact products,
+    each added without error.
+    """
 
     def body(i, total):
         s, e = total
@@ -366,7 +413,9 @@ def double(rng, dtype, exponent, count=3000):
 def worst(x, y, z, op):
     """Return the largest relative error of double-word results in units of u^2."""
     u = Fraction(float(np.finfo(z[0].dtype).eps)) / 2
-    exact = lambda v: [Fraction(a) + Fraction(b) for a, b in zip(*(np.asarray(w).tolist() for w in v), strict=True)]
+    exact = lambda v: [
+        Fraction(a) + Fraction(b) for a, b in zip(*(np.asarray(w).tolist() for w in v), strict=True)
+    ]
     rows = zip(exact(x), exact(y), exact(z), strict=True)
     return float(max(abs(c - op(a, b)) / abs(op(a, b)) for a, b, c in rows if op(a, b)) / u**2)
 

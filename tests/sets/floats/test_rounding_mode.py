@@ -13,7 +13,9 @@ import jaxbound as jb
 UP, DOWN, TOWARDS_ZERO = 0x800, 0x400, 0xC00
 
 
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="the numbers of the modes are those of this processor family")
+@pytest.mark.skipif(
+    platform.machine() != "x86_64", reason="the numbers of the modes are those of this processor family"
+)
 @pytest.mark.parametrize("mode", [UP, DOWN, TOWARDS_ZERO])
 def test_other_modes_are_refused_at_every_door_that_proves(mode):
     doors, r = proving.doors(), jb.parity_relations(proving.MODEL)
@@ -30,7 +32,8 @@ def test_other_modes_are_refused_at_every_door_that_proves(mode):
 
 
 @pytest.mark.skipif(
-    platform.machine() != "x86_64" or platform.system() != "Linux", reason="where the processor's register lies is known here"
+    platform.machine() != "x86_64" or platform.system() != "Linux",
+    reason="where the processor's register lies is known here",
 )
 @pytest.mark.parametrize("bits", [0x8000, 0x0040], ids=["results", "operands"])
 def test_small_numbers_that_are_flushed_are_refused_at_every_door_that_proves(bits):

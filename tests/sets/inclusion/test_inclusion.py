@@ -1,4 +1,6 @@
-"""Inclusion functions hold the exact range of functions of known range, by every method, compiled and not, in both precisions."""
+"""Inclusion functions hold the exact range of functions of known range, by every method, compiled and not, in
+both precisions.
+"""
 
 import flint
 import jax
@@ -12,7 +14,11 @@ from jaxbound.sets import Interval, inclusion, interval
 from jaxbound.sets.inclusion.inclusion import METHODS
 
 FEW = [c for c in CASES if c.name in ("parabola", "figure 1", "van der pol step", "where")]
-MODES = {"call": lambda F: F, "jit": jax.jit, "vmap": lambda F: lambda box: jax.tree.map(lambda v: v[1], jax.vmap(F)(_twice(box)))}
+MODES = {
+    "call": lambda F: F,
+    "jit": jax.jit,
+    "vmap": lambda F: lambda box: jax.tree.map(lambda v: v[1], jax.vmap(F)(_twice(box))),
+}
 
 
 @pytest.fixture(autouse=True)
@@ -42,11 +48,29 @@ def check(case, enclosed, rng, count=30):
     z = np.clip(rng.uniform(case.lo, case.hi, (count, len(case.lo))), case.lo, case.hi)
     for point, value in zip(z, values_at(case, z.tolist()), strict=True):
         assert len(value) == len(found)
-        assert not any(misses(e, v) for e, v in zip(found, value, strict=True)), (case.name, point, found, value)
+        assert not any(misses(e, v) for e, v in zip(found, value, strict=True)), (
+            case.name,
+            point,
+            found,
+            value,
+        )
 
 
-HEAVY = ("tanh network", "small differences", "log sum exp", "angle", "remainder", "saturation", "sigmoid", "sine cosine", "norm", "power")
-BRIEF = [c for c in CASES if c in FEW or c.name in ("cubic", "rational", "root", "product", "rectifier", "clip")]  # all of them: below
+HEAVY = (
+    "tanh network",
+    "small differences",
+    "log sum exp",
+    "angle",
+    "remainder",
+    "saturation",
+    "sigmoid",
+    "sine cosine",
+    "norm",
+    "power",
+)
+BRIEF = [
+    c for c in CASES if c in FEW or c.name in ("cubic", "rational", "root", "product", "rectifier", "clip")
+]  # all of them: below
 LIGHT = [pytest.param(c, marks=pytest.mark.long) if c.name in HEAVY else c for c in CASES]
 
 
@@ -62,10 +86,19 @@ def test_best_holds_the_range_and_is_never_wider_than_natural(case, rng):
     assert (sharp.lo >= natural.lo).all() and (sharp.hi <= natural.hi).all()
 
 
-@pytest.mark.parametrize("case, dtype", [
-    pytest.param(c, d, id=f"{c}-{np.dtype(d)}", marks=() if c.name == "parabola" and d == np.float32 else pytest.mark.long)
-    for c in CASES for d in DTYPES
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "case, dtype",
+    [
+        pytest.param(
+            c,
+            d,
+            id=f"{c}-{np.dtype(d)}",
+            marks=() if c.name == "parabola" and d == np.float32 else pytest.mark.long,
+        )
+        for c in CASES
+        for d in DTYPES
+    ],
+)
 def test_every_method_holds_the_range_and_best_is_never_wider(case, dtype, rng):
     natural, mean_value, best = (inclusion(case.f, method)(box_of(case, dtype)) for method in METHODS)
     for enclosed in (natural, mean_value, best):
@@ -83,7 +116,11 @@ def test_ranges_hold_under_jit_and_vmap(case, mode, rng):
 MONOTONE = {c.name: c for c in CASES if c.name in ("figure 1", "two double tanks")}
 
 
-@pytest.mark.parametrize("case", [MONOTONE["figure 1"], pytest.param(MONOTONE["two double tanks"], marks=pytest.mark.long)], ids=str)
+@pytest.mark.parametrize(
+    "case",
+    [MONOTONE["figure 1"], pytest.param(MONOTONE["two double tanks"], marks=pytest.mark.long)],
+    ids=str,
+)
 def test_best_is_exact_to_rounding_where_every_variable_is_monotone(case):
     found = ends(inclusion(case.f, "best")(box_of(case)))
     least, greatest = (values_at(case, points) for points in (case.least, case.greatest))
@@ -102,7 +139,9 @@ def excess(method, f, middle, width):
 def test_mean_value_converges_with_the_square_of_the_width():
     f = lambda z: z[0] * jnp.exp(-z[0]) * z[0] + z[0]
     widths = 2.0 ** -np.arange(2, 9)
-    order = lambda method: np.diff(np.log2([excess(method, f, 1.5, w) for w in widths])) / np.diff(np.log2(widths))
+    order = lambda method: (
+        np.diff(np.log2([excess(method, f, 1.5, w) for w in widths])) / np.diff(np.log2(widths))
+    )
     assert (order("mean_value") > 1.85).all() and (order("mean_value") < 2.3).all()
     assert (order("natural") < 1.2).all()
 
@@ -110,7 +149,9 @@ def test_mean_value_converges_with_the_square_of_the_width():
 def test_jacobian_holds_the_slopes_and_the_kinks():
     F = inclusion(lambda z: jnp.stack([z[0] * z[1], abs(z[0]), jnp.maximum(z[0], z[1])]), "best")
     J = F.jacobian(interval([-1.0, 1.0], [2.0, 3.0]))
-    assert (J.lo <= np.array([[1, -1], [-1, 0], [0, 0]])).all() and (J.hi >= np.array([[3, 2], [1, 0], [1, 1]])).all()
+    assert (J.lo <= np.array([[1, -1], [-1, 0], [0, 0]])).all() and (
+        J.hi >= np.array([[3, 2], [1, 0], [1, 1]])
+    ).all()
     assert (J.hi - J.lo <= np.array([[2, 3], [2, 0], [1, 1]]) + 1e-12).all()
 
 
@@ -128,9 +169,13 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("f", [
-    pytest.param(f, id=name, marks=() if name in ("floor", "root", "stopped") else pytest.mark.long) for name, f in BROKEN.items()
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "f",
+    [
+        pytest.param(f, id=name, marks=() if name in ("floor", "root", "stopped") else pytest.mark.long)
+        for name, f in BROKEN.items()
+    ],
+)
 def test_where_continuity_is_not_proved_derivatives_are_not_used(f):
     box = interval([-0.75], [0.875])
     F = inclusion(f, "best")
@@ -156,15 +201,21 @@ def other_liar(x):
 other_liar.defvjp(lambda x: (x**2, None), lambda _, g: (0.0 * g,))
 
 
-@pytest.mark.parametrize("f", [
-    pytest.param(liar, id="custom_jvp", marks=pytest.mark.long), pytest.param(other_liar, id="custom_vjp"),
-    pytest.param(lambda x: jax.lax.stop_gradient(x) ** 2, id="stop_gradient", marks=pytest.mark.long),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "f",
+    [
+        pytest.param(liar, id="custom_jvp", marks=pytest.mark.long),
+        pytest.param(other_liar, id="custom_vjp"),
+        pytest.param(lambda x: jax.lax.stop_gradient(x) ** 2, id="stop_gradient", marks=pytest.mark.long),
+    ],
+)
 def test_a_derivative_that_is_not_that_of_the_function_is_not_believed(f):
     box = interval([1.0], [2.0])
     found = inclusion(lambda z: f(z[0]), "mean_value")(box)
     assert found.lo <= 1 and found.hi >= 4
-    inside = inclusion(lambda z: jax.lax.scan(lambda c, _: (c + f(z[0]), None), 0.0, None, length=3)[0], "mean_value")(box)
+    inside = inclusion(
+        lambda z: jax.lax.scan(lambda c, _: (c + f(z[0]), None), 0.0, None, length=3)[0], "mean_value"
+    )(box)
     assert inside.lo <= 3 and inside.hi >= 12
 
 

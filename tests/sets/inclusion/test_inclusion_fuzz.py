@@ -1,4 +1,6 @@
-"""Random compositions of primitives at points: the enclosure of the compiled program holds the 200-bit value. No miss is allowed."""
+"""Random compositions of primitives at points: the enclosure of the compiled program holds the 200-bit value.
+No miss is allowed.
+"""
 
 import flint
 import jax
@@ -38,18 +40,29 @@ BINARY = {
     "div": (lambda x, y: x / y, lambda x, y: x / y),
     "max": (jnp.maximum, lambda x, y: x.max(y)),
     "min": (jnp.minimum, lambda x, y: x.min(y)),
-    "where": (lambda x, y: jnp.where(x < y, x * y, y), lambda x, y: x * y if x < y else y if x >= y else arb("nan")),
+    "where": (
+        lambda x, y: jnp.where(x < y, x * y, y),
+        lambda x, y: x * y if x < y else y if x >= y else arb("nan"),
+    ),
 }
-CHEAP = [n for n in UNARY if n not in ("sin", "cos", "tanh", "atan", "logistic", "expm1", "log1p", "half power", "recip")]
+CHEAP = [
+    n
+    for n in UNARY
+    if n not in ("sin", "cos", "tanh", "atan", "logistic", "expm1", "log1p", "half power", "recip")
+]
 
 
 def composition(rng, size, names):
-    """Return a random program of `size` operations on three variables, as a list of (name, operands): each may use all before it."""
+    """Return a random program of `size` operations on three variables, as a list of (name, operands): each
+    may use all before it.
+    """
     program, values = [], 3
     for _ in range(size):
         unary = rng.random() < 0.5
         name = rng.choice(names if unary else list(BINARY))
-        operands = [values - 1 if rng.random() < 0.6 else int(rng.integers(values)) for _ in range(1 if unary else 2)]
+        operands = [
+            values - 1 if rng.random() < 0.6 else int(rng.integers(values)) for _ in range(1 if unary else 2)
+        ]
         program.append((str(name), operands))
         values += 1
     return program
@@ -81,12 +94,20 @@ def misses(programs, dtype, points):
 
 
 def points_of(rng, dtype, count):
-    """Draw points: near 1, of all magnitudes that compositions survive, and small integers, which meet the edges of domains."""
-    near, wide = rng.uniform(-3, 3, (3, count)), rng.choice([-1, 1], (3, count)) * 2.0 ** rng.uniform(-20, 20, (3, count))
-    return np.choose(rng.integers(0, 3, (3, count)), [near, wide, rng.integers(-3, 4, (3, count)).astype(float)]).astype(dtype)
+    """Draw points: near 1, of all magnitudes that compositions survive, and small integers, which meet the
+    edges of domains.
+    """
+    near, wide = (
+        rng.uniform(-3, 3, (3, count)),
+        rng.choice([-1, 1], (3, count)) * 2.0 ** rng.uniform(-20, 20, (3, count)),
+    )
+    return np.choose(
+        rng.integers(0, 3, (3, count)), [near, wide, rng.integers(-3, 4, (3, count)).astype(float)]
+    ).astype(dtype)
 
 
-# constants of the programs are rounded to the working dtype, so that the oracle's are right for float64 only: float32 draws none
+# constants of the programs are rounded to the working dtype, so that the oracle's are right for float64 only:
+# float32 draws none
 PLAIN = [n for n in UNARY if n not in ("scale", "shift", "share", "half power")]
 
 
@@ -105,7 +126,11 @@ def test_no_composition_of_many_misses_its_value(dtype, rng):
     names = list(UNARY) if dtype == np.float64 else PLAIN
     total = 0
     for _ in range(4):
-        compared, bad = misses([composition(rng, int(rng.integers(6, 11)), names) for _ in range(4)], dtype, points_of(rng, dtype, 1500))
+        compared, bad = misses(
+            [composition(rng, int(rng.integers(6, 11)), names) for _ in range(4)],
+            dtype,
+            points_of(rng, dtype, 1500),
+        )
         assert not bad, bad[0]
         total += compared
     assert total > 4000

@@ -1,6 +1,8 @@
-"""Ordinary programs of jax.numpy, sampled over many boxes at once: every value lies in its enclosure. A dozen by default, all of them slow.
+"""Ordinary programs of jax.numpy, sampled over many boxes at once: every value lies in its enclosure. A dozen
+by default, all of them slow.
 
-The oracle is the program itself, run on numbers: a finite value may be off by a few roundings, nothing else may be outside.
+The oracle is the program itself, run on numbers: a finite value may be off by a few roundings, nothing else
+may be outside.
 """
 
 import jax
@@ -25,7 +27,9 @@ FEW = {
     "norm": lambda z: jnp.linalg.norm(z),
     "running max": lambda z: lax.scan(lambda c, x: (jnp.maximum(c, x), c), -jnp.inf, z)[1],
     "carry": lambda z: jnp.nan_to_num(lax.scan(lambda c, x: (c + jnp.sqrt(x), c * 2), 0.0, z)[0], nan=-8.0),
-    "pad and roll": lambda z: jnp.nan_to_num(jnp.roll(jnp.pad(jnp.log(z), 1, constant_values=jnp.nan), 1), nan=0.5),
+    "pad and roll": lambda z: jnp.nan_to_num(
+        jnp.roll(jnp.pad(jnp.log(z), 1, constant_values=jnp.nan), 1), nan=0.5
+    ),
 }
 REST = {
     "nanprod": lambda z: jnp.nanprod(jnp.sqrt(z)),
@@ -43,12 +47,16 @@ REST = {
     "masked softmax": lambda z: jax.nn.softmax(jnp.where(MASK, z, -jnp.inf)),
     "logaddexp": lambda z: jnp.logaddexp(z, z[::-1]),
     "least": lambda z: jnp.min(jnp.where(z > 0, z, jnp.inf)),
-    "constant of a scan": lambda z: lax.scan(lambda c, x: (jnp.nan_to_num(c + x * jnp.log(z[0])), c), 0.0, z)[1],
+    "constant of a scan": lambda z: lax.scan(lambda c, x: (jnp.nan_to_num(c + x * jnp.log(z[0])), c), 0.0, z)[
+        1
+    ],
     "carry of a while": lambda z: jnp.nan_to_num(
         lax.while_loop(lambda s: s[1] < 3, lambda s: (jnp.sqrt(s[0]) - 0.5, s[1] + 1), (z[0], 0))[0], nan=6.0
     ),
     "cond under vmap": lambda z: jax.vmap(lambda a: lax.cond(jnp.sqrt(a) >= 0, lambda: a, lambda: -3.0))(z),
-    "switch": lambda z: lax.switch(jnp.clip(z[0].astype(int), 0, 2), [lambda x: x, lambda x: -x, lambda x: jnp.nan_to_num(jnp.log(x))], z),
+    "switch": lambda z: lax.switch(
+        jnp.clip(z[0].astype(int), 0, 2), [lambda x: x, lambda x: -x, lambda x: jnp.nan_to_num(jnp.log(x))], z
+    ),
     "guarded": lambda z: jnp.where(z > 0, jnp.log(jnp.where(z > 0, z, 1.0)), 0.0),
     "sinc": jnp.sinc,
     "angle": lambda z: jnp.arctan2(z, jnp.floor(z[::-1])),
@@ -64,7 +72,9 @@ REST = {
     "xor": lambda z: jnp.where((z > 0) ^ jnp.isnan(jnp.log(z - 1)), 1.0, 2.0),
     "rsqrt": lambda z: jnp.nan_to_num(lax.rsqrt(z), nan=3.0),
     "sine of infinity": lambda z: jnp.nan_to_num(jnp.sin(1 / jnp.floor(z)), nan=2.0),
-    "gradient": lambda z: jnp.nan_to_num(jax.grad(lambda v: jnp.sum(jnp.where(v > 0, jnp.sqrt(v), 0.0)))(z), nan=2.0),
+    "gradient": lambda z: jnp.nan_to_num(
+        jax.grad(lambda v: jnp.sum(jnp.where(v > 0, jnp.sqrt(v), 0.0)))(z), nan=2.0
+    ),
     "overflow": lambda z: jnp.nan_to_num(jnp.exp(z * 400) * 0.0, nan=5.0),
     "overflow seen": lambda z: jnp.where(jnp.isfinite(jnp.exp(z * 400)), 1.0, 2.0),
 }
@@ -77,12 +87,16 @@ def boxes(rng, count):
     return center - radius * rng.integers(0, 2, (count, 3)), center + radius
 
 
-@pytest.mark.parametrize("programs", [FEW, pytest.param(FEW | REST, marks=pytest.mark.slow)], ids=["few", "all"])
+@pytest.mark.parametrize(
+    "programs", [FEW, pytest.param(FEW | REST, marks=pytest.mark.slow)], ids=["few", "all"]
+)
 def test_every_value_of_a_program_lies_in_its_enclosure(programs, rng):
     lo, hi = boxes(rng, 24)
     every = lambda z: {name: f(z) for name, f in programs.items()}
     found = jax.jit(jax.vmap(inclusion(every)))(Interval(jnp.asarray(lo), jnp.asarray(hi)))
-    share = np.where(rng.random((300, 24, 3)) < 0.6, rng.uniform(0, 1, (300, 24, 3)), rng.choice([0, 0.5, 1], (300, 24, 3)))
+    share = np.where(
+        rng.random((300, 24, 3)) < 0.6, rng.uniform(0, 1, (300, 24, 3)), rng.choice([0, 0.5, 1], (300, 24, 3))
+    )
     z = np.clip(lo + (hi - lo) * share, lo, hi)
     values = jax.jit(jax.vmap(jax.vmap(every)))(z)
     for name, value in values.items():

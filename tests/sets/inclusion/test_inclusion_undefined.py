@@ -1,4 +1,6 @@
-"""What a program makes of a NaN or of an infinity inside is enclosed; loops under vmap are followed. Programs are compiled together."""
+"""What a program makes of a NaN or of an infinity inside is enclosed; loops under vmap are followed. Programs
+are compiled together.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +36,9 @@ PROGRAMS = {
     "integer": lambda z: jnp.sqrt(z).astype(jnp.int32) * 1.0,
     "power of NaN": lambda z: jnp.power(1.0, jnp.log(z)) + jnp.sqrt(z) ** 0.0,
     "quotient": lambda z: jnp.nan_to_num(z / z, nan=17.0),
-    "scan": lambda z: jax.lax.scan(lambda c, x: (jnp.where(jnp.isnan(c), 0.0, jnp.sqrt(x)), c), 0.0, z)[1][1:],
+    "scan": lambda z: jax.lax.scan(lambda c, x: (jnp.where(jnp.isnan(c), 0.0, jnp.sqrt(x)), c), 0.0, z)[1][
+        1:
+    ],
     "cond": lambda z: jax.lax.cond(jnp.sqrt(z[0]) >= 0, lambda x: x, lambda x: -x, z),
     "fill": lambda z: jnp.nansum(z.at[jnp.array([0, 9])].get(mode="fill")),
     "constant": lambda z: jnp.nansum(jnp.where(jnp.array([True, False, True, True]), z, jnp.nan)),
@@ -49,7 +53,9 @@ PROGRAMS = {
 FEW = ("nan_to_num", "isnan", "less", "nansum", "while under vmap")
 
 
-@pytest.mark.parametrize("names", [FEW, pytest.param(tuple(PROGRAMS), marks=pytest.mark.slow)], ids=["few", "all"])
+@pytest.mark.parametrize(
+    "names", [FEW, pytest.param(tuple(PROGRAMS), marks=pytest.mark.slow)], ids=["few", "all"]
+)
 def test_a_program_that_makes_a_number_of_nan_or_loops_under_vmap_is_enclosed(names, rng):
     every = lambda z: {name: PROGRAMS[name](z) for name in names}
     found = inclusion(every)(interval(*BOX))
@@ -63,15 +69,24 @@ def test_a_program_that_makes_a_number_of_nan_or_loops_under_vmap_is_enclosed(na
 
 
 def test_a_box_inside_the_domain_leaves_the_answer_to_nan_questions_sure():
-    f = lambda z: jnp.stack([jnp.nan_to_num(jnp.log(z), nan=-5.0), jnp.where(jnp.isnan(jnp.sqrt(z)), -9.0, z)])
+    f = lambda z: jnp.stack(
+        [jnp.nan_to_num(jnp.log(z), nan=-5.0), jnp.where(jnp.isnan(jnp.sqrt(z)), -9.0, z)]
+    )
     F = inclusion(f)
     inside = interval(2.0, 3.0)
-    assert F(inside).lo[0] > 0.6 and F(inside).lo[1] == 2 and F.continuous(inside) and not F.continuous(interval(-1.0, 1.0))
+    assert (
+        F(inside).lo[0] > 0.6
+        and F(inside).lo[1] == 2
+        and F.continuous(inside)
+        and not F.continuous(interval(-1.0, 1.0))
+    )
 
 
 @pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.slow)])
 def test_no_method_believes_a_derivative_where_nan_is_caught(method):
-    found = inclusion(lambda z: jnp.where(jnp.isnan(jnp.sqrt(z[0])), 100.0, z[0]), method)(interval([-1.0], [1.0]))
+    found = inclusion(lambda z: jnp.where(jnp.isnan(jnp.sqrt(z[0])), 100.0, z[0]), method)(
+        interval([-1.0], [1.0])
+    )
     assert found.lo <= 0 and found.hi >= 100
 
 
@@ -81,5 +96,7 @@ def test_an_image_for_paving_holds_what_nan_becomes():
 
 
 def test_a_traced_box_with_nan_for_a_bound_is_unbounded():
-    found = jax.jit(lambda lo, hi: inclusion(lambda z: z * 2)(Interval(lo, hi)))(jnp.array(jnp.nan), jnp.array(1.0))
+    found = jax.jit(lambda lo, hi: inclusion(lambda z: z * 2)(Interval(lo, hi)))(
+        jnp.array(jnp.nan), jnp.array(1.0)
+    )
     assert found.lo == -jnp.inf and found.hi >= 2

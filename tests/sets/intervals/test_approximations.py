@@ -1,5 +1,5 @@
-"""The polynomials and fractions behind the elementary functions leave out no more than is stated, before any rounding;
-corrected quotients and roots lose no more than is stated."""
+"""The polynomials and fractions behind the elementary functions leave out no more than is stated, before any
+rounding; corrected quotients and roots lose no more than is stated."""
 
 from fractions import Fraction
 
@@ -37,7 +37,11 @@ def tangent(y, size, dtype):
     return y - y * w * N / B, y.tanh()
 
 
-RANGES = {"exp": (exponential, -0.3466, 0.3466), "log": (logarithm, 0.5**0.5 - 1, 2**0.5 - 1), "tanh": (tangent, 0.001, 1)}
+RANGES = {
+    "exp": (exponential, -0.3466, 0.3466),
+    "log": (logarithm, 0.5**0.5 - 1, 2**0.5 - 1),
+    "tanh": (tangent, 0.001, 1),
+}
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64], ids=["float32", "float64"])
@@ -55,8 +59,13 @@ def test_what_a_cut_series_leaves_out_is_below_the_stated_share_of_a_rounding(na
 
 @pytest.mark.parametrize("form", ["array", "scalar"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64], ids=["float32", "float64"])
-def test_a_corrected_quotient_or_root_is_off_by_one_rounding_whatever_division_the_compiler_makes(rng, dtype, form):
-    n, d = (rng.uniform(0.5, 2, 3000).astype(dtype) * np.exp2(rng.integers(-20, 20, 3000)).astype(dtype) for _ in range(2))
+def test_a_corrected_quotient_or_root_is_off_by_one_rounding_whatever_division_the_compiler_makes(
+    rng, dtype, form
+):
+    n, d = (
+        rng.uniform(0.5, 2, 3000).astype(dtype) * np.exp2(rng.integers(-20, 20, 3000)).astype(dtype)
+        for _ in range(2)
+    )
     d = d[:1] if form == "scalar" else d
     unit = Fraction(float(np.finfo(dtype).eps) / 2)
     exactly = lambda v: map(Fraction, np.broadcast_to(v, n.shape).astype(float).tolist())

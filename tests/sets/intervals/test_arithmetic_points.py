@@ -1,4 +1,6 @@
-"""A million points an arithmetic operation, decided exactly: sums and products of floats are split without error on the host."""
+"""A million points an arithmetic operation, decided exactly: sums and products of floats are split without
+error on the host.
+"""
 
 from fractions import Fraction
 
@@ -45,7 +47,9 @@ def at_least(x, p, e):
 def quotient_between(lo, hi, a, b):
     """True where lo <= a / b <= hi, b > 0: compare lo b and hi b with a."""
     below, above = split_product(lo, b), split_product(hi, b)
-    return ((below[0] < a) | ((below[0] == a) & (below[1] <= 0))) & ((above[0] > a) | ((above[0] == a) & (above[1] >= 0)))
+    return ((below[0] < a) | ((below[0] == a) & (below[1] <= 0))) & (
+        (above[0] > a) | ((above[0] == a) & (above[1] >= 0))
+    )
 
 
 def between(lo, hi, exact):
@@ -81,12 +85,16 @@ def test_exact_results_at_points_are_enclosed(rng, dtype, form, count):
     reach = np.finfo(dtype).maxexp // 5
     draw = lambda: np.exp2(rng.uniform(-reach, reach, count)).astype(dtype)
     a, b = draw() * rng.choice([-1, 1], count).astype(dtype), draw()
-    b[: count // 2] = a[: count // 2] * (1 + rng.integers(-9, 10, count // 2) * np.finfo(dtype).eps)  # cancellation
+    b[: count // 2] = a[: count // 2] * (
+        1 + rng.integers(-9, 10, count // 2) * np.finfo(dtype).eps
+    )  # cancellation
     b = abs(b)
     other = b[:1] if form == "scalar" else b
     point = lambda v: Interval(jnp.asarray(v), jnp.asarray(v))
     operands = {"sqr": lambda x, y: (x,), "recip": lambda x, y: (y,), "sqrt": lambda x, y: (y,)}
-    kernel = jax.jit(lambda x, y: {op: getattr(sets, op)(*operands.get(op, lambda x, y: (x, y))(x, y)) for op in CHECKS})
+    kernel = jax.jit(
+        lambda x, y: {op: getattr(sets, op)(*operands.get(op, lambda x, y: (x, y))(x, y)) for op in CHECKS}
+    )
     for op, z in kernel(point(a), point(other)).items():
         lo, hi = (np.broadcast_to(np.asarray(v), a.shape) for v in (z.lo, z.hi))
         held = CHECKS[op](lo, hi, a, np.broadcast_to(other, a.shape))
@@ -109,16 +117,29 @@ def test_products_plus_a_number_are_enclosed(rng, dtype, count):
     draw = lambda: (np.exp2(rng.uniform(-reach, reach, count)) * rng.choice([-1, 1], count)).astype(dtype)
     a, b = draw(), draw()
     near = (-(a * b) * (1 + rng.integers(-9, 10, count) * np.finfo(dtype).eps)).astype(dtype)  # cancellation
-    c = np.choose(rng.integers(0, 3, count), [near, draw(), (near * np.exp2(rng.integers(-60, 60, count))).astype(dtype)])
+    c = np.choose(
+        rng.integers(0, 3, count),
+        [near, draw(), (near * np.exp2(rng.integers(-60, 60, count))).astype(dtype)],
+    )
     z = jax.jit(sets.fma)(*(Interval(jnp.asarray(v), jnp.asarray(v)) for v in (a, b, c)))
     p, e = split_product(*(v.astype(np.longdouble) if dtype == np.float32 else v for v in (a, b)))
     fast = p.astype(np.longdouble) + c + e
-    error = (abs(fast) + abs(e.astype(np.longdouble)) + abs(p.astype(np.longdouble) + c)) * np.longdouble(2.0**-61)
-    held = encloses(z.lo, z.hi, fast, error, lambda i: Fraction(float(a[i])) * Fraction(float(b[i])) + Fraction(float(c[i])))
+    error = (abs(fast) + abs(e.astype(np.longdouble)) + abs(p.astype(np.longdouble) + c)) * np.longdouble(
+        2.0**-61
+    )
+    held = encloses(
+        z.lo,
+        z.hi,
+        fast,
+        error,
+        lambda i: Fraction(float(a[i])) * Fraction(float(b[i])) + Fraction(float(c[i])),
+    )
     assert held.all(), (a[~held][:3], b[~held][:3], c[~held][:3])
 
 
-@pytest.mark.parametrize("n", [3, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 4, 7, 16, -1, -2, -5))])
+@pytest.mark.parametrize(
+    "n", [3, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 4, 7, 16, -1, -2, -5))]
+)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64], ids=["float32", "float64"])
 def test_powers_of_points_are_enclosed(rng, dtype, n, request):
     count = 200_000 if "long" in {m.name for m in request.node.iter_markers()} else 20_000
@@ -130,5 +151,11 @@ def test_powers_of_points_are_enclosed(rng, dtype, n, request):
     for _ in range(abs(n)):
         fast = fast * x
     fast = 1 / fast if n < 0 else fast
-    held = encloses(z.lo, z.hi, fast, abs(fast) * (abs(n) + 2) * np.longdouble(2.0**-63), lambda i: Fraction(float(x[i])) ** n)
+    held = encloses(
+        z.lo,
+        z.hi,
+        fast,
+        abs(fast) * (abs(n) + 2) * np.longdouble(2.0**-63),
+        lambda i: Fraction(float(x[i])) ** n,
+    )
     assert held.all(), x[~held][:3]

@@ -1,17 +1,34 @@
-"""Elementary functions of Intervals: enclosure of 200-bit values on points and on intervals, in both precisions, and how tight they are."""
+"""Elementary functions of Intervals: enclosure of 200-bit values on points and on intervals, in both
+precisions, and how tight they are.
+"""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from corners import DTYPES
-from elementary_cases import ARB, COUNT, DOMAIN, FAST, ball_misses, close_calls, distance, exactly, inside, largest_error, points
+from elementary_cases import (
+    ARB,
+    COUNT,
+    DOMAIN,
+    FAST,
+    ball_misses,
+    close_calls,
+    distance,
+    exactly,
+    inside,
+    largest_error,
+    points,
+)
 from flint import arb
 
 from jaxbound import sets
 from jaxbound.sets.intervals.interval import Interval
 
-LONGER = {np.float64: (np.longdouble, 53), np.float32: (np.float64, 46)}  # and how many digits of them are relied on
+LONGER = {
+    np.float64: (np.longdouble, 53),
+    np.float32: (np.float64, 46),
+}  # and how many digits of them are relied on
 each_op = pytest.mark.parametrize("op", ARB)
 each_dtype = pytest.mark.parametrize("dtype", DTYPES, ids=["float32", "float64"])
 
@@ -31,9 +48,19 @@ def test_the_value_at_a_point_is_enclosed_within_eight_ulps(rng, op, dtype):
     lo, hi = arrays(getattr(sets, op)(point(x)))
     balls = exactly(ARB[op], x)
     assert lo.dtype == dtype and not ball_misses(lo, hi, balls)
-    normal = np.isfinite(lo) & np.isfinite(hi) & (np.minimum(abs(lo), abs(hi)) > 8 * np.finfo(dtype).tiny / np.finfo(dtype).eps)
-    ulps = [max(distance(lo[i], balls[i], dtype), distance(hi[i], balls[i], dtype)) for i in np.flatnonzero(normal)]
-    print(f"{op} {np.dtype(dtype).name}: at most {max(ulps):.1f} ulps from the exact value, on average {np.mean(ulps):.1f}")
+    normal = (
+        np.isfinite(lo)
+        & np.isfinite(hi)
+        & (np.minimum(abs(lo), abs(hi)) > 8 * np.finfo(dtype).tiny / np.finfo(dtype).eps)
+    )
+    ulps = [
+        max(distance(lo[i], balls[i], dtype), distance(hi[i], balls[i], dtype))
+        for i in np.flatnonzero(normal)
+    ]
+    print(
+        f"{op} {np.dtype(dtype).name}: at most {max(ulps):.1f} ulps from the exact value, on average "
+        f"{np.mean(ulps):.1f}"
+    )
     assert len(ulps) > COUNT / 3 and np.quantile(ulps, 0.99) <= 8 and max(ulps) <= 9.5
 
 
@@ -48,7 +75,10 @@ def test_a_million_points_are_enclosed(rng, op, dtype):
         fast = FAST[op](x.astype(longer))
     chosen = settled_in_200_bits(lo, hi, fast, digits)
     balls = exactly(ARB[op], x[chosen])
-    assert not ball_misses(lo[chosen], hi[chosen], balls) and largest_error(fast[::500], exactly(ARB[op], x[::500])) < 2.0**-digits / 2
+    assert (
+        not ball_misses(lo[chosen], hi[chosen], balls)
+        and largest_error(fast[::500], exactly(ARB[op], x[::500])) < 2.0**-digits / 2
+    )
 
 
 def settled_in_200_bits(lo, hi, fast, digits):
@@ -91,7 +121,9 @@ def test_values_inside_an_interval_are_enclosed(rng, op, dtype):
 
 @each_op
 def test_bounds_are_attained_at_the_ends_or_at_an_extremum(rng, op):
-    """An enclosure is not wider than the values at the ends, except where sin, cos, cosh or tan turn inside."""
+    """An enclosure is not wider than the values at the ends, except where sin, cos, cosh or tan turn
+    inside.
+    """
     lo, hi = boxes(rng, op, np.float64, COUNT)
     low, high = DOMAIN.get(op, (-np.inf, np.inf))
     f = getattr(sets, op)
@@ -107,12 +139,19 @@ def test_bounds_are_attained_at_the_ends_or_at_an_extremum(rng, op):
 
 @pytest.mark.parametrize("dtype", DTYPES, ids=["float32", "float64"])
 def test_angles_of_boxes_are_enclosed(rng, dtype):
-    ends = lambda: np.sort(rng.choice([-3, -1, 0, 1, 2, 0.3, -0.7, 1e30, 1e-30, -1e-30], (2, COUNT)), axis=0).astype(dtype)
+    ends = lambda: np.sort(
+        rng.choice([-3, -1, 0, 1, 2, 0.3, -0.7, 1e30, 1e-30, -1e-30], (2, COUNT)), axis=0
+    ).astype(dtype)
     (y_lo, y_hi), (x_lo, x_hi) = ends(), ends()
-    z = sets.atan2(Interval(jnp.asarray(y_lo), jnp.asarray(y_hi)), Interval(jnp.asarray(x_lo), jnp.asarray(x_hi)))
+    z = sets.atan2(
+        Interval(jnp.asarray(y_lo), jnp.asarray(y_hi)), Interval(jnp.asarray(x_lo), jnp.asarray(x_hi))
+    )
     for y, x in zip(inside(rng, y_lo, y_hi, 6), inside(rng, x_lo, x_hi, 6)[rng.permutation(6)], strict=True):
         at = (x != 0) | (y != 0)
-        balls = [arb.atan2(arb(p), arb(q)) for p, q in zip(y[at].astype(float).tolist(), x[at].astype(float).tolist(), strict=True)]
+        balls = [
+            arb.atan2(arb(p), arb(q))
+            for p, q in zip(y[at].astype(float).tolist(), x[at].astype(float).tolist(), strict=True)
+        ]
         assert not ball_misses(np.asarray(z.lo)[at], np.asarray(z.hi)[at], balls)
 
 
@@ -127,11 +166,17 @@ def test_angles_of_many_points_are_enclosed(rng, dtype, count):
     x = np.where(np.isfinite(x) & (abs(x) > np.finfo(dtype).tiny), x, dtype(1))
     lo, hi = arrays(sets.atan2(point(y), point(x)))
     chosen = settled_in_200_bits(lo, hi, np.arctan2(y.astype(longer), x.astype(longer)), digits)
-    balls = [arb.atan2(arb(p), arb(q)) for p, q in zip(y[chosen].astype(float).tolist(), x[chosen].astype(float).tolist(), strict=True)]
+    balls = [
+        arb.atan2(arb(p), arb(q))
+        for p, q in zip(y[chosen].astype(float).tolist(), x[chosen].astype(float).tolist(), strict=True)
+    ]
     assert not ball_misses(lo[chosen], hi[chosen], balls)
 
 
-@pytest.mark.parametrize("op", ["log", "tan", *(pytest.param(op, marks=pytest.mark.long) for op in ARB if op not in ("log", "tan"))])
+@pytest.mark.parametrize(
+    "op",
+    ["log", "tan", *(pytest.param(op, marks=pytest.mark.long) for op in ARB if op not in ("log", "tan"))],
+)
 def test_a_batch_under_jit_and_vmap_encloses_as_well(rng, op):
     x = points(rng, op, np.float64, 300)
     for run in (jax.jit(getattr(sets, op)), jax.jit(jax.vmap(getattr(sets, op)))):

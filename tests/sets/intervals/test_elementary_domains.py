@@ -15,26 +15,67 @@ from jaxbound.sets.intervals.interval import Interval
 INF = np.inf
 EMPTY = (INF, -INF)
 EDGES = [  # operation, argument, the exact result as floats, each bound exact
-    ("sqrt", (-1, 4), (0, 2)), ("sqrt", (-4, -1), EMPTY), ("sqrt", (0, INF), (0, INF)), ("sqrt", (-INF, INF), (0, INF)),
-    ("log", (-1, 0), EMPTY), ("log", (0, 1), (-INF, 0)), ("log", (-3, INF), (-INF, INF)), ("log", (1, 1), (0, 0)),
-    ("log2", (0, 1), (-INF, 0)), ("log10", (1, INF), (0, INF)), ("exp", (-INF, 0), (0, 1)), ("exp", (0, INF), (1, INF)),
-    ("exp2", (-3, 10), (0.125, 1024)), ("exp2", (-1022, 0), (2.0**-1022, 1)), ("exp10", (0, 0), (1, 1)), ("sin", (0, 0), (0, 0)),
-    ("sin", (0, 2), (0, 1)), ("sin", (-2, 0), (-1, 0)), ("sin", (1, 6), (-1, 1)), ("sin", (-INF, 0), (-1, 1)), ("cos", (0, 0), (1, 1)),
-    ("cos", (-4, 4), (-1, 1)), ("sin", (2.0**30, 2.0**30), (-1, 1)), ("tan", (2.0**30, 2.0**30), (-INF, INF)), ("tan", (1, 2), (-INF, INF)),
-    ("tan", (0, 0), (0, 0)), ("tan", (0, 100), (-INF, INF)), ("asin", (2, 3), EMPTY), ("asin", (-5, -2), EMPTY), ("asin", (0, 0), (0, 0)),
-    ("cosh", (0, 0), (1, 1)), ("acos", (1, 1), (0, 0)), ("acos", (2, INF), EMPTY), ("atan", (0, 0), (0, 0)), ("sinh", (-INF, 0), (-INF, 0)),
-    ("sinh", (0, INF), (0, INF)), ("cosh", (-INF, INF), (1, INF)), ("tanh", (-INF, INF), (-1, 1)), ("tanh", (0, 0), (0, 0)), 
+    ("sqrt", (-1, 4), (0, 2)),
+    ("sqrt", (-4, -1), EMPTY),
+    ("sqrt", (0, INF), (0, INF)),
+    ("sqrt", (-INF, INF), (0, INF)),
+    ("log", (-1, 0), EMPTY),
+    ("log", (0, 1), (-INF, 0)),
+    ("log", (-3, INF), (-INF, INF)),
+    ("log", (1, 1), (0, 0)),
+    ("log2", (0, 1), (-INF, 0)),
+    ("log10", (1, INF), (0, INF)),
+    ("exp", (-INF, 0), (0, 1)),
+    ("exp", (0, INF), (1, INF)),
+    ("exp2", (-3, 10), (0.125, 1024)),
+    ("exp2", (-1022, 0), (2.0**-1022, 1)),
+    ("exp10", (0, 0), (1, 1)),
+    ("sin", (0, 0), (0, 0)),
+    ("sin", (0, 2), (0, 1)),
+    ("sin", (-2, 0), (-1, 0)),
+    ("sin", (1, 6), (-1, 1)),
+    ("sin", (-INF, 0), (-1, 1)),
+    ("cos", (0, 0), (1, 1)),
+    ("cos", (-4, 4), (-1, 1)),
+    ("sin", (2.0**30, 2.0**30), (-1, 1)),
+    ("tan", (2.0**30, 2.0**30), (-INF, INF)),
+    ("tan", (1, 2), (-INF, INF)),
+    ("tan", (0, 0), (0, 0)),
+    ("tan", (0, 100), (-INF, INF)),
+    ("asin", (2, 3), EMPTY),
+    ("asin", (-5, -2), EMPTY),
+    ("asin", (0, 0), (0, 0)),
+    ("cosh", (0, 0), (1, 1)),
+    ("acos", (1, 1), (0, 0)),
+    ("acos", (2, INF), EMPTY),
+    ("atan", (0, 0), (0, 0)),
+    ("sinh", (-INF, 0), (-INF, 0)),
+    ("sinh", (0, INF), (0, INF)),
+    ("cosh", (-INF, INF), (1, INF)),
+    ("tanh", (-INF, INF), (-1, 1)),
+    ("tanh", (0, 0), (0, 0)),
     ("asinh", (0, INF), (0, INF)),
-    ("asinh", (-INF, INF), (-INF, INF)), ("acosh", (-INF, 1), (0, 0)), ("acosh", (-INF, 0.5), EMPTY), ("acosh", (0, INF), (0, INF)),
-    ("atanh", (-1, 1), (-INF, INF)), ("atanh", (1, 1), EMPTY), ("atanh", (-3, -1), EMPTY), ("atanh", (0, 5), (0, INF)),
-]  # fmt: skip
+    ("asinh", (-INF, INF), (-INF, INF)),
+    ("acosh", (-INF, 1), (0, 0)),
+    ("acosh", (-INF, 0.5), EMPTY),
+    ("acosh", (0, INF), (0, INF)),
+    ("atanh", (-1, 1), (-INF, INF)),
+    ("atanh", (1, 1), EMPTY),
+    ("atanh", (-3, -1), EMPTY),
+    ("atanh", (0, 5), (0, INF)),
+]
 
 
 @pytest.mark.parametrize(("op", "argument", "exact"), EDGES, ids=str)
 def test_edges_of_domains_give_the_tightest_set(op, argument, exact):
     z = getattr(sets, op)(box(*argument))
     for got, want, other in ((float(z.lo[0]), exact[0], z.hi), (float(z.hi[0]), exact[1], z.lo)):
-        assert got == want or (op == "sqrt" and want == 2 and 0 <= got - want < 1e-14), (op, argument, got, other)
+        assert got == want or (op == "sqrt" and want == 2 and 0 <= got - want < 1e-14), (
+            op,
+            argument,
+            got,
+            other,
+        )
 
 
 @pytest.mark.parametrize("op", ARB)
@@ -43,12 +84,22 @@ def test_empty_gives_empty(op):
 
 
 ANGLES = [  # y, x, the least and the largest angle in units of pi
-    ((0, 0), (-1, 0), (1, 1)), ((0, 0), (0, 1), (0, 0)), ((0, 1), (0, 0), (0.5, 0.5)), ((-1, 0), (0, 0), (-0.5, -0.5)),
+    ((0, 0), (-1, 0), (1, 1)),
+    ((0, 0), (0, 1), (0, 0)),
+    ((0, 1), (0, 0), (0.5, 0.5)),
+    ((-1, 0), (0, 0), (-0.5, -0.5)),
     ((-1, 0), (-1, 1), (-1, 1)),
-    ((0, 1), (-1, 1), (0, 1)), ((1, 1), (-1, -1), (0.75, 0.75)), ((-1, -1), (-1, 1), (-0.75, -0.25)), ((-1, 1), (1, 1), (-0.25, 0.25)),
-    ((-INF, INF), (-INF, INF), (-1, 1)), ((1, INF), (0, 0), (0.5, 0.5)), ((0, INF), (-INF, INF), (0, 1)), ((1, 1), (0, INF), (0, 0.5)),
-    ((-1, -0.5), (-INF, -1), (-1, -0.75)), ((-1, 1), (0, 1), (-0.5, 0.5)),
-]  # fmt: skip
+    ((0, 1), (-1, 1), (0, 1)),
+    ((1, 1), (-1, -1), (0.75, 0.75)),
+    ((-1, -1), (-1, 1), (-0.75, -0.25)),
+    ((-1, 1), (1, 1), (-0.25, 0.25)),
+    ((-INF, INF), (-INF, INF), (-1, 1)),
+    ((1, INF), (0, 0), (0.5, 0.5)),
+    ((0, INF), (-INF, INF), (0, 1)),
+    ((1, 1), (0, INF), (0, 0.5)),
+    ((-1, -0.5), (-INF, -1), (-1, -0.75)),
+    ((-1, 1), (0, 1), (-0.5, 0.5)),
+]
 
 
 @pytest.mark.parametrize(("y", "x", "turns"), ANGLES, ids=str)
@@ -78,9 +129,15 @@ def test_one_is_reached_exactly_where_an_interval_holds_a_quarter_turn(rng):
         x = Interval(jnp.asarray(lo), jnp.asarray(hi))
         s, c, t = (getattr(sets, op)(x) for op in ("sin", "cos", "tan"))
         if crossed:
-            assert (np.asarray(s.hi)[quarter == 1] == 1).all() and (np.asarray(s.lo)[quarter == 3] == -1).all()
-            assert (np.asarray(c.hi)[quarter == 0] == 1).all() and (np.asarray(c.lo)[quarter == 2] == -1).all()
-        assert (np.isinf(np.asarray(t.lo))[quarter % 2 == 1] == crossed).all() and np.isfinite(np.asarray(t.lo)[quarter % 2 == 0]).all()
+            assert (np.asarray(s.hi)[quarter == 1] == 1).all() and (
+                np.asarray(s.lo)[quarter == 3] == -1
+            ).all()
+            assert (np.asarray(c.hi)[quarter == 0] == 1).all() and (
+                np.asarray(c.lo)[quarter == 2] == -1
+            ).all()
+        assert (np.isinf(np.asarray(t.lo))[quarter % 2 == 1] == crossed).all() and np.isfinite(
+            np.asarray(t.lo)[quarter % 2 == 0]
+        ).all()
         assert (np.asarray(s.lo)[quarter == 1] > 0.9).all() and (np.asarray(c.hi)[quarter == 2] < -0.9).all()
 
 
@@ -98,7 +155,9 @@ def test_subnormal_arguments_are_enclosed():
 
 
 def test_numbers_and_arrays_are_points_and_shapes_broadcast():
-    assert sets.exp(0.0).lo == 1 and sets.atan2(np.ones((2, 1)), interval(np.ones(3), np.full(3, 2.0))).shape == (2, 3)
+    assert sets.exp(0.0).lo == 1 and sets.atan2(
+        np.ones((2, 1)), interval(np.ones(3), np.full(3, 2.0))
+    ).shape == (2, 3)
     z = sets.fma(interval(np.float32(1)), 0.1, 2)
     assert z.dtype == np.float32 and z.lo < 2.1 < z.hi
 
@@ -118,7 +177,10 @@ def test_a_second_call_does_not_trace():
     assert f.count == 1
 
 
-@pytest.mark.parametrize("op", ["exp", "acosh", *(pytest.param(op, marks=pytest.mark.long) for op in ARB if op not in ("exp", "acosh"))])
+@pytest.mark.parametrize(
+    "op",
+    ["exp", "acosh", *(pytest.param(op, marks=pytest.mark.long) for op in ARB if op not in ("exp", "acosh"))],
+)
 def test_gradients_of_the_bounds_are_those_of_the_function(op):
     at, step = 1.5 if op == "acosh" else 0.4, 1e-5
     width = lambda a: getattr(sets, op)(Interval(a * jnp.ones(4), a * jnp.ones(4))).hi[0]
@@ -139,7 +201,12 @@ AT_EDGES = [
 
 @pytest.mark.parametrize(
     ("op", "bounds"),
-    [("sqrt", (-1, 4)), ("log", (0, 2)), ("asin", (-3, 3)), *(pytest.param(*c, marks=pytest.mark.long) for c in AT_EDGES)],
+    [
+        ("sqrt", (-1, 4)),
+        ("log", (0, 2)),
+        ("asin", (-3, 3)),
+        *(pytest.param(*c, marks=pytest.mark.long) for c in AT_EDGES),
+    ],
     ids=str,
 )
 def test_gradients_at_edges_of_domains_are_numbers(op, bounds):

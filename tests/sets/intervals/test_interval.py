@@ -36,7 +36,14 @@ from jaxbound.sets.intervals.interval import Interval
 def test_random_intervals_meet_every_kind_of_bound(rng):
     lo, hi = bounds(rng, np.float64, 500)
     with np.errstate(over="ignore"):
-        kinds = [lo == hi, lo == -np.inf, hi == np.inf, (lo < 0) & (hi > 0), lo == 0, np.nextafter(lo, np.inf) == hi]
+        kinds = [
+            lo == hi,
+            lo == -np.inf,
+            hi == np.inf,
+            (lo < 0) & (hi > 0),
+            lo == 0,
+            np.nextafter(lo, np.inf) == hi,
+        ]
     assert all(kind.any() for kind in kinds)
 
 
@@ -68,7 +75,8 @@ def test_binary_operations_enclose_on_every_pair_of_corners(dtype):
 
 
 SLOWER = [
-    pytest.param(mode, dtype, marks=pytest.mark.slow) for mode, dtype in (("eager", np.float64), ("jit", np.float32), ("vmap", np.float64))
+    pytest.param(mode, dtype, marks=pytest.mark.slow)
+    for mode, dtype in (("eager", np.float64), ("jit", np.float32), ("vmap", np.float64))
 ]
 
 
@@ -81,7 +89,15 @@ def test_pown_encloses_the_exact_power(rng, mode, dtype):
 
 def floats_of(width):
     info = np.finfo(f"float{width}")
-    special = [0.0, -0.0, *(s * float(v) for s in (1, -1) for v in (info.tiny, info.smallest_subnormal, info.max, np.inf, 1, 3, info.eps))]
+    special = [
+        0.0,
+        -0.0,
+        *(
+            s * float(v)
+            for s in (1, -1)
+            for v in (info.tiny, info.smallest_subnormal, info.max, np.inf, 1, 3, info.eps)
+        ),
+    ]
     return st.one_of(st.sampled_from(special), st.floats(allow_nan=False, width=width))
 
 
@@ -115,8 +131,16 @@ def test_binary_operations_enclose_whatever_hypothesis_finds(width):
 def large_divisors(rng, dtype, count=200):
     """Draw divisors whose reciprocals are normal, subnormal and flushed."""
     info = np.finfo(dtype)
-    corner = [float(info.tiny), *(2.0**k for k in (info.maxexp // 2, info.maxexp - 2, info.maxexp - 1)), 0.95 * float(info.max), 3, 0.1]
-    sizes = np.concatenate([corner, np.exp2(rng.uniform(info.maxexp - 3, info.maxexp - 0.1, count - len(corner)))])
+    corner = [
+        float(info.tiny),
+        *(2.0**k for k in (info.maxexp // 2, info.maxexp - 2, info.maxexp - 1)),
+        0.95 * float(info.max),
+        3,
+        0.1,
+    ]
+    sizes = np.concatenate(
+        [corner, np.exp2(rng.uniform(info.maxexp - 3, info.maxexp - 0.1, count - len(corner)))]
+    )
     return (sizes * rng.choice([-1, 1], count)).astype(dtype)
 
 
@@ -127,7 +151,12 @@ def test_div_encloses_quotients_by_huge_divisors(rng, form, dtype):
     a = np.concatenate([corners(dtype), floats(rng, dtype, 30)])
     x, exact = interval(a), lambda d: [[Fraction(v) / Fraction(float(d))] for v in a.tolist()]
     if form == "broadcast":
-        z = jax.tree.map(np.asarray, jax.jit(sets.div)(Interval(a[:, None], a[:, None]), Interval(divisors[None, :], divisors[None, :])))
+        z = jax.tree.map(
+            np.asarray,
+            jax.jit(sets.div)(
+                Interval(a[:, None], a[:, None]), Interval(divisors[None, :], divisors[None, :])
+            ),
+        )
         for j, d in enumerate(divisors):
             assert not misses(z.lo[:, j], z.hi[:, j], exact(d))
     elif form == "scalar":
@@ -149,7 +178,9 @@ CHAINS = {
     "x * y + z": lambda x, y, z: x * y + z,
     "x / y - z / y": lambda x, y, z: x / y - z / y,
     "(x + y) * (x - z)": lambda x, y, z: (x + y) * (x - z),
-    "(0.1 * x) / 3 + (y / 1e30) / 1e30 + z / 1.7e38": lambda x, y, z: (0.1 * x) / 3 + (y / 1e30) / 1e30 + z / 1.7e38,
+    "(0.1 * x) / 3 + (y / 1e30) / 1e30 + z / 1.7e38": lambda x, y, z: (
+        (0.1 * x) / 3 + (y / 1e30) / 1e30 + z / 1.7e38
+    ),
 }
 
 
@@ -174,7 +205,9 @@ def exactly(f):
 
 
 @pytest.mark.parametrize(
-    ("chain", "dtype"), [(name, np.float64) for name in CHAINS] + [(name, np.float32) for name in list(CHAINS)[:3]], ids=str
+    ("chain", "dtype"),
+    [(name, np.float64) for name in CHAINS] + [(name, np.float32) for name in list(CHAINS)[:3]],
+    ids=str,
 )
 def test_compiled_chains_enclose_the_exact_result(rng, chain, dtype):
     f, count = CHAINS[chain], 60
@@ -193,7 +226,9 @@ def test_chains_of_divisions_by_broadcast_values_enclose(rng, chain, dtype):
     run = jax.jit(jax.vmap(f, in_axes=(0, None, None)))
     for b, c in rng.choice(d, (6, 2)):
         z = run(x, Interval(b, b), Interval(c, c))
-        assert not misses(z.lo, z.hi, ranges(lambda v, b=Fraction(float(b)), c=Fraction(float(c)): exactly(f)(v, b, c), x))
+        assert not misses(
+            z.lo, z.hi, ranges(lambda v, b=Fraction(float(b)), c=Fraction(float(c)): exactly(f)(v, b, c), x)
+        )
 
 
 @each_dtype
@@ -218,8 +253,17 @@ def vertex(rng, x):
     return np.vectorize(Fraction, otypes=[object])(pick.astype(object))
 
 
-FITTING = [((3,), (3,)), ((2, 3), (3,)), ((3,), (3, 4)), ((2, 3), (3, 4)), ((5, 2, 3), (3, 4)), ((5, 2, 3), (5, 3, 4)), ((5, 2, 3), (3,)),
-           ((3,), (5, 3, 4)), ((2, 40), (40, 3))]  # fmt: skip
+FITTING = [
+    ((3,), (3,)),
+    ((2, 3), (3,)),
+    ((3,), (3, 4)),
+    ((2, 3), (3, 4)),
+    ((5, 2, 3), (3, 4)),
+    ((5, 2, 3), (5, 3, 4)),
+    ((5, 2, 3), (3,)),
+    ((3,), (5, 3, 4)),
+    ((2, 40), (40, 3)),
+]
 
 
 def samples(rng, x, y):
@@ -229,7 +273,9 @@ def samples(rng, x, y):
 
 
 def test_matmul_encloses_exact_products_of_any_fitting_shapes(rng):
-    pairs = [(draw_matrix(rng, np.float64, *left), draw_matrix(rng, np.float64, *right)) for left, right in FITTING]
+    pairs = [
+        (draw_matrix(rng, np.float64, *left), draw_matrix(rng, np.float64, *right)) for left, right in FITTING
+    ]
     found = jax.jit(lambda pairs: [sets.matmul(*pair) for pair in pairs])(pairs)
     for z, (x, y) in zip(found, pairs, strict=True):
         shape, exact = samples(rng, x, y)
@@ -249,7 +295,9 @@ def test_matmul_encloses_under_vmap(rng, dtype):
     assert z.dtype == dtype and not misses(z.lo, z.hi, samples(rng, x, y)[1])
 
 
-@pytest.mark.parametrize(("left", "right"), [((2, 3), (1,)), ((2, 3), (2, 3)), ((2, 3), ()), ((), (2,)), ((1,), (3,))])
+@pytest.mark.parametrize(
+    ("left", "right"), [((2, 3), (1,)), ((2, 3), (2, 3)), ((2, 3), ()), ((), (2,)), ((1,), (3,))]
+)
 def test_matmul_refuses_shapes_that_do_not_fit(left, right):
     with pytest.raises(ValueError, match="matmul needs"):
         sets.matmul(interval(np.ones(left)), interval(np.ones(right)))
@@ -311,7 +359,16 @@ def test_pown_is_within_ten_units_a_multiplication(rng, dtype):
 @each_dtype
 def test_operations_without_rounding_are_exact(rng, dtype):
     x, y = draw(rng, dtype), draw(rng, dtype)
-    found = jax.jit(lambda x, y: (sets.neg(x), sets.abs(x), sets.min(x, y), sets.max(x, y), sets.hull(x, y), sets.intersection(x, y)))(x, y)
+    found = jax.jit(
+        lambda x, y: (
+            sets.neg(x),
+            sets.abs(x),
+            sets.min(x, y),
+            sets.max(x, y),
+            sets.hull(x, y),
+            sets.intersection(x, y),
+        )
+    )(x, y)
     for a, b, c, d, *got in ends(x, y, *found):
         assert tuple(got) == (
             *(-b, -a),

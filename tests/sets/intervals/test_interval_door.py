@@ -38,7 +38,9 @@ def test_numbers_in_operations_are_enclosed_when_x64_is_off():
             assert z.dtype == np.float32 and z.lo.tolist() <= Fraction(number) <= z.hi.tolist()
 
 
-@pytest.mark.parametrize("value", [Fraction(1, 3), "1/3", 2**53 + 1, 10**400, -(10**400), Fraction(1, 10**400)])
+@pytest.mark.parametrize(
+    "value", [Fraction(1, 3), "1/3", 2**53 + 1, 10**400, -(10**400), Fraction(1, 10**400)]
+)
 def test_exact_numbers_are_enclosed(value):
     x = interval(value)
     assert x.lo.tolist() <= Fraction(value) <= x.hi.tolist()
@@ -46,7 +48,9 @@ def test_exact_numbers_are_enclosed(value):
 
 @pytest.mark.parametrize("run", [lambda f: f, jax.jit], ids=["eager", "jit"])
 def test_integer_arrays_that_a_float_cannot_hold_are_enclosed(rng, run):
-    n = np.concatenate([rng.integers(-(2**62), 2**62, COUNT - 6), [2**53 + 1, -(2**53) - 1, 2**53, 7, 0, -(2**63)]])
+    n = np.concatenate(
+        [rng.integers(-(2**62), 2**62, COUNT - 6), [2**53 + 1, -(2**53) - 1, 2**53, 7, 0, -(2**63)]]
+    )
     x = run(interval)(jnp.asarray(n))
     assert not misses(x.lo, x.hi, [(v,) for v in n.tolist()])
     assert (x.wid[(n > -(2**52)) & (n < 2**52)] == 0).all()
@@ -126,12 +130,18 @@ def test_empty_and_entire_exist():
 # operators, arrays, trees
 
 
-@pytest.mark.parametrize("number", [3, 0.1, np.float64(0.1), np.float32(0.1), Fraction(1, 10), np.array([0.1, 3.0]), jnp.array([0.1, 3.0])])
+@pytest.mark.parametrize(
+    "number",
+    [3, 0.1, np.float64(0.1), np.float32(0.1), Fraction(1, 10), np.array([0.1, 3.0]), jnp.array([0.1, 3.0])],
+)
 @pytest.mark.parametrize("op", ["add", "sub", "mul", "div"])
 def test_numbers_and_arrays_work_on_both_sides(number, op):
     x = Interval(*map(jnp.asarray, (np.resize([1.0, -3.0], COUNT), np.resize([2.0, -1.0], COUNT))))
     number = np.resize(number, COUNT) if np.ndim(number) else number
-    exact = [Fraction(v) if isinstance(v, Fraction) else Fraction(float(v)) for v in np.broadcast_to(np.asarray(number), COUNT).tolist()]
+    exact = [
+        Fraction(v) if isinstance(v, Fraction) else Fraction(float(v))
+        for v in np.broadcast_to(np.asarray(number), COUNT).tolist()
+    ]
     run = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}[op]
     for z, f in ((run(x, number), run), (run(number, x), lambda a, b: run(b, a))):
         assert isinstance(z, Interval) and z.shape == (COUNT,)
@@ -214,7 +224,9 @@ def test_scan_carries_an_interval():
 
 
 def test_a_second_call_does_not_trace():
-    counted = Counted(lambda x, y: [binary(x, y), sets.matmul(x, y), sets.contains(x, y.lo), x.mid, x**3, x + 0.1])
+    counted = Counted(
+        lambda x, y: [binary(x, y), sets.matmul(x, y), sets.contains(x, y.lo), x.mid, x**3, x + 0.1]
+    )
     compiled = jax.jit(counted)
     for x in (np.ones(2), np.zeros(2)):
         compiled(Interval(x, x), Interval(x, x))
@@ -237,15 +249,27 @@ def test_bounds_from_numpy_compile_nothing():
     assert found == [] and x.lo.shape == (3, 7, 13)
 
 
-@pytest.mark.parametrize("build", [
-    lambda: Interval([1.0, 2.0], [3.0, 4.0]), lambda: Interval((1.0, 2.0), (3.0, 4.0)), lambda: sets.Zonotope([0.0], [[1.0]]),
-    lambda: sets.ConstrainedZonotope(np.zeros(1), np.eye(1), [[1.0]], [0.5]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: Interval([1.0, 2.0], [3.0, 4.0]),
+        lambda: Interval((1.0, 2.0), (3.0, 4.0)),
+        lambda: sets.Zonotope([0.0], [[1.0]]),
+        lambda: sets.ConstrainedZonotope(np.zeros(1), np.eye(1), [[1.0]], [0.5]),
+    ],
+)
 def test_a_class_refuses_lists_and_says_what_takes_them(build):
-    with pytest.raises(TypeError, match="needs arrays, and .* is a (list|tuple): build it with (interval|zonotope|constrained_zonotope)"):
+    with pytest.raises(
+        TypeError,
+        match="needs arrays, and .* is a (list|tuple): build it with "
+        "(interval|zonotope|constrained_zonotope)",
+    ):
         build()
 
 
 def test_trees_of_anything_else_are_built():
     x = interval([1.0, 2.0], [3.0, 4.0])
-    assert jax.tree.map(np.shape, x).lo == (2,) and jax.tree.unflatten(jax.tree.structure(x), [None, object()]).lo is None
+    assert (
+        jax.tree.map(np.shape, x).lo == (2,)
+        and jax.tree.unflatten(jax.tree.structure(x), [None, object()]).lo is None
+    )

@@ -1,4 +1,6 @@
-"""An Interval made of its fields, as PyTrees make it, keeps every promise: subnormal bounds, infinite ones, NaN, mixed precision."""
+"""An Interval made of its fields, as PyTrees make it, keeps every promise: subnormal bounds, infinite ones,
+NaN, mixed precision.
+"""
 
 from fractions import Fraction
 
@@ -21,19 +23,28 @@ def drawn(rng, dtype, count=COUNT):
     a, b = rng.choice(values, (2, count))
     lo, hi = np.minimum(a, b), np.maximum(a, b)
     odd = (lo == hi) & np.isinf(lo)
-    return Interval(jnp.asarray(np.where(odd, -np.inf, lo).astype(dtype)), jnp.asarray(np.where(odd, np.inf, hi).astype(dtype)))
+    return Interval(
+        jnp.asarray(np.where(odd, -np.inf, lo).astype(dtype)),
+        jnp.asarray(np.where(odd, np.inf, hi).astype(dtype)),
+    )
 
 
 def operations(x, y):
     out = {op: getattr(sets, op)(x, y) for op in BINARY} | {op: getattr(sets, op)(x) for op in UNARY}
-    return out | {"cube": x**3, "hull": sets.hull(x, y), "sum": sets.sum(jax.tree.map(lambda *v: jnp.stack(v), x, y))}
+    return out | {
+        "cube": x**3,
+        "hull": sets.hull(x, y),
+        "sum": sets.sum(jax.tree.map(lambda *v: jnp.stack(v), x, y)),
+    }
 
 
 EXACT = {**{op: f for op, f in BINARY.items()}, "sum": lambda a, b: a + b}
 
 
 @each_dtype
-@pytest.mark.parametrize("run", [pytest.param(lambda f: f, marks=pytest.mark.slow), jax.jit], ids=["eager", "jit"])
+@pytest.mark.parametrize(
+    "run", [pytest.param(lambda f: f, marks=pytest.mark.slow), jax.jit], ids=["eager", "jit"]
+)
 def test_operations_on_subnormal_fields_enclose_the_exact_results(rng, dtype, run):
     x, y = drawn(rng, dtype), drawn(rng, dtype)
     found = run(operations)(x, y)
@@ -41,7 +52,9 @@ def test_operations_on_subnormal_fields_enclose_the_exact_results(rng, dtype, ru
         assert not misses(found[op].lo, found[op].hi, ranges(f, x, y)), op
     for op, f in {**UNARY, "cube": lambda a: a**3}.items():
         assert not misses(found[op].lo, found[op].hi, ranges(f, x)), op
-    assert not misses(found["hull"].lo, found["hull"].hi, [[v for v in row if np.isfinite(v)] for row in ends(x, y)])
+    assert not misses(
+        found["hull"].lo, found["hull"].hi, [[v for v in row if np.isfinite(v)] for row in ends(x, y)]
+    )
 
 
 RELATIONS = {
@@ -73,12 +86,20 @@ def test_numbers_of_subnormal_fields_hold(rng, dtype):
         assert lo <= mid <= hi and mag >= max(-lo, hi) and 0 <= mig <= max(lo, -hi, 0)
         if np.isfinite(lo) and np.isfinite(hi) and np.isfinite(rad):
             a, b = Fraction(lo), Fraction(hi)
-            assert Fraction(mid) - Fraction(rad) <= a and b <= Fraction(mid) + Fraction(rad) and (wid == np.inf or Fraction(wid) >= b - a)
+            assert (
+                Fraction(mid) - Fraction(rad) <= a
+                and b <= Fraction(mid) + Fraction(rad)
+                and (wid == np.inf or Fraction(wid) >= b - a)
+            )
 
 
 def test_elementary_functions_read_subnormal_fields():
     x = Interval(jnp.array([-5e-324]), jnp.array([5e-324]))
-    assert sets.exp(x).lo < 1 < sets.exp(x).hi and sets.sin(x).lo < 0 < sets.sin(x).hi and sets.atan2(x, x).lo < -3
+    assert (
+        sets.exp(x).lo < 1 < sets.exp(x).hi
+        and sets.sin(x).lo < 0 < sets.sin(x).hi
+        and sets.atan2(x, x).lo < -3
+    )
     assert sets.sqrt(Interval(jnp.array([5e-324]), jnp.array([1e-310]))).hi >= 1e-155
     assert sets.fma(x, 1e300, 0.0).hi >= 5e-24 and sets.exp(x).lo <= 1
 
@@ -95,11 +116,27 @@ def test_precisions_mix_without_losing_a_subnormal_number():
     assert not jax.jit(sets.subset)(narrow, interval(np.array([0.0]), np.array([1.0])))[0]
 
 
-@pytest.mark.parametrize("dtype", [pytest.param(t, marks=[pytest.mark.slow] if t == np.float32 else []) for t in DTYPES])
+@pytest.mark.parametrize(
+    "dtype", [pytest.param(t, marks=[pytest.mark.slow] if t == np.float32 else []) for t in DTYPES]
+)
 def test_a_bound_that_is_nan_bounds_nothing(dtype):
-    x, one = Interval(jnp.array([np.nan, 0.0, np.nan], dtype), jnp.array([1.0, np.nan, np.nan], dtype)), interval(np.ones(3, dtype))
+    x, one = (
+        Interval(jnp.array([np.nan, 0.0, np.nan], dtype), jnp.array([1.0, np.nan, np.nan], dtype)),
+        interval(np.ones(3, dtype)),
+    )
     assert (x.rad == np.inf).all() and (x.wid == np.inf).all()
-    unary = (sets.sqr, sets.recip, abs, sets.sqrt, sets.log, sets.exp, sets.asin, sets.cos, lambda v: v**3, lambda v: v**-2)
+    unary = (
+        sets.sqr,
+        sets.recip,
+        abs,
+        sets.sqrt,
+        sets.log,
+        sets.exp,
+        sets.asin,
+        sets.cos,
+        lambda v: v**3,
+        lambda v: v**-2,
+    )
     binary = (sets.add, sets.sub, sets.mul, sets.div, sets.hull, sets.intersection, sets.fma)
 
     @jax.jit  # one program: the compiler takes |x| >= 0 for true, and there is little to compile
@@ -110,7 +147,9 @@ def test_a_bound_that_is_nan_bounds_nothing(dtype):
 
     single, both, quotient, related = results(x, one)
     for out in (*single, *both, quotient):
-        assert not np.asarray(out.is_empty).any() and not (np.asarray(out.lo) > np.finfo(dtype).tiny * 9).all()
+        assert (
+            not np.asarray(out.is_empty).any() and not (np.asarray(out.lo) > np.finfo(dtype).tiny * 9).all()
+        )
     for out in (both[binary.index(f)] for f in (sets.mul, sets.add, sets.div)):
         assert not (np.isfinite(out.lo) & np.isfinite(out.hi)).any()
     assert not np.any(related)

@@ -1,4 +1,6 @@
-"""Edges of domains, numbers of intervals and relations between them, against IEEE 1788 and exact definitions."""
+"""Edges of domains, numbers of intervals and relations between them, against IEEE 1788 and exact
+definitions.
+"""
 
 from fractions import Fraction
 
@@ -7,7 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from corners import BEYOND, MODES, floats, in_blocks, misses, subnormals
-from interval_cases import BINARY, COMPILED, COMPILED_UNARY, COUNT, EMPTY, ENTIRE, UNARY, draw, each_dtype, each_mode, ends
+from interval_cases import (
+    BINARY,
+    COMPILED,
+    COMPILED_UNARY,
+    COUNT,
+    EMPTY,
+    ENTIRE,
+    UNARY,
+    draw,
+    each_dtype,
+    each_mode,
+    ends,
+)
 
 from jaxbound import sets
 from jaxbound.sets import interval
@@ -49,7 +63,7 @@ EDGES = {  # the tightest results of IEEE 1788, entry by entry
     "entire ** 0": (lambda: interval(*ENTIRE) ** 0, (1, 1)),
     "[-inf, -2] ** 3": (lambda: interval(-np.inf, -2.0) ** 3, (-np.inf, -8)),
     "sqr [-inf, 0]": (lambda: sets.sqr(interval(-np.inf, 0.0)), (0, np.inf)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", EDGES)
@@ -67,7 +81,8 @@ def test_edges_of_domains_give_the_tightest_set_up_to_rounding(name):
 @pytest.mark.parametrize("op", [*BINARY, "intersection", "matmul"])
 def test_an_empty_argument_gives_an_empty_result(op):
     full, empty = (
-        Interval(*map(jnp.asarray, (np.full(COUNT, lo), np.full(COUNT, hi)))) for lo, hi in ((1.0, 2.0), EMPTY)
+        Interval(*map(jnp.asarray, (np.full(COUNT, lo), np.full(COUNT, hi))))
+        for lo, hi in ((1.0, 2.0), EMPTY)
     )  # the shape of other tests
     for x, y in ((full, empty), (empty, full), (empty, empty)):
         z = getattr(sets, op)(x, y)
@@ -107,7 +122,10 @@ def test_subnormal_bounds_built_by_the_factory_are_enclosed(dtype):
 
 
 def exact_bounds(x):
-    return [tuple(-BEYOND if v == -np.inf else BEYOND if v == np.inf else Fraction(v) for v in row) for row in ends(x)]
+    return [
+        tuple(-BEYOND if v == -np.inf else BEYOND if v == np.inf else Fraction(v) for v in row)
+        for row in ends(x)
+    ]
 
 
 @each_mode
@@ -150,7 +168,9 @@ def test_a_point_has_no_width_and_no_radius(rng):
 @each_dtype
 def test_mag_and_mig_are_the_extreme_absolute_values(rng, dtype):
     x = draw(rng, dtype)
-    for (a, b), big, small in zip(ends(x), *(jax.jit(f)(x).tolist() for f in (sets.mag, sets.mig)), strict=True):
+    for (a, b), big, small in zip(
+        ends(x), *(jax.jit(f)(x).tolist() for f in (sets.mag, sets.mig)), strict=True
+    ):
         assert big == max(abs(a), abs(b)) and small == (0 if a <= 0 <= b else min(abs(a), abs(b)))
 
 
@@ -171,7 +191,9 @@ def few_ends(rng, dtype, count=COUNT):
     """Draw intervals between few ends, so that ends often coincide."""
     lo = rng.integers(-3, 3, count)
     hi = np.maximum(lo + rng.integers(0, 4, count), -2)
-    return Interval(*(jnp.asarray(v, dtype) for v in (np.where(lo == -3, -np.inf, lo), np.where(hi >= 3, np.inf, hi))))
+    return Interval(
+        *(jnp.asarray(v, dtype) for v in (np.where(lo == -3, -np.inf, lo), np.where(hi >= 3, np.inf, hi)))
+    )
 
 
 RELATIONS = {  # on non-empty sets, by their ends
@@ -213,7 +235,11 @@ def test_relations_on_empty_follow_the_standard(relation):
 @each_dtype
 def test_contains_is_exact(rng, mode, dtype):
     x = draw(rng, dtype)
-    p = np.where(rng.random(COUNT) < 0.5, rng.choice(subnormals(dtype), COUNT), np.where(rng.random(COUNT) < 0.5, x.lo, x.hi)).astype(dtype)
+    p = np.where(
+        rng.random(COUNT) < 0.5,
+        rng.choice(subnormals(dtype), COUNT),
+        np.where(rng.random(COUNT) < 0.5, x.lo, x.hi),
+    ).astype(dtype)
     with np.errstate(over="ignore"):
         p = np.where(rng.random(COUNT) < 0.3, np.nextafter(x.lo, dtype(-np.inf)), p).astype(dtype)
     got = MODES[mode](sets.contains)(x, p)

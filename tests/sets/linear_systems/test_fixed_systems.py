@@ -1,4 +1,6 @@
-"""Systems with a matrix prepared once: every solution is enclosed, in both precisions, and as tightly as by solve_interval."""
+"""Systems with a matrix prepared once: every solution is enclosed, in both precisions, and as tightly as by
+solve_interval.
+"""
 
 from fractions import Fraction
 
@@ -15,7 +17,9 @@ solve = jax.jit(lambda systems, h: interval_of(solutions(systems, h)))
 
 
 def interval_matrix(rng, r, n, dtype, width=0.02):
-    middle = np.eye(n)[np.minimum(np.arange(r), n - 1)] + rng.uniform(-0.15, 0.15, (r, n))  # the last rows take each other's place
+    middle = np.eye(n)[np.minimum(np.arange(r), n - 1)] + rng.uniform(
+        -0.15, 0.15, (r, n)
+    )  # the last rows take each other's place
     spread = width * rng.random((r, n)) * (rng.random((r, n)) < 0.5)
     return jb.interval((middle - spread).astype(dtype), (middle + spread).astype(dtype))
 

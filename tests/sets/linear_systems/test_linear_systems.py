@@ -1,4 +1,6 @@
-"""Interval linear systems: every box holds every solution; published enclosures are reproduced; no false proof."""
+"""Interval linear systems: every box holds every solution; published enclosures are reproduced; no false
+proof.
+"""
 
 import json
 from fractions import Fraction
@@ -36,7 +38,9 @@ def _compare(systems, method, precondition):
         hull = np.array(s["computed"]["hull_LP"])
         room = 1e-8 * (1 + np.abs(np.where(np.isfinite(hull), hull, 0)))
         assert status != Solvability.INFEASIBLE
-        assert (box[:, 0] <= hull[:, 0] + room[:, 0]).all() and (box[:, 1] >= hull[:, 1] - room[:, 1]).all(), (s["name"], method)
+        assert (box[:, 0] <= hull[:, 0] + room[:, 0]).all() and (
+            box[:, 1] >= hull[:, 1] - room[:, 1]
+        ).all(), (s["name"], method)
         assert (status == Solvability.SOLVED) == bool(np.isfinite(box).all())
         if status != Solvability.SOLVED:
             continue
@@ -44,7 +48,9 @@ def _compare(systems, method, precondition):
             np.testing.assert_allclose(box, hull, rtol=1e-7, atol=1e-7)
         stated = s["computed"].get(key)
         if stated is not None:
-            np.testing.assert_allclose(box, stated, rtol=2e-3 if "seidel" in method or method == "krawczyk" else 1e-6, atol=2e-6)
+            np.testing.assert_allclose(
+                box, stated, rtol=2e-3 if "seidel" in method or method == "krawczyk" else 1e-6, atol=2e-6
+            )
             compared += 1
     return compared
 
@@ -67,17 +73,25 @@ def test_published_2x2_systems_are_reproduced_by_the_slower_methods(published, m
 @pytest.mark.parametrize("precondition", ["midpoint", "none"])
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_all_published_systems_are_reproduced(published, n, precondition):
-    compared = sum(_compare(_of_size(published, n), method, precondition) for method in (*TABLE, "intersection", "hull"))
+    compared = sum(
+        _compare(_of_size(published, n), method, precondition) for method in (*TABLE, "intersection", "hull")
+    )
     assert compared >= {2: 10, 3: 3, 4: 2}[n]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("methods", [{"gauss": "G", "hbr": "HBR"}, {"gauss_seidel": "GS", "krawczyk": "K"}], ids=["once", "repeated"])
+@pytest.mark.parametrize(
+    "methods",
+    [{"gauss": "G", "hbr": "HBR"}, {"gauss_seidel": "GS", "krawczyk": "K"}],
+    ids=["once", "repeated"],
+)
 def test_the_window_of_golden_is_reproduced(shared, methods):
     g = json.loads(shared("golden/alhajdibo2004_multimodel.json").read_text())["p4_golden_window"]
     M = stacked_2004()
     h = jb.interval(np.array(g["H_lo"]), np.array(g["H_hi"]))
-    rows = np.array([np.array(step["rows_1based"]) - 1 for step in g["steps"]])  # four square systems, one batch
+    rows = np.array(
+        [np.array(step["rows_1based"]) - 1 for step in g["steps"]]
+    )  # four square systems, one batch
     for method, key in methods.items():
         found = solve_interval(M[rows], h[rows], method)
         assert (found.status == Solvability.SOLVED).all()  # all four regular, proved
@@ -88,7 +102,8 @@ def test_the_window_of_golden_is_reproduced(shared, methods):
 def stacked_2004():
     """Return the 12 x 9 matrix of section 5 of Alhaj-Dibo, Maquin, Ragot 2004, s = 2."""
     A = jb.interval(
-        [[0.45, -0.29, 0.19], [-0.084, 0.66, -0.08], [0.12, 0.114, 0.37]], [[0.45, -0.29, 0.21], [-0.076, 0.66, -0.08], [0.12, 0.126, 0.37]]
+        [[0.45, -0.29, 0.19], [-0.084, 0.66, -0.08], [0.12, 0.114, 0.37]],
+        [[0.45, -0.29, 0.21], [-0.076, 0.66, -0.08], [0.12, 0.126, 0.37]],
     )
     C = jb.interval([[-5.25, -1.576, 1.2], [0.949, 0.2, -5]], [[-5.25, -1.423, 1.2], [1.051, 0.2, -5]])
     out = []
@@ -97,7 +112,10 @@ def stacked_2004():
         for j in range(3):
             M[6 + 2 * j : 8 + 2 * j, 3 * j : 3 * j + 3] = getattr(C, part)
             if j < 2:
-                M[3 * j : 3 * j + 3, 3 * j : 3 * j + 3], M[3 * j : 3 * j + 3, 3 * j + 3 : 3 * j + 6] = getattr(A, part), -np.eye(3)
+                M[3 * j : 3 * j + 3, 3 * j : 3 * j + 3], M[3 * j : 3 * j + 3, 3 * j + 3 : 3 * j + 6] = (
+                    getattr(A, part),
+                    -np.eye(3),
+                )
         out.append(M)
     return jb.interval(*out)
 
@@ -107,7 +125,9 @@ def _random_systems(rng, count, n, rows=None, dtype=np.float64):
     A = np.concatenate([np.eye(n)] * 2)[: rows or n] * 3 + rng.normal(size=(count, rows or n, n))
     R, b = np.abs(A) * width * rng.uniform(0, 1, A.shape), rng.normal(size=(count, rows or n))
     r = np.abs(b) * width[..., 0]
-    return jb.interval((A - R).astype(dtype), (A + R).astype(dtype)), jb.interval((b - r).astype(dtype), (b + r).astype(dtype))
+    return jb.interval((A - R).astype(dtype), (A + R).astype(dtype)), jb.interval(
+        (b - r).astype(dtype), (b + r).astype(dtype)
+    )
 
 
 def _draw(rng, X, vertex):
@@ -121,7 +141,9 @@ def _misses(rng, M, h, x, draws, slack=1e-11):
     for d in range(draws):
         solution = np.linalg.solve(_draw(rng, M, d % 2), _draw(rng, h, d % 2)[..., None])[..., 0]
         slip = slack * (1 + np.abs(solution).max(-1, keepdims=True)) ** 2
-        missed += int(((solution < np.asarray(x.lo) - slip) | (solution > np.asarray(x.hi) + slip)).any(-1).sum())
+        missed += int(
+            ((solution < np.asarray(x.lo) - slip) | (solution > np.asarray(x.hi) + slip)).any(-1).sum()
+        )
     return missed
 
 
@@ -138,10 +160,14 @@ def _vertex_misses(M, h, x):
     """Count solutions with all of M and h at their ends, every combination for 2 unknowns."""
     missed = 0
     for bits in np.ndindex(*[2] * 6):
-        end = lambda X, b: np.where(np.array(b).reshape(X.shape[1:]), np.asarray(X.hi, float), np.asarray(X.lo, float))
+        end = lambda X, b: np.where(
+            np.array(b).reshape(X.shape[1:]), np.asarray(X.hi, float), np.asarray(X.lo, float)
+        )
         solution = np.linalg.solve(end(M, bits[:4]), end(h, bits[4:])[..., None])[..., 0]
         slip = 1e-11 * (1 + np.abs(solution).max(-1, keepdims=True)) ** 2
-        missed += int(((solution < np.asarray(x.lo) - slip) | (solution > np.asarray(x.hi) + slip)).any(-1).sum())
+        missed += int(
+            ((solution < np.asarray(x.lo) - slip) | (solution > np.asarray(x.hi) + slip)).any(-1).sum()
+        )
     return missed
 
 
@@ -155,7 +181,9 @@ def test_solutions_at_every_combination_of_ends_are_enclosed(rng):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("n", range(2, 13))
 def test_twenty_thousand_random_systems_are_enclosed(rng, dtype, n):
-    """The intersection lies in what Gauss, Gauss-Seidel and Hansen-Bliek-Rohn give, so that its solutions lie in theirs."""
+    """The intersection lies in what Gauss, Gauss-Seidel and Hansen-Bliek-Rohn give, so that its solutions lie
+    in theirs.
+    """
     M, h = _random_systems(rng, 910, n, dtype=dtype)
     for method in ("intersection", "krawczyk"):
         found = solve_interval(M, h, method)
@@ -196,7 +224,16 @@ def test_a_matrix_that_all_systems_share_is_prepared_once_and_gives_the_same(rng
     M, h = _random_systems(rng, 2 * BLOCK + 5, 2)
     shared = solve_interval(M[3], h, "hbr")
     np.testing.assert_allclose(shared.x.hi[3], solve_interval(M[:4], h[:4], "hbr").x.hi[3], rtol=1e-12)
-    assert _misses(rng, jb.interval(*(np.broadcast_to(end, (len(h), 2, 2)) for end in (M.lo[3], M.hi[3]))), h, shared.x, 20) == 0
+    assert (
+        _misses(
+            rng,
+            jb.interval(*(np.broadcast_to(end, (len(h), 2, 2)) for end in (M.lo[3], M.hi[3]))),
+            h,
+            shared.x,
+            20,
+        )
+        == 0
+    )
 
 
 def test_a_matrix_that_may_be_singular_gets_a_status_and_no_box():
@@ -209,7 +246,10 @@ def test_a_matrix_that_may_be_singular_gets_a_status_and_no_box_by_the_slower_me
 
 
 def _check_singular(methods):
-    ends = {"A": [[[-1, 3], [1, 1]], [[1, 1], [1, 1]]], "b": [[1, 1], [1, 1]]}, {"A": [[[0, 0]] * 2] * 2, "b": [[1, 1], [1, 1]]}
+    ends = (
+        {"A": [[[-1, 3], [1, 1]], [[1, 1], [1, 1]]], "b": [[1, 1], [1, 1]]},
+        {"A": [[[0, 0]] * 2] * 2, "b": [[1, 1], [1, 1]]},
+    )
     for method in methods:
         found = solve_interval(*_batch(ends), method)
         assert (found.status == Solvability.NOT_REGULAR).all()
@@ -245,8 +285,12 @@ def test_the_hull_of_more_rows_than_unknowns_is_narrower(rng):
 
 def test_a_start_box_asks_for_the_solutions_inside():
     M, h = _batch([{"A": [[[2, 2], [0, 0]], [[0, 0], [2, 2]]], "b": [[2, 2], [2, 2]]}])
-    assert (solve_interval(M, h, "hbr", x0=jb.interval([0.0, 0.0], [3.0, 3.0])).status == Solvability.SOLVED).all()
-    assert (solve_interval(M, h, "hbr", x0=jb.interval([2.0, 0.0], [3.0, 3.0])).status == Solvability.INFEASIBLE).all()
+    assert (
+        solve_interval(M, h, "hbr", x0=jb.interval([0.0, 0.0], [3.0, 3.0])).status == Solvability.SOLVED
+    ).all()
+    assert (
+        solve_interval(M, h, "hbr", x0=jb.interval([2.0, 0.0], [3.0, 3.0])).status == Solvability.INFEASIBLE
+    ).all()
 
 
 def test_a_second_call_does_not_trace(rng):
@@ -271,7 +315,10 @@ def test_eager_boxes_hold_the_solutions(rng):
         (lambda: solve_interval(np.ones((1, 2)), np.ones(1)), "at least as many rows"),
         (lambda: solve_interval(np.eye(2), np.ones(2), "lu"), "method must be one of"),
         (lambda: solve_interval(np.eye(2), np.ones(2), precondition="best"), "precondition must be one of"),
-        (lambda: solve_interval(np.ones((3, 2)), np.ones(3), precondition="none"), "needs precondition='midpoint'"),
+        (
+            lambda: solve_interval(np.ones((3, 2)), np.ones(3), precondition="none"),
+            "needs precondition='midpoint'",
+        ),
         (lambda: solve_interval(np.eye(9), np.ones(9), "hull"), "at most 8 unknowns"),
         (lambda: solve_interval(np.eye(2), np.ones(2), x0=jb.interval(np.ones(3))), "x0 needs one interval"),
         (lambda: solve_interval(np.eye(2) * np.nan, np.ones(2)), "not NaN"),

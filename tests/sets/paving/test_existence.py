@@ -1,4 +1,6 @@
-"""The steps behind a proof of existence: error bounds against exact rationals, and proofs whose conclusion is known."""
+"""The steps behind a proof of existence: error bounds against exact rationals, and proofs whose conclusion is
+known.
+"""
 
 from fractions import Fraction
 
@@ -56,7 +58,10 @@ def test_the_inverse_is_near_enough_to_one(rng, m, n):
 
 def test_a_solution_on_the_edge_of_the_box_is_not_claimed_from_outside():
     f = lambda z: [z[0] ** 2 + z[1], z[0] - z[1]]
-    for inside, want in ((1.0 + 1e-9, Status.CONSISTENT), (1.0 - 1e-9, Status.FAULT)):  # z = (1, 1) solves f = (2, 0)
+    for inside, want in (
+        (1.0 + 1e-9, Status.CONSISTENT),
+        (1.0 - 1e-9, Status.FAULT),
+    ):  # z = (1, 1) solves f = (2, 0)
         assert jb.pave(f, interval([0.0, 0.0], [inside, 3.0]), [2.0, 0.0]).status == want
 
 
@@ -74,14 +79,20 @@ def test_a_false_derivative_rule_is_not_believed():
         return x * x + 1
 
     liar.defjvp(lambda primals, tangents: (liar(*primals), 100 * tangents[0]))
-    found = jb.pave(lambda z: [liar(z[0]), jax.lax.stop_gradient(z[1])], interval([-1.0, -1.0], [1.0, 1.0]), [[0.9, 0.0], [1.25, 0.5]])
+    found = jb.pave(
+        lambda z: [liar(z[0]), jax.lax.stop_gradient(z[1])],
+        interval([-1.0, -1.0], [1.0, 1.0]),
+        [[0.9, 0.0], [1.25, 0.5]],
+    )
     assert found.status.tolist() == [Status.FAULT, Status.CONSISTENT]
 
 
 @pytest.mark.slow
 def test_kinks_are_no_obstacle():
     found = jb.pave(
-        lambda z: [jnp.abs(z[0]) + jnp.maximum(z[1], 0.3), z[0] + z[1]], interval([-1.0, -1.0], [1.0, 1.0]), [[0.75, 0.25], [0.2, 0.1]]
+        lambda z: [jnp.abs(z[0]) + jnp.maximum(z[1], 0.3), z[0] + z[1]],
+        interval([-1.0, -1.0], [1.0, 1.0]),
+        [[0.75, 0.25], [0.2, 0.1]],
     )
     assert found.status.tolist() == [Status.CONSISTENT, Status.FAULT]
 

@@ -1,4 +1,6 @@
-"""Paving against the published counts, an independent first-in-first-out list in exact arithmetic, and points known to be images."""
+"""Paving against the published counts, an independent first-in-first-out list in exact arithmetic, and points
+known to be images.
+"""
 
 from collections import deque
 from fractions import Fraction
@@ -46,9 +48,11 @@ def exact_figure(lo, hi):
 
 
 def sequential(f, lo, hi, target, q, widest=False, slack=0):
-    """Return (evaluated, boxes left) of the paper's list: take the oldest box, drop it if its image misses the target, else cut it in two.
+    """Return (evaluated, boxes left) of the paper's list: take the oldest box, drop it if its image misses
+    the target, else cut it in two.
 
-    r starts at 1 and grows when all boxes of the list are of order 2^r (2 r cuts in the plane); stop at r > q - 1 or on an empty list.
+    r starts at 1 and grows when all boxes of the list are of order 2^r (2 r cuts in the plane); stop at r > q
+    - 1 or on an empty list.
     """
     queue, evaluated, r = deque([(tuple(map(Fraction, lo)), tuple(map(Fraction, hi)), 0)]), 0, 1
     while queue:
@@ -85,9 +89,13 @@ def test_the_figure_takes_the_golden_number_of_boxes(golden, rstop):
 def test_the_figure_leaves_twenty_boxes_around_its_two_solutions(golden):
     want = golden["p0"]["fig1_fifo"]
     found = sets.pave(figure, box(), [2.0, -2.0], q=10)
-    near = [abs(np.asarray(found.boxes.mid) - solution).max(1) < 0.2 for solution in ([-0.5, 1.5], [0.0, 2.0])]
+    near = [
+        abs(np.asarray(found.boxes.mid) - solution).max(1) < 0.2 for solution in ([-0.5, 1.5], [0.0, 2.0])
+    ]
     assert len(found.boxes) == want["left_in_list"] == 20
-    assert near[0].sum() == want["left_near_(-0.5,1.5)"] == 14 and near[1].sum() == want["left_near_(0,2)"] == 6
+    assert (
+        near[0].sum() == want["left_near_(-0.5,1.5)"] == 14 and near[1].sum() == want["left_near_(0,2)"] == 6
+    )
     assert found.status == Status.UNDECIDED
 
 
@@ -136,12 +144,18 @@ def test_uniform_pavings_hold_the_target_in_the_golden_number_of_boxes(golden, q
 
 @pytest.mark.parametrize(("cut", "q"), [("alternate", 6), ("widest", 5), ("alternate", 1), ("alternate", 2)])
 def test_a_batch_equals_the_sequential_list_box_for_box(rng, cut, q):
-    z = np.stack([rng.integers(-16, 33, 25) / 16, rng.integers(16, 49, 25) / 16], 1)  # dyadic points: their images are floats
+    z = np.stack(
+        [rng.integers(-16, 33, 25) / 16, rng.integers(16, 49, 25) / 16], 1
+    )  # dyadic points: their images are floats
     images = np.stack([2 * z[:, 0] ** 2 + z[:, 1], z[:, 0] - z[:, 1]], 1)
     targets = np.vstack([rng.uniform([0, -5], [12, 2], (30, 2)), images, [[2, -2], [2, 2], [1, -4]]])
     found = sets.pave(figure, box(), targets, q=q, cut=cut)
     for k, target in enumerate(targets.tolist()):
-        evaluated, left = sequential(exact_figure, LO, HI, list(map(Fraction, target)), q, cut == "widest") if q > 1 else (0, None)
+        evaluated, left = (
+            sequential(exact_figure, LO, HI, list(map(Fraction, target)), q, cut == "widest")
+            if q > 1
+            else (0, None)
+        )
         assert found.status[k] == (Status.UNDECIDED if left or q == 1 else Status.FAULT)
         assert q == 1 or (found.evaluated[k] == evaluated and boxes_of(found, k) == left)
     assert q < 5 or 5 < (found.status == Status.FAULT).sum() < len(targets) - 25
@@ -152,7 +166,9 @@ def test_a_batch_equals_its_targets_one_by_one(rng):
     found = sets.pave(figure, box(), targets, q=7)
     for k, target in enumerate(targets):
         alone = sets.pave(figure, box(), target, q=7)
-        assert (alone.status, alone.evaluated) == (found.status[k], found.evaluated[k]) and boxes_of(alone, 0) == boxes_of(found, k)
+        assert (alone.status, alone.evaluated) == (found.status[k], found.evaluated[k]) and boxes_of(
+            alone, 0
+        ) == boxes_of(found, k)
 
 
 @pytest.mark.parametrize("followed", [1, 16])
@@ -167,7 +183,9 @@ def test_the_verdict_alone_is_that_of_the_boxes(rng, monkeypatch, followed):
 
 
 def test_the_widest_edge_is_cut_and_the_first_of_equal_ones():
-    found = sets.pave(lambda z: [z[0] + z[1]], box(lo=(0, 0), hi=(1, 4)), [1.0], cut="widest", max_depth=3, solutions="none")
+    found = sets.pave(
+        lambda z: [z[0] + z[1]], box(lo=(0, 0), hi=(1, 4)), [1.0], cut="widest", max_depth=3, solutions="none"
+    )
     assert len(found.boxes)
     sizes = np.asarray(found.boxes.hi) - np.asarray(found.boxes.lo)
     assert (sizes == [0.5, 1]).all()  # 1 x 4 -> 1 x 2 -> 1 x 1 -> 1/2 x 1
@@ -195,10 +213,14 @@ def exact_folded(z):
 
 
 def image_points(rng, dtype, count):
-    """Draw points of a box, half of them with coordinates at its ends, and return the floats around their exact images."""
+    """Draw points of a box, half of them with coordinates at its ends, and return the floats around their
+    exact images.
+    """
     lo, hi = np.array([-1, 0.1, -2], dtype), np.array([1, 0.7, 2], dtype)
     z = rng.uniform(lo, hi, (count, 3)).astype(dtype)
-    z = np.clip(np.where(rng.random(z.shape) < 0.4, rng.choice([0, 1], z.shape) * (hi - lo) + lo, z), lo, hi).astype(dtype)
+    z = np.clip(
+        np.where(rng.random(z.shape) < 0.4, rng.choice([0, 1], z.shape) * (hi - lo) + lo, z), lo, hi
+    ).astype(dtype)
     exact = [exact_folded([Fraction(float(v)) for v in row]) for row in z]
     down, up = (np.array([[f(v) for v in row] for row in exact]) for f in (below, above))
     return Interval(jnp.asarray(lo), jnp.asarray(hi)), Interval(jnp.asarray(down), jnp.asarray(up))
@@ -215,7 +237,9 @@ def above(v):
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("options", [dict(q=5), dict(q=4, cut="widest"), dict(subdivision="uniform", q=3)], ids=str)
+@pytest.mark.parametrize(
+    "options", [dict(q=5), dict(q=4, cut="widest"), dict(subdivision="uniform", q=3)], ids=str
+)
 def test_the_image_of_a_point_of_the_box_is_never_a_fault(rng, options, dtype):
     domain, targets = image_points(rng, dtype, 100)
     found = sets.pave(folded, domain, targets, **options)
@@ -224,7 +248,9 @@ def test_the_image_of_a_point_of_the_box_is_never_a_fault(rng, options, dtype):
 
 @pytest.mark.parametrize("options", [dict(q=8), dict(subdivision="uniform", q=7)], ids=str)
 def test_exactly_representable_images_on_the_boundary_are_never_a_fault(rng, options):
-    z = np.stack([rng.integers(-8, 17, 200) / 8, rng.integers(8, 25, 200) / 8], 1)  # dyadic: their images are floats
+    z = np.stack(
+        [rng.integers(-8, 17, 200) / 8, rng.integers(8, 25, 200) / 8], 1
+    )  # dyadic: their images are floats
     z[::2, 0], z[1::4, 1] = rng.choice([-1, 2], 100), 3
     targets = np.stack([2 * z[:, 0] ** 2 + z[:, 1], z[:, 0] - z[:, 1]], 1)
     assert (sets.pave(figure, box(), targets, **options).status == Status.UNDECIDED).all()
@@ -238,7 +264,10 @@ def test_points_outside_the_true_image_are_faults_once_fine_enough():
 @pytest.mark.parametrize("target", [0.1, 1 / 3, 1e-310, -1e-310])
 def test_a_target_that_the_dtype_cannot_hold_is_never_a_fault(target):
     near = np.float32(target)
-    ends = interval(np.minimum(near, np.nextafter(near, np.float32(-1)))[None], np.maximum(near, np.nextafter(near, np.float32(1)))[None])
+    ends = interval(
+        np.minimum(near, np.nextafter(near, np.float32(-1)))[None],
+        np.maximum(near, np.nextafter(near, np.float32(1)))[None],
+    )
     assert sets.pave(lambda z: [z[0]], ends, [target], q=5).status == Status.UNDECIDED
 
 
@@ -261,15 +290,23 @@ def test_uniform_pieces_join_without_gaps_and_end_at_the_box(rng, q):
 def test_a_bound_that_is_no_number_excludes_nothing():
     nan = lambda z: [Interval(z[0].lo * jnp.nan, z[0].hi * jnp.nan)]
     assert sets.pave(nan, interval([0.0], [1.0]), [5.0], q=3).status == Status.UNDECIDED
-    assert sets.pave(nan, interval([0.0], [1.0]), [5.0], subdivision="uniform", q=3).status == Status.UNDECIDED
+    assert (
+        sets.pave(nan, interval([0.0], [1.0]), [5.0], subdivision="uniform", q=3).status == Status.UNDECIDED
+    )
 
 
 def test_a_function_undefined_all_over_the_box_has_no_image():
-    assert sets.pave(lambda z: [jnp.sqrt(0 * z[0] - 1)], interval([1.0], [2.0]), [5.0], q=3).status == Status.FAULT
+    assert (
+        sets.pave(lambda z: [jnp.sqrt(0 * z[0] - 1)], interval([1.0], [2.0]), [5.0], q=3).status
+        == Status.FAULT
+    )
 
 
 def test_a_pole_all_over_the_box_is_no_fault_because_a_program_goes_on_with_its_infinity():
-    assert sets.pave(lambda z: [jnp.exp(-1 / (0 * z[0]))], interval([1.0], [2.0]), [0.0], q=3).status != Status.FAULT
+    assert (
+        sets.pave(lambda z: [jnp.exp(-1 / (0 * z[0]))], interval([1.0], [2.0]), [0.0], q=3).status
+        != Status.FAULT
+    )
 
 
 def test_an_interval_target_is_a_fault_only_if_all_of_it_is_outside():
@@ -283,9 +320,16 @@ def test_an_interval_target_is_a_fault_only_if_all_of_it_is_outside():
 def test_max_boxes_stops_before_the_level_that_would_exceed_it():
     whole = sets.pave(figure, box(), [2.0, -2.0], q=10)
     stopped = sets.pave(figure, box(), [2.0, -2.0], q=10, max_boxes=100)
-    assert stopped.evaluated <= 100 < whole.evaluated and stopped.status == Status.UNDECIDED and len(stopped.boxes) > 0
+    assert (
+        stopped.evaluated <= 100 < whole.evaluated
+        and stopped.status == Status.UNDECIDED
+        and len(stopped.boxes) > 0
+    )
     assert sets.pave(figure, box(), [2.0, -2.0], q=10, max_boxes=261).evaluated == 261
-    assert sets.pave(figure, box(), [[2.0, -2.0]] * 3, q=10, max_boxes=2).status.tolist() == [Status.UNDECIDED] * 3
+    assert (
+        sets.pave(figure, box(), [[2.0, -2.0]] * 3, q=10, max_boxes=2).status.tolist()
+        == [Status.UNDECIDED] * 3
+    )
 
 
 @pytest.mark.parametrize("depth", [0, 1, 5])
@@ -330,7 +374,15 @@ def test_the_area_of_a_plane_union_counts_overlaps_once():
     overlap = lambda z: [z[0] * 0.5, z[1] * 1.0]
     found = sets.pave(overlap, box(lo=(0, 0), hi=(2, 3)), subdivision="uniform", q=4)
     assert abs(found.area() - 3) < 1e-12
-    assert abs(sets.pave(lambda z: [0 * z[0] + z[1], z[1]], box(lo=(0, 0), hi=(2, 3)), subdivision="uniform", q=3).area() - 3) < 1e-9
+    assert (
+        abs(
+            sets.pave(
+                lambda z: [0 * z[0] + z[1], z[1]], box(lo=(0, 0), hi=(2, 3)), subdivision="uniform", q=3
+            ).area()
+            - 3
+        )
+        < 1e-9
+    )
 
 
 def test_the_area_of_other_dimensions_is_refused():
@@ -359,7 +411,11 @@ def test_the_area_of_other_dimensions_is_refused():
         (dict(cut="longest"), ValueError, "cut must be one of alternate, widest, smear, not 'longest'"),
         (dict(subdivision="both"), ValueError, "subdivision must be"),
         (dict(args=(np.zeros(2),)), ValueError, "one entry for each of the 1 targets"),
-        (dict(subdivision="uniform", q=100, max_boxes=9999), ValueError, "10000 boxes, more than max_boxes = 9999"),
+        (
+            dict(subdivision="uniform", q=100, max_boxes=9999),
+            ValueError,
+            "10000 boxes, more than max_boxes = 9999",
+        ),
         (dict(subdivision="uniform", max_depth=3), ValueError, "max_depth belongs to"),
     ],
     ids=str,

@@ -1,4 +1,6 @@
-"""Both answers of a paving are proofs: against the exact solutions of Fig. 1 of Adrot 2000, and exact images of points."""
+"""Both answers of a paving are proofs: against the exact solutions of Fig. 1 of Adrot 2000, and exact images
+of points.
+"""
 
 from fractions import Fraction
 
@@ -41,24 +43,36 @@ class Root:
 
 
 def solutions(target):
-    """Return (root, b) of all z = (root, root - b) of the box with figure(z) = target, by exact arithmetic."""
+    """Return (root, b) of all z = (root, root - b) of the box with figure(z) = target, by exact
+    arithmetic.
+    """
     a, b = (Fraction(float(x)) for x in target)
     D = 1 + 8 * (a + b)
     roots = [] if D < 0 else [Root(1, D)] if D == 0 else [Root(-1, D), Root(1, D)]
-    return [(r, b) for r in roots if all(r.at_least(c) for c in (LO[0], LO[1] + b)) and all(r.at_most(c) for c in (HI[0], HI[1] + b))]
+    return [
+        (r, b)
+        for r in roots
+        if all(r.at_least(c) for c in (LO[0], LO[1] + b)) and all(r.at_most(c) for c in (HI[0], HI[1] + b))
+    ]
 
 
 def holds(lo, hi, solution):
     """True if the box [lo, hi] holds the solution, exactly."""
     root, b = solution
     lo, hi = ([Fraction(float(x)) for x in end] for end in (lo, hi))
-    return root.at_least(lo[0]) and root.at_most(hi[0]) and root.at_least(lo[1] + b) and root.at_most(hi[1] + b)
+    return (
+        root.at_least(lo[0]) and root.at_most(hi[0]) and root.at_least(lo[1] + b) and root.at_most(hi[1] + b)
+    )
 
 
 def witnesses(found, k=0):
     """Return the boxes (lo, hi) proved for one target."""
     mine = found.witness_owner == k if found.witness is not None else np.zeros(0, bool)
-    return list(zip(np.asarray(found.witness.lo)[mine], np.asarray(found.witness.hi)[mine], strict=True)) if mine.any() else []
+    return (
+        list(zip(np.asarray(found.witness.lo)[mine], np.asarray(found.witness.hi)[mine], strict=True))
+        if mine.any()
+        else []
+    )
 
 
 def test_both_solutions_of_the_figure_are_proved_in_fewer_boxes_than_the_paper_needs_to_suspect_them():
@@ -71,7 +85,9 @@ def test_both_solutions_of_the_figure_are_proved_in_fewer_boxes_than_the_paper_n
         assert all(a <= x <= b and b - a < 1e-12 for a, x, b in zip(lo, solution, hi, strict=True))
 
 
-@pytest.mark.parametrize("cut", ["smear", *(pytest.param(c, marks=pytest.mark.slow) for c in ("alternate", "widest"))])
+@pytest.mark.parametrize(
+    "cut", ["smear", *(pytest.param(c, marks=pytest.mark.slow) for c in ("alternate", "widest"))]
+)
 def test_a_thousand_random_targets_get_the_answer_of_the_exact_solver(rng, cut):
     count = 1000 if cut == "smear" else 200
     z = rng.uniform(LO, HI, (count // 2, 2))
@@ -81,7 +97,10 @@ def test_a_thousand_random_targets_get_the_answer_of_the_exact_solver(rng, cut):
     exact = [solutions(t) for t in targets]
     want = np.array([Status.CONSISTENT if s else Status.FAULT for s in exact])
     agree = (found.status == want).sum()
-    print(f"{agree} of {count} agree, {(want == Status.FAULT).sum()} faults; {found.evaluated.mean():.2f} boxes each")
+    print(
+        f"{agree} of {count} agree, {(want == Status.FAULT).sum()} faults; {found.evaluated.mean():.2f} "
+        f"boxes each"
+    )
     assert not ((found.status != want) & (found.status != Status.UNDECIDED)).any() and agree == count
     for k, known in enumerate(exact):
         proved = witnesses(found, k)
@@ -91,9 +110,14 @@ def test_a_thousand_random_targets_get_the_answer_of_the_exact_solver(rng, cut):
 @pytest.mark.parametrize("distance", [1e-3, 1e-6])
 def test_targets_just_outside_the_set_are_faults(rng, distance):
     z2 = rng.uniform(1.1, 2.7, 40)
-    fold = np.stack([1 / 8 + z2, -1 / 4 - z2], 1) - distance / np.sqrt(2)  # the set lies on one side of p1 + p2 = -1/8
+    fold = np.stack([1 / 8 + z2, -1 / 4 - z2], 1) - distance / np.sqrt(
+        2
+    )  # the set lies on one side of p1 + p2 = -1/8
     p2 = rng.uniform(-3.9, 0.9, 40)
-    low, high = np.maximum(-1, 1 + p2), np.minimum(2, 3 + p2)  # of z1, where p1 = 2 z1^2 + z1 - p2 with its vertex at -1/4
+    low, high = (
+        np.maximum(-1, 1 + p2),
+        np.minimum(2, 3 + p2),
+    )  # of z1, where p1 = 2 z1^2 + z1 - p2 with its vertex at -1/4
     far, near = np.where(high + 0.25 > -0.25 - low, high, low), np.clip(-0.25, low, high)
     ends, outward = np.concatenate([far, near]), np.repeat([distance, -distance], 40)
     edges = np.stack([2 * ends**2 + ends - np.tile(p2, 2) + outward, np.tile(p2, 2)], 1)
@@ -125,15 +149,23 @@ def quadratic(z, c, A, B):
     return c + A @ z + jnp.einsum("mij,i,j->m", B, z, z)
 
 
-@pytest.mark.parametrize(("m", "n", "dtype"), [
-    pytest.param(1, 2, np.float32, marks=pytest.mark.slow), pytest.param(2, 2, np.float64, marks=pytest.mark.slow),
-    *(pytest.param(m, n, np.float64, marks=pytest.mark.long) for m, n in ((1, 2), (2, 3))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("m", "n", "dtype"),
+    [
+        pytest.param(1, 2, np.float32, marks=pytest.mark.slow),
+        pytest.param(2, 2, np.float64, marks=pytest.mark.slow),
+        *(pytest.param(m, n, np.float64, marks=pytest.mark.long) for m, n in ((1, 2), (2, 3))),
+    ],
+)
 def test_what_a_point_of_the_box_gives_is_never_a_fault_and_mostly_proved(rng, m, n, dtype):
     count = 60
     c, A, B = (rng.integers(-8, 9, (count, *shape)).astype(dtype) / 4 for shape in ((m,), (m, n), (m, n, n)))
-    z = rng.integers(-8, 9, (count, n)).astype(dtype) / 8  # dyadic: the images are floats, some on the boundary
-    targets = np.array([np.asarray(quadratic(*map(jnp.asarray, one))) for one in zip(z, c, A, B, strict=True)])
+    z = (
+        rng.integers(-8, 9, (count, n)).astype(dtype) / 8
+    )  # dyadic: the images are floats, some on the boundary
+    targets = np.array(
+        [np.asarray(quadratic(*map(jnp.asarray, one))) for one in zip(z, c, A, B, strict=True)]
+    )
     edge = np.ones(n, dtype)
     found = jb.pave(quadratic, interval(-edge, edge), targets, args=(c, A, B), max_boxes=200_000)
     print(np.bincount(found.status, minlength=4))
@@ -146,10 +178,18 @@ def test_a_surplus_variable_leaves_a_witness_over_which_the_equation_changes_sig
     targets = np.r_[rng.uniform(-0.9, 1.8, 40), [2.01, 3.0, -1.01]][:, None]
     found = jb.pave(f, interval(-np.ones(3), np.ones(3)), targets)
     assert (found.status[:40] == Status.CONSISTENT).all() and (found.status[40:] == Status.FAULT).all()
-    for (lo, hi), k in zip(zip(*map(np.asarray, (found.witness.lo, found.witness.hi)), strict=True), found.witness_owner, strict=True):
+    for (lo, hi), k in zip(
+        zip(*map(np.asarray, (found.witness.lo, found.witness.hi)), strict=True),
+        found.witness_owner,
+        strict=True,
+    ):
         ends = [[Fraction(float(x)) for x in end] for end in (lo, hi)]
         corners = [f([ends[i >> j & 1][j] for j in range(3)]) for i in range(8)]
-        assert min(corners) <= Fraction(targets[k, 0]) <= max(corners) and (abs(lo) <= 1).all() and (abs(hi) <= 1).all()
+        assert (
+            min(corners) <= Fraction(targets[k, 0]) <= max(corners)
+            and (abs(lo) <= 1).all()
+            and (abs(hi) <= 1).all()
+        )
 
 
 @pytest.mark.slow
@@ -162,7 +202,11 @@ def test_a_jump_that_skips_the_target_proves_nothing():
 def test_where_the_function_has_no_value_there_is_no_solution():
     f = lambda z: [jnp.sqrt(z[0]) * z[1], z[1] - z[0]]
     found = jb.pave(f, interval([-1.0, -1.0], [1.0, 1.0]), [[0.125, 0.25], [-0.1, -0.75], [0.2, 1.2]])
-    assert found.status.tolist() == [Status.CONSISTENT, Status.CONSISTENT, Status.FAULT]  # the last needs z2 > 1, or z1 < 0
+    assert found.status.tolist() == [
+        Status.CONSISTENT,
+        Status.CONSISTENT,
+        Status.FAULT,
+    ]  # the last needs z2 > 1, or z1 < 0
 
 
 @pytest.mark.slow
@@ -180,7 +224,9 @@ def test_a_region_is_reached_by_a_witness_that_lies_in_it(rng):
     wide = interval(mid - 0.05, mid + 0.05)
     found = jb.pave(figure, box(), wide)
     assert (found.status[-2:] == Status.FAULT).all() and (found.status == Status.CONSISTENT).sum() > 20
-    for lo, hi, k in zip(np.asarray(found.witness.lo), np.asarray(found.witness.hi), found.witness_owner, strict=True):
+    for lo, hi, k in zip(
+        np.asarray(found.witness.lo), np.asarray(found.witness.hi), found.witness_owner, strict=True
+    ):
         a, b = (Fraction(float(x)) for x in (lo + hi) / 2)
         image = 2 * a**2 + b, a - b
         ends = [[Fraction(float(x)) for x in np.asarray(end)[k]] for end in (wide.lo, wide.hi)]
@@ -208,7 +254,12 @@ def test_all_of_a_region_is_covered_between_an_inner_and_an_outer_area(rng):
 
 def test_a_budget_that_runs_out_says_what_was_spent():
     found = jb.pave(figure, box(), [2.0, -2.0], max_boxes=5)
-    assert found.status == Status.UNDECIDED and 0 < found.evaluated <= 5 and found.levels > 0 and len(found.boxes)
+    assert (
+        found.status == Status.UNDECIDED
+        and 0 < found.evaluated <= 5
+        and found.levels > 0
+        and len(found.boxes)
+    )
 
 
 def test_one_solution_is_enough_if_asked_for():
@@ -225,7 +276,10 @@ def test_an_interrupted_paving_leaves_nothing_behind():
     with pytest.raises(KeyboardInterrupt):
         jb.pave(figure, box(), [2.0, -2.0], progress=interrupt)
     again = jb.pave(figure, box(), [2.0, -2.0])
-    assert again.evaluated == whole.evaluated and (np.asarray(again.witness.lo) == np.asarray(whole.witness.lo)).all()
+    assert (
+        again.evaluated == whole.evaluated
+        and (np.asarray(again.witness.lo) == np.asarray(whole.witness.lo)).all()
+    )
 
 
 def test_other_boxes_and_targets_do_not_trace_again():
@@ -256,10 +310,22 @@ def only_intervals(z):
         (dict(target=[2.0, -2.0, 1.0]), ValueError, "the target has 3 components, f has 2"),
         (dict(target=[np.nan, -2.0]), ValueError, "not NaN"),
         (dict(max_boxes=0), ValueError, "max_boxes must be a whole number >= 1, not 0"),
-        (dict(box=interval([-np.inf, 1.0], [2.0, 3.0])), ValueError, "box must be a bounded, non-empty Interval"),
+        (
+            dict(box=interval([-np.inf, 1.0], [2.0, 3.0])),
+            ValueError,
+            "box must be a bounded, non-empty Interval",
+        ),
         (dict(solutions="some"), ValueError, "solutions must be one of none, one, all, not 'some'"),
-        (dict(f=only_intervals, solutions="one"), ValueError, "give f as a function of numbers, not of Intervals"),
-        (dict(f=only_intervals, cut="smear"), ValueError, "give f as a function of numbers, not of Intervals"),
+        (
+            dict(f=only_intervals, solutions="one"),
+            ValueError,
+            "give f as a function of numbers, not of Intervals",
+        ),
+        (
+            dict(f=only_intervals, cut="smear"),
+            ValueError,
+            "give f as a function of numbers, not of Intervals",
+        ),
         (dict(f=lambda z: jax.lax.lgamma(z)), NotImplementedError, "lgamma"),
         (dict(f=lambda z: z @ jnp.ones(3)), TypeError, "dot_general|matmul|contract"),
     ],

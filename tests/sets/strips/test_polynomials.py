@@ -11,7 +11,10 @@ from jaxbound.sets.strips import polynomials
 
 EXPONENTS = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (1, 1, 0), (0, 1, 2), (1, 1, 1))
 PLAIN = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 1, 1))
-KERNELS = {name: jax.jit(f, static_argnums=3) for name, f in (("image", polynomials.image), ("slopes", polynomials.slopes))}
+KERNELS = {
+    name: jax.jit(f, static_argnums=3)
+    for name, f in (("image", polynomials.image), ("slopes", polynomials.slopes))
+}
 
 
 def draw(rng, exponents, r=2, m=2, count=6, dtype="float64"):
@@ -27,14 +30,26 @@ def exact(value, spread, rad, exponents, v, e):
     F = lambda x: Fraction(float(x))
     power = [np.prod([x**n for x, n in zip(v, a, strict=True)], initial=Fraction(1)) for a in exponents]
     weight = [
-        [F(value[k, a]) + sum(F(spread[k, a, j]) * F(rad[j]) * e[j] for j in range(len(e))) for a in range(len(exponents))] for k in (0, 1)
+        [
+            F(value[k, a]) + sum(F(spread[k, a, j]) * F(rad[j]) * e[j] for j in range(len(e)))
+            for a in range(len(exponents))
+        ]
+        for k in (0, 1)
     ]
     p = [sum(w * x for w, x in zip(row, power, strict=True)) for row in weight]
     slope = lambda a, i: (
-        np.prod([n * v[l] ** (n - 1) if l == i else v[l] ** n for l, n in enumerate(a)], initial=Fraction(1)) if a[i] else 0
+        np.prod([n * v[l] ** (n - 1) if l == i else v[l] ** n for l, n in enumerate(a)], initial=Fraction(1))
+        if a[i]
+        else 0
     )
-    J = [[sum(w * slope(a, i) for w, a in zip(row, exponents, strict=True)) for i in range(len(v))] for row in weight]
-    J = [[*row, *(F(rad[j]) * sum(F(spread[k, a, j]) * x for a, x in enumerate(power)) for j in range(len(e)))] for k, row in enumerate(J)]
+    J = [
+        [sum(w * slope(a, i) for w, a in zip(row, exponents, strict=True)) for i in range(len(v))]
+        for row in weight
+    ]
+    J = [
+        [*row, *(F(rad[j]) * sum(F(spread[k, a, j]) * x for a, x in enumerate(power)) for j in range(len(e)))]
+        for k, row in enumerate(J)
+    ]
     return p, J
 
 
@@ -46,10 +61,15 @@ def test_the_image_of_a_box_holds_every_value(rng, whole, dtype):
     lo = rng.integers(-8, 7, (n, count)) / 8
     hi = np.minimum(lo + rng.integers(1, 9, (n, count)) / 8, 1)
     mid, radius = ((lo + hi) / 2).astype(dtype), ((hi - lo) / 2).astype(dtype)
-    c, G = (np.asarray(x) for x in KERNELS["image"](value, spread, rad, EXPONENTS, *(() if whole else (mid, radius))))
+    c, G = (
+        np.asarray(x)
+        for x in KERNELS["image"](value, spread, rad, EXPONENTS, *(() if whole else (mid, radius)))
+    )
     for k, trial in product(range(count), range(12)):
         corner = trial % 3 == 0
-        pick = lambda a, b, corner=corner: Fraction(int(rng.choice([a * 16, b * 16]) if corner else rng.integers(a * 16, b * 16 + 1)), 16)
+        pick = lambda a, b, corner=corner: Fraction(
+            int(rng.choice([a * 16, b * 16]) if corner else rng.integers(a * 16, b * 16 + 1)), 16
+        )
         v = [pick(-1, 1) if whole else pick(lo[i, k], hi[i, k]) for i in range(n)]
         e = [pick(-1, 1) for _ in range(2)]
         p, _ = exact(value[..., k], spread, rad[:, k], EXPONENTS, v, e)
@@ -81,7 +101,9 @@ def test_slopes_are_the_derivatives_and_bend_bounds_their_change(rng):
 def test_a_multiaffine_range_is_that_of_its_vertices(rng):
     value, spread, rad, error = draw(rng, PLAIN, count=12)
     value[:, 0] *= 4
-    margin, inside = (np.asarray(x) for x in polynomials.vertex_margin(value[:1], spread[:1], rad, PLAIN, error[:1]))
+    margin, inside = (
+        np.asarray(x) for x in polynomials.vertex_margin(value[:1], spread[:1], rad, PLAIN, error[:1])
+    )
     orders, corners = np.array([sum(a) for a in PLAIN]), list(product((Fraction(-1), Fraction(1)), repeat=5))
 
     def ends(k, t):
@@ -95,4 +117,6 @@ def test_a_multiaffine_range_is_that_of_its_vertices(rng):
         assert (margin[k] < 0) == (least > 0 or most < 0) and inside[k] == (least < 0 < most)
         t = 1 - margin[k]
         if 2e-3 < t < 500:  # 0 just leaves the range
-            assert (lambda e: e[0] > 0 or e[1] < 0)(ends(k, t * (1 - 1e-5))) and (lambda e: e[0] < 0 < e[1])(ends(k, t * (1 + 1e-5)))
+            assert (lambda e: e[0] > 0 or e[1] < 0)(ends(k, t * (1 - 1e-5))) and (lambda e: e[0] < 0 < e[1])(
+                ends(k, t * (1 + 1e-5))
+            )

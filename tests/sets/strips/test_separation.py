@@ -1,4 +1,6 @@
-"""The exchange search and its two proofs: every verdict is checked in exact rationals, whatever direction and point it was given."""
+"""The exchange search and its two proofs: every verdict is checked in exact rationals, whatever direction and
+point it was given.
+"""
 
 from fractions import Fraction
 
@@ -13,36 +15,55 @@ from jaxbound.sets.strips.separation import frame_of, separation_margin
 
 ROWS, UNKNOWNS, KNOWN, N = 8, 3, 1, 64  # one shape, because each compiles
 image, search, verdict, margin = map(
-    jax.jit, (separation.separation_image, separation.separation_search, separation.separation_verdict, separation_margin)
+    jax.jit,
+    (
+        separation.separation_image,
+        separation.separation_search,
+        separation.separation_verdict,
+        separation_margin,
+    ),
 )
 DTYPES = (np.float64, np.float32)
 
 
 class Case:
-    """A random frame and N windows with few binary digits, so that every number is a float of either type, exactly.
+    """A random frame and N windows with few binary digits, so that every number is a float of either type,
+    exactly.
 
-    Errors are (1 + push) times their bounds, plus a share `jitter` of them; middles are then rounded to the dtype.
+    Errors are (1 + push) times their bounds, plus a share `jitter` of them; middles are then rounded to the
+    dtype.
     """
 
     def __init__(self, rng, push=0.0, spread=3, gone=0, jitter=0.0, dtype=np.float64):
-        draw = lambda top, bits, *shape: [[Fraction(int(v), 2**bits) for v in row] for row in rng.integers(-top, top + 1, shape)]
+        draw = lambda top, bits, *shape: [
+            [Fraction(int(v), 2**bits) for v in row] for row in rng.integers(-top, top + 1, shape)
+        ]
         sizes = [Fraction(2) ** int(v) for v in rng.integers(-spread, spread + 1, ROWS)]
         E = [[size * x for x in row] for size, row in zip(sizes, draw(15, 3, ROWS, UNKNOWNS), strict=True)]
         K = [[size * x for x in row] for size, row in zip(sizes, draw(15, 3, ROWS, KNOWN), strict=True)]
         self.frame = linalg.frame(tuple(map(tuple, E)), tuple(map(tuple, K)))
         x, self.known = draw(31, 2, N, UNKNOWNS), draw(31, 2, N, KNOWN)
         dot = lambda a, b: sum((p * q for p, q in zip(a, b, strict=True)), Fraction(0))
-        self.true = [[dot(e, x[w]) + dot(k, self.known[w]) for e, k in zip(E, K, strict=True)] for w in range(N)]
-        self.rad = [[size * Fraction(int(v), 8) for size, v in zip(sizes, rng.integers(1, 9, ROWS), strict=True)] for _ in range(N)]
+        self.true = [
+            [dot(e, x[w]) + dot(k, self.known[w]) for e, k in zip(E, K, strict=True)] for w in range(N)
+        ]
+        self.rad = [
+            [size * Fraction(int(v), 8) for size, v in zip(sizes, rng.integers(1, 9, ROWS), strict=True)]
+            for _ in range(N)
+        ]
         self.signs = [self.worst(rng) for _ in range(N)]
         push = np.broadcast_to(push, N)
         error = 1 + np.broadcast_to(push, N)[:, None] + jitter * rng.normal(size=(N, ROWS))
-        self.mid = [[Fraction(float(dtype(t + s * r * Fraction(float(e))))) for t, s, r, e in zip(*four, strict=True)]
-                    for four in zip(self.true, self.signs, self.rad, error, strict=True)]  # fmt: skip
+        self.mid = [
+            [Fraction(float(dtype(t + s * r * Fraction(float(e))))) for t, s, r, e in zip(*four, strict=True)]
+            for four in zip(self.true, self.signs, self.rad, error, strict=True)
+        ]
         self.absent = [set(rng.permutation(ROWS)[:gone].tolist()) for _ in range(N)]
 
     def worst(self, rng):
-        """Return errors at their bounds that stretch one relation to its limit: the window lies on the boundary, exactly."""
+        """Return errors at their bounds that stretch one relation to its limit: the window lies on the
+        boundary, exactly.
+        """
         j = int(rng.integers(len(self.frame.outer)))
         h = self.whole([Fraction(int(i == j)) for i in range(len(self.frame.outer))])
         return [int(np.sign(x)) or int(rng.choice([-1, 1])) for x in h]
@@ -66,7 +87,10 @@ class Case:
 
     def residual(self, w, h):
         """Return (value, width) of a combination of relations at window w, exactly."""
-        action = [sum((x * row[b] for x, row in zip(h, self.frame.K, strict=True)), Fraction(0)) for b in range(KNOWN)]
+        action = [
+            sum((x * row[b] for x, row in zip(h, self.frame.K, strict=True)), Fraction(0))
+            for b in range(KNOWN)
+        ]
         used = [(x, self.mid[w][i], self.rad[w][i]) for i, x in enumerate(self.whole(h)) if x]
         value = sum((x * m for x, m, _ in used), Fraction(0)) - sum(
             (a * v for a, v in zip(action, self.known[w], strict=True)), Fraction(0)
@@ -113,13 +137,17 @@ def run(case, dtype, steps=60, change=None):
 def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
     for _ in range(10):
         case = Case(rng, dtype=dtype)
-        assert all(case.explained(w, [case.true[w][i] - case.mid[w][i] for i in case.frame.inner]) for w in range(N))
+        assert all(
+            case.explained(w, [case.true[w][i] - case.mid[w][i] for i in case.frame.inner]) for w in range(N)
+        )
         out, _, h, d = run(case, dtype)
         case.check(out, h, d)
         assert not (out < 0).any()
 
 
-@pytest.mark.parametrize("dtype, push", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "dtype, push", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.slow)]
+)
 def test_every_verdict_near_the_boundary_is_proved_and_sharp(dtype, push, rng):
     faults = explained = 0
     for _ in range(6):
@@ -135,13 +163,17 @@ def test_every_verdict_near_the_boundary_is_proved_and_sharp(dtype, push, rng):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_no_direction_and_no_point_can_make_a_verdict_wrong(dtype, rng):
-    """Garbage, directions and points near the best ones, and both scaled: the proof does not trust the search."""
+    """Garbage, directions and points near the best ones, and both scaled: the proof does not trust the
+    search.
+    """
     claims = np.zeros(2, int)
     for scale in (0, 1e-6, 1e-2, 1):
 
         def change(h, d, scale=scale):
             h = h + scale * rng.normal(size=h.shape) * (rng.random(h.shape) < 0.5)
-            return (h * 10.0 ** rng.uniform(-6, 6, N)).astype(dtype), (d * (1 + scale * rng.normal(size=d.shape))).astype(dtype)
+            return (h * 10.0 ** rng.uniform(-6, 6, N)).astype(dtype), (
+                d * (1 + scale * rng.normal(size=d.shape))
+            ).astype(dtype)
 
         case = Case(rng, rng.choice([-0.2, -1e-6, 0, 1e-6, 1e-3, 0.5], N), spread=8, dtype=dtype)
         out, _, h, d = run(case, dtype, change=change)
@@ -159,7 +191,11 @@ def test_absent_rows_are_left_out_of_the_proofs(dtype, rng):
         assert (out[~settled] == 0).all() and (~settled <= inner).all()
         claims += case.check(out, h, d)
         for w in np.flatnonzero(out < 0):
-            assert not any(x for i, x in enumerate(case.whole([Fraction(float(v)) for v in np.asarray(h)[:, w]])) if i in case.absent[w])
+            assert not any(
+                x
+                for i, x in enumerate(case.whole([Fraction(float(v)) for v in np.asarray(h)[:, w]]))
+                if i in case.absent[w]
+            )
     assert (claims > 10).all()
 
 
@@ -173,7 +209,9 @@ def test_the_factor_is_that_of_a_linear_program(rng):
     for w in range(N):
         scaled = np.vstack([R, np.eye(UNKNOWNS)]) / np.r_[rad[outer, w], rad[inner, w]][:, None]
         target, one = np.r_[z[:, w] / rad[outer, w], np.zeros(UNKNOWNS)], np.ones((ROWS, 1))
-        program = Program(np.vstack([np.hstack([scaled, one]), np.hstack([scaled, -one])]), np.r_[np.zeros(UNKNOWNS), 1.0])
+        program = Program(
+            np.vstack([np.hstack([scaled, one]), np.hstack([scaled, -one])]), np.r_[np.zeros(UNKNOWNS), 1.0]
+        )
         free = np.full(ROWS, np.inf)
         expected = program.solve(np.r_[target, -free][None], np.r_[free, target][None])[0]
         assert 1 - got[w] == pytest.approx(expected, rel=1e-8)
@@ -196,7 +234,10 @@ def test_gradients_are_those_of_finite_differences(rng):
     for part, x in enumerate((mid, rad, known)):
         for i in range(len(x)):
             step = 1e-7 * np.eye(len(x))[i][:, None] * abs(rad).max()
-            moved = [[v + sign * step if j == part else v for j, v in enumerate((mid, rad, known))] for sign in (1, -1)]
+            moved = [
+                [v + sign * step if j == part else v for j, v in enumerate((mid, rad, known))]
+                for sign in (1, -1)
+            ]
             difference = (total(*moved[0]) - total(*moved[1])) / (2 * step.max())
             np.testing.assert_allclose(np.sum(got[part][i]), difference, rtol=1e-5, atol=1e-5)
 
@@ -231,7 +272,9 @@ def test_without_any_row_of_a_relation_there_is_no_verdict(rng):
 
 @pytest.mark.parametrize("size", [1e150, 1e300])
 def test_a_coefficient_below_all_floats_still_counts(size):
-    """y0 = x0, y1 = x0 / 2 + 1e-320 x1, y2 = x1: with x1 large enough, a residual of y0 and y1 is healthy, however small."""
+    """y0 = x0, y1 = x0 / 2 + 1e-320 x1, y2 = x1: with x1 large enough, a residual of y0 and y1 is healthy,
+    however small.
+    """
     least = Fraction(1, 10**320)
     E = ((1, 0), (Fraction(1, 2), least), (0, 1))
     E = tuple(tuple(map(Fraction, row)) for row in E)

@@ -1,4 +1,6 @@
-"""The search on a tableau, where inner rows are more than relations: the factor and its two witnesses, against linear programs."""
+"""The search on a tableau, where inner rows are more than relations: the factor and its two witnesses,
+against linear programs.
+"""
 
 import jax
 import numpy as np
@@ -12,12 +14,19 @@ search = jax.jit(tableau_search, static_argnums=5)
 
 
 def factor(R, z, radius, present):
-    """Return the least t with |d_i| <= t r_i and |z_j - R_j d| <= t r_j for the rows that are there, by a linear program."""
+    """Return the least t with |d_i| <= t r_i and |z_j - R_j d| <= t r_j for the rows that are there, by a
+    linear program.
+    """
     rows = np.concatenate([R[present[:C]], np.eye(K)])
     r = np.concatenate([radius[:C][present[:C]], radius[C:]])[:, None]
     target = np.concatenate([z[present[:C]], np.zeros(K)])
-    found = linprog(np.eye(K + 1)[-1], np.vstack([np.hstack([rows, -r]), np.hstack([-rows, -r])]), np.concatenate([target, -target]),
-                    bounds=[(None, None)] * K + [(0, None)], method="highs")  # fmt: skip
+    found = linprog(
+        np.eye(K + 1)[-1],
+        np.vstack([np.hstack([rows, -r]), np.hstack([-rows, -r])]),
+        np.concatenate([target, -target]),
+        bounds=[(None, None)] * K + [(0, None)],
+        method="highs",
+    )
     assert found.status == 0
     return found.fun
 

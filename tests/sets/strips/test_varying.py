@@ -1,4 +1,6 @@
-"""Zonotopes that differ from window to window: margins against linear programs, proofs against exact rationals."""
+"""Zonotopes that differ from window to window: margins against linear programs, proofs against exact
+rationals.
+"""
 
 from fractions import Fraction
 
@@ -11,16 +13,29 @@ import pytest
 from jaxbound.sets.strips import varying
 from jaxbound.sets.strips.gauge import gauge_search
 
-COLUMNS = {1: 8, 2: 10, 3: 8, 4: 12, 5: 12}  # fewer generators are filled up with zeros, so that one shape is compiled
+COLUMNS = {
+    1: 8,
+    2: 10,
+    3: 8,
+    4: 12,
+    5: 12,
+}  # fewer generators are filled up with zeros, so that one shape is compiled
 
 
 def draw(rng, r, q, count):
-    """Draw zonotopes (N, r, q) and centres (N, r), a third of them degenerate: dependent rows, parallel, zero or too few generators."""
-    G, c = rng.normal(size=(count, r, q)), rng.normal(size=(count, r)) * rng.uniform(0.1, 1.5, (count, 1)) * np.sqrt(q)
+    """Draw zonotopes (N, r, q) and centres (N, r), a third of them degenerate: dependent rows, parallel, zero
+    or too few generators.
+    """
+    G, c = (
+        rng.normal(size=(count, r, q)),
+        rng.normal(size=(count, r)) * rng.uniform(0.1, 1.5, (count, 1)) * np.sqrt(q),
+    )
     for k in range(0, count, 3):
         kind = rng.integers(5)
         if kind == 0:
-            G[k, :, 1:] = np.outer(G[k, :, 0], rng.integers(-2, 3, q - 1)) if rng.random() < 0.3 else G[k, :, 1:]
+            G[k, :, 1:] = (
+                np.outer(G[k, :, 0], rng.integers(-2, 3, q - 1)) if rng.random() < 0.3 else G[k, :, 1:]
+            )
             G[k, :, 1] = -2 * G[k, :, 0]
         elif kind == 1:
             G[k] = rng.integers(-2, 3, (r, q))
@@ -37,16 +52,24 @@ def draw(rng, r, q, count):
 
 
 def gauges(c, G):
-    """Return t (N,) by HiGHS: 1 / t is the largest s with G z = -s c for some |z| <= 1; infinite where only s = 0 will do."""
+    """Return t (N,) by HiGHS: 1 / t is the largest s with G z = -s c for some |z| <= 1; infinite where only s
+    = 0 will do.
+    """
     solver, status, out = highspy.Highs(), highspy.HighsModelStatus, np.empty(len(c))
-    for option, value in dict(output_flag=False, primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10).items():
+    for option, value in dict(
+        output_flag=False, primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10
+    ).items():
         solver.setOptionValue(option, value)
     r, q = G.shape[1:]
     for k in range(len(c)):
         scale = np.maximum(abs(np.column_stack([G[k], c[k]])).max(1), 1e-300)
         model = highspy.HighsLp()
         model.num_col_, model.num_row_, model.sense_ = q + 1, r, highspy.ObjSense.kMaximize
-        model.col_cost_, model.col_lower_, model.col_upper_ = np.r_[np.zeros(q), 1], np.r_[-np.ones(q), 0], np.r_[np.ones(q), 1e6]
+        model.col_cost_, model.col_lower_, model.col_upper_ = (
+            np.r_[np.zeros(q), 1],
+            np.r_[-np.ones(q), 0],
+            np.r_[np.ones(q), 1e6],
+        )
         model.row_lower_ = model.row_upper_ = np.zeros(r)
         model.a_matrix_.start_, model.a_matrix_.index_ = np.arange(q + 2) * r, np.tile(np.arange(r), q + 1)
         model.a_matrix_.value_ = (np.column_stack([G[k], c[k]]) / scale[:, None]).T.ravel()
@@ -93,13 +116,19 @@ def test_margins_have_the_sign_of_linear_programs_on_20000_zonotopes(rng, r, q):
         assert not ((abs(wanted) > 1e-9) & (margin == 0) & (wanted < 0)).any()
 
 
-@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "r", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.long)]
+)
 def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
-    """Integers: c = -G z with z at the vertex that h selects is exactly on the boundary; a hair further is outside."""
+    """Integers: c = -G z with z at the vertex that h selects is exactly on the boundary; a hair further is
+    outside.
+    """
     q, count = COLUMNS[r], 2000
     G = rng.integers(-9, 10, (count, r, q)).astype(float)
     h = rng.integers(-9, 10, (count, r)).astype(float)
-    side = np.sign(np.einsum("ni,nij->nj", h, G)) + (np.einsum("ni,nij->nj", h, G) == 0) * rng.choice([-1, 1], (count, q))
+    side = np.sign(np.einsum("ni,nij->nj", h, G)) + (np.einsum("ni,nij->nj", h, G) == 0) * rng.choice(
+        [-1, 1], (count, q)
+    )
     c = -np.einsum("nij,nj->ni", G, side)
     on_it = varying.zonotope_margins(*columns_first(c, G))
     assert not (on_it < 0).any()
@@ -113,7 +142,9 @@ def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
 
 @pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_errors_of_the_entries_count(rng, r):
-    """A set that holds 0 for some entries within their errors is never refuted: here c is moved out by all that the errors allow."""
+    """A set that holds 0 for some entries within their errors is never refuted: here c is moved out by all
+    that the errors allow.
+    """
     q, count = COLUMNS[r], 500
     G, z = rng.normal(size=(count, r, q)), rng.choice([-1.0, 1.0], (count, q))
     true_c = -np.einsum("nij,nj->ni", G, z)  # 0 is a vertex, or inside
@@ -134,16 +165,26 @@ def test_a_refuting_direction_is_a_proof_in_exact_rationals(rng):
     assert refuted.sum() > 10
     for k in np.flatnonzero(refuted):
         direction = [Fraction(float(x)) for x in h[:, k]]
-        dot = lambda column, d=direction: sum((x * Fraction(float(y)) for x, y in zip(d, column, strict=True)), Fraction(0))
+        dot = lambda column, d=direction: sum(
+            (x * Fraction(float(y)) for x, y in zip(d, column, strict=True)), Fraction(0)
+        )
         assert abs(dot(c[k])) > sum(abs(dot(column)) for column in G[k].T)
 
 
 @pytest.mark.slow
 def test_naive_strips_miss_what_rank_aware_ones_see(rng):
-    """Six generators in a plane of R^3 (golden "Degeneracy"): all normals of pairs are the plane's, which says nothing within it."""
+    """Six generators in a plane of R^3 (golden "Degeneracy"): all normals of pairs are the plane's, which
+    says nothing within it.
+    """
     count = 400
-    basis, inner = rng.integers(-4, 5, (count, 3, 2)).astype(float), rng.integers(-4, 5, (count, 2, 6)).astype(float)
-    G, x = np.pad(basis @ inner, ((0, 0), (0, 0), (0, COLUMNS[3] - 6))), rng.integers(-40, 41, (count, 2)).astype(float)
+    basis, inner = (
+        rng.integers(-4, 5, (count, 3, 2)).astype(float),
+        rng.integers(-4, 5, (count, 2, 6)).astype(float),
+    )
+    G, x = (
+        np.pad(basis @ inner, ((0, 0), (0, 0), (0, COLUMNS[3] - 6))),
+        rng.integers(-40, 41, (count, 2)).astype(float),
+    )
     c = np.einsum("nij,nj->ni", basis, x)
     normal = np.cross(G[:, :, 0], G[:, :, 1])
     naive_accepts = abs(np.einsum("ni,ni->n", normal, c)) <= 1e-9
@@ -153,24 +194,33 @@ def test_naive_strips_miss_what_rank_aware_ones_see(rng):
 
 
 def test_many_strips_of_three_rows_tell_what_is_outside_and_how_far(rng):
-    """Nine generators, in some sets parallel, zero or in a plane; then sets whose boundary goes through 0, in integers."""
+    """Nine generators, in some sets parallel, zero or in a plane; then sets whose boundary goes through 0, in
+    integers.
+    """
     c, G = draw(rng, 3, 9, 300)
     G[::7, :, 3:] = 0
     G[1::7, 2] = 0
-    margin, wanted = np.asarray(varying.strip_margins(*map(jnp.asarray, columns_first(c, G)), jnp.zeros((3, 300)))), 1 - gauges(c, G)
+    margin, wanted = (
+        np.asarray(varying.strip_margins(*map(jnp.asarray, columns_first(c, G)), jnp.zeros((3, 300)))),
+        1 - gauges(c, G),
+    )
     assert ((margin < 0) == (wanted < 0))[abs(wanted) > 1e-9].all() and 20 < (margin < 0).sum() < 280
     sized = np.isfinite(wanted) & (wanted > -1e3)
     np.testing.assert_allclose(margin[sized], wanted[sized], rtol=1e-6, atol=1e-6)
     G, h = rng.integers(-9, 10, (300, 3, 9)).astype(float), rng.integers(-9, 10, (300, 3)).astype(float)
     c = -np.einsum("nij,nj->ni", G, np.where(np.einsum("ni,nij->nj", h, G) >= 0, 1, -1))
-    assert not (np.asarray(varying.strip_margins(*map(jnp.asarray, columns_first(c, G)), jnp.zeros((3, 300)))) < 0).any()
+    assert not (
+        np.asarray(varying.strip_margins(*map(jnp.asarray, columns_first(c, G)), jnp.zeros((3, 300)))) < 0
+    ).any()
 
 
 def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
     c, G = np.array([[1.0, np.nan, 0.5], [0.0, 0.0, 0.0]]), np.ones((2, COLUMNS[2], 3)) / 4
     G[1, ::2] *= -1
     assert np.isnan(varying.zonotope_margins(c, G)).tolist() == [False, True, False]
-    assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx([0.6, 0.8])  # along the first row G reaches 10 / 4
+    assert varying.zonotope_margins(c, G)[[0, 2]].tolist() == pytest.approx(
+        [0.6, 0.8]
+    )  # along the first row G reaches 10 / 4
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
@@ -189,8 +239,15 @@ def test_many_windows_with_numbers_that_say_nothing_prove_nothing(rng, bad):
 @pytest.mark.long
 def test_float32_and_uncompiled_code_prove_the_same(rng):
     c, G = (x.astype(np.float32) for x in columns_first(*draw(rng, 2, COLUMNS[2], 64)))
-    single, double = varying.zonotope_margins(c, G), varying.zonotope_margins(c.astype(float), G.astype(float))
-    assert single.dtype == np.float32 and not (np.sign(single) * np.sign(double) < 0).any() and (single != 0).mean() > 0.5
+    single, double = (
+        varying.zonotope_margins(c, G),
+        varying.zonotope_margins(c.astype(float), G.astype(float)),
+    )
+    assert (
+        single.dtype == np.float32
+        and not (np.sign(single) * np.sign(double) < 0).any()
+        and (single != 0).mean() > 0.5
+    )
     with jax.disable_jit():
         few = [jnp.asarray(x[..., :4]) for x in (c, G, 0 * c)]
         refuted = np.asarray(varying.strip_margins(*few)) < 0
@@ -212,7 +269,12 @@ def test_a_second_call_does_not_trace(rng):
         (np.zeros((2, 3)), np.zeros((2, 4, 2)), {}, "c (r, N) and G (r, q, N)"),
         (np.zeros(3), np.zeros((1, 4, 3)), {}, "c (r, N) and G (r, q, N)"),
         (np.zeros((1, 3)), np.zeros((1, 0, 3)), {}, "r and q at least 1"),
-        (np.zeros((1, 3)), np.zeros((1, 2, 3)), {"c_error": np.zeros(3)}, "c_error must have the shape (1, 3)"),
+        (
+            np.zeros((1, 3)),
+            np.zeros((1, 2, 3)),
+            {"c_error": np.zeros(3)},
+            "c_error must have the shape (1, 3)",
+        ),
     ],
 )
 def test_shapes_that_do_not_fit_are_refused(c, G, extra, says):

@@ -1,4 +1,6 @@
-"""Operations on zonotopes enclose what exact rationals give, entry by entry: eagerly, compiled and batched, degenerate sets included."""
+"""Operations on zonotopes enclose what exact rationals give, entry by entry: eagerly, compiled and batched,
+degenerate sets included.
+"""
 
 from fractions import Fraction
 
@@ -16,7 +18,9 @@ SHAPES = [(2, 0), (3, 7)]
 DTYPES = [np.float64, np.float32]
 CASES = [("eager", np.float64), ("jit", np.float64), ("vmap", np.float64), ("vmap", np.float32)]
 CASES += [pytest.param(way, np.float32, marks=pytest.mark.slow) for way in ("eager", "jit")]
-every_way = pytest.mark.parametrize(("way", "dtype"), CASES)  # compiling is what takes time: `test_algebra_many` has more shapes
+every_way = pytest.mark.parametrize(
+    ("way", "dtype"), CASES
+)  # compiling is what takes time: `test_algebra_many` has more shapes
 
 
 def three(x):
@@ -27,7 +31,9 @@ def three(x):
 WAYS = {
     "eager": lambda f, *sets_: f(*sets_),
     "jit": lambda f, *sets_: jax.jit(f)(*sets_),
-    "vmap": lambda f, *sets_: jax.tree.map(lambda x: np.asarray(x)[1], jax.jit(jax.vmap(f))(*jax.tree.map(three, sets_))),
+    "vmap": lambda f, *sets_: jax.tree.map(
+        lambda x: np.asarray(x)[1], jax.jit(jax.vmap(f))(*jax.tree.map(three, sets_))
+    ),
 }
 
 
@@ -70,11 +76,16 @@ def coefficients(rng, q):
 
 
 def off(S, x, point, first=None):
-    """Return whether `point` is c + G x and the last n generators, which are along the axes, make up for the rest."""
+    """Return whether `point` is c + G x and the last n generators, which are along the axes, make up for the
+    rest.
+    """
     n = len(S.center)
     G = np.asarray(S.generators)
     assert (G[:, -n:] == np.diag(np.diag(G[:, -n:]))).all() and (np.diag(G[:, -n:]) >= 0).all()
-    return all(abs(p - y) <= Fraction(float(e)) for p, y, e in zip(point, image(S, x), np.diag(G[:, -n:]), strict=True))
+    return all(
+        abs(p - y) <= Fraction(float(e))
+        for p, y, e in zip(point, image(S, x), np.diag(G[:, -n:]), strict=True)
+    )
 
 
 def sharp(S, *others):
@@ -88,12 +99,18 @@ def sharp(S, *others):
 @every_way
 def test_linear_map_encloses_exact_images(way, dtype, rng):
     for n, q in shapes(dtype, way):
-        Z, M, v = drawn(rng, n, q, dtype), rng.normal(size=(3, n)).astype(dtype), rng.normal(size=3).astype(dtype)
+        Z, M, v = (
+            drawn(rng, n, q, dtype),
+            rng.normal(size=(3, n)).astype(dtype),
+            rng.normal(size=3).astype(dtype),
+        )
         plain, moved = WAYS[way](lambda S, M=M, v=v: (sets.linear_map(M, S), sets.linear_map(M, S, v)), Z)
         for _ in range(5):
             x = coefficients(rng, q)
             exact = [dot(row, image(Z, x)) for row in rational(M)]
-            assert off(plain, x, exact) and off(moved, x, [a + b for a, b in zip(exact, rational(v), strict=True)])
+            assert off(plain, x, exact) and off(
+                moved, x, [a + b for a, b in zip(exact, rational(v), strict=True)]
+            )
         assert plain.center.dtype == dtype and plain.generators.shape == (3, q + 3)
         assert sharp(plain, np.abs(M) @ np.abs(np.column_stack([Z.center, Z.generators]))) and sharp(
             moved, M @ np.asarray(Z.center), v, np.abs(M) @ np.abs(np.column_stack([Z.center, Z.generators]))
@@ -134,22 +151,38 @@ def test_the_hull_of_two_sets_encloses_every_mixture(dtype, rng):
         S, wide = sets.convex_hull(Z, Y), max(q, 4)
         for _ in range(5):
             share = Fraction(float(rng.uniform()))
-            x, y = coefficients(rng, q) + [Fraction(0)] * (wide - q), coefficients(rng, 4) + [Fraction(0)] * (wide - 4)
-            point = [share * a + (1 - share) * b for a, b in zip(image(Z, x[:q]), image(Y, y[:4]), strict=True)]
-            # share p + (1 - share) r = middle + half the difference: coefficients (2 share - 1, (a + b), (a - b)) with a, b weighted
+            x, y = (
+                coefficients(rng, q) + [Fraction(0)] * (wide - q),
+                coefficients(rng, 4) + [Fraction(0)] * (wide - 4),
+            )
+            point = [
+                share * a + (1 - share) * b for a, b in zip(image(Z, x[:q]), image(Y, y[:4]), strict=True)
+            ]
+            # share p + (1 - share) r = middle + half the difference: coefficients (2 share - 1, (a + b), (a -
+            # b)) with a, b weighted
             a, b = [share * v for v in x], [(1 - share) * v for v in y]
-            s = [2 * share - 1] + [v + w for v, w in zip(a, b, strict=True)] + [v - w for v, w in zip(a, b, strict=True)]
+            s = (
+                [2 * share - 1]
+                + [v + w for v, w in zip(a, b, strict=True)]
+                + [v - w for v, w in zip(a, b, strict=True)]
+            )
             assert max(map(abs, s)) <= 1 and off(S, s, point)
 
 
 @every_way
 def test_an_intersection_holds_every_common_point(way, dtype, rng):
     for n, q in shapes(dtype, way)[-3:]:
-        Z, Y, M = drawn(rng, n, q, dtype, 1), drawn(rng, 2, 3, dtype, 1), rng.normal(size=(2, n)).astype(dtype)
+        Z, Y, M = (
+            drawn(rng, n, q, dtype, 1),
+            drawn(rng, 2, 3, dtype, 1),
+            rng.normal(size=(2, n)).astype(dtype),
+        )
         x, y = coefficients(rng, q), coefficients(rng, 3)
         p = [dot(row, image(Z, x)) for row in rational(M)]
         exact = image(Y, y)
-        near = np.array([float(a - b) for a, b in zip(p, exact, strict=True)])  # Y moves so that M p is the point of y, nearly
+        near = np.array(
+            [float(a - b) for a, b in zip(p, exact, strict=True)]
+        )  # Y moves so that M p is the point of y, nearly
         Y = Zonotope(jnp.asarray(np.asarray(Y.center) + near.astype(dtype)), Y.generators)
         C = WAYS[way](lambda S, T, M=M: sets.intersection(S, T, M), Z, Y)
         rows, b, size = rational(C.constraints), rational(C.offsets), np.asarray(C.constraints)
@@ -157,7 +190,9 @@ def test_an_intersection_holds_every_common_point(way, dtype, rng):
         gap = [abs(a - e) for a, e in zip(p, image(Y, y), strict=True)]  # what they miss each other by
         for row, offset, s, g in zip(rows, b, slack, gap, strict=True):
             assert abs(dot(row[: q + 3], x + y) - offset) <= Fraction(float(s)) + g
-        assert (np.asarray(C.center) == np.asarray(Z.center)).all() and not np.asarray(C.generators)[:, q:].any()
+        assert (np.asarray(C.center) == np.asarray(Z.center)).all() and not np.asarray(C.generators)[
+            :, q:
+        ].any()
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -168,9 +203,18 @@ def test_strips_and_half_spaces_keep_what_they_hold(dtype, rng):
         at = [dot(row, image(Z, x)) for row in rational(M)]
         lo, hi = (np.array([float(v) for v in at]) + s * np.array([0.5, np.inf, 1e-3]) for s in (-1, 1))
         hi[1] = float(at[1]) + 0.1
-        Y = sets.interval(np.nextafter(lo.astype(dtype), dtype(-np.inf)), np.nextafter(hi.astype(dtype), dtype(np.inf)))
+        Y = sets.interval(
+            np.nextafter(lo.astype(dtype), dtype(-np.inf)), np.nextafter(hi.astype(dtype), dtype(np.inf))
+        )
         C = sets.intersection(Z, Y, M)
-        rows = list(zip(rational(C.constraints), rational(C.offsets), -np.diag(np.asarray(C.constraints)[:, q:]), strict=True))
+        rows = list(
+            zip(
+                rational(C.constraints),
+                rational(C.offsets),
+                -np.diag(np.asarray(C.constraints)[:, q:]),
+                strict=True,
+            )
+        )
         assert all(abs(dot(row[:q], x) - b) <= Fraction(float(s)) for row, b, s in rows)
         for gain in (None, rng.normal(size=(n, 3)).astype(dtype), np.zeros((n, 3), dtype)):
             S = sets.strip_intersection(Z, Y, M, gain)
@@ -184,20 +228,29 @@ def test_eliminated_constraints_leave_every_point(way, dtype, rng):
         x = [Fraction(int(v), 8) for v in rng.integers(-8, 9, q)]
         A = rng.integers(-9, 10, (k, q)).astype(dtype)  # so that A x = b holds exactly
         b = np.array([float(dot(row, x)) for row in rational(A)], dtype)
-        S = ConstrainedZonotope(*(jnp.asarray(v.astype(dtype)) for v in (rng.normal(size=n), rng.normal(size=(n, q)), A, b)))
+        S = ConstrainedZonotope(
+            *(jnp.asarray(v.astype(dtype)) for v in (rng.normal(size=n), rng.normal(size=(n, q)), A, b))
+        )
         found = WAYS[way](lambda C, keep=keep: sets.eliminate_constraints(C, keep), S)
         rest = [abs(p - y) for p, y in zip(image(S, x), image(found, x), strict=True)]
         errors = np.diag(np.asarray(found.generators)[:, q:])
         if keep:
-            rest += [abs(dot(row[:q], x) - e) for row, e in zip(rational(found.constraints), rational(found.offsets), strict=True)]
+            rest += [
+                abs(dot(row[:q], x) - e)
+                for row, e in zip(rational(found.constraints), rational(found.offsets), strict=True)
+            ]
             errors = np.concatenate([errors, np.diag(np.asarray(found.constraints)[:, q + n :])])
             assert found.constraints.shape == (keep, q + n + keep)
-        assert all(r <= Fraction(float(e)) for r, e in zip(rest, errors, strict=True)) and (errors < 1e-2).all()
+        assert (
+            all(r <= Fraction(float(e)) for r, e in zip(rest, errors, strict=True)) and (errors < 1e-2).all()
+        )
 
 
 def supported(S, d):
     """Return max d . p exactly over a Zonotope."""
-    return dot(d, rational(S.center)) + sum((abs(dot(d, g)) for g in transpose(rational(S.generators))), Fraction(0))
+    return dot(d, rational(S.center)) + sum(
+        (abs(dot(d, g)) for g in transpose(rational(S.generators))), Fraction(0)
+    )
 
 
 @every_way
@@ -212,7 +265,9 @@ def test_a_reduced_set_reaches_as_far_everywhere(way, method, dtype, rng):
             assert supported(S, d) >= supported(Z, d)
         for axis in np.eye(n):  # no wider than a box around the whole, along the axes
             far = supported(Z, rational(axis))
-            assert method == "pca" or supported(S, rational(axis)) - far <= 100 * float(np.finfo(dtype).eps) * (abs(far) + 100)
+            assert method == "pca" or supported(S, rational(axis)) - far <= 100 * float(
+                np.finfo(dtype).eps
+            ) * (abs(far) + 100)
 
 
 def test_a_flat_set_is_reduced_within_its_plane_but_for_rounding(rng):
@@ -268,19 +323,24 @@ def test_supports_with_constraints_are_those_of_a_linear_program(rng):
     for n, q, k in [(3, 12, 8)]:
         for _ in range(20):
             A, x = rng.normal(size=(k, q)), rng.uniform(-1, 1, q)
-            S = ConstrainedZonotope(*map(jnp.asarray, (rng.normal(size=n), rng.normal(size=(n, q)), A, A @ x)))
+            S = ConstrainedZonotope(
+                *map(jnp.asarray, (rng.normal(size=n), rng.normal(size=(n, q)), A, A @ x))
+            )
             d = rng.normal(size=n)
             best, found = program(S, d), float(sets.support(S, d))
             assert best - 1e-9 <= found <= best + 1e-8 * (1 + abs(best))
     box = sets.interval_hull(S)
     assert all(
-        abs(float(box.hi[i]) - program(S, e)) < 1e-7 and abs(float(box.lo[i]) + program(S, -e)) < 1e-7 for i, e in enumerate(np.eye(n))
+        abs(float(box.hi[i]) - program(S, e)) < 1e-7 and abs(float(box.lo[i]) + program(S, -e)) < 1e-7
+        for i, e in enumerate(np.eye(n))
     )
 
 
 def test_repeated_constraints_and_points_have_supports_too():
     once = [1.0, 1.0, 0.0, 0.0]  # of the shape of the published set with constraints
-    S = sets.constrained_zonotope([0.0, 0.0], [[1.0, 0.5, 0.0, 0.0], [0.0] * 4], [once, once], [2.0, 2.0])  # only x = (1, 1, .., ..)
+    S = sets.constrained_zonotope(
+        [0.0, 0.0], [[1.0, 0.5, 0.0, 0.0], [0.0] * 4], [once, once], [2.0, 2.0]
+    )  # only x = (1, 1, .., ..)
     assert 1.5 <= float(sets.support(S, [1.0, 0.0])) < 1.5 + 1e-6
 
 
@@ -288,7 +348,9 @@ def test_a_support_along_zero_proves_sets_empty_under_jit_and_vmap(rng):
     A, x = rng.normal(size=(20, 2, 4)), rng.uniform(-1, 1, (20, 4))
     b = np.einsum("skq,sq->sk", A, x)
     b[10:, 0] = np.abs(A[10:, 0]).sum(1) * 1.001
-    support = jax.jit(jax.vmap(sets.support))  # of four at a time: the program of the published set with constraints
+    support = jax.jit(
+        jax.vmap(sets.support)
+    )  # of four at a time: the program of the published set with constraints
     parts = [np.zeros((20, 2)), rng.normal(size=(20, 2, 4)), A, b]
     far = in_blocks(lambda *parts: support(ConstrainedZonotope(*parts), np.zeros((4, 2))), 4, *parts)
     assert (far[:10] >= 0).all() and (far[10:] < 0).all()
@@ -300,7 +362,10 @@ EMPTY = [(np.inf, -np.inf), (2.0, 1.0), (np.inf, np.inf)]
 @pytest.mark.parametrize("bounds", EMPTY, ids=["empty", "lo above hi", "infinite point"])
 @pytest.mark.parametrize("center", [0.0, 1e9], ids=["near", "far"])
 def test_nothing_is_in_an_empty_interval_nor_in_a_strip_of_negative_width(bounds, center):
-    Z, Y = sets.zonotope([center, 1.0], np.eye(2)), Interval(*(jnp.array([b, s]) for b, s in zip(bounds, (-9.0, 9.0), strict=True)))
+    Z, Y = (
+        sets.zonotope([center, 1.0], np.eye(2)),
+        Interval(*(jnp.array([b, s]) for b, s in zip(bounds, (-9.0, 9.0), strict=True))),
+    )
     assert sets.is_empty(sets.intersection(Z, Y, np.array([[1.0, 1.0], [1.0, 0.0]]))).yes
 
 
@@ -314,13 +379,20 @@ def test_a_bound_that_is_no_number_takes_nothing_away(bounds):
 
 def test_a_matrix_or_factor_with_a_bound_that_is_no_number_bounds_nothing():
     Z, N = sets.zonotope([1.0], [[1.0]]), Interval(jnp.array([np.nan]), jnp.array([np.nan]))
-    for S in (sets.linear_map(Interval(N.lo[None], N.hi[None]), Z), sets.linear_map([[1.0]], Z, N), sets.translate(Z, N), sets.scale(Z, N)):
+    for S in (
+        sets.linear_map(Interval(N.lo[None], N.hi[None]), Z),
+        sets.linear_map([[1.0]], Z, N),
+        sets.translate(Z, N),
+        sets.scale(Z, N),
+    ):
         assert not np.isfinite(np.asarray(S.generators)).all()
     assert not sets.support(Z, N) < np.inf
 
 
 def test_an_empty_box_is_no_zonotope():
-    with pytest.raises(ValueError, match=r"an empty box is no zonotope: 1 of 2 coordinates are empty, first at \(1,\)"):
+    with pytest.raises(
+        ValueError, match=r"an empty box is no zonotope: 1 of 2 coordinates are empty, first at \(1,\)"
+    ):
         sets.from_interval(Interval(jnp.array([0.0, np.inf]), jnp.array([1.0, -np.inf])))
 
 
@@ -329,7 +401,9 @@ def test_a_box_becomes_a_zonotope_that_holds_it(rng):
     box = sets.interval(lo, lo + rng.exponential(size=4))
     Z = sets.from_interval(box)
     for i, axis in enumerate(np.eye(4)):
-        assert supported(Z, rational(axis)) >= Fraction(float(box.hi[i])) and -supported(Z, rational(-axis)) <= Fraction(float(box.lo[i]))
+        assert supported(Z, rational(axis)) >= Fraction(float(box.hi[i])) and -supported(
+            Z, rational(-axis)
+        ) <= Fraction(float(box.lo[i]))
 
 
 def test_an_overflow_is_never_a_small_set():
@@ -343,7 +417,9 @@ def test_a_scan_needs_no_sort_and_compiles_once(rng):
     @jax.jit
     def run(Z):
         def step(Z, _):
-            return sets.reduce_order(sets.minkowski_sum(noise, sets.linear_map(A, Z)), 6, "last"), sets.interval_hull(Z).hi
+            return sets.reduce_order(
+                sets.minkowski_sum(noise, sets.linear_map(A, Z)), 6, "last"
+            ), sets.interval_hull(Z).hi
 
         return jax.lax.scan(step, Z, length=50)
 
@@ -351,21 +427,24 @@ def test_a_scan_needs_no_sort_and_compiles_once(rng):
     assert np.isfinite(np.asarray(far)).all() and Z.generators.shape == (2, 12)
 
 
-@pytest.mark.parametrize("call, sentence", [
-    (lambda Z: sets.linear_map(np.eye(3), Z), "must have shape"),
-    (lambda Z: sets.linear_map(np.eye(2), Z, [1.0]), "offset must have shape"),
-    (lambda Z: sets.minkowski_sum(Z, sets.zonotope([0.0], [[1.0]])), "one dimension"),
-    (lambda Z: sets.scale(Z, [1.0, 2.0, 3.0]), "factor"),
-    (lambda Z: sets.reduce_order(Z, 0.5), "at least 1"),
-    (lambda Z: sets.reduce_order(Z, 1, "pca"), "at least 2"),
-    (lambda Z: sets.reduce_order(Z, 2, "sort"), "method must be one of"),
-    (lambda Z: sets.intersection(Z, sets.interval([0.0], [1.0])), "2 coordinates"),
-    (lambda Z: sets.intersection(Z, Z, np.eye(3)), "shape"),
-    (lambda Z: sets.support(Z, [1.0]), "direction"),
-    (lambda Z: sets.linear_map(np.eye(2), Zonotope(jnp.zeros((5, 2)), jnp.zeros((5, 2, 3)))), "vmap"),
-    (lambda Z: sets.eliminate_constraints(Z, keep=-1), "keep"),
-    (lambda Z: sets.from_interval(sets.interval(0.0, 1.0)), "shape"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "call, sentence",
+    [
+        (lambda Z: sets.linear_map(np.eye(3), Z), "must have shape"),
+        (lambda Z: sets.linear_map(np.eye(2), Z, [1.0]), "offset must have shape"),
+        (lambda Z: sets.minkowski_sum(Z, sets.zonotope([0.0], [[1.0]])), "one dimension"),
+        (lambda Z: sets.scale(Z, [1.0, 2.0, 3.0]), "factor"),
+        (lambda Z: sets.reduce_order(Z, 0.5), "at least 1"),
+        (lambda Z: sets.reduce_order(Z, 1, "pca"), "at least 2"),
+        (lambda Z: sets.reduce_order(Z, 2, "sort"), "method must be one of"),
+        (lambda Z: sets.intersection(Z, sets.interval([0.0], [1.0])), "2 coordinates"),
+        (lambda Z: sets.intersection(Z, Z, np.eye(3)), "shape"),
+        (lambda Z: sets.support(Z, [1.0]), "direction"),
+        (lambda Z: sets.linear_map(np.eye(2), Zonotope(jnp.zeros((5, 2)), jnp.zeros((5, 2, 3)))), "vmap"),
+        (lambda Z: sets.eliminate_constraints(Z, keep=-1), "keep"),
+        (lambda Z: sets.from_interval(sets.interval(0.0, 1.0)), "shape"),
+    ],
+)
 def test_what_does_not_fit_is_refused_in_a_sentence(call, sentence):
     with pytest.raises(ValueError, match=sentence):
         call(sets.zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]]))
@@ -375,7 +454,10 @@ def test_what_is_no_set_is_refused():
     with pytest.raises(TypeError, match="zonotope is needed: this is ndarray"):
         sets.linear_map(np.eye(2), np.eye(2))
     box = sets.constrained_zonotope([0.0], [[1.0]], [[1.0]], [0.0])
-    for call in (lambda: sets.strip_intersection(box, sets.interval([0.0], [1.0]), [[1.0]]), lambda: sets.convex_hull(box, box)):
+    for call in (
+        lambda: sets.strip_intersection(box, sets.interval([0.0], [1.0]), [[1.0]]),
+        lambda: sets.convex_hull(box, box),
+    ):
         with pytest.raises(TypeError, match="constraints|exact"):
             call()
 
@@ -384,7 +466,9 @@ def test_what_is_no_set_is_refused():
 
 
 def _small(dtype):
-    """Return a set around 0 whose numbers are subnormal in float32, a subnormal number being what compiled code converts to 0."""
+    """Return a set around 0 whose numbers are subnormal in float32, a subnormal number being what compiled
+    code converts to 0.
+    """
     return Zonotope(jnp.zeros(1, dtype), jnp.full((1, 1), 1e-40, dtype))
 
 
@@ -392,22 +476,35 @@ NARROW, WIDE = _small(np.float32), _small(np.float64)
 ONE = np.ones((1, 1))
 
 
-@pytest.mark.parametrize("reach", [
-    lambda: sets.linear_map(ONE, NARROW).generators[0],
-    lambda: sets.cartesian_product(WIDE, NARROW).generators[1],
-    lambda: sets.intersection(WIDE, NARROW).constraints[0, 1:],
-    lambda: sets.interval_hull(Zonotope(WIDE.center, NARROW.generators)).hi,
-    *(pytest.param(f, marks=pytest.mark.slow) for f in (
-        lambda: sets.linear_map(ONE.astype(np.float32), WIDE, np.zeros(1, np.float32)).generators[0],
-        lambda: sets.scale(NARROW, np.float64(1.0)).generators[0],
-        lambda: sets.translate(NARROW, np.zeros(1)).generators[0],
-        lambda: sets.minkowski_sum(NARROW, WIDE).generators[0] / 2,
-        lambda: sets.convex_hull(NARROW, WIDE).generators[0],
-        lambda: sets.support(NARROW, ONE[0])[None],
-        lambda: sets.reduce_order(Zonotope(WIDE.center, jnp.concatenate([NARROW.generators] * 2, 1)), 1).generators[0] / 2,
-        lambda: sets.eliminate_constraints(ConstrainedZonotope(WIDE.center, NARROW.generators, 0 * ONE, np.zeros(1))).generators[0],
-    )),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "reach",
+    [
+        lambda: sets.linear_map(ONE, NARROW).generators[0],
+        lambda: sets.cartesian_product(WIDE, NARROW).generators[1],
+        lambda: sets.intersection(WIDE, NARROW).constraints[0, 1:],
+        lambda: sets.interval_hull(Zonotope(WIDE.center, NARROW.generators)).hi,
+        *(
+            pytest.param(f, marks=pytest.mark.slow)
+            for f in (
+                lambda: sets.linear_map(ONE.astype(np.float32), WIDE, np.zeros(1, np.float32)).generators[0],
+                lambda: sets.scale(NARROW, np.float64(1.0)).generators[0],
+                lambda: sets.translate(NARROW, np.zeros(1)).generators[0],
+                lambda: sets.minkowski_sum(NARROW, WIDE).generators[0] / 2,
+                lambda: sets.convex_hull(NARROW, WIDE).generators[0],
+                lambda: sets.support(NARROW, ONE[0])[None],
+                lambda: (
+                    sets.reduce_order(
+                        Zonotope(WIDE.center, jnp.concatenate([NARROW.generators] * 2, 1)), 1
+                    ).generators[0]
+                    / 2
+                ),
+                lambda: sets.eliminate_constraints(
+                    ConstrainedZonotope(WIDE.center, NARROW.generators, 0 * ONE, np.zeros(1))
+                ).generators[0],
+            )
+        ),
+    ],
+)
 def test_what_only_the_narrower_dtype_calls_subnormal_is_kept(reach):
     assert np.abs(np.asarray(reach(), float)).sum() >= float(np.float32(1e-40)) * (1 - 1e-9)
 
@@ -427,17 +524,25 @@ BAD = [Zonotope(jnp.array([bad, 0.0]), jnp.eye(2)) for bad in (np.nan, np.inf)]
 BAD += [Zonotope(jnp.zeros(2), jnp.array([[1.0, bad], [0.0, 1.0]])) for bad in (np.nan, np.inf)]
 
 
-@pytest.mark.parametrize("Z", BAD, ids=["nan center", "infinite center", "nan generator", "infinite generator"])
+@pytest.mark.parametrize(
+    "Z", BAD, ids=["nan center", "infinite center", "nan generator", "infinite generator"]
+)
 def test_what_is_no_number_bounds_nothing(Z):
     assert not sets.support(Z, [1.0, 1.0]) < np.inf and not sets.support(Z, [0.0, 0.0]) < 0
     assert not (sets.interval_hull(Z).hi < np.inf).all()
 
 
-@pytest.mark.parametrize("f", [
-    sets.volume, sets.strips, sets.vertices, lambda Z: sets.membership(Z, np.zeros((1, 2))),
-    lambda Z: sets.minkowski_difference(Z, sets.zonotope([0.0, 0.0], np.eye(2))),
-    lambda Z: sets.minkowski_difference(sets.zonotope([0.0, 0.0], np.eye(2)), Z),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "f",
+    [
+        sets.volume,
+        sets.strips,
+        sets.vertices,
+        lambda Z: sets.membership(Z, np.zeros((1, 2))),
+        lambda Z: sets.minkowski_difference(Z, sets.zonotope([0.0, 0.0], np.eye(2))),
+        lambda Z: sets.minkowski_difference(sets.zonotope([0.0, 0.0], np.eye(2)), Z),
+    ],
+)
 def test_what_is_no_number_is_refused_where_exact_numbers_are_needed(f):
     for Z in BAD:
         with pytest.raises(ValueError, match="must be finite: 1 of"):

@@ -12,9 +12,13 @@ def test_a_constrained_zonotope_is_a_tree_of_four_arrays():
     assert [leaf.shape for leaf in jax.tree.leaves(C)] == [(7, 2), (7, 2, 5), (7, 1, 5), (7, 1)]
 
 
-@pytest.mark.parametrize(("dtype", "expected"), [(np.float32, np.float32), (np.float64, np.float64), (int, np.float64)])
+@pytest.mark.parametrize(
+    ("dtype", "expected"), [(np.float32, np.float32), (np.float64, np.float64), (int, np.float64)]
+)
 def test_all_four_arrays_share_one_float_dtype(dtype, expected):
-    C = sets.constrained_zonotope(np.zeros(1, dtype), np.ones((1, 2), dtype), np.ones((1, 2), dtype), np.zeros(1, dtype))
+    C = sets.constrained_zonotope(
+        np.zeros(1, dtype), np.ones((1, 2), dtype), np.ones((1, 2), dtype), np.zeros(1, dtype)
+    )
     assert {leaf.dtype for leaf in jax.tree.leaves(C)} == {np.dtype(expected)}
 
 

@@ -14,7 +14,9 @@ SHAPES = [(2, 5), (5, 9)]
 
 
 def points_near(rng, G, count):
-    """Return (points, gauges): on rays drawn afresh, at factors near 1 of the boundary that a linear program finds."""
+    """Return (points, gauges): on rays drawn afresh, at factors near 1 of the boundary that a linear program
+    finds.
+    """
     d, t = rng.normal(size=(count, len(G))) @ np.diag(abs(G).sum(1)), near(rng, count)
     return np.array([v * f / program(G, v) for v, f in zip(d, t, strict=True)]), t
 
@@ -44,9 +46,13 @@ def test_points_of_sets_with_many_rows_are_decided_as_by_linear_programs(rng):
 
 @pytest.mark.long
 def test_ten_thousand_points_are_decided_as_by_linear_programs(rng):
-    wrong, left = wrong_and_open(rng, [(1, 3), (2, 5), (3, 8), (5, 9), (12, 24), (20, 40), (50, 100)], KINDS, 40, 9)
+    wrong, left = wrong_and_open(
+        rng, [(1, 3), (2, 5), (3, 8), (5, 9), (12, 24), (20, 40), (50, 100)], KINDS, 40, 9
+    )
     print(f"10080 points: {wrong} wrong, {left} open")
-    assert wrong == 0 and left <= 3  # lengths from 1e-3 to 1e3 in 20 dimensions: one in 50 000 was left open, 6e-8 from the boundary
+    assert (
+        wrong == 0 and left <= 3
+    )  # lengths from 1e-3 to 1e3 in 20 dimensions: one in 50 000 was left open, 6e-8 from the boundary
 
 
 def constrained(rng, n, q, k, t):
@@ -56,7 +62,9 @@ def constrained(rng, n, q, k, t):
 
 
 def stacked(each):
-    return constrained_zonotope(*(np.array([getattr(C, f) for C in each]) for f in ("center", "generators", "constraints", "offsets")))
+    return constrained_zonotope(
+        *(np.array([getattr(C, f) for C in each]) for f in ("center", "generators", "constraints", "offsets"))
+    )
 
 
 def empty_and_open(rng, sizes, count):
@@ -84,7 +92,9 @@ def test_two_sets_meet_where_a_linear_program_says_so_and_are_separated_where_no
     n, q, count = 5, 9, 24
     G = rng.normal(size=(2, count, n, q))
     t, shift = near(rng, count), rng.normal(size=(count, n))
-    shift *= np.array([f / program(np.hstack([g, -h]), s) for f, g, h, s in zip(t, *G, shift, strict=True)])[:, None]
+    shift *= np.array([f / program(np.hstack([g, -h]), s) for f, g, h, s in zip(t, *G, shift, strict=True)])[
+        :, None
+    ]
     X, Y = zonotope(np.zeros((count, n)), G[0]), zonotope(shift, G[1])
     assert agree(intersects(X, Y), t, Answer.YES) == (0, 0)
     found = separate(X, Y)
@@ -97,7 +107,9 @@ def test_two_sets_meet_where_a_linear_program_says_so_and_are_separated_where_no
         assert max(program(G[0, i], found.point[i]), program(G[1, i], found.point[i] - shift[i])) <= 1 + FAR
 
 
-@pytest.mark.parametrize(("n", "q", "kind"), [(2, 5, "integer"), (2, 5, "repeated"), (5, 9, "general"), (5, 9, "uneven")])
+@pytest.mark.parametrize(
+    ("n", "q", "kind"), [(2, 5, "integer"), (2, 5, "repeated"), (5, 9, "general"), (5, 9, "uneven")]
+)
 def test_every_certificate_is_confirmed_by_fractions_alone(rng, n, q, kind):
     G = drawn(rng, n, q, kind)
     points, _ = points_near(rng, G, 6)
@@ -114,7 +126,12 @@ def test_every_certificate_is_confirmed_by_fractions_alone(rng, n, q, kind):
         contains(Z, small),
         intersects(C, other),
     ]
-    decided = [(decision, at) for decision in decisions for at in np.ndindex(decision.answer.shape) if decision.answer[at]]
+    decided = [
+        (decision, at)
+        for decision in decisions
+        for at in np.ndindex(decision.answer.shape)
+        if decision.answer[at]
+    ]
     print(len(decided), "answered")
     assert len(decided) > 5
     for decision, at in decided:
@@ -140,7 +157,10 @@ def test_points_on_the_boundary_are_decided_one_at_a_time(rng):
         Z = zonotope(np.zeros(n), G)
         outside = vertex * (1 + 2.0**-50)
         assert contains(Z, vertex).yes and contains(Z, outside).no
-        assert contains(Z, np.array([vertex, 0 * vertex, outside * 2])).answer.tolist() in ([0, 1, -1], [1, 1, -1])
+        assert contains(Z, np.array([vertex, 0 * vertex, outside * 2])).answer.tolist() in (
+            [0, 1, -1],
+            [1, 1, -1],
+        )
 
 
 def test_points_of_flat_sets_are_decided_one_at_a_time(rng):
@@ -155,7 +175,9 @@ def test_points_of_flat_sets_are_decided_one_at_a_time(rng):
 def test_batches_of_points_and_of_sets_with_fewer_generators_than_equations_are_answered():
     line = zonotope(np.zeros(3), np.ones((3, 1)))
     assert contains(line, [[0.5, 0.5, 0.5], [1.0, 1.0, 1.0], [1.0, 0.0, 0.0]]).answer.tolist() == [0, 0, -1]
-    sets_ = constrained_zonotope(np.zeros((2, 1)), np.ones((2, 1, 1)), np.ones((2, 3, 1)), [[0.5, 0.5, 0.5], [0.5, 0.5, 0.0]])
+    sets_ = constrained_zonotope(
+        np.zeros((2, 1)), np.ones((2, 1, 1)), np.ones((2, 3, 1)), [[0.5, 0.5, 0.5], [0.5, 0.5, 0.0]]
+    )
     assert is_empty(sets_).answer.tolist() == [0, 1]
 
 
@@ -174,7 +196,11 @@ def test_a_set_without_generators_holds_its_center_alone():
 def test_a_set_without_constraints_is_not_empty_and_one_that_is_holds_nothing():
     assert is_empty(zonotope([0.0], [[1.0]])).no
     nothing = constrained_zonotope([0.0], [[1.0, 0.0]], [[1.0, 1.0]], [3.0])
-    assert is_empty(nothing).yes and contains(nothing, [0.0]).no and intersects(nothing, zonotope([0.0], [[9.0]])).no
+    assert (
+        is_empty(nothing).yes
+        and contains(nothing, [0.0]).no
+        and intersects(nothing, zonotope([0.0], [[9.0]])).no
+    )
 
 
 def test_a_batch_gives_the_answers_of_its_sets_one_by_one(rng):
@@ -271,9 +297,13 @@ def test_a_decision_is_true_or_false_only_where_it_is_one_and_proved():
         bool(contains(Z, [[0.5, 0.5], [2.0, 0.0]]))
 
 
-@pytest.mark.parametrize(("points", "message"), [
-    ([0.0], r"shape \(\.\.\., 2\): their shape is \(1,\)"), ([[np.nan, 0.0]], r"1 of 2 entries are not, first at \(0, 0\)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([0.0], r"shape \(\.\.\., 2\): their shape is \(1,\)"),
+        ([[np.nan, 0.0]], r"1 of 2 entries are not, first at \(0, 0\)"),
+    ],
+)
 def test_contains_refuses_points_that_do_not_fit(points, message):
     with pytest.raises(ValueError, match=message):
         contains(zonotope([0.0, 0.0], np.eye(2)), points)
@@ -308,7 +338,14 @@ def test_a_set_with_a_number_that_is_none_decides_nothing_and_its_neighbours_eve
     C, other = sets.ConstrainedZonotope(*arrays), zonotope(np.zeros((2, 2)), np.full((2, 2, 1), 0.1))
     one = sets.ConstrainedZonotope(*(v[0] for v in arrays))
     assert is_empty(C).answer.tolist() == [0, -1] and intersects(C, other).answer.tolist() == [0, 1]
-    assert contains(C, np.zeros((2, 1, 2))).answer.tolist() == [[0], [1]] and contains(one, zonotope([0.0, 0.0], np.eye(2))).answer == 0
-    assert is_empty(one).answer == 0 and contains(one, [0.0, 0.0]).answer == 0 and np.isnan(separate(one, one).point).all()
+    assert (
+        contains(C, np.zeros((2, 1, 2))).answer.tolist() == [[0], [1]]
+        and contains(one, zonotope([0.0, 0.0], np.eye(2))).answer == 0
+    )
+    assert (
+        is_empty(one).answer == 0
+        and contains(one, [0.0, 0.0]).answer == 0
+        and np.isnan(separate(one, one).point).all()
+    )
     with pytest.raises(ValueError, match="neither yes nor no"):
         bool(contains(one, [0.0, 0.0]))

@@ -1,4 +1,6 @@
-"""Decisions inside jit and vmap: never another answer than outside, where linear programs and exact numbers judge them; else UNDECIDED."""
+"""Decisions inside jit and vmap: never another answer than outside, where linear programs and exact numbers
+judge them; else UNDECIDED.
+"""
 
 import json
 from fractions import Fraction
@@ -12,7 +14,9 @@ from jaxbound import sets
 from jaxbound.sets import Zonotope, constrained_zonotope, contains, intersects, is_empty, separate, zonotope
 
 N, Q, COUNT, MANY = 3, 6, 64, 300
-"""Every question of COUNT sets is put as N equations of Q unknowns, and with vmap alone: then one compiled search answers all of them."""
+"""Every question of COUNT sets is put as N equations of Q unknowns, and with vmap alone: then one compiled
+search answers all of them.
+"""
 of_points, of_sets, together = jax.vmap(contains), jax.jit(jax.vmap(contains)), jax.jit(contains)
 
 
@@ -29,12 +33,17 @@ def agree(inside, outside):
 
 
 def drawn(rng, dtype, count=COUNT):
-    """Return (centers, generators, points at known factors of the boundary, half of them far from it, the factors)."""
+    """Return (centers, generators, points at known factors of the boundary, half of them far from it, the
+    factors).
+    """
     G = rng.normal(size=(count, N, Q)).astype(dtype)
     center, d = rng.normal(size=(count, N)).astype(dtype), rng.normal(size=(count, N))
     away = np.where(np.arange(count) % 2, rng.uniform(0.05, 0.9, count), 10.0 ** rng.uniform(-9, -3, count))
     t = 1 + rng.choice([-1, 1], count) * away
-    points = center + d * np.array([f / program(g.astype(float), v) for f, g, v in zip(t, G, d, strict=True)])[:, None]
+    points = (
+        center
+        + d * np.array([f / program(g.astype(float), v) for f, g, v in zip(t, G, d, strict=True)])[:, None]
+    )
     return center, G, points.astype(dtype), t
 
 
@@ -62,7 +71,9 @@ def test_margins_inside_jit_do_not_overstate(rng):
     center, G, points, t = drawn(rng, np.float64)
     found = of_points(zonotope(center, G), points[:, None])
     margin = np.asarray(found.margin)[:, 0]
-    assert (np.sign(margin) == np.asarray(found.answer)[:, 0]).all() and (np.abs(margin) <= np.abs(1 - t) + 1e-9).all()
+    assert (np.sign(margin) == np.asarray(found.answer)[:, 0]).all() and (
+        np.abs(margin) <= np.abs(1 - t) + 1e-9
+    ).all()
 
 
 @pytest.mark.parametrize("dtype", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64])
@@ -70,7 +81,9 @@ def test_emptiness_inside_jit_is_that_outside(rng, dtype):
     A, b = rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N))
     t = 1 + rng.choice([-1, 1], COUNT) * 10.0 ** rng.uniform(-6, -1, COUNT)
     b = b * np.array([f / program(a, v) for f, a, v in zip(t, A, b, strict=True)])[:, None]
-    C = constrained_zonotope(*(v.astype(dtype) for v in (np.zeros((COUNT, 1)), rng.normal(size=(COUNT, 1, Q)), A, b)))
+    C = constrained_zonotope(
+        *(v.astype(dtype) for v in (np.zeros((COUNT, 1)), rng.normal(size=(COUNT, 1, Q)), A, b))
+    )
     answer, far = np.asarray(jax.vmap(is_empty)(C).answer), np.abs(t - 1) > 1e-3
     assert agree(answer, is_empty(C)) <= (0 if dtype == np.float64 else 0.5)
     assert (answer[far] == np.where(t > 1, 1, -1)[far]).all()
@@ -80,7 +93,9 @@ def test_emptiness_inside_jit_is_that_outside(rng, dtype):
 def test_two_sets_are_separated_inside_jit_as_outside(rng):
     G, H, shift = rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N, Q)), rng.normal(size=(COUNT, N))
     t = 1 + rng.choice([-1, 1], COUNT) * 10.0 ** rng.uniform(-6, 0, COUNT)
-    shift *= np.array([f / program(np.hstack([g, -h]), s) for f, g, h, s in zip(t, G, H, shift, strict=True)])[:, None]
+    shift *= np.array(
+        [f / program(np.hstack([g, -h]), s) for f, g, h, s in zip(t, G, H, shift, strict=True)]
+    )[:, None]
     X, Y = zonotope(np.zeros((COUNT, N)), G), zonotope(shift, H)
     found = jax.jit(jax.vmap(separate))(X, Y)
     assert agree(-found.apart.answer, intersects(X, Y)) == 0
@@ -88,7 +103,9 @@ def test_two_sets_are_separated_inside_jit_as_outside(rng):
     for i in np.nonzero(t > 1)[0]:
         l, offset = exact(found.normal[i]), Fraction(float(found.offset[i]))
         reach = lambda W, l=l: sum(abs(sum(a * b for a, b in zip(l, exact(g), strict=True))) for g in W.T)
-        assert reach(G[i]) < offset < sum(a * b for a, b in zip(l, exact(shift[i]), strict=True)) - reach(H[i])
+        assert (
+            reach(G[i]) < offset < sum(a * b for a, b in zip(l, exact(shift[i]), strict=True)) - reach(H[i])
+        )
     assert (np.isnan(np.asarray(found.point)[:, 0]) == (t > 1)).all()
 
 
@@ -142,7 +159,9 @@ def test_differences_below_the_smallest_number_are_not_taken_for_none(rng):
 
 
 def test_a_decision_taken_inside_jit_says_why_it_has_no_certificate():
-    found = jax.tree.map(lambda x: np.asarray(x)[0], together(zonotope(np.zeros(N), np.eye(N, Q)), np.zeros((MANY, N))))
+    found = jax.tree.map(
+        lambda x: np.asarray(x)[0], together(zonotope(np.zeros(N), np.eye(N, Q)), np.zeros((MANY, N)))
+    )
     assert found.yes and repr(found) == "Decision(YES, margin=1)"
     with pytest.raises(ValueError, match="inside jit or vmap keeps no sets: ask again outside"):
         found.certificate()
@@ -186,11 +205,21 @@ def published_points(cases):
     for case in cases:
         if case["kind"] == "point_in":
             found.append((case, case["point"], case["min_inf_norm"]))
-        if case["kind"] == "vertices" and "A" not in case and np.linalg.matrix_rank(case["G"]) == len(case["G"]):
+        if (
+            case["kind"] == "vertices"
+            and "A" not in case
+            and np.linalg.matrix_rank(case["G"]) == len(case["G"])
+        ):
             c = np.array(case["c"], float)
-            found += [(case, c + t * (np.array(v) - c), t) for v in case["vertices"] for t in (1 - 1e-8, 1 + 1e-8)]
+            found += [
+                (case, c + t * (np.array(v) - c), t) for v in case["vertices"] for t in (1 - 1e-8, 1 + 1e-8)
+            ]
     Z = [padded(case, N, Q, 1.0) for case, _, _ in found]
-    return Z, np.array([np.resize(np.append(p, 0.0), N) if len(p) < N else p for _, p, _ in found]), np.array([t for *_, t in found])
+    return (
+        Z,
+        np.array([np.resize(np.append(p, 0.0), N) if len(p) < N else p for _, p, _ in found]),
+        np.array([t for *_, t in found]),
+    )
 
 
 def test_published_points_and_corners_are_decided_under_jit_and_vmap(cases):
@@ -205,7 +234,11 @@ def test_published_points_and_corners_are_decided_under_jit_and_vmap(cases):
 
 def test_published_inclusions_are_decided_under_vmap(cases):
     """The one that holds touches the boundary, which stays open: a thousandth smaller, it is decided."""
-    asked = [(padded(c["outer"], N, Q, 1.0), padded(c["inner"], N, 4), c["inside"]) for c in cases if c["kind"] == "zonotope_in"]
+    asked = [
+        (padded(c["outer"], N, Q, 1.0), padded(c["inner"], N, 4), c["inside"])
+        for c in cases
+        if c["kind"] == "zonotope_in"
+    ]
     outer, inner, inside = zip(*asked, strict=True)
     smaller = Zonotope(inner[0].center, 0.999 * inner[0].generators)
     answer = np.asarray(of_sets(fill([*outer, outer[0]]), fill([*inner, smaller])).answer)
@@ -213,9 +246,15 @@ def test_published_inclusions_are_decided_under_vmap(cases):
 
 
 def test_published_pairs_meet_or_not_under_vmap(cases):
-    asked = [(padded(c["Z1"], N, 3, 1.0), padded(c["Z2"], N, 3), c["meet"]) for c in cases if c["kind"] == "intersects"]
+    asked = [
+        (padded(c["Z1"], N, 3, 1.0), padded(c["Z2"], N, 3), c["meet"])
+        for c in cases
+        if c["kind"] == "intersects"
+    ]
     X, Y, meet = zip(*asked, strict=True)
-    assert np.asarray(jax.vmap(intersects)(fill(X), fill(Y)).answer)[:4].tolist() == [1 if x else -1 for x in meet]
+    assert np.asarray(jax.vmap(intersects)(fill(X), fill(Y)).answer)[:4].tolist() == [
+        1 if x else -1 for x in meet
+    ]
 
 
 def test_an_observer_may_ask_in_a_scan():

@@ -1,4 +1,6 @@
-"""Two sets by the thousand: do they meet, is one in the other? Against linear programs, certificates and exact numbers."""
+"""Two sets by the thousand: do they meet, is one in the other? Against linear programs, certificates and
+exact numbers.
+"""
 
 from fractions import Fraction
 
@@ -15,12 +17,16 @@ def pairs(rng, n, q, kind, count):
     """Return (X, Y, gauges): pairs whose centers are at known factors of the distance at which they touch."""
     G, H = (np.array([drawn(rng, n, q, kind) for _ in range(count)]) for _ in range(2))
     t, shift = near(rng, count), rng.normal(size=(count, n)) * abs(G).sum(2)
-    shift *= np.array([f / program(np.hstack([g, -h]), s) for f, g, h, s in zip(t, G, H, shift, strict=True)])[:, None]
+    shift *= np.array(
+        [f / program(np.hstack([g, -h]), s) for f, g, h, s in zip(t, G, H, shift, strict=True)]
+    )[:, None]
     return zonotope(np.zeros((count, n)), G), zonotope(shift, H), t
 
 
 def inclusions(rng, n, q, kind, count):
-    """Return (outer, inner, least factors on the outer generators at which a linear program finds the condition for YES)."""
+    """Return (outer, inner, least factors on the outer generators at which a linear program finds the
+    condition for YES).
+    """
     G = np.array([drawn(rng, n, q, kind) for _ in range(count)])
     inner = G @ (rng.normal(size=(count, q, 3)) * (rng.random((count, q, 3)) < 0.7))
     center = 0.5 * inner[..., 0] * rng.normal(size=(count, 1))
@@ -31,12 +37,21 @@ def inclusions(rng, n, q, kind, count):
 
 
 def encoding(G, D):
-    """Return the least t with M X = D for an X with row sums of |X| of at most t: Sadraddini, Tedrake 2019."""
+    """Return the least t with M X = D for an X with row sums of |X| of at most t: Sadraddini, Tedrake
+    2019.
+    """
     (n, q), p = G.shape, D.shape[1]
     size = 2 * q * p  # X = positive - negative parts, one after another, and t
     equations = np.hstack([np.kron(G, np.eye(p)), -np.kron(G, np.eye(p)), np.zeros((n * p, 1))])
     rows = np.hstack([np.kron(np.eye(q), np.ones((1, p)))] * 2 + [-np.ones((q, 1))])
-    found = linprog(np.r_[np.zeros(size), 1], A_ub=rows, b_ub=np.zeros(q), A_eq=equations, b_eq=D.ravel(), bounds=(0, None))
+    found = linprog(
+        np.r_[np.zeros(size), 1],
+        A_ub=rows,
+        b_ub=np.zeros(q),
+        A_eq=equations,
+        b_eq=D.ravel(),
+        bounds=(0, None),
+    )
     assert found.status == 0, found.message
     return found.fun
 
@@ -45,7 +60,8 @@ def exactly_held(G, shift, H):
     """Return whether a zonotope is in another, by all facets of that in exact numbers."""
     dot = lambda v, w: sum((a * Fraction(float(b)) for a, b in zip(v, w, strict=True)), Fraction(0))
     return all(
-        abs(dot(normal, shift)) + sum(abs(dot(normal, h)) for h in H.T) <= width for normal, width in exact_strips(zonotope(0 * shift, G))
+        abs(dot(normal, shift)) + sum(abs(dot(normal, h)) for h in H.T) <= width
+        for normal, width in exact_strips(zonotope(0 * shift, G))
     )
 
 
@@ -66,7 +82,9 @@ def inclusions_wrong_and_open(rng, sizes, kinds, count):
         for kind in kinds:
             Z, Y, t = inclusions(rng, n, q, kind, count)
             found = contains(Z, Y)
-            left += (~found.yes & (t < 1 - 1e-6)).sum()  # NO would be wrong, UNDECIDED open: YES is what a linear program proves
+            left += (
+                ~found.yes & (t < 1 - 1e-6)
+            ).sum()  # NO would be wrong, UNDECIDED open: YES is what a linear program proves
             wrong += (found.no & (t < 1 - FAR)).sum()
             for i in np.nonzero(found.answer)[0]:
                 G, c, H = (np.asarray(v[i]) for v in (Z.generators, Y.center, Y.generators))
@@ -74,7 +92,9 @@ def inclusions_wrong_and_open(rng, sizes, kinds, count):
                     wrong += bool(found.yes[i]) != exactly_held(G, c, H)
                 elif found.no[i]:
                     wrong += not confirmed(found, (i,))
-                elif t[i] > 1 + FAR:  # the condition is not necessary: all facets may say yes where it does not hold
+                elif (
+                    t[i] > 1 + FAR
+                ):  # the condition is not necessary: all facets may say yes where it does not hold
                     wrong += not exactly_held(G, c, H)
     return wrong, left
 

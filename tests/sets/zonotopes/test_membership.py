@@ -24,7 +24,9 @@ def test_vertices_of_a_large_zonotope_are_on_the_boundary_and_a_hair_decides(rng
     vertices = np.where(x == 0, 1, x) @ G.T
     Z = sets.zonotope(np.zeros(10), G)
     assert (abs(sets.membership(Z, vertices)) <= 1e-10).all()  # or inside, where a sign was free: never here
-    assert (sets.membership(Z, vertices * (1 - 1e-9)) > 0).all() and (sets.membership(Z, vertices * (1 + 1e-9)) < 0).all()
+    assert (sets.membership(Z, vertices * (1 - 1e-9)) > 0).all() and (
+        sets.membership(Z, vertices * (1 + 1e-9)) < 0
+    ).all()
 
 
 def test_a_large_flat_zonotope_is_infinitely_far_from_points_beside_its_plane(rng):

@@ -49,7 +49,9 @@ def test_volumes_are_the_published_ones_and_grow_with_the_cube_of_the_size(share
     G = rng.normal(size=(3, 6))
     assert sets.volume(sets.zonotope(np.zeros(3), 2 * G)) == 8 * sets.volume(sets.zonotope(np.zeros(3), G))
     assert sets.volume(sets.zonotope(np.zeros(3), G[:, :2])) == 0
-    assert sets.volume(sets.zonotope([0.0, 0.0], [[2.0**-43, 0.0], [0.0, 2.0**-63]])) == 2.0**-104  # whole numbers of 64 bits without sign
+    assert (
+        sets.volume(sets.zonotope([0.0, 0.0], [[2.0**-43, 0.0], [0.0, 2.0**-63]])) == 2.0**-104
+    )  # whole numbers of 64 bits without sign
     with pytest.raises(ValueError, match="determinants"):
         sets.volume(sets.zonotope(np.zeros(10), np.ones((10, 30))))
 
@@ -61,7 +63,9 @@ def test_samples_lie_within_up_to_rounding(rng):
 
 
 def test_corners_of_a_constrained_set_go_round_and_are_those_of_all_its_bases(rng):
-    """Every corner has two coefficients free of 4, the others at an end: all such points, and their convex hull."""
+    """Every corner has two coefficients free of 4, the others at an end: all such points, and their convex
+    hull.
+    """
     for _ in range(4):
         c, G, A = rng.normal(size=2), rng.normal(size=(2, 4)), rng.normal(size=(1, 4))
         b = A @ rng.uniform(-0.8, 0.8, 4)
@@ -90,7 +94,9 @@ def test_samples_keep_the_constraints_spread_and_are_not_there_where_nothing_is(
     C = sets.constrained_zonotope(np.zeros(6), G, A, A @ rng.uniform(-0.5, 0.5, 6))
     x = np.asarray(sets.sample(C, jax.random.key(0), 400))
     assert np.abs(x).max() <= 1 and np.abs(x @ A.T - np.asarray(C.offsets)).max() <= 1e-12
-    box = np.array([[linprog(s * g, A_eq=A, b_eq=C.offsets, bounds=(-1, 1)).fun * s for s in (1, -1)] for g in G])
+    box = np.array(
+        [[linprog(s * g, A_eq=A, b_eq=C.offsets, bounds=(-1, 1)).fun * s for s in (1, -1)] for g in G]
+    )
     assert (np.ptp(x, axis=0) >= 0.5 * (box[:, 1] - box[:, 0])).all()
     nothing = sets.constrained_zonotope(np.zeros(6), G, A, 100 * np.ones(2))
     assert np.isnan(sets.sample(nothing, jax.random.key(0), 400)).all()
@@ -102,16 +108,24 @@ def test_a_difference_and_what_was_taken_off_fit_inside_and_fill_it(n, q, dtype,
     Z = sets.zonotope(rng.normal(size=n).astype(dtype), rng.normal(size=(n, q)).astype(dtype))
     Y = sets.zonotope(rng.normal(size=n).astype(dtype), (0.01 * rng.normal(size=(n, 3))).astype(dtype))
     Z, Y, D = (jax.tree.map(np.asarray, S) for S in (Z, Y, sets.minkowski_difference(Z, Y)))
-    c = [Fraction(float(a)) + Fraction(float(b)) - Fraction(float(z)) for a, b, z in zip(D.center, Y.center, Z.center, strict=True)]
+    c = [
+        Fraction(float(a)) + Fraction(float(b)) - Fraction(float(z))
+        for a, b, z in zip(D.center, Y.center, Z.center, strict=True)
+    ]
     G = [[Fraction(float(x)) for x in row] for row in np.concatenate([D.generators, Y.generators], 1)]
     for normal, width in exact_strips(Z):
-        reached = sum((abs(sum(a * b for a, b in zip(normal, g, strict=True))) for g in transpose(G)), Fraction(0))
+        reached = sum(
+            (abs(sum(a * b for a, b in zip(normal, g, strict=True))) for g in transpose(G)), Fraction(0)
+        )
         reached += abs(sum(a * b for a, b in zip(normal, c, strict=True)))
         assert reached <= width
         assert n > 2 or q > 2 or reached >= width * (1 - 100 * Fraction(float(np.finfo(dtype).eps)))
     corners = exact_corners(D) if n == 2 else []
     for p in corners:  # a hair further out is too far: the difference is all of it
-        assert any(abs(along(normal, p)) + taken(normal, Y) >= width * (1 - Fraction(1, 10**4)) for normal, width in exact_strips(Z))
+        assert any(
+            abs(along(normal, p)) + taken(normal, Y) >= width * (1 - Fraction(1, 10**4))
+            for normal, width in exact_strips(Z)
+        )
 
 
 def exact_corners(D):
@@ -123,7 +137,10 @@ def taken(normal, Y):
 
 
 def test_differences_are_the_published_ones():
-    Z, Y = sets.zonotope([0.0, 0.0], [[1.0, 3.0], [2.0, 4.0]]), sets.zonotope([0.0, 0.0], [[4.0, 0.0], [0.0, 6.0]])
+    Z, Y = (
+        sets.zonotope([0.0, 0.0], [[1.0, 3.0], [2.0, 4.0]]),
+        sets.zonotope([0.0, 0.0], [[4.0, 0.0], [0.0, 6.0]]),
+    )
     assert sets.minkowski_difference(Z, Y) is None
     assert not np.asarray(sets.minkowski_difference(Z, Z).generators).any()
 

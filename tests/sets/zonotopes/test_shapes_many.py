@@ -1,4 +1,6 @@
-"""Ten thousand random sets for what works in exact numbers or for pictures: volume, corners, Minkowski difference."""
+"""Ten thousand random sets for what works in exact numbers or for pictures: volume, corners, Minkowski
+difference.
+"""
 
 from fractions import Fraction
 from functools import cmp_to_key
@@ -32,7 +34,9 @@ def columns(G):
 
 
 def polygon(c, G):
-    """Return the corners in the plane, exactly, counter-clockwise: edges in the order of their angles, parallel ones together."""
+    """Return the corners in the plane, exactly, counter-clockwise: edges in the order of their angles,
+    parallel ones together.
+    """
     up = [g if (g[1], g[0]) > (0, 0) else [-v for v in g] for g in columns(G) if any(g)]
     cross = lambda a, b: a[0] * b[1] - a[1] * b[0]
     merged = []
@@ -50,7 +54,9 @@ def polygon(c, G):
 
 
 def rational(G):
-    return flint.fmpq_mat(len(G), len(G[0]), [flint.fmpq(v.numerator, v.denominator) for row in G for v in row])
+    return flint.fmpq_mat(
+        len(G), len(G[0]), [flint.fmpq(v.numerator, v.denominator) for row in G for v in row]
+    )
 
 
 def to_fraction(v):
@@ -61,8 +67,14 @@ def content(c, G):
     """Return the volume: of a polygon by its corners, otherwise by determinants of another library."""
     if len(c) == 2:
         p = polygon(c, G)
-        return abs(sum((a[0] * b[1] - a[1] * b[0] for a, b in zip(p, [*p[1:], p[0]], strict=True)), Fraction(0))) / 2
-    return 2 ** len(c) * sum((abs(to_fraction(rational(list(chosen)).det())) for chosen in combinations(columns(G), len(c))), Fraction(0))
+        return (
+            abs(sum((a[0] * b[1] - a[1] * b[0] for a, b in zip(p, [*p[1:], p[0]], strict=True)), Fraction(0)))
+            / 2
+        )
+    return 2 ** len(c) * sum(
+        (abs(to_fraction(rational(list(chosen)).det())) for chosen in combinations(columns(G), len(c))),
+        Fraction(0),
+    )
 
 
 def volumes(rng, share):
@@ -72,7 +84,9 @@ def volumes(rng, share):
 
 
 def corners(rng, share):
-    """Return (sets looked at, those with a corner that is none, or without one that is, beyond 1e-12 of their size)."""
+    """Return (sets looked at, those with a corner that is none, or without one that is, beyond 1e-12 of their
+    size).
+    """
     found = []
     for c, G, Z in each_set(rng, share):
         n, q = len(c), len(G[0])
@@ -93,10 +107,16 @@ def corners(rng, share):
 
 
 def sides(G):
-    """Return [(normal, width)], all facets of the set and perhaps more: in the plane across all generators, else rows of the inverse."""
+    """Return [(normal, width)], all facets of the set and perhaps more: in the plane across all generators,
+    else rows of the inverse.
+    """
     n = len(G)
     if n == 2:
-        normals = [[-g[1], g[0]] for g in columns(G)] + columns(G) + [[Fraction(1), Fraction(0)], [Fraction(0), Fraction(1)]]
+        normals = (
+            [[-g[1], g[0]] for g in columns(G)]
+            + columns(G)
+            + [[Fraction(1), Fraction(0)], [Fraction(0), Fraction(1)]]
+        )
     elif n == 1:
         normals = [[Fraction(1)]]
     else:
@@ -106,13 +126,17 @@ def sides(G):
 
 
 def thin(G, taken, dtype):
-    """Return whether the rounding of its longest generators is as much as a thousandth of what is left of the set somewhere."""
+    """Return whether the rounding of its longest generators is as much as a thousandth of what is left of the
+    set somewhere.
+    """
     size = max(abs(v) for row in G for v in row) * Fraction(float(np.finfo(dtype).eps))
     return any(width - less <= 1000 * size * sum(map(abs, normal)) for normal, width, less in taken)
 
 
 def differences(rng, share):
-    """Return (sets looked at, differences that reach out, leave room on all sides, or are said not to be there where they are)."""
+    """Return (sets looked at, differences that reach out, leave room on all sides, or are said not to be
+    there where they are).
+    """
     wrong = total = 0
     for c, G, Z in each_set(rng, share):
         n, q = len(c), len(G[0])
@@ -123,17 +147,30 @@ def differences(rng, share):
         size = np.asarray(Z.generators)[:, : min(q, 3)] * rng.choice([0.01, 0.3, 2.0])
         Y = sets.zonotope(np.zeros(n, dtype), (size * rng.uniform(-0.5, 0.5, size.shape[1])).astype(dtype))
         H, D = exact(Y.generators), sets.minkowski_difference(Z, Y)
-        taken = [(normal, width, sum((abs(dot(normal, h)) for h in columns(H)), Fraction(0))) for normal, width in sides(G)]
+        taken = [
+            (normal, width, sum((abs(dot(normal, h)) for h in columns(H)), Fraction(0)))
+            for normal, width in sides(G)
+        ]
         if D is None:
-            eps = Fraction(float(np.finfo(dtype).eps))  # a difference without inside may hold no float near its middle
+            eps = Fraction(
+                float(np.finfo(dtype).eps)
+            )  # a difference without inside may hold no float near its middle
             wrong += all(less <= width * (1 - 1000 * eps) for _, width, less in taken)
             continue
         shift = [a - b for a, b in zip(exact(D.center), c, strict=True)]
         reach = [
-            (width, less + abs(dot(normal, shift)) + sum((abs(dot(normal, g)) for g in columns(exact(D.generators))), Fraction(0)))
+            (
+                width,
+                less
+                + abs(dot(normal, shift))
+                + sum((abs(dot(normal, g)) for g in columns(exact(D.generators))), Fraction(0)),
+            )
             for normal, width, less in taken
         ]
-        out, close = any(r > width for width, r in reach), any(r >= width * (1 - Fraction(1, 1000)) for width, r in reach)
+        out, close = (
+            any(r > width for width, r in reach),
+            any(r >= width * (1 - Fraction(1, 1000)) for width, r in reach),
+        )
         wrong += out or not (close or thin(G, taken, dtype))
     return total, wrong
 

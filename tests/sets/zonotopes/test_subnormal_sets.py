@@ -22,7 +22,10 @@ def test_inside_jit_nothing_is_decided_of_what_is_read_as_0(dtype):
     a, b = (dtype(x) for x in SIZES[dtype])
     A, at = np.array([[a, b]]), np.array([a + b])
     assert Fraction(float(a)) + Fraction(float(b)) >= Fraction(float(at[0]))
-    assert both(is_empty, constrained_zonotope(np.zeros(1, dtype), np.ones((1, 2), dtype), A, at)) == (NO, OPEN)
+    assert both(is_empty, constrained_zonotope(np.zeros(1, dtype), np.ones((1, 2), dtype), A, at)) == (
+        NO,
+        OPEN,
+    )
     assert both(contains, zonotope(np.zeros(1, dtype), A), at) == (YES, OPEN)
     beside = zonotope(np.array([b]), np.array([[a]]))
     assert both(contains, beside, np.array([-a])) == (NO, OPEN)

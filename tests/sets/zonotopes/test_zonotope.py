@@ -20,17 +20,26 @@ from jaxbound.sets.zonotopes.zonotope import Zonotope
 
 
 def brute_strips(G):
-    """Return the strips of a solid zonotope as {(primitive normal, width)}: normals are orthogonal to n - 1 independent generators."""
+    """Return the strips of a solid zonotope as {(primitive normal, width)}: normals are orthogonal to n - 1
+    independent generators.
+    """
     n, q = G.shape
     found = set()
     for chosen in combinations(range(q), n - 1):
         columns = G[:, chosen]
-        normal = [int(round((-1) ** i * np.linalg.det(np.delete(columns, i, 0)))) if n > 1 else 1 for i in range(n)]
+        normal = [
+            int(round((-1) ** i * np.linalg.det(np.delete(columns, i, 0)))) if n > 1 else 1 for i in range(n)
+        ]
         if any(normal):
             top = Fraction(max(map(abs, normal)))
             unit = [x / top for x in normal]
             sign = -1 if next(x for x in unit if x) < 0 else 1
-            found.add((*(sign * x for x in unit), sum(abs(sum(sign * x * int(g) for x, g in zip(unit, c, strict=True))) for c in G.T)))
+            found.add(
+                (
+                    *(sign * x for x in unit),
+                    sum(abs(sum(sign * x * int(g) for x, g in zip(unit, c, strict=True))) for c in G.T),
+                )
+            )
     return found
 
 
@@ -46,7 +55,9 @@ def test_strips_of_a_solid_zonotope_are_the_nearest_floats_to_the_exact_ones(rng
         G = np.hstack([G, np.eye(n, dtype=int)])
     want = {tuple(map(float, row)) for row in brute_strips(G)}
     normals, widths = sets.strips(factory(np.zeros(n), G * 1.0))
-    assert {(*signed(row), w) for row, w in zip(normals.tolist(), widths.tolist(), strict=True)} == want and len(widths) == len(want)
+    assert {
+        (*signed(row), w) for row, w in zip(normals.tolist(), widths.tolist(), strict=True)
+    } == want and len(widths) == len(want)
 
 
 @pytest.mark.parametrize("trial", range(25))
@@ -56,7 +67,9 @@ def test_a_flat_zonotope_has_as_many_zero_strips_as_dimensions_missing(rng, tria
     normals, widths = sets.strips(factory(np.zeros(n), G * 1.0))
     missing = n - np.linalg.matrix_rank(G)
     assert (widths == 0).sum() == missing and (widths[len(widths) - missing :] == 0).all()
-    assert abs(normals[len(widths) - missing :] @ G).max(initial=0) < 1e-12 and (abs(normals).max(1) == 1).all()
+    assert (
+        abs(normals[len(widths) - missing :] @ G).max(initial=0) < 1e-12 and (abs(normals).max(1) == 1).all()
+    )
 
 
 def test_a_point_has_one_zero_strip_a_dimension():
@@ -67,7 +80,9 @@ def test_a_point_has_one_zero_strip_a_dimension():
 
 def test_strips_of_decimal_generators_are_those_of_the_exact_floats():
     G = np.array([[0.1, 0.3, 0.0], [0.2, 0.6, 1e-3]])  # the first two are parallel as decimals, not as floats
-    assert len(sets.strips(factory([0.0, 0.0], G))[1]) == (2 if Fraction(0.1) * Fraction(0.6) == Fraction(0.3) * Fraction(0.2) else 3)
+    assert len(sets.strips(factory([0.0, 0.0], G))[1]) == (
+        2 if Fraction(0.1) * Fraction(0.6) == Fraction(0.3) * Fraction(0.2) else 3
+    )
 
 
 # margins
@@ -87,14 +102,17 @@ def test_margins_are_one_minus_the_gauge_of_the_linear_program(rng, trial):
         gauge = program(G, p)
         if solid:
             assert abs(1 - m - gauge) <= 1e-7 * (1 + gauge) and (m > 0) == (gauge < 1)
-        else:  # exact floats seldom lie in the plane: outside is -inf or beyond the gauge, inside is never proved
+        # exact floats seldom lie in the plane: outside is -inf or beyond the gauge, inside is never proved
+        else:
             assert m <= 0 and (m == -np.inf or m == 0 or abs(1 - m - gauge) <= 1e-7 * (1 + gauge))
             assert gauge < np.inf or m == -np.inf
 
 
 def integer_gauge(G, p):
     """Return the exact gauge of an integer point in a solid zonotope around 0."""
-    return max(abs(sum(x * int(v) for x, v in zip(row[:-1], p, strict=True))) / row[-1] for row in brute_strips(G))
+    return max(
+        abs(sum(x * int(v) for x, v in zip(row[:-1], p, strict=True))) / row[-1] for row in brute_strips(G)
+    )
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0**300, 0.1])
@@ -103,24 +121,32 @@ def test_points_on_the_boundary_in_exact_arithmetic_never_get_a_wrong_sign(rng, 
     for _ in range(8):
         G = np.hstack([degenerate(rng, n, 3), np.diag(rng.integers(1, 4, n))])
         signs = np.sign(rng.normal(size=(6, n)) @ G)
-        vertices = np.where(signs == 0, 1, signs) @ G.T  # integers: on the boundary, or inside where a sign was free
+        vertices = (
+            np.where(signs == 0, 1, signs) @ G.T
+        )  # integers: on the boundary, or inside where a sign was free
         gauges = [integer_gauge(G, v) for v in vertices]
         Z = factory(np.zeros(n), G * scale)
         if scale == 0.1:  # then the floats are neither: their exact gauge decides
             exact = np.array([[Fraction(float(x)) for x in row] for row in np.asarray(Z.generators)])
             gauges = [exact_gauge(exact, [Fraction(float(x)) for x in v * scale]) for v in vertices]
         m = sets.membership(Z, vertices * scale)
-        assert all(not (got > 0 and g > 1) and not (got < 0 and g <= 1) for got, g in zip(m, gauges, strict=True))
+        assert all(
+            not (got > 0 and g > 1) and not (got < 0 and g <= 1) for got, g in zip(m, gauges, strict=True)
+        )
         assert all(got == 0 for got, g in zip(m, gauges, strict=True) if g == 1)
 
 
 def exact_gauge(G, p):
-    """Return the exact gauge of a rational point in a solid zonotope of rational generators, normals by cofactors."""
+    """Return the exact gauge of a rational point in a solid zonotope of rational generators, normals by
+    cofactors.
+    """
     n, q = G.shape
     worst = Fraction(0)
     for chosen in combinations(range(q), n - 1):
         c = G[:, chosen]
-        normal = [Fraction(1)] if n == 1 else [c[1, 0], -c[0, 0]] if n == 2 else list(np.cross(c[:, 0], c[:, 1]))
+        normal = (
+            [Fraction(1)] if n == 1 else [c[1, 0], -c[0, 0]] if n == 2 else list(np.cross(c[:, 0], c[:, 1]))
+        )
         width = sum(abs(sum(x * g for x, g in zip(normal, column, strict=True))) for column in G.T)
         if width:
             worst = max(worst, abs(sum(x * v for x, v in zip(normal, p, strict=True))) / width)
@@ -135,11 +161,15 @@ def test_signs_are_right_for_floats_an_instant_from_the_boundary(rng, n, dtype):
         G = rng.normal(size=(n, n + 2)).astype(dtype)
         center = (rng.normal(size=n) * 10.0 ** rng.integers(-2, 3)).astype(dtype)
         x = np.sign(rng.normal(size=(6, n)) @ G)
-        step = 1 + rng.choice([-1, 1], (6, 1)) * 10.0 ** rng.uniform(-17 if dtype == np.float64 else -8, -2, (6, 1))
+        step = 1 + rng.choice([-1, 1], (6, 1)) * 10.0 ** rng.uniform(
+            -17 if dtype == np.float64 else -8, -2, (6, 1)
+        )
         points = (center + (x * step) @ G.T.astype(float)).astype(dtype)
         exact_G = np.array([[Fraction(float(v)) for v in row] for row in G])
         for m, p in zip(sets.membership(factory(center, G), points), points, strict=True):
-            gauge = exact_gauge(exact_G, [Fraction(float(v)) - Fraction(float(c)) for v, c in zip(p, center, strict=True)])
+            gauge = exact_gauge(
+                exact_G, [Fraction(float(v)) - Fraction(float(c)) for v, c in zip(p, center, strict=True)]
+            )
             wrong += (m > 0 and gauge > 1) or (m < 0 and gauge <= 1)
             settled += m != 0
     assert wrong == 0 and settled > 10
@@ -147,7 +177,9 @@ def test_signs_are_right_for_floats_an_instant_from_the_boundary(rng, n, dtype):
 
 def test_float64_points_keep_their_sign_in_a_float32_zonotope(rng):
     G = rng.normal(size=(2, 4)).astype(np.float32)
-    points = (np.sign(rng.normal(size=(200, 2)) @ G) * (1 + rng.uniform(-1, 1, (200, 1)) * 3e-7)) @ G.T.astype(float)
+    points = (
+        np.sign(rng.normal(size=(200, 2)) @ G) * (1 + rng.uniform(-1, 1, (200, 1)) * 3e-7)
+    ) @ G.T.astype(float)
     exact_G = np.array([[Fraction(float(v)) for v in row] for row in G])
     for m, p in zip(sets.membership(factory(np.zeros(2, np.float32), G), points), points, strict=True):
         gauge = exact_gauge(exact_G, [Fraction(v) for v in p.tolist()])
@@ -158,17 +190,26 @@ def test_margins_settle_all_but_a_thin_shell():
     Z = factory([1.0, -2.0], [[1.0, 0.5, 0.0], [0.0, 1.0, 3.0]])
     v = np.array([2.5, 2.0]) - [1, -2]
     for step in (1e-13, 1e-10, 1e-3):
-        assert margin(Z, np.array([1, -2]) + v * (1 - step)) > 0 > margin(Z, np.array([1, -2]) + v * (1 + step))
+        assert (
+            margin(Z, np.array([1, -2]) + v * (1 - step)) > 0 > margin(Z, np.array([1, -2]) + v * (1 + step))
+        )
 
 
 def test_a_flat_zonotope_tells_its_plane_from_the_rest_and_the_gauge_within():
     Z = factory([0.0, 0.0, 0.0], [[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
-    assert sets.membership(Z, [[0, 0, 1e-3], [3, 0, 0], [0.5, 1, 0], [3, 0, 1]]).tolist() == [-np.inf, -2, 0, -np.inf]
+    assert sets.membership(Z, [[0, 0, 1e-3], [3, 0, 0], [0.5, 1, 0], [3, 0, 1]]).tolist() == [
+        -np.inf,
+        -2,
+        0,
+        -np.inf,
+    ]
 
 
 def test_a_point_is_outside_of_another_point_and_undecided_on_itself():
     for q in (0, 2):
-        assert sets.membership(factory([1.0, 2.0], np.zeros((2, q))), [[1, 2], [1, 3], [-1e9, 2]]).tolist() == [0, -np.inf, -np.inf]
+        assert sets.membership(
+            factory([1.0, 2.0], np.zeros((2, q))), [[1, 2], [1, 3], [-1e9, 2]]
+        ).tolist() == [0, -np.inf, -np.inf]
 
 
 def test_points_beyond_the_range_of_floats_are_never_inside():
@@ -233,13 +274,20 @@ def test_the_hull_encloses_the_exact_box_tightly(rng, mode, dtype):
         box = jax.jit(jax.vmap(Zonotope.hull))(Zonotope(center, G))
     else:
         run = MODES[mode](Zonotope.hull)
-        box = jax.tree.map(lambda *rows: np.stack(rows), *[run(Zonotope(c, g)) for c, g in zip(center[:4], G[:4], strict=True)])
+        box = jax.tree.map(
+            lambda *rows: np.stack(rows),
+            *[run(Zonotope(c, g)) for c, g in zip(center[:4], G[:4], strict=True)],
+        )
     e = np.eye(3)
-    for lo, hi, c, g in zip(np.asarray(box.lo).tolist(), np.asarray(box.hi).tolist(), center, G, strict=False):
+    for lo, hi, c, g in zip(
+        np.asarray(box.lo).tolist(), np.asarray(box.hi).tolist(), center, G, strict=False
+    ):
         ends = [(-exact_support(c, g, -row), exact_support(c, g, row)) for row in e]
         assert not misses(lo, hi, ends)
         slack = 40 * float(np.finfo(dtype).eps) * (1 + max(map(abs, lo + hi)))
-        assert all(b - hi_i >= -slack and lo_i - a >= -slack for (a, b), lo_i, hi_i in zip(ends, lo, hi, strict=True))
+        assert all(
+            b - hi_i >= -slack and lo_i - a >= -slack for (a, b), lo_i, hi_i in zip(ends, lo, hi, strict=True)
+        )
 
 
 def test_a_zonotope_without_generators_has_the_hull_and_support_of_its_center():
@@ -305,10 +353,15 @@ def test_strips_of_traced_generators_are_refused():
         jax.jit(lambda G: sets.strips(Zonotope(jnp.zeros(2), G)))(jnp.eye(2))
 
 
-@pytest.mark.parametrize(("center", "generators", "dtype"), [
-    ([0], [[1]], np.float64), (np.zeros(1, np.float32), np.ones((1, 1), np.float32), np.float32),
-    (np.zeros(1, np.float32), np.ones((1, 1)), np.float64), (np.zeros(1, int), np.ones((1, 1), int), np.float64),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("center", "generators", "dtype"),
+    [
+        ([0], [[1]], np.float64),
+        (np.zeros(1, np.float32), np.ones((1, 1), np.float32), np.float32),
+        (np.zeros(1, np.float32), np.ones((1, 1)), np.float64),
+        (np.zeros(1, int), np.ones((1, 1), int), np.float64),
+    ],
+)
 def test_the_dtype_is_the_wider_of_both(center, generators, dtype):
     Z = factory(center, generators)
     assert Z.center.dtype == Z.generators.dtype == dtype
@@ -318,7 +371,9 @@ def test_a_zonotope_is_a_tree_of_center_and_generators():
     assert [leaf.shape for leaf in jax.tree.leaves(factory([0.0, 0.0], np.ones((2, 5))))] == [(2,), (2, 5)]
 
 
-@pytest.mark.parametrize("kernel", [lambda Z: Z.hull(), lambda Z: sets.support(Z, Z.center)], ids=["hull", "support"])
+@pytest.mark.parametrize(
+    "kernel", [lambda Z: Z.hull(), lambda Z: sets.support(Z, Z.center)], ids=["hull", "support"]
+)
 def test_a_second_call_does_not_trace(kernel):
     counted = Counted(kernel)
     compiled = jax.jit(counted)

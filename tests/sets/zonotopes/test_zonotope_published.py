@@ -1,4 +1,6 @@
-"""Zonotope facts that others published; what can be compiled eagerly, under jit and under vmap, decisions in test_decisions_inside_jit."""
+"""Zonotope facts that others published; what can be compiled eagerly, under jit and under vmap, decisions in
+test_decisions_inside_jit.
+"""
 
 import json
 from fractions import Fraction
@@ -13,8 +15,21 @@ from zonotope_cases import build, margin, padded, polytope, widths_along
 from jaxbound import sets
 from jaxbound.sets import zonotope as factory
 
-KINDS = ["point_in", "interval_hull", "volume", "vertices", "support", "norm2", "diameter2", "merge_parallel", "linear_map",
-         "minkowski_sum", "intersects", "zonotope_in", "minkowski_difference"]  # fmt: skip
+KINDS = [
+    "point_in",
+    "interval_hull",
+    "volume",
+    "vertices",
+    "support",
+    "norm2",
+    "diameter2",
+    "merge_parallel",
+    "linear_map",
+    "minkowski_sum",
+    "intersects",
+    "zonotope_in",
+    "minkowski_difference",
+]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +55,9 @@ def run(mode, f, *cases):
 
 
 def reaches_as_far(found, center, G, n):
-    """Assert that the set's first n coordinates reach as far as those of another, and no farther than rounding asks."""
+    """Assert that the set's first n coordinates reach as far as those of another, and no farther than
+    rounding asks.
+    """
     exact = lambda v: [Fraction(float(x)) for x in v]
     dot = lambda v, w: sum(a * b for a, b in zip(v, w, strict=True))
     far = lambda d, c, G: dot(d, exact(c)) + sum(abs(dot(d, exact(g))) for g in np.transpose(G))
@@ -66,10 +83,14 @@ def test_published_points_are_in_or_out_with_the_published_gauge(cases):
 @each_mode
 def test_published_interval_hulls_are_enclosed_tightly(mode, cases):
     for case, box in zip(
-        cases["interval_hull"], run(mode, sets.interval_hull, *((build(c),) for c in cases["interval_hull"])), strict=True
+        cases["interval_hull"],
+        run(mode, sets.interval_hull, *((build(c),) for c in cases["interval_hull"])),
+        strict=True,
     ):
         assert (box.lo <= np.array(case["lo"])).all() and (np.array(case["hi"]) <= box.hi).all()
-        assert (box.lo >= np.array(case["lo"]) - 1e-14).all() and (box.hi <= np.array(case["hi"]) + 1e-14).all()
+        assert (box.lo >= np.array(case["lo"]) - 1e-14).all() and (
+            box.hi <= np.array(case["hi"]) + 1e-14
+        ).all()
 
 
 def test_published_volumes_are_those_of_the_strips(cases):
@@ -96,7 +117,9 @@ def test_published_supports_are_bounded_tightly(mode, cases):
         assert case["value"] <= float(found) <= case["value"] + 1e-13
 
 
-@pytest.mark.parametrize("mode", [pytest.param(m, marks=pytest.mark.slow) if m == "jit" else m for m in MODES])  # "eager" is compiled too
+@pytest.mark.parametrize(
+    "mode", [pytest.param(m, marks=pytest.mark.slow) if m == "jit" else m for m in MODES]
+)  # "eager" is compiled too
 def test_published_corners_of_a_set_with_constraints_are_as_far_as_it_reaches(mode, cases):
     (case,) = (c for c in cases["vertices"] if "A" in c)
     Z = sets.constrained_zonotope(*(np.array(case[k], float) for k in ("c", "G", "A", "b")))
@@ -148,14 +171,20 @@ def test_published_pairs_meet_when_one_center_is_in_the_sum_of_the_other(cases):
     for case in cases["intersects"]:
         Z1, Z2 = case["Z1"], case["Z2"]
         m = margin(factory(np.array(Z1["c"], float), np.hstack([Z1["G"], Z2["G"]]) * 1.0), Z2["c"])
-        assert (m > 0) == case["meet"] and (m < 0) == (not case["meet"]) and abs(1 - m - case["scale_to_touch"]) < 1e-12
+        assert (
+            (m > 0) == case["meet"]
+            and (m < 0) == (not case["meet"])
+            and abs(1 - m - case["scale_to_touch"]) < 1e-12
+        )
 
 
 def test_published_inclusions_hold_strip_by_strip(cases):
     for case in cases["zonotope_in"]:
         outer, inner = build(case["outer"]), build(case["inner"])
         normals, widths = sets.strips(outer)
-        reach = abs(normals @ (np.asarray(inner.center) - np.asarray(outer.center))) + widths_along(inner, normals)
+        reach = abs(normals @ (np.asarray(inner.center) - np.asarray(outer.center))) + widths_along(
+            inner, normals
+        )
         assert (reach <= widths + 1e-12).all() == case["inside"]
 
 

@@ -18,7 +18,9 @@ def build(case):
 
 
 def padded(case, n, q, thick=0.0):
-    """Return the set of a case in n coordinates and of q generators: new coordinates are within `thick` of 0, new generators are 0."""
+    """Return the set of a case in n coordinates and of q generators: new coordinates are within `thick` of 0,
+    new generators are 0.
+    """
     G = np.array(case["G"], float)
     c, out = np.zeros(n), np.zeros((n, q))
     c[: len(G)] = case.get("c", 0)
@@ -64,7 +66,14 @@ def program(G, p):
     n, q = G.shape
     inequalities = np.vstack([np.hstack([s * np.eye(q), -np.ones((q, 1))]) for s in (1, -1)])
     equations = np.hstack([G, np.zeros((n, 1))])
-    found = linprog(np.r_[np.zeros(q), 1], A_ub=inequalities, b_ub=np.zeros(2 * q), A_eq=equations, b_eq=p, bounds=(None, None))
+    found = linprog(
+        np.r_[np.zeros(q), 1],
+        A_ub=inequalities,
+        b_ub=np.zeros(2 * q),
+        A_eq=equations,
+        b_eq=p,
+        bounds=(None, None),
+    )
     assert found.status in (0, 2), found.message
     return found.fun if found.status == 0 else np.inf
 
@@ -73,7 +82,9 @@ FAR = 1e-7  # what a linear program in floats can tell
 
 
 def drawn(rng, n, q, kind):
-    """Return generators: as they come, small integers, with repeated and zero columns, or of very different lengths."""
+    """Return generators: as they come, small integers, with repeated and zero columns, or of very different
+    lengths.
+    """
     if kind == "integer":
         return np.hstack([degenerate(rng, n, q - n), np.diag(rng.integers(1, 4, n))]) * 1.0
     G = rng.normal(size=(n, q))
@@ -88,12 +99,16 @@ KINDS = ["general", "integer", "repeated", "uneven"]
 
 def near(rng, count):
     """Return factors around 1, half of them within 1e-6."""
-    away = np.where(rng.random(count) < 0.5, 10.0 ** rng.uniform(-8.5, -6, count), rng.uniform(0.01, 0.9, count))
+    away = np.where(
+        rng.random(count) < 0.5, 10.0 ** rng.uniform(-8.5, -6, count), rng.uniform(0.01, 0.9, count)
+    )
     return 1 + rng.choice([-1, 1], count) * away
 
 
 def agree(decision, t, meets):
-    """Return (wrong, left open) of answers, t the gauges by a linear program; where the two differ, exact numbers decide."""
+    """Return (wrong, left open) of answers, t the gauges by a linear program; where the two differ, exact
+    numbers decide.
+    """
     held, missed = decision.answer == meets, decision.answer == -meets
     differ = (held & (t > 1)) | (missed & (t < 1))
     wrong = [at for at in np.argwhere(differ) if abs(t[*at] - 1) > 1e-6 or not confirmed(decision, tuple(at))]

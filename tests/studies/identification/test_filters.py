@@ -1,4 +1,6 @@
-"""Given filters: the regression against one written out here, stretch by stretch, with the first states as unknowns of their own."""
+"""Given filters: the regression against one written out here, stretch by stretch, with the first states as
+unknowns of their own.
+"""
 
 import numpy as np
 import pytest
@@ -43,7 +45,11 @@ def test_each_stretch_has_its_own_first_states_and_missing_outputs_are_left_out(
     rows, targets = [], []
     stretches = [(0, 25), (25, 40), (41, 90)]
     for number, (first, stop) in enumerate(stretches):
-        columns = [u[first:stop], *(lfilter([0, 1], [1, -a], u[first:stop], axis=0) for a in POLES), np.ones((stop - first, 1))]
+        columns = [
+            u[first:stop],
+            *(lfilter([0, 1], [1, -a], u[first:stop], axis=0) for a in POLES),
+            np.ones((stop - first, 1)),
+        ]
         free = np.zeros((stop - first, 2 * len(stretches)))
         free[:, 2 * number : 2 * number + 2] = np.array(POLES) ** np.arange(stop - first)[:, None]
         known = ~np.isnan(y[first:stop, 0])
@@ -65,7 +71,11 @@ def test_no_state_follows_a_lasting_error(rng):
     B, D = np.array([[[0.05]], [[0.2]]]), np.array([[0.3]])
     u, y = plant(rng, 400, B, D, noise=0.1)
     model = jb.fit((u, y), order=2, horizon=30, direct=True, method="filters", held_out=0)
-    assert model.check.method == "filters" and model.check.steady["y1"] < 1.0 and (model.n, model.horizon) == (2, 30)
+    assert (
+        model.check.method == "filters"
+        and model.check.steady["y1"] < 1.0
+        and (model.n, model.horizon) == (2, 30)
+    )
     healthy, leak = (plant(rng, 200, B, D, level, 0.1) for level in (20.0, 21.0))
     r = jb.parity_relations(model)
     assert (jb.detect(r, *leak).status[30:] == Status.FAULT).all()

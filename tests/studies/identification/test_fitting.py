@@ -1,4 +1,6 @@
-"""A model and its bounds from recordings: against least squares and linear programs worked out here, and a plant that is known."""
+"""A model and its bounds from recordings: against least squares and linear programs worked out here, and a
+plant that is known.
+"""
 
 import copy
 
@@ -33,7 +35,9 @@ def plant_of(model):
 
 
 def _mean_by_program(model, b, window, samples):
-    """Return the least bound of the mean of errors of at most b each that explain a window of so many samples, by a linear program."""
+    """Return the least bound of the mean of errors of at most b each that explain a window of so many
+    samples, by a linear program.
+    """
     u, y = window
     response, forced = [np.ones(1)], [np.zeros(1)]
     a, drive = float(model.A[0][0]), np.array(model.B[0], float)
@@ -66,14 +70,20 @@ class TestRegression:
         for k in [*range(2, 25), *range(27, 60)]:
             rows.append([*y[k - 1], *y[k - 2], *(u[k] if direct else ()), *u[k - 1], *u[k - 2], 1.0])
             targets.append(y[k])
-        np.testing.assert_allclose(theta, np.linalg.lstsq(np.array(rows), np.array(targets), rcond=None)[0], atol=1e-9)
+        np.testing.assert_allclose(
+            theta, np.linalg.lstsq(np.array(rows), np.array(targets), rcond=None)[0], atol=1e-9
+        )
 
     def test_windows_are_complete_and_cross_no_seam(self, rng):
         u, y, starts = rng.normal(size=(40, 1)), rng.normal(size=(40, 2)), np.array([11, 30])
         y[20, 1], u[35, 0] = np.nan, np.nan
         same = regression.Scales(np.zeros(1), np.ones(1), np.zeros(2), np.ones(2))
         found = regression.windows_of([(u, y, starts)], same, 3)
-        whole = [k for k in range(37) if not {20, 35} & set(range(k, k + 4)) and not any(k < s <= k + 3 for s in (11, 30))]
+        whole = [
+            k
+            for k in range(37)
+            if not {20, 35} & set(range(k, k + 4)) and not any(k < s <= k + 3 for s in (11, 30))
+        ]
         np.testing.assert_array_equal(found.y, np.stack([y[k : k + 4] for k in whole]))
         np.testing.assert_array_equal(found.u, np.stack([u[k : k + 4] for k in whole]))
 
@@ -89,8 +99,12 @@ class TestRegression:
                 drive = lambda b, j=j, alone=alone: alone * u[:, j] @ b.T
                 now, later = later + now @ A1.T + drive(B1) + alone * theta[6], now @ A2.T + drive(B2)
             (forced if alone else free).append(np.stack(out, 1).reshape(4, -1))
-        best = np.stack([np.linalg.lstsq(np.stack([f[i] for f in free], 1), e, rcond=None)[1][0]
-                         for i, e in enumerate(y.reshape(4, -1) - forced[0])])  # fmt: skip
+        best = np.stack(
+            [
+                np.linalg.lstsq(np.stack([f[i] for f in free], 1), e, rcond=None)[1][0]
+                for i, e in enumerate(y.reshape(4, -1) - forced[0])
+            ]
+        )
         e = np.asarray(regression._residuals(theta, u, y, np.ones(4), np.ones(2), 2, False))
         np.testing.assert_allclose((e**2).sum(1), best, rtol=1e-8)
 
@@ -116,7 +130,9 @@ class TestRegression:
     def test_a_first_fit_to_a_part_compiles_nothing_of_its_own(self, rng, monkeypatch):
         sizes = []
         monkeypatch.setattr(regression, "window_spread", lambda theta, *given: np.ones(1))
-        monkeypatch.setattr(regression, "_marquardt", lambda theta, given, *more: sizes.append(len(given[1])) or theta)
+        monkeypatch.setattr(
+            regression, "_marquardt", lambda theta, given, *more: sizes.append(len(given[1])) or theta
+        )
         jb.fit(run(rng, 150), order=1, horizon=4, method="windows")  # 101 and 146 windows
         assert sizes == [256] * 4
 
@@ -135,8 +151,16 @@ class TestModel:
         for k in range(300):
             y[k], x = np.array(C) @ x, np.array(A) @ x + np.array(B) @ u[k]
         model = jb.fit((u, y + rng.uniform(-0.01, 0.01, y.shape)), order=2, horizon=8)
-        response = lambda m: [float((np.array(m.C, float) @ np.linalg.matrix_power(np.array(m.A, float), j) @ np.array(m.B, float))[0, 0])
-                              for j in range(8)]  # fmt: skip
+        response = lambda m: [
+            float(
+                (
+                    np.array(m.C, float)
+                    @ np.linalg.matrix_power(np.array(m.A, float), j)
+                    @ np.array(m.B, float)
+                )[0, 0]
+            )
+            for j in range(8)
+        ]
         np.testing.assert_allclose(response(model), response(true), atol=0.02)
 
     def test_the_smallest_bound_is_that_of_the_linear_program(self, rng):
@@ -162,10 +186,15 @@ class TestModel:
         assert 1.2 * mean <= float(one.bound) < 1.2 * mean * 1.01
         assert (jb.detect(jb.parity_relations(model), u, y).status[4:] == Status.CONSISTENT).all()
         assert max(r["used"] for r in model.check.recordings) <= 1 / 1.2 + 1e-5
-        explained = [_mean_by_program(model, b * (1 + 2e-6), window, 5) for window in zip(*all_windows(u, y, 4), strict=True)]
+        explained = [
+            _mean_by_program(model, b * (1 + 2e-6), window, 5)
+            for window in zip(*all_windows(u, y, 4), strict=True)
+        ]
         assert 0.98 * mean < max(explained) <= mean * (1 + 1e-9)
         save_model(model, tmp_path / "plant.toml")
-        assert load_model(tmp_path / "plant.toml").averages == model.averages and "{samples = 5, bound = " in model_text(model)
+        assert load_model(
+            tmp_path / "plant.toml"
+        ).averages == model.averages and "{samples = 5, bound = " in model_text(model)
         assert jb.fit((u, y), order=1, horizon=4).averages == ()
 
     def test_errors_that_do_not_average_out_get_no_bound_of_a_mean(self, rng):
@@ -177,16 +206,33 @@ class TestModel:
     def test_the_constant_becomes_the_operating_point(self, rng):
         u, y = run(rng, level=350.0)
         model = jb.fit((u, y), order=1, horizon=4)
-        rest = float(model.offset["y"][0]) - float(model.B[0][0]) / (1 - float(model.A[0][0])) * float(model.offset["u"][0])
+        rest = float(model.offset["y"][0]) - float(model.B[0][0]) / (1 - float(model.A[0][0])) * float(
+            model.offset["u"][0]
+        )
         assert abs(rest - 350) < 0.1  # where the plant stays without input
 
     def test_bounds_hold_for_the_model_as_it_is_saved(self, rng, tmp_path):
         u, y = run(rng, T=100)
-        model = jb.fit((u, y), order=1, horizon=4, dt=0.5, inputs=["pump"], outputs=["level"], units={"level": "m"}, name="tank")
+        model = jb.fit(
+            (u, y),
+            order=1,
+            horizon=4,
+            dt=0.5,
+            inputs=["pump"],
+            outputs=["level"],
+            units={"level": "m"},
+            name="tank",
+        )
         save_model(model, tmp_path / "tank.toml")
         again = load_model(tmp_path / "tank.toml")
         assert again == model == copy.deepcopy(model) and model_text(again) == model_text(model)
-        assert (again.horizon, again.dt, again.inputs, again.outputs, again.unit("level")) == (4, 0.5, ("pump",), ("level",), "m")
+        assert (again.horizon, again.dt, again.inputs, again.outputs, again.unit("level")) == (
+            4,
+            0.5,
+            ("pump",),
+            ("level",),
+            "m",
+        )
         assert max(len(str(float(x))) for row in (*again.A, *again.B) for x in row) <= 12
         assert again.provenance["noise"] == "fitted to 100 samples in 1 recording, safety factor 1.25"
 
@@ -221,7 +267,11 @@ class TestRecordings:
         table = pd.DataFrame({"pump": u[:, 0], "level": y[:, 0], "other": "text"}, index=index)
         model = jb.fit([table], order=1, horizon=4, inputs="pump", outputs=["level"])
         plain = jb.fit((u, y, [60]), order=1, horizon=4)
-        assert (model.inputs, model.outputs) == (("pump",), ("level",)) and model.A == plain.A and model.noise == plain.noise
+        assert (
+            (model.inputs, model.outputs) == (("pump",), ("level",))
+            and model.A == plain.A
+            and model.noise == plain.noise
+        )
 
     def test_a_table_tells_its_period_as_a_file_does(self, rng, tmp_path):
         """Whatever its index: dt was 1, and the shell refused the model."""
@@ -243,8 +293,14 @@ class TestRecordings:
         model = jb.fit((u, spoilt), order=1, horizon=4, method="windows")
         res = jb.detect(jb.parity_relations(first), u[84:], spoilt[84:])
         assert model.check.held_out["windows"] == 32 and first.check.held_out is None
-        assert abs(model.check.held_out["fault"] - res.counts["FAULT"] / 32) < 0.15 and model.check.held_out["growth"] > 3
-        assert any("held-out windows would be FAULT under the bounds of the first 70 %" in s for s in model.check.sentences)
+        assert (
+            abs(model.check.held_out["fault"] - res.counts["FAULT"] / 32) < 0.15
+            and model.check.held_out["growth"] > 3
+        )
+        assert any(
+            "held-out windows would be FAULT under the bounds of the first 70 %" in s
+            for s in model.check.sentences
+        )
 
 
 class TestCautions:
@@ -260,38 +316,62 @@ class TestCautions:
 
     def test_recordings_that_contradict_each_other(self, rng):
         said = self.said([run(rng, 60, noise=0.01), run(rng, 60, noise=0.4)])
-        assert "recording 2 needs bounds" in said and "times as wide as recording 1: they contradict each other" in said
+        assert (
+            "recording 2 needs bounds" in said
+            and "times as wide as recording 1: they contradict each other" in said
+        )
 
     def test_too_little_history(self, rng):
         said = self.said(run(rng, T=30))
         assert "hold only 5 windows of 5 samples that do not overlap" in said
 
     def test_nothing_held_out(self, rng):
-        assert "nothing was held out: what the monitor makes of data that it has not seen is unknown" in self.said(run(rng), held_out=0)
+        assert (
+            "nothing was held out: what the monitor makes of data that it has not seen is unknown"
+            in self.said(run(rng), held_out=0)
+        )
 
     def test_a_blind_monitor(self, rng):
         said = self.said((rng.normal(size=(120, 1)), rng.normal(size=(120, 1))))
         assert "the monitor is blind for y1: no jump below" in said
 
 
-@pytest.mark.parametrize("change, message", [
-    (dict(order=0), "order must be a whole number >= 1, not 0"),
-    (dict(horizon=1), r"horizon must be a whole number above the order \(1\), not 1"),
-    (dict(safety=0.9), "safety must be a factor >= 1, not 0.9"),
-    (dict(average=6), "average must be a whole number from 2 to the 5 samples of a window, not 6"),
-    (dict(average=True), "average must be a whole number from 2"),
-    (dict(held_out=1), "held_out must be a share from 0 to below 1, not 1"),
-    (dict(recordings=[]), "there is no recording"),
-    (dict(recordings=[3]), r"recording 1 must be a pair \(u, y\), a DataFrame or a Recording, not int"),
-    (dict(recordings=pd.DataFrame({"a": [1.0]})), r"recording 1 is a DataFrame: say with inputs"),
-    (dict(recordings=pd.DataFrame({"a": [1.0], "b": [2.0]}), outputs=["A"], inputs="b"), "recording 1: y has no column 'A'"),
-    (dict(recordings=(np.zeros((9, 1)), np.zeros((8, 1)))), "recording 1: u and y must have the same number of samples: 9 and 8"),
-    (dict(recordings=(np.zeros((9, 1)), np.full((9, 1), np.inf))), "recording 1: y must be finite"),
-    (dict(recordings=(np.zeros((9, 1)), np.full((9, 1), 5.0))), "y1 stands still in all recordings"),
-    (dict(recordings=(None, np.arange(9.0)), order=3), "too few samples: 9, in 1 recording, hold 5 complete windows of 5 .* 6 steps for 4"),
-    (dict(recordings=(None, np.arange(4.0))), "too few samples: 4, in 1 recording, hold 0 complete windows of 5"),
-    (dict(recordings=(np.zeros((2, 9, 1)), np.zeros((2, 9, 1)))), "time must be its first axis: give several recordings as a list"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(order=0), "order must be a whole number >= 1, not 0"),
+        (dict(horizon=1), r"horizon must be a whole number above the order \(1\), not 1"),
+        (dict(safety=0.9), "safety must be a factor >= 1, not 0.9"),
+        (dict(average=6), "average must be a whole number from 2 to the 5 samples of a window, not 6"),
+        (dict(average=True), "average must be a whole number from 2"),
+        (dict(held_out=1), "held_out must be a share from 0 to below 1, not 1"),
+        (dict(recordings=[]), "there is no recording"),
+        (dict(recordings=[3]), r"recording 1 must be a pair \(u, y\), a DataFrame or a Recording, not int"),
+        (dict(recordings=pd.DataFrame({"a": [1.0]})), r"recording 1 is a DataFrame: say with inputs"),
+        (
+            dict(recordings=pd.DataFrame({"a": [1.0], "b": [2.0]}), outputs=["A"], inputs="b"),
+            "recording 1: y has no column 'A'",
+        ),
+        (
+            dict(recordings=(np.zeros((9, 1)), np.zeros((8, 1)))),
+            "recording 1: u and y must have the same number of samples: 9 and 8",
+        ),
+        (dict(recordings=(np.zeros((9, 1)), np.full((9, 1), np.inf))), "recording 1: y must be finite"),
+        (dict(recordings=(np.zeros((9, 1)), np.full((9, 1), 5.0))), "y1 stands still in all recordings"),
+        (
+            dict(recordings=(None, np.arange(9.0)), order=3),
+            "too few samples: 9, in 1 recording, hold 5 complete windows of 5 .* 6 steps for 4",
+        ),
+        (
+            dict(recordings=(None, np.arange(4.0))),
+            "too few samples: 4, in 1 recording, hold 0 complete windows of 5",
+        ),
+        (
+            dict(recordings=(np.zeros((2, 9, 1)), np.zeros((2, 9, 1)))),
+            "time must be its first axis: give several recordings as a list",
+        ),
+    ],
+)
 def test_what_cannot_be_fitted_is_refused_in_a_sentence(change, message):
     with pytest.raises(ValueError, match=message):
         jb.fit(**{"recordings": [], "order": 1, "horizon": 4} | change)

@@ -8,7 +8,12 @@ from jaxbound.studies.montecarlo.draws import share, threefry, words
 PUBLISHED = {  # of the authors' own test vectors: key, counter, 13 rounds, 20 rounds
     "zeros": ((0, 0), (0, 0), (0x9D1C5EC6, 0x8BD50731), (0x6B200159, 0x99BA4EFE)),
     "ones": ((0xFFFFFFFF,) * 2, (0xFFFFFFFF,) * 2, (0xFD36D048, 0x2D17272C), (0x1CB996FC, 0xBB002BE7)),
-    "pi": ((0x13198A2E, 0x03707344), (0x243F6A88, 0x85A308D3), (0xBA3E4725, 0xF27D669E), (0xC4923A9C, 0x483DF7A0)),
+    "pi": (
+        (0x13198A2E, 0x03707344),
+        (0x243F6A88, 0x85A308D3),
+        (0xBA3E4725, 0xF27D669E),
+        (0xC4923A9C, 0x483DF7A0),
+    ),
 }
 
 
@@ -21,9 +26,17 @@ def test_threefry_gives_the_published_words(name):
 
 
 def test_draws_are_uniform_and_do_not_know_of_each_other(rng):
-    """Neighbouring scenarios, neighbouring steps and the draws of one step, 16384 of each: every statistic within 6 deviations."""
+    """Neighbouring scenarios, neighbouring steps and the draws of one step, 16384 of each: every statistic
+    within 6 deviations.
+    """
     N, key = 2**14, rng.integers(0, 2**32, 2, np.uint32)
-    drawn = np.array([share(b, np.float64) for k in range(3) for b in words(tuple(key), np.arange(N, dtype=np.uint32), 2 * k, 4)])
+    drawn = np.array(
+        [
+            share(b, np.float64)
+            for k in range(3)
+            for b in words(tuple(key), np.arange(N, dtype=np.uint32), 2 * k, 4)
+        ]
+    )
     assert (abs(drawn) <= 1).all() and len(np.unique(drawn)) > 0.999 * drawn.size
     cells = np.array([np.bincount(((d + 1) * 32).astype(int), minlength=64) for d in drawn])
     chi = ((cells - N / 64) ** 2 / (N / 64)).sum(1)

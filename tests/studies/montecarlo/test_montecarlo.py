@@ -1,4 +1,6 @@
-"""Studies: what is counted, that nothing healthy is, and that the counts do not depend on how the work was done."""
+"""Studies: what is counted, that nothing healthy is, and that the counts do not depend on how the work was
+done.
+"""
 
 import numpy as np
 import pytest
@@ -25,7 +27,9 @@ def recordings(res, block=0):
     """Return the recordings of one block of a study of `simple`, with the onsets and sizes."""
     model, trial = res.model, res.trials[0]
     dtype = np.float64
-    room = recursion.rounding_room(model, res.horizon, scenarios.largest_input(model, trial, np.ones(1), res.samples), res.samples, dtype)
+    room = recursion.rounding_room(
+        model, res.horizon, scenarios.largest_input(model, trial, np.ones(1), res.samples), res.samples, dtype
+    )
     course = kernel.Course(res.samples, res.settings["hold"], res.at == "vertices")
     numbers = np.arange(block * kernel.BLOCK, (block + 1) * kernel.BLOCK, dtype=np.uint32)
     key = np.array(res.settings["key"][0], np.uint32)
@@ -36,7 +40,11 @@ def recordings(res, block=0):
 
 
 def test_counts_are_those_of_detect_on_the_same_recordings(found):
-    T, s, total = found.samples, found.horizon, {name: np.zeros(3, int) for name in ("hits", "windows", "detected", "clean")}
+    T, s, total = (
+        found.samples,
+        found.horizon,
+        {name: np.zeros(3, int) for name in ("hits", "windows", "detected", "clean")},
+    )
     for block in range(3):
         u, y, onset, size = recordings(found, block)
         fault = jb.detect(jb.parity_relations(found.model), u, y).status == Status.FAULT
@@ -58,17 +66,26 @@ def test_inputs_move_over_the_range_that_the_model_states(found):
     moved = jb.study(simple().replace(ranges={"u1": (3, 7)}), "y1:bias", 3, 3, **OPTIONS)
     u = recordings(moved)[0]
     assert moved.settings["input range"] == [[3.0, 7.0]] and u.min() >= 3 and u.max() <= 7 and np.ptp(u) > 3.9
-    assert jb.study(simple().replace(ranges={"u1": (3, 7)}), "y1:bias", 3, 3, input_range=(0, 1), **OPTIONS).settings["input range"] == [
-        [0, 1]
-    ]
+    assert jb.study(
+        simple().replace(ranges={"u1": (3, 7)}), "y1:bias", 3, 3, input_range=(0, 1), **OPTIONS
+    ).settings["input range"] == [[0, 1]]
 
 
 def test_recordings_hold_the_fault_and_nothing_else(found):
     u, y, onset, size = recordings(found)
-    assert len(np.unique(u)) > 5000 and (abs(u) <= 1).all() and (u[:, :20] == u[:, :1]).all() and (u[:, 20] != u[:, 19]).all()
+    assert (
+        len(np.unique(u)) > 5000
+        and (abs(u) <= 1).all()
+        and (u[:, :20] == u[:, :1]).all()
+        and (u[:, 20] != u[:, 19]).all()
+    )
     assert onset.min() == 15 and onset.max() == 29
     state, within = np.zeros(len(y)), True
-    for k in range(60):  # an independent recursion: what y is beyond it lies in the bounds, shifted by the size from the onset on
+    for k in range(
+        60
+        # an independent recursion: what y is beyond it lies in the bounds, shifted by the size from the onset
+        # on
+    ):
         error = y[:, k, 0] - state - np.where(k >= onset, size, 0)
         within &= bool((abs(error) <= 0.1 + 0.005 * abs(state) + 1e-12).all())
         state = 0.8 * state + u[:, k, 0]
@@ -106,20 +123,32 @@ def test_an_interrupted_study_goes_on_and_ends_with_the_same_counts(found, tmp_p
         if share > 0.3:
             raise KeyboardInterrupt
 
-    run = lambda n=10_000, **more: jb.study(simple(), "y1:bias", n, 3, out=tmp_path / "kept", **OPTIONS, **more)
+    run = lambda n=10_000, **more: jb.study(
+        simple(), "y1:bias", n, 3, out=tmp_path / "kept", **OPTIONS, **more
+    )
     with pytest.raises(KeyboardInterrupt, match="1 of 3 blocks of scenarios are kept"):
         run(progress=stop)
     shares = []
     assert tallies(run(progress=shares.append)) == tallies(found)
     assert shares == [2 / 3, 1]
     assert tallies(run()) == tallies(found)
-    with pytest.raises(ValueError, match="study.npz is of another n: choose another place, or delete it to begin anew"):
+    with pytest.raises(
+        ValueError, match="study.npz is of another n: choose another place, or delete it to begin anew"
+    ):
         run(n=9_000)
-    with monkeypatch.context() as patch, pytest.raises(ValueError, match="study.npz is of another version of jaxbound: choose"):
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(ValueError, match="study.npz is of another version of jaxbound: choose"),
+    ):
         patch.setattr(jb, "__version__", "0.0.1")
         run()
-    engine = montecarlo._engine  # a block is larger where there are more devices: counts of another machine cannot be gone on with
-    with monkeypatch.context() as patch, pytest.raises(ValueError, match="study.npz is of another block: choose"):
+    engine = (
+        montecarlo._engine
+    )  # a block is larger where there are more devices: counts of another machine cannot be gone on with
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(ValueError, match="study.npz is of another block: choose"),
+    ):
         patch.setattr(montecarlo, "_engine", lambda *made: (engine(*made)[0], 64))
         run()
     (tmp_path / "kept" / "study.npz").write_bytes(b"PK")
@@ -134,7 +163,10 @@ def test_rows_of_single_scenarios_say_what_the_counts_say(found, tmp_path, monke
     res = jb.study(simple(), "y1:bias", 10_000, 3, out=tmp_path, rows=True, **OPTIONS)
     rows = pd.read_parquet(tmp_path / "scenarios")
     assert len(list((tmp_path / "scenarios").iterdir())) == 2
-    assert rows.scenario.tolist() == list(range(10_000)) and rows.fault_windows.sum() == res.tallies[0].hits.sum()
+    assert (
+        rows.scenario.tolist() == list(range(10_000))
+        and rows.fault_windows.sum() == res.tallies[0].hits.sum()
+    )
     assert rows.groupby("size").delay.count().tolist() == found.tallies[0].detected.tolist()
 
 
@@ -175,4 +207,8 @@ def test_a_picture_shows_every_fault_with_its_guaranteed_size(found):
     fig = jb.plot(found)
     left, right = fig.axes
     assert left.get_title(loc="left") == "y1:bias" and len(right.lines) == 3
-    assert any(line.get_xdata()[0] == found.trials[0].guaranteed for line in left.lines if len(set(line.get_xdata())) == 1)
+    assert any(
+        line.get_xdata()[0] == found.trials[0].guaranteed
+        for line in left.lines
+        if len(set(line.get_xdata())) == 1
+    )

@@ -32,7 +32,9 @@ def test_nothing_is_known_of_no_scenario():
 
 
 def test_rates_of_windows_that_depend_on_each_other_are_covered(rng):
-    """Scenarios of 1 to 40 windows, each with a rate of its own: an interval that took windows for independent covers 30 %."""
+    """Scenarios of 1 to 40 windows, each with a rate of its own: an interval that took windows for
+    independent covers 30 %.
+    """
     covered = naive = 0
     for _ in range(400):
         w = rng.integers(1, 41, 300)

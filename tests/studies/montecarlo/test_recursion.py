@@ -14,13 +14,17 @@ SAMPLES, N = 60, 40
 
 
 def run(model, rng, vertices, horizon, dtype=np.float64, inputs=1.0):
-    """Return (room, x, u, y, theta, w), arrays over (time, signal, scenario) as a compiled scan makes them."""
+    """Return (room, x, u, y, theta, w), arrays over (time, signal, scenario) as a compiled scan makes
+    them.
+    """
     highest = np.full(model.m, inputs)
     room = recursion.rounding_room(model, horizon, highest, SAMPLES, dtype)
     assert recursion.fits(model, room)
     plant = recursion.plant_of(model, room, dtype)
     n, m, p, g = plant.shape
-    draw = lambda *shape: (rng.choice([-1.0, 1.0], shape) if vertices else rng.uniform(-1, 1, shape)).astype(dtype)
+    draw = lambda *shape: (rng.choice([-1.0, 1.0], shape) if vertices else rng.uniform(-1, 1, shape)).astype(
+        dtype
+    )
     offset = np.array([float(x) for x in model.offset["u"]])[None, :, None]
     u = (offset + rng.uniform(-inputs, inputs, (SAMPLES, m, N))).astype(dtype)
     theta, delta = plant.tolerance[:, None] * draw(SAMPLES, p, N), plant.noise[:, None] * draw(SAMPLES, p, N)
@@ -37,7 +41,11 @@ def run(model, rng, vertices, horizon, dtype=np.float64, inputs=1.0):
 
     x, y = scan(u, theta, delta, shares)
     half = plant.hi - plant.lo
-    w = np.clip(plant.lo[:, None] + (1 + shares) * 0.5 * half[:, None], plant.lo[:, None], plant.hi[:, None]) if g else shares
+    w = (
+        np.clip(plant.lo[:, None] + (1 + shares) * 0.5 * half[:, None], plant.lo[:, None], plant.hi[:, None])
+        if g
+        else shares
+    )
     return room, np.asarray(x), u, np.asarray(y), theta, w
 
 
@@ -60,7 +68,9 @@ def test_every_window_is_explained_exactly_within_the_bounds(name, s, vertices, 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_the_room_is_needed_and_no_more_than_some_hundred_times_what_is(dtype, rng):
-    """The noise that rounding really costs comes within a factor of 300 of the room: the bound is not idle."""
+    """The noise that rounding really costs comes within a factor of 300 of the room: the bound is not
+    idle.
+    """
     model, s = jb.LinearSystem(**MODELS["paper"]), 1
     room, x, u, y, theta, w = run(model, rng, True, s, dtype)
     limit = np.array([float(v) for v in recursion.plant_of(model, room, dtype).noise])
@@ -69,7 +79,9 @@ def test_the_room_is_needed_and_no_more_than_some_hundred_times_what_is(dtype, r
         for k in range(0, SAMPLES - s, 13):
             part = lambda a, i=i, k=k: a[k : k + s + 1, :, i]
             needed, _ = noises("paper", s, x[k, :, i], part(u), part(y), part(theta), part(w))
-            most = np.maximum(most, [max(float(abs(row[j]) - float(limit[j])) for row in needed) for j in range(2)])
+            most = np.maximum(
+                most, [max(float(abs(row[j]) - float(limit[j])) for row in needed) for j in range(2)]
+            )
     assert (most <= room).all() and (most > room / 300).all()
 
 
@@ -78,7 +90,9 @@ def test_no_noise_a_growing_state_and_what_is_not_certain_do_not_fit():
     assert fits(simple())
     assert not fits(simple(noise=0)) and fits(simple(noise=0, resolution=0.01))
     assert not fits(simple(A=[[1.3]]))
-    assert not fits(simple(uncertainties=[jb.Uncertainty("k", B=[[0.1]])])) and not fits(simple(constant_tolerance=True))
+    assert not fits(simple(uncertainties=[jb.Uncertainty("k", B=[[0.1]])])) and not fits(
+        simple(constant_tolerance=True)
+    )
 
 
 def test_reach_is_what_the_worst_inputs_come_to(rng):

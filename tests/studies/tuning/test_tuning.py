@@ -30,10 +30,16 @@ def relations(plant, s):
 
 
 RAYS = [
-    (TOLERANT, 1, ("tolerance", "noise")), slow(BLOWN, 2, ("noise", "disturbance")), slow(TOLERANT, 2, ("noise",)),
-    slow(TOLERANT, 3, ("tolerance", "noise")), slow(TOLERANT, 4, ("tolerance", "noise")), slow(BLOWN, 3, ("noise", "disturbance")),
-    long(TOLERANT, 20, ("tolerance", "noise")), long(BLOWN, 12, ("disturbance",)), long(dict(BLOWN, tolerance=[0.02, 0.1]), 8, None),
-]  # fmt: skip
+    (TOLERANT, 1, ("tolerance", "noise")),
+    slow(BLOWN, 2, ("noise", "disturbance")),
+    slow(TOLERANT, 2, ("noise",)),
+    slow(TOLERANT, 3, ("tolerance", "noise")),
+    slow(TOLERANT, 4, ("tolerance", "noise")),
+    slow(BLOWN, 3, ("noise", "disturbance")),
+    long(TOLERANT, 20, ("tolerance", "noise")),
+    long(BLOWN, 12, ("disturbance",)),
+    long(dict(BLOWN, tolerance=[0.02, 0.1]), 8, None),
+]
 
 
 @pytest.mark.parametrize("plant, s, which", RAYS)
@@ -41,7 +47,9 @@ def test_smallest_scale_is_that_of_the_linear_programs_and_never_above(plant, s,
     exact = Plant(**plant)
     u, y = tuning_case.recording(exact, 120 + s, rng, share=rng.uniform(0.3, 1.5))
     r = relations(plant, s)
-    best = tuning_case.smallest_scale(exact, s, *tuning_case.windows_of(s, u, y), which or ("tolerance", "noise", "disturbance"))
+    best = tuning_case.smallest_scale(
+        exact, s, *tuning_case.windows_of(s, u, y), which or ("tolerance", "noise", "disturbance")
+    )
     res = jb.tune(r, (u, y), steps=0, bounds=which)
     assert best * (1 - 1e-6) <= res.scale <= best * (1 + 1e-9)  # 1e-9: the programs' own error
     below = {name: (1 - 1e-9) * res.scale * r.bounds[name] for name in which or r.bounds}
@@ -58,11 +66,13 @@ def test_scale_is_below_the_exact_one(rng):
 
 
 SEVERAL = [
-    (dict(BASE, noise=[0.1, 0.1]), 1, 0.0, 100), slow(dict(BASE, noise=[0.1, 0.1], disturbance=([[1], [0]], [0.1])), 2, 0.0, 200),
+    (dict(BASE, noise=[0.1, 0.1]), 1, 0.0, 100),
+    slow(dict(BASE, noise=[0.1, 0.1], disturbance=([[1], [0]], [0.1])), 2, 0.0, 200),
     slow(dict(BASE, noise=[0.1, 0.1], tolerance=[0.02, 0.1]), 2, 3.0, 300),
     long(dict(BASE, noise=[0.3, 0.02], disturbance=([[1], [0]], [[-0.1, 0.3]])), 3, 0.0, 300),
-    long(dict(BASE, noise=[0.1, 0.1]), 12, 0.0, 300), long(dict(BASE, noise=[0.05, 0.05], tolerance=[0.05, 0.05]), 1, 3.0, 1000),
-]  # fmt: skip
+    long(dict(BASE, noise=[0.1, 0.1]), 12, 0.0, 300),
+    long(dict(BASE, noise=[0.05, 0.05], tolerance=[0.05, 0.05]), 1, 3.0, 1000),
+]
 
 
 @pytest.mark.parametrize("guess, s, mean, steps", SEVERAL)
@@ -75,12 +85,22 @@ def test_several_bounds_come_within_2_percent_of_the_program_over_all_of_them(gu
         weights["tolerance"] = 1 / np.array(guess["tolerance"])
     if g:
         ((lo, hi),) = true.disturbance
-        weights["disturbance"] = np.array([1 / float(hi)] if lo == -hi else [[-0.5 / float(lo), 0.5 / float(hi)]])
+        weights["disturbance"] = np.array(
+            [1 / float(hi)] if lo == -hi else [[-0.5 / float(lo), 0.5 / float(hi)]]
+        )
     best, _ = tuning_case.smallest_width(true, s, *tuning_case.windows_of(s, u, y), weights, tolerant)
     res = jb.tune(relations(guess, s), (u, y), steps=steps, calibrate=0)
-    found = {**res.smallest, **({"disturbance": res.smallest["disturbance"][..., -weights["disturbance"].ndim :]} if g else {})}
-    width = sum(float(np.sum(weights[name] * abs(np.reshape(found[name], np.shape(weights[name]))))) for name in weights)
-    assert best * (1 - (1e-3 if tolerant else 1e-7)) <= width <= 1.02 * best  # with tolerance the reference is a local optimum
+    found = {
+        **res.smallest,
+        **({"disturbance": res.smallest["disturbance"][..., -weights["disturbance"].ndim :]} if g else {}),
+    }
+    width = sum(
+        float(np.sum(weights[name] * abs(np.reshape(found[name], np.shape(weights[name])))))
+        for name in weights
+    )
+    assert (
+        best * (1 - (1e-3 if tolerant else 1e-7)) <= width <= 1.02 * best
+    )  # with tolerance the reference is a local optimum
     assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0
     assert jb.detect(res.relations, u, y).counts["CONSISTENT"] == 150
 
@@ -97,7 +117,9 @@ def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     ends = np.flatnonzero(~good.without(s))
     healthy = tuple(jnp.asarray(np.moveaxis(x, 0, 2)) for x in good.gather(ends, s))
     z = jnp.asarray(z)
-    found, hard, _ = gradient(z, problem, 1.0, 0, log_factors(z, problem, *healthy), np.ones(len(ends), bool), None)
+    found, hard, _ = gradient(
+        z, problem, 1.0, 0, log_factors(z, problem, *healthy), np.ones(len(ends), bool), None
+    )
     h = 1e-6
     quotients = [(value(z + h * e) - value(z - h * e)) / (2 * h) for e in np.eye(len(z))]
     np.testing.assert_allclose(found, quotients, atol=2e-4)
@@ -147,27 +169,45 @@ def test_interrupted_and_called_again_gives_the_same(rng, tmp_path):
             raise KeyboardInterrupt
 
     whole = jb.tune(r, good, steps=60)
-    part = jb.tune(r, good, steps=60, state=state, progress=lambda share: stop(share) if share < 0.9 else None)
+    part = jb.tune(
+        r, good, steps=60, state=state, progress=lambda share: stop(share) if share < 0.9 else None
+    )
     again = jb.tune(r, good, steps=60, state=state)
     assert part.stopped and 0 < part.steps < 60 and part.counts["FAULT"] == 0
     assert not again.stopped and again.steps == 60 and len(jb.plot(again).axes) == 3
     for name, bound in whole.smallest.items():
         np.testing.assert_array_equal(bound, again.smallest[name])
     np.testing.assert_array_equal(whole.history["width"], again.history["width"])
-    with pytest.raises(ValueError, match="state.npz is of another healthy recordings and share held out: choose another place"):
+    with pytest.raises(
+        ValueError,
+        match="state.npz is of another healthy recordings and share held out: choose another place",
+    ):
         jb.tune(r, good[:1], steps=60, state=state)
     with pytest.raises(ValueError, match="state.npz is of another optimizer: choose another place"):
         jb.tune(r, good, optimizer=optax.sgd(0.1, momentum=0.9), steps=60, state=state)
 
 
-@pytest.mark.parametrize("change, what", [
-    ("F", "model"), ("D_v", "model"), ("version", "version of jaxbound"), ("dtype", "healthy recordings"), ("calibrate", "share held out"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, what",
+    [
+        ("F", "model"),
+        ("D_v", "model"),
+        ("version", "version of jaxbound"),
+        ("dtype", "healthy recordings"),
+        ("calibrate", "share held out"),
+    ],
+)
 def test_the_state_of_another_tuning_is_not_taken_up(change, what, tmp_path, rng, monkeypatch):
     plant = lambda F, D_v: dict(BASE, noise=[0.1, 0.01], tolerance=0.02, unknown_inputs=(F, D_v))
     r, state = relations(plant([[1], [0]], [[0], [0]]), 3), tmp_path / "state.npz"
-    good, more, given = (np.zeros((60, 1)), rng.uniform(-0.01, 0.01, (60, 2))), {}, dict(steps=1, every=1, state=state)
-    monkeypatch.setattr(tuning, "descend", lambda problem, optimizer, every, carry, *rest: (carry, carry[0]))  # only the file matters
+    good, more, given = (
+        (np.zeros((60, 1)), rng.uniform(-0.01, 0.01, (60, 2))),
+        {},
+        dict(steps=1, every=1, state=state),
+    )
+    monkeypatch.setattr(
+        tuning, "descend", lambda problem, optimizer, every, carry, *rest: (carry, carry[0])
+    )  # only the file matters
     jb.tune(r, good, **given)
     jb.tune(r, good, **given)
     if change == "F":
@@ -202,10 +242,18 @@ def test_model_file_holds_the_bounds_rounded_up_and_says_where_they_come_from(rn
     res = jb.tune(r, good, steps=0, bounds="noise", safety=1.25)
     jb.save_model(res.model, tmp_path / "tuned.toml")
     model = jb.load_model(tmp_path / "tuned.toml")
-    assert model.tolerance == r.model.tolerance and model.provenance["tolerance"] == "datasheet" and model.horizon == 1
+    assert (
+        model.tolerance == r.model.tolerance
+        and model.provenance["tolerance"] == "datasheet"
+        and model.horizon == 1
+    )
     assert model.provenance["noise"] == "fitted to 298 healthy windows, safety factor 1.25"
     for exact, smallest, bound in zip(model.noise, res.smallest["noise"], res.bounds["noise"], strict=True):
-        assert Fraction(smallest) * Fraction(5, 4) <= exact <= Fraction(smallest) * Fraction(5, 4) * Fraction(1002, 1000)
+        assert (
+            Fraction(smallest) * Fraction(5, 4)
+            <= exact
+            <= Fraction(smallest) * Fraction(5, 4) * Fraction(1002, 1000)
+        )
         assert float(exact) == pytest.approx(bound, rel=1e-15)
     again = jb.parity_relations(model)
     assert all(jb.detect(again, *x).counts["CONSISTENT"] == 149 for x in good)
@@ -234,7 +282,9 @@ def test_parameters_move_and_detect_has_the_last_word(rng):
     assert jb.detect(jb.parity_relations(model, 2), u, y).counts["FAULT"] == 0
 
 
-SMALL = dict(A=[[0.5]], B=[[0]], C=[[1]], noise=[0.1], tolerance=[0.02])  # of the sizes that the families of studies compile
+SMALL = dict(
+    A=[[0.5]], B=[[0]], C=[[1]], noise=[0.1], tolerance=[0.02]
+)  # of the sizes that the families of studies compile
 
 
 @pytest.mark.parametrize("plant, s", [(SMALL, 1), long(TOLERANT, 1), long(TOLERANT, 2)])
@@ -251,16 +301,25 @@ def test_constant_tolerance_is_scaled(rng, plant, s):
 
 GOOD = np.zeros((5, 1)), np.ones((5, 2))
 WRONG = [
-    (dict(healthy=GOOD[1]), "needs a tuple"), (dict(healthy=[]), "needs a tuple"),
-    (dict(healthy=(GOOD[0][:1], GOOD[1][:1])), "no window of 2 samples"), (dict(healthy=(*GOOD, [1, 2, 3, 4])), "no window of 2 samples"),
+    (dict(healthy=GOOD[1]), "needs a tuple"),
+    (dict(healthy=[]), "needs a tuple"),
+    (dict(healthy=(GOOD[0][:1], GOOD[1][:1])), "no window of 2 samples"),
+    (dict(healthy=(*GOOD, [1, 2, 3, 4])), "no window of 2 samples"),
     (dict(healthy=(GOOD[0], np.full((5, 2), np.nan))), "no window of 2 samples"),
-    (dict(healthy=(GOOD[0], GOOD[1] + np.inf)), "must be finite"), (dict(bounds="noises"), "no bound 'noises' to move"),
-    (dict(bounds=()), "no bound can move"), (dict(bounds="disturbance"), "no bound 'disturbance'"),
-    (dict(weights={"noise": -1}), "weights must be > 0"), (dict(weights={"noise": [1, 2, 3]}), "the weights of noise"),
-    (dict(safety=0.9), "factor >= 1"), (dict(calibrate=1), "0 <= calibrate < 1"), (dict(confidence=1), "between 0 and 1"),
-    (dict(steps=-1), "steps must be a whole number"), (dict(every=0), "every must be"), (dict(block=0.5), "block must be"),
+    (dict(healthy=(GOOD[0], GOOD[1] + np.inf)), "must be finite"),
+    (dict(bounds="noises"), "no bound 'noises' to move"),
+    (dict(bounds=()), "no bound can move"),
+    (dict(bounds="disturbance"), "no bound 'disturbance'"),
+    (dict(weights={"noise": -1}), "weights must be > 0"),
+    (dict(weights={"noise": [1, 2, 3]}), "the weights of noise"),
+    (dict(safety=0.9), "factor >= 1"),
+    (dict(calibrate=1), "0 <= calibrate < 1"),
+    (dict(confidence=1), "between 0 and 1"),
+    (dict(steps=-1), "steps must be a whole number"),
+    (dict(every=0), "every must be"),
+    (dict(block=0.5), "block must be"),
     (dict(faulty=[GOOD]), "faulty recording 1 is the same as healthy recording 1"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("given, sentence", WRONG)
@@ -274,8 +333,17 @@ def test_bounds_that_cannot_explain_are_refused(rng):
     with pytest.raises(ValueError, match="every entry of tolerance and noise is 0"):
         jb.tune(relations(BASE, 1), good)
     u, y = good
-    with pytest.raises(ValueError, match=r"tolerance of y\d would reach 1 before the healthy window that ends at sample \d+ is explained"):
-        jb.tune(relations(TOLERANT, 1), (u, y + 3 * (np.arange(50) % 2)[:, None] * [1, 0]), steps=0, bounds="tolerance")
+    with pytest.raises(
+        ValueError,
+        match=r"tolerance of y\d would reach 1 before the healthy window that ends at sample \d+ "
+        r"is explained",
+    ):
+        jb.tune(
+            relations(TOLERANT, 1),
+            (u, y + 3 * (np.arange(50) % 2)[:, None] * [1, 0]),
+            steps=0,
+            bounds="tolerance",
+        )
     blown = relations(dict(BASE, disturbance=([[1], [0]], [0.1])), 1)
     with pytest.raises(ValueError, match="no size of disturbance of w1 explains the healthy window"):
         jb.tune(blown, (u, y + rng.normal(size=y.shape)), steps=0)

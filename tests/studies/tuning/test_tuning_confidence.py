@@ -22,7 +22,9 @@ from tests.systems import PAPER
 TOLERANT = dict(A=PAPER["A"], B=PAPER["B"], C=PAPER["C"], tolerance=[0.02, 0.1], noise=[0.1, 0.01])
 
 
-@pytest.mark.parametrize("n, bounds, confidence", [(20, 1, 0.9), (100, 4, 0.95), (57, 6, 0.99), (1000, 3, 0.999)])
+@pytest.mark.parametrize(
+    "n, bounds, confidence", [(20, 1, 0.9), (100, 4, 0.95), (57, 6, 0.99), (1000, 3, 0.999)]
+)
 def test_scenario_bound_solves_the_binomial_equation(n, bounds, confidence):
     eps = scenario_bound(n, bounds, confidence)
     assert binom.cdf(bounds - 1, n, eps) == pytest.approx(1 - confidence, rel=1e-9)
@@ -47,7 +49,10 @@ def test_blocks_share_no_sample_and_lie_within_runs(rng):
     across[3:60], across[63:64], across[70:200] = False, False, False
     label, length = blocks_of(across, s, 7)
     assert length == 7 and not across[label >= 0].any()
-    samples = [set(np.concatenate([np.arange(e - s, e + 1) for e in np.flatnonzero(label == b)])) for b in range(label.max() + 1)]
+    samples = [
+        set(np.concatenate([np.arange(e - s, e + 1) for e in np.flatnonzero(label == b)]))
+        for b in range(label.max() + 1)
+    ]
     assert all(len(x) == 7 + s for x in samples) and sum(map(len, samples)) == len(set().union(*samples))
     chosen = np.isin(label, [2, 9])
     near = {e for e in range(s, 200) if set(range(e - s, e + 1)) & (samples[2] | samples[9])}
@@ -60,23 +65,42 @@ def test_statement_says_what_it_rests_on(rng):
     u, y = tuning_case.recording(Plant(**TOLERANT), 300, rng)
     r = jb.parity_relations(jb.LinearSystem(**TOLERANT), 1)
     found = jb.tune(r, (u, y), steps=0, safety=1.3, block=9).risk
-    assert found.blocks == 30 and found.average == 1 / 31 and found.rate == rate_bound(30, 0.95) and not found.guide
+    assert (
+        found.blocks == 30
+        and found.average == 1 / 31
+        and found.rate == rate_bound(30, 0.95)
+        and not found.guide
+    )
     assert "1/31 = 3.23 %" in found.text and "safety factor 1.3 comes on top and is not counted" in found.text
     assert found.factors.shape == (30,) and found.factors.max() <= 1
-    bare = dict(factors=np.ones(40), label=np.arange(40) // 4, length=4, confidence=0.95, safety=1.0, horizon=1)
+    bare = dict(
+        factors=np.ones(40), label=np.arange(40) // 4, length=4, confidence=0.95, safety=1.0, horizon=1
+    )
     guide = risk_of(**bare, kept=np.zeros(10, bool), tuned=2, convex=True, fixed=False)
-    assert guide.guide and guide.average == 2 / 11 and guide.rate == scenario_bound(10, 2, 0.95) and "no guarantee" in guide.text
+    assert (
+        guide.guide
+        and guide.average == 2 / 11
+        and guide.rate == scenario_bound(10, 2, 0.95)
+        and "no guarantee" in guide.text
+    )
     none = risk_of(**bare, kept=np.zeros(10, bool), tuned=2, convex=False, fixed=False)
     assert none.average is None and none.text.startswith("Nothing can be said")
     some = risk_of(**bare, kept=held_out(10, 0.5), tuned=2, convex=False, fixed=False)
     assert some.blocks == 5 and some.average == 1 / 6
 
 
-@pytest.mark.parametrize("steps, trials", [pytest.param(0, 25, marks=pytest.mark.slow), pytest.param(40, 100, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "steps, trials",
+    [pytest.param(0, 25, marks=pytest.mark.slow), pytest.param(40, 100, marks=pytest.mark.long)],
+)
 def test_new_blocks_alarm_no_more_often_than_stated(steps, trials, rng):
-    r = jb.parity_relations(jb.LinearSystem(**{**TOLERANT, "tolerance": [0.05, 0.05], "noise": [0.05, 0.05]}), 1)
+    r = jb.parity_relations(
+        jb.LinearSystem(**{**TOLERANT, "tolerance": [0.05, 0.05], "noise": [0.05, 0.05]}), 1
+    )
     plant, length, fresh = Plant(**TOLERANT), 6, 400
-    make = lambda count: zip(*[tuning_case.recording(plant, length + 1, rng, level=3) for _ in range(count)], strict=True)
+    make = lambda count: zip(
+        *[tuning_case.recording(plant, length + 1, rng, level=3) for _ in range(count)], strict=True
+    )
     rates, stated = [], None
     for _ in range(trials):
         u, y = (np.array(x) for x in make(24))
@@ -90,4 +114,7 @@ def test_new_blocks_alarm_no_more_often_than_stated(steps, trials, rng):
     assert rates.mean() > 0.1 * stated.average  # or the test would not see a wrong statement
     assert np.mean(rates > stated.rate) <= 0.2 + 3 * np.sqrt(0.16 / trials)
     above = np.mean(rates > stated.rate)
-    print(f"{trials} trials: mean rate {rates.mean():.4f} of {stated.average:.4f}, above {stated.rate:.3f} in {above:.3f}")
+    print(
+        f"{trials} trials: mean rate {rates.mean():.4f} of {stated.average:.4f}, above {stated.rate:.3f} in "
+        f"{above:.3f}"
+    )
