@@ -47,7 +47,7 @@ def register(kind: type["Source"]) -> type["Source"]:
         ...     def whole(self, progress=None):
         ...         rows = [json.loads(line) for line in Path(self.data).read_text().splitlines()]
         ...         columns = {name: [row[name] for row in rows] for name in rows[0]}
-    ...         return jb.Recording.of(self.model, columns)
+        ...         return jb.Recording.of(self.model, columns)
         >>> with tempfile.NamedTemporaryFile("w", suffix=".jsonl") as f:
         ...     _ = f.write('{"y1": 1.0}\n{"y1": 0.8}'), f.flush()
         ...     run = jb.read(f.name, jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
