@@ -15,6 +15,8 @@ import jaxbound as jb
 PACKAGE = Path(jb.__file__).parent
 FLOORS = (
     "exact",
+    "text",
+    "random",
     "recordings",
     "sets",
     "models",

@@ -18,7 +18,7 @@ from validated_case import found_in
 import jaxbound as jb
 from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.consistency.monitor import MonitorState, Verdict
-from jaxbound.recordings.objecttext import readable
+from jaxbound.text.objects import readable
 
 ROOMS = (
     jb.certificates,
@@ -139,7 +139,7 @@ def test_a_tag_without_a_partner_is_found():
 def test_every_public_object_is_told_in_less_than_two_kilobytes(kind, things):
     special = any(hasattr(kind, name) for name in ("_head", "_rows")) or not dataclasses.is_dataclass(kind)
     if kind not in things and (
-        special or "__repr__" in vars(kind) and kind.__repr__.__module__ != "jaxbound.recordings.objecttext"
+        special or "__repr__" in vars(kind) and kind.__repr__.__module__ != "jaxbound.text.objects"
     ):
         assert kind._repr_html_ and kind.__repr__ is not object.__repr__
         return

@@ -13,12 +13,12 @@ from jaxbound.cli.window import OBSERVER, window_relations
 from jaxbound.exact.price import duration_text
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
-from jaxbound.recordings.plaintext import cell
 from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
 from jaxbound.studies.montecarlo.montecarlo import study
 from jaxbound.studies.montecarlo.study_result import delay_table, study_table
+from jaxbound.text.characters import cell
 
 __all__ = ["run"]
 

@@ -24,7 +24,6 @@ from jaxbound.consistency.unproved import stretch_block
 from jaxbound.exact import linalg
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.cost import affordable
 from jaxbound.relations.parity import SUBSETS, stated_relations
@@ -32,6 +31,7 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.bank import bank_of, bank_range
+from jaxbound.text.objects import readable
 
 __all__ = ["UnknownInputs", "unknown_inputs"]
 

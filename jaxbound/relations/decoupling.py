@@ -23,12 +23,12 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.naming import listed
-from jaxbound.recordings.objecttext import readable
 from jaxbound.relations import shift
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import Redundancy, basis, redundancy
 from jaxbound.relations.shift import Row
+from jaxbound.text.names import listed
+from jaxbound.text.objects import readable
 
 __all__ = [
     "Isolability",

@@ -37,7 +37,6 @@ from jaxbound.exact.linalg import Matrix
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.bounds import Bounds, changed_bounds, model_bounds, reading
 from jaxbound.relations.cost import affordable, refuse_many_states
@@ -48,6 +47,7 @@ from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.strips.separation import Frame, frame_of
 from jaxbound.sets.strips.strips import Strips, strips_of
+from jaxbound.text.objects import readable
 
 __all__ = ["ParityRelation", "parity_relations", "stated_relations"]
 

@@ -29,13 +29,13 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations import shift
 from jaxbound.relations.elimination import eliminate
 from jaxbound.relations.parity import ParityRelation, stated_relations
 from jaxbound.relations.sentence import few_lines
 from jaxbound.relations.shift import Row
+from jaxbound.text.objects import readable
 
 __all__ = ["Redundancy", "basis", "known_side", "redundancy"]
 

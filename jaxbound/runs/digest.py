@@ -20,7 +20,6 @@ from jaxbound.plots.plot import plot
 from jaxbound.plots.timeline import Timeline, plot_timeline
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.hints import missing_sentences, rounding_hints
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.read import open_source
@@ -52,6 +51,7 @@ from jaxbound.runs.streaming import (
 from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 if TYPE_CHECKING:
     from distributed import Client

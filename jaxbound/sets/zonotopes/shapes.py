@@ -17,7 +17,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.exact import linalg
-from jaxbound.recordings.seeds import key_of
+from jaxbound.random.keys import key_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import search
 from jaxbound.sets.zonotopes.constrained import AnySet, parts

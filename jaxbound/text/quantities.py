@@ -1,0 +1,42 @@
+"""Numbers as people read them: factors, shares and spans of time."""
+
+__all__ = ["duration", "factor", "percent", "times"]
+
+UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
+"""A unit of time, its seconds, and the seconds from which on it is used."""
+
+
+def factor(x: float) -> str:
+    """Return "2.2" for a factor, with no more digits than matter."""
+    if x >= 1e9:
+        return f"{x:.2g}"
+    if x >= 1000:
+        return f"{x:,.0f}"
+    short = f"{x:.3g}"
+    if short == "1":  # just above 1 is not 1
+        return f"{x:.7g}"
+    return short
+
+
+def times(x: float) -> str:
+    """Return "2.2 times" for a factor."""
+    return f"{factor(x)} times"
+
+
+def percent(share: float) -> str:
+    """Return a share as text that is 0 % or 100 % only where it is exactly that."""
+    if share in (0, 1):
+        return f"{100 * share:.0f} %"
+    if share < 0.001:
+        return "<0.1 %"
+    if 0.999 < share < 1:
+        return ">99.9 %"
+    return f"{100 * share:.3g} %"
+
+
+def duration(seconds: float) -> str:
+    """Return a time span in units that read well."""
+    for unit, size, least in UNITS:
+        if seconds >= least:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"
