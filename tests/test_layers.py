@@ -17,6 +17,7 @@ FLOORS = (
     "exact",
     "text",
     "random",
+    "files",
     "recordings",
     "sets",
     "models",
