@@ -33,6 +33,7 @@ lint: .venv/tested
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
+	.venv/bin/python .ci/density.py
 
 docs: .venv/installed
 	.venv/bin/pip install --quiet --editable ".[docs]"
