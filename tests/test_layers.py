@@ -14,8 +14,8 @@ import jaxbound as jb
 
 PACKAGE = Path(jb.__file__).parent
 FLOORS = (
-    "exact",
     "text",
+    "exact",
     "random",
     "files",
     "recordings",
