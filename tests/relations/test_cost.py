@@ -12,6 +12,7 @@ from counted_calls import TooManyCalls, at_most
 import jaxbound as jb
 from jaxbound.estimation.zonotope_numbers import left_inverse
 from jaxbound.exact import linalg
+from jaxbound.exact.circuits import circuits
 from jaxbound.exact.price import refuse_or_say
 from jaxbound.models.modelfile import save_model
 from jaxbound.models.plant import Plant
@@ -173,14 +174,14 @@ def test_a_model_of_too_many_states_is_refused_at_once():
 def test_few_relations_of_many_states_take_no_minors_of_their_size(rng):
     a = linalg.matrix(rng.integers(-99, 100, (33, 30)))
     with at_most(MANY):  # by minors of 30 rows: minutes
-        found = linalg.circuits(a)
+        found = circuits(a)
     assert len(found) == 33 * 32 // 2 and all(not any(x) for x in linalg.matmul(found, a))
 
 
 @pytest.mark.parametrize("shape", [(6, 2), (6, 4), (7, 5), (5, 4), (5, 5)])
 def test_circuits_have_minimal_supports_whichever_way_they_are_found(shape, rng):
     a = linalg.matrix(rng.integers(-1, 2, shape))
-    found = linalg.circuits(a)
+    found = circuits(a)
     supports = [frozenset(i for i, x in enumerate(h) if x) for h in found]
     assert len(set(supports)) == len(found) and not any(x < y for x in supports for y in supports)
     null = linalg.left_null_space(a)
