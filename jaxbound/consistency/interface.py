@@ -17,11 +17,12 @@ import numpy as np
 from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
-from jaxbound.exact.linalg import Frame, Matrix
+from jaxbound.exact.frames import ExactFrame
+from jaxbound.exact.linalg import Matrix
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, SignalModel
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.objects import readable
 
 __all__ = [
     "FAMILIES",
@@ -262,7 +263,7 @@ class LinearRelations(Relations):
             raise NotImplementedError
 
         @property
-        def frame(self) -> Frame | None:
+        def frame(self) -> ExactFrame | None:
             """The numbers that the exchange search needs where circuits are too many, else None."""
             raise NotImplementedError
 

@@ -24,10 +24,10 @@ from jaxbound.consistency.interface import (
     WindowTest,
     refuse_options,
 )
-from jaxbound.recordings.objecttext import readable
 from jaxbound.recordings.recording import Recording, Signals
 from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
+from jaxbound.text.objects import readable
 
 __all__ = ["Channels", "Residual", "residual"]
 
