@@ -1,6 +1,4 @@
-"""Where random numbers begin: a whole number will do as well as a key."""
-
-from typing import Any
+"""Keys of random numbers: a whole number will do as well as a key."""
 
 import jax
 import numpy as np
@@ -8,7 +6,7 @@ import numpy as np
 __all__ = ["key_of"]
 
 
-def key_of(seed: Any) -> jax.Array:
+def key_of(seed: jax.Array | int | np.integer) -> jax.Array:
     """Return a jax.random key of a whole number, and a key as it is.
 
     Raises:
