@@ -17,6 +17,7 @@ FLOORS = (
     "text",
     "exact",
     "random",
+    "files",
     "recordings",
     "sets",
     "models",
