@@ -6,7 +6,7 @@ Arrays are shown by their type and shape; an object of a few numbers is shown wh
 import dataclasses
 import html
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -40,7 +40,7 @@ def readable(cls: Class) -> Class:
           status: float64 (300,)
           method: 'joint'
     """
-    plain = cls.__repr__
+    plain = cast(Callable[[object], str], cls.__repr__)
     # dataclasses and named tuples get a `__repr__` made for them: it is not the author's
     has_own = "__repr__" in vars(cls) and not hasattr(plain, "__wrapped__") and not issubclass(cls, tuple)
 
