@@ -20,7 +20,7 @@ from jaxbound.cli.share import opened, refuse_shares, run_share
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.validate import Validated
 from jaxbound.cli.window import OBSERVER, observer_options, window_relations
-from jaxbound.consistency.interface import METHODS
+from jaxbound.consistency.interface import FAMILIES, METHODS
 from jaxbound.diagnosis.again import again_hints
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.hints import bound_hints, outgrown
@@ -67,10 +67,9 @@ def run_detect(args: argparse.Namespace) -> int:
         raise Refused("the following arguments are required: --out; see jaxbound detect --help")
     if args.state is not None:
         raise Refused("--state is for samples that come through a pipe: give - as DATA")
-    if args.method not in (*METHODS, OBSERVER, VALIDATION):
-        raise Refused(
-            f"--method must be one of {', '.join((*METHODS, OBSERVER, VALIDATION))}, not {args.method!r}"
-        )
+    methods = (*METHODS, OBSERVER, VALIDATION, *FAMILIES)
+    if args.method not in methods:
+        raise Refused(f"--method must be one of {', '.join(methods)}, not {args.method!r}")
     with door(OSError):
         kind = kind_of(args.data)
     refuse_shares(args, kind)

@@ -11,7 +11,7 @@ from pathlib import Path
 from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.window import OBSERVER, observer_options, refuse_options
-from jaxbound.consistency.interface import METHODS
+from jaxbound.consistency.interface import FAMILIES, METHODS
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
@@ -98,8 +98,9 @@ def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str
 
 def run(args: argparse.Namespace) -> int:
     """Run `jaxbound fleet`; return the exit code."""
-    if args.method not in (*METHODS, OBSERVER):
-        raise Refused(f"--method must be one of {', '.join((*METHODS, OBSERVER))}, not {args.method!r}")
+    methods = (*METHODS, OBSERVER, *FAMILIES)
+    if args.method not in methods:
+        raise Refused(f"--method must be one of {', '.join(methods)}, not {args.method!r}")
     with door():
         refuse_options(args)
         units = read_manifest(args.manifest)

@@ -88,7 +88,7 @@ def follow(args: argparse.Namespace, chunks: Iterable[bytes | None], whole: bool
     with door(), _place(args) as folder:
         stated = load_model(args.model)
         model, relations = window_relations(stated, args, args.model, None, lambda stage, share: None)
-        if getattr(relations, "frame", None) is None:  # strips: sooner done than handed to another thread
+        if not relations.searched:  # strips: sooner done than handed to another thread
             jax.config.update("jax_cpu_enable_async_dispatch", False)
         usable_device()
         monitor = Monitor(relations, args.method)

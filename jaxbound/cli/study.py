@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         span = span[0] if span is not None and len(span) == 1 else span
         onset = None if onset is None else tuple(map(int, onset[0]))
         by, progress = (
-            "joint" if args.method == OBSERVER else args.method,
+            args.method if args.method in METHODS else "joint",
             _Announced(args, lambda share: step("study", share)),
         )
         res = study(

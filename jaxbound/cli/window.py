@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
+from jaxbound.consistency.interface import FAMILIES
 from jaxbound.estimation.observer import observer
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
@@ -77,7 +78,10 @@ def window_relations(
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
     refuse_options(args)
-    if getattr(args, "method", None) == OBSERVER:
+    method = getattr(args, "method", None)
+    if method in FAMILIES:
+        return model, FAMILIES[method](model, args.horizon)
+    if method == OBSERVER:
         return model, observer(model, **observer_options(args))
     model = windowed(model, args.horizon, args.lags)
     refuse_short(source, samples, model.horizon if args.horizon is None else args.horizon)

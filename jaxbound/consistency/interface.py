@@ -479,7 +479,11 @@ class Observer(Relations, Generic[Carry]):
 
     if not TYPE_CHECKING:
         horizon = 0
-        methods = (OBSERVER,)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The one method of an observer."""
+        return (self.method,)
 
     @cached_property
     def signals(self) -> SignalModel:
@@ -523,7 +527,7 @@ class Observer(Relations, Generic[Carry]):
         """Return this observer, which knows one method.
 
         Raises:
-            ValueError: another method than "observer" (or "joint", the default of every verb), a budget or a
+            ValueError: another method than its own (or "joint", the default of every verb), a budget or a
                 compensation.
         """
         known = method in (METHODS[0], self.method)
