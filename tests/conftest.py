@@ -39,6 +39,15 @@ def pytest_configure(config):
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 
 
+def pytest_collection_modifyitems(items):
+    """Skip, where the system is not POSIX, the tests marked `posix("what they need")`."""
+    if os.name == "posix":
+        return
+    for item in items:
+        for marker in item.iter_markers("posix"):
+            item.add_marker(pytest.mark.skip(reason=f"needs {marker.args[0]}, which this system lacks"))
+
+
 @pytest.fixture
 def kernels(monkeypatch):
     """Have processes that a test starts share the compiled kernels of this one."""
