@@ -41,7 +41,7 @@ def reached(statements):
             if leaves(s.body) or leaves(s.orelse):
                 return reached(statements[i + 1 :])
         elif isinstance(s, ast.Try) and s.handlers and reached(s.orelse):
-            if all(reached(handler.body) for handler in s.handlers):
+            if reached(s.body) or all(reached(handler.body) for handler in s.handlers):
                 return True
         elif isinstance(s, ast.For | ast.While | ast.With | ast.Try):
             if isinstance(s, ast.With) and any(map(asserts, s.items)) or reached(s.body):

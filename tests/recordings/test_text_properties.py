@@ -136,7 +136,7 @@ def changed(text, changes):
     return text
 
 
-def is_a_sentence(error):
+def assert_sentence(error):
     """Check that an error is one line, short, without signs that a terminal would obey."""
     words = str(error)
     assert 10 < len(words) < 2300 and words.isprintable(), words
@@ -149,7 +149,7 @@ def test_a_changed_table_is_a_recording_or_a_sentence(changes):
     try:
         r = read(text)
     except ValueError as error:
-        is_a_sentence(error)
+        assert_sentence(error)
     else:
         assert isinstance(r, Recording) and len(r.u) == len(r.y) == len(r.time)
         assert np.isfinite(r.time).all() and not np.isinf(r.y).any()
@@ -164,7 +164,7 @@ def test_a_changed_stream_says_the_same_wherever_it_is_cut(changes, data):
     try:
         whole = from_pipe(text)
     except ValueError as error:
-        is_a_sentence(error)
+        assert_sentence(error)
         with pytest.raises(ValueError) as again:
             from_pipe(text, cuts)
         assert str(again.value) == str(error)
