@@ -28,7 +28,6 @@ from jaxbound.estimation.validation import least_horizon, validate
 from jaxbound.models.modelfile import load_model, save_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.plaintext import percent, times
 from jaxbound.recordings.read import kind_of, open_source
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.validation import write_page
@@ -40,6 +39,7 @@ from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome, file_names, write_all
 from jaxbound.runs.streaming import CHUNK, PARTIAL, VERDICTS, all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import OUTSIDE, Evidence, Summary, Window, summarised
+from jaxbound.text.quantities import percent, times
 
 __all__ = ["conclude", "run_demo", "run_detect"]
 

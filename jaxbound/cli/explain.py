@@ -18,8 +18,6 @@ from jaxbound.cli.terminal import LOUDNESS, VERBOSE, door, show, write
 from jaxbound.cli.window import OBSERVER
 from jaxbound.estimation.observer import observer
 from jaxbound.models.rows import Kind
-from jaxbound.recordings.plaintext import percent
-from jaxbound.recordings.plaintext import times as factor_text
 from jaxbound.recordings.read import open_source
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.sentence import main_terms, row_name
@@ -28,6 +26,8 @@ from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.runfile import VALIDATION, load_run
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.quantities import percent
+from jaxbound.text.quantities import times as factor_text
 
 __all__ = ["certificate_of", "readable", "run"]
 

@@ -12,13 +12,14 @@ from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import door, progress_bars, show, usable_device, write
 from jaxbound.cli.window import OBSERVER, observer_options, refuse_options
 from jaxbound.consistency.interface import METHODS
-from jaxbound.recordings.plaintext import cell, percent
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page
 from jaxbound.runs.fleet import UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Interrupted, Refused
 from jaxbound.runs.summary import LAYOUT, OUTSIDE
+from jaxbound.text.characters import cell
+from jaxbound.text.quantities import percent
 
 __all__ = ["run", "write_fleet"]
 

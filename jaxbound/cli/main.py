@@ -34,7 +34,7 @@ from jaxbound.cli.terminal import (
     write,
 )
 from jaxbound.cli.usage import EPILOG, NO_COMMAND, epilog
-from jaxbound.recordings.plaintext import clipped
+from jaxbound.text.characters import clipped
 
 __all__ = ["commands", "main"]
 

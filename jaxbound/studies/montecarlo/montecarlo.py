@@ -29,8 +29,8 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.models.system import LinearSystem
+from jaxbound.random.keys import key_of
 from jaxbound.recordings.arrays import inputs_of, refuse_infinite
-from jaxbound.recordings.seeds import key_of
 from jaxbound.relations.identity import identity
 from jaxbound.relations.parity import parity_relations
 from jaxbound.relations.residual import Residual

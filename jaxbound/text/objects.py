@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxbound.recordings.plaintext import printable
+from jaxbound.text.characters import printable
 
 __all__ = ["readable"]
 
