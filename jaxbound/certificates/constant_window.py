@@ -16,9 +16,10 @@ from fractions import Fraction
 from typing import Any
 
 from jaxbound.certificates.blame import DIGITS
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, dot
+from jaxbound.certificates.exact_window import ExactWindow, Explanation
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev
+from jaxbound.exact.linalg import dot
 
 __all__ = ["ConstantWindow"]
 

@@ -10,17 +10,17 @@ The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y
 / (1 + sigma).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from math import lcm
 from typing import Any, Self
 
 import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
+from jaxbound.exact.linalg import dot
 from jaxbound.models import window
 from jaxbound.models.rows import Row, WindowRows
 from jaxbound.models.sensor import RECORDER_ULPS
@@ -28,7 +28,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
-__all__ = ["ExactWindow", "Explanation", "dot", "exact_samples", "exact_window", "stretched"]
+__all__ = ["ExactWindow", "Explanation", "exact_samples", "exact_window", "stretched"]
 
 ZERO = Fraction(0)
 
@@ -232,15 +232,6 @@ class ExactWindow:
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns z keep every row within its limits."""
         return all(x is None or x[0] <= v <= x[1] for x, v in zip(self.limits, self.rows_at(z), strict=True))
-
-
-def dot(a: Iterable[Fraction], b: Iterable[Fraction]) -> Fraction:
-    """Return the sum of products exactly: one common denominator, so that nothing is reduced in between."""
-    pairs = [(x, y) for x, y in zip(a, b, strict=True) if x and y]
-    common = lcm(*(x.denominator * y.denominator for x, y in pairs))
-    return Fraction(
-        sum(x.numerator * y.numerator * (common // (x.denominator * y.denominator)) for x, y in pairs), common
-    )
 
 
 def stretched(v: Fraction, sigma: Fraction) -> Fraction:

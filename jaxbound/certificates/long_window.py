@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, dot, exact_samples
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_samples
 from jaxbound.certificates.interface import certify
 from jaxbound.exact import linalg
+from jaxbound.exact.linalg import dot
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 from jaxbound.relations.bounds import model_bounds

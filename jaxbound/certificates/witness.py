@@ -7,8 +7,8 @@ from fractions import Fraction
 from typing import Any
 
 from jaxbound.certificates.checker.claim import statement
-from jaxbound.certificates.exact_window import dot
 from jaxbound.certificates.plain import plain_names, plain_sums
+from jaxbound.exact.linalg import dot
 from jaxbound.models.sensor import RECORDER_ULPS
 from jaxbound.sets.floats.status import Status
 

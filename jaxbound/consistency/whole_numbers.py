@@ -26,8 +26,8 @@ import numpy as np
 
 from jaxbound.consistency.reading import gather
 from jaxbound.consistency.whole_rows import WholeRows, whole_rows
-from jaxbound.exact import linalg
-from jaxbound.exact.integers import integers, places, quotients, ratios, total
+from jaxbound.exact.frames import ExactFrame
+from jaxbound.exact.integers import places, quotients, ratios, total, whole_floats
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
@@ -207,7 +207,7 @@ def _whole_strip(rows: WholeRows, h: Vector, k: Vector) -> _WholeStrip:
     return _WholeStrip(support, inputs, whole_h, whole_k, floor)
 
 
-def _searched(rows: WholeRows, frame: linalg.Frame, dtype: Any) -> np.ndarray:
+def _searched(rows: WholeRows, frame: ExactFrame, dtype: Any) -> np.ndarray:
     """Return (N,) margins, by what a search in floats finds and integers prove."""
     image = _whole_image(rows, frame)
     N = rows.absent.shape[1]
@@ -277,7 +277,7 @@ class _WholeImage:
         """Return (which windows the combinations h (c, N) contradict, the gauges that they show)."""
         # searches leave numbers of absent rows open, and may fail
         h = np.where(self.present & np.isfinite(h), h, 0)
-        whole = integers(h, places(h))
+        whole = whole_floats(h, places(h))
         across = [self._column(i, whole) for i in range(len(self.inner))]
         width = total(self.common * abs(x) * s for x, s in zip(whole, self.outer, strict=True))
         width = width + total(abs(x) * s for x, s in zip(across, self.inner, strict=True))
@@ -291,7 +291,7 @@ class _WholeImage:
         """Return which windows inner rows d (k, N), to be multiplied by `fold`, explain."""
         d = np.where(np.isfinite(d), d, 0)
         power = places(d)
-        whole, one = integers(d, power) * fold, 1 << power
+        whole, one = whole_floats(d, power) * fold, 1 << power
         fits = np.ones(self.present.shape[1], bool)
         for i, radius in enumerate(self.inner):
             fits &= (abs(whole[i]) * self.unit <= radius * one).astype(bool) | ~self.real[i]
@@ -307,7 +307,7 @@ class _WholeImage:
         return total(row[i] * whole[a] for a, row in enumerate(self.R) if row[i])
 
 
-def _whole_image(rows: WholeRows, frame: linalg.Frame) -> _WholeImage:
+def _whole_image(rows: WholeRows, frame: ExactFrame) -> _WholeImage:
     """Return the image of windows in a frame."""
     inner, outer = list(frame.inner), list(frame.outer)
     common = lcm(_common((rows.factor,)), _common(frame.R), _common(frame.K))
@@ -337,7 +337,7 @@ def _whole_image(rows: WholeRows, frame: linalg.Frame) -> _WholeImage:
     )
 
 
-def _usable(rows: WholeRows, frame: linalg.Frame, image: _WholeImage) -> np.ndarray:
+def _usable(rows: WholeRows, frame: ExactFrame, image: _WholeImage) -> np.ndarray:
     """Return (N,) bool: which windows have every inner row and input that their relations need."""
     c, k = len(frame.outer), len(frame.inner)
     through = np.array([_nonzero(row) for row in frame.R], int).reshape(c, k)
@@ -364,7 +364,7 @@ class _FloatImage:
         return np.asarray(h), np.asarray(d)
 
 
-def _in_floats(image: _WholeImage, frame: linalg.Frame) -> _FloatImage:
+def _in_floats(image: _WholeImage, frame: ExactFrame) -> _FloatImage:
     """Return the image in floats."""
     c, k = len(image.outer), len(image.inner)
     N = image.present.shape[1]

@@ -16,7 +16,7 @@ from math import lcm
 import numpy as np
 
 from jaxbound.consistency.reading import Reading
-from jaxbound.exact.integers import integers, places, total
+from jaxbound.exact.integers import places, total, whole_floats
 from jaxbound.models.rows import Kind, Row, WindowRows
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.system import LinearSystem
@@ -118,7 +118,7 @@ def _numbers(model: LinearSystem, reading: Reading, u: np.ndarray, y: np.ndarray
     common = lcm(*(x.denominator for x in offsets))
 
     def whole(x: np.ndarray) -> np.ndarray:
-        return integers(x, power) * common
+        return whole_floats(x, power) * common
 
     def whole_offset(values: Sequence[Fraction]) -> np.ndarray:
         return np.array([int(x * common) << power for x in values], object).reshape(1, -1, 1)

@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.certificates.exact_window import dot
 from jaxbound.diagnosis.observer_sizes import least_seen
 from jaxbound.estimation.observer import SetObserver, observer
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, subspace
+from jaxbound.exact.linalg import dot
 from jaxbound.exact.price import SECONDS
 from jaxbound.models import window
 from jaxbound.models.conversion import ModelLike, as_model

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["integers", "places", "quotients", "ratios", "total"]
+__all__ = ["places", "quotients", "ratios", "total", "whole_floats"]
 
 MANTISSA = 53
 """Bits of a float: times 2^53 its mantissa is whole."""
@@ -23,7 +23,7 @@ def places(x: Any) -> int:
     return max(0, MANTISSA - int(exponent.min()))
 
 
-def integers(x: Any, power: int) -> np.ndarray:
+def whole_floats(x: Any, power: int) -> np.ndarray:
     """Return finite floats times 2^power, which makes them integers, as an array of Python's."""
     mantissa, exponent = np.frexp(np.asarray(x, np.float64))
     whole = (mantissa * 2.0**MANTISSA).astype(np.int64).astype(object)

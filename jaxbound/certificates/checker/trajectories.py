@@ -108,7 +108,8 @@ def _run_ends(c, bound, terms, error):
     """
     if not terms:
         return None
-    middle, sizes = F(0), {}
+    middle = F(0)
+    sizes: dict[int, F] = {}
     rad = bound + ROUNDED * len(terms) * c["floor"]
     for measured, j, i, weight in terms:
         rad += ROUNDED * abs(weight) * c["floor"]
