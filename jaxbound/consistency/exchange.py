@@ -124,7 +124,7 @@ class ExchangeTest(WindowTest):
         """Return which windows of a block the combinations that the search found contradict; see
         `contradicted_by`.
         """
-        if self.reading.filters:
+        if self.reading.window.sums:
             return np.zeros(len(at), bool)
         u, y = (x[..., at] for x in block)
         return contradicted_by(self.reading, self.reading.shape, u, y, np.asarray(found[0])[:, at])
@@ -195,7 +195,10 @@ class ExchangeTest(WindowTest):
         if not len(starts):
             return []
         gathered = gather(u, y, starts, self.lags, self.horizon)
-        missing, absent = np.isnan(gathered[0]).reshape(-1, len(starts)).T, self.reading.absent(gathered[1]).T
+        missing, absent = (
+            np.isnan(gathered[0]).reshape(-1, len(starts)).T,
+            self.reading.window.absent(gathered[1]).T,
+        )
         patterns, which = np.unique(np.concatenate([absent, missing], 1), axis=0, return_inverse=True)
         rows = absent.shape[1]
         frames, numbers = [self.relations.frame], []

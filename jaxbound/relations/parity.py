@@ -162,7 +162,7 @@ class ParityRelation(LinearRelations):
         refuse_options(method, budget, compensation)
         if self._moving is not None:
             return self._moving.test(method, dtype, budget, compensation)
-        if self.model.averages and method != "joint":
+        if window.bounded_sums(self.model) and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if method == "paving":
             return PavingTest(self, dtype, budget)
@@ -324,13 +324,13 @@ def parity_relations(
     else:
         samples, K = _second(model, horizon)
         W = _with_disturbance(model, horizon, samples)
-    W = _beside_averages(model, horizon, W)
+    W = _beside_sums(model, horizon, W)
     if not W:
         raise ValueError(_without_relation(model, horizon, lags))
     report(0.5)
     bounds = model_bounds(model)
     E, known = window.unknowns(model, horizon)
-    seen = range(len(E)) if lags is None else window.seen_rows(model, horizon, lags)
+    seen = window.window_rows(model, horizon, lags).seen
     E, known = tuple(E[i] for i in seen), tuple(known[i] for i in seen)
     circuits = _few_circuits(E, SUBSETS if model.constant_tolerance else TESTED)
     report(0.6)
@@ -372,13 +372,13 @@ def stated_relations(model: LinearSystem, horizon: int, samples: Matrix, K: Matr
     """Return given relations samples Y = K U of an exact plant as a ParityRelation, to be tested one by one
     (method "box").
     """
-    W = _beside_averages(model, horizon, _with_disturbance(model, horizon, samples))
+    W = _beside_sums(model, horizon, _with_disturbance(model, horizon, samples))
     return ParityRelation(model_bounds(model), model, horizon, "stated", W, K, (), ())
 
 
-def _beside_averages(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix:
-    """Append to relations the coefficients of the averages: none."""
-    nothing = (ZERO,) * len(window.runs(model, horizon))
+def _beside_sums(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix:
+    """Append to relations the coefficients of bounded sums: none."""
+    nothing = (ZERO,) * len(window.window_rows(model, horizon).of_sums)
     return tuple(row + nothing for row in relations)
 
 
