@@ -3,7 +3,7 @@
 import contextlib
 import io
 import json
-import sys
+import os
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,13 +22,13 @@ TOYS = {"steps": Steps, "spread": Spread}
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch):
+def registered():
     """Register the toys, and forget them again."""
-    monkeypatch.setattr(sources, "KINDS", list(sources.KINDS))
     sources.register(JsonLines)
     for name, kind in TOYS.items():
         family(name)(lambda model, horizon, kind=kind: kind(model))
     yield
+    sources.KINDS.remove(JsonLines)
     for name in TOYS:
         del FAMILIES[name]
 
@@ -71,10 +71,12 @@ def expected(toy):
 
 def shell(*arguments):
     """Return (exit code, stdout, stderr) of a command."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([str(x) for x in arguments])
-    return code, out.getvalue(), err.getvalue()
+    out, err = io.BytesIO(), io.StringIO()
+    with contextlib.redirect_stdout(io.TextIOWrapper(out, write_through=True)) as printed:
+        with contextlib.redirect_stderr(err):
+            code = main([str(x) for x in arguments])
+        printed.flush()
+    return code, out.getvalue().decode(), err.getvalue()
 
 
 def test_detect(toy):
@@ -161,11 +163,20 @@ def test_the_shell_detects_and_reports(method, folder, data):
     assert "FAULT" in page and method in page
 
 
-def test_the_shell_judges_a_pipe(method, folder, monkeypatch):
-    given = io.TextIOWrapper(io.BytesIO((folder / "run.csv").read_bytes()))
-    monkeypatch.setattr(sys, "stdin", given)
-    code, out, err = shell("detect", folder / "model.toml", "-", "--method", method)
+def test_the_shell_judges_a_pipe(method, folder):
+    before = os.dup(0)
+    with (folder / "run.csv").open("rb") as given:
+        os.dup2(given.fileno(), 0)
+        try:
+            code, out, err = shell(
+                "detect", folder / "model.toml", "-", "--method", method, "--out", folder / "out"
+            )
+        finally:
+            os.dup2(before, 0)
+            os.close(before)
     assert code == 1, err
+    rows = (folder / "out" / "verdicts.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[1] for row in rows] == [jb.Status(s).name for s in expected(TOYS[method](MODEL))]
 
 
 def test_the_shell_refuses_to_explain_in_a_sentence(method, folder):
@@ -192,6 +203,6 @@ def test_a_fleet_goes_on(method, folder):
 
 
 def test_the_shell_studies(method, folder):
-    about = "--method", method, "--fault", "y1:bias", "-n", "20", "--samples", "20", "--out", folder / "out"
-    code, out, err = shell("study", folder / "model.toml", *about)
+    about = "--method", method, "--faults", "y1:bias", "--sizes", "0.1,20", "--n", "20", "--samples", "20"
+    code, out, err = shell("study", folder / "model.toml", *about, "--out", folder / "out")
     assert code == 0, err

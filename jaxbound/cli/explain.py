@@ -16,6 +16,7 @@ from jaxbound.certificates.interface import certify
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
 from jaxbound.cli.terminal import LOUDNESS, VERBOSE, door, show, write
 from jaxbound.cli.window import OBSERVER
+from jaxbound.consistency.interface import FAMILIES
 from jaxbound.estimation.observer import observer
 from jaxbound.models.rows import Kind
 from jaxbound.recordings.read import open_source
@@ -67,10 +68,11 @@ def _certified(directory, at):
         if method == OBSERVER:
             found, part = refuted_again(observer(model, **options), source, k)
         else:
-            relations, part = (
-                parity_relations(model, horizon if model.lags is None else None),
-                source.read(k - horizon, k + 1),
-            )
+            if method in FAMILIES:
+                relations = FAMILIES[method](model, horizon)
+            else:
+                relations = parity_relations(model, horizon if model.lags is None else None)
+            part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
                 raise ValueError("a window across a gap in time is MISSING")
             found = certify(relations, part.u, part.y, method)

@@ -9,7 +9,8 @@ import numpy as np
 
 from jaxbound.cli.engine import engine_of
 from jaxbound.cli.terminal import LOUDNESS, QUIET, door, progress_bars, say, show, usable_device, write
-from jaxbound.cli.window import OBSERVER, window_relations
+from jaxbound.cli.window import window_relations
+from jaxbound.consistency.interface import METHODS
 from jaxbound.models.modelfile import load_model
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.reports.study import COLUMNS, HEAD, sentence, study_page, study_rows
