@@ -1,20 +1,33 @@
-"""What `jaxbound detect --method validation` found: its verdict in a sentence, its columns in a file."""
+"""A recording that is validated: its verdict, the columns of its file, and its report."""
 
+import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NoReturn
 
+import jax
 import numpy as np
 
+from jaxbound.cli.evaluation import Evaluation
+from jaxbound.cli.options import MethodOptions
+from jaxbound.cli.terminal import door, usable_device
 from jaxbound.diagnosis.alarms import Alarm, group_alarms
-from jaxbound.estimation.validation import Validation
+from jaxbound.diagnosis.hints import bound_hints, outgrown
+from jaxbound.estimation.validation import Validation, least_horizon, validate
+from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import to_arrow, words
-from jaxbound.runs.summary import Evidence, evidence
+from jaxbound.recordings.read import open_source
+from jaxbound.reports.validation import write_page
+from jaxbound.runs.runfile import VALIDATION
+from jaxbound.runs.sink import Outcome, write_all
+from jaxbound.runs.summary import Evidence, evidence, summarised
 from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Validated"]
+__all__ = ["Validated", "evaluate_validation"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,3 +123,76 @@ def _(res: Validated):
     for i, name in enumerate(res.model.states):
         columns |= band(f"state.{name}", found.state, i)
     return columns
+
+
+def evaluate_validation(
+    work: Path,
+    step: Callable[[str, float], object],
+    model: Path,
+    data: Path | str,
+    options: MethodOptions,
+    *,
+    alarm: tuple[int, int] = (1, 1),
+    min_coverage: float = 0.5,
+) -> Evaluation:
+    """Read a recording, validate it and write everything into a folder, see `evaluate`."""
+    seconds, start = {}, time.perf_counter()
+    with door():
+        plant = load_model(model)
+        source = open_source(data, plant)
+        held, recording = source.content, source.read(progress=lambda share: step("read", share))
+        if options.lags is not None:
+            raise ValueError(
+                f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn"
+            )
+        horizon = least_horizon(plant.n, plant.p) if options.horizon is None else options.horizon
+        _complete(data, recording, horizon)
+        seconds["read"], start = time.perf_counter() - start, time.perf_counter()
+        usable_device()
+        found = validate(plant, recording, horizon=horizon)
+        res = Validated(
+            plant, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon)
+        )
+    step("test", 1.0)
+    alarms = res.alarms(*alarm)
+    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    first = (
+        f"the first {horizon + 1} "
+        f"{'complete samples, here and behind each gap,' if len(recording.starts) else 'samples'}"
+    )
+    assumed = [
+        f"{first} are taken to be free of faults: a fault there may stay unseen, or blame a healthy sensor"
+    ]
+    if plant.m:
+        assumed.append(
+            "inputs are taken as recorded: where an actuator did something else, a healthy sensor is named"
+        )
+    if res.first_fault is not None:
+        assumed.append(
+            f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only "
+            f"if every faulty sample was found: a band may follow a sensor that stays wrong"
+        )
+    reaches = outgrown(plant, res, "validation")
+    hints = (*recording.hints, *bound_hints(plant), *reaches, *assumed)
+    summary = summarised(res, alarms, recording.label, min_coverage, hints, outgrown=bool(reaches))
+    write_all(work, Outcome(res, recording, alarms, summary, plant, data, held, options.method, horizon))
+    write_page(work, res, recording, summary, seconds=seconds, progress=lambda share: step("report", share))
+    seconds["report"] = time.perf_counter() - start
+    return Evaluation(summary, plant, seconds)
+
+
+def _complete(data, recording, horizon):
+    """Raise ValueError if a sample that validation cannot do without is missing; where nothing is known there
+    is a gap, which it can.
+    """
+    u, y, needs = recording.u, recording.y, "every sample of every input is needed"
+    known = ~(np.isnan(u).any(1) & np.isnan(y).all(1))
+    lost = [(recording.inputs, np.isnan(u) & known[:, None], needs)]
+    if known[: horizon + 1].all() and not recording.across(horizon)[horizon]:
+        begin = f"the first {horizon + 1} samples say where the state is: begin the recording later"
+        lost.append((recording.outputs, np.isnan(y[: horizon + 1]), begin))
+    for names, missing, why in lost:
+        for k, j in np.argwhere(missing)[:1]:
+            raise ValueError(
+                f"{data}: {names[j]} is missing at {recording.label(k)}, and for validation {why}"
+            )
